@@ -1,0 +1,241 @@
+"""Text with a unit becomes an SI float here and nowhere else, and back."""
+
+from __future__ import annotations
+
+import functools
+import math
+import re
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    import pint
+
+_NUMBER_AND_UNIT = re.compile(
+    r"\s*(?P<number>[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)\s*(?P<unit>\D.*)?\s*"
+)
+
+#: The units of amulor's own numbers, by what they measure, as pint reads them.
+SI_UNITS = {
+    "length": "m",
+    "angle": "rad",
+    "frequency": "Hz",
+    "time": "s",
+    "power": "W",
+    "temperature": "degC",
+    "attenuation coefficient": "1/m",
+    "solid-angle density": "1/sr",
+    "angle squared": "rad**2",
+    "voltage": "V",
+    "share": "1",
+}
+
+_EXAMPLES = {
+    "length": "20 cm",
+    "angle": "4.6 deg",
+    "frequency": "39 MHz",
+    "time": "125 ms",
+    "power": "20 mW",
+    "temperature": "15 degC",
+    "attenuation coefficient": "0.06 1/m",
+    "solid-angle density": "0.001 1/sr",
+    "angle squared": "0.06 rad^2",
+    "voltage": "10 mV",
+    "share": "25 %",
+}
+
+
+def example(quantity: str) -> str:
+    """Return a text that `parse` takes for a quantity, for messages and schemas.
+
+    Parameters
+    ----------
+    quantity : str
+        A key of `SI_UNITS`.
+
+    Returns
+    -------
+    str
+        Number and unit.
+
+    Examples
+    --------
+    >>> example("frequency")
+    '39 MHz'
+    """
+    return _EXAMPLES[quantity]
+
+
+def parse(text: str, quantity: str) -> float:
+    """Turn a number with a unit into an SI float.
+
+    Parameters
+    ----------
+    text : str
+        Number and unit, with or without a space between.
+    quantity : str
+        What it measures, a key of `SI_UNITS`.
+
+    Returns
+    -------
+    float
+        The value in the unit of `SI_UNITS`; temperatures in degrees Celsius.
+
+    Raises
+    ------
+    ValueError
+        If there is no number, no unit, an unknown one, or one of another quantity.
+
+    Examples
+    --------
+    >>> print(parse("39 MHz", "frequency"), parse("20cm", "length"))
+    39000000.0 0.2
+    >>> print(round(parse("77 degF", "temperature"), 9))
+    25.0
+    """
+    wanted = f'needed is the {quantity} as text such as "{_EXAMPLES[quantity]}"'
+    match = _NUMBER_AND_UNIT.fullmatch(text)
+    if match is None:
+        raise ValueError(f"found {text!r}, which is no number with a unit; {wanted}")
+    number = float(match["number"])
+    if not math.isfinite(number):
+        raise ValueError(f"found {text!r}, which is too large a number; {wanted}")
+    unit_text = (match["unit"] or "").strip()
+    if unit_text.startswith("/"):
+        unit_text = f"1{unit_text}"
+    if not unit_text and quantity != "share":
+        raise ValueError(f"found {text!r}, a number without a unit; {wanted}")
+    return _convert(number, unit_text, quantity, text=text, wanted=wanted)
+
+
+def parse_frequencies(text: str) -> list[float]:
+    """Turn a list or a range of frequencies into SI floats.
+
+    Parameters
+    ----------
+    text : str
+        "50 MHz, 100 MHz", or first, last and number as in "0.5MHz:138MHz:200".
+
+    Returns
+    -------
+    list of float
+        Frequencies in the order given, or evenly from first to last [Hz].
+
+    Raises
+    ------
+    ValueError
+        If a frequency cannot be read, or a range is not made of three parts.
+
+    Examples
+    --------
+    >>> parse_frequencies("50MHz, 0.1 GHz")
+    [50000000.0, 100000000.0]
+    >>> parse_frequencies("10MHz:30MHz:3")
+    [10000000.0, 20000000.0, 30000000.0]
+    """
+    if ":" not in text:
+        return [parse(part, "frequency") for part in text.split(",")]
+    parts = text.split(":")
+    if len(parts) != 3 or not parts[2].strip().isdigit() or int(parts[2]) < 2:
+        raise ValueError(
+            f"found {text!r}; a range of frequencies is first, last and how many (at "
+            'least 2), such as "0.5MHz:138MHz:200"'
+        )
+    first, last = parse(parts[0], "frequency"), parse(parts[1], "frequency")
+    count = int(parts[2])
+    return [first + (last - first) * i / (count - 1) for i in range(count)]
+
+
+def _convert(
+    number: float, unit_text: str, quantity: str, *, text: str, wanted: str
+) -> float:
+    import pint
+
+    registry = _registry()
+    try:
+        unit = registry.Unit(unit_text)
+    # The reader of unit expressions raises errors of many kinds on odd text.
+    except Exception:
+        raise ValueError(
+            f"found {text!r}, whose unit {unit_text!r} is not known; {wanted}"
+        ) from None
+    target = registry.Unit(SI_UNITS[quantity])
+    # Radian and steradian are pure numbers to the registry; here they are not,
+    # so that "39 deg" is no frequency and "0.1 1/m" no angle.
+    try:
+        value = float(registry.Quantity(number, unit).to(target).magnitude)
+    except (pint.DimensionalityError, pint.OffsetUnitCalculusError):
+        raise ValueError(
+            f"found {text!r}, whose unit {unit_text!r} is not one of {quantity}; "
+            f"{wanted}"
+        ) from None
+    if (
+        quantity in _ANGULAR_POWERS
+        and _angular_power(unit) != _ANGULAR_POWERS[quantity]
+    ):
+        raise ValueError(
+            f"found {text!r}, whose unit {unit_text!r} is not one of {quantity}; "
+            f"{wanted}"
+        )
+    return value
+
+
+_ANGULAR_POWERS = {
+    "angle": 1,
+    "angle squared": 2,
+    "solid-angle density": -2,
+    "share": 0,
+    "frequency": 0,
+}
+_ANGULAR_UNITS = {
+    "radian": 1,
+    "milliradian": 1,
+    "microradian": 1,
+    "degree": 1,
+    "arcminute": 1,
+    "arcsecond": 1,
+    "turn": 1,
+    "revolution": 1,
+    "cycle": 1,
+    "steradian": 2,
+}
+
+
+def _angular_power(unit: pint.Unit) -> float:
+    """Return how often a unit holds an angle: 1 for deg, 2 for sr, 0 for Hz."""
+    parts = dict(unit._units)
+    return sum(
+        _ANGULAR_UNITS.get(str(name), 0) * float(str(power))
+        for name, power in parts.items()
+    )
+
+
+@functools.cache
+def _registry() -> pint.UnitRegistry[float]:
+    import pint
+
+    registry: pint.UnitRegistry[float] = pint.UnitRegistry(cache_folder=None)
+    return registry
+
+
+def write(value: float, quantity: str) -> str:
+    """Write an SI float as text with its unit, such that `parse` reads it back.
+
+    Parameters
+    ----------
+    value : float
+        Value in the unit of `SI_UNITS`.
+    quantity : str
+        A key of `SI_UNITS`.
+
+    Returns
+    -------
+    str
+        Number and unit; `parse` returns the same float.
+
+    Examples
+    --------
+    >>> write(0.07, "length")
+    '0.07 m'
+    """
+    unit = SI_UNITS[quantity]
+    return repr(float(value)) if unit == "1" else f"{float(value)!r} {unit}"

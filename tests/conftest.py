@@ -1,0 +1,70 @@
+"""What all tests share: small surveys with known answers."""
+
+from __future__ import annotations
+
+import pytest
+from hypothesis import settings
+
+from amulor.survey import Survey
+
+# Compiled code is slow once; a deadline would blame the first drawn input for it.
+settings.register_profile("amulor", deadline=None, print_blob=True)
+settings.load_profile("amulor")
+
+PLATE = """
+name = "Plate in a small tank"
+[water]
+absorption = "0.255 1/m"
+scattering = "0.595 1/m"
+forward_fraction = 1.0
+second_moment = "0.06 rad^2"
+phase_function_at_180 = "0.001 1/sr"
+refractive_index = 1.34
+group_index = 1.38
+backscatter_mueller = [0.81, -0.81, -0.62]
+signal_fluctuation = "5 %"
+[[targets]]
+kind = "plate"
+position = ["0 m", "0 m", "1.5 m"]
+width = "30 cm"
+height = "30 cm"
+reflectance = 0.1
+[instrument]
+wavelength = "405 nm"
+power = "20 mW"
+modulation_depth = 0.8
+modulation_frequencies = ["39 MHz"]
+polarizations = ["VV", "VH"]
+[instrument.receiver]
+position = ["7 cm", "0 m", "0 m"]
+azimuth = "-2.672 deg"
+radius = "2 cm"
+acceptance = "0.08 rad"
+[instrument.detector]
+optical_transmission = "10 %"
+[instrument.lock_in]
+time_constant = "10 ms"
+phase_floor = "0.06 deg"
+[scan]
+columns = 12
+rows = 6
+azimuth_span = "3.81 deg"
+elevation_span = "1.53 deg"
+dwell = "125 ms"
+[scan.open_water]
+columns = 5
+rows = 3
+repeats = 8
+"""
+
+
+@pytest.fixture(scope="session")
+def plate_text() -> str:
+    """Return a survey file with a flat plate 1.5 m away in milky water."""
+    return PLATE
+
+
+@pytest.fixture(scope="session")
+def plate(plate_text: str) -> Survey:
+    """Return that survey."""
+    return Survey.from_text(plate_text)

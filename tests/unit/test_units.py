@@ -1,0 +1,85 @@
+"""Text with a unit becomes an SI float, or one clear line."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from amulor import units
+
+
+@pytest.mark.parametrize(
+    ("text", "quantity", "expected"),
+    [
+        ("39 MHz", "frequency", 39e6),
+        ("39MHz", "frequency", 39e6),
+        ("20 cm", "length", 0.2),
+        ("405 nm", "length", 405e-9),
+        ("-2.5 mm", "length", -2.5e-3),
+        ("1e-2 m", "length", 0.01),
+        ("125 ms", "time", 0.125),
+        ("20 mW", "power", 0.02),
+        ("180 deg", "angle", math.pi),
+        ("80 mrad", "angle", 0.08),
+        ("0.06 rad^2", "angle squared", 0.06),
+        ("1 deg^2", "angle squared", (math.pi / 180) ** 2),
+        ("0.001 1/sr", "solid-angle density", 0.001),
+        ("0.85 1/m", "attenuation coefficient", 0.85),
+        ("0.85 / m", "attenuation coefficient", 0.85),
+        ("0.0085 cm^-1", "attenuation coefficient", 0.85),
+        ("25 %", "share", 0.25),
+        ("0.25", "share", 0.25),
+        ("15 degC", "temperature", 15.0),
+        ("288.15 K", "temperature", 15.0),
+        ("10 mV", "voltage", 0.01),
+    ],
+)
+def test_text_becomes_the_si_value(text: str, quantity: str, expected: float) -> None:
+    assert units.parse(text, quantity) == pytest.approx(expected, rel=1e-14, abs=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("text", "quantity", "complaint"),
+    [
+        ("20", "length", "without a unit"),
+        ("20 cmm", "length", "is not known"),
+        ("20 deg", "length", "not one of length"),
+        ("20 s", "length", "not one of length"),
+        # Angles are pure numbers to most libraries; here they are not.
+        ("39 deg", "frequency", "not one of frequency"),
+        ("0.5 1/m", "angle", "not one of angle"),
+        ("0.06 rad", "angle squared", "not one of angle squared"),
+        ("0.1 sr", "solid-angle density", "not one of"),
+        ("30 deg", "share", "not one of share"),
+        ("1 rad/s", "frequency", "not one of frequency"),
+        ("twenty cm", "length", "no number"),
+        ("", "length", "no number"),
+        ("nan m", "length", "no number"),
+        ("1e999 m", "length", "too large"),
+        ("1 __import__('os').system('true')", "length", "is not known"),
+    ],
+)
+def test_bad_text_is_refused_in_one_line(
+    text: str, quantity: str, complaint: str
+) -> None:
+    with pytest.raises(ValueError, match=complaint) as caught:
+        units.parse(text, quantity)
+    message = str(caught.value)
+    assert "\n" not in message
+    assert units.example(quantity) in message
+
+
+@given(
+    st.floats(allow_nan=False, allow_infinity=False, width=64),
+    st.sampled_from(sorted(units.SI_UNITS)),
+)
+def test_what_is_written_is_read_back_exactly(value: float, quantity: str) -> None:
+    assert units.parse(units.write(value, quantity), quantity) == value
+
+
+def test_every_example_is_valid() -> None:
+    for quantity in units.SI_UNITS:
+        assert math.isfinite(units.parse(units.example(quantity), quantity))
