@@ -1,0 +1,1 @@
+"""Formulas of underwater modulated-laser imaging: arrays in, arrays out."""

@@ -1,0 +1,652 @@
+r"""Mueller matrices: targets, water, polarizers, and what an analyser lets pass.
+
+The last two axes are (4, 4), rows out, columns in. Stokes convention: that of
+`amulor.optics.stokes`. The matrix of a scatterer or target leads from the axes of the
+light that falls in to those of the light that comes out, so one that sends light back
+without depolarizing it is diag(1, 1, -1, -1). Equation numbers are those of R. Ricci
+et al., EURASIP J. Adv. Signal Process. 2010, 958360, doi:10.1155/2010/958360, as
+rebuilt.
+"""
+
+from __future__ import annotations
+
+import re
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from amulor.optics import stokes as _stokes
+
+__all__ = [
+    "apply",
+    "coherency_matrix",
+    "depolarization_effect",
+    "depolarization_index",
+    "detected_fraction",
+    "diagonal",
+    "ideal_backscatter",
+    "ideal_depolarizer",
+    "is_realizable",
+    "linear_polarizer",
+    "painted_metal",
+    "rayleigh",
+    "realizability_defect",
+    "retarder",
+    "rotated",
+]
+
+
+def diagonal(m22: ArrayLike, m33: ArrayLike, m44: ArrayLike) -> NDArray[np.float64]:
+    """Return the reduced matrix diag(1, m22, m33, m44).
+
+    Parameters
+    ----------
+    m22, m33, m44 : array_like
+        Diagonal elements, each from -1 to 1 [1].
+
+    Returns
+    -------
+    ndarray
+        Mueller matrix, broadcast shape with last axes (4, 4) [1].
+
+    Raises
+    ------
+    ValueError
+        If an element is outside of -1 to 1.
+
+    Notes
+    -----
+    The form of eqs. (65) and (67). Not each such matrix can exist: see
+    `realizability_defect`.
+
+    Examples
+    --------
+    >>> print(np.diag(diagonal(0.61, -0.61, -0.46)))
+    [ 1.    0.61 -0.61 -0.46]
+    """
+    elements = np.broadcast_arrays(
+        1.0,
+        *(
+            _within(value, -1, 1, name=name)
+            for name, value in (("m22", m22), ("m33", m33), ("m44", m44))
+        ),
+    )
+    return np.stack(elements, axis=-1)[..., np.newaxis] * np.eye(4)
+
+
+def ideal_backscatter() -> NDArray[np.float64]:
+    """Return the matrix of light sent straight back without depolarization.
+
+    Returns
+    -------
+    ndarray
+        diag(1, 1, -1, -1), shape (4, 4) [1]: a mirror, or Rayleigh scatterers and
+        spheres at 180 degrees.
+
+    Notes
+    -----
+    Eq. (65). The negative m44 means that a helicity comes back as the other one.
+
+    Examples
+    --------
+    >>> print(np.diag(ideal_backscatter()))
+    [ 1.  1. -1. -1.]
+    """
+    return np.diag([1.0, 1.0, -1.0, -1.0])
+
+
+def ideal_depolarizer() -> NDArray[np.float64]:
+    """Return the matrix of a target that keeps no polarization.
+
+    Returns
+    -------
+    ndarray
+        diag(1, 0, 0, 0), shape (4, 4) [1]: an ideal white Lambertian surface.
+
+    Notes
+    -----
+    The limit of eq. (61) in which the depolarization index is zero.
+
+    Examples
+    --------
+    >>> print(np.diag(ideal_depolarizer()))
+    [1. 0. 0. 0.]
+    """
+    return np.diag([1.0, 0.0, 0.0, 0.0])
+
+
+def painted_metal(*, m44: float = -0.46) -> NDArray[np.float64]:
+    """Return the matrix of the painted metal target of Ricci et al.
+
+    Parameters
+    ----------
+    m44 : float
+        Circular element, from -1 to -0.22, where the matrix can exist [1]. Its
+        default is ASSUMED: only m22 = 0.61 was published.
+
+    Returns
+    -------
+    ndarray
+        diag(1, 0.61, -0.61, m44), shape (4, 4) [1].
+
+    Raises
+    ------
+    ValueError
+        If m44 is outside of its range.
+
+    Notes
+    -----
+    Eq. (67). m33 = -m22 follows from rotational symmetry. m44 would be -0.22 by
+    reciprocity at exactly 180 degrees and -0.61 for a mirror-like part with an ideal
+    depolarizer; -0.46 puts circular below linear polarization by 0.15, the largest
+    difference that DeBoo et al. [1]_ found on painted and similar samples.
+
+    References
+    ----------
+    .. [1] B. J. DeBoo, J. M. Sasian and R. A. Chipman, Appl. Opt. 44, 5434 (2005),
+       :doi:`10.1364/AO.44.005434`.
+
+    Examples
+    --------
+    >>> print(np.diag(painted_metal()))
+    [ 1.    0.61 -0.61 -0.46]
+    """
+    if not -1 <= m44 <= -0.22:
+        raise ValueError(
+            "m44 must be from -1 to -0.22, where diag(1, 0.61, -0.61, m44) is "
+            f"realizable, got {m44:g}"
+        )
+    return np.diag([1.0, 0.61, -0.61, float(m44)])
+
+
+def rayleigh(angle: ArrayLike) -> NDArray[np.float64]:
+    r"""Return the reduced matrix of scatterers much smaller than the wavelength.
+
+    Parameters
+    ----------
+    angle : array_like
+        Scattering angle, 0 to pi [rad].
+
+    Returns
+    -------
+    ndarray
+        Mueller matrix over its first element, shape of `angle` with last axes
+        (4, 4) [1]. The parallel axis lies in the scattering plane.
+
+    Raises
+    ------
+    ValueError
+        If an angle is outside of its range.
+
+    Notes
+    -----
+    Eqs. (63)-(64), without the molecular depolarization:
+
+    .. math::
+
+       m_{12} = m_{21} = -\frac{1 - \cos^2\theta}{1 + \cos^2\theta}, \quad
+       m_{22} = 1, \quad
+       m_{33} = m_{44} = \frac{2 \cos\theta}{1 + \cos^2\theta}.
+
+    The first element itself goes as :math:`\tfrac34 (1 + \cos^2\theta) / 4\pi`.
+
+    Examples
+    --------
+    >>> print(np.round(rayleigh(np.pi / 2)[0] + 0.0, 3))
+    [ 1. -1.  0.  0.]
+    """
+    cosine = np.cos(_within(angle, 0, np.pi, name="angle", unit=" rad"))
+    matrix = np.zeros((*cosine.shape, 4, 4))
+    matrix[..., 0, 0] = matrix[..., 1, 1] = 1
+    matrix[..., 0, 1] = matrix[..., 1, 0] = -(1 - cosine**2) / (1 + cosine**2)
+    matrix[..., 2, 2] = matrix[..., 3, 3] = 2 * cosine / (1 + cosine**2)
+    return matrix
+
+
+def linear_polarizer(
+    angle: ArrayLike, *, extinction_ratio: ArrayLike = 0.0
+) -> NDArray[np.float64]:
+    r"""Return the matrix of a linear polarizer.
+
+    Parameters
+    ----------
+    angle : array_like
+        Direction that passes, from the parallel to the perpendicular axis [rad].
+    extinction_ratio : array_like
+        Power that passes crossed over power that passes aligned, 0 (ideal) to 1
+        (clear glass) [1]. A data sheet's 10 000:1 is 1e-4.
+
+    Returns
+    -------
+    ndarray
+        Mueller matrix, broadcast shape with last axes (4, 4) [1]. All of aligned
+        light passes.
+
+    Raises
+    ------
+    ValueError
+        If an extinction ratio is outside of its range.
+
+    Notes
+    -----
+    Amplitudes 1 and :math:`\sqrt e` along the two directions, without delay:
+    :math:`m_{11} = m_{22} = (1 + e)/2`, :math:`m_{12} = m_{21} = (1 - e)/2` and
+    :math:`m_{33} = m_{44} = \sqrt e` at an angle of zero.
+
+    Examples
+    --------
+    >>> print(apply(linear_polarizer(0.0), [1.0, 0.0, 0.0, 0.0]))
+    [0.5 0.5 0.  0. ]
+    """
+    leak = _within(
+        extinction_ratio, 0, 1, name="extinction_ratio (crossed over aligned)"
+    )
+    matrix = np.zeros((*leak.shape, 4, 4))
+    matrix[..., 0, 0] = matrix[..., 1, 1] = (1 + leak) / 2
+    matrix[..., 0, 1] = matrix[..., 1, 0] = (1 - leak) / 2
+    matrix[..., 2, 2] = matrix[..., 3, 3] = np.sqrt(leak)
+    return rotated(matrix, angle=angle)
+
+
+def retarder(retardance: ArrayLike, *, angle: ArrayLike) -> NDArray[np.float64]:
+    r"""Return the matrix of a linear retarder.
+
+    Parameters
+    ----------
+    retardance : array_like
+        Phase by which the slow component falls behind the fast one; pi/2 is a
+        quarter-wave plate [rad].
+    angle : array_like
+        Direction of the FAST axis, from the parallel to the perpendicular axis
+        [rad].
+
+    Returns
+    -------
+    ndarray
+        Mueller matrix, broadcast shape with last axes (4, 4) [1].
+
+    Notes
+    -----
+    With the fast axis along the parallel one, :math:`m_{33} = m_{44} = \cos\delta`
+    and :math:`m_{34} = -m_{43} = \sin\delta`. A quarter-wave plate with its fast
+    axis vertical turns +45 degrees into right circular.
+
+    Examples
+    --------
+    >>> plate = retarder(np.pi / 2, angle=np.pi / 2)
+    >>> print(f"V = {apply(plate, [1.0, 0.0, 1.0, 0.0])[3]:.6f}")
+    V = 1.000000
+    """
+    delta = np.asarray(retardance, dtype=np.float64)
+    matrix = np.zeros((*delta.shape, 4, 4))
+    matrix[..., 0, 0] = matrix[..., 1, 1] = 1
+    matrix[..., 2, 2] = matrix[..., 3, 3] = np.cos(delta)
+    matrix[..., 2, 3] = np.sin(delta)
+    matrix[..., 3, 2] = -np.sin(delta)
+    return rotated(matrix, angle=angle)
+
+
+def rotated(mueller: ArrayLike, *, angle: ArrayLike) -> NDArray[np.float64]:
+    r"""Return the matrix of an element that is turned about the beam.
+
+    Parameters
+    ----------
+    mueller : array_like
+        Mueller matrices of an element that light passes, last axes (4, 4) [1].
+    angle : array_like
+        Angle of the turn, from the parallel to the perpendicular axis [rad].
+
+    Returns
+    -------
+    ndarray
+        Mueller matrix, broadcast shape with last axes (4, 4) [1].
+
+    Raises
+    ------
+    ValueError
+        If the last axes are not (4, 4).
+
+    Notes
+    -----
+    :math:`R(-\alpha) M R(\alpha)` with
+    :math:`Q' = Q \cos 2\alpha + U \sin 2\alpha`,
+    :math:`U' = -Q \sin 2\alpha + U \cos 2\alpha` for axes turned by
+    :math:`\alpha`. For elements in transmission; a target that is turned about the
+    line of sight has its axes out reversed.
+
+    Examples
+    --------
+    >>> print(np.round(rotated(linear_polarizer(0.0), angle=np.pi / 2)[0], 12))
+    [ 0.5 -0.5  0.   0. ]
+    """
+    turn = np.asarray(angle, dtype=np.float64)
+    there, back = _axes_turned(turn), _axes_turned(-turn)
+    return back @ _mueller(mueller) @ there
+
+
+def apply(mueller: ArrayLike, stokes: ArrayLike) -> NDArray[np.float64]:
+    """Return the light that comes out of an element or a target.
+
+    Parameters
+    ----------
+    mueller : array_like
+        Mueller matrices, last axes (4, 4) [1].
+    stokes : array_like
+        Stokes vectors that fall in, last axis (4,), any unit.
+
+    Returns
+    -------
+    ndarray
+        Stokes vectors, broadcast shape with a last axis (4,), same unit.
+
+    Raises
+    ------
+    ValueError
+        If the last axes are not (4, 4) and (4,).
+
+    Notes
+    -----
+    Eq. (60) without the distance factor.
+
+    Examples
+    --------
+    >>> print(apply(painted_metal(), [1.0, 1.0, 0.0, 0.0]))
+    [1.   0.61 0.   0.  ]
+    """
+    vector = np.asarray(stokes, dtype=np.float64)
+    if vector.ndim == 0 or vector.shape[-1] != 4:
+        raise ValueError(
+            f"stokes must have a last axis of 4 (I, Q, U, V), got shape {vector.shape}"
+        )
+    out: NDArray[np.float64] = np.einsum("...ij,...j->...i", _mueller(mueller), vector)
+    return out
+
+
+def detected_fraction(mueller: ArrayLike, *, pair: str) -> NDArray[np.float64]:
+    r"""Return the share of the light that passes a polarizer pair.
+
+    Parameters
+    ----------
+    mueller : array_like
+        Mueller matrices of target or water, last axes (4, 4) [1].
+    pair : str
+        State that is launched and state that the ideal analyser passes, such as
+        "VV", "VH", "RR", "RL"; letters as in `amulor.optics.stokes.state`. "none"
+        is no polarizer anywhere: unpolarized light, all of it detected.
+
+    Returns
+    -------
+    ndarray
+        Detected over launched power, shape of `mueller` without the last two axes
+        [1].
+
+    Raises
+    ------
+    ValueError
+        If the last axes are not (4, 4) or the pair is not known.
+
+    Notes
+    -----
+    :math:`\tfrac12 \mathbf a \cdot M \mathbf s` with the Stokes vectors of launched
+    state and analyser, both of intensity 1; :math:`m_{11}` for "none". Eqs. (68) and
+    (69). The analyser's letter is read in the axes of the light that comes back:
+    a mirror returns V as V but R as L and P as M.
+
+    Examples
+    --------
+    >>> for pair in ("VV", "VH", "RR", "RL"):
+    ...     print(pair, f"{detected_fraction(painted_metal(), pair=pair):.3f}")
+    VV 0.805
+    VH 0.195
+    RR 0.270
+    RL 0.730
+    """
+    matrix = _mueller(mueller)
+    if pair == "none":
+        return matrix[..., 0, 0].copy()
+    if not re.fullmatch(_stokes.PAIR_PATTERN, pair):
+        raise ValueError(
+            "pair must be 'none' or two letters out of H, V, P, M, R, L, launched "
+            f"first and analysed second, such as 'VH'; got {pair!r}"
+        )
+    launched, analyser = _stokes.state(pair[0]), _stokes.state(pair[1])
+    return apply(matrix, launched) @ analyser / 2
+
+
+def depolarization_index(mueller: ArrayLike) -> NDArray[np.float64]:
+    r"""Return the depolarization index of Gil and Bernabeu.
+
+    Parameters
+    ----------
+    mueller : array_like
+        Mueller matrices, last axes (4, 4), m11 above zero [1].
+
+    Returns
+    -------
+    ndarray
+        0 for an ideal depolarizer, 1 for no depolarization, shape of `mueller`
+        without the last two axes [1].
+
+    Raises
+    ------
+    ValueError
+        If the last axes are not (4, 4) or an m11 is not above zero.
+
+    Notes
+    -----
+    Eq. (61), :math:`[(\sum_{ij} m_{ij}^2 - 1) / 3]^{1/2}` of the matrix over its
+    first element (J. J. Gil and E. Bernabeu, Opt. Acta 33, 185 (1986)).
+
+    Examples
+    --------
+    >>> print(f"{depolarization_index(painted_metal()):.4f}")
+    0.5644
+    """
+    reduced = _reduced(mueller).reshape(*np.shape(mueller)[:-2], 16)
+    index: NDArray[np.float64] = np.linalg.norm(reduced[..., 1:], axis=-1) / np.sqrt(3)
+    return index
+
+
+def depolarization_effect(mueller: ArrayLike) -> NDArray[np.float64]:
+    r"""Return the mean modulus of the diagonal elements.
+
+    Parameters
+    ----------
+    mueller : array_like
+        Mueller matrices, last axes (4, 4), m11 above zero [1].
+
+    Returns
+    -------
+    ndarray
+        0 for an ideal depolarizer, 1 for no depolarization of a diagonal matrix,
+        shape of `mueller` without the last two axes [1].
+
+    Raises
+    ------
+    ValueError
+        If the last axes are not (4, 4) or an m11 is not above zero.
+
+    Notes
+    -----
+    :math:`\tfrac13 (|m_{22}| + |m_{33}| + |m_{44}|)` of the matrix over its first
+    element, a reading of eq. (61) that meets both limits. For a diagonal matrix it
+    is 1 less the depolarization power of S.-Y. Lu and R. A. Chipman, J. Opt. Soc.
+    Am. A 13, 1106 (1996).
+
+    Examples
+    --------
+    >>> print(f"{depolarization_effect(painted_metal()):.2f}")
+    0.56
+    """
+    reduced = np.diagonal(_reduced(mueller), axis1=-2, axis2=-1)
+    mean: NDArray[np.float64] = np.abs(reduced[..., 1:]).mean(axis=-1)
+    return mean
+
+
+def coherency_matrix(mueller: ArrayLike) -> NDArray[np.complex128]:
+    r"""Return the coherency matrix that belongs to a Mueller matrix.
+
+    Parameters
+    ----------
+    mueller : array_like
+        Mueller matrices, last axes (4, 4) [1].
+
+    Returns
+    -------
+    ndarray
+        Hermitian matrix with the trace m11, shape of `mueller` [1].
+
+    Raises
+    ------
+    ValueError
+        If the last axes are not (4, 4).
+
+    Notes
+    -----
+    :math:`\tfrac14 \sum_{ij} m_{ij} \, \sigma_i \otimes \sigma_j^*` with the unit
+    and Pauli matrices in the order of (I, Q, U, V) (S. R. Cloude, Optik 75, 26
+    (1986)). A Mueller matrix is a mixture of non-depolarizing ones exactly if this
+    has no negative eigenvalue.
+
+    Examples
+    --------
+    >>> values = np.linalg.eigvalsh(coherency_matrix(np.eye(4)))
+    >>> print(np.round(np.abs(values), 12))
+    [0. 0. 0. 1.]
+    """
+    matrix = _mueller(mueller)
+    coherency: NDArray[np.complex128] = (
+        np.einsum("...ij,ijkl->...kl", matrix, _PAULI_PRODUCTS) / 4
+    )
+    return coherency
+
+
+def realizability_defect(mueller: ArrayLike) -> NDArray[np.float64]:
+    """Return by how much a matrix fails to be that of a physical element.
+
+    Parameters
+    ----------
+    mueller : array_like
+        Mueller matrices, last axes (4, 4), m11 above zero [1].
+
+    Returns
+    -------
+    ndarray
+        Size of the most negative eigenvalue of the coherency matrix over its trace,
+        0 if there is none, shape of `mueller` without the last two axes [1].
+
+    Raises
+    ------
+    ValueError
+        If the last axes are not (4, 4) or an m11 is not above zero.
+
+    Notes
+    -----
+    Condition of Cloude, see `coherency_matrix`. Rounding leaves defects of about
+    1e-16.
+
+    Examples
+    --------
+    >>> print(f"{realizability_defect(diagonal(0.61, -0.61, -0.10)):.2f}")
+    0.03
+    """
+    values = np.linalg.eigvalsh(coherency_matrix(_reduced(mueller)))
+    defect: NDArray[np.float64] = np.maximum(-values[..., 0], 0.0)
+    return defect
+
+
+def is_realizable(mueller: ArrayLike, *, tolerance: float = 1e-9) -> NDArray[np.bool_]:
+    """Return whether a matrix can be that of a physical element.
+
+    Parameters
+    ----------
+    mueller : array_like
+        Mueller matrices, last axes (4, 4), m11 above zero [1].
+    tolerance : float
+        Largest `realizability_defect` that passes, not negative [1].
+
+    Returns
+    -------
+    ndarray
+        Shape of `mueller` without the last two axes.
+
+    Raises
+    ------
+    ValueError
+        If the last axes are not (4, 4), an m11 is not above zero, or the tolerance
+        is negative.
+
+    Notes
+    -----
+    Condition of Cloude, see `coherency_matrix`. Measured matrices need a tolerance
+    of the size of their noise.
+
+    Examples
+    --------
+    >>> print(is_realizable(painted_metal()), is_realizable(diagonal(1, 1, -1)))
+    True False
+    """
+    if not tolerance >= 0:
+        raise ValueError(f"tolerance must not be negative, got {tolerance:g}")
+    return np.asarray(realizability_defect(mueller) <= tolerance)
+
+
+def _pauli_products() -> NDArray[np.complex128]:
+    """Return sigma_i (x) conj(sigma_j), shape (4, 4, 4, 4), in the order IQUV."""
+    pauli = np.array(
+        [
+            [[1, 0], [0, 1]],
+            [[1, 0], [0, -1]],
+            [[0, 1], [1, 0]],
+            [[0, -1j], [1j, 0]],
+        ]
+    )
+    product: NDArray[np.complex128] = np.einsum("iab,jcd->ijacbd", pauli, pauli.conj())
+    return product.reshape(4, 4, 4, 4)
+
+
+_PAULI_PRODUCTS = _pauli_products()
+
+
+def _axes_turned(angle: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the matrix that refers Stokes vectors to axes turned by an angle."""
+    cosine, sine = np.cos(2 * angle), np.sin(2 * angle)
+    matrix = np.zeros((*angle.shape, 4, 4))
+    matrix[..., 0, 0] = matrix[..., 3, 3] = 1
+    matrix[..., 1, 1] = matrix[..., 2, 2] = cosine
+    matrix[..., 1, 2] = sine
+    matrix[..., 2, 1] = -sine
+    return matrix
+
+
+def _mueller(mueller: ArrayLike) -> NDArray[np.float64]:
+    """Return Mueller matrices as an array, refused if not (..., 4, 4)."""
+    matrix = np.asarray(mueller, dtype=np.float64)
+    if matrix.shape[-2:] != (4, 4):
+        raise ValueError(f"mueller must have last axes (4, 4), got {matrix.shape}")
+    return matrix
+
+
+def _reduced(mueller: ArrayLike) -> NDArray[np.float64]:
+    """Return Mueller matrices over their first elements, refused if not above 0."""
+    matrix = _mueller(mueller)
+    first = matrix[..., :1, :1]
+    if np.any(first <= 0):
+        raise ValueError(
+            f"m11 of mueller must be above 0, got {np.nanmin(first):g}: there would "
+            "be no light"
+        )
+    return matrix / first
+
+
+def _within(
+    value: ArrayLike, low: float, high: float, *, name: str, unit: str = ""
+) -> NDArray[np.float64]:
+    """Return the value as an array, refused outside of low..high."""
+    array = np.asarray(value, dtype=np.float64)
+    if not np.all((array >= low) & (array <= high)):
+        raise ValueError(
+            f"{name} must be from {low:g} to {high:g}{unit}, got values from "
+            f"{np.min(array):g} to {np.max(array):g}{unit}"
+        )
+    return array

@@ -1,0 +1,275 @@
+"""Beams through a flat window into the water, and the way of the light back.
+
+Coordinates are right, down, forward, a right-handed system seen from the instrument.
+The window is a plane across the forward axis: the half space before it is air, the one
+behind it water. Without a window all is water.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+
+@dataclass(frozen=True)
+class Medium:
+    """What the light crosses: water, and perhaps a window with air before it."""
+
+    refractive_index: float
+    """Phase index of the water [1]."""
+    group_index: float
+    """Group index of the water [1]."""
+    window_distance: float | None = None
+    """Forward coordinate of the near face of the window; None without one [m]."""
+    window_thickness: float = 0.0
+    """Thickness of the pane [m]."""
+    window_refractive_index: float = 1.0
+    """Phase index of the pane [1]."""
+    window_group_index: float = 1.0
+    """Group index of the pane [1]."""
+
+
+@dataclass(frozen=True)
+class Beam:
+    """A beam as it travels in the water, and what it crossed before."""
+
+    entry: NDArray[np.float64]
+    """Where the water begins, last axis (3,) [m]."""
+    direction: NDArray[np.float64]
+    """Unit vector in the water, last axis (3,) [1]."""
+    length_before: NDArray[np.float64]
+    """Geometric length before the water [m]."""
+    optical_length_before: NDArray[np.float64]
+    """The same, each part times its group index [m]."""
+
+
+def direction(azimuth: ArrayLike, elevation: ArrayLike) -> NDArray[np.float64]:
+    """Return the unit vector of a pair of scan angles.
+
+    Parameters
+    ----------
+    azimuth : array_like
+        Angle to the right [rad].
+    elevation : array_like
+        Angle upwards [rad].
+
+    Returns
+    -------
+    ndarray, last axis (3,)
+        Components right, down, forward [1].
+
+    Examples
+    --------
+    >>> direction(0.0, 0.0) + 0.0
+    array([0., 0., 1.])
+    """
+    azimuth, elevation = np.broadcast_arrays(
+        np.asarray(azimuth, dtype=float), np.asarray(elevation, dtype=float)
+    )
+    return np.stack(
+        [
+            np.sin(azimuth) * np.cos(elevation),
+            -np.sin(elevation),
+            np.cos(azimuth) * np.cos(elevation),
+        ],
+        axis=-1,
+    )
+
+
+def enter_water(position: ArrayLike, unit_vector: ArrayLike, *, medium: Medium) -> Beam:
+    """Follow a beam from its start into the water.
+
+    Parameters
+    ----------
+    position : array_like, last axis (3,)
+        Start of the beam, before the window if there is one [m].
+    unit_vector : array_like, last axis (3,)
+        Direction at the start, with a forward component above zero [1].
+    medium : Medium
+        Indices and window.
+
+    Returns
+    -------
+    Beam
+        The beam in the water, of the broadcast shape.
+
+    Raises
+    ------
+    ValueError
+        If there is a window and a beam starts behind it or does not point at it.
+
+    Notes
+    -----
+    Snell's law keeps the part of the vector along the window times the index.
+    """
+    start, vector = np.broadcast_arrays(
+        np.asarray(position, dtype=float), np.asarray(unit_vector, dtype=float)
+    )
+    if medium.window_distance is None:
+        zero = np.zeros(start.shape[:-1])
+        return Beam(start.copy(), vector.copy(), zero, zero.copy())
+    gap = medium.window_distance - start[..., 2]
+    if np.any(gap <= 0) or np.any(vector[..., 2] <= 0):
+        raise ValueError(
+            "with a window, beams must start before it and point forwards; the "
+            f"smallest gap is {np.min(gap):g} m"
+        )
+    lateral = vector[..., :2]
+    in_glass = lateral / medium.window_refractive_index
+    in_water = lateral / medium.refractive_index
+    forward_glass = np.sqrt(1 - np.sum(in_glass**2, axis=-1))
+    forward_water = np.sqrt(1 - np.sum(in_water**2, axis=-1))
+    air_length = gap / vector[..., 2]
+    glass_length = medium.window_thickness / forward_glass
+    entry = np.empty(start.shape)
+    entry[..., :2] = (
+        start[..., :2]
+        + lateral * air_length[..., None]
+        + in_glass * glass_length[..., None]
+    )
+    entry[..., 2] = medium.window_distance + medium.window_thickness
+    return Beam(
+        entry,
+        np.concatenate([in_water, forward_water[..., None]], axis=-1),
+        air_length + glass_length,
+        air_length + medium.window_group_index * glass_length,
+    )
+
+
+def return_length(
+    point: ArrayLike, receiver: ArrayLike, *, medium: Medium
+) -> NDArray[np.float64]:
+    """Return the optical length of the light's way from a point to the receiver.
+
+    Parameters
+    ----------
+    point : array_like, last axis (3,)
+        Where the light comes from, in the water [m].
+    receiver : array_like, last axis (3,)
+        Where it is collected [m].
+    medium : Medium
+        Indices and window.
+
+    Returns
+    -------
+    ndarray
+        Each part of the bent way times its group index [m].
+
+    Notes
+    -----
+    With a window the ray is found by Newton's method in the tangent of its angle in
+    air: the sideways distance it covers rises steadily and without an inflection that
+    could throw the iteration off, since all indices are above that of air.
+    """
+    source = np.asarray(point, dtype=float)
+    sink = np.asarray(receiver, dtype=float)
+    if medium.window_distance is None:
+        length: NDArray[np.float64] = np.linalg.norm(source - sink, axis=-1)
+        return medium.group_index * length
+    sideways = np.linalg.norm(source[..., :2] - sink[..., :2], axis=-1)
+    air = medium.window_distance - sink[..., 2]
+    glass = medium.window_thickness
+    water = source[..., 2] - medium.window_distance - glass
+    layers = (
+        (np.broadcast_to(air, sideways.shape), 1.0, 1.0),
+        (
+            np.full(sideways.shape, glass),
+            medium.window_refractive_index,
+            medium.window_group_index,
+        ),
+        (water, medium.refractive_index, medium.group_index),
+    )
+    # The sine in air; the start is that of a straight line with scaled layers.
+    scaled = sum(depth / index for depth, index, _ in layers)
+    sine = sideways / np.hypot(sideways, scaled)
+    for _ in range(_NEWTON_STEPS):
+        covered = sum(
+            depth * sine / np.sqrt(index**2 - sine**2) for depth, index, _ in layers
+        )
+        slope = sum(
+            depth * index**2 / (index**2 - sine**2) ** 1.5 for depth, index, _ in layers
+        )
+        # In the tangent t of the angle in air, ds/dt = (1 - s^2)^1.5.
+        tangent = sine / np.sqrt(1 - sine**2)
+        tangent = tangent - (covered - sideways) / (slope * (1 - sine**2) ** 1.5)
+        tangent = np.maximum(tangent, 0.0)
+        sine = tangent / np.hypot(1.0, tangent)
+    total: NDArray[np.float64] = sum(
+        group * depth * index / np.sqrt(index**2 - sine**2)
+        for depth, index, group in layers
+    )
+    return total
+
+
+_NEWTON_STEPS = 8
+
+
+def slant_range_of_path(
+    optical_path: ArrayLike,
+    beam: Beam,
+    receiver: ArrayLike,
+    *,
+    medium: Medium,
+) -> NDArray[np.float64]:
+    r"""Return how far along its beam a surface lies, from the two-way optical path.
+
+    Parameters
+    ----------
+    optical_path : array_like
+        Group index times length, out along the beam and back to the receiver [m].
+    beam : Beam
+        The beam in the water, from `enter_water`.
+    receiver : array_like, shape (3,)
+        Where the light is collected [m].
+    medium : Medium
+        Indices and window.
+
+    Returns
+    -------
+    ndarray
+        Distance from the start of the beam along the (bent) beam [m]; not a number
+        where no point of the beam in the water has so short a path.
+
+    Notes
+    -----
+    Without a window the point lies on an ellipsoid around emitter and receiver and
+    the distance is closed: with the path :math:`L`, the baseline vector :math:`b` and
+    the unit vector :math:`u`, :math:`s = (L^2 - b^2) / 2 (L - u \cdot b)`. With a
+    window the closed form of an unbent way starts a secant iteration.
+    """
+    path = np.asarray(optical_path, dtype=float) - beam.optical_length_before
+    sink = np.asarray(receiver, dtype=float)
+    baseline = sink - beam.entry
+    along = np.sum(beam.direction * baseline, axis=-1)
+    square = np.sum(baseline**2, axis=-1)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        if medium.window_distance is None:
+            length = path / medium.group_index
+            water = (length**2 - square) / (2 * (length - along))
+            water = np.where(length >= np.sqrt(square), water, np.nan)
+            return water + beam.length_before
+
+        def excess(water: NDArray[np.float64]) -> NDArray[np.float64]:
+            spot = beam.entry + water[..., None] * beam.direction
+            back = return_length(spot, sink, medium=medium)
+            return medium.group_index * water + back - path
+
+        first = np.maximum(
+            (path - beam.optical_length_before) / (2 * medium.group_index), 0.0
+        )
+        value = excess(first)
+        # The path grows by close to two group indices for each metre of range.
+        second = np.maximum(first - value / (2 * medium.group_index), 0.0)
+        for _ in range(_SECANT_STEPS):
+            next_value = excess(second)
+            change = next_value - value
+            step = np.where(change == 0, 0.0, next_value * (second - first) / change)
+            first, value = second, next_value
+            second = np.maximum(second - step, 0.0)
+        reached = np.abs(excess(second)) < 1e-9 * np.maximum(np.abs(path), 1.0)
+        return np.where(reached, second, np.nan) + beam.length_before
+
+
+_SECANT_STEPS = 6

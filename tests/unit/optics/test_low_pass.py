@@ -1,0 +1,182 @@
+"""Cut-off, free fit and first-order form: closed forms, statistics, refusals."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.testing import assert_allclose
+from scipy.constants import speed_of_light
+
+from amulor.optics.low_pass import (
+    LowPassFit,
+    cut_off,
+    first_order_response,
+    fit,
+    reduced_attenuation_cut_off,
+)
+
+SWEEP = np.linspace(0.5e6, 138e6, 276)
+drawn = settings(deadline=None, max_examples=50)
+corners = st.floats(1e5, 5e8)
+
+
+# --------------------------------------------------------------- first order
+
+
+def test_cut_off_of_a_narrow_receiver_is_35_6_mhz_per_reduced_attenuation():
+    # Section on eq. (49): 35.6 MHz times k' in 1/m for an index of 1.34.
+    found = reduced_attenuation_cut_off(
+        reduced_attenuation=np.array([0.1, 0.5, 1.0]), group_index=1.34
+    )
+    assert_allclose(found / 1e6, [3.56, 17.80, 35.61], atol=0.005)
+
+
+@given(corner=corners, ratio=st.floats(0, 100))
+@drawn
+def test_first_order_response_has_the_modulus_of_71_and_an_arctangent_phase(
+    corner, ratio
+):
+    response = first_order_response(ratio * corner, cut_off=corner)
+    assert_allclose(abs(response), (1 + ratio**2) ** -0.5, rtol=1e-12)
+    assert_allclose(np.angle(response), np.arctan(ratio), rtol=1e-12)
+
+
+def test_first_order_response_falls_as_the_reciprocal_far_above():
+    assert_allclose(abs(first_order_response(1e9, cut_off=1e3)), 1e-6, rtol=1e-11)
+
+
+# ------------------------------------------------------------------- cut-off
+
+
+@given(corner=corners)
+@drawn
+def test_cut_off_finds_the_corner_of_a_first_order_low_pass(corner):
+    found = cut_off(lambda f: first_order_response(f, cut_off=corner))
+    # The slope of the modulus there is -1/(2 sqrt2 f_c): rounding times 3.
+    assert_allclose(found, corner, rtol=1e-13)
+
+
+def test_cut_off_of_a_slab_is_that_of_a_sinc():
+    # Even light from a slab of thickness L: |sinc(2 f L / v)|, and sinc(x) is
+    # 1/sqrt2 at x = 0.442946.
+    thickness, velocity = 2.0, speed_of_light / 1.34
+    found = cut_off(lambda f: np.sinc(2 * f * thickness / velocity))
+    assert_allclose(found, 0.4429464 * velocity / (2 * thickness), rtol=2e-7)
+
+
+def test_cut_off_is_the_first_of_several_crossings():
+    # 0.6 + 0.4 cos falls to 1/sqrt2 again and again; first at cos x = 0.267767.
+    period = 25e6
+    found = cut_off(lambda f: 0.6 + 0.4 * np.cos(2 * np.pi * f / period))
+    angle = np.arccos((2**-0.5 - 0.6) / 0.4)
+    assert_allclose(found, angle / (2 * np.pi) * period, rtol=1e-12)
+
+
+@given(corner=corners, unit=st.floats(1e-200, 1e200))
+@drawn
+def test_cut_off_knows_no_unit_of_amplitude(corner, unit):
+    found = cut_off(lambda f: unit * first_order_response(f, cut_off=corner))
+    assert_allclose(found, corner, rtol=1e-12)
+
+
+def test_cut_off_below_the_first_sample_is_found():
+    found = cut_off(lambda f: first_order_response(f, cut_off=20.0))
+    assert_allclose(found, 20.0, rtol=1e-9)
+
+
+def test_cut_off_above_the_maximum_is_refused():
+    with pytest.raises(ValueError, match=r"lowest share is 0\.995; raise"):
+        cut_off(lambda f: first_order_response(f, cut_off=1e9), maximum_frequency=1e8)
+
+
+@pytest.mark.parametrize(
+    ("response", "text"),
+    [
+        (lambda f: 0.0 * f, "zero frequency must not be zero"),
+        (lambda f: np.where(f > 1e6, np.nan, 1.0), "finite value for each frequency"),
+        (lambda f: 1.0, r"got shape \(\)"),
+    ],
+)
+def test_responses_without_a_meaning_are_refused(response, text):
+    with pytest.raises(ValueError, match=text):
+        cut_off(response)
+
+
+@pytest.mark.parametrize("maximum", [0.0, -1.0, np.inf, np.nan])
+def test_the_maximum_frequency_must_be_a_frequency(maximum):
+    with pytest.raises(ValueError, match="maximum_frequency must be finite and above"):
+        cut_off(lambda f: 1 / (1 + f), maximum_frequency=maximum)
+
+
+# ----------------------------------------------------------------- free fit
+
+
+@given(corner=st.floats(1e6, 5e8), zero=st.floats(1e-9, 1e9))
+@drawn
+def test_fit_returns_what_the_data_were_made_with(corner, zero):
+    result = fit(SWEEP, zero / np.sqrt(1 + (SWEEP / corner) ** 2))
+    assert isinstance(result, LowPassFit)
+    # Rounding of the data; the cut-off weighs (f_c / 138 MHz)^2 = 13 times less.
+    assert_allclose(result.cut_off, corner, rtol=1e-10)
+    assert_allclose(result.amplitude_at_zero, zero, rtol=1e-10)
+    assert result.cut_off_standard_error < 1e-8 * corner
+
+
+def test_standard_error_is_the_scatter_of_repeated_fits():
+    rng = np.random.default_rng(71)
+    clean = 2.0 / np.sqrt(1 + (SWEEP / 20e6) ** 2)
+    results = [
+        fit(SWEEP, clean + 0.02 * rng.normal(size=SWEEP.size)) for _ in range(300)
+    ]
+    found = np.array([result.cut_off for result in results])
+    stated = np.mean([result.cut_off_standard_error for result in results])
+    # 300 repeats know a standard deviation to 1/sqrt(600) = 4 %; four of these.
+    assert_allclose(found.std(ddof=1), stated, rtol=0.16)
+    assert abs(found.mean() - 20e6) < 4 * stated / np.sqrt(300)
+
+
+@given(scale=st.floats(0.01, 100.0))
+@drawn
+def test_fit_scales_with_the_unit_of_frequency(scale):
+    amplitude = np.exp(-SWEEP / 40e6)
+    plain = fit(SWEEP, amplitude)
+    scaled = fit(scale * SWEEP, amplitude)
+    assert_allclose(scaled.cut_off, scale * plain.cut_off, rtol=1e-7)
+    assert_allclose(
+        scaled.cut_off_standard_error, scale * plain.cut_off_standard_error, rtol=1e-6
+    )
+
+
+def test_result_of_a_fit_cannot_be_changed():
+    result = fit(SWEEP, 1 / np.sqrt(1 + (SWEEP / 2e7) ** 2))
+    with pytest.raises(AttributeError):
+        result.cut_off = 1.0
+
+
+@pytest.mark.parametrize(
+    ("frequency", "amplitude", "text"),
+    [
+        ([1.0, 2.0], [1.0, 0.5], "at least 3 different frequencies"),
+        ([1.0, 1.0, 2.0], [1.0, 1.0, 0.5], "at least 3 different frequencies"),
+        ([1.0, 2.0, 3.0], [1.0, 0.5], r"got shapes \(3,\) and \(2,\)"),
+        ([1.0, 2.0, -3.0], [1.0, 0.5, 0.2], "modulation_frequency must be finite"),
+        ([1.0, 2.0, 3.0], [1.0, np.nan, 0.2], "amplitude must be finite"),
+        ([1.0, 2.0, 3.0], [0.0, 0.0, 0.0], "must not be 0 at all"),
+        ([1.0, 2.0, 3.0], [1.0, 1.0, 1.0], "do not show where they fall"),
+        ([1.0, 2.0, 3.0], [1.0, 2.0, 3.0], "do not show where they fall"),
+    ],
+)
+def test_data_that_fix_no_cut_off_are_refused(frequency, amplitude, text):
+    with pytest.raises(ValueError, match=text):
+        fit(frequency, amplitude)
+
+
+def test_values_out_of_range_are_refused_by_name():
+    with pytest.raises(ValueError, match="modulation_frequency must not be negative"):
+        first_order_response(-1.0, cut_off=1e6)
+    with pytest.raises(ValueError, match="cut_off must be above 0 Hz, got 0 Hz"):
+        first_order_response(1e6, cut_off=0.0)
+    with pytest.raises(ValueError, match="reduced_attenuation must not be negative"):
+        reduced_attenuation_cut_off(reduced_attenuation=-1.0, group_index=1.34)
+    with pytest.raises(ValueError, match=r"group_index must be at least 1, got 0\.9"):
+        reduced_attenuation_cut_off(reduced_attenuation=1.0, group_index=0.9)
