@@ -1,0 +1,140 @@
+"""The instrument: laser, receiver, polarizers, detector, lock-in amplifier, window."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from itertools import pairwise
+from typing import Annotated, Self
+
+from pydantic import Field, model_validator
+
+from amulor.optics import stokes
+from amulor.survey.quantity import (
+    Angle,
+    Description,
+    Frequency,
+    Length,
+    Position,
+    Power,
+    Share,
+    Time,
+    Voltage,
+)
+
+#: Launched and analysed state: vertical, horizontal, +45 and -45 degrees, right, left.
+PolarizationPair = Annotated[str, Field(pattern=f"^({stokes.PAIR_PATTERN})$")]
+
+
+class Emitter(Description):
+    """Where the beam starts and where it points when the scan angles are zero."""
+
+    position: Position = (0.0, 0.0, 0.0)
+    """Start of the beam (right, down, forward) [m]."""
+
+
+class Receiver(Description):
+    """The Gaussian receiver: 1/e half-widths of its aperture and of its acceptance."""
+
+    position: Position
+    """Centre of the aperture (right, down, forward) [m]."""
+    azimuth: Annotated[Angle, Field(gt=-math.pi / 2, lt=math.pi / 2)] = 0.0
+    """Direction of the axis to the right, at the middle of the scan [rad]."""
+    elevation: Annotated[Angle, Field(gt=-math.pi / 2, lt=math.pi / 2)] = 0.0
+    """Direction of the axis upwards, at the middle of the scan [rad]."""
+    radius: Annotated[Length, Field(gt=0)]
+    """1/e half-width R of the aperture; its area counts as pi R^2 [m]."""
+    acceptance: Annotated[Angle, Field(gt=0, le=0.5)]
+    """1/e half-width gamma of the field of view, in the medium that the receiver
+    stands in [rad]."""
+
+
+class Detector(Description):
+    """The photomultiplier and the optics in front of it."""
+
+    quantum_efficiency: Annotated[Share, Field(gt=0, le=1)] = 0.25
+    """Photoelectrons per photon [1]."""
+    optical_transmission: Annotated[Share, Field(gt=0, le=1)] = 1.0
+    """Share of the collected light that reaches the photocathode [1]."""
+    excess_noise_factor: Annotated[float, Field(ge=1)] = 1.2
+    """How much the multiplication raises the shot-noise power [1]."""
+    dark_rate: Annotated[Frequency, Field(ge=0)] = 0.0
+    """Counts per second without light [Hz]."""
+    volt_per_photoelectron_rate: Annotated[float, Field(gt=0)] = 8.0e-12
+    """Output per rate of photoelectrons; 8e-12 is a gain of 1e6 into 50 ohm [V s]."""
+    saturation: Annotated[Voltage, Field(gt=0)] = 1.0
+    """Largest mean output that is still linear [V]."""
+
+
+class LockIn(Description):
+    """The lock-in amplifier."""
+
+    time_constant: Annotated[Time, Field(gt=0)] = 0.01
+    """Time constant of its one-pole output filter [s]."""
+    phase_floor: Annotated[Angle, Field(ge=0, le=1)] = 0.0
+    """Random phase error of one sample that no amount of light removes [rad]."""
+
+
+class Window(Description):
+    """A flat window across the view, with the instrument in air behind it."""
+
+    distance: Annotated[Length, Field(gt=0)]
+    """Forward coordinate of its near face [m]."""
+    thickness: Annotated[Length, Field(ge=0)]
+    """Thickness of the pane [m]."""
+    refractive_index: Annotated[float, Field(ge=1, le=2.5)] = 1.47
+    """Phase index of the pane [1]."""
+    group_index: Annotated[float, Field(ge=1, le=2.5)] = 1.50
+    """Group index of the pane [1]."""
+
+
+class Instrument(Description):
+    """An amplitude-modulated laser radar."""
+
+    wavelength: Annotated[Length, Field(ge=400e-9, le=700e-9)]
+    """Wavelength of the laser in vacuum [m]."""
+    power: Annotated[Power, Field(gt=0)]
+    """Mean launched power [W]."""
+    modulation_depth: Annotated[Share, Field(gt=0, le=1)]
+    """Depth m of the intensity modulation [1]."""
+    modulation_frequencies: Annotated[
+        tuple[Annotated[Frequency, Field(gt=0, le=10e9)], ...], Field(min_length=1)
+    ]
+    """Frequencies that are measured at every pixel, increasing [Hz]."""
+    polarizations: Annotated[tuple[PolarizationPair, ...], Field(min_length=1)]
+    """Pairs of launched and analysed state, such as "VH"; "none" without polarizers."""
+    emitter: Emitter = Emitter()
+    """The laser's side."""
+    receiver: Receiver
+    """The collecting side."""
+    detector: Detector = Detector()
+    """The photomultiplier."""
+    lock_in: LockIn = LockIn()
+    """The lock-in amplifier."""
+    window: Window | None = None
+    """A window between instrument and water; left out if the instrument is wet."""
+
+    @model_validator(mode="after")
+    def _lists_are_in_order(self) -> Self:
+        frequencies = self.modulation_frequencies
+        if any(b <= a for a, b in pairwise(frequencies)):
+            raise ValueError(
+                "modulation_frequencies must increase and hold each one once; found "
+                + ", ".join(f"{value / 1e6:g} MHz" for value in frequencies)
+            )
+        twice = [p for p, count in Counter(self.polarizations).items() if count > 1]
+        if twice:
+            raise ValueError(f"polarizations hold {twice[0]!r} more than once")
+        return self
+
+    @model_validator(mode="after")
+    def _stands_before_the_window(self) -> Self:
+        if self.window is None:
+            return self
+        for name, side in (("emitter", self.emitter), ("receiver", self.receiver)):
+            if side.position[2] >= self.window.distance:
+                raise ValueError(
+                    f"{name}.position is {side.position[2]:g} m forward, which is not "
+                    f"before the window at {self.window.distance:g} m"
+                )
+        return self

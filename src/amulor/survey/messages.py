@@ -1,0 +1,155 @@
+"""Says what is wrong in a survey file: file, field, what was found, what is allowed."""
+
+from __future__ import annotations
+
+import difflib
+import json
+from collections.abc import Mapping
+from typing import Any, get_args
+
+from pydantic import BaseModel, ValidationError
+
+from amulor.survey import target
+
+
+def lines(
+    error: ValidationError, content: Any, *, model: type[BaseModel], name: str
+) -> list[str]:
+    """Turn the findings of the validator into one line each.
+
+    Parameters
+    ----------
+    error : pydantic.ValidationError
+        What the validator found.
+    content : dict
+        The file as it was read.
+    model : type
+        The description that the file as a whole stands for.
+    name : str
+        The file.
+
+    Returns
+    -------
+    list of str
+        `file: field: what was found, what is allowed`, each line once.
+    """
+    found = [_line(problem, content, model, name) for problem in error.errors()]
+    return list(dict.fromkeys(found))
+
+
+def _line(
+    problem: Mapping[str, Any], content: Any, model: type[BaseModel], name: str
+) -> str:
+    location = _location(problem["loc"], content)
+    field = ".".join(str(part) for part in location) or "survey"
+    kind, bounds = problem["type"], problem.get("ctx", {})
+    found = _found(location, content)
+    if kind == "extra_forbidden":
+        allowed = list(_table(location[:-1], content, model).model_fields)
+        close = difflib.get_close_matches(str(location[-1]), allowed, n=1)
+        hint = f"did you mean {close[0]!r}? " if close else ""
+        return (
+            f"{name}: {field}: is no field of a survey; {hint}"
+            f"allowed here: {', '.join(allowed)}"
+        )
+    if kind == "missing":
+        return f"{name}: {field}: is missing; {_needed(location, content, model)}"
+    if kind == "value_error":
+        return f"{name}: {field}: {bounds['error']}"
+    limit = next(iter(bounds.values()), None)
+    if kind in _LIMITS:
+        return f"{name}: {field}: found {found}, but it must {_LIMITS[kind]} {limit:g}"
+    if kind == "literal_error":
+        return f"{name}: {field}: found {found}, but it must be {limit}"
+    if kind in _NEEDED:
+        return f"{name}: {field}: found {found}, but {_NEEDED[kind]}"
+    text = str(problem["msg"])
+    return f"{name}: {field}: found {found}; {text[:1].lower()}{text[1:]}"
+
+
+_LIMITS = {
+    "greater_than": "be, in SI units, above",
+    "greater_than_equal": "be, in SI units, at least",
+    "less_than": "be, in SI units, below",
+    "less_than_equal": "be, in SI units, at most",
+}
+_KINDS = "it must be a table with kind = one of plate, staircase, disc, mesh"
+_NEEDED = {
+    "finite_number": "it must be finite",
+    "string_pattern_mismatch": (
+        'it must be "none" or two of the letters V, H, P, M, R, L'
+    ),
+    "too_short": "at least one is needed",
+    "tuple_type": "it must be a list, in square brackets",
+    "model_type": "it must be a table of fields",
+    "model_attributes_type": "it must be a table of fields",
+    "union_tag_invalid": _KINDS,
+    "union_tag_not_found": _KINDS,
+    "string_type": "it must be a text in quotation marks",
+    "int_from_float": "it must be a whole number",
+    "int_type": "it must be a whole number",
+    "float_type": "it must be a number",
+}
+
+
+def _location(loc: tuple[Any, ...], content: Any) -> list[Any]:
+    """Drop the parts of a location that name a choice of type, not a field."""
+    kept: list[Any] = []
+    here = content
+    for position, part in enumerate(loc):
+        last = position == len(loc) - 1
+        if isinstance(here, list) and isinstance(part, int):
+            kept.append(part)
+            here = here[part] if part < len(here) else None
+        elif isinstance(here, dict) and (part in here or last):
+            kept.append(part)
+            here = here.get(part)
+    return kept
+
+
+def _found(location: list[Any], content: Any) -> str:
+    here = content
+    for part in location:
+        try:
+            here = here[part]
+        except (KeyError, IndexError, TypeError):
+            return "nothing"
+    text = json.dumps(here, default=str)
+    return text if len(text) <= 60 else text[:57] + "..."
+
+
+def _table(
+    location: list[Any], content: Any, model: type[BaseModel]
+) -> type[BaseModel]:
+    """Return the description class that a table of the file stands for."""
+    here = content
+    for part in location:
+        here = here[part]
+        if isinstance(part, int):
+            kinds = {
+                get_args(m.model_fields["kind"].annotation)[0]: m for m in _TARGETS
+            }
+            model = kinds[here["kind"]]
+            continue
+        annotation = model.model_fields[part].annotation
+        parts = [annotation, *get_args(annotation)]
+        model = next(
+            (p for p in parts if isinstance(p, type) and issubclass(p, BaseModel)),
+            model,
+        )
+    return model
+
+
+_TARGETS: tuple[type[BaseModel], ...] = (
+    target.Plate,
+    target.Staircase,
+    target.Disc,
+    target.Mesh,
+)
+
+
+def _needed(location: list[Any], content: Any, model: type[BaseModel]) -> str:
+    if isinstance(location[-1], int):
+        return f"needed are at least {location[-1] + 1} values"
+    field = _table(location[:-1], content, model).model_fields[location[-1]]
+    return "needed is: " + " ".join((field.description or "a value").split())

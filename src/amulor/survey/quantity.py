@@ -1,0 +1,113 @@
+"""Field types of survey files: SI floats that are written as text with a unit."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any
+
+from pydantic import (
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    Field,
+    PlainSerializer,
+    ValidationInfo,
+    WithJsonSchema,
+)
+
+from amulor import units
+
+
+class Description(BaseModel):
+    """Base of all descriptions: frozen, strict about fields, documented."""
+
+    model_config = ConfigDict(
+        frozen=True,
+        extra="forbid",
+        use_attribute_docstrings=True,
+        str_strip_whitespace=True,
+    )
+
+
+def _read(quantity: str) -> Any:
+    def read(value: Any, info: ValidationInfo) -> Any:
+        if isinstance(value, str):
+            return units.parse(value, quantity)
+        from_text = bool(info.context and info.context.get("from_text"))
+        if isinstance(value, bool) or not isinstance(value, int | float):
+            raise ValueError(
+                f"found {value!r}; needed is the {quantity} as text such as "
+                f'"{units.example(quantity)}"'
+            )
+        if from_text and quantity != "share":
+            raise ValueError(
+                f"found {value!r}, a number without a unit; needed is the {quantity} "
+                f'as text such as "{units.example(quantity)}"'
+            )
+        return float(value)
+
+    return BeforeValidator(read)
+
+
+def _schema(quantity: str) -> WithJsonSchema:
+    text = {
+        "type": "string",
+        "description": f"{quantity}, a number with a unit",
+        "examples": [units.example(quantity)],
+    }
+    if quantity == "share":
+        return WithJsonSchema({"anyOf": [text, {"type": "number"}]})
+    return WithJsonSchema(text)
+
+
+def _write(quantity: str) -> PlainSerializer:
+    return PlainSerializer(
+        lambda value: units.write(value, quantity),
+        return_type=str,
+        when_used="json-unless-none",
+    )
+
+
+_finite = Field(allow_inf_nan=False)
+
+Length = Annotated[float, _read("length"), _finite, _write("length"), _schema("length")]
+Angle = Annotated[float, _read("angle"), _finite, _write("angle"), _schema("angle")]
+Frequency = Annotated[
+    float, _read("frequency"), _finite, _write("frequency"), _schema("frequency")
+]
+Time = Annotated[float, _read("time"), _finite, _write("time"), _schema("time")]
+Power = Annotated[float, _read("power"), _finite, _write("power"), _schema("power")]
+Voltage = Annotated[
+    float, _read("voltage"), _finite, _write("voltage"), _schema("voltage")
+]
+Temperature = Annotated[
+    float,
+    _read("temperature"),
+    _finite,
+    _write("temperature"),
+    _schema("temperature"),
+]
+PerMetre = Annotated[
+    float,
+    _read("attenuation coefficient"),
+    _finite,
+    _write("attenuation coefficient"),
+    _schema("attenuation coefficient"),
+]
+PerSteradian = Annotated[
+    float,
+    _read("solid-angle density"),
+    _finite,
+    _write("solid-angle density"),
+    _schema("solid-angle density"),
+]
+AngleSquared = Annotated[
+    float,
+    _read("angle squared"),
+    _finite,
+    _write("angle squared"),
+    _schema("angle squared"),
+]
+Share = Annotated[float, _read("share"), _finite]
+
+Position = tuple[Length, Length, Length]
+Rotation = tuple[Angle, Angle, Angle]

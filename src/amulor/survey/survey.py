@@ -1,0 +1,164 @@
+"""The survey file: reads and writes TOML, and says what is wrong in one line each."""
+
+from __future__ import annotations
+
+import tomllib
+from pathlib import Path
+from typing import Annotated, Any, Self
+
+from pydantic import Field, ValidationError, model_validator
+
+from amulor.errors import SurveyError
+from amulor.survey import messages
+from amulor.survey.instrument import Instrument
+from amulor.survey.quantity import Description
+from amulor.survey.scan import Scan
+from amulor.survey.target import Mesh, Target
+from amulor.survey.water import Water
+
+_SIZE_LIMIT = 1_000_000
+
+
+class Survey(Description):
+    """Water, targets, instrument and scan: all that is known before measuring."""
+
+    name: Annotated[str, Field(min_length=1, max_length=200)]
+    """What the survey is about; the title of all that comes of it."""
+    water: Water
+    """The water."""
+    targets: tuple[Target, ...] = ()
+    """What stands in the water; the beam that meets none sees water only."""
+    instrument: Instrument
+    """The instrument."""
+    scan: Scan
+    """The scan."""
+
+    @model_validator(mode="after")
+    def _dwell_lets_the_lock_in_settle(self) -> Self:
+        tau = self.instrument.lock_in.time_constant
+        if self.scan.dwell < 5 * tau:
+            raise ValueError(
+                f"scan.dwell ({self.scan.dwell:g} s) is shorter than five time "
+                f"constants of the lock-in ({5 * tau:g} s), so that each pixel would "
+                "still hold the one before; lengthen dwell or shorten time_constant"
+            )
+        return self
+
+    @classmethod
+    def from_toml(cls, path: str | Path) -> Self:
+        """Read a survey file.
+
+        Parameters
+        ----------
+        path : str or pathlib.Path
+            TOML file; mesh files in it are looked for beside it.
+
+        Returns
+        -------
+        Survey
+            The survey, in SI units.
+
+        Raises
+        ------
+        SurveyError
+            With one line for each thing that is wrong: file, field, what was found,
+            what is allowed.
+        """
+        path = Path(path)
+        try:
+            content = path.read_bytes()
+        except OSError as error:
+            raise SurveyError(
+                f"{path}: cannot be read ({error.strerror}); check the name"
+            ) from None
+        if len(content) > _SIZE_LIMIT:
+            raise SurveyError(
+                f"{path}: has {len(content)} bytes, more than any survey file; a "
+                "survey is a TOML text of a few kilobytes"
+            )
+        try:
+            text = content.decode()
+        except UnicodeDecodeError:
+            raise SurveyError(
+                f"{path}: is no text; a survey is a TOML file in UTF-8"
+            ) from None
+        return cls.from_text(text, name=str(path), folder=path.parent)
+
+    @classmethod
+    def from_text(
+        cls, text: str, *, name: str = "survey", folder: Path | None = None
+    ) -> Self:
+        """Read a survey from the text of its file.
+
+        Parameters
+        ----------
+        text : str
+            TOML.
+        name : str
+            What messages call it.
+        folder : pathlib.Path, optional
+            Where mesh files are looked for; the working folder by default.
+
+        Returns
+        -------
+        Survey
+            The survey, in SI units.
+
+        Raises
+        ------
+        SurveyError
+            As `from_toml`.
+        """
+        try:
+            content = tomllib.loads(text)
+        except tomllib.TOMLDecodeError as error:
+            raise SurveyError(f"{name}: is no valid TOML: {error}") from None
+        try:
+            survey = cls.model_validate(content, context={"from_text": True})
+        except ValidationError as error:
+            lines = messages.lines(error, content, model=cls, name=name)
+            raise SurveyError("\n".join(lines)) from None
+        return survey._with_mesh_files_in(folder or Path(), name=name)
+
+    def _with_mesh_files_in(self, folder: Path, *, name: str) -> Self:
+        targets = []
+        for number, target in enumerate(self.targets):
+            if isinstance(target, Mesh):
+                file = (folder / target.file).resolve()
+                if not file.is_file():
+                    raise SurveyError(
+                        f"{name}: targets.{number}.file: found {str(target.file)!r}, "
+                        f"but there is no such file in {folder.resolve()}"
+                    )
+                target = target.model_copy(update={"file": file})
+            targets.append(target)
+        return self.model_copy(update={"targets": tuple(targets)})
+
+    def to_toml(self) -> str:
+        """Write the survey as TOML, each quantity with its SI unit.
+
+        Returns
+        -------
+        str
+            Text that `from_text` reads back to an equal survey.
+        """
+        import tomli_w
+
+        content = self.model_dump(mode="json", exclude_none=True)
+        return tomli_w.dumps(content)
+
+
+def json_schema() -> dict[str, Any]:
+    """Return the JSON Schema of survey files, for editors that check while typing.
+
+    Returns
+    -------
+    dict
+        JSON Schema, draft 2020-12.
+    """
+    schema = Survey.model_json_schema()
+    return {
+        "$schema": "https://json-schema.org/draft/2020-12/schema",
+        **schema,
+        "title": "amulor survey",
+    }

@@ -1,0 +1,116 @@
+"""The targets: shape, place in front of the instrument, reflectance, Mueller matrix."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Literal, Self
+
+from pydantic import Field, model_validator
+
+from amulor.survey.mueller import ReducedMueller
+from amulor.survey.quantity import Description, Length, Position, Rotation, Share
+
+#: Painted metal; m22 is published, m33 follows from symmetry, m44 is assumed.
+PAINTED_METAL = (0.61, -0.61, -0.46)
+
+
+class _Target(Description):
+    position: Position
+    """Centre of the target (right, down, forward), seen from the emitter [m]."""
+    rotation: Rotation = (0.0, 0.0, 0.0)
+    """Turns about the axes right, down, forward, one after the other [rad]."""
+    reflectance: Annotated[Share, Field(gt=0, le=1)]
+    """Share of the light that the surface sends back diffusely [1]."""
+    mueller: ReducedMueller = PAINTED_METAL
+    """Reduced Mueller matrix of the surface straight backwards [1]."""
+
+
+class Plate(_Target):
+    """A flat rectangle that faces the instrument."""
+
+    kind: Literal["plate"]
+    """Which shape this is."""
+    width: Annotated[Length, Field(gt=0)]
+    """Extent to the right [m]."""
+    height: Annotated[Length, Field(gt=0)]
+    """Extent downwards [m]."""
+
+
+class Staircase(_Target):
+    """Treads side by side, each nearer to the instrument than the one on its left.
+
+    The first tread lies in the plane of `position`.
+    """
+
+    kind: Literal["staircase"]
+    """Which shape this is."""
+    tread_width: Annotated[Length, Field(gt=0)]
+    """Extent of each tread to the right [m]."""
+    step_heights: Annotated[
+        tuple[Annotated[Length, Field(gt=0)], ...], Field(min_length=1)
+    ]
+    """Height of each step towards the instrument, left to right [m]."""
+    height: Annotated[Length, Field(gt=0)]
+    """Extent of all treads downwards [m]."""
+
+
+class Disc(_Target):
+    """A round plate with holes, bent or flat."""
+
+    kind: Literal["disc"]
+    """Which shape this is."""
+    diameter: Annotated[Length, Field(gt=0)]
+    """Outer diameter [m]."""
+    central_hole: Annotated[Length, Field(ge=0)] = 0.0
+    """Diameter of the hole in the middle, 0 for none [m]."""
+    hole_count: Annotated[int, Field(ge=0, le=100)] = 0
+    """Number of small holes, evenly round the middle [1]."""
+    hole_diameter: Annotated[Length, Field(ge=0)] = 0.0
+    """Diameter of the small holes [m]."""
+    hole_circle: Annotated[Length, Field(ge=0)] = 0.0
+    """Diameter of the circle that the centres of the small holes lie on [m]."""
+    curvature_radius: Annotated[Length, Field(gt=0)] | None = None
+    """Radius of the cylinder the disc is bent to, about the vertical; flat if left
+    out. The middle is nearest to the instrument [m]."""
+
+    @model_validator(mode="after")
+    def _holes_fit(self) -> Self:
+        if self.central_hole >= self.diameter:
+            raise ValueError(
+                f"central_hole ({self.central_hole:g} m) must be smaller than diameter "
+                f"({self.diameter:g} m)"
+            )
+        if self.hole_count:
+            inner = (self.hole_circle - self.hole_diameter) / 2
+            outer = (self.hole_circle + self.hole_diameter) / 2
+            if self.hole_diameter <= 0:
+                raise ValueError("hole_diameter must be above 0 m when hole_count is")
+            if inner <= self.central_hole / 2 or outer >= self.diameter / 2:
+                raise ValueError(
+                    f"the small holes reach from {inner:g} to {outer:g} m off the "
+                    f"middle, but must stay between the central hole "
+                    f"({self.central_hole / 2:g} m) and the rim "
+                    f"({self.diameter / 2:g} m)"
+                )
+        if self.curvature_radius is not None and (
+            self.curvature_radius <= self.diameter / 2
+        ):
+            raise ValueError(
+                f"curvature_radius ({self.curvature_radius:g} m) must exceed half the "
+                f"diameter ({self.diameter / 2:g} m)"
+            )
+        return self
+
+
+class Mesh(_Target):
+    """A surface from a file: STL, PLY, OBJ or GLB."""
+
+    kind: Literal["mesh"]
+    """Which shape this is."""
+    file: Path
+    """Mesh file, relative to the survey file."""
+    unit: Literal["m", "cm", "mm", "inch"] = "m"
+    """Unit of the coordinates in the file; GLB files are in metres by definition."""
+
+
+Target = Annotated[Plate | Staircase | Disc | Mesh, Field(discriminator="kind")]

@@ -1,0 +1,148 @@
+"""How the receiver of a survey looks at its beams: what the signal models take."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from amulor.optics import rays
+from amulor.survey.properties import WaterProperties
+from amulor.survey.survey import Survey
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class View:
+    """How beams and the receiver stand to each other, arrays over the beams."""
+
+    baseline: Floats
+    """Distance of receiver and beam where the depth is zero [m]."""
+    tilt: Floats
+    """Inclination of the beam against the receiver's axis, along the baseline [rad]."""
+    cross_tilt: Floats
+    """The inclination across the baseline [rad]."""
+    standoff: Floats
+    """Air and glass before the water, as a depth of water [m]."""
+    acceptance: float
+    """1/e half-width of the field of view, in the water [rad]."""
+
+
+def medium(survey: Survey, water: WaterProperties) -> rays.Medium:
+    """Return what the light of a survey crosses.
+
+    Parameters
+    ----------
+    survey : Survey
+        Its window counts.
+    water : WaterProperties
+        Its indices count.
+
+    Returns
+    -------
+    amulor.optics.rays.Medium
+        Indices and window.
+    """
+    window = survey.instrument.window
+    if window is None:
+        return rays.Medium(water.refractive_index, water.group_index)
+    return rays.Medium(
+        water.refractive_index,
+        water.group_index,
+        window.distance,
+        window.thickness,
+        window.refractive_index,
+        window.group_index,
+    )
+
+
+def view(
+    survey: Survey, azimuth: Floats, elevation: Floats, *, medium: rays.Medium
+) -> View:
+    """Return how the receiver looks at beams of given directions.
+
+    Parameters
+    ----------
+    survey : Survey
+        Positions and axes of its instrument count, and what its scan moves.
+    azimuth, elevation : ndarray
+        Directions of the beams [rad].
+    medium : amulor.optics.rays.Medium
+        Indices and window.
+
+    Returns
+    -------
+    View
+        Small-angle quantities over the beams.
+    """
+    instrument, scan = survey.instrument, survey.scan
+    receiver = instrument.receiver
+    turned = scan.moves == "both"
+    axis = rays.direction(
+        receiver.azimuth + (azimuth - scan.azimuth if turned else 0 * azimuth),
+        receiver.elevation + (elevation - scan.elevation if turned else 0 * elevation),
+    )
+    beam = rays.enter_water(
+        instrument.emitter.position, rays.direction(azimuth, elevation), medium=medium
+    )
+    sight = rays.enter_water(receiver.position, axis, medium=medium)
+    along = np.sum(beam.direction * sight.direction, axis=-1)
+    inclination = beam.direction / along[..., None] - sight.direction
+    # Where the water begins, across the receiver's axis.
+    offset = sight.entry - beam.entry
+    offset = offset - np.sum(offset * sight.direction, axis=-1)[..., None] * (
+        sight.direction
+    )
+    acceptance, standoff = receiver.acceptance, np.zeros(azimuth.shape)
+    if medium.window_distance is not None:
+        acceptance = receiver.acceptance / medium.refractive_index
+        reduced = (
+            medium.window_distance
+            - receiver.position[2]
+            + medium.window_thickness / medium.window_refractive_index
+        )
+        standoff = np.full(azimuth.shape, medium.refractive_index * reduced)
+        # The offset is that at the water's edge; the model counts it from the start.
+        offset = offset + inclination * standoff[..., None]
+    baseline = np.linalg.norm(offset, axis=-1)
+    safe = np.where(baseline > 0, baseline, 1.0)[..., None]
+    tilt = np.sum(inclination * offset / safe, axis=-1)
+    total = np.sum(inclination**2, axis=-1)
+    cross = np.sqrt(np.maximum(total - tilt**2, 0.0))
+    return View(baseline, tilt, cross, standoff, acceptance)
+
+
+def kernel_arguments(
+    survey: Survey, water: WaterProperties, view: View
+) -> dict[str, Any]:
+    """Return what target and water signal both take from a survey.
+
+    Parameters
+    ----------
+    survey : Survey
+        Its receiver counts.
+    water : WaterProperties
+        Optical numbers of the water.
+    view : View
+        How the receiver looks at each beam.
+
+    Returns
+    -------
+    dict
+        Keyword arguments of `amulor.optics.small_angle_diffusion.overlap`.
+    """
+    return {
+        "absorption": water.absorption,
+        "forward_scattering": water.forward_scattering,
+        "diffuse_scattering": water.diffuse_scattering,
+        "second_moment": water.second_moment,
+        "baseline": view.baseline,
+        "receiver_radius": survey.instrument.receiver.radius,
+        "acceptance_angle": view.acceptance,
+        "tilt": view.tilt,
+        "cross_tilt": view.cross_tilt,
+        "standoff": view.standoff,
+    }

@@ -1,0 +1,78 @@
+"""The water: absorption, scattering, indices, and what backscatter does to light."""
+
+from __future__ import annotations
+
+import math
+from typing import Annotated, Self
+
+from pydantic import Field, model_validator
+
+from amulor.survey.mueller import ReducedMueller
+from amulor.survey.quantity import (
+    Angle,
+    AngleSquared,
+    Description,
+    Length,
+    PerMetre,
+    PerSteradian,
+    Share,
+    Temperature,
+)
+
+
+class Water(Description):
+    """Optical properties of a homogeneous water body at the laser's wavelength."""
+
+    absorption: Annotated[PerMetre, Field(ge=0)]
+    """Absorption coefficient a [1/m]."""
+    scattering: Annotated[PerMetre, Field(ge=0)]
+    """Scattering coefficient b [1/m]."""
+    asymmetry: Annotated[float, Field(gt=-1, lt=1)] | None = None
+    """Mean cosine g of a Henyey-Greenstein phase function [1]."""
+    split_angle: Annotated[Angle, Field(gt=0, le=math.pi)] = math.pi / 2
+    """Scattering below this angle counts as forward, beyond it as diffuse [rad]."""
+    forward_fraction: Annotated[Share, Field(ge=0, le=1)] | None = None
+    """Share of the scattering below the split angle, where it is known [1]."""
+    second_moment: Annotated[AngleSquared, Field(ge=0)] | None = None
+    """Mean square angle of the forward part, where it is known [rad^2]."""
+    phase_function_at_180: Annotated[PerSteradian, Field(ge=0)] | None = None
+    """Phase function straight backwards, where it is known [1/sr]."""
+    temperature: Annotated[Temperature, Field(ge=0, le=30)] = 20.0
+    """Temperature, sets the indices [degC]."""
+    salinity: Annotated[float, Field(ge=0, le=43)] = 0.0
+    """Practical salinity, sets the indices [1]."""
+    refractive_index: Annotated[float, Field(ge=1.2, le=1.5)] | None = None
+    """Phase index, where it is not to follow from temperature and salinity [1]."""
+    group_index: Annotated[float, Field(ge=1.2, le=1.6)] | None = None
+    """Group index, where it is not to follow from temperature and salinity [1]."""
+    backscatter_mueller: ReducedMueller = (1.0, -1.0, -1.0)
+    """Reduced Mueller matrix of the water straight backwards [1]."""
+    column_end: Annotated[Length, Field(gt=0)] | None = None
+    """Where the open water ends (the far wall of a tank); open if left out [m]."""
+    signal_fluctuation: Annotated[Share, Field(ge=0, lt=1)] = 0.0
+    """Relative random change of the water signal from sample to sample (drifting
+    clouds of particles) [1]."""
+
+    @model_validator(mode="after")
+    def _phase_function_is_stated(self) -> Self:
+        parts = {
+            "forward_fraction": self.forward_fraction,
+            "second_moment": self.second_moment,
+            "phase_function_at_180": self.phase_function_at_180,
+        }
+        missing = [name for name, value in parts.items() if value is None]
+        if self.asymmetry is None and missing and self.scattering > 0:
+            raise ValueError(
+                "the phase function is not stated: give asymmetry (Henyey-Greenstein), "
+                f"or all of {', '.join(parts)}; missing: {', '.join(missing)}"
+            )
+        return self
+
+    @model_validator(mode="after")
+    def _water_attenuates(self) -> Self:
+        if self.absorption + self.scattering <= 0:
+            raise ValueError(
+                "absorption and scattering are both 0 1/m; even the clearest water "
+                "absorbs, about 0.005 1/m in the blue"
+            )
+        return self
