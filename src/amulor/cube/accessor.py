@@ -1,0 +1,151 @@
+"""Short ways into a cube: complex signals, groups, the geometry, the survey."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import xarray as xr
+
+from amulor.cube import schema
+
+
+def group(cube: xr.Dataset, name: str) -> xr.Dataset | None:
+    """Return the part of a cube that a file keeps in a group, under short names.
+
+    Parameters
+    ----------
+    cube : xarray.Dataset
+        A cube of any level.
+    name : str
+        "open_water" or "truth".
+
+    Returns
+    -------
+    xarray.Dataset or None
+        Its variables without the prefix, with the coordinates they use; None if the
+        cube has no such part.
+    """
+    prefix = f"{name}_"
+    names = [str(key) for key in cube.data_vars if str(key).startswith(prefix)]
+    if not names:
+        return None
+    short = {key: key.removeprefix(prefix) for key in names}
+    # A coordinate of the cube must not stand in the way of a variable of the group.
+    clash = [name for name in short.values() if name in cube.coords]
+    return (
+        cube[names]
+        .drop_vars(clash, errors="ignore")
+        .rename(short)
+        .drop_attrs(deep=False)
+    )
+
+
+def without_groups(cube: xr.Dataset) -> xr.Dataset:
+    """Return a cube without its open-water shots and without truth.
+
+    Parameters
+    ----------
+    cube : xarray.Dataset
+        A cube of any level.
+
+    Returns
+    -------
+    xarray.Dataset
+        The variables that every processing step may read.
+    """
+    prefixes = tuple(f"{name}_" for name in schema.GROUPS)
+    kept = [key for key in cube.data_vars if not str(key).startswith(prefixes)]
+    return cube[kept]
+
+
+def attach(cube: xr.Dataset, part: xr.Dataset, name: str) -> xr.Dataset:
+    """Return a cube with a group added under its prefix.
+
+    Parameters
+    ----------
+    cube : xarray.Dataset
+        A cube of any level.
+    part : xarray.Dataset
+        Variables under their short names.
+    name : str
+        "open_water" or "truth".
+
+    Returns
+    -------
+    xarray.Dataset
+        A new cube that holds both.
+    """
+    prefixed = {f"{name}_{key}": part[key].variable for key in part.data_vars}
+    return cube.assign(prefixed)
+
+
+@xr.register_dataset_accessor("amulor")  # type: ignore[no-untyped-call]
+class CubeAccessor:
+    """`cube.amulor`: what every step asks of a cube, in one word.
+
+    Parameters
+    ----------
+    cube : xarray.Dataset
+        A cube of any level.
+    """
+
+    def __init__(self, cube: xr.Dataset) -> None:
+        self._cube = cube
+
+    @property
+    def level(self) -> str:
+        """How far the cube has come: samples, target_signal, range_image, ..."""
+        return str(self._cube.attrs["level"])
+
+    @property
+    def signal(self) -> xr.DataArray:
+        """Complex signal, `in_phase + 1j * quadrature` [V]."""
+        signal = self._cube["in_phase"] + 1j * self._cube["quadrature"]
+        return signal.rename("signal").assign_attrs(units="V", long_name="signal")
+
+    @property
+    def amplitude(self) -> xr.DataArray:
+        """Modulus of the signal [V]."""
+        amplitude: xr.DataArray = xr.apply_ufunc(np.abs, self.signal)
+        return amplitude.rename("amplitude").assign_attrs(
+            units="V", long_name="amplitude of the modulation"
+        )
+
+    @property
+    def phase(self) -> xr.DataArray:
+        """Delay of the signal behind the reference, in (-pi, pi] [rad]."""
+        phase: xr.DataArray = xr.apply_ufunc(np.angle, self.signal)
+        return phase.rename("phase").assign_attrs(
+            units="rad", long_name="delay behind the reference"
+        )
+
+    @property
+    def water_signal(self) -> xr.DataArray:
+        """Complex water signal that was taken out [V]."""
+        water = self._cube["water_in_phase"] + 1j * self._cube["water_quadrature"]
+        return water.rename("water_signal").assign_attrs(
+            units="V", long_name="water signal"
+        )
+
+    @property
+    def covariance(self) -> xr.DataArray:
+        """Covariance of the two lock-in outputs, zero where none is stated [V2]."""
+        if "in_phase_quadrature_covariance" in self._cube:
+            return self._cube["in_phase_quadrature_covariance"]
+        return xr.zeros_like(self._cube["in_phase"]).assign_attrs(units="V2")
+
+    @property
+    def open_water(self) -> xr.Dataset | None:
+        """Shots without a target, dimensions (modulation_frequency, ..., shot)."""
+        return group(self._cube, "open_water")
+
+    @property
+    def truth(self) -> xr.Dataset | None:
+        """What a simulated cube was made from; no processing step reads it."""
+        return group(self._cube, "truth")
+
+    @property
+    def geometry(self) -> dict[str, Any]:
+        """Positions and indices that turn a phase into a point in space."""
+        return dict(self._cube["geometry"].attrs)

@@ -1,0 +1,193 @@
+"""Checks that a dataset is what its level says, and names what is not."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+import xarray as xr
+
+from amulor.cube import accessor, schema
+from amulor.errors import CubeError
+from amulor.optics import stokes
+
+# Variables that a caller may add to a cube go under names of his own with this start.
+_FREE_PREFIX = "user_"
+
+
+def check(
+    cube: xr.Dataset, level: str | None = None, *, name: str = "the cube"
+) -> None:
+    """Raise unless a dataset keeps the schema of its level.
+
+    Parameters
+    ----------
+    cube : xarray.Dataset
+        What to look at; its attribute `level` names what it claims to be.
+    level : str, optional
+        Level that is needed here; any known one by default.
+    name : str
+        How a message names the cube, for example its file.
+
+    Raises
+    ------
+    CubeError
+        With the first variable, coordinate or attribute that is missing, of the
+        wrong shape or unit, or not finite, and what to do about it.
+    """
+    found = cube.attrs.get("level")
+    if found not in schema.LEVELS:
+        raise CubeError(
+            f"{name}: attribute 'level' is {found!r}, but must be one of "
+            f"{', '.join(schema.LEVELS)}; is this a file of amulor?"
+        )
+    if level is not None and found != level:
+        raise CubeError(
+            f"{name}: holds a {found}, but a {level} is needed here; "
+            f"{_how_to_reach(found, level)}"
+        )
+    version = str(cube.attrs.get("amulor_schema_version"))
+    if version != schema.SCHEMA_VERSION:
+        raise CubeError(
+            f"{name}: attribute 'amulor_schema_version' is {version!r}, this amulor "
+            f"reads {schema.SCHEMA_VERSION!r}; use the amulor that wrote the file"
+        )
+    expected = schema.LEVELS[found]
+    _check_names(cube, expected, name=name)
+    for coordinate, spec in expected.coordinates.items():
+        _check_variable(cube.coords, coordinate, spec, name=name, kind="coordinate")
+    for variable, spec in expected.variables.items():
+        _check_variable(cube.data_vars, variable, spec, name=name, kind="variable")
+    _check_coordinates(cube, name=name)
+    _check_open_water(cube, name=name)
+
+
+_STEPS = ["samples", "target_signal", "range_image", "point_cloud"]
+_COMMANDS = {
+    "target_signal": "amulor reject",
+    "range_image": "amulor image",
+    "point_cloud": "amulor export",
+}
+
+
+def _how_to_reach(found: str, level: str) -> str:
+    first, last = _STEPS.index(found), _STEPS.index(level)
+    if first > last:
+        return f"take the {level} file that it was made from"
+    commands = [_COMMANDS[step] for step in _STEPS[first + 1 : last + 1]]
+    return f"make it with: {', then '.join(commands)}"
+
+
+def _check_names(cube: xr.Dataset, expected: schema.Level, *, name: str) -> None:
+    prefixes = (*(f"{group}_" for group in schema.GROUPS), _FREE_PREFIX)
+    for variable in map(str, cube.data_vars):
+        if variable not in expected.variables and not variable.startswith(prefixes):
+            raise CubeError(
+                f"{name}: variable '{variable}' has no place in a {expected.name}; "
+                f"drop it, or rename it to '{_FREE_PREFIX}{variable}'"
+            )
+
+
+def _check_variable(
+    container: Mapping[Any, xr.DataArray],
+    variable: str,
+    spec: schema.Variable,
+    *,
+    name: str,
+    kind: str,
+) -> None:
+    if variable not in container:
+        if spec.required:
+            raise CubeError(
+                f"{name}: {kind} '{variable}' is missing; needed is "
+                f"{spec.long_name} [{spec.units}] over ({', '.join(spec.dimensions)})"
+            )
+        return
+    found = container[variable]
+    if found.dims != spec.dimensions:
+        raise CubeError(
+            f"{name}: {kind} '{variable}' has dimensions {_listed(found.dims)}, needed "
+            f"are {_listed(spec.dimensions)}; transpose or rebuild it"
+        )
+    if found.attrs.get("units") != spec.units:
+        raise CubeError(
+            f"{name}: {kind} '{variable}' has units {found.attrs.get('units')!r}, "
+            f"needed is {spec.units!r}; convert the values and set the attribute"
+        )
+    if not found.attrs.get("long_name"):
+        raise CubeError(
+            f"{name}: {kind} '{variable}' lacks the attribute 'long_name'; "
+            f"write what it is, for example {spec.long_name!r}"
+        )
+    if variable != "polarization" and found.dtype.kind not in "fiub":
+        raise CubeError(
+            f"{name}: {kind} '{variable}' holds {found.dtype}, needed are numbers"
+        )
+
+
+def _listed(names: tuple[Any, ...]) -> str:
+    return "(" + ", ".join(map(str, names)) + ")"
+
+
+def _check_coordinates(cube: xr.Dataset, *, name: str) -> None:
+    if "modulation_frequency" in cube.coords:
+        frequency = cube["modulation_frequency"].values
+        if frequency.size == 0:
+            raise CubeError(
+                f"{name}: coordinate 'modulation_frequency' is empty; select at least "
+                "one frequency"
+            )
+        if not (np.all(np.isfinite(frequency)) and np.all(frequency > 0)):
+            raise CubeError(
+                f"{name}: coordinate 'modulation_frequency' must be finite and above "
+                f"0 Hz, found {np.min(frequency):g} Hz"
+            )
+        if np.any(np.diff(frequency) <= 0):
+            raise CubeError(
+                f"{name}: coordinate 'modulation_frequency' must increase; sort the "
+                "cube by it and drop what stands there twice"
+            )
+    for pair in cube.coords.get("polarization", []):
+        if not _PAIR.fullmatch(str(pair.item())):
+            raise CubeError(
+                f"{name}: coordinate 'polarization' holds {pair.item()!r}; needed is "
+                '"none" or two of the letters V, H, P, M, R, L'
+            )
+    for coordinate in ("azimuth", "elevation"):
+        if coordinate in cube.coords and not np.all(np.isfinite(cube[coordinate])):
+            raise CubeError(
+                f"{name}: coordinate '{coordinate}' holds values that are not finite; "
+                "every pixel needs a direction, measured or not"
+            )
+    geometry = cube["geometry"].attrs
+    needed = list(schema.GEOMETRY_ATTRIBUTES)
+    if any(key in geometry for key in schema.WINDOW_ATTRIBUTES):
+        needed += list(schema.WINDOW_ATTRIBUTES)
+    for key in needed:
+        size = 3 if key.endswith("_position") else 1
+        if not _is_finite(geometry.get(key), size=size):
+            meaning = {**schema.GEOMETRY_ATTRIBUTES, **schema.WINDOW_ATTRIBUTES}[key]
+            raise CubeError(
+                f"{name}: coordinate 'geometry' lacks the attribute '{key}' or holds "
+                f"something else than {size} finite numbers in it: {meaning}"
+            )
+
+
+_PAIR = re.compile(stokes.PAIR_PATTERN)
+
+
+def _is_finite(value: Any, *, size: int) -> bool:
+    array = np.asarray(value)
+    return array.dtype.kind in "fiu" and array.size == size and np.isfinite(array).all()
+
+
+def _check_open_water(cube: xr.Dataset, *, name: str) -> None:
+    shots = accessor.group(cube, "open_water")
+    if shots is None:
+        return
+    for variable, spec in schema.OPEN_WATER_VARIABLES.items():
+        _check_variable(
+            shots.data_vars, variable, spec, name=name, kind="open_water variable"
+        )

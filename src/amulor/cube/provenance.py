@@ -1,0 +1,99 @@
+"""Where a cube comes from: versions, digests of the inputs, what was done to it."""
+
+from __future__ import annotations
+
+import datetime
+import functools
+import hashlib
+import importlib.metadata
+import json
+from pathlib import Path
+from typing import Any
+
+import xarray as xr
+
+from amulor.cube import schema
+
+
+@functools.cache
+def software_versions() -> dict[str, str]:
+    """Return the versions of amulor and of the packages that its numbers rest on.
+
+    Returns
+    -------
+    dict
+        Version by package name.
+    """
+    packages = ("amulor", "numpy", "scipy", "numba", "xarray", "h5netcdf")
+    return {package: importlib.metadata.version(package) for package in packages}
+
+
+def digest(content: bytes | str | Path) -> str:
+    """Return the SHA-256 of a text, of bytes, or of what a file holds.
+
+    Parameters
+    ----------
+    content : bytes, str or pathlib.Path
+        A `Path` is read; a `str` is taken as UTF-8 text.
+
+    Returns
+    -------
+    str
+        "sha256:" and 64 hexadecimal digits.
+    """
+    if isinstance(content, Path):
+        content = content.read_bytes()
+    elif isinstance(content, str):
+        content = content.encode()
+    return f"sha256:{hashlib.sha256(content).hexdigest()}"
+
+
+def attributes(level: str, *, title: str, source: str, **others: Any) -> dict[str, Any]:
+    """Return the global attributes of a new cube.
+
+    Parameters
+    ----------
+    level : str
+        A key of `schema.LEVELS`.
+    title, source : str
+        What the data are, and how they came to be (CF attributes).
+    **others
+        Further attributes; None leaves one out.
+
+    Returns
+    -------
+    dict
+        CF and amulor attributes.
+    """
+    found = {
+        "Conventions": schema.CONVENTIONS,
+        "title": title,
+        "source": source,
+        "level": level,
+        "amulor_schema_version": schema.SCHEMA_VERSION,
+        "software_versions": json.dumps(software_versions()),
+        **others,
+    }
+    return {key: value for key, value in found.items() if value is not None}
+
+
+def note(cube: xr.Dataset, step: str) -> xr.Dataset:
+    """Return a cube whose CF `history` has one more line, the newest last.
+
+    Parameters
+    ----------
+    cube : xarray.Dataset
+        Any cube.
+    step : str
+        What was done, as a user would repeat it.
+
+    Returns
+    -------
+    xarray.Dataset
+        The same data.
+    """
+    now = datetime.datetime.now(datetime.UTC).strftime("%Y-%m-%dT%H:%M:%SZ")
+    version = software_versions()["amulor"]
+    line = f"{now} amulor {version}: {step}"
+    earlier = cube.attrs.get("history")
+    return cube.assign_attrs(history=f"{earlier}\n{line}" if earlier else line)

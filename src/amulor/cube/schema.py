@@ -1,0 +1,232 @@
+"""What a measurement cube holds at each level: dimensions, variables, units, flags."""
+
+from __future__ import annotations
+
+import enum
+from dataclasses import dataclass
+from typing import Any
+
+#: Raised when a file written by an older amulor can no longer be read as it is.
+SCHEMA_VERSION = "1"
+CONVENTIONS = "CF-1.11"
+
+
+class QualityFlag(enum.IntFlag):
+    """Why a pixel is not used, or is used with care; bits that add up."""
+
+    GOOD = 0
+    MISSING = 1
+    """The pixel was not measured."""
+    SATURATED = 2
+    """The detector left its linear range."""
+    NO_TARGET = 4
+    """The signal does not stand out of its uncertainty and the water left in it."""
+    AMBIGUOUS = 8
+    """The distance is not settled among the ambiguity intervals."""
+    WATER_RESIDUAL = 16
+    """What is left of the water signal moves the range by more than its uncertainty."""
+    NO_OPEN_WATER = 32
+    """No water signal was taken out: the range still holds it."""
+
+
+#: A pixel with one of these has no range; with the others it has one, with care.
+UNUSABLE = (
+    QualityFlag.MISSING
+    | QualityFlag.SATURATED
+    | QualityFlag.NO_TARGET
+    | QualityFlag.AMBIGUOUS
+)
+
+
+def flag_attributes() -> dict[str, Any]:
+    """Return the CF attributes that explain a `quality_flag` variable.
+
+    Returns
+    -------
+    dict
+        `flag_masks`, `flag_values`, `flag_meanings`, `long_name` and `units`.
+    """
+    import numpy as np
+
+    flags = [flag for flag in QualityFlag if flag]
+    values = np.array([int(flag) for flag in flags], dtype=np.int16)
+    return {
+        "long_name": "reason why a pixel is unusable or doubtful, 0 if neither",
+        "units": "1",
+        "flag_masks": values,
+        "flag_values": values,
+        "flag_meanings": " ".join(str(flag.name).lower() for flag in flags),
+    }
+
+
+@dataclass(frozen=True)
+class Variable:
+    """One variable of a level: over which dimensions, in which unit, what it is."""
+
+    dimensions: tuple[str, ...]
+    units: str
+    long_name: str
+    required: bool = True
+
+
+@dataclass(frozen=True)
+class Level:
+    """One stage of processing: its variables and the coordinates they need."""
+
+    name: str
+    variables: dict[str, Variable]
+    coordinates: dict[str, Variable]
+
+
+_SAMPLE = ("modulation_frequency", "polarization", "row", "column")
+_PIXEL = ("row", "column")
+_POINT = ("point",)
+
+_PIXEL_COORDINATES = {
+    "azimuth": Variable(_PIXEL, "rad", "direction of the beam to the right"),
+    "elevation": Variable(_PIXEL, "rad", "direction of the beam upwards"),
+    "origin_x": Variable(_PIXEL, "m", "start of the beam, to the right", False),
+    "origin_y": Variable(_PIXEL, "m", "start of the beam, downwards", False),
+    "origin_z": Variable(_PIXEL, "m", "start of the beam, forwards", False),
+    "time": Variable(_PIXEL, "s", "time since the start of the scan", False),
+    "geometry": Variable((), "1", "where the instrument stands and what it fires into"),
+}
+_SAMPLE_COORDINATES = {
+    "modulation_frequency": Variable(
+        ("modulation_frequency",), "Hz", "frequency of the intensity modulation"
+    ),
+    "polarization": Variable(
+        ("polarization",), "1", "launched and analysed state of polarization"
+    ),
+    **_PIXEL_COORDINATES,
+}
+_MEASURED = {
+    "in_phase": Variable(_SAMPLE, "V", "lock-in output in phase with the reference"),
+    "quadrature": Variable(_SAMPLE, "V", "lock-in output a quarter period behind"),
+    "in_phase_uncertainty": Variable(
+        _SAMPLE, "V", "standard uncertainty of the in-phase output"
+    ),
+    "quadrature_uncertainty": Variable(
+        _SAMPLE, "V", "standard uncertainty of the quadrature output"
+    ),
+    "in_phase_quadrature_covariance": Variable(
+        _SAMPLE, "V2", "covariance of the two outputs", False
+    ),
+    "saturated": Variable(_SAMPLE, "1", "1 where the detector was overloaded", False),
+}
+
+LEVELS = {
+    level.name: level
+    for level in (
+        Level("samples", _MEASURED, _SAMPLE_COORDINATES),
+        Level(
+            "target_signal",
+            {
+                **_MEASURED,
+                "water_in_phase": Variable(
+                    _SAMPLE, "V", "water signal taken out, in phase"
+                ),
+                "water_quadrature": Variable(
+                    _SAMPLE, "V", "water signal taken out, quadrature"
+                ),
+                "residual_in_phase": Variable(
+                    _SAMPLE, "V", "estimated water signal left in, in phase", False
+                ),
+                "residual_quadrature": Variable(
+                    _SAMPLE, "V", "estimated water signal left in, quadrature", False
+                ),
+                "common_in_phase_uncertainty": Variable(
+                    _SAMPLE, "V", "part of the uncertainty all pixels share", False
+                ),
+                "common_quadrature_uncertainty": Variable(
+                    _SAMPLE, "V", "part of the uncertainty all pixels share", False
+                ),
+                "common_covariance": Variable(
+                    _SAMPLE, "V2", "covariance of that part", False
+                ),
+                "quality_flag": Variable(
+                    _SAMPLE, "1", "reason why a pixel is doubtful"
+                ),
+            },
+            _SAMPLE_COORDINATES,
+        ),
+        Level(
+            "range_image",
+            {
+                "slant_range": Variable(
+                    _PIXEL, "m", "distance from the emitter along the beam"
+                ),
+                "slant_range_uncertainty": Variable(
+                    _PIXEL, "m", "standard uncertainty of the slant range"
+                ),
+                "slant_range_bias": Variable(
+                    _PIXEL, "m", "estimated error by water signal left in", False
+                ),
+                "slant_range_common_uncertainty": Variable(
+                    _PIXEL, "m", "part of the uncertainty that all pixels share", False
+                ),
+                "slant_range_photon_limit": Variable(
+                    _PIXEL, "m", "uncertainty by photon counting alone", False
+                ),
+                "intensity": Variable(_PIXEL, "V", "amplitude of the target signal"),
+                "quality_flag": Variable(_PIXEL, "1", "reason why a pixel is doubtful"),
+            },
+            _PIXEL_COORDINATES,
+        ),
+        Level(
+            "point_cloud",
+            {
+                "x": Variable(_POINT, "m", "position to the right of the emitter"),
+                "y": Variable(_POINT, "m", "position below the emitter"),
+                "z": Variable(_POINT, "m", "position in front of the emitter"),
+                "intensity": Variable(_POINT, "V", "amplitude of the target signal"),
+                "slant_range_uncertainty": Variable(
+                    _POINT, "m", "standard uncertainty of the slant range"
+                ),
+                "quality_flag": Variable(
+                    _POINT, "1", "reason why a point is doubtful", False
+                ),
+                "row": Variable(_POINT, "1", "row of the scan"),
+                "column": Variable(_POINT, "1", "column of the scan"),
+            },
+            {"geometry": _PIXEL_COORDINATES["geometry"]},
+        ),
+    )
+}
+
+#: Groups of a file; in memory their variables carry the name as a prefix, so that
+#: selecting a frequency or a channel selects it in the group too.
+GROUPS = ("open_water", "truth")
+
+_SHOT = ("modulation_frequency", "polarization", "shot")
+OPEN_WATER_VARIABLES = {
+    "in_phase": Variable(_SHOT, "V", "lock-in output without a target, in phase"),
+    "quadrature": Variable(_SHOT, "V", "lock-in output without a target, quadrature"),
+    "in_phase_uncertainty": Variable(
+        _SHOT, "V", "standard uncertainty of the in-phase output"
+    ),
+    "quadrature_uncertainty": Variable(
+        _SHOT, "V", "standard uncertainty of the quadrature output"
+    ),
+    "in_phase_quadrature_covariance": Variable(
+        _SHOT, "V2", "covariance of the two outputs", False
+    ),
+    "azimuth": Variable(("shot",), "rad", "direction of the beam", False),
+    "elevation": Variable(("shot",), "rad", "direction of the beam", False),
+}
+
+#: Attributes of the scalar coordinate `geometry`: what a phase needs to become a
+#: point in space. Positions [m] are (right, down, forward).
+GEOMETRY_ATTRIBUTES = {
+    "group_index": "group index of the water, which delays the modulation [1]",
+    "refractive_index": "phase index of the water, which bends the beam [1]",
+    "emitter_position": "where the beam starts, unless origin_x, _y, _z say so [m]",
+    "receiver_position": "where the light is collected [m]",
+}
+#: Present together, or not at all (emitter in the water).
+WINDOW_ATTRIBUTES = {
+    "window_distance": "forward coordinate of the near face of the window [m]",
+    "window_thickness": "thickness of the window [m]",
+    "window_refractive_index": "phase index of the window [1]",
+    "window_group_index": "group index of the window [1]",
+}
