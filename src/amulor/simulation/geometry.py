@@ -1,0 +1,157 @@
+"""Where each beam of a scan goes, what it meets, and how the receiver looks at it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from amulor.optics import rays
+from amulor.simulation.scene import Scene, aperture_points
+from amulor.survey import Survey, WaterProperties
+from amulor.survey.view import View, medium, view
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Geometry:
+    """A scan against a scene, arrays over (row, column)."""
+
+    azimuth: Floats
+    """Direction of the beam to the right [rad]."""
+    elevation: Floats
+    """Direction of the beam upwards [rad]."""
+    time: Floats
+    """Time since the start of the scan at which a pixel begins [s]."""
+    view: View
+    """How the receiver looks at each beam."""
+    target: NDArray[np.intp]
+    """Number of the target that is met, -1 for none."""
+    slant_range: Floats
+    """Distance from the emitter along the beam, infinite without a target [m]."""
+    depth: Floats
+    """The part of it that lies in water, infinite without a target [m]."""
+    optical_path: Floats
+    """Group index times length, out and back; 0 without a target [m]."""
+    cosine: Floats
+    """Cosine of the surface's normal to the receiver, times the visible share [1]."""
+
+
+def scan_directions(survey: Survey) -> tuple[Floats, Floats, Floats]:
+    """Return azimuth, elevation [rad] and start time [s] of every pixel.
+
+    Parameters
+    ----------
+    survey : Survey
+        Its scan counts.
+
+    Returns
+    -------
+    tuple of three ndarrays, shape (rows, columns)
+        The first row is the upper one, the first column the left one.
+    """
+    scan = survey.scan
+    azimuth, elevation = _grid(survey, scan.rows, scan.columns)
+    number = np.arange(scan.rows * scan.columns).reshape(scan.rows, scan.columns)
+    if scan.order == "serpentine":
+        number[1::2] = number[1::2, ::-1].copy()
+    channels = len(survey.instrument.modulation_frequencies) * len(
+        survey.instrument.polarizations
+    )
+    return azimuth, elevation, (number * scan.dwell * channels).astype(float)
+
+
+def open_water_directions(survey: Survey) -> tuple[Floats, Floats]:
+    """Return azimuth and elevation [rad] of every open-water shot.
+
+    Parameters
+    ----------
+    survey : Survey
+        Its open-water plan must be there.
+
+    Returns
+    -------
+    tuple of two ndarrays, shape (shots,)
+        Directions, each as often as it is repeated.
+    """
+    plan = survey.scan.open_water
+    assert plan is not None
+    azimuth, elevation = _grid(survey, plan.rows, plan.columns)
+    return (
+        np.repeat(azimuth.ravel(), plan.repeats),
+        np.repeat(elevation.ravel(), plan.repeats),
+    )
+
+
+def _grid(survey: Survey, rows: int, columns: int) -> tuple[Floats, Floats]:
+    scan = survey.scan
+    # One row or column alone stands in the middle.
+    across = np.linspace(-0.5, 0.5, columns) if columns > 1 else np.zeros(1)
+    down = np.linspace(0.5, -0.5, rows) if rows > 1 else np.zeros(1)
+    azimuth, elevation = np.meshgrid(
+        scan.azimuth + across * scan.azimuth_span,
+        scan.elevation + down * scan.elevation_span,
+    )
+    return azimuth, elevation
+
+
+def trace(survey: Survey, water: WaterProperties) -> Geometry:
+    """Follow every beam of a scan to what it meets.
+
+    Parameters
+    ----------
+    survey : Survey
+        Targets, instrument and scan.
+    water : WaterProperties
+        Indices of the water.
+
+    Returns
+    -------
+    Geometry
+        Arrays over (row, column).
+
+    Notes
+    -----
+    Another surface between the target and the receiver hides the echo in part: seven
+    points stand for the receiver's aperture. With a window, that way is taken as
+    straight, which is wrong by less than a pixel where the way back is steep.
+    """
+    instrument = survey.instrument
+    surroundings = medium(survey, water)
+    azimuth, elevation, time = scan_directions(survey)
+    beam = rays.enter_water(
+        instrument.emitter.position,
+        rays.direction(azimuth, elevation),
+        medium=surroundings,
+    )
+    scene = Scene(survey.targets)
+    hits = scene.cast(beam.entry.reshape(-1, 3), beam.direction.reshape(-1, 3))
+    receiver = np.asarray(instrument.receiver.position)
+    points, weights = aperture_points(receiver, radius=instrument.receiver.radius)
+    share = scene.visible_share(hits, points, weights)
+    met = hits.target >= 0
+    way = receiver - hits.point[met]
+    cosine = np.zeros(met.size)
+    cosine[met] = np.maximum(
+        np.sum(way * hits.normal[met], axis=1) / np.linalg.norm(way, axis=1), 0.0
+    )
+    path = np.zeros(met.size)
+    path[met] = (
+        beam.optical_length_before.ravel()[met]
+        + surroundings.group_index * hits.distance[met]
+        + rays.return_length(hits.point[met], receiver, medium=surroundings)
+    )
+    shape = azimuth.shape
+    return Geometry(
+        azimuth=azimuth,
+        elevation=elevation,
+        time=time,
+        view=view(survey, azimuth, elevation, medium=surroundings),
+        target=hits.target.reshape(shape),
+        slant_range=hits.distance.reshape(shape) + beam.length_before,
+        depth=hits.distance.reshape(shape),
+        optical_path=path.reshape(shape),
+        cosine=(cosine * share).reshape(shape),
+    )

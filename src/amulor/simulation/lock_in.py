@@ -1,0 +1,126 @@
+"""From received light to lock-in samples: photoelectrons, noise, phase floor."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from amulor.optics import detection
+from amulor.simulation.signal import Light
+from amulor.survey import Survey
+
+
+@dataclass(frozen=True)
+class Samples:
+    """Lock-in outputs with their stated uncertainty, all of one shape."""
+
+    signal: NDArray[np.complex128]
+    """Peak amplitude of the modulation, in phase + 1j * quadrature [V]."""
+    in_phase_variance: NDArray[np.float64]
+    """Variance of the in-phase output [V^2]."""
+    quadrature_variance: NDArray[np.float64]
+    """Variance of the quadrature output [V^2]."""
+    covariance: NDArray[np.float64]
+    """Covariance of the two [V^2]."""
+    saturated: NDArray[np.int8]
+    """1 where the mean output left the linear range [1]."""
+
+
+def expected_signal(survey: Survey, light: Light) -> NDArray[np.complex128]:
+    """Return the noiseless lock-in output of received light.
+
+    Parameters
+    ----------
+    survey : Survey
+        Its instrument counts.
+    light : Light
+        Received power per launched power.
+
+    Returns
+    -------
+    ndarray of complex
+        Peak amplitude of the modulation [V].
+    """
+    instrument = survey.instrument
+    volt = instrument.detector.volt_per_photoelectron_rate
+    return instrument.modulation_depth * volt * _rate(survey) * light.modulated
+
+
+def sample(
+    survey: Survey,
+    target: Light,
+    water: Light,
+    *,
+    rng: np.random.Generator,
+) -> Samples:
+    """Draw the lock-in samples of target and water light together.
+
+    Parameters
+    ----------
+    survey : Survey
+        Its instrument, its dwell and the fluctuation of its water count.
+    target, water : Light
+        Received power per launched power, of one shape.
+    rng : numpy.random.Generator
+        Source of all randomness.
+
+    Returns
+    -------
+    Samples
+        Of the same shape. The stated variance covers what the instrument knows:
+        shot and dark noise and the phase floor, not the fluctuation of the water.
+
+    Notes
+    -----
+    A sample is the mean of the lock-in output over the dwell, after five time
+    constants of settling. Counting noise spreads both outputs alike; the phase floor
+    spreads the sample along its circle only, which is why the outputs covary.
+    """
+    instrument, detector = survey.instrument, survey.instrument.detector
+    lock_in = instrument.lock_in
+    volt = detector.volt_per_photoelectron_rate
+    change = 1 + survey.water.signal_fluctuation * rng.standard_normal(
+        water.modulated.shape
+    )
+    light = target + Light(water.modulated * change, water.mean * np.maximum(change, 0))
+    rate = _rate(survey) * light.mean
+    # Whatever the dwell leaves after settling is averaged; a dwell that leaves
+    # nothing still takes one reading.
+    averaging = max(survey.scan.dwell - 5 * lock_in.time_constant, 0.0)
+    counting = volt**2 * detection.quadrature_variance(
+        rate,
+        integration_time=detection.effective_integration_time(
+            averaging, time_constant=lock_in.time_constant
+        ),
+        excess_noise_factor=detector.excess_noise_factor,
+        dark_rate=detector.dark_rate,
+    )
+    noise = np.sqrt(counting) * (
+        rng.standard_normal(counting.shape) + 1j * rng.standard_normal(counting.shape)
+    )
+    jitter = lock_in.phase_floor * rng.standard_normal(counting.shape)
+    signal = expected_signal(survey, light) * np.exp(1j * jitter) + noise
+    along = lock_in.phase_floor**2
+    return Samples(
+        signal=signal,
+        in_phase_variance=counting + along * signal.imag**2,
+        quadrature_variance=counting + along * signal.real**2,
+        covariance=-along * signal.real * signal.imag,
+        saturated=(volt * (rate + detector.dark_rate) > detector.saturation).astype(
+            np.int8
+        ),
+    )
+
+
+def _rate(survey: Survey) -> float:
+    """Return photoelectrons per second if all launched light came back [1/s]."""
+    instrument, detector = survey.instrument, survey.instrument.detector
+    return float(
+        detection.photoelectron_rate(
+            instrument.power * detector.optical_transmission,
+            wavelength=instrument.wavelength,
+            quantum_efficiency=detector.quantum_efficiency,
+        )
+    )

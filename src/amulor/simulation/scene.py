@@ -1,0 +1,317 @@
+"""Turns described targets into triangles and finds where beams meet them."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from amulor.errors import MissingExtraError, SurveyError
+from amulor.survey import Disc, Mesh, Plate, Staircase
+
+#: The ray caster works in single precision; a shadow ray starts this far off [m].
+_LIFT = 2e-5
+_RAYS_AT_ONCE = 500_000
+
+
+@dataclass(frozen=True)
+class Hits:
+    """Where beams meet the scene; rows of beams that miss hold `target` = -1."""
+
+    target: NDArray[np.intp]
+    """Number of the target that is met first, -1 for none."""
+    distance: NDArray[np.float64]
+    """Distance along the ray, infinite where it misses [m]."""
+    point: NDArray[np.float64]
+    """Where it is met, last axis (3,) [m]."""
+    normal: NDArray[np.float64]
+    """Unit normal of the surface, towards the start of the ray, last axis (3,) [1]."""
+
+
+class Scene:
+    """All targets as one set of triangles.
+
+    Parameters
+    ----------
+    targets : sequence
+        Target descriptions of a survey.
+    """
+
+    def __init__(self, targets: tuple[Plate | Staircase | Disc | Mesh, ...]) -> None:
+        pieces = [triangles(target) for target in targets]
+        self._corners = (
+            np.concatenate(pieces) if pieces else np.empty((0, 3, 3), dtype=float)
+        )
+        self._owner = np.repeat(np.arange(len(pieces)), [len(p) for p in pieces])
+        self._caster = _ray_caster(self._corners) if pieces else None
+
+    def cast(self, start: NDArray[Any], direction: NDArray[Any]) -> Hits:
+        """Find the first surface that each ray meets.
+
+        Parameters
+        ----------
+        start, direction : ndarray, shape (n, 3)
+            Start [m] and unit vector [1] of each ray.
+
+        Returns
+        -------
+        Hits
+            Arrays over the n rays.
+        """
+        count = len(start)
+        target = np.full(count, -1)
+        distance = np.full(count, np.inf)
+        point = np.full((count, 3), np.nan)
+        normal = np.full((count, 3), np.nan)
+        for first in range(0, count, _RAYS_AT_ONCE):
+            part = slice(first, first + _RAYS_AT_ONCE)
+            triangle = self._first_triangles(start[part], direction[part])
+            hit = np.flatnonzero(triangle >= 0)
+            where = first + hit
+            corner = self._corners[triangle[hit]]
+            across = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
+            across /= np.linalg.norm(across, axis=1, keepdims=True)
+            ray = direction[where]
+            # The caster names the triangle; its plane gives the point to full
+            # precision.
+            slope = np.einsum("ij,ij->i", across, ray)
+            gap = np.einsum("ij,ij->i", across, corner[:, 0] - start[where])
+            distance[where] = gap / slope
+            point[where] = start[where] + distance[where, None] * ray
+            normal[where] = -across * np.sign(slope)[:, None]
+            target[where] = self._owner[triangle[hit]]
+        return Hits(target, distance, point, normal)
+
+    def visible_share(
+        self, hits: Hits, aperture: NDArray[Any], weight: NDArray[Any]
+    ) -> NDArray[np.float64]:
+        """Return how much of the receiver's aperture sees each point that was met.
+
+        Parameters
+        ----------
+        hits : Hits
+            Points on the scene.
+        aperture : ndarray, shape (m, 3)
+            Points of the aperture [m].
+        weight : ndarray, shape (m,)
+            Their shares of the aperture, which add up to 1 [1].
+
+        Returns
+        -------
+        ndarray, shape (n,)
+            Share that no other surface hides, 0 where a beam met nothing [1].
+        """
+        share = np.zeros(len(hits.target))
+        met = np.flatnonzero(hits.target >= 0)
+        start = hits.point[met] + _LIFT * hits.normal[met]
+        for spot, part in zip(aperture, weight, strict=True):
+            way = spot - start
+            length = np.linalg.norm(way, axis=1)
+            ray = way / length[:, None]
+            faces = np.einsum("ij,ij->i", hits.normal[met], ray) > 0
+            free = self.cast(start, ray).distance >= length
+            share[met] += part * (faces & free)
+        return share
+
+    def _first_triangles(
+        self, start: NDArray[Any], direction: NDArray[Any]
+    ) -> NDArray[np.intp]:
+        if self._caster is None:
+            return np.full(len(start), -1)
+        found: NDArray[np.intp] = self._caster.intersects_first(start, direction)
+        return found
+
+
+def aperture_points(
+    position: NDArray[Any], *, radius: float
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return points and weights that stand for a Gaussian aperture.
+
+    Parameters
+    ----------
+    position : ndarray, shape (3,)
+        Centre [m].
+    radius : float
+        1/e half-width [m].
+
+    Returns
+    -------
+    points : ndarray, shape (7, 3)
+        Points in the plane across the forward axis [m].
+    weights : ndarray, shape (7,)
+        Shares that add up to 1 [1].
+
+    Notes
+    -----
+    The centre with weight 1/2 and six points at sqrt(2) radii with 1/12 each: exact
+    for the Gaussian mean of every polynomial up to the fifth degree.
+    """
+    angle = np.arange(6) * math.pi / 3
+    ring = (
+        math.sqrt(2) * radius * np.stack([np.cos(angle), np.sin(angle), 0 * angle], 1)
+    )
+    points = np.concatenate([np.zeros((1, 3)), ring]) + np.asarray(
+        position, dtype=float
+    )
+    return points, np.array([0.5, *[1 / 12] * 6])
+
+
+def triangles(target: Plate | Staircase | Disc | Mesh) -> NDArray[np.float64]:
+    """Return a described target as triangles in its place.
+
+    Parameters
+    ----------
+    target : Plate, Staircase, Disc or Mesh
+        Description from a survey.
+
+    Returns
+    -------
+    ndarray, shape (n, 3, 3)
+        Corners of each triangle (right, down, forward) [m].
+
+    Raises
+    ------
+    SurveyError
+        If a mesh file cannot be read or holds no surface.
+    """
+    from scipy.spatial.transform import Rotation
+
+    shape = {Plate: _plate, Staircase: _staircase, Disc: _disc, Mesh: _mesh}[
+        type(target)
+    ](target)  # type: ignore[operator]
+    turned = Rotation.from_euler("xyz", target.rotation).apply(shape.reshape(-1, 3))
+    placed: NDArray[np.float64] = (turned + target.position).reshape(-1, 3, 3)
+    return placed
+
+
+def _rectangle(
+    left: float, right: float, height: float, forward: tuple[float, float]
+) -> NDArray[np.float64]:
+    """Return two triangles between two upright edges at given forward positions."""
+    top, bottom = -height / 2, height / 2
+    a = (left, top, forward[0])
+    b = (right, top, forward[1])
+    c = (right, bottom, forward[1])
+    d = (left, bottom, forward[0])
+    return np.array([[a, b, c], [a, c, d]])
+
+
+def _plate(target: Plate) -> NDArray[np.float64]:
+    half = target.width / 2
+    return _rectangle(-half, half, target.height, (0.0, 0.0))
+
+
+def _staircase(target: Staircase) -> NDArray[np.float64]:
+    levels = -np.concatenate([[0.0], np.cumsum(target.step_heights)])
+    edges = (np.arange(len(levels) + 1) - len(levels) / 2) * target.tread_width
+    treads = [
+        _rectangle(edges[i], edges[i + 1], target.height, (level, level))
+        for i, level in enumerate(levels)
+    ]
+    risers = [
+        _rectangle(
+            edges[i + 1], edges[i + 1], target.height, (levels[i], levels[i + 1])
+        )
+        for i in range(len(levels) - 1)
+    ]
+    return np.concatenate(treads + risers)
+
+
+def _disc(target: Disc) -> NDArray[np.float64]:
+    """Cover the disc with a fine net, drop what falls into a hole, bend the rest."""
+    from scipy.spatial import Delaunay
+
+    outer = target.diameter / 2
+    holes = [(0.0, 0.0, target.central_hole / 2)]
+    for number in range(target.hole_count):
+        angle = 2 * math.pi * number / target.hole_count
+        ring = target.hole_circle / 2
+        holes.append(
+            (ring * math.cos(angle), ring * math.sin(angle), target.hole_diameter / 2)
+        )
+    holes = [hole for hole in holes if hole[2] > 0]
+    spacing = target.diameter / 150
+    axis = np.arange(-outer, outer + spacing, spacing)
+    grid = np.stack(np.meshgrid(axis, axis), axis=-1).reshape(-1, 2)
+    # A net point that almost touches a rim would make slivers there.
+    keep = np.linalg.norm(grid, axis=1) < outer - spacing / 2
+    for x, y, radius in holes:
+        keep &= np.linalg.norm(grid - (x, y), axis=1) > radius + spacing / 2
+    circles = [(0.0, 0.0, outer), *holes]
+    rims = [_circle(x, y, radius, spacing) for x, y, radius in circles]
+    points = np.concatenate([grid[keep], *rims])
+    net = Delaunay(points).simplices
+    centre = points[net].mean(axis=1)
+    solid = np.linalg.norm(centre, axis=1) < outer
+    for x, y, radius in holes:
+        solid &= np.linalg.norm(centre - (x, y), axis=1) > radius * math.cos(
+            math.pi / _CIRCLE_MINIMUM
+        )
+    forward = np.zeros(len(points))
+    if target.curvature_radius is not None:
+        bend = target.curvature_radius
+        forward = bend - np.sqrt(bend**2 - points[:, 0] ** 2)
+    placed: NDArray[np.float64] = np.column_stack([points, forward])[net[solid]]
+    return placed
+
+
+_CIRCLE_MINIMUM = 48
+
+
+def _circle(x: float, y: float, radius: float, spacing: float) -> NDArray[np.float64]:
+    count = max(_CIRCLE_MINIMUM, math.ceil(2 * math.pi * radius / spacing))
+    angle = 2 * math.pi * np.arange(count) / count
+    return np.column_stack([x + radius * np.cos(angle), y + radius * np.sin(angle)])
+
+
+def _mesh(target: Mesh) -> NDArray[np.float64]:
+    trimesh = _trimesh()
+    try:
+        loaded = trimesh.load(target.file, force="mesh")
+        corners = np.asarray(loaded.triangles, dtype=float)
+    # Readers of four formats raise errors of many kinds on a damaged file.
+    except Exception as error:
+        raise SurveyError(
+            f"{target.file}: cannot be read as a mesh ({error}); needed is an STL, "
+            "PLY, OBJ or GLB file"
+        ) from None
+    if len(corners) == 0 or not np.all(np.isfinite(corners)):
+        raise SurveyError(
+            f"{target.file}: holds no triangles with finite corners; export the "
+            "surface as a triangle mesh"
+        )
+    area = np.linalg.norm(
+        np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1
+    )
+    metres = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "inch": 0.0254}[target.unit]
+    kept: NDArray[np.float64] = corners[area > 0] * metres
+    return kept
+
+
+def _ray_caster(corners: NDArray[np.float64]) -> Any:
+    trimesh = _trimesh()
+    try:
+        from trimesh.ray.ray_pyembree import RayMeshIntersector
+    except ImportError:
+        raise MissingExtraError(
+            "embreex", extra="scene", purpose="ray casting"
+        ) from None
+    mesh = trimesh.Trimesh(
+        vertices=corners.reshape(-1, 3),
+        faces=np.arange(3 * len(corners)).reshape(-1, 3),
+        process=False,
+    )
+    return RayMeshIntersector(mesh, scale_to_box=False)
+
+
+def _trimesh() -> Any:
+    try:
+        import trimesh
+    except ImportError:
+        raise MissingExtraError(
+            "trimesh", extra="scene", purpose="a scene with targets"
+        ) from None
+    return trimesh

@@ -1,0 +1,122 @@
+"""What reaches the detector from the target and from the water, as Stokes vectors."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from amulor.optics import mueller, small_angle_diffusion, target_echo
+from amulor.simulation.geometry import Geometry
+from amulor.survey import Survey, WaterProperties
+from amulor.survey.mueller import matrix
+from amulor.survey.view import View, kernel_arguments
+
+
+@dataclass(frozen=True)
+class Light:
+    """Received power, dimensions (modulation_frequency, polarization, pixels...)."""
+
+    modulated: NDArray[np.complex128]
+    """Power per launched power at each modulation frequency [1]."""
+    mean: NDArray[np.float64]
+    """Power per launched power without modulation [1]."""
+
+    def __add__(self, other: Light) -> Light:
+        """Return what both send together."""
+        return Light(self.modulated + other.modulated, self.mean + other.mean)
+
+
+def target_light(survey: Survey, water: WaterProperties, geometry: Geometry) -> Light:
+    """Return the light that the targets send back.
+
+    Parameters
+    ----------
+    survey : Survey
+        Targets and instrument.
+    water : WaterProperties
+        The water in between.
+    geometry : Geometry
+        What each beam meets.
+
+    Returns
+    -------
+    Light
+        Over (modulation_frequency, polarization, row, column); 0 without a target.
+    """
+    met = geometry.target >= 0
+    reflectance = np.zeros(met.shape)
+    share = np.zeros((len(survey.instrument.polarizations), *met.shape))
+    for number, target in enumerate(survey.targets):
+        own = geometry.target == number
+        reflectance[own] = target.reflectance
+        share[:, own] = _fractions(survey, target.mueller)[:, None]
+    frequency = _frequencies(survey)
+    depth = np.where(met, geometry.depth, 0.0)
+    response = target_echo.target_response(
+        frequency[:, None, None, None],
+        depth=depth,
+        optical_path=geometry.optical_path,
+        reflectance=reflectance,
+        cosine=geometry.cosine,
+        **kernel_arguments(survey, water, geometry.view),
+    )
+    return _light(response * share)
+
+
+def water_light(
+    survey: Survey,
+    water: WaterProperties,
+    view: View,
+    *,
+    end: NDArray[np.float64] | None = None,
+) -> Light:
+    """Return the light that the water scatters back.
+
+    Parameters
+    ----------
+    survey : Survey
+        Instrument and water.
+    water : WaterProperties
+        Its optical numbers.
+    view : View
+        How the receiver looks at each beam.
+    end : ndarray, optional
+        Where the column ends, infinite where it meets nothing [m]; nowhere by default.
+
+    Returns
+    -------
+    Light
+        Over (modulation_frequency, polarization, and the shape of the view).
+    """
+    far = np.inf if survey.water.column_end is None else survey.water.column_end
+    stop = np.minimum(np.inf if end is None else end, far)
+    frequency = _frequencies(survey).reshape(-1, 1, *[1] * view.tilt.ndim)
+    response = small_angle_diffusion.water_response(
+        frequency,
+        backscatter_vsf=water.backscatter_vsf,
+        group_index=water.group_index,
+        end=stop,
+        **kernel_arguments(survey, water, view),
+    )
+    share = _fractions(survey, survey.water.backscatter_mueller)
+    return _light(response * share.reshape(-1, *[1] * view.tilt.ndim))
+
+
+def _frequencies(survey: Survey) -> NDArray[np.float64]:
+    """Return zero, for the mean light, and then the modulation frequencies."""
+    return np.array([0.0, *survey.instrument.modulation_frequencies])
+
+
+def _light(response: NDArray[np.complex128]) -> Light:
+    mean = np.broadcast_to(response[:1].real, response[1:].shape)
+    return Light(response[1:], mean)
+
+
+def _fractions(survey: Survey, stated: Any) -> NDArray[np.float64]:
+    """Return the share of the light that each analyser passes."""
+    pairs = survey.instrument.polarizations
+    reduced = matrix(stated)
+    return np.array([float(mueller.detected_fraction(reduced, pair=p)) for p in pairs])

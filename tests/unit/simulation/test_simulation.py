@@ -1,0 +1,233 @@
+"""The simulated cube against closed forms, its noise against its own statement."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+from scipy.constants import Planck, speed_of_light
+
+from amulor.optics import small_angle_diffusion
+from amulor.simulation import simulate
+from amulor.survey import Survey, water_properties
+from amulor.survey.view import kernel_arguments, medium, view
+
+
+def _quiet(text: str) -> str:
+    """Return a survey without any noise."""
+    return (
+        text.replace('phase_floor = "0.06 deg"', 'phase_floor = "0 deg"')
+        .replace('signal_fluctuation = "5 %"', "")
+        .replace('power = "20 mW"', 'power = "1e9 W"')
+        .replace(
+            'optical_transmission = "10 %"',
+            'optical_transmission = "100 %"\nsaturation = "1e20 V"',
+        )
+    )
+
+
+def test_target_and_water_have_the_ratio_of_their_closed_forms(plate_text: str) -> None:
+    # Receiver far wider than the baseline, tiny acceptance, no spread: F is flat, and
+    # target over water is (reflectance / pi) e^(-2kd) over beta (1 - e^(-2kd)) / 2k.
+    text = plate_text.replace('"0.06 rad^2"', '"0 rad^2"')
+    text = text.replace('radius = "2 cm"', 'radius = "50 m"')
+    text = text.replace('"0.08 rad"', '"0.001 rad"')
+    text = text.replace('"-2.672 deg"', '"0 deg"')
+    survey = Survey.from_text(text.replace('["39 MHz"]', '["1 Hz"]'))
+    truth = simulate(survey, rng=1).amulor.truth
+    target = truth["target_in_phase"].values[0, :, 3, 6]
+    water = truth["water_in_phase"].values[0, :, 3, 6]
+    k, d, beta = 0.255, float(truth["slant_range"][3, 6]), 0.595 * 0.001
+    whole = 0.1 / np.pi * np.exp(-2 * k * d) / (beta * (1 - np.exp(-2 * k * d)) / 2 / k)
+    # VV: (1 + m22) / 2 of either; VH: (1 - m22) / 2. Cosine to the receiver 0.9989.
+    expected = whole * np.array([0.805 / 0.905, 0.195 / 0.095])
+    assert_allclose(target / water, expected * np.cos(0.0466), rtol=1e-3)
+
+
+def test_the_received_power_is_the_lidar_equation_in_volts(plate_text: str) -> None:
+    survey = Survey.from_text(plate_text)
+    truth = simulate(survey, rng=1).amulor.truth
+    echo = abs(
+        truth["target_in_phase"].values + 1j * truth["target_quadrature"].values
+    )[0, :, 3, 6]
+    d = float(truth["slant_range"][3, 6])
+    s = 0.02**2 + 0.08**2 * d**2 + 2 / 3 * 0.595 * 0.06 * d**3
+    # Aimed at the plate's middle: what offset is left is that of half a pixel.
+    share = np.pi * 0.02**2 * 0.08**2 / s * np.exp(-2 * 0.255 * d) * 0.1 / np.pi
+    rate = 0.02 * 0.1 * 0.25 * 405e-9 / (Planck * speed_of_light)
+    expected = 0.8 * 8e-12 * rate * share * np.array([0.805, 0.195])
+    assert_allclose(echo, expected * np.cos(0.0466), rtol=2e-3)
+
+
+def test_the_phase_of_the_target_is_that_of_the_group_path(plate_text: str) -> None:
+    cube = simulate(Survey.from_text(_quiet(plate_text)), rng=1)
+    truth = cube.amulor.truth
+    phase = np.arctan2(truth["target_quadrature"], truth["target_in_phase"])[0, 0]
+    d = truth["slant_range"].values
+    x = d * np.sin(cube["azimuth"].values) * np.cos(cube["elevation"].values)
+    back = np.sqrt(d**2 + 0.07**2 - 2 * 0.07 * x)
+    expected = 2 * np.pi * 39e6 * 1.38 * (d + back) / speed_of_light
+    assert_allclose(np.exp(1j * phase), np.exp(1j * expected), rtol=1e-9)
+
+
+def test_water_ends_at_the_target(plate_text: str) -> None:
+    survey = Survey.from_text(_quiet(plate_text))
+    cube = simulate(survey, rng=1)
+    truth = cube.amulor.truth
+    water = truth["water_in_phase"].values + 1j * truth["water_quadrature"].values
+    properties = water_properties(survey)
+    where = view(
+        survey,
+        cube["azimuth"].values,
+        cube["elevation"].values,
+        medium=medium(survey, properties),
+    )
+    arguments = kernel_arguments(survey, properties, where)
+    # Trapezoids over the column: an independent sum of (46).
+    z = np.linspace(0, 1, 4001)[:, None, None] * truth["slant_range"].values
+    f = small_angle_diffusion.overlap(z, **arguments)
+    delay = np.exp(2j * (2 * np.pi * 39e6) * 1.38 / speed_of_light * z)
+    whole = np.trapezoid(f * delay, z, axis=0) * properties.backscatter_vsf
+    expected = whole / whole[3, 6]
+    assert_allclose(water[0, 0] / water[0, 0, 3, 6], expected, rtol=1e-5)
+
+
+def test_a_hole_in_the_scene_is_a_legal_pixel(plate_text: str) -> None:
+    text = plate_text.replace('width = "30 cm"', 'width = "5 cm"')
+    cube = simulate(Survey.from_text(text), rng=1)
+    truth = cube.amulor.truth
+    beside = truth["target"].values < 0
+    assert 0 < beside.sum() < beside.size
+    assert np.isfinite(cube["in_phase"].values).all()
+    assert np.isnan(truth["slant_range"].values[beside]).all()
+    assert (truth["target_in_phase"].values[0, 0][beside] == 0).all()
+    # Without a target the column goes on: more water than before one.
+    water = np.hypot(truth["water_in_phase"], truth["water_quadrature"]).values[0, 0]
+    assert (water[beside] > 0).all()
+
+
+def test_circular_channels_flip_in_water_and_not_in_paint(plate_text: str) -> None:
+    text = plate_text.replace('["VV", "VH"]', '["RR", "RL"]')
+    truth = simulate(Survey.from_text(text), rng=1).amulor.truth
+    target = np.hypot(truth["target_in_phase"], truth["target_quadrature"]).values[0]
+    water = np.hypot(truth["water_in_phase"], truth["water_quadrature"]).values[0]
+    # Same handedness: (1 + m44) / 2; m44 = -0.46 of the paint, -0.62 of the water.
+    assert_allclose(target[0] / target[1], 0.27 / 0.73, rtol=1e-9)
+    assert_allclose(water[0] / water[1], 0.19 / 0.81, rtol=1e-9)
+
+
+def test_without_polarizers_all_the_light_counts(plate_text: str) -> None:
+    text = plate_text.replace('["VV", "VH"]', '["none", "VV", "VH"]')
+    truth = simulate(Survey.from_text(text), rng=1).amulor.truth
+    echo = np.hypot(truth["target_in_phase"], truth["target_quadrature"]).values[0]
+    assert_allclose(echo[0], echo[1] + echo[2], rtol=1e-12)
+
+
+def test_the_stated_covariance_is_that_of_the_samples(plate_text: str) -> None:
+    # Weak light and a large phase floor, so that both kinds of noise show.
+    text = (
+        plate_text.replace('"0.06 deg"', '"1 deg"')
+        .replace('signal_fluctuation = "5 %"', "")
+        .replace('"10 %"', '"0.02 %"')
+        .replace("columns = 12", "columns = 100")
+        .replace("rows = 6", "rows = 100")
+    )
+    cube = simulate(Survey.from_text(text), rng=7)
+    truth = cube.amulor.truth
+    expected = sum(
+        truth[f"{part}_in_phase"].values + 1j * truth[f"{part}_quadrature"].values
+        for part in ("target", "water")
+    )
+    error = cube.amulor.signal.values - expected
+    a = error.real / cube["in_phase_uncertainty"].values
+    b = error.imag / cube["quadrature_uncertainty"].values
+    correlation = (
+        cube.amulor.covariance
+        / cube["in_phase_uncertainty"]
+        / cube["quadrature_uncertainty"]
+    ).values
+    count = a[0, 0].size
+    for channel in (0, 1):
+        for z in (a[0, channel], b[0, channel]):
+            # Variance of a mean square: 2 / n; five standard errors.
+            assert abs(np.mean(z**2) - 1) < 5 * np.sqrt(2 / count)
+            assert abs(np.mean(z)) < 5 / np.sqrt(count)
+        product = np.mean(a[0, channel] * b[0, channel])
+        assert abs(product - correlation[0, channel].mean()) < 5 / np.sqrt(count)
+    # Both kinds matter here, or the test would not see one of them.
+    assert 0.1 < abs(correlation[0, 0]).mean() < 0.95
+
+
+def test_shot_noise_is_that_of_counting(plate_text: str) -> None:
+    # One photoelectron rate, no phase floor: sigma_phase = sqrt(2 F / (m^2 N)).
+    text = plate_text.replace('"0.06 deg"', '"0 deg"').replace('"0.595 1/m"', '"0 1/m"')
+    cube = simulate(Survey.from_text(text), rng=3)
+    truth = cube.amulor.truth
+    amplitude = np.hypot(truth["target_in_phase"], truth["target_quadrature"]).values
+    sigma = cube["in_phase_uncertainty"].values / amplitude
+    # 75 ms after settling, one pole of 10 ms.
+    time = 0.075 / (1 - 0.01 / 0.075 * (1 - np.exp(-7.5)))
+    photoelectrons = amplitude / (0.8 * 8e-12) * time
+    assert_allclose(sigma, np.sqrt(2 * 1.2 / photoelectrons) / 0.8, rtol=1e-3)
+
+
+def test_the_water_strays_as_the_survey_says(plate_text: str) -> None:
+    text = plate_text.replace("repeats = 8", "repeats = 400")
+    cube = simulate(Survey.from_text(text), rng=11)
+    shots = cube.amulor.open_water
+    amplitude = np.hypot(shots["in_phase"], shots["quadrature"]).values[0, 0]
+    by_direction = amplitude.reshape(15, 400)
+    relative = by_direction.std(axis=1, ddof=1) / by_direction.mean(axis=1)
+    # Standard error of a standard deviation from 15 * 400 shots: 0.9 %.
+    assert np.sqrt(np.mean(relative**2)) == pytest.approx(0.05, rel=0.05)
+
+
+def test_the_same_seed_gives_the_same_cube(plate: Survey) -> None:
+    first, again, other = (simulate(plate, rng=seed) for seed in (5, 5, 6))
+    np.testing.assert_array_equal(first["in_phase"], again["in_phase"])
+    assert (first["in_phase"].values != other["in_phase"].values).all()
+
+
+def test_a_strong_echo_saturates_the_detector(plate_text: str) -> None:
+    text = plate_text.replace('"10 %"', '"10 %"\nsaturation = "1 mV"')
+    cube = simulate(Survey.from_text(text), rng=1)
+    assert (cube["saturated"].values[0, 0] == 1).all()
+
+
+@pytest.mark.parametrize("moves", ["beam", "both"])
+def test_when_both_move_the_water_is_the_same_everywhere(
+    plate_text: str, moves: str
+) -> None:
+    text = plate_text.replace("[scan]", f'[scan]\nmoves = "{moves}"')
+    survey = Survey.from_text(_quiet(text))
+    shots = simulate(survey, rng=1).amulor.open_water
+    amplitude = np.hypot(shots["in_phase"], shots["quadrature"]).values[0, 0]
+    spread = np.ptp(amplitude) / amplitude.mean()
+    if moves == "both":
+        # Turning the pair still turns the baseline against the beam: 2 % at 1.9 deg.
+        assert spread < 0.05
+    else:
+        assert spread > 0.5
+
+
+def test_serpentine_order_runs_back_on_every_second_row(plate_text: str) -> None:
+    text = plate_text.replace("[scan]", '[scan]\norder = "serpentine"')
+    time = simulate(Survey.from_text(text), rng=1)["time"].values
+    # Two channels of 125 ms for each of twelve pixels in a row.
+    assert_allclose(time[0], np.arange(12) * 0.25)
+    assert_allclose(time[1], (np.arange(12)[::-1] + 12) * 0.25)
+
+
+def test_a_window_shifts_the_phase_by_its_group_path(plate_text: str) -> None:
+    window = '[instrument.window]\ndistance = "30 cm"\nthickness = "2 cm"\n'
+    survey = Survey.from_text(_quiet(plate_text) + window)
+    cube = simulate(survey, rng=1)
+    truth = cube.amulor.truth
+    assert_allclose(truth["slant_range"].values[2:4, 5:7], 1.5, rtol=1e-3)
+    phase = np.arctan2(truth["target_quadrature"], truth["target_in_phase"])[0, 0]
+    # Close to the axis: 0.3 m air, 2 cm glass of 1.50, 1.18 m water, there and back.
+    straight = 2 * (0.3 + 0.02 * 1.50 + 1.18 * 1.38)
+    expected = 2 * np.pi * 39e6 * straight / speed_of_light
+    turn = np.angle(np.exp(1j * (phase.values[3, 6] - expected)))
+    # The baseline of 7 cm lengthens the way back by 2 mm, 0.1 degrees of arc.
+    assert 0 < turn < 2 * np.pi * 39e6 * 4e-3 / speed_of_light
