@@ -1,0 +1,71 @@
+"""Flags that tell which pixels of a target signal can be trusted."""
+
+from __future__ import annotations
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+
+from amulor.cube import QualityFlag
+from amulor.optics import detection
+from amulor.rejection.reference import Covariance
+
+#: A target is seen when its signal stands this many standard errors off zero.
+DETECTION_THRESHOLD = 5.0
+
+
+def flags(
+    samples: xr.Dataset,
+    target_signal: NDArray[np.complex128],
+    uncertainty: Covariance,
+    *,
+    residual: NDArray[np.complex128] | None = None,
+    water_is_in: bool = False,
+) -> NDArray[np.int16]:
+    """Return the quality flag of every sample.
+
+    Parameters
+    ----------
+    samples : xarray.Dataset
+        What was measured; missing samples are not numbers.
+    target_signal : ndarray of complex
+        What is left for the target [V].
+    uncertainty : Covariance
+        Its errors.
+    residual : ndarray of complex, optional
+        Water signal that is estimated to be left in [V].
+    water_is_in : bool
+        True if no water signal was taken out at all.
+
+    Returns
+    -------
+    ndarray of int16
+        Sums of `QualityFlag`, of the shape of the target signal.
+    """
+    flag = np.zeros(target_signal.shape, dtype=np.int16)
+    missing = ~np.isfinite(target_signal)
+    if "saturated" in samples:
+        flag[samples["saturated"].values != 0] |= QualityFlag.SATURATED
+    # Water that is left in must not pass for a target: it counts as an error too.
+    left = 0.0 if residual is None else np.abs(residual) ** 2
+    blurred = Covariance(
+        uncertainty.in_phase + left, uncertainty.quadrature + left, uncertainty.cross
+    )
+    with np.errstate(invalid="ignore", divide="ignore"):
+        far = blurred.mahalanobis(target_signal) >= DETECTION_THRESHOLD**2
+    flag[~far & ~missing] |= QualityFlag.NO_TARGET
+    if water_is_in:
+        flag |= QualityFlag.NO_OPEN_WATER
+    if residual is not None:
+        seen = far & ~missing
+        phase = detection.phase_uncertainty(
+            np.where(seen, target_signal, 1.0),
+            in_phase_variance=np.where(seen, uncertainty.in_phase, 1.0),
+            quadrature_variance=np.where(seen, uncertainty.quadrature, 1.0),
+            covariance=np.where(seen, uncertainty.cross, 0.0),
+        )
+        with np.errstate(invalid="ignore", divide="ignore"):
+            shift = np.abs(np.angle(target_signal / (target_signal - residual)))
+        flag[seen & (shift > phase)] |= QualityFlag.WATER_RESIDUAL
+    flag[missing] = QualityFlag.MISSING
+    return flag

@@ -1,0 +1,231 @@
+"""The water signal from open-water shots: a smooth surface over the scan directions."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float64]
+Complex = NDArray[np.complex128]
+
+#: Highest degree of the polynomial over azimuth and elevation.
+_HIGHEST_DEGREE = 4
+#: A degree fits when its misfit is no larger than chance makes in 1 of 20 cases.
+_SIGNIFICANCE = 0.05
+
+
+@dataclass(frozen=True)
+class Covariance:
+    """Covariance of in-phase and quadrature outputs, arrays of one shape [V^2]."""
+
+    in_phase: Floats
+    """Variance of the in-phase output."""
+    quadrature: Floats
+    """Variance of the quadrature output."""
+    cross: Floats
+    """Covariance of the two."""
+
+    def __add__(self, other: Covariance) -> Covariance:
+        """Return the covariance of a sum of independent errors."""
+        return Covariance(
+            self.in_phase + other.in_phase,
+            self.quadrature + other.quadrature,
+            self.cross + other.cross,
+        )
+
+    def scaled(self, factor: Floats | float) -> Covariance:
+        """Return the covariance of errors times the square root of a factor."""
+        return Covariance(
+            self.in_phase * factor, self.quadrature * factor, self.cross * factor
+        )
+
+    def mahalanobis(self, signal: Complex) -> Floats:
+        """Return the squared distance of a signal from zero in units of its error."""
+        real, imaginary = signal.real, signal.imag
+        determinant = self.in_phase * self.quadrature - self.cross**2
+        square: Floats = (
+            self.quadrature * real**2
+            + self.in_phase * imaginary**2
+            - 2 * self.cross * real * imaginary
+        ) / determinant
+        return square
+
+
+@dataclass(frozen=True)
+class Reference:
+    """Water signal at each pixel, and how well it is known."""
+
+    signal: Complex
+    """Expected water signal [V]."""
+    common: Covariance
+    """Error of that expectation: the pixels share it."""
+    fluctuation: Covariance
+    """How the water signal of one sample strays from its expectation."""
+    degree: int
+    """Degree of the polynomial over the scan directions."""
+
+
+def fit(
+    shots: Complex,
+    instrument: Covariance,
+    shot_direction: Floats,
+    pixel_direction: Floats,
+) -> Reference:
+    """Fit the open-water shots of one channel and evaluate the fit at the pixels.
+
+    Parameters
+    ----------
+    shots : ndarray of complex, shape (n,)
+        Samples without a target [V].
+    instrument : Covariance
+        Their stated errors.
+    shot_direction : ndarray, shape (n, 2)
+        Azimuth and elevation of the shots; all equal if they are not known [rad].
+    pixel_direction : ndarray, shape (m, 2)
+        Azimuth and elevation of the pixels [rad].
+
+    Returns
+    -------
+    Reference
+        Arrays over the m pixels.
+
+    Notes
+    -----
+    Least squares of a polynomial, one degree above the lowest whose misfit, against
+    the scatter of repeated shots, passes an F test: a misfit that the test does not
+    see is as large as the error itself, and the next degree takes most of it. What
+    the shots scatter beyond their stated error is a fluctuation of the water, taken as
+    proportional to its signal.
+    """
+    centre, scale = _frame(shot_direction)
+    where = (shot_direction - centre) / scale
+    powers = _powers(where)
+    weight = np.ones(len(shots))
+    for _ in range(2):
+        degree = _choose_degree(shots, where, powers, weight)
+        chosen = powers[powers.sum(axis=1) <= degree]
+        design = _design(where, chosen)
+        gain = np.linalg.pinv(design * np.sqrt(weight)[:, None]) * np.sqrt(weight)
+        coefficients = gain @ shots
+        level = design @ coefficients
+        relative = _relative_fluctuation(
+            shots, level, instrument, freedom=len(shots) - len(chosen)
+        )
+        spread = _fluctuation(relative, level)
+        total = instrument + spread
+        variance = total.in_phase + total.quadrature
+        # Channels that see nothing at all have no error either: all shots alike.
+        weight = np.ones(len(shots)) if variance.min() == 0 else 2 / variance
+    at_pixels = _design((pixel_direction - centre) / scale, chosen)
+    common = Covariance(
+        *(
+            np.einsum("ij,jk,ik->i", at_pixels, (gain * part) @ gain.T, at_pixels)
+            for part in (total.in_phase, total.quadrature, total.cross)
+        )
+    )
+    signal = at_pixels @ coefficients
+    return Reference(signal, common, _fluctuation(relative, signal), int(degree))
+
+
+def _frame(direction: Floats) -> tuple[Floats, Floats]:
+    """Return centre and half span, so that the polynomial works on -1 to 1."""
+    low, high = direction.min(axis=0), direction.max(axis=0)
+    span = np.where(high > low, (high - low) / 2, 1.0)
+    return (low + high) / 2, span
+
+
+def _powers(where: Floats) -> NDArray[np.intp]:
+    """Return the exponents that the directions can tell apart."""
+    distinct = [len(np.unique(np.round(column, 9))) for column in where.T]
+    return np.array(
+        [
+            (i, j)
+            for i in range(min(distinct[0], _HIGHEST_DEGREE + 1))
+            for j in range(min(distinct[1], _HIGHEST_DEGREE + 1))
+            if i + j <= _HIGHEST_DEGREE
+        ]
+    )
+
+
+def _design(where: Floats, powers: NDArray[np.intp]) -> Floats:
+    columns: Floats = np.prod(where[:, None, :] ** powers[None, :, :], axis=2)
+    return columns
+
+
+def _choose_degree(
+    shots: Complex, where: Floats, powers: NDArray[np.intp], weight: Floats
+) -> int:
+    from scipy.stats import f as f_distribution
+
+    _, group, size = np.unique(
+        np.round(where, 9), axis=0, return_inverse=True, return_counts=True
+    )
+    group = group.ravel()
+    groups = len(size)
+    repeats = len(shots) - groups
+    highest = int(powers.sum(axis=1).max())
+    if repeats < 1 or groups == 1:
+        return min(highest, 2) if groups > 1 else 0
+    weight_of = np.bincount(group, weight)
+    mean = (
+        np.bincount(group, weight * shots.real)
+        + 1j * np.bincount(group, weight * shots.imag)
+    ) / weight_of
+    pure = np.sum(weight * np.abs(shots - mean[group]) ** 2) / repeats
+    for degree in range(highest + 1):
+        design = _design(where, powers[powers.sum(axis=1) <= degree])
+        freedom = groups - design.shape[1]
+        if freedom < 1 or pure == 0:
+            return degree
+        root = np.sqrt(weight)
+        coefficients = np.linalg.lstsq(
+            design * root[:, None], shots * root, rcond=None
+        )[0]
+        misfit = np.sum(weight * np.abs(mean[group] - design @ coefficients) ** 2)
+        # The two outputs double the degrees of freedom above and below the line.
+        chance = f_distribution.sf(misfit / freedom / pure, 2 * freedom, 2 * repeats)
+        if chance > _SIGNIFICANCE:
+            return min(degree + 1, highest)
+    return highest
+
+
+def _relative_fluctuation(
+    shots: Complex, level: Complex, instrument: Covariance, *, freedom: int
+) -> NDArray[np.float64]:
+    """Return the covariance of (radial, tangential) strays per unit of water signal.
+
+    The stated instrument error is taken off; what is left is made a covariance again
+    where chance drove it below zero. No water signal has no fluctuation.
+    """
+    size = np.abs(level)
+    power = float(np.sum(size**2))
+    if freedom < 1 or power == 0:
+        return np.zeros((2, 2))
+    turn = np.where(size > 0, level, 1) / np.where(size > 0, size, 1)
+    stray = (shots - level) / turn
+    c, s = turn.real, turn.imag
+    radial = c**2 * instrument.in_phase + s**2 * instrument.quadrature
+    radial = radial + 2 * c * s * instrument.cross
+    tangential = s**2 * instrument.in_phase + c**2 * instrument.quadrature
+    tangential = tangential - 2 * c * s * instrument.cross
+    crossed = c * s * (instrument.quadrature - instrument.in_phase)
+    crossed = crossed + (c**2 - s**2) * instrument.cross
+    parts = np.stack([stray.real, stray.imag])
+    stated = np.array([[radial, crossed], [crossed, tangential]]).sum(axis=2)
+    excess = (parts @ parts.T * len(shots) / freedom - stated) / power
+    values, vectors = np.linalg.eigh(excess)
+    kept: NDArray[np.float64] = (vectors * np.maximum(values, 0)) @ vectors.T
+    return kept
+
+
+def _fluctuation(relative: NDArray[np.float64], level: Complex) -> Covariance:
+    """Turn a relative covariance into one of the outputs at a given water signal."""
+    a, b = level.real, level.imag
+    radial, crossed, tangential = relative[0, 0], relative[0, 1], relative[1, 1]
+    return Covariance(
+        radial * a**2 + tangential * b**2 - 2 * crossed * a * b,
+        radial * b**2 + tangential * a**2 + 2 * crossed * a * b,
+        (radial - tangential) * a * b + crossed * (a**2 - b**2),
+    )
