@@ -1,0 +1,237 @@
+"""Numbers that say how good an image is: flatness, step heights, contrast."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import xarray as xr
+from numpy.typing import ArrayLike, NDArray
+
+from amulor.cube import UNUSABLE
+from amulor.errors import CubeError
+from amulor.imaging.point_cloud import point_cloud
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class PlaneFit:
+    """How far a region is from flat."""
+
+    residual: float
+    """Root mean square distance of the points from their plane [m]."""
+    expected: float
+    """What the stated uncertainties let expect for it [m]."""
+    normal: tuple[float, float, float]
+    """Unit normal, towards the instrument [1]."""
+    points: int
+    """Number of points [1]."""
+
+
+@dataclass(frozen=True)
+class StepHeight:
+    """Height of one step between two parallel planes."""
+
+    height: float
+    """Distance of the second plane in front of the first [m]."""
+    uncertainty: float
+    """Standard uncertainty: noise, shared reference and estimated residual bias [m]."""
+    random: float
+    """The part of it that comes from noise [m]."""
+
+
+@dataclass(frozen=True)
+class Contrast:
+    """Brightness of the target against its surroundings."""
+
+    value: float
+    """(target - surround) / (target + surround) of the mean amplitudes [1]."""
+    uncertainty: float
+    """Standard uncertainty, from the scatter of the pixels [1]."""
+
+
+def plane_residual(image: xr.Dataset, region: ArrayLike | None = None) -> PlaneFit:
+    """Fit a plane to a region of a range image.
+
+    Parameters
+    ----------
+    image : xarray.Dataset
+        Level `range_image`.
+    region : array_like of bool, shape (row, column), optional
+        Pixels to take; unusable ones are left out anyway.
+
+    Returns
+    -------
+    PlaneFit
+        Scatter about the plane, and the scatter that the uncertainties promise.
+
+    Raises
+    ------
+    CubeError
+        If fewer than four usable pixels are there.
+    """
+    shape = image["quality_flag"].shape
+    label = np.ones(shape, int) if region is None else np.asarray(region).astype(int)
+    points, number, sigma, _ = _regions(image, label, [1])
+    if len(number) < 4:
+        raise CubeError(
+            f"a plane needs at least 4 usable pixels, the region has {len(number)}; "
+            "choose a larger one"
+        )
+    centre = points.mean(axis=0)
+    _, singular, axes = np.linalg.svd(points - centre, full_matrices=False)
+    normal = axes[2] * -np.sign(axes[2, 2])
+    freedom = len(points) - 3
+    # Uncertainties are along the beam, distances along the normal.
+    beam = points / np.linalg.norm(points, axis=1, keepdims=True)
+    share = np.abs(beam @ normal)
+    return PlaneFit(
+        residual=float(singular[2] / np.sqrt(freedom)),
+        expected=float(np.sqrt(np.mean((sigma * share) ** 2))),
+        normal=(float(normal[0]), float(normal[1]), float(normal[2])),
+        points=len(points),
+    )
+
+
+def step_heights(image: xr.Dataset, regions: ArrayLike) -> list[StepHeight]:
+    """Measure the steps between parallel planes, such as the treads of a ladder.
+
+    Parameters
+    ----------
+    image : xarray.Dataset
+        Level `range_image`.
+    regions : array_like of int, shape (row, column)
+        Plane that each pixel belongs to, counted 1, 2, ...; 0 for none. Keep off the
+        edges, where a beam meets two planes.
+
+    Returns
+    -------
+    list of StepHeight
+        Steps from plane 1 to 2, 2 to 3 and so on; above 0 towards the instrument.
+
+    Raises
+    ------
+    CubeError
+        If a plane has fewer than three usable pixels.
+
+    Notes
+    -----
+    One least-squares fit of z = z_i + a x + b y with slopes common to all planes,
+    weighted by the stated uncertainties; where the scatter is larger than they say,
+    the errors are enlarged in proportion. The error shared by all pixels is counted in
+    full and the difference of the bias estimates of the two planes is added, both in
+    quadrature: an upper limit, since neighbours share most of either.
+    """
+    label = np.asarray(regions)
+    numbers = list(range(1, int(label.max(initial=0)) + 1))
+    points, number, sigma, pixel = _regions(image, label, numbers)
+    for plane in numbers:
+        count = int(np.sum(number == plane))
+        if count < 3:
+            raise CubeError(
+                f"plane {plane} has {count} usable pixels, needed are at least 3; "
+                "enlarge its region"
+            )
+    design = np.concatenate(
+        [number[:, None] == np.array(numbers), points[:, :2] - points[:, :2].mean(0)],
+        axis=1,
+    ).astype(float)
+    root = 1 / sigma
+    solution, *_ = np.linalg.lstsq(
+        design * root[:, None], points[:, 2] * root, rcond=None
+    )
+    rest = (points[:, 2] - design @ solution) * root
+    scatter = max(float(rest @ rest) / (len(rest) - design.shape[1]), 1.0)
+    inverse = np.linalg.inv((design * root[:, None]).T @ (design * root[:, None]))
+    covariance = inverse * scatter
+    lean = np.hypot(1.0, np.hypot(*solution[-2:]))
+    shared = _mean_of(image, "slant_range_common_uncertainty", number, pixel, numbers)
+    bias = _mean_of(image, "slant_range_bias", number, pixel, numbers)
+    steps = []
+    for i in range(len(numbers) - 1):
+        random = np.sqrt(
+            covariance[i, i] + covariance[i + 1, i + 1] - 2 * covariance[i, i + 1]
+        )
+        total = np.sqrt(
+            random**2
+            + shared[i] ** 2
+            + shared[i + 1] ** 2
+            + (bias[i + 1] - bias[i]) ** 2
+        )
+        steps.append(
+            StepHeight(
+                height=float((solution[i] - solution[i + 1]) / lean),
+                uncertainty=float(total / lean),
+                random=float(random / lean),
+            )
+        )
+    return steps
+
+
+def contrast(image: xr.Dataset, target: ArrayLike, surround: ArrayLike) -> Contrast:
+    """Compare the brightness of a target with what is around it.
+
+    Parameters
+    ----------
+    image : xarray.Dataset
+        Level `range_image`; the amplitude counts wherever it was measured.
+    target, surround : array_like of bool, shape (row, column)
+        Pixels of either.
+
+    Returns
+    -------
+    Contrast
+        1 if the surroundings are dark, 0 if they are as bright as the target.
+
+    Raises
+    ------
+    CubeError
+        If one of the two has fewer than two pixels.
+    """
+    means, errors = [], []
+    for name, region in (("target", target), ("surround", surround)):
+        values = image["intensity"].values[np.asarray(region, dtype=bool)]
+        values = values[np.isfinite(values)]
+        if len(values) < 2:
+            raise CubeError(f"the {name} has {len(values)} pixels, needed are 2")
+        means.append(values.mean())
+        errors.append(values.std(ddof=1) / np.sqrt(len(values)))
+    (a, b), (da, db) = means, errors
+    slope = 2 / (a + b) ** 2
+    return Contrast(
+        value=float((a - b) / (a + b)),
+        uncertainty=float(slope * np.hypot(b * da, a * db)),
+    )
+
+
+def _regions(
+    image: xr.Dataset, label: NDArray[np.intp], numbers: list[int]
+) -> tuple[Floats, NDArray[np.intp], Floats, tuple[NDArray[np.intp], ...]]:
+    """Return points, region, uncertainty and pixel of what is usable and labelled."""
+    if label.shape != image["quality_flag"].shape:
+        raise CubeError(
+            f"the regions have the shape {label.shape}, the image "
+            f"{image['quality_flag'].shape}; they must agree"
+        )
+    cloud = point_cloud(image)
+    row, column = cloud["row"].values, cloud["column"].values
+    keep = np.isin(label[row, column], numbers)
+    points = np.stack([cloud[axis].values for axis in "xyz"], axis=1)[keep]
+    row, column = row[keep], column[keep]
+    sigma = cloud["slant_range_uncertainty"].values[keep]
+    assert not np.any(image["quality_flag"].values[row, column] & UNUSABLE)
+    return points, label[row, column], sigma, (row, column)
+
+
+def _mean_of(
+    image: xr.Dataset,
+    variable: str,
+    number: NDArray[np.intp],
+    pixel: tuple[NDArray[np.intp], ...],
+    numbers: list[int],
+) -> Floats:
+    if variable not in image:
+        return np.zeros(len(numbers))
+    values = image[variable].values[pixel]
+    return np.array([np.mean(values[number == plane]) for plane in numbers])

@@ -1,0 +1,53 @@
+"""From a range image to points in space."""
+
+from __future__ import annotations
+
+import numpy as np
+import xarray as xr
+
+from amulor import cube as cubes
+from amulor.cube import UNUSABLE
+from amulor.imaging.geometry import beams_of
+
+
+def point_cloud(image: xr.Dataset) -> xr.Dataset:
+    """Place every usable pixel of a range image in space.
+
+    Parameters
+    ----------
+    image : xarray.Dataset
+        Level `range_image`.
+
+    Returns
+    -------
+    xarray.Dataset
+        Level `point_cloud`; x right, y down, z forward from the emitter. `row` and
+        `column` say which pixel a point comes from. Points lie on the beam as bent by
+        the window.
+    """
+    cubes.check(image, "range_image")
+    flag = image["quality_flag"].values
+    row, column = np.nonzero((flag & UNUSABLE) == 0)
+    beam = beams_of(image)
+    water = image["slant_range"].values - beam.length_before
+    position = beam.entry + water[..., None] * beam.direction
+    points = position[row, column]
+    cloud = cubes.build(
+        "point_cloud",
+        {
+            "x": points[:, 0],
+            "y": points[:, 1],
+            "z": points[:, 2],
+            "intensity": image["intensity"].values[row, column],
+            "slant_range_uncertainty": image["slant_range_uncertainty"].values[
+                row, column
+            ],
+            "quality_flag": flag[row, column],
+            "row": row.astype(np.int32),
+            "column": column.astype(np.int32),
+        },
+        {},
+        geometry=image.amulor.geometry,
+        attributes={**image.attrs, "level": "point_cloud"},
+    )
+    return cubes.note(cloud, "point cloud")

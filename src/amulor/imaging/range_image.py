@@ -1,0 +1,215 @@
+"""From the phase of the target signal to slant ranges with their uncertainty."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+from scipy.constants import speed_of_light
+
+from amulor import cube as cubes
+from amulor.cube import UNUSABLE, QualityFlag
+from amulor.errors import CubeError
+from amulor.imaging import unwrap
+from amulor.imaging.geometry import beams_of, medium_of, receivers_of
+from amulor.optics import detection, ranging, rays
+
+Floats = NDArray[np.float64]
+
+
+def range_image(
+    cube: xr.Dataset,
+    *,
+    polarization: str | None = None,
+    interval: tuple[float, float] | None = None,
+) -> xr.Dataset:
+    """Turn the phase of the target signal into a slant range for every pixel.
+
+    Parameters
+    ----------
+    cube : xarray.Dataset
+        Level `target_signal`. All its frequencies are used together.
+    polarization : str, optional
+        Channel to take; needed if there are several.
+    interval : tuple of float, optional
+        Nearest and farthest slant range that are possible [m]. From 0 to the
+        unambiguous range of the frequencies by default.
+
+    Returns
+    -------
+    xarray.Dataset
+        Level `range_image`. Pixels with an unusable flag hold no number.
+
+    Raises
+    ------
+    CubeError
+        If the channel is not there, or has to be chosen.
+    ValueError
+        If the interval is empty or holds far too many ambiguity intervals.
+
+    Notes
+    -----
+    The optical path follows from (1) of [1]_, and the slant range from the path by the
+    geometry of emitter, receiver and window. `slant_range_uncertainty` comes from the
+    uncertainty of the samples, `slant_range_photon_limit` is (2) with the photons that
+    the target alone sent, `slant_range_bias` the shift by the water signal estimated
+    to be left in.
+
+    References
+    ----------
+    .. [1] R. Ricci et al., EURASIP J. Adv. Signal Process. 2010, 958360,
+       :doi:`10.1155/2010/958360`.
+    """
+    cubes.check(cube, "target_signal")
+    one = _channel(cube, polarization)
+    medium = medium_of(one)
+    frequency = one["modulation_frequency"].values
+    near, far = interval or (0.0, _unambiguous(frequency, medium.group_index))
+    if not 0 <= near < far:
+        raise ValueError(
+            f"interval must run from at least 0 m to a larger range, got {near:g} to "
+            f"{far:g} m"
+        )
+    signal = one.amulor.signal.values
+    flag = np.bitwise_or.reduce(one["quality_flag"].values, axis=0).astype(np.int16)
+    usable = (flag & UNUSABLE) == 0
+    sigma = _phase_uncertainty(one, signal, usable, "")
+    beam, receiver = beams_of(one), receivers_of(one)
+    path = unwrap.optical_path(
+        np.where(usable, np.angle(signal), 0.0),
+        sigma,
+        modulation_frequency=frequency,
+        shortest=_path_at(near, beam, receiver, medium),
+        longest=_path_at(far, beam, receiver, medium),
+    )
+
+    def to_range(length: Floats) -> Floats:
+        return rays.slant_range_of_path(length, beam, receiver, medium=medium)
+
+    slant_range = to_range(path.length)
+    step = _DIFFERENCE
+    slope = (to_range(path.length + step) - to_range(path.length - step)) / (2 * step)
+    flag[usable & ~(path.settled & np.isfinite(slant_range))] |= QualityFlag.AMBIGUOUS
+    usable = (flag & UNUSABLE) == 0
+    to_path = speed_of_light / (2 * np.pi * frequency[:, None, None])
+    variables: dict[str, NDArray[Any]] = {
+        "slant_range": slant_range,
+        "slant_range_uncertainty": slope * path.uncertainty,
+    }
+    if "residual_in_phase" in one:
+        left = one["residual_in_phase"].values + 1j * one["residual_quadrature"].values
+        with np.errstate(invalid="ignore", divide="ignore"):
+            shift = np.angle(signal / (signal - left))
+        variables["slant_range_bias"] = slope * np.sum(
+            path.weight * to_path * shift, axis=0
+        )
+    if "common_covariance" in one:
+        shared = _phase_uncertainty(one, signal, usable, "common_")
+        variables["slant_range_common_uncertainty"] = slope * np.sqrt(
+            np.sum((path.weight * to_path * shared) ** 2, axis=0)
+        )
+    if "photon_noise_volt" in one.attrs:
+        variables["slant_range_photon_limit"] = _photon_limit(one, medium.group_index)
+    variables = {
+        name: np.where(usable, values, np.nan) for name, values in variables.items()
+    }
+    image = cubes.build(
+        "range_image",
+        variables | {"intensity": np.abs(signal[0]), "quality_flag": flag},
+        {
+            str(name): one[name].values
+            for name in one.coords
+            if name not in ("geometry", "modulation_frequency", "polarization")
+        },
+        geometry=one.amulor.geometry,
+        attributes={
+            **one.attrs,
+            "level": "range_image",
+            "polarization": str(one["polarization"].item()),
+            "modulation_frequencies": frequency,
+            "interval": np.array([near, far]),
+        },
+    )
+    truth = one.amulor.truth
+    if truth is not None:
+        pixel_truth = truth[[n for n in truth if truth[n].dims == ("row", "column")]]
+        image = cubes.attach(image, pixel_truth, "truth")
+    return cubes.note(image, f"image, channel {image.attrs['polarization']}")
+
+
+#: Step of the optical path for the derivative of the slant range [m].
+_DIFFERENCE = 1e-3
+
+
+def _channel(cube: xr.Dataset, polarization: str | None) -> xr.Dataset:
+    present = [str(value) for value in cube["polarization"].values]
+    if polarization is None and len(present) > 1:
+        raise CubeError(
+            f"the cube has the channels {', '.join(present)}; choose one with "
+            "polarization (command line: --polarization)"
+        )
+    chosen = present[0] if polarization is None else polarization
+    if chosen not in present:
+        raise CubeError(
+            f"the cube has no channel {chosen!r}, but {', '.join(present)}; choose one"
+        )
+    return cube.sel(polarization=chosen)
+
+
+def _unambiguous(frequency: Floats, group_index: float) -> float:
+    """Return the range that the frequencies together settle [m]."""
+    smallest = np.min(np.append(np.diff(frequency), frequency[0]))
+    return float(ranging.ambiguity_interval(smallest, group_index=group_index))
+
+
+def _path_at(
+    slant_range: float, beam: rays.Beam, receiver: Floats, medium: rays.Medium
+) -> Floats:
+    water = np.maximum(slant_range - beam.length_before, 0.0)
+    point = beam.entry + water[..., None] * beam.direction
+    back = rays.return_length(point, receiver, medium=medium)
+    return beam.optical_length_before + medium.group_index * water + back
+
+
+def _phase_uncertainty(
+    cube: xr.Dataset,
+    signal: NDArray[np.complex128],
+    usable: NDArray[np.bool_],
+    prefix: str,
+) -> Floats:
+    """Return the phase error from the errors of the outputs, infinite if unusable."""
+    in_phase = cube[f"{prefix}in_phase_uncertainty"].values ** 2
+    quadrature = cube[f"{prefix}quadrature_uncertainty"].values ** 2
+    if prefix:
+        cross = cube[f"{prefix}covariance"].values
+    else:
+        cross = cube.amulor.covariance.values
+    good = np.broadcast_to(usable, signal.shape)
+    return detection.phase_uncertainty(
+        np.where(good, signal, 1.0),
+        in_phase_variance=np.where(good, in_phase, 1.0),
+        quadrature_variance=np.where(good, quadrature, 1.0),
+        covariance=np.where(good, cross, 0.0),
+    )
+
+
+def _photon_limit(cube: xr.Dataset, group_index: float) -> Floats:
+    """Return (2) for the photons of the target alone, all frequencies together [m]."""
+    depth = float(cube.attrs["modulation_depth"])
+    amplitude = cube.amulor.amplitude.values
+    frequency = cube["modulation_frequency"].values[:, None, None]
+    # The counting variance of an amplitude A is volt * A / depth = 2 A^2 / depth^2 N.
+    with np.errstate(divide="ignore"):
+        photoelectrons = (
+            2 * amplitude / (depth * float(cube.attrs["photon_noise_volt"]))
+        )
+        each = ranging.photon_limited_uncertainty(
+            np.maximum(photoelectrons, np.finfo(float).tiny),
+            modulation_depth=depth,
+            modulation_frequency=frequency,
+            group_index=group_index,
+        )
+    limit: Floats = np.sum(each**-2.0, axis=0) ** -0.5
+    return limit

@@ -1,0 +1,109 @@
+"""Settles which ambiguity interval a phase lies in."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.constants import speed_of_light
+
+Floats = NDArray[np.float64]
+
+#: The runner-up must fit worse by this much in chi-square, or the choice is open.
+_MARGIN = 9.0
+#: Frequencies that disagree with the best path by more than this chance say so.
+_DISAGREEMENT = 1e-4
+_MOST_CANDIDATES = 10_000
+
+
+@dataclass(frozen=True)
+class Path:
+    """Two-way optical path of each pixel, arrays of one shape."""
+
+    length: Floats
+    """Group index times length, out and back [m]."""
+    uncertainty: Floats
+    """Standard uncertainty [m]."""
+    weight: Floats
+    """Share of each frequency in the result, first axis the frequencies [1]."""
+    settled: NDArray[np.bool_]
+    """False where another interval fits about as well, or none fits."""
+
+
+def optical_path(
+    phase: Floats,
+    uncertainty: Floats,
+    *,
+    modulation_frequency: Floats,
+    shortest: Floats,
+    longest: Floats,
+) -> Path:
+    """Return the optical path that fits the phases at all frequencies best.
+
+    Parameters
+    ----------
+    phase, uncertainty : ndarray, shape (frequencies, ...)
+        Wrapped phase of the target and its standard uncertainty [rad].
+    modulation_frequency : ndarray, shape (frequencies,)
+        Modulation frequencies [Hz].
+    shortest, longest : ndarray, shape (...)
+        Limits between which the optical path must lie [m].
+
+    Returns
+    -------
+    Path
+        Arrays of the shape of one frequency's phase.
+
+    Raises
+    ------
+    ValueError
+        If the limits hold so many ambiguity intervals that no phase can choose.
+
+    Notes
+    -----
+    Each candidate is the path of the most precise frequency plus whole wavelengths of
+    the modulation. It is refined by the weighted mean of all frequencies, unwrapped
+    about it, and judged by the sum of squared phase errors: maximum likelihood for
+    normal errors.
+    """
+    wavelength = speed_of_light / modulation_frequency
+    each = wavelength.reshape(-1, *[1] * (phase.ndim - 1))
+    sigma = uncertainty * each / (2 * np.pi)
+    measured = np.mod(phase, 2 * np.pi) * each / (2 * np.pi)
+    precision = sigma**-2
+    best = int(np.argmin(np.nanmedian(sigma.reshape(len(sigma), -1), axis=1)))
+    step = wavelength[best]
+    span = float(np.nanmax(longest - shortest)) / step
+    if span > _MOST_CANDIDATES:
+        raise ValueError(
+            f"the interval holds {span:.3g} ambiguity intervals of "
+            f"{modulation_frequency[best] / 1e6:g} MHz; narrow it"
+        )
+    first = shortest + np.mod(measured[best] - shortest, step)
+    weight = precision / precision.sum(axis=0)
+    length = np.full(first.shape, np.nan)
+    lowest = np.full(first.shape, np.inf)
+    second = np.full(first.shape, np.inf)
+    for count in range(int(np.ceil(span)) + 1):
+        candidate = first + count * step
+        turns = np.round((candidate - measured) / each)
+        refined = np.sum(weight * (measured + turns * each), axis=0)
+        misfit = np.sum((measured + turns * each - refined) ** 2 * precision, axis=0)
+        misfit = np.where(candidate <= longest, misfit, np.inf)
+        better = misfit < lowest
+        second = np.where(better, lowest, np.minimum(second, misfit))
+        length = np.where(better, refined, length)
+        lowest = np.where(better, misfit, lowest)
+    freedom = len(modulation_frequency) - 1
+    with np.errstate(invalid="ignore"):
+        settled = np.isfinite(lowest) & (second - lowest > _MARGIN)
+        if freedom:
+            settled &= lowest < _chi_square_limit(freedom)
+    return Path(length, precision.sum(axis=0) ** -0.5, weight, settled)
+
+
+def _chi_square_limit(freedom: int) -> float:
+    from scipy.stats import chi2
+
+    return float(chi2.isf(_DISAGREEMENT, freedom))

@@ -1,0 +1,126 @@
+"""The ambiguity interval is settled by maximum likelihood, or said to be open."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from numpy.testing import assert_allclose
+from scipy.constants import speed_of_light
+
+from amulor.imaging.unwrap import optical_path
+
+
+def _phases(path: np.ndarray, frequency: np.ndarray) -> np.ndarray:
+    turn = 2 * np.pi * frequency[:, None] * path / speed_of_light
+    return np.angle(np.exp(1j * turn))
+
+
+@given(
+    st.lists(st.floats(0.01, 29.0), min_size=1, max_size=5),
+    st.sampled_from([(10e6,), (10e6, 70e6), (30e6, 40e6), (30e6, 40e6, 170e6)]),
+)
+def test_a_path_inside_the_interval_is_found_exactly(
+    paths: list[float], frequencies: tuple[float, ...]
+) -> None:
+    path, frequency = np.array(paths), np.array(frequencies)
+    phase = _phases(path, frequency)
+    found = optical_path(
+        phase,
+        np.full(phase.shape, 1e-3),
+        modulation_frequency=frequency,
+        shortest=np.zeros(path.shape),
+        longest=np.full(path.shape, 29.5),
+    )
+    assert_allclose(found.length, path, atol=1e-9)
+    assert found.settled.all()
+
+
+def test_one_frequency_cannot_settle_two_intervals() -> None:
+    frequency = np.array([100e6])
+    path = np.array([1.0])
+    found = optical_path(
+        _phases(path, frequency),
+        np.full((1, 1), 1e-3),
+        modulation_frequency=frequency,
+        shortest=np.zeros(1),
+        longest=np.full(1, 10.0),
+    )
+    assert not found.settled.any()
+
+
+def test_a_stated_interval_settles_it() -> None:
+    frequency = np.array([100e6])
+    path = np.array([7.0])
+    found = optical_path(
+        _phases(path, frequency),
+        np.full((1, 1), 1e-3),
+        modulation_frequency=frequency,
+        shortest=np.full(1, 6.0),
+        longest=np.full(1, 8.0),
+    )
+    assert_allclose(found.length, 7.0)
+    assert found.settled.all()
+
+
+def test_a_path_outside_the_interval_is_not_settled() -> None:
+    frequency = np.array([100e6])
+    found = optical_path(
+        _phases(np.array([1.0]), frequency),
+        np.full((1, 1), 1e-3),
+        modulation_frequency=frequency,
+        shortest=np.full(1, 1.5),
+        longest=np.full(1, 3.5),
+    )
+    assert not found.settled.any()
+
+
+def test_frequencies_that_contradict_each_other_are_not_trusted() -> None:
+    frequency = np.array([10e6, 100e6])
+    phase = _phases(np.array([5.0]), frequency)
+    phase[0] += 0.5  # 0.5 rad at 10 MHz are 2.4 m, far off at 1e-3 rad
+    found = optical_path(
+        phase,
+        np.full(phase.shape, 1e-3),
+        modulation_frequency=frequency,
+        shortest=np.zeros(1),
+        longest=np.full(1, 29.0),
+    )
+    assert not found.settled.any()
+
+
+def test_the_uncertainty_holds_and_is_that_of_the_weighted_mean() -> None:
+    rng = np.random.default_rng(3)
+    frequency = np.array([30e6, 40e6, 150e6])
+    sigma = np.array([0.02, 0.03, 0.04])[:, None]
+    path = np.full(20_000, 12.0)
+    phase = _phases(path, frequency) + sigma * rng.standard_normal((3, path.size))
+    found = optical_path(
+        phase,
+        np.broadcast_to(sigma, phase.shape),
+        modulation_frequency=frequency,
+        shortest=np.zeros(path.size),
+        longest=np.full(path.size, 29.0),
+    )
+    by_hand = (
+        np.sum((2 * np.pi * frequency / speed_of_light / sigma[:, 0]) ** 2) ** -0.5
+    )
+    assert_allclose(found.uncertainty, by_hand, rtol=1e-12)
+    # The test of agreement refuses one in ten thousand by chance.
+    assert found.settled.mean() > 0.999
+    z = (found.length - path)[found.settled] / by_hand
+    # Variance of a mean square: 2 / n; five standard errors.
+    assert abs(np.mean(z**2) - 1) < 5 * np.sqrt(2 / z.size)
+    assert abs(z.mean()) < 5 / np.sqrt(z.size)
+
+
+def test_an_interval_without_end_is_refused() -> None:
+    with pytest.raises(ValueError, match="narrow it"):
+        optical_path(
+            np.zeros((1, 1)),
+            np.ones((1, 1)),
+            modulation_frequency=np.array([1e9]),
+            shortest=np.zeros(1),
+            longest=np.full(1, 1e6),
+        )
