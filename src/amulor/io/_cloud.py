@@ -1,0 +1,85 @@
+"""Makes sure that a point cloud can be exported, and says in words what it is."""
+
+from __future__ import annotations
+
+import numpy as np
+import xarray as xr
+
+from amulor import cube as cubes
+from amulor.errors import CubeError
+
+#: What the axes mean, for the header of a file that has no place for it.
+AXES = "right-handed: x right, y down, z forward, seen from the emitter [m]"
+
+# Largest number that each format can hold.
+_LAST = {"row": 2**31 - 1, "column": 2**31 - 1, "quality_flag": 2**15 - 1}
+
+
+def check_cloud(cloud: xr.Dataset, *, name: str) -> None:
+    """Raise unless a cube is a point cloud with at least one point, all of them placed.
+
+    Parameters
+    ----------
+    cloud : xarray.Dataset
+        What is to be exported.
+    name : str
+        How a message names the cloud.
+
+    Raises
+    ------
+    CubeError
+        If it is of another level or empty, if a point has no position or no
+        intensity, or if a row, a column or a flag is no whole number.
+    """
+    cubes.check(cloud, level="point_cloud", name=name)
+    if cloud.sizes["point"] == 0:
+        raise CubeError(
+            f"{name}: there is no point in it; look at the quality flags of the range "
+            "image that it was made from"
+        )
+    for variable in ("x", "y", "z", "intensity"):
+        broken = np.count_nonzero(~np.isfinite(cloud[variable].values))
+        if broken:
+            raise CubeError(
+                f"{name}: '{variable}' of {broken} points is not finite; drop these "
+                "points"
+            )
+    for variable, last in _LAST.items():
+        if variable not in cloud:
+            continue
+        values = cloud[variable].values
+        if not np.all((values >= 0) & (values <= last) & (values == np.floor(values))):
+            raise CubeError(
+                f"{name}: '{variable}' must hold whole numbers from 0 to {last}, "
+                f"found {np.min(values):g} to {np.max(values):g}; make the cloud again "
+                "from its range image"
+            )
+
+
+def provenance_lines(cloud: xr.Dataset) -> list[str]:
+    """Return what the cloud is and where it comes from, one statement a line.
+
+    Parameters
+    ----------
+    cloud : xarray.Dataset
+        A point cloud.
+
+    Returns
+    -------
+    list of str
+        "name: text", without line breaks; several lines for the history.
+    """
+    named = ("title", "source", "history", "amulor_schema_version", "software_versions")
+    lines = [f"axes: {AXES}"]
+    for key in named:
+        text = str(cloud.attrs.get(key, ""))
+        lines += [f"{key}: {line.strip()}" for line in text.splitlines()]
+    if "quality_flag" in cloud:
+        flags = cloud["quality_flag"].attrs
+        names = str(flags.get("flag_meanings", "")).split()
+        masks = np.atleast_1d(flags.get("flag_masks", []))
+        bits = ", ".join(f"{m} {n}" for m, n in zip(masks, names, strict=False))
+        lines.append(f"quality_flag: 0 good, or a sum of {bits}")
+    if cloud.attrs.get("simulated"):
+        lines.append("simulated: the points come from a simulation")
+    return lines

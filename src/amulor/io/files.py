@@ -1,0 +1,181 @@
+"""Reads and writes whole files, or says in one line why that cannot be done."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import secrets
+import shutil
+from collections.abc import Iterator
+from pathlib import Path
+
+from amulor.errors import FormatError
+
+
+def read_bytes(path: str | os.PathLike[str]) -> bytes:
+    """Return all that a file holds.
+
+    Parameters
+    ----------
+    path : path-like
+        An existing file.
+
+    Returns
+    -------
+    bytes
+        Its content, at least one byte.
+
+    Raises
+    ------
+    FormatError
+        If there is no such file, if it is a folder or empty, or if the operating
+        system does not let it be read.
+    """
+    path = Path(path)
+    try:
+        if path.is_dir():
+            raise FormatError(f"{path} is a folder; name a file in it")
+        if not path.exists():
+            raise FormatError(f"{path} does not exist; check the name and the folder")
+        if not path.is_file():
+            raise FormatError(f"{path} is a device or a pipe; name a regular file")
+        content = path.read_bytes()
+    except OSError as error:
+        raise FormatError(
+            f"{path} cannot be read: {_reason(error)}; check its permissions and "
+            "the disk, or take a copy of it"
+        ) from error
+    if not content:
+        raise FormatError(f"{path} is empty; copy it again, or make it again")
+    return content
+
+
+def make_folder(path: str | os.PathLike[str]) -> None:
+    """Make a folder for output, unless it is there.
+
+    Parameters
+    ----------
+    path : path-like
+        The folder; the one it lies in must exist.
+
+    Raises
+    ------
+    FormatError
+        If something else has this name, or if it cannot be made or written to.
+    """
+    path = Path(path)
+    try:
+        path.mkdir(exist_ok=True)
+    except OSError as error:
+        raise FormatError(
+            f"{path} cannot be made: {_reason(error)}; name a folder that can be "
+            "written, inside one that exists"
+        ) from error
+    if not os.access(path, os.W_OK | os.X_OK):
+        raise FormatError(f"{path} cannot be written; name another folder")
+
+
+@contextlib.contextmanager
+def atomic_output(
+    path: str | os.PathLike[str], *, overwrite: bool = False
+) -> Iterator[Path]:
+    """Write a file that appears whole under its name, or not at all.
+
+    Parameters
+    ----------
+    path : path-like
+        File to make, in an existing folder. Through a symbolic link the file that
+        it points to is made.
+    overwrite : bool
+        Whether an existing file is replaced.
+
+    Yields
+    ------
+    pathlib.Path
+        An empty hidden file in the same folder and with the same suffix, to be
+        filled. It takes the place of `path` when the block ends well; after any
+        exception it is gone, and what stood at `path` is as it was.
+
+    Raises
+    ------
+    FormatError
+        If the file exists and `overwrite` is not set, if the name cannot be used,
+        or if the operating system refuses, for example on a full disk.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     with atomic_output(Path(folder) / "note.txt") as temporary:
+    ...         _ = temporary.write_text("whole")
+    ...     print((Path(folder) / "note.txt").read_text())
+    whole
+    """
+    path = Path(path)
+    target = _target(path, overwrite=overwrite)
+    temporary = target.with_name(f".amulor-{secrets.token_hex(8)}{target.suffix}")
+    try:
+        # Made here, so that its permissions follow the umask whoever fills it.
+        os.close(os.open(temporary, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o666))
+        yield temporary
+        _synchronise(temporary)
+        if target.exists():
+            shutil.copymode(target, temporary)
+        os.replace(temporary, target)
+        _synchronise_folder(target.parent)
+    except OSError as error:
+        raise FormatError(
+            f"{path} cannot be written: {_reason(error)}; free some space or choose "
+            "another folder"
+        ) from error
+    finally:
+        with contextlib.suppress(OSError):
+            temporary.unlink(missing_ok=True)
+
+
+def _target(path: Path, *, overwrite: bool) -> Path:
+    try:
+        target = Path(os.path.realpath(path))
+        if target.is_dir():
+            raise FormatError(f"{path} is a folder; name a file in it")
+        if not target.parent.is_dir():
+            raise FormatError(
+                f"{path} cannot be written: there is no folder {path.parent}; make it "
+                "first"
+            )
+        if os.path.lexists(target):
+            if not target.is_file():
+                raise FormatError(
+                    f"{path} is a device, a pipe or a link to itself; name a regular "
+                    "file"
+                )
+            if not overwrite:
+                raise FormatError(
+                    f"{path} exists already; choose another name, or replace it with "
+                    "--overwrite"
+                )
+    except (OSError, ValueError) as error:  # ValueError: a zero byte in the name
+        raise FormatError(f"{str(path)!r} is no name for a file: {error}") from error
+    return target
+
+
+def _synchronise(path: Path) -> None:
+    handle = os.open(path, os.O_RDWR)
+    try:
+        os.fsync(handle)
+    finally:
+        os.close(handle)
+
+
+def _synchronise_folder(folder: Path) -> None:
+    # The file is in its place by now; some file systems and Windows cannot do this.
+    with contextlib.suppress(OSError):
+        handle = os.open(folder, os.O_RDONLY)
+        try:
+            os.fsync(handle)
+        finally:
+            os.close(handle)
+
+
+def _reason(error: OSError) -> str:
+    return error.strerror or " ".join(str(error).split()) or type(error).__name__

@@ -1,0 +1,402 @@
+"""Reads and writes measurement cubes as netCDF-4 files.
+
+Open-water shots and the truth of a simulation, which a cube holds as variables with
+a prefix, are groups of the file. Each array has a checksum, and the whole file has a
+digest, so that a damaged file is refused and not read as other numbers.
+"""
+
+from __future__ import annotations
+
+import io
+import os
+import warnings
+from collections.abc import Hashable, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+
+from amulor import cube as cubes
+from amulor.cube import schema
+from amulor.errors import AmulorError, CubeError, FormatError
+from amulor.io.files import atomic_output, read_bytes
+
+_HDF5_SIGNATURE = b"\x89HDF\r\n\x1a\n"
+_CLASSIC_SIGNATURE = b"CDF"
+# About a mebibyte of float64: large enough to compress, small enough to hold.
+_CHUNK_VALUES = 2**17
+# Structures of HDF5 1.10, the first whose indices of chunks have checksums too.
+_LIBRARY_VERSION = ("v110", "v110")
+# Behind the end of the HDF5 file, where its readers do not look and where whoever
+# changes the file on purpose cuts it off: a digest of all that stands before. Damage is
+# then found before HDF5 sees it, which does not return from some damaged files.
+_SEAL_START = b"\namulor "
+_SEAL_LENGTH = 80
+_GROUP_TITLES = {
+    "open_water": "shots into open water, without a target",
+    "truth": "what the cube was simulated from; no processing step reads it",
+}
+# Directions of the beams and the frequencies are known for every pixel, measured or
+# not; any other number may be missing.
+_NEVER_MISSING = {"modulation_frequency", "azimuth", "elevation"}
+# A reader would take these as instructions and change the values.
+_RESERVED_ATTRIBUTES = {
+    "_FillValue", "missing_value", "scale_factor", "add_offset", "coordinates",
+    "dtype", "_Unsigned", "_Encoding", "CLASS", "NAME", "REFERENCE_LIST",
+    "DIMENSION_LIST", "_Netcdf4Dimid", "_Netcdf4Coordinates", "_nc3_strict",
+    "_NCProperties",
+}  # fmt: skip
+
+
+def read_cube(path: str | os.PathLike[str]) -> xr.Dataset:
+    """Read a cube from a netCDF-4 file into memory.
+
+    Parameters
+    ----------
+    path : path-like
+        File that `write_cube` or another program wrote after the schema.
+
+    Returns
+    -------
+    xarray.Dataset
+        The cube; variables of the groups `open_water` and `truth` carry the name of
+        their group as a prefix. The file is closed.
+
+    Raises
+    ------
+    FormatError
+        If the file is missing, damaged, or no netCDF-4 file.
+    CubeError
+        If what it holds does not keep the schema of its level.
+    """
+    path = Path(path)
+    content = read_bytes(path)
+    if content.startswith(_CLASSIC_SIGNATURE):
+        raise FormatError(
+            f"{path} is a netCDF-3 file, needed is netCDF-4; convert it with "
+            "nccopy -k netCDF-4"
+        )
+    if not content.startswith(_HDF5_SIGNATURE):
+        raise FormatError(
+            f"{path} is no netCDF-4 file, it starts with {content[:8]!r}; name a cube "
+            "that amulor wrote"
+        )
+    _check_seal(content, path)
+    try:
+        with warnings.catch_warnings():
+            # What a reader of foreign files warns about ends in the check below.
+            warnings.simplefilter("ignore")
+            found = _decoded(content, path)
+        cubes.check(found, name=str(path))
+    except AmulorError:
+        raise
+    except Exception as error:  # h5py and what decodes the file raise many kinds
+        raise FormatError(
+            f"{path} cannot be read as a netCDF-4 file: {_reason(error)}; it is "
+            "damaged, or another program wrote it: copy it again, or make it again"
+        ) from error
+    return found
+
+
+def write_cube(
+    cube: xr.Dataset, path: str | os.PathLike[str], *, overwrite: bool = False
+) -> None:
+    """Write a cube to a netCDF-4 file.
+
+    Parameters
+    ----------
+    cube : xarray.Dataset
+        A cube of any level.
+    path : path-like
+        File to make, by custom with the suffix `.nc`.
+    overwrite : bool
+        Whether an existing file is replaced.
+
+    Raises
+    ------
+    CubeError
+        If the cube does not keep the schema of its level, or holds something that a
+        netCDF file cannot.
+    FormatError
+        If the file exists and `overwrite` is not set, or cannot be written.
+
+    Notes
+    -----
+    `read_cube` gives back an identical cube, but for what netCDF does not know: lists
+    in attributes come back as arrays, and those of one value as that value; the
+    `encoding` is not kept.
+    """
+    path = Path(path)
+    name = f"the cube for {path}"
+    cubes.check(cube, name=name)
+    parts = {"": _root(cube)}
+    for group in schema.GROUPS:
+        part = _group(cube, group, name=name)
+        if part is not None:
+            parts[group] = part
+    for part in parts.values():
+        _check_storable(part, name=name)
+    with atomic_output(path, overwrite=overwrite) as temporary:
+        temporary.write_bytes(_encoded(parts))
+
+
+def _root(cube: xr.Dataset) -> xr.Dataset:
+    return cubes.without_groups(cube).drop_encoding()
+
+
+def _group(cube: xr.Dataset, group: str, *, name: str) -> xr.Dataset | None:
+    prefix = f"{group}_"
+    variables = {
+        str(key).removeprefix(prefix): variable.variable
+        for key, variable in cube.data_vars.items()
+        if str(key).startswith(prefix)
+    }
+    if not variables:
+        return None
+    dimensions = {key for variable in variables.values() for key in variable.dims}
+    coordinates = {key: cube[key].variable for key in cube.indexes if key in dimensions}
+    for key in variables:
+        if not key or key in dimensions:
+            raise CubeError(
+                f"{name}: variable '{prefix}{key}' cannot be stored, because its "
+                f"short name '{key}' is empty or is that of a dimension; rename it"
+            )
+    attributes = {"title": _GROUP_TITLES[group]}
+    return xr.Dataset(variables, coordinates, attributes).drop_encoding()
+
+
+def _check_storable(part: xr.Dataset, *, name: str) -> None:
+    _check_attributes(part.attrs, name=name, owner="the cube")
+    for key, variable in part.variables.items():
+        owner = f"variable '{key}'"
+        if not isinstance(key, str) or not key.isprintable() or {*"/ "} & {*key}:
+            raise CubeError(
+                f"{name}: {key!r} is no name for a variable of a netCDF file; rename it"
+            )
+        _check_attributes(variable.attrs, name=name, owner=owner)
+        if not (_is_number(variable.dtype) or _is_text(variable)):
+            raise CubeError(
+                f"{name}: {owner} holds {variable.dtype}, which a netCDF file cannot; "
+                "store real numbers or text, complex ones as two variables"
+            )
+
+
+def _is_number(dtype: np.dtype[Any]) -> bool:
+    return dtype.kind in "biu" or dtype in (np.float32, np.float64)
+
+
+def _is_text(variable: xr.Variable) -> bool:
+    return variable.dtype.kind in "OUT" and all(
+        _is_storable_text(value) for value in variable.values.flat
+    )
+
+
+def _check_attributes(
+    attributes: Mapping[Hashable, Any], *, name: str, owner: str
+) -> None:
+    for key, value in attributes.items():
+        if not isinstance(key, str) or not key or "/" in key:
+            raise CubeError(
+                f"{name}: {key!r} of {owner} is no name for an attribute of a netCDF "
+                "file; rename it"
+            )
+        if key in _RESERVED_ATTRIBUTES:
+            raise CubeError(
+                f"{name}: attribute '{key}' of {owner} would change how a reader takes "
+                "the values; apply it to the values and drop it"
+            )
+        if not _is_attribute(value):
+            shown = " ".join(repr(value).split())
+            raise CubeError(
+                f"{name}: attribute '{key}' of {owner} is {shown}, which a netCDF file "
+                "cannot hold; write text, a number, or a list of one of them, and 0 "
+                "or 1 for no or yes"
+            )
+
+
+def _is_attribute(value: Any) -> bool:
+    values = np.asarray(value, dtype=None if hasattr(value, "dtype") else object)
+    if values.ndim > 1 or values.size == 0:
+        return False
+    if values.dtype.kind in "OU" and all(_is_storable_text(one) for one in values.flat):
+        return True
+    try:
+        dtype = np.asarray(value).dtype
+    except ValueError:  # lists of different lengths
+        return False
+    return _is_number(dtype) and dtype.kind != "b"
+
+
+def _is_storable_text(value: Any) -> bool:
+    # NetCDF ends a text at a zero; half of a surrogate pair has no bytes in UTF-8.
+    return isinstance(value, str) and not any(
+        letter == "\0" or "\ud800" <= letter <= "\udfff" for letter in value
+    )
+
+
+def _encoded(parts: Mapping[str, xr.Dataset]) -> bytes:
+    import h5netcdf
+
+    # In memory first: on a full disk it is then one write that fails, and not the
+    # closing of an HDF5 file, which leaves it open.
+    buffer = io.BytesIO()
+    with h5netcdf.File(buffer, "w", libver=_LIBRARY_VERSION) as file:
+        for group, part in parts.items():
+            _fill(file.create_group(group) if group else file, part)
+    content = buffer.getvalue()
+    return content + _seal(content)
+
+
+def _seal(content: bytes) -> bytes:
+    return _SEAL_START + cubes.digest(content).encode() + b"\n"
+
+
+def _check_seal(content: bytes, path: Path) -> None:
+    start = content.rfind(_SEAL_START, -_SEAL_LENGTH)
+    if start >= 0 and content[start:] != _seal(content[:start]):
+        raise FormatError(
+            f"{path} is damaged: its bytes are not the ones that amulor wrote; copy it "
+            "again, or make it again"
+        )
+
+
+def _fill(group: Any, part: xr.Dataset) -> None:
+    for dimension, size in part.sizes.items():
+        group.dimensions[dimension] = size
+    listed: set[Hashable] = set(part.indexes)
+    for key, variable in part.variables.items():
+        attributes = dict(variable.attrs)
+        if key in part.data_vars:
+            beside = [
+                place
+                for place, coordinate in part.coords.items()
+                if place not in part.indexes
+                and set(coordinate.dims) <= {*variable.dims}
+            ]
+            listed.update(beside)
+            if beside:
+                attributes["coordinates"] = " ".join(map(str, beside))
+        _create(group, str(key), variable, attributes)
+    unlisted = [str(place) for place in part.coords if place not in listed]
+    attributes = dict(part.attrs)
+    if unlisted:
+        attributes["coordinates"] = " ".join(unlisted)
+    _set_attributes(group, attributes)
+
+
+def _create(
+    group: Any, key: str, variable: xr.Variable, attributes: dict[str, Any]
+) -> None:
+    import h5py
+
+    values = variable.values
+    dtype: Any = values.dtype.newbyteorder("=")
+    options: dict[str, Any] = {}
+    if dtype.kind == "b":  # netCDF has no truth values; this is how xarray marks them
+        values, dtype = values.astype(np.int8), np.dtype(np.int8)
+        attributes = {**attributes, "dtype": "bool"}
+    if dtype.kind in "OUT":
+        values, dtype = values.astype(object), h5py.string_dtype()
+    elif values.ndim > 0 and values.size > 0:
+        options.update(
+            chunks=_chunks(values.shape),
+            compression="gzip",
+            compression_opts=4,
+            shuffle=True,
+            fletcher32=True,
+        )
+    if dtype.kind == "f" and key not in _NEVER_MISSING:
+        options["fillvalue"] = dtype.type(np.nan)
+    created = group.create_variable(key, variable.dims, dtype, **options)
+    if values.size > 0:
+        created[...] = values
+    _set_attributes(created, attributes)
+
+
+def _chunks(shape: tuple[int, ...]) -> tuple[int, ...]:
+    # Whole trailing dimensions as long as they fit, then a part of one, then ones.
+    chunks: list[int] = []
+    room = _CHUNK_VALUES
+    for size in reversed(shape):
+        chunks.append(max(1, min(size, room)))
+        room //= size
+    return tuple(reversed(chunks))
+
+
+def _set_attributes(owner: Any, attributes: Mapping[str, Any]) -> None:
+    for key, value in attributes.items():
+        if isinstance(value, str):
+            value = _text(value)
+        elif np.asarray(value).dtype.kind == "U":
+            value = np.asarray(value).tolist()
+        owner.attrs[key] = value
+
+
+def _text(value: str) -> Any:
+    # Characters of fixed length, which every netCDF reader knows, old ones too.
+    import h5py
+
+    encoded = value.encode()
+    if not encoded:
+        return h5py.Empty(np.dtype("S1"))
+    kind = "ascii" if value.isascii() else "utf-8"
+    return np.array(encoded, dtype=h5py.string_dtype(kind, len(encoded)))
+
+
+def _decoded(content: bytes, path: Path) -> xr.Dataset:
+    import h5netcdf
+    import h5py
+
+    with h5py.File(io.BytesIO(content), "r") as storage:
+        # All of them, since h5netcdf does not end well when it finds one damaged.
+        if "amulor_schema_version" not in dict(storage.attrs):
+            raise FormatError(
+                f"{path} is no cube of amulor: it lacks the attribute "
+                "'amulor_schema_version'; name a file that amulor wrote"
+            )
+        with h5netcdf.File(storage, "r", decode_vlen_strings=True) as file:
+            cube = _opened(file, None)
+            for group in schema.GROUPS:
+                if group in file.groups:
+                    part = _opened(file, group)
+                    _check_fits(part, cube, path=path, group=group)
+                    cube = cubes.attach(cube, part, group)
+    return cube
+
+
+def _opened(file: Any, group: str | None) -> xr.Dataset:
+    store = xr.backends.H5NetCDFStore(file, group=group)
+    # Units such as "days since 2020-01-01" are left to the schema.
+    part = xr.open_dataset(store, decode_times=False).load().drop_encoding()
+    if "polarization" in part.coords:
+        names = part["polarization"].astype(object)
+        part = part.assign_coords(polarization=names)
+    return part
+
+
+def _check_fits(part: xr.Dataset, cube: xr.Dataset, *, path: Path, group: str) -> None:
+    for dimension, size in part.sizes.items():
+        if cube.sizes.get(dimension, size) != size:
+            raise FormatError(
+                f"{path}: group '{group}' has {size} of dimension '{dimension}', the "
+                f"cube has {cube.sizes[dimension]}; make the file again"
+            )
+    for key in part.indexes:
+        found, needed = _values(part, key), _values(cube, key)
+        if key in cube.indexes and not np.array_equal(found, needed):
+            raise FormatError(
+                f"{path}: group '{group}' has '{key}' {found.tolist()}, the cube has "
+                f"{needed.tolist()}; make the file again"
+            )
+
+
+def _values(part: xr.Dataset, key: Hashable) -> NDArray[Any]:
+    return np.asarray(part[key].values) if key in part.variables else np.empty(0)
+
+
+def _reason(error: Exception) -> str:
+    if isinstance(error, (OSError, RuntimeError, ValueError, KeyError)) and error.args:
+        return " ".join(str(error.args[0]).split())
+    return "its parts do not fit together"

@@ -1,0 +1,384 @@
+"""Turns measured photon histograms into the cube that an AM instrument would record."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+import xarray as xr
+from numpy.typing import ArrayLike, NDArray
+
+from amulor import cube as cubes
+from amulor.errors import FormatError
+from amulor.io.fourier import Coefficients, checked_frequency, transform, weights
+from amulor.io.histograms import Histograms, read_histograms
+
+__all__ = ["VOLTS_PER_COUNT", "medium_from_minimum", "read_transients"]
+
+#: Nominal. A photon counter has no volt and the schema has no other unit; one volt
+#: for one counted photon changes no phase, no range and no ratio.
+VOLTS_PER_COUNT = 1.0
+
+#: N photons of one phase have the amplitude N and the variance N / 2 in each output.
+_PHOTON_NOISE = {"modulation_depth": 1.0, "photon_noise_volt": VOLTS_PER_COUNT / 2}
+
+_FOAM = (
+    "D. B. Lindell, G. Wetzstein, Nat. Commun. 11, 4517 (2020), "
+    "github.com/computational-imaging/confocal-diffuse-tomography"
+)
+_FOAM_LICENCE = "MIT, (c) 2020 Stanford University"
+
+
+@dataclass(frozen=True)
+class _Known:
+    """What is known of a published file and is not in it."""
+
+    title: str
+    scan_side: float | None = None
+    first_axis: Literal["down", "right"] = "down"
+    repetition_frequency: float | None = None
+
+
+_KNOWN = {
+    "sha256:2ed0d9ae2611db45a58d298f6a83fb71041c1a60fe212eab1c91e7aec1d7096c": _Known(
+        "letter S behind one inch of foam", scan_side=0.60, first_axis="right"
+    ),
+    "sha256:6f50f9afdc0a7a700c48700f95011eb98c145268ec6a4cb03549e2f167e411bc": _Known(
+        "letter T behind one inch of foam", scan_side=0.70, first_axis="right"
+    ),
+    "sha256:072a1a94879cdec40d64fa2685d27bf83eade227f93665cf52ada9118d59318e": _Known(
+        "letter U behind one inch of foam", scan_side=0.70, first_axis="right"
+    ),
+    "sha256:048435797f423e2bd63f04e7dbc7abf8c62dad5b81cbdb9cac81fc5ff59e0b0b": _Known(
+        "light through slabs of foam", repetition_frequency=10e6
+    ),
+}
+
+
+def read_transients(
+    path: str | os.PathLike[str],
+    modulation_frequency: ArrayLike,
+    *,
+    scene: int | None = None,
+    scan_side: float | None = None,
+    first_axis: Literal["down", "right"] | None = None,
+    time_of_emission: float = 0.0,
+    background_bins: tuple[int, int] | None = None,
+    repetition_frequency: float | None = None,
+    group_index: float = 1.0,
+    refractive_index: float = 1.0,
+) -> xr.Dataset:
+    r"""Read photon histograms as a cube at any modulation frequencies.
+
+    Parameters
+    ----------
+    path : path-like
+        File in npz format, see `amulor.io.histograms.read_histograms`.
+    modulation_frequency : array_like
+        Frequencies that increase, up to half a period per bin [Hz].
+    scene : int, optional
+        Which scene to take, from 0; needed if the file has several.
+    scan_side : float, optional
+        Side of the square of beams that a confocal scan moves over, from the
+        first to the last pixel [m]. Known of the published foam files; without it
+        the cube has no `origin_x` and `origin_y`.
+    first_axis : {"down", "right"}, optional
+        Where the beam goes along the rows, the first axis of a picture in
+        `counts`. Known of the published foam files, down for any other.
+    time_of_emission : float
+        When the light left, on the clock on which bin 0 starts at zero [s].
+        A wrong one moves all ranges by the same distance.
+    background_bins : tuple of int, optional
+        First bin, and the one after the last, in which only dark counts fall;
+        their mean is taken off each bin of the same pixel.
+    repetition_frequency : float, optional
+        Repetition frequency of the source, above zero [Hz]. Known of the published
+        slab file.
+    group_index, refractive_index : float
+        Of what lies between instrument and target, at least 1; air by default [1].
+
+    Returns
+    -------
+    xarray.Dataset
+        Cube of level `samples` with polarization "none". A pixel that counted no
+        photon is not a number. Slabs lie along the columns of one row, with their
+        thickness as `user_thickness` [m].
+
+    Raises
+    ------
+    FormatError
+        If the file is missing, damaged or foreign, if a field of it cannot be
+        used, or if it does not have such a scene, frequency or bin.
+    ValueError
+        If a side, index or repetition frequency is out of range.
+
+    Notes
+    -----
+    .. math:: S(f) = \sum_k n_k e^{+2 \pi i f t_k}, \quad
+       t_k = (k + \tfrac12) w - t_0,
+
+    with counts :math:`n_k`, bin width :math:`w` and emission at :math:`t_0`: a later
+    echo has a larger phase. A medium answers linearly, so this is amplitude and phase
+    of what an instrument with light modulated at :math:`f` sees; a short pulse is
+    modulated as deeply as light can be, twice a sine of depth 1. A bin stands for its
+    centre. The bins damp the sum by :math:`\sin(\pi f w) / \pi f w`, 0.04 % at 1 GHz
+    and 16 ps; like the jitter of pulse and detector, this is not corrected. One volt
+    stands for one count (`VOLTS_PER_COUNT`). The uncertainties are those of counting
+    photons, see `amulor.io.fourier.transform`.
+
+    A histogram that is cut off before the light is gone lacks the late part.
+    Of a pulse train only the harmonics of the repetition frequency are exact;
+    between them the light must be gone before the next pulse. Such
+    frequencies are listed in the attribute `frequencies_between_harmonics` [Hz].
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> counts = np.zeros((1, 1, 64), dtype=int)
+    >>> counts[0, 0, 24] = 400
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     np.savez(f"{folder}/echo.npz", counts=counts, bin_width_s=1e-10)
+    ...     cube = read_transients(f"{folder}/echo.npz", 50e6)
+    >>> print(f"{cube.amulor.amplitude.item():.0f} V")
+    400 V
+    >>> print(f"{cube.amulor.phase.item() / (2 * np.pi * 50e6) * 1e9:.2f} ns")
+    2.45 ns
+    """
+    histograms = read_histograms(path)
+    frequency = checked_frequency(histograms, modulation_frequency)
+    known = _KNOWN.get(histograms.digest)
+    side = scan_side if scan_side is not None or known is None else known.scan_side
+    axis = first_axis or (known.first_axis if known else "down")
+    if repetition_frequency is None and known:
+        repetition_frequency = known.repetition_frequency
+    number = _scene(histograms, scene)
+    weight = weights(
+        histograms,
+        frequency,
+        time_of_emission=time_of_emission,
+        background_bins=background_bins,
+    )
+    counts = histograms.counts[number]
+    dark = counts.sum(axis=-1) == 0
+    found = cubes.build(
+        "samples",
+        _outputs(transform(counts, weight), missing=dark, axis=1),
+        {
+            "modulation_frequency": frequency,
+            "polarization": ["none"],
+            "azimuth": np.zeros(counts.shape[:2]),
+            "elevation": np.zeros(counts.shape[:2]),
+            **_origins(counts.shape[:2], side, axis),
+        },
+        geometry={
+            "group_index": _at_least_one(group_index, "group_index"),
+            "refractive_index": _at_least_one(refractive_index, "refractive_index"),
+            "emitter_position": np.zeros(3),
+            "receiver_position": np.zeros(3),
+        },
+        attributes=cubes.attributes(
+            "samples",
+            title=_title(histograms, known, number),
+            source="measured photon histograms, Fourier coefficients",
+            references=_FOAM if known else None,
+            license=_FOAM_LICENCE if known else None,
+            simulated=np.int32(0),
+            input_digests=f"{histograms.name} {histograms.digest}",
+            volts_per_count=VOLTS_PER_COUNT,
+            **_PHOTON_NOISE,
+            bin_width=histograms.bin_width,
+            time_of_emission=float(time_of_emission),
+            scene=np.int32(number),
+            scene_label=histograms.labels[number] if histograms.labels else None,
+            **_repetition(frequency, repetition_frequency),
+        ),
+    )
+    if histograms.thickness is not None:
+        found["user_thickness"] = xr.Variable(
+            ("column",),
+            histograms.thickness,
+            {"units": "m", "long_name": "thickness of the slab"},
+        )
+    return cubes.note(found, f"import transients {histograms.name} --scene {number}")
+
+
+def medium_from_minimum(
+    path: str | os.PathLike[str],
+    modulation_frequency: ArrayLike,
+    *,
+    time_of_emission: float = 0.0,
+    background_bins: tuple[int, int] | None = None,
+) -> xr.Dataset:
+    r"""Estimate the signal of the medium from scenes with the target in two places.
+
+    Parameters
+    ----------
+    path : path-like
+        File in npz format with at least two scenes, recorded behind the same medium
+        with the same exposure and the target at different distances.
+    modulation_frequency : array_like
+        As for the cube it will be attached to [Hz].
+    time_of_emission : float
+        As for the cube [s].
+    background_bins : tuple of int, optional
+        As for the cube.
+
+    Returns
+    -------
+    xarray.Dataset
+        A shot without a target for each pixel, in the place of open-water shots; to
+        be attached with `amulor.cube.attach(cube, medium, "open_water")`.
+
+    Raises
+    ------
+    FormatError
+        If the file has one scene only, or cannot be read as by `read_transients`.
+
+    Notes
+    -----
+    The pixels of each scene are summed, and for every bin the scene with the smallest
+    sum is taken, in all pixels: the shots add up to the bin-wise minimum of the
+    summed histograms, and no pixel is picked by its own noise. That is the medium,
+    as far as in every bin one scene has no echo. It comes out too large where echoes
+    overlap, and too small by counting noise, the smaller of two equal means
+    :math:`\mu` being low by :math:`\sqrt{\mu / \pi}`. All shots state the same
+    uncertainty, that of counting photons on average, so none weighs more than
+    another. They hold counts of the scenes themselves: subtracted as if they were
+    independent, they overstate the uncertainty of what is left.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> counts = np.full((2, 1, 1, 64), 5)
+    >>> counts[0, 0, 0, 20] = counts[1, 0, 0, 40] = 900
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     np.savez(f"{folder}/moved.npz", counts=counts, bin_width_s=1e-10)
+    ...     medium = medium_from_minimum(f"{folder}/moved.npz", 1e3)
+    >>> print(f"{medium['in_phase'].item():.1f} V, which is 64 bins with 5 counts")
+    320.0 V, which is 64 bins with 5 counts
+    """
+    histograms = read_histograms(path)
+    frequency = checked_frequency(histograms, modulation_frequency)
+    scenes = histograms.counts.shape[0]
+    if scenes < 2:
+        raise FormatError(
+            f"{histograms.path}: field 'counts' has {scenes} scene, but the minimum "
+            "over scenes needs at least 2, with the target in different places; record "
+            "another"
+        )
+    weight = weights(
+        histograms,
+        frequency,
+        time_of_emission=time_of_emission,
+        background_bins=background_bins,
+    )
+    smallest = histograms.counts.sum(axis=(1, 2)).argmin(axis=0)
+    bins = np.arange(smallest.size)
+    medium = np.moveaxis(histograms.counts[smallest, ..., bins], 0, -1)
+    shots = transform(medium.reshape(-1, smallest.size), weight)
+    return cubes.open_water(_outputs(_evenly(shots), axis=1))
+
+
+def _evenly(shots: Coefficients) -> Coefficients:
+    """Return the same signals, each with the mean covariance of all."""
+    variances = (
+        np.broadcast_to(part.mean(axis=-1, keepdims=True), part.shape)
+        for part in (
+            shots.variance_in_phase,
+            shots.variance_quadrature,
+            shots.covariance,
+        )
+    )
+    return Coefficients(shots.signal, *variances)
+
+
+def _outputs(
+    coefficients: Coefficients,
+    *,
+    axis: int,
+    missing: NDArray[np.bool_] | None = None,
+) -> dict[str, NDArray[np.float64]]:
+    """Return the variables of a cube, with an axis for the polarization."""
+    volt = VOLTS_PER_COUNT
+    found = {
+        "in_phase": volt * coefficients.signal.real,
+        "quadrature": volt * coefficients.signal.imag,
+        "in_phase_uncertainty": volt * np.sqrt(coefficients.variance_in_phase),
+        "quadrature_uncertainty": volt * np.sqrt(coefficients.variance_quadrature),
+        "in_phase_quadrature_covariance": volt**2 * coefficients.covariance,
+    }
+    if missing is not None:
+        found = {key: np.where(missing, np.nan, value) for key, value in found.items()}
+    return {key: np.expand_dims(value, axis) for key, value in found.items()}
+
+
+def _scene(histograms: Histograms, scene: int | None) -> int:
+    scenes = histograms.counts.shape[0]
+    names = f" ({', '.join(histograms.labels)})" if histograms.labels else ""
+    if scene is None:
+        if scenes > 1:
+            raise FormatError(
+                f"{histograms.path}: field 'counts' has {scenes} scenes{names}; choose "
+                f"one with scene, 0 to {scenes - 1}"
+            )
+        return 0
+    if not 0 <= scene < scenes:
+        raise FormatError(
+            f"{histograms.path}: field 'counts' has {scenes} scenes{names}, but no "
+            f"scene {scene}; choose from 0 to {scenes - 1}"
+        )
+    return int(scene)
+
+
+def _origins(
+    shape: tuple[int, ...], side: float | None, first_axis: str
+) -> dict[str, NDArray[np.float64]]:
+    if first_axis not in ("down", "right"):
+        raise ValueError(f"first_axis must be 'down' or 'right', got {first_axis!r}")
+    if side is None:
+        return {}
+    if not (np.isfinite(side) and side > 0):
+        raise ValueError(f"scan_side must be finite and above 0 m, got {side:g} m")
+    along_rows, along_columns = np.meshgrid(
+        *(_places(number, side) for number in shape), indexing="ij"
+    )
+    right, down = along_columns, along_rows
+    if first_axis == "right":
+        right, down = down, right
+    return {"origin_x": right, "origin_y": down, "origin_z": np.zeros(shape)}
+
+
+def _places(number: int, side: float) -> NDArray[np.float64]:
+    return np.linspace(-side / 2, side / 2, number) if number > 1 else np.zeros(1)
+
+
+def _at_least_one(index: float, name: str) -> float:
+    if not (np.isfinite(index) and index >= 1):
+        raise ValueError(f"{name} must be finite and at least 1, got {index:g}")
+    return float(index)
+
+
+def _title(histograms: Histograms, known: _Known | None, scene: int) -> str:
+    title = known.title if known else histograms.path.stem
+    label = f", distance label {histograms.labels[scene]}" if histograms.labels else ""
+    return title + label
+
+
+def _repetition(
+    frequency: NDArray[np.float64], repetition_frequency: float | None
+) -> dict[str, Any]:
+    if repetition_frequency is None:
+        return {}
+    if not (np.isfinite(repetition_frequency) and repetition_frequency > 0):
+        raise ValueError(
+            "repetition_frequency must be finite and above 0 Hz, got "
+            f"{repetition_frequency:g} Hz"
+        )
+    order = frequency / repetition_frequency
+    between = frequency[np.abs(order - np.round(order)) > 1e-6]
+    return {
+        "repetition_frequency": float(repetition_frequency),
+        "frequencies_between_harmonics": between if between.size else None,
+    }

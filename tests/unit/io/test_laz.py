@@ -1,0 +1,126 @@
+"""A LAS or LAZ file holds the cloud to a micrometre, as laspy reads it."""
+
+import sys
+
+import laspy
+import numpy as np
+import pytest
+
+from amulor.errors import CubeError, FormatError, MissingExtraError
+from amulor.io import write_laz
+from amulor.io.laz import SCALE
+
+
+@pytest.fixture
+def path(tmp_path):
+    return tmp_path / "cloud.laz"
+
+
+def error(found, expected):
+    return np.max(np.abs(np.asarray(found) - expected.values))
+
+
+@pytest.mark.parametrize("suffix", ["laz", "las"])
+def test_coordinates_come_back_to_half_a_step(point_cloud, tmp_path, suffix):
+    path = tmp_path / f"cloud.{suffix}"
+    write_laz(point_cloud, path)
+    found = laspy.read(path)
+    assert SCALE <= 1e-5
+    for axis in "xyz":
+        # Half a step, and the rounding of a few metres in double precision.
+        assert error(found[axis], point_cloud[axis]) <= SCALE / 2 + 1e-14
+    assert found.header.version == "1.4"
+    assert found.header.point_format.id == 6
+    assert found.header.are_points_compressed == (suffix == "laz")
+
+
+def test_attributes_come_back_in_order_and_bit_by_bit(point_cloud, path):
+    write_laz(point_cloud, path)
+    found = laspy.read(path)
+    np.testing.assert_array_equal(found["amplitude"], point_cloud["intensity"])
+    for name in ("slant_range_uncertainty", "quality_flag", "row", "column"):
+        np.testing.assert_array_equal(found[name], point_cloud[name])
+    assert set(found["return_number"]) == set(found["number_of_returns"]) == {1}
+
+
+def test_intensity_is_the_amplitude_in_parts_of_the_largest(point_cloud, path):
+    write_laz(point_cloud, path)
+    found = np.asarray(laspy.read(path).intensity, dtype=float)
+    amplitude = point_cloud["intensity"].values
+    assert found.max() == 65535
+    # Half a step of the 16 bits.
+    np.testing.assert_allclose(found / 65535, amplitude / amplitude.max(), atol=7.7e-6)
+
+
+def test_a_cloud_without_any_light_is_black(point_cloud, path):
+    point_cloud["intensity"].values[:] = 0
+    write_laz(point_cloud, path)
+    assert set(laspy.read(path).intensity) == {0}
+
+
+def test_descriptions_carry_the_units(point_cloud, path):
+    write_laz(point_cloud, path)
+    extra = laspy.read(path).point_format.extra_dimensions
+    units = {item.name: item.description.partition("[")[2] for item in extra}
+    assert units == {
+        "amplitude": "V]",
+        "slant_range_uncertainty": "m]",
+        "quality_flag": "1]",
+        "row": "1]",
+        "column": "1]",
+    }
+
+
+def test_provenance_of_any_length_is_in_the_file(point_cloud, path):
+    history = "\n".join(f"step {number} of the Größe" for number in range(6000))
+    write_laz(point_cloud.assign_attrs(history=history), path)
+    record = laspy.read(path).evlrs[0]
+    assert (record.user_id, record.description) == ("amulor", "provenance")
+    text = record.record_data.decode()
+    assert "x right, y down, z forward" in text
+    assert "step 5999 of the Größe" in text
+
+
+def test_a_cloud_without_flags_has_none_in_the_file(make, rng, path):
+    write_laz(make.point_cloud(rng, quality=False), path)
+    names = laspy.read(path).point_format.extra_dimension_names
+    assert list(names) == ["amplitude", "slant_range_uncertainty", "row", "column"]
+
+
+def test_a_cloud_far_from_the_origin_keeps_its_precision(point_cloud, path):
+    point_cloud["z"].values[:] += 1e6
+    write_laz(point_cloud, path)
+    # Doubles at 1e6 m are 1.2e-10 m apart.
+    assert error(laspy.read(path).z, point_cloud["z"]) <= SCALE / 2 + 1e-9
+
+
+def test_the_widest_cloud_fits_and_a_wider_one_is_refused(point_cloud, path):
+    point_cloud["x"].values[:2] = [-2147.0, 2147.0]
+    write_laz(point_cloud, path)
+    assert error(laspy.read(path).x, point_cloud["x"]) <= SCALE / 2 + 1e-12
+    point_cloud["x"].values[:2] = [-2148.0, 2148.0]
+    with pytest.raises(FormatError, match=r"'x' goes from -2148 m to 2148 m.*4295 m"):
+        write_laz(point_cloud, path, overwrite=True)
+
+
+def test_a_negative_amplitude_is_refused(point_cloud, path):
+    point_cloud["intensity"].values[5] = -0.25
+    with pytest.raises(CubeError, match=r"found -0\.25 V"):
+        write_laz(point_cloud, path)
+
+
+@pytest.mark.parametrize("package", ["laspy", "lazrs"])
+def test_without_the_package_the_remedy_is_named(
+    point_cloud, path, monkeypatch, package
+):
+    monkeypatch.setitem(sys.modules, package, None)
+    with pytest.raises(MissingExtraError, match=r"pip install 'amulor\[export\]'"):
+        write_laz(point_cloud, path)
+    assert list(path.parent.iterdir()) == []
+
+
+def test_a_full_disk_leaves_nothing(make, rng, path, small_disk):
+    cloud = make.point_cloud(rng, rows=100, columns=100, points=9000)
+    with small_disk(), pytest.raises(FormatError, match=r"cloud\.laz cannot be"):
+        write_laz(cloud, path)
+    assert list(path.parent.iterdir()) == []

@@ -1,0 +1,86 @@
+"""A PLY file holds the cloud without loss, as an independent reader finds it."""
+
+import numpy as np
+import pytest
+import trimesh
+
+from amulor.errors import FormatError
+from amulor.io import write_ply
+
+
+@pytest.fixture
+def path(tmp_path):
+    return tmp_path / "cloud.ply"
+
+
+def vertices(path):
+    return trimesh.load(path).metadata["_ply_raw"]["vertex"]["data"]
+
+
+def header(path):
+    return path.read_bytes().partition(b"end_header\n")[0].decode("ascii").splitlines()
+
+
+def test_every_value_comes_back_in_order_and_bit_by_bit(point_cloud, path):
+    write_ply(point_cloud, path)
+    found = vertices(path)
+    assert found.dtype.names == (
+        *("x", "y", "z", "scalar_intensity", "scalar_slant_range_uncertainty"),
+        *("scalar_quality_flag", "scalar_row", "scalar_column"),
+    )
+    for name in found.dtype.names:
+        variable = name.removeprefix("scalar_")
+        np.testing.assert_array_equal(found[name], point_cloud[variable].values)
+    assert found["x"].dtype == np.float64
+
+
+def test_a_reader_of_geometry_sees_the_points(point_cloud, path):
+    write_ply(point_cloud, path)
+    loaded = trimesh.load(path)
+    assert isinstance(loaded, trimesh.PointCloud)
+    expected = np.column_stack([point_cloud[axis] for axis in "xyz"])
+    np.testing.assert_array_equal(loaded.vertices, expected)
+
+
+def test_a_cloud_without_flags_has_none_in_the_file(make, rng, path):
+    write_ply(make.point_cloud(rng, quality=False), path)
+    assert "scalar_quality_flag" not in vertices(path).dtype.names
+
+
+def test_an_unknown_uncertainty_stays_unknown(point_cloud, path):
+    point_cloud["slant_range_uncertainty"].values[3] = np.nan
+    write_ply(point_cloud, path)
+    found = vertices(path)["scalar_slant_range_uncertainty"]
+    assert np.flatnonzero(np.isnan(found)).tolist() == [3]
+
+
+def test_the_header_tells_units_axes_flags_and_provenance(point_cloud, path):
+    write_ply(point_cloud.assign_attrs(simulated=1), path)
+    lines = header(path)
+    assert lines[:2] == ["ply", "format binary_little_endian 1.0"]
+    joined = "\n".join(lines)
+    assert "x right, y down, z forward" in joined
+    assert "comment z: position in front of the emitter [m]" in lines
+    assert "comment title: plate in turbid water" in lines
+    assert "1 missing, 2 saturated, 4 no_target" in joined
+    assert "simulate plate.toml" in joined
+    assert "simulation" in joined
+
+
+def test_no_text_can_break_the_header(point_cloud, path):
+    history = "first\nend_header\nelement face 3\r\n" + "long " * 1000
+    cloud = point_cloud.assign_attrs(title="Größe µm", history=history)
+    write_ply(cloud, path)
+    np.testing.assert_array_equal(vertices(path)["x"], cloud["x"].values)
+    lines = header(path)
+    assert max(map(len, lines)) < 256
+    known = ("ply", "format ", "comment ", "property ", "element vertex ")
+    assert all(line.startswith(known) for line in lines)
+    assert "comment title: Gr\\xf6\\xdfe \\xb5m" in lines
+
+
+def test_a_full_disk_leaves_nothing(make, rng, path, small_disk):
+    cloud = make.point_cloud(rng, rows=100, columns=100, points=9000)
+    with small_disk(), pytest.raises(FormatError, match=r"cloud\.ply cannot be"):
+        write_ply(cloud, path)
+    assert list(path.parent.iterdir()) == []
