@@ -1,0 +1,105 @@
+"""The command line: parse, call one public function, print a short result."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Sequence
+
+#: Command, where it lives, and its line in the help. The functions are imported when
+#: they are called, so that `amulor --help` answers at once.
+COMMANDS = {
+    "demo": ("demo:demo", "Scan a ladder in clear and milky water; write a report."),
+    "survey check": ("survey:check", "Check a survey file."),
+    "survey schema": ("survey:schema", "Print the JSON Schema of survey files."),
+    "simulate": ("simulate:simulate", "Simulate a survey into a measurement cube."),
+    "import transients": (
+        "transients:transients",
+        "Turn single-photon histograms into a measurement cube.",
+    ),
+    "info": ("info:info", "Say what a file holds."),
+    "reject": ("reject:reject", "Take the water signal out of a measurement cube."),
+    "image": ("image:image", "Turn a target signal into a range image."),
+    "export": ("export:export", "Write a range image as a point cloud."),
+    "report": ("report:report", "Draw range images into one HTML file."),
+}
+_GROUPS = {
+    "survey": "Look at survey files.",
+    "import": "Bring in data of other instruments.",
+}
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run a command and return its exit code.
+
+    Parameters
+    ----------
+    arguments : sequence of str, optional
+        Words of the command line without the program; `sys.argv` by default.
+
+    Returns
+    -------
+    int
+        0 done; 1 something is wrong with files or data; 2 wrong use; 130 interrupted.
+    """
+    words = list(sys.argv[1:] if arguments is None else arguments)
+    if words in ([], ["--help"], ["-h"]):
+        print(_help())
+        return 0
+    if words == ["--version"]:
+        from amulor import __version__
+
+        print(__version__)
+        return 0
+    return _run(words)
+
+
+def _help() -> str:
+    width = max(map(len, COMMANDS)) + 2
+    lines = [f"  {name:<{width}}{text}" for name, (_, text) in COMMANDS.items()]
+    return "\n".join(
+        [
+            "Underwater amplitude-modulated laser radar: from a survey to a 3D image.",
+            "",
+            "Usage: amulor COMMAND [OPTIONS]     amulor COMMAND --help     "
+            "amulor --version",
+            "",
+            *lines,
+        ]
+    )
+
+
+def _run(words: list[str]) -> int:
+    from cyclopts import App, CycloptsError
+
+    from amulor.errors import AmulorError
+
+    app = App(
+        name="amulor",
+        help=_help().splitlines()[0],
+        version_flags=[],
+        suppress_keyboard_interrupt=False,
+    )
+    groups = {
+        name: App(name=name, help=text, version_flags=[])
+        for name, text in _GROUPS.items()
+    }
+    for group in groups.values():
+        app.command(group)
+    for name, (target, _) in COMMANDS.items():
+        first, _, rest = name.partition(" ")
+        place, own = (groups[first], rest) if rest else (app, first)
+        place.command(f"amulor.cli.{target}", name=own)
+    try:
+        app(words, exit_on_error=False, result_action="return_value")
+    except CycloptsError:
+        return 2
+    except AmulorError as error:
+        for line in str(error).splitlines():
+            print(f"amulor: {line}", file=sys.stderr)
+        return 1
+    except KeyboardInterrupt:
+        print("amulor: interrupted", file=sys.stderr)
+        return 130
+    except BrokenPipeError:
+        return 1
+    return 0

@@ -1,0 +1,50 @@
+"""`amulor demo`: the main job, end to end."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+from cyclopts import Parameter
+
+from amulor.cli._output import print_json, print_table, progress_bar
+
+
+def demo(
+    *,
+    output: Annotated[Path, Parameter(alias="-o")] = Path("amulor-demo"),
+    seed: int = 1,
+    overwrite: Annotated[bool, Parameter(negative="")] = False,
+    json: Annotated[bool, Parameter(negative="")] = False,
+) -> None:
+    """Scan a ladder in clear and milky water; write a report.
+
+    Parameters
+    ----------
+    output: Folder for surveys, cubes, range images, point clouds and report.html.
+    seed: Seed of the simulated noise.
+    overwrite: Replace files that are there.
+    json: Print the numbers for other programs.
+    """
+    from amulor.studies import ladder
+
+    with progress_bar(quiet=json) as progress:
+        cases = ladder.run(output, seed=seed, overwrite=overwrite, progress=progress)
+    if json:
+        print_json(ladder.summary(cases))
+        return
+    print_table(
+        "Error of the slant range [mm]",
+        ["case", "before", "after", "noise", "stated"],
+        [
+            [
+                after.name,
+                f"{before.bias * 1e3:+.2f}",
+                f"{after.bias * 1e3:+.2f}",
+                f"{after.noise * 1e3:.2f}",
+                f"{after.stated * 1e3:.2f}",
+            ]
+            for before, after in zip(cases[::2], cases[1::2], strict=True)
+        ],
+    )
+    print(f"Report: {output / 'report.html'}")

@@ -1,0 +1,35 @@
+"""`amulor export`: from a range image to a point cloud file."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+from cyclopts import Parameter
+
+
+def export(
+    image: Path,
+    /,
+    *,
+    output: Annotated[Path, Parameter(alias="-o")],
+    overwrite: Annotated[bool, Parameter(negative="")] = False,
+) -> None:
+    """Write a range image as a point cloud.
+
+    Parameters
+    ----------
+    image: Range image (netCDF), from `amulor image`.
+    output: File to write; its ending says the format: .ply, .laz, .las, .e57 or .nc.
+    overwrite: Replace a file that is there.
+    """
+    from amulor import imaging, io
+
+    range_image = io.read_cube(image)
+    cloud = imaging.point_cloud(range_image)
+    if output.suffix.lower() == ".nc":
+        io.write_cube(cloud, output, overwrite=overwrite)
+    else:
+        rows, columns = range_image["quality_flag"].shape
+        io.write_cloud(cloud, output, shape=(rows, columns), overwrite=overwrite)
+    print(f"{output}: {cloud.sizes['point']} points")

@@ -1,0 +1,54 @@
+"""`amulor image`: from the target signal to a range image."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+from cyclopts import Parameter
+
+
+def image(
+    cube: Path,
+    /,
+    *,
+    output: Annotated[Path, Parameter(alias="-o")],
+    polarization: str | None = None,
+    nearest: str | None = None,
+    farthest: str | None = None,
+    overwrite: Annotated[bool, Parameter(negative="")] = False,
+) -> None:
+    """Turn a target signal into a range image.
+
+    Parameters
+    ----------
+    cube: Target signal (netCDF), from `amulor reject`.
+    output: File to write (netCDF).
+    polarization: Channel to take, such as VH; needed if there are several.
+    nearest: Nearest possible slant range, such as "0.5 m"; with --farthest.
+    farthest: Farthest possible slant range, such as "3 m"; with --nearest.
+    overwrite: Replace a file that is there.
+    """
+    from amulor import imaging, io, units
+    from amulor.errors import CubeError
+
+    if (nearest is None) != (farthest is None):
+        raise CubeError("--nearest and --farthest must be given together")
+    try:
+        interval = (
+            None
+            if nearest is None or farthest is None
+            else (units.parse(nearest, "length"), units.parse(farthest, "length"))
+        )
+        result = imaging.range_image(
+            io.read_cube(cube), polarization=polarization, interval=interval
+        )
+    except ValueError as error:
+        raise CubeError(str(error)) from None
+    io.write_cube(result, output, overwrite=overwrite)
+    usable = result["slant_range"].notnull()
+    median = float(result["slant_range_uncertainty"].median())
+    print(
+        f"{output}: range image, {float(usable.mean()):.1%} of the pixels usable, "
+        f"median uncertainty {median * 1e3:.2f} mm"
+    )

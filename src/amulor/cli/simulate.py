@@ -1,0 +1,41 @@
+"""`amulor simulate`: from a survey file to a measurement cube."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+from cyclopts import Parameter
+
+
+def simulate(
+    survey: Path,
+    /,
+    *,
+    output: Annotated[Path, Parameter(alias="-o")],
+    seed: int = 1,
+    overwrite: Annotated[bool, Parameter(negative="")] = False,
+) -> None:
+    """Simulate a survey into a measurement cube.
+
+    Parameters
+    ----------
+    survey: Survey file (TOML).
+    output: File to write (netCDF).
+    seed: Seed of the simulated noise.
+    overwrite: Replace a file that is there.
+    """
+    from amulor import io
+    from amulor.simulation import simulate as simulate_survey
+    from amulor.survey import Survey
+
+    cube = simulate_survey(Survey.from_toml(survey), rng=seed)
+    io.write_cube(cube, output, overwrite=overwrite)
+    print(f"{output}: {_sizes(cube.sizes)}")
+
+
+def _sizes(sizes: object) -> str:
+    from collections.abc import Mapping
+
+    assert isinstance(sizes, Mapping)
+    return ", ".join(f"{name} {count}" for name, count in sizes.items())

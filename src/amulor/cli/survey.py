@@ -1,0 +1,65 @@
+"""`amulor survey check` and `amulor survey schema`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+from cyclopts import Parameter
+
+from amulor.cli._output import print_json
+
+
+def check(
+    file: Path, /, *, json: Annotated[bool, Parameter(negative="")] = False
+) -> None:
+    """Check a survey file.
+
+    Parameters
+    ----------
+    file: Survey file (TOML).
+    json: Print the survey in SI units, and what follows from it, for other programs.
+    """
+    from dataclasses import asdict
+
+    from amulor.optics import ranging
+    from amulor.survey import Survey, water_properties
+
+    survey = Survey.from_toml(file)
+    water = water_properties(survey)
+    frequencies = survey.instrument.modulation_frequencies
+    intervals = [
+        float(ranging.ambiguity_interval(value, group_index=water.group_index))
+        for value in frequencies
+    ]
+    scan = survey.scan
+    samples = len(frequencies) * len(survey.instrument.polarizations)
+    seconds = scan.rows * scan.columns * samples * scan.dwell
+    if json:
+        print_json(
+            {
+                "survey": survey.model_dump(mode="python", exclude_none=True),
+                "water": asdict(water),
+                "ambiguity_interval_m": intervals,
+                "scan_time_s": seconds,
+            }
+        )
+        return
+    print(f"{file}: {survey.name}")
+    print(
+        f"  {scan.columns} x {scan.rows} pixels, {samples} samples each, "
+        f"{seconds:.0f} s; {len(survey.targets)} targets"
+    )
+    print(
+        f"  water: attenuation {survey.water.absorption + survey.water.scattering:g} "
+        f"1/m, group index {water.group_index:.4f}"
+    )
+    for value, interval in zip(frequencies, intervals, strict=True):
+        print(f"  {value / 1e6:g} MHz: unambiguous over {interval:.3f} m")
+
+
+def schema() -> None:
+    """Print the JSON Schema of survey files."""
+    from amulor.survey import json_schema
+
+    print_json(json_schema())

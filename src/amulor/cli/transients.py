@@ -1,0 +1,54 @@
+"""`amulor import transients`: histograms of single photons become a cube."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+from cyclopts import Parameter
+
+
+def transients(
+    file: Path,
+    /,
+    *,
+    frequency: str,
+    output: Annotated[Path, Parameter(alias="-o")],
+    scene: int | None = None,
+    scan_side: str | None = None,
+    medium: Annotated[bool, Parameter(negative="")] = False,
+    overwrite: Annotated[bool, Parameter(negative="")] = False,
+) -> None:
+    """Turn single-photon histograms into a measurement cube.
+
+    Parameters
+    ----------
+    file: Histograms (npz) with counts and bin_width_s.
+    frequency: Modulation frequencies, "50MHz,100MHz" or first, last and number as in
+        "10MHz:400MHz:40".
+    output: File to write (netCDF).
+    scene: Which scene, counted from 0, where a file holds several.
+    scan_side: Side of the square that was scanned, such as "60 cm".
+    medium: Estimate the signal of the medium from all scenes of the file and store it
+        in place of open-water shots, so that `amulor reject` can take it out.
+    overwrite: Replace a file that is there.
+    """
+    from amulor import cube as cubes
+    from amulor import io, units
+    from amulor.errors import FormatError
+    from amulor.io.transients import medium_from_minimum, read_transients
+
+    try:
+        frequencies = units.parse_frequencies(frequency)
+        side = None if scan_side is None else units.parse(scan_side, "length")
+        cube = read_transients(file, frequencies, scene=scene, scan_side=side)
+        if medium:
+            shots = medium_from_minimum(file, frequencies)
+            cube = cubes.attach(cube, shots, "open_water")
+    except ValueError as error:
+        raise FormatError(str(error)) from None
+    io.write_cube(cube, output, overwrite=overwrite)
+    print(
+        f"{output}: {cube.sizes['row']} x {cube.sizes['column']} pixels at "
+        f"{cube.sizes['modulation_frequency']} frequencies"
+    )

@@ -1,0 +1,163 @@
+"""The report of the ladder study: what a person would show a colleague."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+
+import xarray as xr
+
+from amulor.studies.ladder import Case
+from amulor.view import (
+    Heading,
+    Listing,
+    Paragraph,
+    Picture,
+    Table,
+    figures,
+    write_report,
+)
+from amulor.view.image_report import flag_sentence
+from amulor.view.report import Part
+
+
+def write(
+    path: Path,
+    cases: list[Case],
+    surveys: Mapping[str, str],
+    samples: Mapping[str, xr.Dataset],
+    *,
+    overwrite: bool,
+) -> None:
+    """Write the report of the study as one HTML file.
+
+    Parameters
+    ----------
+    path : pathlib.Path
+        File to write.
+    cases : list of Case
+        All waters, channels and stages.
+    surveys : mapping of str to str
+        Water to its survey file.
+    samples : mapping of str to xarray.Dataset
+        Water to its cube of samples.
+    overwrite : bool
+        Whether a file that is there may be replaced.
+    """
+    names = list(dict.fromkeys(case.name for case in cases))
+    images = {
+        name: {case.stage: case.image for case in cases if case.name == name}
+        for name in names
+    }
+    after = {name: stages["after"] for name, stages in images.items()}
+    parts: list[Part] = [
+        Paragraph(
+            "A painted metal ladder stands 1.5 m away under water: a first step of "
+            "40 mm, then three of 10 mm. A blue laser, modulated at 39 MHz, scans 100 "
+            "by 40 pixels of 1 mm; the phase of the echo is the distance. Light "
+            "scattered back by the water is added to every sample and shortens the "
+            "measured distance. Here it is measured once without the ladder and taken "
+            "out, in clear and in milky water, behind a parallel (VV) and a crossed "
+            "(VH) analyser. All data are simulated after Ricci et al. 2010; nothing "
+            "here was measured."
+        ),
+        Heading("What came out"),
+        _ranges_table(cases),
+        _steps_table(cases),
+        Heading("The ladder in space"),
+        Picture(
+            figures.surfaces(after),
+            "Range images after rejection. Height is counted towards the instrument. "
+            "The dark gap beside the first step is where it hides the ladder from the "
+            "receiver.",
+        ),
+        Heading("All 40 line profiles over each other"),
+        Picture(
+            figures.profiles(images),
+            "Before rejection the water pulls the treads towards the instrument, more "
+            "to the right where the beam runs nearer to the receiver's axis; after "
+            "rejection they are level. What is left in milk is the water signal's own "
+            "fluctuation. Spikes beside the steps are pixels hidden from the receiver: "
+            "before rejection they show the water's own distance.",
+        ),
+    ]
+    for water, cube in samples.items():
+        parts += [
+            Heading(f"Samples in {water} water"),
+            Picture(
+                figures.signal_images(cube),
+                f"Amplitude and phase of the lock-in samples at 39 MHz in {water} "
+                "water, as recorded.",
+            ),
+        ]
+    for name, stages in images.items():
+        parts += [
+            Heading(f"Range, {name}"),
+            Picture(
+                figures.range_images(stages["before"], stages["after"]),
+                flag_sentence(stages["after"]),
+            ),
+        ]
+    parts.append(Heading("The surveys used"))
+    parts += [Listing(f"ladder_{water}.toml", text) for water, text in surveys.items()]
+    first = next(iter(samples.values()))
+    parts.append(
+        Paragraph(
+            f"Seeds {', '.join(str(cube.attrs['seed']) for cube in samples.values())}; "
+            f"software {first.attrs['software_versions']}."
+        )
+    )
+    title = "Underwater ladder: four range images, before and after rejection"
+    write_report(path, title, parts, overwrite=overwrite)
+
+
+def _ranges_table(cases: list[Case]) -> Table:
+    rows = []
+    for name in dict.fromkeys(case.name for case in cases):
+        before, after = (case for case in cases if case.name == name)
+        rows.append(
+            [
+                name,
+                f"{before.bias * 1e3:+.2f}",
+                f"{after.bias * 1e3:+.2f}",
+                f"{abs(before.bias / after.bias):.0f} times",
+                f"{after.noise * 1e3:.2f}",
+                f"{after.stated * 1e3:.2f}",
+            ]
+        )
+    return Table(
+        [
+            "case",
+            "mean error before [mm]",
+            "mean error after [mm]",
+            "smaller by",
+            "noise per pixel [mm]",
+            "stated uncertainty [mm]",
+        ],
+        rows,
+        "Error of the slant range against the simulated truth, over the treads; noise "
+        "is the scatter from row to row, the stated uncertainty what the range image "
+        "claims without knowing the truth.",
+    )
+
+
+def _steps_table(cases: list[Case]) -> Table:
+    true = cases[0].true_steps
+    header = ["case", *(f"step of {height * 1e3:.0f} mm" for height in true)]
+    rows = []
+    for case in cases:
+        cells = [f"{case.name}, {case.stage}"]
+        for height, step in zip(true, case.steps, strict=True):
+            off = abs(step.height - height) > 3 * step.uncertainty
+            cells.append(
+                f"{'!' if off else ''}{step.height * 1e3:.2f} "
+                f"± {step.uncertainty * 1e3:.2f}"
+            )
+        rows.append(cells)
+    return Table(
+        header,
+        rows,
+        "Step heights [mm] with standard uncertainty. Marked values are wrong by more "
+        "than three of their own uncertainties: before rejection the image does not "
+        "know about the water.",
+    )

@@ -1,0 +1,22 @@
+"""Figures and reports."""
+
+from amulor.view import figures, image_report
+from amulor.view.report import (
+    Heading,
+    Listing,
+    Paragraph,
+    Picture,
+    Table,
+    write_report,
+)
+
+__all__ = [
+    "Heading",
+    "Listing",
+    "Paragraph",
+    "Picture",
+    "Table",
+    "figures",
+    "image_report",
+    "write_report",
+]

@@ -1,0 +1,138 @@
+"""The report of any range images: pictures, numbers, flags, history."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+import xarray as xr
+
+from amulor import cube as cubes
+from amulor.view import figures
+from amulor.view.report import (
+    Heading,
+    Listing,
+    Paragraph,
+    Part,
+    Picture,
+    Table,
+    write_report,
+)
+
+
+def write(
+    path: str | Path, images: Mapping[str, xr.Dataset], *, overwrite: bool = False
+) -> None:
+    """Write range images into one self-contained HTML file.
+
+    Parameters
+    ----------
+    path : str or pathlib.Path
+        File to write.
+    images : mapping of str to xarray.Dataset
+        Name to range image (level `range_image`).
+    overwrite : bool
+        Whether a file that is there may be replaced.
+
+    Raises
+    ------
+    CubeError
+        If one of the cubes is no range image.
+    FormatError
+        If the file exists, or cannot be written.
+    """
+    for name, image in images.items():
+        cubes.check(image, "range_image", name=name)
+    first = next(iter(images.values()))
+    parts: list[Part] = [Paragraph(_origin(images)), _numbers(images)]
+    for name, image in images.items():
+        parts += [
+            Heading(name),
+            Picture(figures.image_overview(image), flag_sentence(image)),
+        ]
+    staged = {name: {"range image": image} for name, image in images.items()}
+    parts += [
+        Heading("Line profiles"),
+        Picture(figures.profiles(staged), "All rows of each image over each other."),
+        Heading("In space"),
+        Picture(figures.surfaces(images), "Height is counted towards the instrument."),
+        Heading("Where this comes from"),
+    ]
+    for name, image in images.items():
+        parts.append(Listing(f"history of {name}", str(image.attrs.get("history", ""))))
+        if image.attrs.get("survey"):
+            parts.append(Listing(f"survey of {name}", str(image.attrs["survey"])))
+    title = str(first.attrs.get("title") or "Range images")
+    write_report(path, title, parts, overwrite=overwrite)
+
+
+def flag_sentence(image: xr.Dataset) -> str:
+    """Return a sentence that counts the flags of a range image.
+
+    Parameters
+    ----------
+    image : xarray.Dataset
+        With `quality_flag`.
+
+    Returns
+    -------
+    str
+        For a caption.
+    """
+    flag = image["quality_flag"]
+    counts = [
+        f"{count} {meaning.replace('_', ' ')}"
+        for mask, meaning in zip(
+            flag.attrs["flag_masks"], flag.attrs["flag_meanings"].split(), strict=True
+        )
+        if (count := int(np.sum((flag.values & mask) != 0)))
+    ]
+    listed = "; ".join(counts) if counts else "none"
+    return f"Grey pixels hold no range. Flags, of {flag.size} pixels: {listed}."
+
+
+def _origin(images: Mapping[str, xr.Dataset]) -> str:
+    simulated = [name for name, cube in images.items() if cube.attrs.get("simulated")]
+    if not simulated:
+        return "Measured data."
+    if len(simulated) == len(images):
+        return "Simulated data; nothing here was measured."
+    return f"Measured data, but for {', '.join(simulated)}, which are simulated."
+
+
+def _numbers(images: Mapping[str, xr.Dataset]) -> Table:
+    rows = []
+    for name, image in images.items():
+        slant_range = image["slant_range"].values
+        usable = np.isfinite(slant_range)
+        sigma = image["slant_range_uncertainty"].values
+        bias = image.get("slant_range_bias")
+        rows.append(
+            [
+                name,
+                f"{image.attrs.get('polarization', '')}",
+                f"{usable.mean():.1%}",
+                f"{_median(slant_range):.4f}",
+                f"{_median(sigma) * 1e3:.2f}",
+                "unknown" if bias is None else f"{_median(bias.values) * 1e3:+.2f}",
+            ]
+        )
+    return Table(
+        [
+            "image",
+            "channel",
+            "usable pixels",
+            "median range [m]",
+            "median uncertainty [mm]",
+            "median bias estimate [mm]",
+        ],
+        rows,
+        "The uncertainty is random; the bias estimate is what the water signal left in "
+        "is expected to add, and is not taken off.",
+    )
+
+
+def _median(values: np.ndarray) -> float:
+    finite = values[np.isfinite(values)]
+    return float(np.median(finite)) if finite.size else float("nan")

@@ -1,0 +1,202 @@
+"""A self-contained HTML report: text, tables and pictures in one file."""
+
+from __future__ import annotations
+
+import base64
+import html
+import io
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from matplotlib.figure import Figure
+
+from amulor.io.files import atomic_output
+from amulor.view.style import style
+
+
+@dataclass(frozen=True)
+class Paragraph:
+    """A piece of running text."""
+
+    text: str
+    """Plain text."""
+
+
+@dataclass(frozen=True)
+class Heading:
+    """The title of what follows."""
+
+    text: str
+    """Plain text."""
+
+
+@dataclass(frozen=True)
+class Picture:
+    """A figure with its caption."""
+
+    figure: Figure
+    """What is drawn."""
+    caption: str
+    """What is to be seen, in a sentence or two."""
+
+
+@dataclass(frozen=True)
+class Table:
+    """Rows of text under a header."""
+
+    header: Sequence[str]
+    """Titles of the columns."""
+    rows: Sequence[Sequence[str]]
+    """Cells; a cell that starts with "!" is marked as a warning."""
+    caption: str
+    """What the numbers are."""
+
+
+@dataclass(frozen=True)
+class Listing:
+    """A text to be read as it is, folded away at first."""
+
+    title: str
+    """What it is."""
+    text: str
+    """The text."""
+
+
+Part = Heading | Paragraph | Picture | Table | Listing
+
+
+def write_report(
+    path: str | Path, title: str, parts: Sequence[Part], *, overwrite: bool = False
+) -> None:
+    """Write a report as one HTML file that needs nothing beside it.
+
+    Parameters
+    ----------
+    path : str or pathlib.Path
+        File to write.
+    title : str
+        What the report is about.
+    parts : sequence
+        Headings, paragraphs, pictures, tables and listings, in order.
+    overwrite : bool
+        Whether a file that is there may be replaced.
+
+    Raises
+    ------
+    FormatError
+        If the file exists, or cannot be written.
+    """
+    body = "\n".join(_rendered(part) for part in parts)
+    page = _PAGE.format(title=html.escape(title), style=_STYLE, body=body)
+    with atomic_output(Path(path), overwrite=overwrite) as temporary:
+        temporary.write_text(page, encoding="utf-8")
+
+
+def png(figure: Figure, *, dots_per_inch: int = 160) -> bytes:
+    """Return a figure as the content of a PNG file.
+
+    Parameters
+    ----------
+    figure : matplotlib.figure.Figure
+        What is drawn.
+    dots_per_inch : int
+        Resolution.
+
+    Returns
+    -------
+    bytes
+        The file, the same for the same figure.
+    """
+    buffer = io.BytesIO()
+    with style():
+        figure.savefig(
+            buffer, format="png", dpi=dots_per_inch, metadata={"Software": None}
+        )
+    return buffer.getvalue()
+
+
+def _rendered(part: Part) -> str:
+    if isinstance(part, Heading):
+        return f"<h2>{html.escape(part.text)}</h2>"
+    if isinstance(part, Paragraph):
+        return f"<p>{html.escape(part.text)}</p>"
+    if isinstance(part, Picture):
+        caption = html.escape(part.caption)
+        data = base64.b64encode(png(part.figure)).decode()
+        width = int(part.figure.get_figwidth() * 120)
+        return (
+            f'<figure><img alt="{caption}" width="{width}" '
+            f'src="data:image/png;base64,{data}">'
+            f"<figcaption>{caption}</figcaption></figure>"
+        )
+    if isinstance(part, Table):
+        return _table(part)
+    return (
+        f"<details><summary>{html.escape(part.title)}</summary>"
+        f"<pre>{html.escape(part.text)}</pre></details>"
+    )
+
+
+def _table(table: Table) -> str:
+    head = "".join(f"<th>{html.escape(cell)}</th>" for cell in table.header)
+    lines = []
+    for row in table.rows:
+        cells = "".join(
+            f'<td class="warning">{html.escape(cell[1:])}</td>'
+            if cell.startswith("!")
+            else f"<td>{html.escape(cell)}</td>"
+            for cell in row
+        )
+        lines.append(f"<tr>{cells}</tr>")
+    return (
+        '<div class="table"><table>'
+        f"<caption>{html.escape(table.caption)}</caption>"
+        f"<thead><tr>{head}</tr></thead><tbody>{''.join(lines)}</tbody></table></div>"
+    )
+
+
+_PAGE = """<!DOCTYPE html>
+<html lang="en">
+<head>
+<meta charset="utf-8">
+<meta name="viewport" content="width=device-width, initial-scale=1">
+<title>{title}</title>
+<style>{style}</style>
+</head>
+<body>
+<main>
+<h1>{title}</h1>
+{body}
+</main>
+</body>
+</html>
+"""
+
+_STYLE = """
+:root { color-scheme: light; --ink: #1b2a33; --soft: #5d6f79; --line: #d8e0e4; }
+body { margin: 0; background: #f4f7f8; color: var(--ink);
+  font: 16px/1.55 system-ui, "Segoe UI", "Helvetica Neue", Arial, sans-serif; }
+main { max-width: 60rem; margin: 0 auto; padding: 2rem 1.5rem 4rem; background: #fff;
+  box-shadow: 0 0 24px rgba(0, 40, 60, .08); }
+h1 { font-size: 1.7rem; line-height: 1.25; margin: 0 0 1rem;
+  border-bottom: 3px solid #0072b2; padding-bottom: .6rem; }
+h2 { font-size: 1.2rem; margin: 2.4rem 0 .6rem; }
+p { max-width: 46rem; }
+figure { margin: 1.2rem 0; }
+img { max-width: 100%; height: auto; }
+figcaption, caption { color: var(--soft); font-size: .87rem; text-align: left;
+  padding: .3rem 0 .5rem; max-width: 52rem; }
+.table { overflow-x: auto; }
+table { border-collapse: collapse; font-size: .87rem; margin: 1rem 0;
+  font-variant-numeric: tabular-nums; }
+th, td { text-align: right; padding: .3rem .7rem; border-bottom: 1px solid var(--line);
+  white-space: nowrap; }
+th:first-child, td:first-child { text-align: left; }
+thead th { border-bottom: 2px solid var(--ink); font-weight: 600; }
+.warning { color: #b03a00; font-weight: 600; }
+details { margin: .6rem 0; border: 1px solid var(--line); border-radius: 6px;
+  padding: .4rem .8rem; }
+summary { cursor: pointer; font-weight: 600; }
+pre { overflow-x: auto; font-size: .78rem; line-height: 1.4; }
+"""

@@ -1,0 +1,73 @@
+"""One look for all figures: fonts, colours that colour-blind people tell apart."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any
+
+import matplotlib
+from cycler import cycler
+from matplotlib.figure import Figure
+
+#: Okabe and Ito's colours, in the order in which lines take them.
+COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
+#: For distances, for brightness, for signed differences.
+DISTANCE_MAP, BRIGHTNESS_MAP, DIFFERENCE_MAP = "viridis", "gray", "RdBu_r"
+#: Pixels without a value.
+MISSING_COLOUR = "#d9d9d9"
+
+_SETTINGS: Any = {
+    "font.family": "sans-serif",
+    "font.sans-serif": ["DejaVu Sans"],
+    "font.size": 8,
+    "axes.titlesize": 8,
+    "axes.titleweight": "bold",
+    "axes.titlelocation": "left",
+    "axes.labelsize": 8,
+    "axes.linewidth": 0.6,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.prop_cycle": cycler(color=COLOURS),
+    "xtick.labelsize": 7,
+    "ytick.labelsize": 7,
+    "xtick.major.width": 0.6,
+    "ytick.major.width": 0.6,
+    "legend.frameon": False,
+    "legend.fontsize": 7,
+    "lines.linewidth": 1.0,
+    "grid.color": "#dfe5e8",
+    "grid.linewidth": 0.5,
+    **{f"axes3d.{axis}axis.panecolor": (0.97, 0.98, 0.98, 1.0) for axis in "xyz"},
+    "svg.hashsalt": "amulor",
+    "svg.fonttype": "none",
+}
+
+
+@contextmanager
+def style() -> Iterator[None]:
+    """Draw what is inside with the settings of amulor; nothing global stays changed.
+
+    Yields
+    ------
+    None
+        The settings hold until the block is left.
+    """
+    with matplotlib.rc_context(rc=_SETTINGS):
+        yield
+
+
+def new_figure(width: float, height: float) -> Figure:
+    """Return an empty figure that belongs to no window system.
+
+    Parameters
+    ----------
+    width, height : float
+        Size [inch].
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+        Laid out so that labels do not overlap.
+    """
+    return Figure(figsize=(width, height), layout="constrained")

@@ -1,0 +1,213 @@
+"""Commands parse, call and print; mistakes get one line and the right exit code."""
+
+from __future__ import annotations
+
+import importlib
+import inspect
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+import xarray as xr
+
+from amulor import io
+from amulor.cli import COMMANDS, main
+from amulor.studies.ladder import survey_text
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory, plate_text: str) -> Path:
+    """Return a folder in which the whole chain of commands has run."""
+    folder = tmp_path_factory.mktemp("chain")
+    (folder / "tank.toml").write_text(plate_text)
+    for words in (
+        "simulate tank.toml -o samples.nc --seed 4",
+        "reject samples.nc --method open-water -o target.nc",
+        "image target.nc --polarization VH -o range.nc",
+        "export range.nc -o cloud.ply",
+        "export range.nc -o cloud.laz",
+        "export range.nc -o cloud.e57",
+        "export range.nc -o cloud.nc",
+        "report range.nc -o report.html",
+    ):
+        arguments = [
+            str(folder / word) if "." in word else word for word in words.split()
+        ]
+        assert main(arguments) == 0, words
+    return folder
+
+
+def test_the_chain_of_commands_leaves_every_level(folder: Path) -> None:
+    levels = {
+        name: io.read_cube(folder / f"{name}.nc").attrs["level"]
+        for name in ("samples", "target", "range", "cloud")
+    }
+    assert levels == {
+        "samples": "samples",
+        "target": "target_signal",
+        "range": "range_image",
+        "cloud": "point_cloud",
+    }
+    history = io.read_cube(folder / "cloud.nc").attrs["history"].splitlines()
+    for line, step in zip(
+        history, ("simulate", "reject", "image", "point cloud"), strict=True
+    ):
+        assert step in line
+    assert "data:image/png" in (folder / "report.html").read_text()
+
+
+def test_help_answers_without_importing_what_it_does_not_need() -> None:
+    code = (
+        "import sys; from amulor.cli import main; main(['--help']);"
+        "print('cyclopts' in sys.modules, 'numpy' in sys.modules)"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True
+    )
+    assert done.stdout.splitlines()[-1] == "False False"
+    for name in COMMANDS:
+        assert name in done.stdout
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_every_command_exists_and_says_what_the_help_says(name: str, capsys) -> None:
+    target, summary = COMMANDS[name]
+    module, function = target.split(":")
+    found = getattr(importlib.import_module(f"amulor.cli.{module}"), function)
+    assert (inspect.getdoc(found) or "").splitlines()[0] == summary
+    assert main([*name.split(), "--help"]) == 0
+    assert name.split()[-1] in capsys.readouterr().out
+
+
+def test_the_program_starts_as_a_module() -> None:
+    done = subprocess.run(
+        [sys.executable, "-m", "amulor", "--version"],
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    from amulor import __version__
+
+    assert done.stdout.strip() == __version__
+
+
+def test_a_survey_is_checked_and_described(folder: Path, capsys) -> None:
+    assert main(["survey", "check", str(folder / "tank.toml")]) == 0
+    out = capsys.readouterr().out
+    # Interval c / (2 n f) with the group index 1.38.
+    assert "39 MHz: unambiguous over 2.785 m" in out
+    assert main(["survey", "check", str(folder / "tank.toml"), "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert found["water"]["group_index"] == 1.38
+    assert found["scan_time_s"] == pytest.approx(12 * 6 * 2 * 0.125)
+
+
+def test_the_schema_of_surveys_is_json(capsys) -> None:
+    assert main(["survey", "schema"]) == 0
+    assert json.loads(capsys.readouterr().out)["title"] == "amulor survey"
+
+
+def test_info_tells_what_a_file_holds(folder: Path, capsys) -> None:
+    assert main(["info", str(folder / "samples.nc"), "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert found["level"] == "samples"
+    assert found["simulated"] is True
+    assert found["modulation_frequencies_hz"] == [39e6]
+    assert found["polarizations"] == ["VV", "VH"]
+    assert main(["info", str(folder / "range.nc")]) == 0
+    assert "range_image" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ["reject"],
+        ["reject", "a.nc", "--method", "magic", "-o", "b.nc"],
+        ["simulate", "a.toml", "-o", "b.nc", "--seed", "one"],
+        ["swim"],
+        ["survey", "czech"],
+        ["--verbose"],
+    ],
+)
+def test_wrong_use_ends_with_2(words: list[str], capsys) -> None:
+    assert main(words) == 2
+    assert "Traceback" not in capsys.readouterr().err
+
+
+def _fails(words: list[str], capsys) -> str:
+    assert main(words) == 1
+    captured = capsys.readouterr()
+    assert captured.out == ""
+    assert captured.err.startswith("amulor: ")
+    assert "Traceback" not in captured.err
+    return captured.err
+
+
+def test_an_output_that_exists_is_kept_unless_overwritten(folder: Path, capsys) -> None:
+    words = ["simulate", str(folder / "tank.toml"), "-o", str(folder / "samples.nc")]
+    before = (folder / "samples.nc").read_bytes()
+    message = _fails(words, capsys)
+    assert "--overwrite" in message
+    assert "samples.nc" in message
+    assert message.count("\n") == 1
+    assert (folder / "samples.nc").read_bytes() == before
+    assert main([*words, "--overwrite", "--seed", "4"]) == 0
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ["image", "samples.nc", "-o", "new.nc"],
+        ["export", "target.nc", "-o", "new.ply"],
+        ["reject", "range.nc", "--method", "open-water", "-o", "new.nc"],
+        ["report", "samples.nc", "-o", "new.html"],
+    ],
+)
+def test_a_cube_of_another_level_names_the_remedy(
+    folder: Path, words: list[str], capsys
+) -> None:
+    full = [str(folder / word) if "." in word else word for word in words]
+    message = _fails(full, capsys)
+    assert "needed" in message
+    assert not (folder / words[-1]).exists()
+
+
+def test_a_range_image_needs_a_channel_and_both_limits(folder: Path, capsys) -> None:
+    words = ["image", str(folder / "target.nc"), "-o", str(folder / "new.nc")]
+    assert "--polarization" in _fails(words, capsys)
+    limit = [*words, "--polarization", "VV", "--nearest", "1 m"]
+    assert "together" in _fails(limit, capsys)
+    unit = [*limit, "--farthest", "2 s"]
+    assert "not one of length" in _fails(unit, capsys)
+    empty = [*limit, "--farthest", "0.5 m"]
+    assert "interval must run" in _fails(empty, capsys)
+
+
+def test_unmixing_needs_both_ratios(folder: Path, capsys) -> None:
+    words = ["reject", str(folder / "samples.nc"), "--method", "unmix"]
+    words += ["-o", str(folder / "unmixed.nc")]
+    assert "--water-ratio" in _fails([*words, "--target-ratio", "0.2"], capsys)
+    ratios = ["--target-ratio", "0.2", "--water-ratio", "0.2"]
+    assert "cannot tell them apart" in _fails([*words, *ratios], capsys)
+    assert main([*words, "--target-ratio", "0.242", "--water-ratio", "0.105"]) == 0
+
+
+def test_a_survey_with_two_mistakes_prints_two_lines(folder: Path, capsys) -> None:
+    text = survey_text("clear").replace('"20 mW"', '"20 m"').replace("rows = 40", "")
+    path = folder / "typo.toml"
+    path.write_text(text)
+    message = _fails(["survey", "check", str(path)], capsys)
+    assert message.count("\n") == 2
+    assert all(str(path) in line for line in message.splitlines())
+
+
+def test_an_interrupt_ends_with_130(monkeypatch, folder: Path, capsys) -> None:
+    def interrupt(*_: object, **__: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(xr, "open_dataset", interrupt)
+    monkeypatch.setattr("amulor.io.read_cube", interrupt)
+    assert main(["info", str(folder / "samples.nc")]) == 130
+    assert "interrupted" in capsys.readouterr().err
