@@ -19,18 +19,14 @@ from amulor.optics import stokes as _stokes
 
 __all__ = [
     "apply",
-    "coherency_matrix",
-    "depolarization_effect",
-    "depolarization_index",
+    "as_matrices",
     "detected_fraction",
     "diagonal",
     "ideal_backscatter",
     "ideal_depolarizer",
-    "is_realizable",
     "linear_polarizer",
     "painted_metal",
     "rayleigh",
-    "realizability_defect",
     "retarder",
     "rotated",
 ]
@@ -57,7 +53,7 @@ def diagonal(m22: ArrayLike, m33: ArrayLike, m44: ArrayLike) -> NDArray[np.float
     Notes
     -----
     The form of eqs. (65) and (67). Not each such matrix can exist: see
-    `realizability_defect`.
+    `amulor.optics.depolarization.realizability_defect`.
 
     Examples
     --------
@@ -321,7 +317,7 @@ def rotated(mueller: ArrayLike, *, angle: ArrayLike) -> NDArray[np.float64]:
     """
     turn = np.asarray(angle, dtype=np.float64)
     there, back = _axes_turned(turn), _axes_turned(-turn)
-    return back @ _mueller(mueller) @ there
+    return back @ as_matrices(mueller) @ there
 
 
 def apply(mueller: ArrayLike, stokes: ArrayLike) -> NDArray[np.float64]:
@@ -358,7 +354,9 @@ def apply(mueller: ArrayLike, stokes: ArrayLike) -> NDArray[np.float64]:
         raise ValueError(
             f"stokes must have a last axis of 4 (I, Q, U, V), got shape {vector.shape}"
         )
-    out: NDArray[np.float64] = np.einsum("...ij,...j->...i", _mueller(mueller), vector)
+    out: NDArray[np.float64] = np.einsum(
+        "...ij,...j->...i", as_matrices(mueller), vector
+    )
     return out
 
 
@@ -401,7 +399,7 @@ def detected_fraction(mueller: ArrayLike, *, pair: str) -> NDArray[np.float64]:
     RR 0.270
     RL 0.730
     """
-    matrix = _mueller(mueller)
+    matrix = as_matrices(mueller)
     if pair == "none":
         return matrix[..., 0, 0].copy()
     if not re.fullmatch(_stokes.PAIR_PATTERN, pair):
@@ -411,201 +409,6 @@ def detected_fraction(mueller: ArrayLike, *, pair: str) -> NDArray[np.float64]:
         )
     launched, analyser = _stokes.state(pair[0]), _stokes.state(pair[1])
     return apply(matrix, launched) @ analyser / 2
-
-
-def depolarization_index(mueller: ArrayLike) -> NDArray[np.float64]:
-    r"""Return the depolarization index of Gil and Bernabeu.
-
-    Parameters
-    ----------
-    mueller : array_like
-        Mueller matrices, last axes (4, 4), m11 above zero [1].
-
-    Returns
-    -------
-    ndarray
-        0 for an ideal depolarizer, 1 for no depolarization, shape of `mueller`
-        without the last two axes [1].
-
-    Raises
-    ------
-    ValueError
-        If the last axes are not (4, 4) or an m11 is not above zero.
-
-    Notes
-    -----
-    Eq. (61), :math:`[(\sum_{ij} m_{ij}^2 - 1) / 3]^{1/2}` of the matrix over its
-    first element (J. J. Gil and E. Bernabeu, Opt. Acta 33, 185 (1986)).
-
-    Examples
-    --------
-    >>> print(f"{depolarization_index(painted_metal()):.4f}")
-    0.5644
-    """
-    reduced = _reduced(mueller).reshape(*np.shape(mueller)[:-2], 16)
-    index: NDArray[np.float64] = np.linalg.norm(reduced[..., 1:], axis=-1) / np.sqrt(3)
-    return index
-
-
-def depolarization_effect(mueller: ArrayLike) -> NDArray[np.float64]:
-    r"""Return the mean modulus of the diagonal elements.
-
-    Parameters
-    ----------
-    mueller : array_like
-        Mueller matrices, last axes (4, 4), m11 above zero [1].
-
-    Returns
-    -------
-    ndarray
-        0 for an ideal depolarizer, 1 for no depolarization of a diagonal matrix,
-        shape of `mueller` without the last two axes [1].
-
-    Raises
-    ------
-    ValueError
-        If the last axes are not (4, 4) or an m11 is not above zero.
-
-    Notes
-    -----
-    :math:`\tfrac13 (|m_{22}| + |m_{33}| + |m_{44}|)` of the matrix over its first
-    element, a reading of eq. (61) that meets both limits. For a diagonal matrix it
-    is 1 less the depolarization power of S.-Y. Lu and R. A. Chipman, J. Opt. Soc.
-    Am. A 13, 1106 (1996).
-
-    Examples
-    --------
-    >>> print(f"{depolarization_effect(painted_metal()):.2f}")
-    0.56
-    """
-    reduced = np.diagonal(_reduced(mueller), axis1=-2, axis2=-1)
-    mean: NDArray[np.float64] = np.abs(reduced[..., 1:]).mean(axis=-1)
-    return mean
-
-
-def coherency_matrix(mueller: ArrayLike) -> NDArray[np.complex128]:
-    r"""Return the coherency matrix that belongs to a Mueller matrix.
-
-    Parameters
-    ----------
-    mueller : array_like
-        Mueller matrices, last axes (4, 4) [1].
-
-    Returns
-    -------
-    ndarray
-        Hermitian matrix with the trace m11, shape of `mueller` [1].
-
-    Raises
-    ------
-    ValueError
-        If the last axes are not (4, 4).
-
-    Notes
-    -----
-    :math:`\tfrac14 \sum_{ij} m_{ij} \, \sigma_i \otimes \sigma_j^*` with the unit
-    and Pauli matrices in the order of (I, Q, U, V) (S. R. Cloude, Optik 75, 26
-    (1986)). A Mueller matrix is a mixture of non-depolarizing ones exactly if this
-    has no negative eigenvalue.
-
-    Examples
-    --------
-    >>> values = np.linalg.eigvalsh(coherency_matrix(np.eye(4)))
-    >>> print(np.round(np.abs(values), 12))
-    [0. 0. 0. 1.]
-    """
-    matrix = _mueller(mueller)
-    coherency: NDArray[np.complex128] = (
-        np.einsum("...ij,ijkl->...kl", matrix, _PAULI_PRODUCTS) / 4
-    )
-    return coherency
-
-
-def realizability_defect(mueller: ArrayLike) -> NDArray[np.float64]:
-    """Return by how much a matrix fails to be that of a physical element.
-
-    Parameters
-    ----------
-    mueller : array_like
-        Mueller matrices, last axes (4, 4), m11 above zero [1].
-
-    Returns
-    -------
-    ndarray
-        Size of the most negative eigenvalue of the coherency matrix over its trace,
-        0 if there is none, shape of `mueller` without the last two axes [1].
-
-    Raises
-    ------
-    ValueError
-        If the last axes are not (4, 4) or an m11 is not above zero.
-
-    Notes
-    -----
-    Condition of Cloude, see `coherency_matrix`. Rounding leaves defects of about
-    1e-16.
-
-    Examples
-    --------
-    >>> print(f"{realizability_defect(diagonal(0.61, -0.61, -0.10)):.2f}")
-    0.03
-    """
-    values = np.linalg.eigvalsh(coherency_matrix(_reduced(mueller)))
-    defect: NDArray[np.float64] = np.maximum(-values[..., 0], 0.0)
-    return defect
-
-
-def is_realizable(mueller: ArrayLike, *, tolerance: float = 1e-9) -> NDArray[np.bool_]:
-    """Return whether a matrix can be that of a physical element.
-
-    Parameters
-    ----------
-    mueller : array_like
-        Mueller matrices, last axes (4, 4), m11 above zero [1].
-    tolerance : float
-        Largest `realizability_defect` that passes, not negative [1].
-
-    Returns
-    -------
-    ndarray
-        Shape of `mueller` without the last two axes.
-
-    Raises
-    ------
-    ValueError
-        If the last axes are not (4, 4), an m11 is not above zero, or the tolerance
-        is negative.
-
-    Notes
-    -----
-    Condition of Cloude, see `coherency_matrix`. Measured matrices need a tolerance
-    of the size of their noise.
-
-    Examples
-    --------
-    >>> print(is_realizable(painted_metal()), is_realizable(diagonal(1, 1, -1)))
-    True False
-    """
-    if not tolerance >= 0:
-        raise ValueError(f"tolerance must not be negative, got {tolerance:g}")
-    return np.asarray(realizability_defect(mueller) <= tolerance)
-
-
-def _pauli_products() -> NDArray[np.complex128]:
-    """Return sigma_i (x) conj(sigma_j), shape (4, 4, 4, 4), in the order IQUV."""
-    pauli = np.array(
-        [
-            [[1, 0], [0, 1]],
-            [[1, 0], [0, -1]],
-            [[0, 1], [1, 0]],
-            [[0, -1j], [1j, 0]],
-        ]
-    )
-    product: NDArray[np.complex128] = np.einsum("iab,jcd->ijacbd", pauli, pauli.conj())
-    return product.reshape(4, 4, 4, 4)
-
-
-_PAULI_PRODUCTS = _pauli_products()
 
 
 def _axes_turned(angle: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -619,24 +422,28 @@ def _axes_turned(angle: NDArray[np.float64]) -> NDArray[np.float64]:
     return matrix
 
 
-def _mueller(mueller: ArrayLike) -> NDArray[np.float64]:
-    """Return Mueller matrices as an array, refused if not (..., 4, 4)."""
+def as_matrices(mueller: ArrayLike) -> NDArray[np.float64]:
+    """Return Mueller matrices as an array, refused if the last axes are not (4, 4).
+
+    Parameters
+    ----------
+    mueller : array_like
+        Mueller matrices [1].
+
+    Returns
+    -------
+    ndarray
+        The same as floats [1].
+
+    Raises
+    ------
+    ValueError
+        If the last axes are not (4, 4).
+    """
     matrix = np.asarray(mueller, dtype=np.float64)
     if matrix.shape[-2:] != (4, 4):
         raise ValueError(f"mueller must have last axes (4, 4), got {matrix.shape}")
     return matrix
-
-
-def _reduced(mueller: ArrayLike) -> NDArray[np.float64]:
-    """Return Mueller matrices over their first elements, refused if not above 0."""
-    matrix = _mueller(mueller)
-    first = matrix[..., :1, :1]
-    if np.any(first <= 0):
-        raise ValueError(
-            f"m11 of mueller must be above 0, got {np.nanmin(first):g}: there would "
-            "be no light"
-        )
-    return matrix / first
 
 
 def _within(

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import AfterValidator
 
-from amulor.optics import mueller
+from amulor.optics import depolarization
 
 Row = tuple[float, float, float, float]
 _Stated = tuple[float, float, float] | tuple[Row, Row, Row, Row]
@@ -42,7 +42,7 @@ def _check(stated: _Stated) -> _Stated:
             f"a reduced Mueller matrix starts with 1, found {values[0, 0]:g}; divide "
             "all elements by the first one"
         )
-    defect = float(mueller.realizability_defect(values))
+    defect = float(depolarization.realizability_defect(values))
     # A matrix printed with three digits may miss the limit by its last one.
     if defect > 1e-3:
         raise ValueError(

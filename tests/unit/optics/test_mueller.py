@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
 
-from amulor.optics import mueller, stokes
+from amulor.optics import depolarization, mueller, stokes
 
 angles = st.floats(-np.pi, np.pi)
 seeds = st.integers(0, 2**32 - 1)
@@ -70,10 +70,10 @@ def test_painted_metal_keeps_61_percent_linear_polarization():
 
 def test_painted_metal_is_realizable_up_to_m44_of_minus_0_22():
     m44 = np.array([-1.0, -0.61, -0.46, -0.22, -0.21, -0.10, 0.46])
-    defect = mueller.realizability_defect(mueller.diagonal(0.61, -0.61, m44))
+    defect = depolarization.realizability_defect(mueller.diagonal(0.61, -0.61, m44))
     # Smallest eigenvalue (1 - m22 + m33 - m44) / 4 = (-0.22 - m44) / 4.
     assert_allclose(defect, [0, 0, 0, 0, 0.0025, 0.03, 0.17], rtol=0, atol=1e-15)
-    possible = mueller.is_realizable(mueller.diagonal(0.61, -0.61, m44))
+    possible = depolarization.is_realizable(mueller.diagonal(0.61, -0.61, m44))
     assert_array_equal(possible, [True] * 4 + [False] * 3)
 
 
@@ -103,8 +103,8 @@ def test_an_ideal_depolarizer_gives_every_analyser_half():
     for pair in ("HH", "HV", "PM", "RR", "LR"):
         share = mueller.detected_fraction(mueller.ideal_depolarizer(), pair=pair)
         assert share == 0.5
-    assert mueller.depolarization_index(mueller.ideal_depolarizer()) == 0
-    assert mueller.depolarization_effect(mueller.ideal_depolarizer()) == 0
+    assert depolarization.depolarization_index(mueller.ideal_depolarizer()) == 0
+    assert depolarization.depolarization_effect(mueller.ideal_depolarizer()) == 0
 
 
 @settings(deadline=None)
@@ -144,8 +144,8 @@ def test_rayleigh_is_a_dipole(angle):
 @given(st.floats(0, np.pi))
 def test_rayleigh_does_not_depolarize(angle):
     matrix = mueller.rayleigh(angle)
-    assert_allclose(mueller.depolarization_index(matrix), 1, rtol=1e-14)
-    assert mueller.is_realizable(matrix)
+    assert_allclose(depolarization.depolarization_index(matrix), 1, rtol=1e-14)
+    assert depolarization.is_realizable(matrix)
 
 
 def test_malus_law_holds():
@@ -234,10 +234,10 @@ def test_an_element_turned_twice_is_turned_by_the_sum(first, second):
 @given(seeds)
 def test_no_jones_matrix_depolarizes_and_each_is_realizable(seed):
     matrix = mueller_of(random_jones(seed)[0])
-    assert_allclose(mueller.depolarization_index(matrix), 1, rtol=1e-12)
+    assert_allclose(depolarization.depolarization_index(matrix), 1, rtol=1e-12)
     # Three eigenvalues are zero, up to rounding.
-    assert mueller.realizability_defect(matrix) < 1e-12
-    values = np.linalg.eigvalsh(mueller.coherency_matrix(matrix))
+    assert depolarization.realizability_defect(matrix) < 1e-12
+    values = np.linalg.eigvalsh(depolarization.coherency_matrix(matrix))
     assert_allclose(values[:3], 0, rtol=0, atol=1e-12 * values[3])
 
 
@@ -245,29 +245,29 @@ def test_no_jones_matrix_depolarizes_and_each_is_realizable(seed):
 @given(seeds, st.integers(2, 5))
 def test_mixtures_are_realizable_and_depolarize(seed, count):
     matrix = sum(mueller_of(jones) for jones in random_jones(seed, count))
-    assert mueller.is_realizable(matrix)
-    assert mueller.depolarization_index(matrix) < 1
+    assert depolarization.is_realizable(matrix)
+    assert depolarization.depolarization_index(matrix) < 1
 
 
 def test_turning_helicity_without_turning_diagonals_is_not_realizable():
     # diag(1, 1, 1, -1): eigenvalues 1/2 three times, and -1/2.
     matrix = mueller.diagonal(1, 1, -1)
-    assert_allclose(mueller.realizability_defect(matrix), 0.5, rtol=1e-14)
-    assert not mueller.is_realizable(matrix)
-    assert mueller.is_realizable(matrix, tolerance=0.51)
+    assert_allclose(depolarization.realizability_defect(matrix), 0.5, rtol=1e-14)
+    assert not depolarization.is_realizable(matrix)
+    assert depolarization.is_realizable(matrix, tolerance=0.51)
 
 
 @settings(deadline=None)
 @given(st.floats(-1, 1), st.floats(-1, 1), st.floats(-1, 1))
 def test_defect_of_a_diagonal_matrix_is_its_closed_form(a, b, c):
     least = min(1 + a + b + c, 1 + a - b - c, 1 - a + b - c, 1 - a - b + c) / 4
-    defect = mueller.realizability_defect(mueller.diagonal(a, b, c))
+    defect = depolarization.realizability_defect(mueller.diagonal(a, b, c))
     assert_allclose(defect, max(0.0, -least), rtol=0, atol=1e-14)
 
 
 def test_trace_of_the_coherency_matrix_is_m11():
     matrix = 3.0 * mueller.painted_metal()
-    coherency = mueller.coherency_matrix(matrix)
+    coherency = depolarization.coherency_matrix(matrix)
     assert_allclose(np.trace(coherency), 3.0, rtol=1e-15)
     assert_allclose(coherency, coherency.conj().T, rtol=0, atol=1e-15)
 
@@ -276,8 +276,8 @@ def test_depolarization_figures_of_painted_metal():
     matrix = mueller.painted_metal()
     # sqrt((2 * 0.61^2 + 0.46^2) / 3) and (0.61 + 0.61 + 0.46) / 3.
     expected = np.sqrt((2 * 0.3721 + 0.2116) / 3)
-    assert_allclose(mueller.depolarization_index(matrix), expected, rtol=1e-14)
-    assert_allclose(mueller.depolarization_effect(matrix), 0.56, rtol=1e-14)
+    assert_allclose(depolarization.depolarization_index(matrix), expected, rtol=1e-14)
+    assert_allclose(depolarization.depolarization_effect(matrix), 0.56, rtol=1e-14)
 
 
 @settings(deadline=None)
@@ -286,15 +286,17 @@ def test_figures_depend_on_the_reduced_matrix_alone(seed, factor, angle):
     matrix = sum(mueller_of(jones) for jones in random_jones(seed, 2))
     scaled = factor * matrix
     assert_allclose(
-        mueller.depolarization_index(scaled), mueller.depolarization_index(matrix)
+        depolarization.depolarization_index(scaled),
+        depolarization.depolarization_index(matrix),
     )
     assert_allclose(
-        mueller.depolarization_effect(scaled), mueller.depolarization_effect(matrix)
+        depolarization.depolarization_effect(scaled),
+        depolarization.depolarization_effect(matrix),
     )
     # The index does not depend on the axes either.
     assert_allclose(
-        mueller.depolarization_index(mueller.rotated(matrix, angle=angle)),
-        mueller.depolarization_index(matrix),
+        depolarization.depolarization_index(mueller.rotated(matrix, angle=angle)),
+        depolarization.depolarization_index(matrix),
         rtol=1e-13,
     )
 
@@ -305,8 +307,8 @@ def test_arguments_broadcast():
     assert mueller.apply(matrices, np.ones((2, 4))).shape == (3, 2, 4)
     assert mueller.detected_fraction(matrices, pair="RL").shape == (3, 2)
     assert mueller.detected_fraction(matrices, pair="none").shape == (3, 2)
-    assert mueller.depolarization_index(matrices).shape == (3, 2)
-    assert mueller.is_realizable(matrices).shape == (3, 2)
+    assert depolarization.depolarization_index(matrices).shape == (3, 2)
+    assert depolarization.is_realizable(matrices).shape == (3, 2)
     assert mueller.rayleigh(np.zeros((5, 2))).shape == (5, 2, 4, 4)
     assert mueller.retarder(np.zeros(3), angle=np.zeros((2, 1))).shape == (2, 3, 4, 4)
     polarizers = mueller.linear_polarizer(
@@ -340,7 +342,7 @@ def test_what_is_no_mueller_matrix_is_refused():
     with pytest.raises(ValueError, match=r"last axis of 4 .* got shape \(3,\)"):
         mueller.apply(np.eye(4), np.ones(3))
     with pytest.raises(ValueError, match="m11 of mueller must be above 0, got 0"):
-        mueller.depolarization_index(np.zeros((4, 4)))
+        depolarization.depolarization_index(np.zeros((4, 4)))
 
 
 def test_arguments_outside_of_their_range_are_refused():
@@ -351,4 +353,4 @@ def test_arguments_outside_of_their_range_are_refused():
     with pytest.raises(ValueError, match=r"angle must be from 0 to 3\.14159 rad"):
         mueller.rayleigh(180.0)
     with pytest.raises(ValueError, match="tolerance must not be negative"):
-        mueller.is_realizable(np.eye(4), tolerance=-1.0)
+        depolarization.is_realizable(np.eye(4), tolerance=-1.0)
