@@ -29,19 +29,15 @@ def image(
     farthest: Farthest possible slant range, such as "3 m"; with --nearest.
     overwrite: Replace a file that is there.
     """
-    from amulor import imaging, io, units
+    from amulor import imaging, io
+    from amulor.cli._arguments import interval_of
     from amulor.errors import CubeError
 
-    if (nearest is None) != (farthest is None):
-        raise CubeError("--nearest and --farthest must be given together")
+    interval = interval_of(nearest, farthest)
+    target = io.read_cube(cube)
     try:
-        interval = (
-            None
-            if nearest is None or farthest is None
-            else (units.parse(nearest, "length"), units.parse(farthest, "length"))
-        )
         result = imaging.range_image(
-            io.read_cube(cube), polarization=polarization, interval=interval
+            target, polarization=polarization, interval=interval
         )
     except ValueError as error:
         raise CubeError(str(error)) from None

@@ -16,6 +16,9 @@ def reject(
     output: Annotated[Path, Parameter(alias="-o")],
     target_ratio: float | None = None,
     water_ratio: float | None = None,
+    water_fluctuation: str | None = None,
+    nearest: str | None = None,
+    farthest: str | None = None,
     overwrite: Annotated[bool, Parameter(negative="")] = False,
 ) -> None:
     """Take the water signal out of a measurement cube.
@@ -27,11 +30,17 @@ def reject(
     output: File to write (netCDF).
     target_ratio: Cross- over co-polarized signal of the target, for unmix.
     water_ratio: Cross- over co-polarized signal of the water, for unmix.
+    water_fluctuation: Relative change of the water signal from sample to sample, such
+        as "5 %", for unmix without open-water shots.
+    nearest: Nearest possible slant range, such as "0.5 m", for open-water.
+    farthest: Farthest possible slant range, such as "3 m"; with --nearest.
     overwrite: Replace a file that is there.
     """
-    from amulor import io, rejection
+    from amulor import io, rejection, units
+    from amulor.cli._arguments import interval_of
     from amulor.errors import CubeError
 
+    interval = interval_of(nearest, farthest)
     samples = io.read_cube(cube)
     if method == "unmix":
         if target_ratio is None or water_ratio is None:
@@ -41,13 +50,24 @@ def reject(
             )
         try:
             target = rejection.unmix(
-                samples, target_ratio=target_ratio, water_ratio=water_ratio
+                samples,
+                target_ratio=target_ratio,
+                water_ratio=water_ratio,
+                water_fluctuation=(
+                    None
+                    if water_fluctuation is None
+                    else units.parse(water_fluctuation, "share")
+                ),
             )
+        except ValueError as error:
+            raise CubeError(str(error)) from None
+    elif method == "open-water":
+        try:
+            target = rejection.open_water(samples, interval=interval)
         except ValueError as error:
             raise CubeError(str(error)) from None
     else:
         function = {
-            "open-water": rejection.open_water,
             "cross-polarized": rejection.cross_polarized,
             "co-polarized": rejection.co_polarized,
             "none": rejection.keep_water,

@@ -176,9 +176,9 @@ LEVELS = {
         Level(
             "point_cloud",
             {
-                "x": Variable(_POINT, "m", "position to the right of the emitter"),
-                "y": Variable(_POINT, "m", "position below the emitter"),
-                "z": Variable(_POINT, "m", "position in front of the emitter"),
+                "x": Variable(_POINT, "m", "position to the right"),
+                "y": Variable(_POINT, "m", "position downwards"),
+                "z": Variable(_POINT, "m", "position forwards"),
                 "intensity": Variable(_POINT, "V", "amplitude of the target signal"),
                 "slant_range_uncertainty": Variable(
                     _POINT, "m", "standard uncertainty of the slant range"

@@ -69,7 +69,7 @@ def plane_residual(image: xr.Dataset, region: ArrayLike | None = None) -> PlaneF
     Raises
     ------
     CubeError
-        If fewer than four usable pixels are there.
+        If fewer than four usable pixels are there, or all in one line.
     """
     shape = image["quality_flag"].shape
     label = np.ones(shape, int) if region is None else np.asarray(region).astype(int)
@@ -80,8 +80,9 @@ def plane_residual(image: xr.Dataset, region: ArrayLike | None = None) -> PlaneF
             "choose a larger one"
         )
     centre = points.mean(axis=0)
+    _refuse_a_line(points[:, :2])
     _, singular, axes = np.linalg.svd(points - centre, full_matrices=False)
-    normal = axes[2] * -np.sign(axes[2, 2])
+    normal = axes[2] * (-1.0 if axes[2, 2] > 0 else 1.0)
     freedom = len(points) - 3
     # Uncertainties are along the beam, distances along the normal.
     beam = points / np.linalg.norm(points, axis=1, keepdims=True)
@@ -113,7 +114,7 @@ def step_heights(image: xr.Dataset, regions: ArrayLike) -> list[StepHeight]:
     Raises
     ------
     CubeError
-        If a plane has fewer than three usable pixels.
+        If a plane has fewer than three usable pixels, or all pixels lie in one line.
 
     Notes
     -----
@@ -133,6 +134,7 @@ def step_heights(image: xr.Dataset, regions: ArrayLike) -> list[StepHeight]:
                 f"plane {plane} has {count} usable pixels, needed are at least 3; "
                 "enlarge its region"
             )
+    _refuse_a_line(points[:, :2])
     design = np.concatenate(
         [number[:, None] == np.array(numbers), points[:, :2] - points[:, :2].mean(0)],
         axis=1,
@@ -167,6 +169,16 @@ def step_heights(image: xr.Dataset, regions: ArrayLike) -> list[StepHeight]:
             )
         )
     return steps
+
+
+def _refuse_a_line(places: Floats) -> None:
+    """Raise if points leave the slope of a plane open."""
+    spread = np.linalg.svd(places - places.mean(axis=0), compute_uv=False)
+    if spread[1] < 1e-6 * spread[0]:
+        raise CubeError(
+            "the points lie on a line, which leaves the lean of a plane open; take "
+            "more than one row and one column"
+        )
 
 
 def contrast(image: xr.Dataset, target: ArrayLike, surround: ArrayLike) -> Contrast:

@@ -21,9 +21,9 @@ def point_cloud(image: xr.Dataset) -> xr.Dataset:
     Returns
     -------
     xarray.Dataset
-        Level `point_cloud`; x right, y down, z forward from the emitter. `row` and
-        `column` say which pixel a point comes from. Points lie on the beam as bent by
-        the window.
+        Level `point_cloud`; x right, y down, z forward in the axes of the instrument,
+        in which the emitter stands at its `emitter_position`. `row` and `column` say
+        which pixel a point comes from. Points lie on the beam as bent by the window.
     """
     cubes.check(image, "range_image")
     flag = image["quality_flag"].values

@@ -12,9 +12,8 @@ from scipy.constants import speed_of_light
 from amulor import cube as cubes
 from amulor.cube import UNUSABLE, QualityFlag
 from amulor.errors import CubeError
-from amulor.imaging import unwrap
 from amulor.imaging.geometry import beams_of, medium_of, receivers_of
-from amulor.optics import detection, ranging, rays
+from amulor.optics import ambiguity, detection, ranging, rays
 
 Floats = NDArray[np.float64]
 
@@ -66,50 +65,48 @@ def range_image(
     one = _channel(cube, polarization)
     medium = medium_of(one)
     frequency = one["modulation_frequency"].values
-    near, far = interval or (0.0, _unambiguous(frequency, medium.group_index))
-    if not 0 <= near < far:
-        raise ValueError(
-            f"interval must run from at least 0 m to a larger range, got {near:g} to "
-            f"{far:g} m"
-        )
+    beam, receiver = beams_of(one), receivers_of(one)
+    shortest, longest = rays.path_limits(
+        interval, beam, receiver, medium=medium, modulation_frequency=frequency
+    )
     signal = one.amulor.signal.values
     flag = np.bitwise_or.reduce(one["quality_flag"].values, axis=0).astype(np.int16)
     usable = (flag & UNUSABLE) == 0
+    to_path = speed_of_light / (2 * np.pi * frequency[:, None, None])
     sigma = _phase_uncertainty(one, signal, usable, "")
-    beam, receiver = beams_of(one), receivers_of(one)
-    path = unwrap.optical_path(
+    shift = _phase_left_in(one, signal)
+    path = ambiguity.optical_path(
         np.where(usable, np.angle(signal), 0.0),
-        sigma,
+        np.maximum(sigma, _SMALLEST_PHASE_ERROR),
         modulation_frequency=frequency,
-        shortest=_path_at(near, beam, receiver, medium),
-        longest=_path_at(far, beam, receiver, medium),
+        shortest=shortest,
+        longest=longest,
+        doubt=np.nan_to_num(np.abs(shift), nan=np.inf),
     )
 
     def to_range(length: Floats) -> Floats:
         return rays.slant_range_of_path(length, beam, receiver, medium=medium)
 
     slant_range = to_range(path.length)
-    step = _DIFFERENCE
-    slope = (to_range(path.length + step) - to_range(path.length - step)) / (2 * step)
-    flag[usable & ~(path.settled & np.isfinite(slant_range))] |= QualityFlag.AMBIGUOUS
+    slope = (to_range(path.length + _DIFFERENCE) - slant_range) / _DIFFERENCE
+    settled = path.settled & np.isfinite(slant_range) & np.isfinite(slope)
+    flag[usable & ~settled] |= QualityFlag.AMBIGUOUS
     usable = (flag & UNUSABLE) == 0
-    to_path = speed_of_light / (2 * np.pi * frequency[:, None, None])
-    variables: dict[str, NDArray[Any]] = {
-        "slant_range": slant_range,
-        "slant_range_uncertainty": slope * path.uncertainty,
-    }
+    variance = path.uncertainty**2
+    variables: dict[str, NDArray[Any]] = {}
     if "residual_in_phase" in one:
-        left = one["residual_in_phase"].values + 1j * one["residual_quadrature"].values
-        with np.errstate(invalid="ignore", divide="ignore"):
-            shift = np.angle(signal / (signal - left))
-        variables["slant_range_bias"] = slope * np.sum(
-            path.weight * to_path * shift, axis=0
-        )
+        bias = np.sum(path.weight * to_path * shift, axis=0)
+        variables["slant_range_bias"] = slope * bias
     if "common_covariance" in one:
         shared = _phase_uncertainty(one, signal, usable, "common_")
-        variables["slant_range_common_uncertainty"] = slope * np.sqrt(
-            np.sum((path.weight * to_path * shared) ** 2, axis=0)
-        )
+        # Errors that pixels share may be shared by the frequencies as well: a wrong
+        # depolarization ratio is. Added as such, they make an upper limit.
+        apart = np.sum((path.weight * to_path * shared) ** 2, axis=0)
+        together = np.sum(path.weight * to_path * shared, axis=0) ** 2
+        variance = variance - apart + together
+        variables["slant_range_common_uncertainty"] = slope * np.sqrt(together)
+    variables["slant_range"] = slant_range
+    variables["slant_range_uncertainty"] = slope * np.sqrt(variance)
     if "photon_noise_volt" in one.attrs:
         variables["slant_range_photon_limit"] = _photon_limit(one, medium.group_index)
     variables = {
@@ -129,7 +126,7 @@ def range_image(
             "level": "range_image",
             "polarization": str(one["polarization"].item()),
             "modulation_frequencies": frequency,
-            "interval": np.array([near, far]),
+            **({} if interval is None else {"interval": np.array(interval)}),
         },
     )
     truth = one.amulor.truth
@@ -140,7 +137,9 @@ def range_image(
 
 
 #: Step of the optical path for the derivative of the slant range [m].
-_DIFFERENCE = 1e-3
+_DIFFERENCE = 1e-5
+#: Samples stated to be without any error still need weights [rad].
+_SMALLEST_PHASE_ERROR = 1e-9
 
 
 def _channel(cube: xr.Dataset, polarization: str | None) -> xr.Dataset:
@@ -158,19 +157,16 @@ def _channel(cube: xr.Dataset, polarization: str | None) -> xr.Dataset:
     return cube.sel(polarization=chosen)
 
 
-def _unambiguous(frequency: Floats, group_index: float) -> float:
-    """Return the range that the frequencies together settle [m]."""
-    smallest = np.min(np.append(np.diff(frequency), frequency[0]))
-    return float(ranging.ambiguity_interval(smallest, group_index=group_index))
-
-
-def _path_at(
-    slant_range: float, beam: rays.Beam, receiver: Floats, medium: rays.Medium
-) -> Floats:
-    water = np.maximum(slant_range - beam.length_before, 0.0)
-    point = beam.entry + water[..., None] * beam.direction
-    back = rays.return_length(point, receiver, medium=medium)
-    return beam.optical_length_before + medium.group_index * water + back
+def _phase_left_in(cube: xr.Dataset, signal: NDArray[np.complex128]) -> Floats:
+    """Return the phase shift by water left in, not a number where it is not known."""
+    if "residual_in_phase" in cube:
+        left = (
+            cube["residual_in_phase"].values + 1j * cube["residual_quadrature"].values
+        )
+        with np.errstate(invalid="ignore", divide="ignore"):
+            return np.asarray(np.angle(signal / (signal - left)))
+    taken_out = (cube["quality_flag"].values & QualityFlag.NO_OPEN_WATER) == 0
+    return np.where(taken_out, 0.0, np.nan)
 
 
 def _phase_uncertainty(

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.constants import speed_of_light
 
 
 @dataclass(frozen=True)
@@ -273,3 +274,82 @@ def slant_range_of_path(
 
 
 _SECANT_STEPS = 6
+
+
+def path_limits(
+    interval: tuple[float, float] | None,
+    beam: Beam,
+    receiver: ArrayLike,
+    *,
+    medium: Medium,
+    modulation_frequency: ArrayLike,
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return the two-way optical paths between which a target may lie.
+
+    Parameters
+    ----------
+    interval : tuple of float, optional
+        Nearest and farthest slant range [m]; from 0 to what the frequencies together
+        settle if None.
+    beam : Beam
+        The beam in the water, from `enter_water`.
+    receiver : array_like, last axis (3,)
+        Where the light is collected [m].
+    medium : Medium
+        Indices and window.
+    modulation_frequency : array_like, shape (n,)
+        Modulation frequencies, increasing [Hz].
+
+    Returns
+    -------
+    tuple of two ndarrays
+        Shortest and longest path, of the shape of the beams [m].
+
+    Raises
+    ------
+    ValueError
+        If the interval is empty.
+
+    Notes
+    -----
+    Frequencies settle what the smallest among them and their differences settles. A
+    range of 0 means the start of the water.
+    """
+    near, far = interval or (0.0, unambiguous_range(modulation_frequency, medium))
+    if not 0 <= near < far:
+        raise ValueError(
+            f"interval must run from at least 0 m to a larger range, got {near:g} to "
+            f"{far:g} m"
+        )
+    limits = []
+    for slant_range in (near, far):
+        water = np.maximum(slant_range - beam.length_before, 0.0)
+        point = beam.entry + water[..., None] * beam.direction
+        back = return_length(point, receiver, medium=medium)
+        limits.append(beam.optical_length_before + medium.group_index * water + back)
+    if interval is None:
+        # One whole period of the path from its shortest on, not of a bent range.
+        frequency = np.asarray(modulation_frequency, dtype=float)
+        smallest = np.min(np.append(np.diff(frequency), frequency[0]))
+        limits[1] = limits[0] + speed_of_light / smallest
+    return limits[0], limits[1]
+
+
+def unambiguous_range(modulation_frequency: ArrayLike, medium: Medium) -> float:
+    """Return the range in water that frequencies settle together.
+
+    Parameters
+    ----------
+    modulation_frequency : array_like, shape (n,)
+        Modulation frequencies, increasing [Hz].
+    medium : Medium
+        Its group index counts.
+
+    Returns
+    -------
+    float
+        Range after which all phases repeat, or come closest to it [m].
+    """
+    frequency = np.asarray(modulation_frequency, dtype=float)
+    smallest = np.min(np.append(np.diff(frequency), frequency[0]))
+    return float(speed_of_light / (2 * medium.group_index * smallest))

@@ -5,15 +5,19 @@ from __future__ import annotations
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
-from scipy.constants import speed_of_light
 
-from amulor.optics import rays, small_angle_diffusion
-from amulor.survey import Survey, water_properties
+from amulor.optics import ambiguity, detection, rays, small_angle_diffusion
+from amulor.rejection.reference import Covariance
+from amulor.survey import Survey, WaterProperties, water_properties
 from amulor.survey.view import kernel_arguments, medium, view
 
 
 def hidden_share(
-    cube: xr.Dataset, target_signal: NDArray[np.complex128]
+    cube: xr.Dataset,
+    target_signal: NDArray[np.complex128],
+    uncertainty: Covariance,
+    *,
+    interval: tuple[float, float] | None,
 ) -> NDArray[np.complex128] | None:
     """Return which part of the open-water signal comes from behind the target.
 
@@ -24,55 +28,108 @@ def hidden_share(
         the user knew beforehand, not the truth of a simulation.
     target_signal : ndarray, shape (modulation_frequency, polarization, row, column)
         Target signal so far, from whose phase the distance is taken [V].
+    uncertainty : Covariance
+        Its errors.
+    interval : tuple of float, optional
+        Nearest and farthest slant range that are possible [m].
 
     Returns
     -------
     ndarray of the same shape, or None
-        Share of the open-water signal, a complex number since it comes later [1];
-        None if the cube has no survey to take the water from.
+        Share of the open-water signal, a complex number since it comes later [1]; not
+        a number where the distance is not settled. None if the cube has no survey to
+        take the water from.
+
+    Raises
+    ------
+    ValueError
+        If the interval is empty or holds far too many ambiguity intervals.
 
     Notes
     -----
     Decision on (46) of Ricci et al. 2010: open water is integrated to its end, water
     with a target to the target; the difference stays when open water is subtracted.
-    The distance is that of the first ambiguity interval of the lowest frequency.
     """
     text = cube.attrs.get("survey")
     if not text:
         return None
     survey = Survey.from_text(text, name="survey in the cube")
     water = water_properties(survey)
+    depth = _depth(cube, target_signal, uncertainty, survey, water, interval)
     surroundings = medium(survey, water)
-    azimuth, elevation = cube["azimuth"].values, cube["elevation"].values
-    frequency = cube["modulation_frequency"].values
-    beam = rays.enter_water(
-        survey.instrument.emitter.position,
-        rays.direction(azimuth, elevation),
+    where = view(
+        survey,
+        cube["azimuth"].values,
+        cube["elevation"].values,
         medium=surroundings,
     )
-    # One depth for all channels, from the sum of what they see of the target.
-    phase = np.mod(np.angle(target_signal[0].sum(axis=0)), 2 * np.pi)
-    slant_range = rays.slant_range_of_path(
-        phase * speed_of_light / (2 * np.pi * frequency[0]),
-        beam,
-        survey.instrument.receiver.position,
-        medium=surroundings,
-    )
-    depth = np.maximum(slant_range - beam.length_before, 0.0)
-    depth = np.where(np.isfinite(depth), depth, np.inf)
-    arguments = kernel_arguments(
-        survey, water, view(survey, azimuth, elevation, medium=surroundings)
-    ) | {
-        "backscatter_vsf": water.backscatter_vsf,
+    arguments = kernel_arguments(survey, water, where) | {
+        "backscatter_vsf": 1.0,
         "group_index": water.group_index,
     }
-    each = frequency[:, None, None]
+    each = cube["modulation_frequency"].values[:, None, None]
     end = np.inf if survey.water.column_end is None else survey.water.column_end
     whole = small_angle_diffusion.water_response(each, end=end, **arguments)
+    settled = np.isfinite(depth)
     behind = small_angle_diffusion.water_tail(
-        each, end=np.minimum(depth, end), **arguments
+        each, end=np.where(settled, np.minimum(depth, end), 0.0), **arguments
     )
     if np.isfinite(end):
         behind = behind - small_angle_diffusion.water_tail(each, end=end, **arguments)
-    share: NDArray[np.complex128] = behind / whole
+    # A receiver that sees no water has none behind the target either.
+    share = np.divide(behind, whole, out=np.zeros_like(behind), where=whole != 0)
+    share[:, ~settled] = np.nan
     return np.broadcast_to(share[:, None], target_signal.shape)
+
+
+def _depth(
+    cube: xr.Dataset,
+    signal: NDArray[np.complex128],
+    uncertainty: Covariance,
+    survey: Survey,
+    water: WaterProperties,
+    interval: tuple[float, float] | None,
+) -> NDArray[np.float64]:
+    """Return the water in front of the target; not a number where it is open [m]."""
+    surroundings = medium(survey, water)
+    beam = rays.enter_water(
+        survey.instrument.emitter.position,
+        rays.direction(cube["azimuth"].values, cube["elevation"].values),
+        medium=surroundings,
+    )
+    receiver = np.asarray(survey.instrument.receiver.position)
+    frequency = cube["modulation_frequency"].values
+    # One depth for all channels, from the sum of what they see of the target.
+    summed = np.nansum(signal, axis=1)
+    seen = (np.isfinite(signal).any(axis=1) & (summed != 0)).all(axis=0)
+    sigma = detection.phase_uncertainty(
+        np.where(seen, summed, 1.0),
+        in_phase_variance=np.nansum(uncertainty.in_phase, axis=1),
+        quadrature_variance=np.nansum(uncertainty.quadrature, axis=1),
+        covariance=np.nansum(uncertainty.cross, axis=1),
+    )
+    shortest, longest = rays.path_limits(
+        interval,
+        beam,
+        receiver,
+        medium=surroundings,
+        modulation_frequency=frequency,
+    )
+    path = ambiguity.optical_path(
+        np.where(seen, np.angle(np.where(seen, summed, 1.0)), 0.0),
+        np.maximum(sigma, _SMALLEST_PHASE_ERROR),
+        modulation_frequency=frequency,
+        shortest=shortest,
+        longest=longest,
+        # What is behind the target is still in the phases: they may disagree.
+        doubt=np.inf,
+    )
+    slant_range = rays.slant_range_of_path(
+        path.length, beam, receiver, medium=surroundings
+    )
+    depth = np.maximum(slant_range - beam.length_before, 0.0)
+    return np.where(seen & path.settled, depth, np.nan)
+
+
+#: Samples stated to be without any error still need weights [rad].
+_SMALLEST_PHASE_ERROR = 1e-9

@@ -4,17 +4,19 @@ from __future__ import annotations
 
 import numpy as np
 import xarray as xr
+from numpy.typing import NDArray
 
 from amulor import cube as cubes
 from amulor.errors import CubeError
 from amulor.rejection.build import covariance_of, target_cube
-from amulor.rejection.reference import Covariance
+from amulor.rejection.open_water import fit_shots
+from amulor.rejection.reference import Covariance, fluctuation
 
-#: Channels in which backscatter of spheres is dark: crossed linear analysers, and the
-#: same circular state, since a mirror-like return changes the handedness.
-CROSS_POLARIZED = ("VH", "HV", "PM", "MP", "RR", "LL")
+#: Channels in which backscatter of spheres is dark. A mirror-like return keeps V and H,
+#: but swaps +45 with -45 degrees and right with left, in the axes of its own light.
+CROSS_POLARIZED = ("VH", "HV", "PP", "MM", "RR", "LL")
 #: Channels in which it is bright.
-CO_POLARIZED = ("VV", "HH", "PP", "MM", "RL", "LR")
+CO_POLARIZED = ("VV", "HH", "PM", "MP", "RL", "LR")
 _PARTNERS = dict(zip(CO_POLARIZED, CROSS_POLARIZED, strict=True))
 
 
@@ -86,6 +88,7 @@ def unmix(
     water_ratio: float,
     target_ratio_uncertainty: float = 0.0,
     water_ratio_uncertainty: float = 0.0,
+    water_fluctuation: float | None = None,
 ) -> xr.Dataset:
     r"""Separate target and water by their known depolarization ratios.
 
@@ -100,6 +103,10 @@ def unmix(
     target_ratio_uncertainty, water_ratio_uncertainty : float
         Their standard uncertainties; their share of the error is common to all
         pixels [1].
+    water_fluctuation : float, optional
+        Relative change of the water signal from sample to sample, which differs in
+        the two channels since they are measured one after the other [1]. Taken from
+        the open-water shots by default, and needed if the cube has none.
 
     Returns
     -------
@@ -109,7 +116,7 @@ def unmix(
     Raises
     ------
     CubeError
-        If the two channels are not there.
+        If the two channels are not there, or nothing tells how the water fluctuates.
     ValueError
         If the ratios are equal or out of range: then no unmixing is possible.
 
@@ -133,9 +140,16 @@ def unmix(
     a, b = first.amulor.signal.values, second.amulor.signal.values
     target = (b - water_ratio * a) / contrast
     water = a - target
+    strays = [
+        _stray(part, water, water_fluctuation).scaled((water_ratio / contrast) ** 2)
+        for part in (first, second)
+    ]
     independent = covariance_of(second).scaled(contrast**-2) + covariance_of(
         first
     ).scaled((water_ratio / contrast) ** 2)
+    if "saturated" in cube:
+        either = np.maximum(first["saturated"].values, second["saturated"].values)
+        first = first.assign(saturated=first["saturated"].copy(data=either))
     # dT/dr_t = -T / contrast and dT/dr_w = -W / contrast.
     common = _along(target, target_ratio_uncertainty / contrast) + _along(
         water, water_ratio_uncertainty / contrast
@@ -143,7 +157,7 @@ def unmix(
     return target_cube(
         first,
         target,
-        independent + common,
+        independent + strays[0] + strays[1] + common,
         water_signal=water,
         common=common,
         step=f"reject, unmix {co} and {cross}, ratios of target {target_ratio:g}, "
@@ -154,7 +168,32 @@ def unmix(
 _SMALLEST_CONTRAST = 1e-3
 
 
-def _along(signal: np.ndarray, size: float) -> Covariance:
+def _stray(
+    channel: xr.Dataset, water: NDArray[np.complex128], stated: float | None
+) -> Covariance:
+    """Return how the water signal of one channel strays, per unit of co-polarized."""
+    if stated is not None:
+        return _along(water, stated)
+    shots = channel.amulor.open_water
+    if shots is None:
+        raise CubeError(
+            "the cube has no open-water shots to tell how much the water signal "
+            "fluctuates; state water_fluctuation (command line: --water-fluctuation, "
+            '0 for still water, such as "5 %")'
+        )
+    parts = [
+        fluctuation(fit.relative, level.ravel())
+        for fit, level in zip(fit_shots(channel, shots), water[:, 0], strict=True)
+    ]
+    return Covariance(
+        *(
+            np.array([getattr(part, name) for part in parts]).reshape(water.shape)
+            for name in ("in_phase", "quadrature", "cross")
+        )
+    )
+
+
+def _along(signal: NDArray[np.complex128], size: float) -> Covariance:
     """Return the covariance of an error that stretches a signal by a random factor."""
     return Covariance(
         (size * signal.real) ** 2,

@@ -33,7 +33,8 @@ def flags(
     uncertainty : Covariance
         Its errors.
     residual : ndarray of complex, optional
-        Water signal that is estimated to be left in [V].
+        Water signal that is estimated to be left in [V]; where it is not a number,
+        it is not known, and flagged as if it were large.
     water_is_in : bool
         True if no water signal was taken out at all.
 
@@ -47,7 +48,8 @@ def flags(
     if "saturated" in samples:
         flag[samples["saturated"].values != 0] |= QualityFlag.SATURATED
     # Water that is left in must not pass for a target: it counts as an error too.
-    left = 0.0 if residual is None else np.abs(residual) ** 2
+    known = np.zeros_like(target_signal) if residual is None else residual
+    left = np.nan_to_num(np.abs(known) ** 2)
     blurred = Covariance(
         uncertainty.in_phase + left, uncertainty.quadrature + left, uncertainty.cross
     )
@@ -66,6 +68,6 @@ def flags(
         )
         with np.errstate(invalid="ignore", divide="ignore"):
             shift = np.abs(np.angle(target_signal / (target_signal - residual)))
-        flag[seen & (shift > phase)] |= QualityFlag.WATER_RESIDUAL
+        flag[seen & ~(shift <= phase)] |= QualityFlag.WATER_RESIDUAL
     flag[missing] = QualityFlag.MISSING
     return flag

@@ -14,6 +14,10 @@ Complex = NDArray[np.complex128]
 _HIGHEST_DEGREE = 4
 #: A degree fits when its misfit is no larger than chance makes in 1 of 20 cases.
 _SIGNIFICANCE = 0.05
+#: Shots beyond the coefficients of the polynomial, to judge how much they stray.
+_FREEDOM = 4
+#: A constant, and enough shots to judge it.
+FEWEST_SHOTS = 1 + _FREEDOM
 
 
 @dataclass(frozen=True)
@@ -45,12 +49,17 @@ class Covariance:
         """Return the squared distance of a signal from zero in units of its error."""
         real, imaginary = signal.real, signal.imag
         determinant = self.in_phase * self.quadrature - self.cross**2
-        square: Floats = (
+        product = (
             self.quadrature * real**2
             + self.in_phase * imaginary**2
             - 2 * self.cross * real * imaginary
-        ) / determinant
-        return square
+        )
+        # A signal without any error is infinitely far off zero, unless it is zero.
+        certain = np.where(np.abs(signal) > 0, np.inf, 0.0)
+        square: Floats = np.divide(
+            product, determinant, out=certain, where=determinant > 0
+        )
+        return np.where(np.isfinite(signal), square, np.nan)
 
 
 @dataclass(frozen=True)
@@ -61,8 +70,8 @@ class Reference:
     """Expected water signal [V]."""
     common: Covariance
     """Error of that expectation: the pixels share it."""
-    fluctuation: Covariance
-    """How the water signal of one sample strays from its expectation."""
+    relative: NDArray[np.float64]
+    """How one sample strays, (radial, tangential) covariance per squared signal [1]."""
     degree: int
     """Degree of the polynomial over the scan directions."""
 
@@ -91,6 +100,11 @@ def fit(
     Reference
         Arrays over the m pixels.
 
+    Raises
+    ------
+    ValueError
+        If there are fewer than `FEWEST_SHOTS`.
+
     Notes
     -----
     Least squares of a polynomial, one degree above the lowest whose misfit, against
@@ -99,6 +113,8 @@ def fit(
     the shots scatter beyond their stated error is a fluctuation of the water, taken as
     proportional to its signal.
     """
+    if len(shots) < FEWEST_SHOTS:
+        raise ValueError(f"a reference needs {FEWEST_SHOTS} shots, got {len(shots)}")
     centre, scale = _frame(shot_direction)
     where = (shot_direction - centre) / scale
     powers = _powers(where)
@@ -113,7 +129,7 @@ def fit(
         relative = _relative_fluctuation(
             shots, level, instrument, freedom=len(shots) - len(chosen)
         )
-        spread = _fluctuation(relative, level)
+        spread = fluctuation(relative, level)
         total = instrument + spread
         variance = total.in_phase + total.quadrature
         # Channels that see nothing at all have no error either: all shots alike.
@@ -125,8 +141,12 @@ def fit(
             for part in (total.in_phase, total.quadrature, total.cross)
         )
     )
-    signal = at_pixels @ coefficients
-    return Reference(signal, common, _fluctuation(relative, signal), int(degree))
+    # Few shots tell their own scatter badly: Student's variance instead of the normal.
+    freedom = len(shots) - len(chosen)
+    unsure = freedom / (freedom - 1)
+    return Reference(
+        at_pixels @ coefficients, common.scaled(unsure), relative * unsure, int(degree)
+    )
 
 
 def _frame(direction: Floats) -> tuple[Floats, Floats]:
@@ -165,7 +185,8 @@ def _choose_degree(
     group = group.ravel()
     groups = len(size)
     repeats = len(shots) - groups
-    highest = int(powers.sum(axis=1).max())
+    order = powers.sum(axis=1)
+    highest = max(d for d in range(int(order.max()) + 1) if _fits(order, d, len(shots)))
     if repeats < 1 or groups == 1:
         return min(highest, 2) if groups > 1 else 0
     weight_of = np.bincount(group, weight)
@@ -189,6 +210,10 @@ def _choose_degree(
         if chance > _SIGNIFICANCE:
             return min(degree + 1, highest)
     return highest
+
+
+def _fits(order: NDArray[np.intp], degree: int, shots: int) -> bool:
+    return degree == 0 or shots - int(np.sum(order <= degree)) >= _FREEDOM
 
 
 def _relative_fluctuation(
@@ -220,8 +245,21 @@ def _relative_fluctuation(
     return kept
 
 
-def _fluctuation(relative: NDArray[np.float64], level: Complex) -> Covariance:
-    """Turn a relative covariance into one of the outputs at a given water signal."""
+def fluctuation(relative: NDArray[np.float64], level: Complex) -> Covariance:
+    """Turn a relative covariance into one of the outputs at a given water signal.
+
+    Parameters
+    ----------
+    relative : ndarray, shape (2, 2)
+        Covariance of radial and tangential strays per squared signal [1].
+    level : ndarray of complex
+        Water signal [V].
+
+    Returns
+    -------
+    Covariance
+        Arrays of the shape of the signal.
+    """
     a, b = level.real, level.imag
     radial, crossed, tangential = relative[0, 0], relative[0, 1], relative[1, 1]
     return Covariance(

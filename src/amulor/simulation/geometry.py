@@ -7,8 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from amulor.errors import SurveyError
 from amulor.optics import rays
-from amulor.simulation.scene import Scene, aperture_points
+from amulor.simulation.scene import Hits, Scene, aperture_points
 from amulor.survey import Survey, WaterProperties
 from amulor.survey.view import View, medium, view
 
@@ -112,6 +113,11 @@ def trace(survey: Survey, water: WaterProperties) -> Geometry:
     Geometry
         Arrays over (row, column).
 
+    Raises
+    ------
+    SurveyError
+        If a beam meets a target behind the end of the water.
+
     Notes
     -----
     Another surface between the target and the receiver hides the echo in part: seven
@@ -128,6 +134,7 @@ def trace(survey: Survey, water: WaterProperties) -> Geometry:
     )
     scene = Scene(survey.targets)
     hits = scene.cast(beam.entry.reshape(-1, 3), beam.direction.reshape(-1, 3))
+    _refuse_targets_behind_the_water(survey, hits)
     receiver = np.asarray(instrument.receiver.position)
     points, weights = aperture_points(receiver, radius=instrument.receiver.radius)
     share = scene.visible_share(hits, points, weights)
@@ -155,3 +162,16 @@ def trace(survey: Survey, water: WaterProperties) -> Geometry:
         optical_path=path.reshape(shape),
         cosine=(cosine * share).reshape(shape),
     )
+
+
+def _refuse_targets_behind_the_water(survey: Survey, hits: Hits) -> None:
+    end = survey.water.column_end
+    if end is None:
+        return
+    behind = np.isfinite(hits.distance) & (hits.distance > end)
+    if behind.any():
+        number = int(hits.target[behind][0])
+        raise SurveyError(
+            f"targets.{number}: a beam meets it after {hits.distance[behind][0]:.4g} m "
+            f"of water, but water.column_end is {end:g} m; move the target, or the end"
+        )

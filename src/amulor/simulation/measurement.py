@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import numbers
 from typing import Any
 
 import numpy as np
@@ -44,7 +45,7 @@ def simulate(survey: Survey, *, rng: np.random.Generator | int) -> xr.Dataset:
     Target and water signal share the kernel (43) of Ricci et al. 2010, as rebuilt; the
     column ends at the target. Reflections at a window are left out.
     """
-    seed = rng if isinstance(rng, int) else None
+    seed = int(rng) if isinstance(rng, numbers.Integral) else None
     generator = np.random.default_rng(rng)
     water = water_properties(survey)
     geometry = geometry_of.trace(survey, water)

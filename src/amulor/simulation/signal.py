@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.constants import speed_of_light
 
 from amulor.optics import mueller, small_angle_diffusion, target_echo
 from amulor.simulation.geometry import Geometry
@@ -100,6 +101,10 @@ def water_light(
         group_index=water.group_index,
         end=stop,
         **kernel_arguments(survey, water, view),
+    )
+    # The model counts the delay from where the water begins.
+    response = response * np.exp(
+        2j * np.pi * frequency * view.optical_offset / speed_of_light
     )
     share = _fractions(survey, survey.water.backscatter_mueller)
     return _light(response * share.reshape(-1, *[1] * view.tilt.ndim))

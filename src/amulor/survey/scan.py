@@ -42,5 +42,5 @@ class Scan(Description):
     """Every row from left to right, or every second one from right to left."""
     moves: Literal["beam", "both"] = "beam"
     """What turns: the beam alone, or emitter and receiver together."""
-    open_water: OpenWater | None = OpenWater()
+    open_water: OpenWater | None = None
     """Reference shots without a target; left out if there are none."""

@@ -16,7 +16,7 @@ PAINTED_METAL = (0.61, -0.61, -0.46)
 
 class _Target(Description):
     position: Position
-    """Centre of the target (right, down, forward), seen from the emitter [m]."""
+    """Centre of the target (right, down, forward) in the instrument's axes [m]."""
     rotation: Rotation = (0.0, 0.0, 0.0)
     """Turns about the axes right, down, forward, one after the other [rad]."""
     reflectance: Annotated[Share, Field(gt=0, le=1)]

@@ -8,11 +8,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from amulor.errors import SurveyError
 from amulor.optics import rays
 from amulor.survey.properties import WaterProperties
 from amulor.survey.survey import Survey
 
 Floats = NDArray[np.float64]
+#: Beyond this angle between axis and beam no small-angle model means anything [1].
+_SMALLEST_COSINE = 0.5
 
 
 @dataclass(frozen=True)
@@ -27,6 +30,8 @@ class View:
     """The inclination across the baseline [rad]."""
     standoff: Floats
     """Air and glass before the water, as a depth of water [m]."""
+    optical_offset: Floats
+    """Group index times length, out and back, where the depth is zero [m]."""
     acceptance: float
     """1/e half-width of the field of view, in the water [rad]."""
 
@@ -77,6 +82,17 @@ def view(
     -------
     View
         Small-angle quantities over the beams.
+
+    Raises
+    ------
+    SurveyError
+        If the receiver looks more than 60 degrees past a beam.
+
+    Notes
+    -----
+    The signal models are small-angle models. They also count the delay of the water
+    along the beam, twice the depth, where the way back to a receiver aside is longer:
+    by 0.3 degrees of phase at 39 MHz for a baseline of 7 cm, 1.2 degrees for 20 cm.
     """
     instrument, scan = survey.instrument, survey.scan
     receiver = instrument.receiver
@@ -90,9 +106,21 @@ def view(
     )
     sight = rays.enter_water(receiver.position, axis, medium=medium)
     along = np.sum(beam.direction * sight.direction, axis=-1)
+    if np.min(along) < _SMALLEST_COSINE:
+        angle = np.degrees(np.arccos(np.clip(np.min(along), -1, 1)))
+        raise SurveyError(
+            f"instrument.receiver: its axis stands {angle:.0f} degrees off a beam of "
+            "the scan, but the signal models hold for small angles only; aim the "
+            "receiver at the scan (azimuth, elevation)"
+        )
     inclination = beam.direction / along[..., None] - sight.direction
     # Where the water begins, across the receiver's axis.
     offset = sight.entry - beam.entry
+    before = (
+        beam.optical_length_before
+        + sight.optical_length_before
+        - medium.group_index * np.sum(offset * sight.direction, axis=-1)
+    )
     offset = offset - np.sum(offset * sight.direction, axis=-1)[..., None] * (
         sight.direction
     )
@@ -112,7 +140,7 @@ def view(
     tilt = np.sum(inclination * offset / safe, axis=-1)
     total = np.sum(inclination**2, axis=-1)
     cross = np.sqrt(np.maximum(total - tilt**2, 0.0))
-    return View(baseline, tilt, cross, standoff, acceptance)
+    return View(baseline, tilt, cross, standoff, before, acceptance)
 
 
 def kernel_arguments(

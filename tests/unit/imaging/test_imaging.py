@@ -192,3 +192,40 @@ def test_a_parallel_scan_puts_points_side_by_side() -> None:
     # 1e-3 rad at 50 MHz in air: c / (4 pi f) times it.
     sigma = 299792458.0 / (4 * np.pi * 50e6) * 1e-3
     assert_allclose(cloud["slant_range_uncertainty"], sigma, rtol=1e-6)
+
+
+@pytest.mark.parametrize("distance", ['"2.78 m"', '"0.004 m"'])
+def test_the_ends_of_the_ambiguity_interval_make_no_gross_errors(
+    plate_text: str, distance: str
+) -> None:
+    # 39 MHz repeat after 2.785 m: noise of millimetres must not wrap unseen.
+    text = plate_text.replace('["0 m", "0 m", "1.5 m"]', f'["0 m", "0 m", {distance}]')
+    text = text.replace('["7 cm", "0 m", "0 m"]', '["0 m", "0 m", "0 m"]')
+    text = text.replace('"-2.672 deg"', '"0 deg"').replace('"10 %"', '"0.1 %"')
+    text = text.replace('"0 1/sr"', '"0 1/sr"').replace('"0.06 deg"', '"0.5 deg"')
+    cube = simulate(Survey.from_text(text), rng=3)
+    image = imaging.range_image(rejection.open_water(cube), polarization="VV")
+    usable = (image["quality_flag"].values & cubes.UNUSABLE) == 0
+    error = abs(image["slant_range"] - image["truth_slant_range"]).values
+    assert (error[usable] < 0.2).all()
+    assert np.isfinite(image["slant_range_uncertainty"].values[usable]).all()
+
+
+def test_a_usable_pixel_has_a_finite_uncertainty_close_to_the_window(
+    plate_text: str,
+) -> None:
+    text = _dry(plate_text).replace('"1.5 m"', '"0.322 m"') + WINDOW
+    cube = simulate(Survey.from_text(text), rng=3)
+    image = imaging.range_image(rejection.keep_water(cube), polarization="VV")
+    usable = (image["quality_flag"].values & cubes.UNUSABLE) == 0
+    assert usable.any()
+    assert np.isfinite(image["slant_range_uncertainty"].values[usable]).all()
+
+
+def test_water_left_in_does_not_empty_the_picture_of_several_frequencies(
+    plate_text: str,
+) -> None:
+    text = plate_text.replace('["39 MHz"]', '["39 MHz", "61 MHz", "97 MHz"]')
+    cube = simulate(Survey.from_text(text), rng=3)
+    image = imaging.range_image(rejection.keep_water(cube), polarization="VV")
+    assert image["slant_range"].notnull().mean() > 0.9

@@ -144,3 +144,13 @@ def test_contrast_of_known_brightness_and_its_error() -> None:
     assert 0.75 < np.mean(np.square(values)) < 1.25
     with pytest.raises(CubeError, match="surround has 0"):
         metrics.contrast(image, LABEL == 2, LABEL == 9)
+
+
+def test_points_on_a_line_leave_the_plane_open() -> None:
+    image = _image(1.5 + 0 * X, 1e-3)
+    row = np.zeros(X.shape, dtype=int)
+    row[4] = np.repeat([1, 2, 3], COLUMNS // 3)
+    with pytest.raises(CubeError, match="lie on a line"):
+        metrics.step_heights(image, row)
+    with pytest.raises(CubeError, match="lie on a line"):
+        metrics.plane_residual(image, row > 0)

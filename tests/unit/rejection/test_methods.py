@@ -162,18 +162,24 @@ def test_the_noise_of_unmixing_is_propagated(plate_text: str) -> None:
 @given(st.floats(0.01, 0.05), st.floats(0.005, 0.02))
 def test_wrong_ratios_show_in_the_shared_uncertainty(dt: float, dw: float) -> None:
     cube = _two_channels()
-    exact = rejection.unmix(cube, target_ratio=PAINT, water_ratio=MILK)
+    still: dict[str, float] = {"water_fluctuation": 0.0}
+    exact = rejection.unmix(cube, target_ratio=PAINT, water_ratio=MILK, **still)
     unsure = rejection.unmix(
         cube,
         target_ratio=PAINT,
         water_ratio=MILK,
+        **still,
         target_ratio_uncertainty=dt,
         water_ratio_uncertainty=dw,
     )
     # Derivative by difference: what the error of a ratio does to the signal.
     step = 1e-6
-    by_target = rejection.unmix(cube, target_ratio=PAINT + step, water_ratio=MILK)
-    by_water = rejection.unmix(cube, target_ratio=PAINT, water_ratio=MILK + step)
+    by_target = rejection.unmix(
+        cube, target_ratio=PAINT + step, water_ratio=MILK, **still
+    )
+    by_water = rejection.unmix(
+        cube, target_ratio=PAINT, water_ratio=MILK + step, **still
+    )
     base = exact["in_phase"].values
     expected = np.hypot(
         (by_target["in_phase"].values - base) / step * dt,
@@ -239,3 +245,135 @@ def test_input_is_not_changed(samples: xr.Dataset) -> None:
     rejection.open_water(samples)
     rejection.unmix(samples, target_ratio=PAINT, water_ratio=MILK)
     xr.testing.assert_identical(samples, before)
+
+
+def test_channels_are_sorted_by_what_an_ideal_mirror_does() -> None:
+    from amulor.optics import mueller
+    from amulor.rejection import polarization
+
+    mirror = mueller.ideal_backscatter()
+    for pair in polarization.CROSS_POLARIZED:
+        assert mueller.detected_fraction(mirror, pair=pair) == pytest.approx(0)
+    for pair in polarization.CO_POLARIZED:
+        assert mueller.detected_fraction(mirror, pair=pair) == pytest.approx(1)
+
+
+def _scores(text: str, seeds: int, step, **options) -> np.ndarray:
+    """Return (range - bias - truth) / uncertainty of all usable pixels."""
+    from amulor import imaging
+
+    survey = Survey.from_text(text)
+    found = []
+    for seed in range(seeds):
+        target = step(simulate(survey, rng=seed))
+        image = imaging.range_image(target, **options)
+        error = image["slant_range"] - image["truth_slant_range"]
+        error = error - image.get("slant_range_bias", 0.0)
+        found.append((error / image["slant_range_uncertainty"]).values)
+    return np.array(found)
+
+
+def test_the_fluctuation_is_that_of_the_water_before_the_target(
+    plate_text: str,
+) -> None:
+    # Half of the open water's signal stands behind a target 0.8 m away.
+    text = plate_text.replace('"1.5 m"', '"0.8 m"').replace(
+        "repeats = 8", "repeats = 60"
+    )
+    text = text.replace('"0.255 1/m"', '"0.05 1/m"').replace('"5 %"', '"20 %"')
+    z = _scores(text, 12, rejection.open_water, polarization="VV")
+    # 864 pixels: 2.4 % by chance; a wrong direction gave 1.4.
+    assert 0.85 < np.nanstd(z) < 1.15
+
+
+def test_the_uncertainty_of_unmixing_holds_in_water_that_fluctuates(
+    plate_text: str,
+) -> None:
+    text = plate_text.replace("repeats = 8", "repeats = 60")
+    z = _scores(
+        text, 12, lambda c: rejection.unmix(c, target_ratio=PAINT, water_ratio=MILK)
+    )
+    # Without the fluctuation it was 4.6.
+    assert 0.85 < np.nanstd(z) < 1.15
+
+
+@pytest.mark.parametrize(
+    ("frequencies", "interval"),
+    [
+        ('["138 MHz"]', (1.2, 1.8)),
+        ('["100 MHz", "110 MHz", "123 MHz"]', None),
+    ],
+)
+def test_the_residual_is_that_of_the_right_ambiguity_interval(
+    plate_text: str, frequencies: str, interval: tuple[float, float] | None
+) -> None:
+    text = plate_text.replace('["39 MHz"]', frequencies)
+    text = text.replace("repeats = 8", "repeats = 40")
+    z = _scores(
+        text,
+        8,
+        lambda c: rejection.open_water(c, interval=interval),
+        polarization="VH",
+        interval=interval,
+    )
+    assert np.isfinite(z).mean() > 0.95
+    assert 0.85 < np.nanstd(z) < 1.15
+    assert abs(np.nanmean(z)) < 0.6
+
+
+def test_where_the_distance_is_open_the_residual_is_unknown_and_flagged(
+    plate_text: str,
+) -> None:
+    text = plate_text.replace('["39 MHz"]', '["138 MHz"]')
+    cube = simulate(Survey.from_text(text), rng=1)
+    found = rejection.open_water(cube, interval=(0.5, 2.5))
+    assert np.isnan(found["residual_in_phase"].values).all()
+    assert (found["quality_flag"].values & QualityFlag.WATER_RESIDUAL).all()
+
+
+def test_a_scan_beyond_the_shots_is_refused(samples: xr.Dataset) -> None:
+    narrow = samples.isel(shot=slice(0, 40))
+    with pytest.raises(CubeError, match="beyond the open-water shots in elevation"):
+        rejection.open_water(narrow)
+
+
+def test_a_receiver_that_turns_with_the_beam_needs_no_spread_of_shots(
+    plate_text: str,
+) -> None:
+    text = plate_text.replace("[scan]", '[scan]\nmoves = "both"')
+    cube = simulate(Survey.from_text(text), rng=1).isel(shot=slice(0, 40))
+    rejection.open_water(cube)
+
+
+def test_water_without_backscatter_leaves_nothing_in(plate_text: str) -> None:
+    text = plate_text.replace('"0.001 1/sr"', '"0 1/sr"')
+    found = rejection.open_water(simulate(Survey.from_text(text), rng=1))
+    assert not (found["quality_flag"].values & cubes.UNUSABLE).any()
+
+
+def test_a_missing_channel_does_not_spoil_the_other(samples: xr.Dataset) -> None:
+    broken = samples.copy(deep=True)
+    broken["in_phase"][0, 0, 2, 3] = np.nan
+    found, whole = rejection.open_water(broken), rejection.open_water(samples)
+    assert found["quality_flag"][0, 0, 2, 3] == QualityFlag.MISSING
+    assert_allclose(
+        found["residual_in_phase"][0, 1, 2, 3],
+        whole["residual_in_phase"][0, 1, 2, 3],
+        rtol=0.05,
+    )
+
+
+def test_unmixing_keeps_the_saturation_of_either_channel(samples: xr.Dataset) -> None:
+    cube = samples.copy(deep=True)
+    cube["saturated"][0, 1, 1, 1] = 1
+    found = rejection.unmix(cube, target_ratio=PAINT, water_ratio=MILK)
+    assert found["quality_flag"][0, 0, 1, 1].item() & QualityFlag.SATURATED
+
+
+def test_unmixing_without_shots_asks_how_the_water_fluctuates(
+    samples: xr.Dataset,
+) -> None:
+    bare = cubes.without_groups(samples)
+    with pytest.raises(CubeError, match="--water-fluctuation"):
+        rejection.unmix(bare, target_ratio=PAINT, water_ratio=MILK)
+    rejection.unmix(bare, target_ratio=PAINT, water_ratio=MILK, water_fluctuation=0.05)

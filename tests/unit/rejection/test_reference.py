@@ -67,9 +67,8 @@ def test_turning_and_scaling_the_shots_turns_and_scales_the_reference(
     plain = reference.fit(shots, stated, places, PLACES)
     moved = reference.fit(shots * factor, stated.scaled(size**2), places, PLACES)
     assert_allclose(moved.signal, plain.signal * factor, rtol=1e-6)
-    trace = plain.fluctuation.in_phase + plain.fluctuation.quadrature
-    moved_trace = moved.fluctuation.in_phase + moved.fluctuation.quadrature
-    assert_allclose(moved_trace, trace * size**2, rtol=1e-6)
+    # Radial and tangential strays per unit of signal are the same.
+    assert_allclose(moved.relative, plain.relative, rtol=1e-5, atol=1e-9)
 
 
 def test_the_fluctuation_is_found_and_points_along_the_signal() -> None:
@@ -77,25 +76,25 @@ def test_the_fluctuation_is_found_and_points_along_the_signal() -> None:
         np.random.default_rng(4), repeats=300, stray=0.05
     )
     found = reference.fit(shots, stated, places, PLACES)
-    size = found.fluctuation.in_phase + found.fluctuation.quadrature
+    strays = reference.fluctuation(found.relative, truth)
+    size = strays.in_phase + strays.quadrature
     # 6300 shots: the variance is known to sqrt(2 / 6300) = 1.8 %; three of them.
     assert_allclose(size, 0.05**2 * abs(truth) ** 2, rtol=0.06)
     # A change of strength alone leaves the phase: no variance across the signal.
     turn = truth / abs(truth)
     across = (
-        turn.imag**2 * found.fluctuation.in_phase
-        + turn.real**2 * found.fluctuation.quadrature
-        - 2 * turn.real * turn.imag * found.fluctuation.cross
+        turn.imag**2 * strays.in_phase
+        + turn.real**2 * strays.quadrature
+        - 2 * turn.real * turn.imag * strays.cross
     )
     assert (across < 0.02 * size).all()
 
 
 def test_quiet_water_has_no_fluctuation_beyond_chance() -> None:
-    shots, stated, places, truth = _shots(np.random.default_rng(5), repeats=300)
+    shots, stated, places, _ = _shots(np.random.default_rng(5), repeats=300)
     found = reference.fit(shots, stated, places, PLACES)
-    size = np.sqrt(found.fluctuation.in_phase + found.fluctuation.quadrature)
     # 1 % of noise on 6300 shots hides a fluctuation of 1 % * (2 / 6300)^(1/4) = 0.13 %.
-    assert (size < 0.004 * abs(truth)).all()
+    assert np.sqrt(np.trace(found.relative)) < 0.004
 
 
 def test_shots_in_one_direction_make_a_constant() -> None:
@@ -116,3 +115,37 @@ def test_the_mahalanobis_distance_is_that_of_the_inverse_matrix() -> None:
     vector = np.array([1.5, -0.5])
     expected = vector @ np.linalg.inv(matrix) @ vector
     assert_allclose(covariance.mahalanobis(np.array([1.5 - 0.5j])), expected)
+
+
+def test_a_degree_leaves_shots_enough_to_judge_the_scatter() -> None:
+    rng = np.random.default_rng(7)
+    places = np.stack([np.linspace(-1, 1, 8), np.zeros(8)], axis=1)
+    z = []
+    for _ in range(600):
+        shots = 1 + 0.1 * rng.standard_normal(8)
+        quiet = np.full(8, 1e-8)
+        stated = Covariance(quiet, quiet, 0 * quiet)
+        found = reference.fit(shots + 0j, stated, places, places)
+        assert found.degree <= 3
+        # How far a further sample lies from the reference, in what is stated.
+        sample = 1 + 0.1 * rng.standard_normal(8)
+        total = found.common + reference.fluctuation(found.relative, found.signal)
+        z.append((sample - found.signal.real) / np.sqrt(total.in_phase))
+    # Four degrees of freedom make heavy tails; the bulk must hold.
+    assert np.mean(np.abs(z) < 1) > 0.6
+
+
+def test_too_few_shots_are_refused() -> None:
+    flat = np.ones(4)
+    with pytest.raises(ValueError, match="needs 5 shots, got 4"):
+        reference.fit(
+            flat + 0j, Covariance(flat, flat, 0 * flat), np.zeros((4, 2)), PLACES
+        )
+
+
+def test_a_certain_signal_is_infinitely_far_off_zero() -> None:
+    nothing = Covariance(np.zeros(3), np.zeros(3), np.zeros(3))
+    found = nothing.mahalanobis(np.array([1j, 0.0, np.nan]))
+    assert found[0] == np.inf
+    assert found[1] == 0
+    assert np.isnan(found[2])

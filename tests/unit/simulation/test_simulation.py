@@ -7,6 +7,7 @@ import pytest
 from numpy.testing import assert_allclose
 from scipy.constants import Planck, speed_of_light
 
+from amulor.errors import SurveyError
 from amulor.optics import small_angle_diffusion
 from amulor.simulation import simulate
 from amulor.survey import Survey, water_properties
@@ -231,3 +232,51 @@ def test_a_window_shifts_the_phase_by_its_group_path(plate_text: str) -> None:
     turn = np.angle(np.exp(1j * (phase.values[3, 6] - expected)))
     # The baseline of 7 cm lengthens the way back by 2 mm, 0.1 degrees of arc.
     assert 0 < turn < 2 * np.pi * 39e6 * 4e-3 / speed_of_light
+
+
+WINDOW = '[instrument.window]\ndistance = "50 cm"\nthickness = "2 cm"\n'
+
+
+@pytest.mark.parametrize(
+    ("tail", "emitter", "plate"),
+    [
+        (WINDOW, 0.0, 0.521),
+        ('[instrument.emitter]\nposition = ["0 m", "0 m", "30 cm"]\n', 0.3, 0.301),
+    ],
+    ids=["window", "emitter ahead of the receiver"],
+)
+def test_a_thin_layer_of_water_has_the_phase_of_the_target_behind_it(
+    plate_text: str, tail: str, emitter: float, plate: float
+) -> None:
+    text = _quiet(plate_text).replace('"1.5 m"', f'"{plate} m"') + tail
+    text = text.replace('["7 cm", "0 m", "0 m"]', '["1 mm", "0 m", "0 m"]')
+    text = text.replace('azimuth = "-2.672 deg"', 'azimuth = "0 deg"')
+    truth = simulate(Survey.from_text(text), rng=1).amulor.truth
+    phases = [
+        np.arctan2(truth[f"{part}_quadrature"], truth[f"{part}_in_phase"])[0, 0]
+        for part in ("target", "water")
+    ]
+    # The layer is 1 mm deep: its middle lies 0.5 mm before the target.
+    assert_allclose(phases[0], phases[1], rtol=0, atol=2e-3)
+    # And it is far off zero: the way before the water counts.
+    assert (abs(phases[1]) > 0.2).all()
+
+
+def test_a_target_behind_the_end_of_the_water_is_refused(plate_text: str) -> None:
+    text = plate_text.replace("[water]", '[water]\ncolumn_end = "1 m"')
+    with pytest.raises(SurveyError, match=r"targets.0.*column_end is 1 m"):
+        simulate(Survey.from_text(text), rng=1)
+
+
+def test_a_receiver_that_looks_away_is_refused(plate_text: str) -> None:
+    text = plate_text.replace('"-2.672 deg"', '"-80 deg"')
+    with pytest.raises(SurveyError, match=r"(80|82) degrees"):
+        simulate(Survey.from_text(text), rng=1)
+
+
+def test_a_survey_without_open_water_stays_without(plate_text: str) -> None:
+    text = plate_text[: plate_text.index("[scan.open_water]")]
+    survey = Survey.from_text(text)
+    assert Survey.from_text(survey.to_toml()) == survey
+    assert simulate(survey, rng=np.int64(3)).amulor.open_water is None
+    assert simulate(survey, rng=np.int64(3)).attrs["seed"] == 3

@@ -11,7 +11,9 @@ from scipy.constants import speed_of_light
 Floats = NDArray[np.float64]
 
 #: The runner-up must fit worse by this much in chi-square, or the choice is open.
-_MARGIN = 9.0
+_MARGIN = 16.0
+#: A path may lie this many standard errors outside its limits: it was measured.
+_SLACK = 4.0
 #: Frequencies that disagree with the best path by more than this chance say so.
 _DISAGREEMENT = 1e-4
 _MOST_CANDIDATES = 10_000
@@ -38,6 +40,7 @@ def optical_path(
     modulation_frequency: Floats,
     shortest: Floats,
     longest: Floats,
+    doubt: Floats | float = 0.0,
 ) -> Path:
     """Return the optical path that fits the phases at all frequencies best.
 
@@ -48,7 +51,10 @@ def optical_path(
     modulation_frequency : ndarray, shape (frequencies,)
         Modulation frequencies [Hz].
     shortest, longest : ndarray, shape (...)
-        Limits between which the optical path must lie [m].
+        Limits between which the optical path must lie, but for its error [m].
+    doubt : ndarray or float
+        Phase errors that the frequencies may have beyond their uncertainty, such as
+        water signal left in; they excuse disagreement and change nothing else [rad].
 
     Returns
     -------
@@ -65,7 +71,8 @@ def optical_path(
     Each candidate is the path of the most precise frequency plus whole wavelengths of
     the modulation. It is refined by the weighted mean of all frequencies, unwrapped
     about it, and judged by the sum of squared phase errors: maximum likelihood for
-    normal errors.
+    normal errors. At the ends of a full ambiguity interval both ends are candidates,
+    so a path within a few standard errors of them is not settled.
     """
     wavelength = speed_of_light / modulation_frequency
     each = wavelength.reshape(-1, *[1] * (phase.ndim - 1))
@@ -80,26 +87,32 @@ def optical_path(
             f"the interval holds {span:.3g} ambiguity intervals of "
             f"{modulation_frequency[best] / 1e6:g} MHz; narrow it"
         )
-    first = shortest + np.mod(measured[best] - shortest, step)
+    slack = np.minimum(_SLACK * sigma[best], step / 2)
+    first = shortest - slack + np.mod(measured[best] - shortest + slack, step)
     weight = precision / precision.sum(axis=0)
     length = np.full(first.shape, np.nan)
     lowest = np.full(first.shape, np.inf)
     second = np.full(first.shape, np.inf)
-    for count in range(int(np.ceil(span)) + 1):
+    strain = np.full(first.shape, np.inf)
+    excused = 1 / (sigma**2 + (doubt * each / (2 * np.pi)) ** 2)
+    for count in range(int(np.ceil(span + 1)) + 1):
         candidate = first + count * step
         turns = np.round((candidate - measured) / each)
-        refined = np.sum(weight * (measured + turns * each), axis=0)
-        misfit = np.sum((measured + turns * each - refined) ** 2 * precision, axis=0)
-        misfit = np.where(candidate <= longest, misfit, np.inf)
+        unwrapped = measured + turns * each
+        refined = np.sum(weight * unwrapped, axis=0)
+        error = (unwrapped - refined) ** 2
+        misfit = np.sum(error * precision, axis=0)
+        misfit = np.where(candidate <= longest + slack, misfit, np.inf)
         better = misfit < lowest
         second = np.where(better, lowest, np.minimum(second, misfit))
         length = np.where(better, refined, length)
+        strain = np.where(better, np.sum(error * excused, axis=0), strain)
         lowest = np.where(better, misfit, lowest)
     freedom = len(modulation_frequency) - 1
     with np.errstate(invalid="ignore"):
         settled = np.isfinite(lowest) & (second - lowest > _MARGIN)
         if freedom:
-            settled &= lowest < _chi_square_limit(freedom)
+            settled &= strain < _chi_square_limit(freedom)
     return Path(length, precision.sum(axis=0) ** -0.5, weight, settled)
 
 

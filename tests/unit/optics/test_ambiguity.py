@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 from scipy.constants import speed_of_light
 
-from amulor.imaging.unwrap import optical_path
+from amulor.optics.ambiguity import optical_path
 
 
 def _phases(path: np.ndarray, frequency: np.ndarray) -> np.ndarray:
