@@ -11,6 +11,14 @@ COMMANDS = {
     "demo": ("demo:demo", "Scan a ladder in clear and milky water; write a report."),
     "survey check": ("survey:check", "Check a survey file."),
     "survey schema": ("survey:schema", "Print the JSON Schema of survey files."),
+    "backscatter": (
+        "backscatter:backscatter",
+        "Compute the water signal against modulation frequency.",
+    ),
+    "water": (
+        "water:water",
+        "Print the optical constants of pure fresh or sea water.",
+    ),
     "simulate": ("simulate:simulate", "Simulate a survey into a measurement cube."),
     "import transients": (
         "transients:transients",

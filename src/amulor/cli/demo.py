@@ -21,10 +21,14 @@ def demo(
 
     Parameters
     ----------
-    output: Folder for surveys, cubes, range images, point clouds and report.html.
-    seed: Seed of the simulated noise.
-    overwrite: Replace files that are there.
-    json: Print the numbers for other programs.
+    output
+        Folder for surveys, cubes, range images, point clouds and report.html.
+    seed
+        Seed of the simulated noise.
+    overwrite
+        Replace files that are there.
+    json
+        Print the numbers for other programs.
     """
     from amulor.studies import ladder
 

@@ -19,9 +19,12 @@ def export(
 
     Parameters
     ----------
-    image: Range image (netCDF), from `amulor image`.
-    output: File to write; its ending says the format: .ply, .laz, .las, .e57 or .nc.
-    overwrite: Replace a file that is there.
+    image
+        Range image (netCDF), from `amulor image`.
+    output
+        File to write; its ending says the format: .ply, .laz, .las, .e57 or .nc.
+    overwrite
+        Replace a file that is there.
     """
     from amulor import imaging, io
 

@@ -22,12 +22,18 @@ def image(
 
     Parameters
     ----------
-    cube: Target signal (netCDF), from `amulor reject`.
-    output: File to write (netCDF).
-    polarization: Channel to take, such as VH; needed if there are several.
-    nearest: Nearest possible slant range, such as "0.5 m"; with --farthest.
-    farthest: Farthest possible slant range, such as "3 m"; with --nearest.
-    overwrite: Replace a file that is there.
+    cube
+        Target signal (netCDF), from `amulor reject`.
+    output
+        File to write (netCDF).
+    polarization
+        Channel to take, such as VH; needed if there are several.
+    nearest
+        Nearest possible slant range, such as "0.5 m"; with --farthest.
+    farthest
+        Farthest possible slant range, such as "3 m"; with --nearest.
+    overwrite
+        Replace a file that is there.
     """
     from amulor import imaging, io
     from amulor.cli._arguments import interval_of

@@ -17,8 +17,10 @@ def info(
 
     Parameters
     ----------
-    file: Cube of any level (netCDF).
-    json: Print it for other programs.
+    file
+        Cube of any level (netCDF).
+    json
+        Print it for other programs.
     """
     from amulor import io
 

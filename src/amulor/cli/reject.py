@@ -25,16 +25,25 @@ def reject(
 
     Parameters
     ----------
-    cube: Measurement cube (netCDF).
-    method: What to do; "none" keeps the water in, for comparison.
-    output: File to write (netCDF).
-    target_ratio: Cross- over co-polarized signal of the target, for unmix.
-    water_ratio: Cross- over co-polarized signal of the water, for unmix.
-    water_fluctuation: Relative change of the water signal from sample to sample, such
+    cube
+        Measurement cube (netCDF).
+    method
+        What to do; "none" keeps the water in, for comparison.
+    output
+        File to write (netCDF).
+    target_ratio
+        Cross- over co-polarized signal of the target, for unmix.
+    water_ratio
+        Cross- over co-polarized signal of the water, for unmix.
+    water_fluctuation
+        Relative change of the water signal from sample to sample, such
         as "5 %", for unmix without open-water shots.
-    nearest: Nearest possible slant range, such as "0.5 m", for open-water.
-    farthest: Farthest possible slant range, such as "3 m"; with --nearest.
-    overwrite: Replace a file that is there.
+    nearest
+        Nearest possible slant range, such as "0.5 m", for open-water.
+    farthest
+        Farthest possible slant range, such as "3 m"; with --nearest.
+    overwrite
+        Replace a file that is there.
     """
     from amulor import io, rejection, units
     from amulor.cli._arguments import interval_of

@@ -19,9 +19,12 @@ def report(
 
     Parameters
     ----------
-    images: Range images (netCDF), from `amulor image`.
-    output: File to write (HTML).
-    overwrite: Replace a file that is there.
+    images
+        Range images (netCDF), from `amulor image`.
+    output
+        File to write (HTML).
+    overwrite
+        Replace a file that is there.
     """
     from amulor import io
     from amulor.view import image_report

@@ -20,10 +20,14 @@ def simulate(
 
     Parameters
     ----------
-    survey: Survey file (TOML).
-    output: File to write (netCDF).
-    seed: Seed of the simulated noise.
-    overwrite: Replace a file that is there.
+    survey
+        Survey file (TOML).
+    output
+        File to write (netCDF).
+    seed
+        Seed of the simulated noise.
+    overwrite
+        Replace a file that is there.
     """
     from amulor import io
     from amulor.simulation import simulate as simulate_survey

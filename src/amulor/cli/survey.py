@@ -17,8 +17,10 @@ def check(
 
     Parameters
     ----------
-    file: Survey file (TOML).
-    json: Print the survey in SI units, and what follows from it, for other programs.
+    file
+        Survey file (TOML).
+    json
+        Print the survey in SI units, and what follows from it, for other programs.
     """
     from dataclasses import asdict
 

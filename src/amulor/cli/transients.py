@@ -23,15 +23,22 @@ def transients(
 
     Parameters
     ----------
-    file: Histograms (npz) with counts and bin_width_s.
-    frequency: Modulation frequencies, "50MHz,100MHz" or first, last and number as in
+    file
+        Histograms (npz) with counts and bin_width_s.
+    frequency
+        Modulation frequencies, "50MHz,100MHz" or first, last and number as in
         "10MHz:400MHz:40".
-    output: File to write (netCDF).
-    scene: Which scene, counted from 0, where a file holds several.
-    scan_side: Side of the square that was scanned, such as "60 cm".
-    medium: Estimate the signal of the medium from all scenes of the file and store it
+    output
+        File to write (netCDF).
+    scene
+        Which scene, counted from 0, where a file holds several.
+    scan_side
+        Side of the square that was scanned, such as "60 cm".
+    medium
+        Estimate the signal of the medium from all scenes of the file and store it
         in place of open-water shots, so that `amulor reject` can take it out.
-    overwrite: Replace a file that is there.
+    overwrite
+        Replace a file that is there.
     """
     from amulor import cube as cubes
     from amulor import io, units

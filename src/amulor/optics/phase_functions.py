@@ -1,4 +1,4 @@
-r"""Phase functions of scattering: Henyey-Greenstein, and the forward-diffuse split.
+r"""Phase functions of scattering: Henyey-Greenstein in closed form.
 
 A phase function is scattered power per solid angle, with an integral of 1 over the
 sphere. The forward part is what is scattered by less than a split angle; its second
@@ -13,11 +13,15 @@ moment is sin-weighted and renormalised,
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from functools import cache
-
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+
+from amulor.optics.phase_function_integrals import (
+    checked_angle,
+    checked_split_angle,
+    forward_split,
+    gauss_legendre,
+)
 
 __all__ = [
     "forward_split",
@@ -72,7 +76,7 @@ def henyey_greenstein(angle: ArrayLike, *, asymmetry: ArrayLike) -> NDArray[np.f
     >>> print(f"{henyey_greenstein(np.pi, asymmetry=0.97):.2e} 1/sr")
     6.15e-04 1/sr
     """
-    theta = _angle(angle, name="angle")
+    theta = checked_angle(angle, name="angle")
     g = _asymmetry(asymmetry)
     return (1 - g) * (1 + g) / (4 * np.pi * _distance(theta, g) ** 3)
 
@@ -117,7 +121,7 @@ def henyey_greenstein_cumulative(
     >>> print(f"{share:.3f}")
     0.841
     """
-    theta = _angle(angle, name="angle")
+    theta = checked_angle(angle, name="angle")
     g = _asymmetry(asymmetry)
     distance = _distance(theta, g)
     height: NDArray[np.float64] = 2 * np.sin(theta / 2) ** 2
@@ -159,7 +163,7 @@ def henyey_greenstein_forward_fraction(
     >>> print(f"{share:.4f}")
     0.9936
     """
-    split = _split_angle(split_angle)
+    split = checked_split_angle(split_angle)
     return henyey_greenstein_cumulative(split, asymmetry=asymmetry)
 
 
@@ -237,14 +241,16 @@ def henyey_greenstein_second_moment(
     >>> print(np.round(moment, 3))
     [0.149 0.045]
     """
-    g, split = np.broadcast_arrays(_asymmetry(asymmetry), _split_angle(split_angle))
+    g, split = np.broadcast_arrays(
+        _asymmetry(asymmetry), checked_split_angle(split_angle)
+    )
     g, split = g[..., np.newaxis], split[..., np.newaxis]
     width = 1 - np.abs(g)
     forward = g >= 0
     # Behind a backward peak (g < 0) the angle is counted from pi.
     start = np.arcsinh(np.where(forward, 0.0, np.pi - split) / width)
     stop = np.arcsinh(np.where(forward, split, np.pi) / width)
-    nodes, weights = _gauss_legendre(160)
+    nodes, weights = gauss_legendre(160)
     w = start + (stop - start) * (nodes + 1) / 2
     from_peak = width * np.sinh(w)
     theta = np.where(forward, from_peak, np.pi - from_peak)
@@ -286,135 +292,6 @@ def similarity_second_moment(*, asymmetry: ArrayLike) -> NDArray[np.float64]:
     return 2 * (1 - _asymmetry(asymmetry))
 
 
-def forward_split(
-    phase_function: Callable[[NDArray[np.float64]], ArrayLike],
-    *,
-    split_angle: float,
-) -> tuple[float, float]:
-    r"""Return forward share and second moment of any phase function.
-
-    Parameters
-    ----------
-    phase_function : callable
-        Phase function [1/sr] of an array of angles from 0 to pi [rad], same shape.
-        Its integral over the sphere must be 1 within 2 %, as that of measured
-        tables with their rounded scattering coefficients is.
-    split_angle : float
-        Angle between the forward and the diffuse part, above 0 to pi [rad].
-
-    Returns
-    -------
-    forward_fraction : float
-        Share of the scattering below the split angle [1].
-    second_moment : float
-        Mean square scattering angle below the split angle, sin-weighted and
-        renormalised [rad^2].
-
-    Raises
-    ------
-    ValueError
-        If the split angle is outside of its range, or if the phase function is
-        negative, not finite, changes the shape, or does not integrate to 1.
-
-    Notes
-    -----
-    Eqs. (10) and (33) of Ricci et al. 2010, as rebuilt. Adaptive Gauss-Legendre
-    quadrature over the logarithm of the angle from 1e-18 rad, relative error 1e-9;
-    steps and kinks are found by halving. What lies below 1e-18 rad is left out,
-    which for a peak like :math:`\theta^{-1.6}` is less than 1e-7 of the whole.
-
-    Examples
-    --------
-    >>> def isotropic(angle):
-    ...     return np.full_like(angle, 1 / (4 * np.pi))
-    >>> share, moment = forward_split(isotropic, split_angle=np.pi / 2)
-    >>> print(f"{share:.4f}, {moment:.4f} rad^2")
-    0.5000, 1.1416 rad^2
-    """
-    split = float(_split_angle(split_angle))
-    forward, moment = _weighted_integrals(phase_function, _SMALLEST_ANGLE, split)
-    diffuse = 0.0
-    if split < np.pi:
-        diffuse, _ = _weighted_integrals(phase_function, split, np.pi)
-    whole = forward + diffuse
-    if not abs(whole - 1) < 0.02:
-        raise ValueError(
-            "phase_function must integrate to 1 over the sphere within 2 %, got "
-            f"{whole:g}; divide it by its integral, or a volume scattering function "
-            "by the scattering coefficient"
-        )
-    if not forward > 0:
-        raise ValueError(
-            f"phase_function must scatter something below {split:g} rad, got nothing"
-        )
-    return forward / whole, moment / forward
-
-
-_SMALLEST_ANGLE = 1e-18
-
-
-def _weighted_integrals(
-    phase_function: Callable[[NDArray[np.float64]], ArrayLike], low: float, high: float
-) -> tuple[float, float]:
-    """Return the integrals of 2 pi p sin and 2 pi p sin angle^2 from low to high."""
-    nodes, weights = _gauss_legendre(12)
-    tolerance = np.array([1e-11, 1e-11])  # of the whole sphere, and of its share
-    panels = max(4, int(np.ceil(np.log(high / low))))
-    edges = np.linspace(np.log(low), np.log(high), panels + 1)
-    left, right = edges[:-1], edges[1:]
-    total = np.zeros(2)
-
-    def integrate(
-        left: NDArray[np.float64], right: NDArray[np.float64]
-    ) -> NDArray[np.float64]:
-        half = (right - left)[:, np.newaxis] / 2
-        angle = np.exp(left[:, np.newaxis] + half * (nodes + 1))
-        angle = np.clip(angle, low, high)  # exp(log(pi)) is not pi
-        flat = angle.ravel()
-        value = np.asarray(phase_function(flat), dtype=np.float64)
-        if value.shape != flat.shape:
-            raise ValueError(
-                "phase_function must return one value per angle: "
-                f"{flat.shape} angles gave shape {value.shape}"
-            )
-        if not np.all((value >= 0) & np.isfinite(value)):
-            raise ValueError(
-                "phase_function must be finite and not negative from 0 to pi rad, "
-                f"got values from {np.min(value):g} to {np.max(value):g} 1/sr"
-            )
-        share = 2 * np.pi * value.reshape(angle.shape) * np.sin(angle) * angle
-        share *= half * weights
-        return np.stack([share.sum(axis=1), (share * angle**2).sum(axis=1)])
-
-    coarse = integrate(left, right)
-    for _ in range(60):
-        middle = (left + right) / 2
-        first, second = integrate(left, middle), integrate(middle, right)
-        fine = first + second
-        scale = np.maximum(np.abs(total + fine.sum(axis=1)), 1e-300)
-        done = np.all(np.abs(fine - coarse) <= (tolerance * scale)[:, np.newaxis], 0)
-        total += fine[:, done].sum(axis=1)
-        if np.all(done):
-            return float(total[0]), float(total[1])
-        left, right = (
-            np.concatenate([left[~done], middle[~done]]),
-            np.concatenate([middle[~done], right[~done]]),
-        )
-        coarse = np.concatenate([first[:, ~done], second[:, ~done]], axis=1)
-    raise ValueError(
-        "the integral of phase_function does not settle between "
-        f"{low:g} and {high:g} rad; give a function that is finite there"
-    )
-
-
-@cache
-def _gauss_legendre(count: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return nodes and weights on -1..1, worked out once, not writable."""
-    nodes, weights = np.polynomial.legendre.leggauss(count)
-    nodes.flags.writeable = weights.flags.writeable = False
-    return nodes, weights
-
-
 def _distance(
     theta: NDArray[np.float64], g: NDArray[np.float64]
 ) -> NDArray[np.float64]:
@@ -431,27 +308,6 @@ def _distance_from_peak(
     half_chord = np.sin(from_peak / 2)
     square: NDArray[np.float64] = (1 - strength) ** 2 + 4 * strength * half_chord**2
     return np.sqrt(square)
-
-
-def _angle(value: ArrayLike, *, name: str) -> NDArray[np.float64]:
-    """Return an angle as an array, refused outside of 0..pi."""
-    angle = np.asarray(value, dtype=np.float64)
-    if not np.all((angle >= 0) & (angle <= np.pi)):
-        raise ValueError(
-            f"{name} must be from 0 to pi rad, got values from {np.min(angle):g} to "
-            f"{np.max(angle):g} rad"
-        )
-    return angle
-
-
-def _split_angle(value: ArrayLike) -> NDArray[np.float64]:
-    """Return a split angle as an array, refused at 0 as well."""
-    split = _angle(value, name="split_angle")
-    if np.any(split == 0):
-        raise ValueError(
-            "split_angle must be above 0 rad, got 0 rad: nothing would be forward"
-        )
-    return split
 
 
 def _asymmetry(value: ArrayLike) -> NDArray[np.float64]:

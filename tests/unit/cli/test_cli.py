@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib
 import inspect
 import json
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -79,6 +80,20 @@ def test_every_command_exists_and_says_what_the_help_says(name: str, capsys) -> 
     assert (inspect.getdoc(found) or "").splitlines()[0] == summary
     assert main([*name.split(), "--help"]) == 0
     assert name.split()[-1] in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_the_help_describes_every_parameter(name: str, capsys) -> None:
+    target, _ = COMMANDS[name]
+    module, function = target.split(":")
+    found = getattr(importlib.import_module(f"amulor.cli.{module}"), function)
+    assert main([*name.split(), "--help"]) == 0
+    # The page is cut into columns; words in order are what can be looked for.
+    page = " ".join(re.sub(r"[│╭╮╰╯─]", " ", capsys.readouterr().out).split())
+    lines = (inspect.getdoc(found) or "").splitlines()
+    for parameter in inspect.signature(found).parameters:
+        described = lines[lines.index(parameter) + 1].split()
+        assert " ".join(described[:2]) in page, parameter
 
 
 def test_the_program_starts_as_a_module() -> None:

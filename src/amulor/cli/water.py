@@ -1,0 +1,113 @@
+"""`amulor water`: the optical constants of pure fresh or sea water."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any
+
+from cyclopts import Parameter
+
+from amulor.cli._output import print_json
+
+
+def water(
+    *,
+    wavelength: str,
+    temperature: float,
+    salinity: float,
+    frequency: str = "39MHz",
+    json: Annotated[bool, Parameter(negative="")] = False,
+) -> None:
+    """Print the optical constants of pure fresh or sea water.
+
+    Parameters
+    ----------
+    wavelength
+        Wavelength in vacuum, "400nm" to "700nm".
+    temperature
+        Temperature of the water, 0 to 30 [degC].
+    salinity
+        Salinity, 0 (fresh water) to 43, practical or in parts per thousand.
+    frequency
+        Modulation frequency of the ambiguity interval.
+    json
+        Print it for other programs, in SI units.
+    """
+    from amulor import units
+    from amulor.errors import AmulorError
+    from amulor.optics import ranging, seawater
+
+    state = {"temperature": temperature, "salinity": salinity}
+    try:
+        length = units.parse(wavelength, "length")
+        modulation = units.parse(frequency, "frequency")
+        group_index = float(seawater.group_index(length, **state))
+        constants: dict[str, Any] = {
+            "refractive_index_air": seawater.refractive_index(length, **state),
+            "refractive_index_vacuum": seawater.refractive_index_vacuum(
+                length, **state
+            ),
+            "group_index": group_index,
+            "absorption_mason_2016_per_m": seawater.mason_absorption(length, **state),
+            "absorption_mason_2016_uncertainty_per_m": (
+                seawater.mason_absorption_uncertainty(length, **state)
+            ),
+            "absorption_pope_fry_1997_per_m": seawater.pope_fry_absorption(length),
+            "molecular_scattering_per_m": seawater.molecular_scattering(
+                length, **state
+            ),
+            "molecular_backscattering_per_m": seawater.molecular_backscattering(
+                length, **state
+            ),
+            "ambiguity_interval_m": ranging.ambiguity_interval(
+                modulation, group_index=group_index
+            ),
+        }
+    except ValueError as error:
+        raise AmulorError(str(error)) from None
+    if json:
+        given = {
+            "wavelength_m": length,
+            "temperature_degC": temperature,
+            "salinity": salinity,
+            "modulation_frequency_hz": modulation,
+            "absorption_default": "mason_2016",
+        }
+        print_json(given | constants)
+        return
+    number = {name: float(value) for name, value in constants.items()}
+    print(
+        f"Pure water, {length * 1e9:g} nm, {temperature:g} degC, salinity {salinity:g}"
+    )
+    for name, text in (
+        (
+            "refractive index",
+            f"{number['refractive_index_air']:.5f} to air, "
+            f"{number['refractive_index_vacuum']:.5f} to vacuum (Quan and Fry 1995)",
+        ),
+        ("group index", f"{number['group_index']:.4f} to vacuum"),
+        (
+            "absorption",
+            f"{number['absorption_mason_2016_per_m']:.5f} +- "
+            f"{number['absorption_mason_2016_uncertainty_per_m']:.5f} 1/m (WOPP v3, "
+            "Mason 2016 below 510 nm)",
+        ),
+        (
+            "",
+            "the default: later, with an uncertainty and with salt",
+        ),
+        (
+            "",
+            f"{number['absorption_pope_fry_1997_per_m']:.5f} 1/m (Pope and Fry 1997, "
+            "fresh, 22 degC)",
+        ),
+        (
+            "molecular scattering",
+            f"{number['molecular_scattering_per_m']:.6f} 1/m, backwards "
+            f"{number['molecular_backscattering_per_m']:.6f} 1/m (Zhang 2009)",
+        ),
+        (
+            "ambiguity interval",
+            f"{number['ambiguity_interval_m']:.3f} m at {modulation / 1e6:g} MHz",
+        ),
+    ):
+        print(f"{name:>22}: {text}" if name else f"{'':>22}  {text}")

@@ -1,0 +1,64 @@
+"""Reads the published tables that come with this package, each once."""
+
+from __future__ import annotations
+
+import csv
+from functools import cache
+from importlib import resources
+from importlib.abc import Traversable
+
+import numpy as np
+from numpy.typing import NDArray
+
+
+@cache
+def numbers(name: str) -> NDArray[np.float64]:
+    """Return a table of numbers, not writable.
+
+    Parameters
+    ----------
+    name : str
+        File in the folder of tables; lines that begin with # are its notes.
+
+    Returns
+    -------
+    ndarray
+        Rows and columns of the file.
+
+    Examples
+    --------
+    >>> print(numbers("pope_fry_1997.csv")[0])
+    [3.800e+02 1.137e-02]
+    """
+    with _folder().joinpath(name).open(encoding="utf-8") as lines:
+        table = np.loadtxt(lines, delimiter=",")
+    table.flags.writeable = False
+    return table
+
+
+@cache
+def rows(name: str) -> tuple[dict[str, str], ...]:
+    """Return a table with a line of column names as texts.
+
+    Parameters
+    ----------
+    name : str
+        File in the folder of tables; lines that begin with # are its notes.
+
+    Returns
+    -------
+    tuple of dict
+        One for each row, by column name.
+
+    Examples
+    --------
+    >>> rows("petzold_1972_coefficients.csv")[0]["station"]
+    'AUTEC 7'
+    """
+    text = _folder().joinpath(name).read_text(encoding="utf-8")
+    lines = [line for line in text.splitlines() if not line.startswith("#")]
+    return tuple(csv.DictReader(lines))
+
+
+def _folder() -> Traversable:
+    return resources.files("amulor.optics").joinpath("data")

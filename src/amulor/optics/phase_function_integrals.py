@@ -1,0 +1,329 @@
+r"""Integrals of a phase function: forward split, cumulative, Hankel transform.
+
+Scattering of the sea rises towards 0 degrees over many decades of the angle, so every
+integral is a sum of Gauss-Legendre rules over panels graded in the angle.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cache
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy import special
+
+__all__ = ["Panels", "checked_angle", "checked_split_angle", "forward_split"]
+
+Density = Callable[[NDArray[np.float64]], NDArray[np.float64]]
+
+INNERMOST_ANGLE = 1e-12
+"""End of the innermost panel, in which a phase function is a power law [rad]."""
+
+LARGEST_WAVENUMBER = 1e9
+"""Largest wavenumber of `Panels.hankel` [1/rad]."""
+
+
+@dataclass(frozen=True, eq=False)
+class Panels:
+    r"""Panels of the angle between which a phase function is smooth.
+
+    Parameters
+    ----------
+    value : callable
+        Phase function [1/sr] of an array of angles [rad].
+    edges : ndarray
+        Ends of the panels, rising from `INNERMOST_ANGLE` to pi [rad]. Each ends at
+        no more than about twice the angle at which it starts.
+    head_exponent : float
+        Exponent s, below 2, of the power law :math:`\theta^{-s}` that holds below
+        the first edge; 0 if the phase function is finite there [1].
+
+    Notes
+    -----
+    Rules of 16 points. For a function whose singularities lie no closer to a panel
+    than the angle 0 does, their relative error is about 1e-12.
+    """
+
+    value: Density
+    edges: NDArray[np.float64]
+    head_exponent: float = 0.0
+
+    def cumulative(self, angle: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the integral of 2 pi p sin from 0 to each angle [1]."""
+        flat = angle.ravel()
+        panel = np.searchsorted(self.edges, flat, side="right") - 1
+        panel = np.minimum(panel, self.edges.size - 2)
+        low = self.edges[np.maximum(panel, 0)]
+        shares = self._rule(self.edges[:-1], self.edges[1:])[1].sum(axis=1)
+        below = self._innermost() + np.concatenate([[0.0], np.cumsum(shares)])
+        inside = self._rule(low, np.maximum(flat, low))[1].sum(axis=1)
+        head = self._innermost() * (flat / self.edges[0]) ** (2 - self.head_exponent)
+        total: NDArray[np.float64] = np.where(
+            panel < 0, head, below[np.maximum(panel, 0)] + inside
+        )
+        return total.reshape(angle.shape)
+
+    def mean(self, weight: Density, *, low: float = 0.0, high: float = np.pi) -> float:
+        """Return the integral of 2 pi p sin, times a weight, from low to high.
+
+        The weight [any unit] is a smooth function of the angle [rad]. What lies in
+        the innermost panel has the weight of its end.
+        """
+        start = max(low, self.edges[0])
+        inner = self.edges[(self.edges > start) & (self.edges < high)]
+        edges = np.concatenate([[start], inner, [high]])
+        angle, share = self._rule(edges[:-1], edges[1:])
+        total = float(np.sum(weight(angle) * share))
+        if low < self.edges[0]:
+            total += float(weight(self.edges[:1])[0]) * self._innermost()
+        return total
+
+    def hankel(
+        self, wavenumber: NDArray[np.float64], *, split_angle: float
+    ) -> NDArray[np.float64]:
+        r"""Return the integral of 2 pi p sin J0(k angle) from 0 to a split angle.
+
+        Parameters
+        ----------
+        wavenumber : ndarray
+            Angular wavenumber k, from 0 to `LARGEST_WAVENUMBER` [1/rad].
+        split_angle : float
+            Upper end, above `INNERMOST_ANGLE` to pi [rad].
+
+        Returns
+        -------
+        ndarray
+            Transform, of the shape of `wavenumber`, not renormalised [1].
+
+        Notes
+        -----
+        Where a panel holds less than about half an oscillation, the plain rule. In
+        others :math:`J_0 = \operatorname{Re} H_0^{(1)}` is split into
+        :math:`e^{ik\theta}` and a slow factor; the product of that and of
+        :math:`p \sin\theta` becomes a Legendre series, whose terms transform into
+        spherical Bessel functions (L. N. G. Filon, Proc. R. Soc. Edinburgh 49, 38
+        (1928), in the Legendre form of N. S. Bakhvalov and L. G. Vasil'eva, USSR
+        Comput. Math. Math. Phys. 8, 241 (1968)). The error does not grow with k.
+        """
+        flat = wavenumber.ravel()
+        edges = self.edges[self.edges < split_angle]
+        edges = np.append(edges, split_angle)
+        low, high = edges[:-1], edges[1:]
+        at_ends = self.value(edges)
+        # The rule of 7 points serves panels of 10 % and a change of 30 %.
+        narrow = high <= 1.1 * low
+        with np.errstate(divide="ignore", invalid="ignore"):
+            narrow &= np.abs(np.log(at_ends[1:] / at_ends[:-1])) <= 0.3
+        reach = flat * self.edges[0]  # at most 1e-3
+        curvature = (2 - self.head_exponent) / (4 - self.head_exponent) / 4
+        total: NDArray[np.float64] = self._innermost() * (1 - curvature * reach**2)
+        for order, chosen in ((7, narrow), (16, ~narrow)):
+            if not np.any(chosen):
+                continue
+            angle, share = self._rule(low[chosen], high[chosen], order=order)
+            # About 2e5 pairs of a wavenumber and a panel at once.
+            step = max(1, 200_000 // angle.shape[0])
+            for first in range(0, flat.size, step):
+                part = slice(first, first + step)
+                total[part] += _oscillating(flat[part], angle, share)
+        return total.reshape(wavenumber.shape)
+
+    def _innermost(self) -> float:
+        """Return the integral of 2 pi p sin below the first edge."""
+        end = self.edges[:1]
+        share = 2 * np.pi * self.value(end) * end**2 / (2 - self.head_exponent)
+        return float(share[0])
+
+    def _rule(
+        self, low: NDArray[np.float64], high: NDArray[np.float64], *, order: int = 16
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Return angles, and weights times 2 pi p sin, shape (panel, order)."""
+        nodes, weights = gauss_legendre(order)
+        half = (high - low)[:, np.newaxis] / 2
+        angle = np.minimum(low[:, np.newaxis] + half * (nodes + 1), np.pi)
+        return angle, 2 * np.pi * self.value(angle) * np.sin(angle) * half * weights
+
+
+def _oscillating(
+    wavenumber: NDArray[np.float64],
+    angle: NDArray[np.float64],
+    share: NDArray[np.float64],
+) -> NDArray[np.float64]:
+    """Return sums of share * J0(k angle) over panels, exact in oscillations."""
+    order = angle.shape[1]
+    nodes, _ = gauss_legendre(order)
+    half = (angle[:, -1] - angle[:, 0]) / (nodes[-1] - nodes[0])
+    centre = angle.mean(axis=1)
+    stretch = wavenumber[:, np.newaxis] * half
+    slow = stretch < 1.5
+    row, panel = np.nonzero(slow)
+    bessel = special.j0(wavenumber[row, np.newaxis] * angle[panel])
+    value = np.sum(share[panel] * bessel, axis=1)
+    total: NDArray[np.float64] = np.zeros(wavenumber.size)
+    total += np.bincount(row, value, minlength=wavenumber.size)
+    row, panel = np.nonzero(~slow)
+    if row.size:
+        k = wavenumber[row]
+        phased = share[panel] * special.hankel1e(0, k[:, np.newaxis] * angle[panel])
+        degree = np.arange(order)
+        legendre = special.eval_legendre(degree[:, np.newaxis], nodes)
+        # share holds the weights of the rule, so these are 2 / (2 l + 1) times the
+        # terms of the series; the transform of P_l is 2 i^l j_l.
+        series = phased @ (legendre.T * ((2 * degree + 1) * 1j**degree))
+        stretched = special.spherical_jn(degree, stretch[row, panel][:, np.newaxis])
+        wave = np.exp(1j * k * centre[panel])
+        value = np.real(wave * np.sum(series * stretched, axis=1))
+        total += np.bincount(row, value, minlength=wavenumber.size)
+    return total
+
+
+def forward_split(
+    phase_function: Callable[[NDArray[np.float64]], ArrayLike],
+    *,
+    split_angle: float,
+) -> tuple[float, float]:
+    r"""Return forward share and second moment of any phase function.
+
+    Parameters
+    ----------
+    phase_function : callable
+        Phase function [1/sr] of an array of angles from 0 to pi [rad], same shape.
+        Its integral over the sphere must be 1 within 2 %, as that of measured
+        tables with their rounded scattering coefficients is.
+    split_angle : float
+        Angle between the forward and the diffuse part, above 0 to pi [rad].
+
+    Returns
+    -------
+    forward_fraction : float
+        Share of the scattering below the split angle [1].
+    second_moment : float
+        Mean square scattering angle below the split angle, sin-weighted and
+        renormalised [rad^2].
+
+    Raises
+    ------
+    ValueError
+        If the split angle is outside of its range, or if the phase function is
+        negative, not finite, changes the shape, or does not integrate to 1.
+
+    Notes
+    -----
+    Eqs. (10) and (33) of Ricci et al. 2010, as rebuilt. Adaptive Gauss-Legendre
+    quadrature over the logarithm of the angle from 1e-18 rad, relative error 1e-9;
+    steps and kinks are found by halving. What lies below 1e-18 rad is left out,
+    which for a peak like :math:`\theta^{-1.6}` is less than 1e-7 of the whole.
+
+    Examples
+    --------
+    >>> def isotropic(angle):
+    ...     return np.full_like(angle, 1 / (4 * np.pi))
+    >>> share, moment = forward_split(isotropic, split_angle=np.pi / 2)
+    >>> print(f"{share:.4f}, {moment:.4f} rad^2")
+    0.5000, 1.1416 rad^2
+    """
+    split = float(checked_split_angle(split_angle))
+    forward, moment = _weighted_integrals(phase_function, _SMALLEST_ANGLE, split)
+    diffuse = 0.0
+    if split < np.pi:
+        diffuse, _ = _weighted_integrals(phase_function, split, np.pi)
+    whole = forward + diffuse
+    if not abs(whole - 1) < 0.02:
+        raise ValueError(
+            "phase_function must integrate to 1 over the sphere within 2 %, got "
+            f"{whole:g}; divide it by its integral, or a volume scattering function "
+            "by the scattering coefficient"
+        )
+    if not forward > 0:
+        raise ValueError(
+            f"phase_function must scatter something below {split:g} rad, got nothing"
+        )
+    return forward / whole, moment / forward
+
+
+_SMALLEST_ANGLE = 1e-18
+
+
+def _weighted_integrals(
+    phase_function: Callable[[NDArray[np.float64]], ArrayLike], low: float, high: float
+) -> tuple[float, float]:
+    """Return the integrals of 2 pi p sin and 2 pi p sin angle^2 from low to high."""
+    nodes, weights = gauss_legendre(12)
+    tolerance = np.array([1e-11, 1e-11])  # of the whole sphere, and of its share
+    panels = max(4, int(np.ceil(np.log(high / low))))
+    edges = np.linspace(np.log(low), np.log(high), panels + 1)
+    left, right = edges[:-1], edges[1:]
+    total = np.zeros(2)
+
+    def integrate(
+        left: NDArray[np.float64], right: NDArray[np.float64]
+    ) -> NDArray[np.float64]:
+        half = (right - left)[:, np.newaxis] / 2
+        angle = np.exp(left[:, np.newaxis] + half * (nodes + 1))
+        angle = np.clip(angle, low, high)  # exp(log(pi)) is not pi
+        flat = angle.ravel()
+        value = np.asarray(phase_function(flat), dtype=np.float64)
+        if value.shape != flat.shape:
+            raise ValueError(
+                "phase_function must return one value per angle: "
+                f"{flat.shape} angles gave shape {value.shape}"
+            )
+        if not np.all((value >= 0) & np.isfinite(value)):
+            raise ValueError(
+                "phase_function must be finite and not negative from 0 to pi rad, "
+                f"got values from {np.min(value):g} to {np.max(value):g} 1/sr"
+            )
+        share = 2 * np.pi * value.reshape(angle.shape) * np.sin(angle) * angle
+        share *= half * weights
+        return np.stack([share.sum(axis=1), (share * angle**2).sum(axis=1)])
+
+    coarse = integrate(left, right)
+    for _ in range(60):
+        middle = (left + right) / 2
+        first, second = integrate(left, middle), integrate(middle, right)
+        fine = first + second
+        scale = np.maximum(np.abs(total + fine.sum(axis=1)), 1e-300)
+        done = np.all(np.abs(fine - coarse) <= (tolerance * scale)[:, np.newaxis], 0)
+        total += fine[:, done].sum(axis=1)
+        if np.all(done):
+            return float(total[0]), float(total[1])
+        left, right = (
+            np.concatenate([left[~done], middle[~done]]),
+            np.concatenate([middle[~done], right[~done]]),
+        )
+        coarse = np.concatenate([first[:, ~done], second[:, ~done]], axis=1)
+    raise ValueError(
+        "the integral of phase_function does not settle between "
+        f"{low:g} and {high:g} rad; give a function that is finite there"
+    )
+
+
+@cache
+def gauss_legendre(count: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return nodes and weights on -1..1, worked out once, not writable."""
+    nodes, weights = np.polynomial.legendre.leggauss(count)
+    nodes.flags.writeable = weights.flags.writeable = False
+    return nodes, weights
+
+
+def checked_angle(value: ArrayLike, *, name: str) -> NDArray[np.float64]:
+    """Return an angle as an array, refused outside of 0..pi."""
+    angle = np.asarray(value, dtype=np.float64)
+    if not np.all((angle >= 0) & (angle <= np.pi)):
+        raise ValueError(
+            f"{name} must be from 0 to pi rad, got values from {np.min(angle):g} to "
+            f"{np.max(angle):g} rad"
+        )
+    return angle
+
+
+def checked_split_angle(value: ArrayLike) -> NDArray[np.float64]:
+    """Return a split angle as an array, refused at 0 as well."""
+    split = checked_angle(value, name="split_angle")
+    if np.any(split == 0):
+        raise ValueError(
+            "split_angle must be above 0 rad, got 0 rad: nothing would be forward"
+        )
+    return split

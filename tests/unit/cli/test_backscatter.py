@@ -1,0 +1,111 @@
+"""`amulor backscatter` prints the published cut-offs and draws its picture."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from amulor.cli import main
+
+# The long tank, as rebuilt: k = 0.5 1/m, baseline 20 cm, parallel axes, n = 1.34.
+TANK = """
+name = "Long tank"
+[water]
+absorption = "0.15 1/m"
+scattering = "0.35 1/m"
+forward_fraction = 1.0
+second_moment = "0.05 rad^2"
+phase_function_at_180 = "0.001 1/sr"
+refractive_index = 1.34
+group_index = 1.34
+[instrument]
+wavelength = "405 nm"
+power = "20 mW"
+modulation_depth = 1.0
+modulation_frequencies = ["39 MHz"]
+polarizations = ["none"]
+[instrument.receiver]
+position = ["20 cm", "0 m", "0 m"]
+radius = "2 cm"
+acceptance = "0.08 rad"
+[scan]
+columns = 1
+rows = 1
+azimuth_span = "0 deg"
+elevation_span = "0 deg"
+dwell = "100 ms"
+"""
+
+
+@pytest.fixture
+def tank(tmp_path: Path) -> Path:
+    path = tmp_path / "tank.toml"
+    path.write_text(TANK)
+    return path
+
+
+def _json(words: list[str], capsys) -> dict:
+    assert main([*words, "--json"]) == 0
+    return json.loads(capsys.readouterr().out)
+
+
+def test_the_cut_off_is_the_rebuilt_one(tank: Path, capsys) -> None:
+    found = _json(["backscatter", str(tank)], capsys)
+    # 19.0 MHz, to the digits printed.
+    assert found["cut_off_hz"] / 1e6 == pytest.approx(19.0, abs=0.05)
+    # The free fit of (71) lands 13 to 36 % below the half-power point.
+    assert 0.6 < found["fitted_cut_off_hz"] / found["cut_off_hz"] < 0.9
+    assert len(found["modulation_frequency_hz"]) == 200
+    amplitude = np.array(found["relative_amplitude"])
+    assert amplitude[0] == pytest.approx(1, abs=1e-3)
+    assert (np.array(found["phase_rad"])[:20] > 0).all()
+
+
+def test_the_group_index_moves_every_frequency_by_its_ratio(tank: Path, capsys) -> None:
+    slow = _json(["backscatter", str(tank)], capsys)["cut_off_hz"]
+    tank.write_text(TANK.replace("group_index = 1.34", "group_index = 1.38"))
+    slower = _json(["backscatter", str(tank)], capsys)["cut_off_hz"]
+    assert slower / slow == pytest.approx(1.34 / 1.38, rel=1e-9)
+
+
+def test_the_small_angle_model_needs_a_phase_function(tank: Path, capsys) -> None:
+    words = ["backscatter", str(tank), "--model", "small-angle"]
+    assert main(words) == 1
+    assert "asymmetry" in capsys.readouterr().err
+    tank.write_text(TANK.replace("[water]", "[water]\nasymmetry = 0.967"))
+    found = _json([*words, "--frequency", "1MHz:100MHz:30"], capsys)
+    # The unscattered light, which diffusion spreads out, makes the cut-off differ by
+    # less than half (the ratio of the two models is 0.42 to 1.12).
+    assert 12 < found["cut_off_hz"] / 1e6 < 30
+
+
+def test_a_picture_is_drawn(tank: Path, tmp_path: Path, capsys) -> None:
+    for name, start in (("a.png", b"\x89PNG"), ("b.svg", b"<?xml")):
+        path = tmp_path / name
+        words = ["backscatter", str(tank), "--plot", str(path)]
+        assert main(words) == 0
+        assert path.read_bytes().startswith(start)
+        assert main(words) == 1
+        assert "--overwrite" in capsys.readouterr().err
+        assert main([*words, "--overwrite"]) == 0
+
+
+@pytest.mark.parametrize(
+    ("words", "complaint"),
+    [
+        (["--frequency", "39"], "without a unit"),
+        (["--frequency", "1MHz:2MHz"], "first, last and how many"),
+        (["--frequency=-1 MHz"], "modulation_frequency"),
+        (["--plot", "x.jpg"], "png or .svg"),
+    ],
+)
+def test_wrong_values_get_one_line(
+    tank: Path, words: list[str], complaint: str, capsys
+) -> None:
+    assert main(["backscatter", str(tank), *words]) == 1
+    message = capsys.readouterr().err
+    assert complaint in message
+    assert message.count("\n") == 1
