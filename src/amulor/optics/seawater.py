@@ -1,7 +1,9 @@
-r"""Optical constants of pure fresh and sea water: indices and absorption.
+r"""Phase and group index of pure fresh and sea water, relative to air and to vacuum.
 
 Rays bend by the phase index, the modulation travels by the group index. Every
-wavelength is the one in vacuum.
+wavelength is the one in vacuum. Absorption (`amulor.optics.pure_water`) and molecular
+scattering (`amulor.optics.molecular_scattering`) of the same water can be had from
+here too, so that this module is all that a user of sea water needs.
 
 References
 ----------
@@ -13,29 +15,42 @@ References
    :doi:`10.1364/OE.17.005698`.
 .. [5] X. Zhang and L. Hu, J. Remote Sens. 2021, 9753625,
    :doi:`10.34133/2021/9753625`.
-.. [6] R. M. Pope and E. S. Fry, Appl. Opt. 36, 8710 (1997),
-   :doi:`10.1364/AO.36.008710`.
-.. [7] J. D. Mason, M. T. Cone and E. S. Fry, Appl. Opt. 55, 7163 (2016),
-   :doi:`10.1364/AO.55.007163`.
-.. [8] R. Roettgers, D. McKee and C. Utschig, Opt. Express 22, 25093 (2014),
-   :doi:`10.1364/OE.22.025093`.
-.. [9] R. C. Millard and G. Seaver, Deep-Sea Res. 37, 1909 (1990),
+.. [6] R. C. Millard and G. Seaver, Deep-Sea Res. 37, 1909 (1990),
    :doi:`10.1016/0198-0149(90)90086-B`.
 """
 
 from __future__ import annotations
 
-from functools import cache
-from importlib import resources
-
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from amulor.optics import _quan_fry
+from amulor.optics._ranges import within
+from amulor.optics.molecular_scattering import (
+    molecular_backscattering,
+    molecular_phase_function,
+    molecular_scattering,
+    molecular_vsf,
+    morel_scattering,
+)
+from amulor.optics.pure_water import (
+    mason_absorption,
+    mason_absorption_uncertainty,
+    pope_fry_absorption,
+)
+
 __all__ = [
+    "AIR_REFRACTIVE_INDEX",
     "group_index",
     "iapws_group_index",
     "iapws_refractive_index",
     "mason_absorption",
+    "mason_absorption_uncertainty",
+    "molecular_backscattering",
+    "molecular_phase_function",
+    "molecular_scattering",
+    "molecular_vsf",
+    "morel_scattering",
     "pope_fry_absorption",
     "refractive_index",
     "refractive_index_vacuum",
@@ -83,7 +98,7 @@ def refractive_index(
     The fit was made for salinities up to 35 and is carried on to 43 here, which
     covers the Mediterranean and the Red Sea. It is linear in salinity; ref. [4]
     uses it at 38.4 and ref. [5] tests it up to 121 g/kg. From the form of Millard
-    and Seaver, ref. [9], made for 0 to 40 and 500 to 700 nm, it departs by at most
+    and Seaver, ref. [6], made for 0 to 40 and 500 to 700 nm, it departs by at most
     4.2e-5 at salinity 35, 4.7e-5 at 40 and 5.0e-5 at 43. The effect of depth is
     left out: some 1.5e-4 per 100 m.
 
@@ -93,10 +108,9 @@ def refractive_index(
     >>> print(f"{index:.6f}")
     1.349455
     """
-    offset, slope, salt = _quan_fry_terms(temperature, salinity)
-    inverse = 1e-9 / _within(wavelength, 400e-9, 700e-9, name="wavelength", unit="m")
-    curvature = -4382.0 * inverse**2 + 1.1455e6 * inverse**3
-    return offset + salt + slope * inverse + curvature
+    t, s = _quan_fry.state(temperature, salinity)
+    vacuum = within(wavelength, 400e-9, 700e-9, name="wavelength", unit="m")
+    return _quan_fry.index(vacuum, temperature=t, salinity=s)
 
 
 def refractive_index_vacuum(
@@ -180,10 +194,11 @@ def group_index(
     >>> print(f"{index:.4f}")
     1.3804
     """
-    offset, slope, salt = _quan_fry_terms(temperature, salinity)
-    inverse = 1e-9 / _within(wavelength, 400e-9, 700e-9, name="wavelength", unit="m")
-    curvature = -3 * 4382.0 * inverse**2 + 4 * 1.1455e6 * inverse**3
-    return AIR_REFRACTIVE_INDEX * (offset + salt + 2 * slope * inverse + curvature)
+    t, s = _quan_fry.state(temperature, salinity)
+    vacuum = within(wavelength, 400e-9, 700e-9, name="wavelength", unit="m")
+    return AIR_REFRACTIVE_INDEX * _quan_fry.group_index(
+        vacuum, temperature=t, salinity=s
+    )
 
 
 def iapws_refractive_index(
@@ -269,114 +284,12 @@ def iapws_group_index(
     return index - 1.5 * logarithmic_derivative / (index * (1 - ratio) ** 2)
 
 
-def pope_fry_absorption(wavelength: ArrayLike) -> NDArray[np.float64]:
-    """Return the absorption of pure water as measured by Pope and Fry.
-
-    Parameters
-    ----------
-    wavelength : array_like
-        Wavelength in vacuum, 380e-9 to 727.5e-9 [m].
-
-    Returns
-    -------
-    ndarray
-        Absorption coefficient at 22 degC, of the shape of `wavelength` [1/m].
-
-    Raises
-    ------
-    ValueError
-        If a wavelength is outside of the table.
-
-    Notes
-    -----
-    Table of ref. [6] of this module, 2.5 nm steps, linear in between. Below 450 nm
-    it lies above later work: at 405 nm it is twice `mason_absorption`. Say which of
-    the two is used.
-
-    Examples
-    --------
-    >>> print(f"{pope_fry_absorption(440e-9):.5f} 1/m")
-    0.00635 1/m
-    """
-    table = _table("pope_fry_1997.csv")
-    grid = table[:, 0] * 1e-9
-    inside = _within(wavelength, grid[0], grid[-1], name="wavelength", unit="m")
-    return np.interp(inside, grid, table[:, 1])
-
-
-def mason_absorption(
-    wavelength: ArrayLike, *, temperature: ArrayLike, salinity: ArrayLike
-) -> NDArray[np.float64]:
-    r"""Return the absorption of pure sea water, after Mason et al. below 510 nm.
-
-    Parameters
-    ----------
-    wavelength : array_like
-        Wavelength in vacuum, 300e-9 to 900e-9 [m].
-    temperature : array_like
-        Water temperature, 0 to 30 [degC].
-    salinity : array_like
-        Salinity, 0 (fresh water) to 43, practical or in parts per thousand [1].
-
-    Returns
-    -------
-    ndarray
-        Absorption coefficient, of the broadcast shape [1/m].
-
-    Raises
-    ------
-    ValueError
-        If an argument is outside of its range.
-
-    Notes
-    -----
-    Table of the Water Optical Properties Processor, version 3 (2016): ref. [7] of
-    this module from 300 to 510 nm, ref. [6] and others above; derivatives of
-    ref. [8]:
-
-    .. math::
-
-       a(T, S) = a_{20, 0}
-           + (T - 20) \frac{\partial a}{\partial T} + S \frac{\partial a}{\partial S},
-
-    2 nm steps, linear in between. The table gives no salinity derivative below
-    448 nm. Its standard uncertainty at 405 nm is 0.0003 1/m.
-
-    Examples
-    --------
-    >>> absorption = mason_absorption(410e-9, temperature=20, salinity=0)
-    >>> print(f"{absorption:.5f} 1/m")
-    0.00266 1/m
-    """
-    table = _table("wopp_v3_mason_2016.csv")
-    grid = table[:, 0] * 1e-9
-    inside = _within(wavelength, grid[0], grid[-1], name="wavelength", unit="m")
-    degrees = _within(temperature, 0, 30, name="temperature", unit="degC")
-    salt = _within(salinity, 0, 43, name="salinity", unit="permille")
-    reference, per_salinity, per_degree = (
-        np.interp(inside, grid, table[:, column]) for column in (1, 2, 3)
-    )
-    return reference + (degrees - 20) * per_degree + salt * per_salinity
-
-
-def _quan_fry_terms(
-    temperature: ArrayLike, salinity: ArrayLike
-) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-    """Return the terms in T alone, in 1/L [nm] and in S alone of Quan and Fry."""
-    t = _within(temperature, 0, 30, name="temperature", unit="degC")
-    s = _within(salinity, 0, 43, name="salinity", unit="permille")
-    offset = 1.31405 - 2.02e-6 * t**2
-    slope = 15.868 + 0.01155 * s - 0.00423 * t
-    salt = (1.779e-4 - 1.05e-6 * t + 1.6e-8 * t**2) * s
-    return offset, slope, salt
-
-
 def _lorentz_lorenz(
     wavelength: ArrayLike, temperature: ArrayLike, density: ArrayLike
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return the ratio (n^2 - 1)/(n^2 + 2) of IAPWS R9-97 and L times its slope."""
-    vacuum = _within(wavelength, 200e-9, 1100e-9, name="wavelength", unit="m")
-    degrees = _within(temperature, -12, 500, name="temperature", unit="degC")
+    vacuum = within(wavelength, 200e-9, 1100e-9, name="wavelength", unit="m")
+    degrees = within(temperature, -12, 500, name="temperature", unit="degC")
     mass = np.asarray(density, dtype=np.float64)
     if not np.all((mass > 0) & (mass <= 1060)):
         raise ValueError(
@@ -410,27 +323,3 @@ def _lorentz_lorenz(
         )
     )
     return d * polynomial, d * slope
-
-
-def _within(
-    value: ArrayLike, low: float, high: float, *, name: str, unit: str
-) -> NDArray[np.float64]:
-    """Return the value as an array, refused outside of low..high."""
-    array = np.asarray(value, dtype=np.float64)
-    rounding = 1e-12 * high  # 700 * 1e-9 is above 700e-9
-    if not np.all((array >= low - rounding) & (array <= high + rounding)):
-        raise ValueError(
-            f"{name} must be from {low:g} to {high:g} {unit}, got values from "
-            f"{np.min(array):g} to {np.max(array):g} {unit}"
-        )
-    return array
-
-
-@cache
-def _table(name: str) -> NDArray[np.float64]:
-    """Return a table of this package, read once and not writable."""
-    source = resources.files("amulor.optics").joinpath("data", name)
-    with source.open(encoding="utf-8") as lines:
-        table = np.loadtxt(lines, delimiter=",")
-    table.flags.writeable = False
-    return table

@@ -1,4 +1,4 @@
-"""Claims about the indices and the absorption of pure fresh and sea water."""
+"""Claims about the phase and the group index of pure fresh and sea water."""
 
 from pathlib import Path
 
@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
 
-from amulor.optics import seawater
+from amulor.optics import molecular_scattering, pure_water, seawater
 
 REFERENCE = Path(__file__).parents[2] / "reference"
 
@@ -167,78 +167,11 @@ def test_index_is_linear_in_salinity(wavelength, temperature, salinity):
     assert_allclose(index(salinity), between, rtol=1e-14)  # rounding only
 
 
-def test_pope_fry_absorption_matches_the_published_table():
-    wavelength_nm, expected = read("pure_water_absorption.csv")
-    absorption = seawater.pope_fry_absorption(wavelength_nm * 1e-9)
-    assert_allclose(absorption, expected, rtol=1e-9)  # nodes, up to rounding
-
-
-def test_pope_fry_absorption_is_least_near_418_nm():
-    wavelength = np.arange(400, 500, 0.5) * 1e-9
-    absorption = seawater.pope_fry_absorption(wavelength)
-    # Abstract: a minimum of 0.0044 +- 0.0006 1/m at 418 nm.
-    assert_allclose(wavelength[absorption.argmin()], 418e-9, rtol=0, atol=1.5e-9)
-    assert_allclose(absorption.min(), 0.0044, rtol=0, atol=0.0006)
-
-
-def test_mason_absorption_is_least_near_344_nm():
-    wavelength = np.arange(300, 500, 0.5) * 1e-9
-    absorption = seawater.mason_absorption(wavelength, temperature=20, salinity=0)
-    # Mason, Cone and Fry (2016): the least absorption of water lies near 344 nm.
-    assert_allclose(wavelength[absorption.argmin()], 344e-9, rtol=0, atol=1.5e-9)
-
-
-def test_the_two_tables_differ_by_a_factor_of_two_at_405_nm():
-    mason = seawater.mason_absorption(405e-9, temperature=20, salinity=0)
-    ratio = seawater.pope_fry_absorption(405e-9) / mason
-    assert_allclose(ratio, 0.00530 / 0.00253, rtol=0.005)  # three digits
-
-
-def test_absorption_is_linear_between_two_nodes():
-    ends = seawater.pope_fry_absorption([440e-9, 442.5e-9])
-    between = seawater.pope_fry_absorption(441e-9)
-    assert_allclose(between, 0.6 * ends[0] + 0.4 * ends[1], rtol=1e-12)
-    # 0.00635 and 0.00696 are the table's neighbours.
-    assert_allclose(between, 0.006594, rtol=1e-9)
-
-
-def test_salt_lowers_absorption_at_700_nm_and_raises_it_at_750_nm():
-    fresh, salt = seawater.mason_absorption(
-        [700e-9, 750e-9], temperature=20, salinity=[[0], [10]]
-    )
-    # Rows of WOPP v3: -1.69e-4 and +5.48e-4 1/m per unit, three digits; the
-    # temperature derivatives in the next column are ten times larger.
-    assert_allclose((salt - fresh) / 10, [-1.69e-4, 5.48e-4], rtol=0.005)
-
-
-@settings(deadline=None)
-@given(st.floats(300e-9, 900e-9), temperatures, salinities)
-def test_mason_absorption_is_linear_in_temperature_and_salinity(
-    wavelength, temperature, salinity
-):
-    def absorption(temperature, salinity):
-        return seawater.mason_absorption(
-            wavelength, temperature=temperature, salinity=salinity
-        )
-
-    reference = absorption(20.0, 0.0)
-    apart = (absorption(temperature, 0.0) - reference) + (
-        absorption(20.0, salinity) - reference
-    )
-    together = absorption(temperature, salinity)
-    assert together > 0
-    assert_allclose(together, reference + apart, rtol=1e-12)  # rounding only
-
-
 def test_arguments_broadcast():
     index = seawater.group_index(
         np.array([405e-9, 532e-9]), temperature=np.ones((3, 1)), salinity=35.0
     )
     assert index.shape == (3, 2)
-    absorption = seawater.mason_absorption(
-        np.array([405e-9, 532e-9]), temperature=np.ones((3, 1)), salinity=35.0
-    )
-    assert absorption.shape == (3, 2)
 
 
 def test_a_wavelength_that_was_converted_from_nanometres_is_not_refused_for_rounding():
@@ -286,10 +219,21 @@ def test_iapws_arguments_outside_of_the_range_are_refused(
         seawater.iapws_group_index(wavelength, temperature=temperature, density=density)
 
 
-def test_absorption_outside_of_the_tables_is_refused():
-    with pytest.raises(ValueError, match=r"from 3\.8e-07 to 7\.275e-07 m"):
-        seawater.pope_fry_absorption([405e-9, 379e-9])
-    with pytest.raises(ValueError, match=r"from 3e-07 to 9e-07 m"):
-        seawater.mason_absorption(901e-9, temperature=20, salinity=0)
-    with pytest.raises(ValueError, match=r"temperature must be from 0 to 30 degC"):
-        seawater.mason_absorption(405e-9, temperature=31, salinity=0)
+@pytest.mark.parametrize("module", [pure_water, molecular_scattering])
+def test_the_other_constants_of_the_same_water_can_be_had_from_here(module):
+    for name in module.__all__:
+        if name.islower():
+            assert getattr(seawater, name) is getattr(module, name)
+            assert name in seawater.__all__
+
+
+@settings(deadline=None)
+@given(wavelengths, temperatures, salinities)
+def test_index_in_vacuum_is_that_to_air_times_that_of_air(
+    wavelength, temperature, salinity
+):
+    conditions = {"temperature": temperature, "salinity": salinity}
+    in_air = seawater.refractive_index(wavelength, **conditions)
+    in_vacuum = seawater.refractive_index_vacuum(wavelength, **conditions)
+    # Ciddor (1996): 1.000283 at 400 nm and 1.000276 at 700 nm.
+    assert_allclose(in_vacuum / in_air, 1.000283, rtol=0, atol=1e-12)

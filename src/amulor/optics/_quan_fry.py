@@ -1,0 +1,105 @@
+"""The fit of Quan and Fry for the index of sea water relative to air, unchecked.
+
+References
+----------
+.. [1] X. Quan and E. S. Fry, Appl. Opt. 34, 3477 (1995), :doi:`10.1364/AO.34.003477`.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from amulor.optics._ranges import within
+
+_Array = NDArray[np.float64]
+
+
+def state(temperature: ArrayLike, salinity: ArrayLike) -> tuple[_Array, _Array]:
+    """Return temperature and salinity as arrays within the range of the fit.
+
+    Parameters
+    ----------
+    temperature : array_like
+        Water temperature, 0 to 30 [degC].
+    salinity : array_like
+        Salinity, 0 to 43, practical or in parts per thousand [1].
+
+    Returns
+    -------
+    tuple of ndarray
+        Both, as given.
+    """
+    return (
+        within(temperature, 0, 30, name="temperature", unit="degC"),
+        within(salinity, 0, 43, name="salinity", unit="permille"),
+    )
+
+
+def index(wavelength: _Array, *, temperature: _Array, salinity: _Array) -> _Array:
+    """Return the index relative to air.
+
+    Parameters
+    ----------
+    wavelength : ndarray
+        Wavelength in vacuum [m].
+    temperature, salinity : ndarray
+        State of the water [degC], [1].
+
+    Returns
+    -------
+    ndarray
+        Index, of the broadcast shape [1].
+    """
+    inverse = 1e-9 / wavelength
+    offset, slope = _terms(temperature, salinity)
+    return offset + slope * inverse - 4382.0 * inverse**2 + 1.1455e6 * inverse**3
+
+
+def group_index(wavelength: _Array, *, temperature: _Array, salinity: _Array) -> _Array:
+    """Return n - L dn/dL: a term L^-p of the index counts 1 + p times in it.
+
+    Parameters
+    ----------
+    wavelength : ndarray
+        Wavelength in vacuum [m].
+    temperature, salinity : ndarray
+        State of the water [degC], [1].
+
+    Returns
+    -------
+    ndarray
+        Group index, of the broadcast shape [1].
+    """
+    inverse = 1e-9 / wavelength
+    offset, slope = _terms(temperature, salinity)
+    curvature = -3 * 4382.0 * inverse**2 + 4 * 1.1455e6 * inverse**3
+    return offset + 2 * slope * inverse + curvature
+
+
+def salinity_slope(wavelength: _Array, *, temperature: _Array) -> _Array:
+    """Return dn/dS, which does not depend on the salinity.
+
+    Parameters
+    ----------
+    wavelength : ndarray
+        Wavelength in vacuum [m].
+    temperature : ndarray
+        Water temperature [degC].
+
+    Returns
+    -------
+    ndarray
+        Slope, of the broadcast shape [1].
+    """
+    return _salt(temperature) + 0.01155 * 1e-9 / wavelength
+
+
+def _terms(t: _Array, s: _Array) -> tuple[_Array, _Array]:
+    """Return the part without wavelength and the factor of 1/L [nm]."""
+    offset = 1.31405 - 2.02e-6 * t**2 + _salt(t) * s
+    return offset, 15.868 + 0.01155 * s - 0.00423 * t
+
+
+def _salt(t: _Array) -> _Array:
+    return 1.779e-4 - 1.05e-6 * t + 1.6e-8 * t**2
