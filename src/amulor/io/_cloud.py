@@ -9,7 +9,7 @@ from amulor import cube as cubes
 from amulor.errors import CubeError
 
 #: What the axes mean, for the header of a file that has no place for it.
-AXES = "right-handed: x right, y down, z forward, seen from the emitter [m]"
+AXES = "right-handed: x right, y down, z forward, in the instrument's axes [m]"
 
 # Largest number that each format can hold.
 _LAST = {"row": 2**31 - 1, "column": 2**31 - 1, "quality_flag": 2**15 - 1}

@@ -77,10 +77,6 @@ def open_water(
     present, residual = water, None
     hidden = column.hidden_share(cube, target, known, interval=interval)
     if hidden is not None:
-        # Once more with the target's phase mended by the first estimate.
-        mended = target + np.nan_to_num(hidden) * water
-        hidden = column.hidden_share(cube, mended, known, interval=interval)
-    if hidden is not None:
         residual = -hidden * water
         present = (1 - np.nan_to_num(hidden)) * water
     # Only the water in front of the target strays.

@@ -60,7 +60,7 @@ def test_the_header_tells_units_axes_flags_and_provenance(point_cloud, path):
     assert lines[:2] == ["ply", "format binary_little_endian 1.0"]
     joined = "\n".join(lines)
     assert "x right, y down, z forward" in joined
-    assert "comment z: position in front of the emitter [m]" in lines
+    assert "comment z: position forwards [m]" in lines
     assert "comment title: plate in turbid water" in lines
     assert "1 missing, 2 saturated, 4 no_target" in joined
     assert "simulate plate.toml" in joined
