@@ -135,14 +135,18 @@ def parse_frequencies(text: str) -> list[float]:
     if ":" not in text:
         return [parse(part, "frequency") for part in text.split(",")]
     parts = text.split(":")
-    if len(parts) != 3 or not parts[2].strip().isdigit() or int(parts[2]) < 2:
+    count = parts[2].strip() if len(parts) == 3 else ""
+    if not count.isdigit() or not 2 <= int(count) <= _MOST_FREQUENCIES:
         raise ValueError(
-            f"found {text!r}; a range of frequencies is first, last and how many (at "
-            'least 2), such as "0.5MHz:138MHz:200"'
+            f"found {text!r}; a range of frequencies is first, last and how many (2 to "
+            f'{_MOST_FREQUENCIES}), such as "0.5MHz:138MHz:200"'
         )
     first, last = parse(parts[0], "frequency"), parse(parts[1], "frequency")
-    count = int(parts[2])
-    return [first + (last - first) * i / (count - 1) for i in range(count)]
+    steps = int(count) - 1
+    return [first + (last - first) * i / steps for i in range(steps + 1)]
+
+
+_MOST_FREQUENCIES = 100_000
 
 
 def _convert(

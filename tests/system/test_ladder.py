@@ -112,8 +112,9 @@ def test_hidden_pixels_are_flagged_or_right(output: Path) -> None:
         image, truth = (xr.load_dataset(path, group=g) for g in (None, "truth"))
         error = abs(image["slant_range"] - truth["slant_range"]).values
         wrong = error > 6 * image["slant_range_uncertainty"].values + 5e-3
-        unflagged = wrong & (image["quality_flag"].values == 0)
-        assert unflagged.mean() < 1e-3, (channel, water)
+        assert not (wrong & (image["quality_flag"].values == 0)).any(), (channel, water)
+        # Of 80 pixels hidden in part, a few keep a wrong range, flagged as doubtful.
+        assert wrong.sum() <= 10, (channel, water)
 
 
 def test_every_file_of_the_demo_is_there_and_nothing_else(output: Path) -> None:

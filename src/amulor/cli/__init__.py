@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import sys
 from collections.abc import Sequence
 
@@ -50,6 +51,21 @@ def main(arguments: Sequence[str] | None = None) -> int:
         0 done; 1 something is wrong with files or data; 2 wrong use; 130 interrupted.
     """
     words = list(sys.argv[1:] if arguments is None else arguments)
+    try:
+        code = _answer(words)
+        sys.stdout.flush()
+        return code
+    except BrokenPipeError:
+        # The reader has seen enough; what is still in the buffer must not complain.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 1
+    except OSError as error:
+        return _complain(f"cannot print: {error.strerror or error}")
+    except MemoryError:
+        return _complain("memory ran out; take fewer pixels, channels or frequencies")
+
+
+def _answer(words: list[str]) -> int:
     if words in ([], ["--help"], ["-h"]):
         print(_help())
         return 0
@@ -102,12 +118,14 @@ def _run(words: list[str]) -> int:
     except CycloptsError:
         return 2
     except AmulorError as error:
-        for line in str(error).splitlines():
-            print(f"amulor: {line}", file=sys.stderr)
-        return 1
+        return _complain(str(error))
     except KeyboardInterrupt:
         print("amulor: interrupted", file=sys.stderr)
         return 130
-    except BrokenPipeError:
-        return 1
     return 0
+
+
+def _complain(text: str) -> int:
+    for line in text.splitlines():
+        print(f"amulor: {line}", file=sys.stderr)
+    return 1

@@ -2,6 +2,11 @@
 
 from __future__ import annotations
 
+from cyclopts import validators
+
+#: Seeds that a generator takes and a file keeps.
+SEED = validators.Number(gte=0, lt=2**63)
+
 
 def interval_of(
     nearest: str | None, farthest: str | None

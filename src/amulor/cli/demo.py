@@ -7,13 +7,14 @@ from typing import Annotated
 
 from cyclopts import Parameter
 
+from amulor.cli._arguments import SEED
 from amulor.cli._output import print_json, print_table, progress_bar
 
 
 def demo(
     *,
     output: Annotated[Path, Parameter(alias="-o")] = Path("amulor-demo"),
-    seed: int = 1,
+    seed: Annotated[int, Parameter(validator=SEED)] = 1,
     overwrite: Annotated[bool, Parameter(negative="")] = False,
     json: Annotated[bool, Parameter(negative="")] = False,
 ) -> None:

@@ -28,6 +28,7 @@ def export(
     """
     from amulor import imaging, io
 
+    io.check_output(output, overwrite=overwrite, inputs=[image])
     range_image = io.read_cube(image)
     cloud = imaging.point_cloud(range_image)
     if output.suffix.lower() == ".nc":

@@ -40,6 +40,7 @@ def image(
     from amulor.errors import CubeError
 
     interval = interval_of(nearest, farthest)
+    io.check_output(output, overwrite=overwrite, inputs=[cube])
     target = io.read_cube(cube)
     try:
         result = imaging.range_image(
@@ -49,8 +50,15 @@ def image(
         raise CubeError(str(error)) from None
     io.write_cube(result, output, overwrite=overwrite)
     usable = result["slant_range"].notnull()
+    flags = result["quality_flag"]
+    if not usable.any():
+        print(
+            f"{output}: range image without a usable pixel; see: amulor info {output}"
+        )
+        return
     median = float(result["slant_range_uncertainty"].median())
+    doubtful = float(((flags != 0) & usable).mean())
     print(
-        f"{output}: range image, {float(usable.mean()):.1%} of the pixels usable, "
-        f"median uncertainty {median * 1e3:.2f} mm"
+        f"{output}: range image, {float(usable.mean()):.1%} of the pixels usable "
+        f"({doubtful:.1%} flagged), median uncertainty {median * 1e3:.2f} mm"
     )

@@ -50,6 +50,7 @@ def reject(
     from amulor.errors import CubeError
 
     interval = interval_of(nearest, farthest)
+    io.check_output(output, overwrite=overwrite, inputs=[cube])
     samples = io.read_cube(cube)
     if method == "unmix":
         if target_ratio is None or water_ratio is None:

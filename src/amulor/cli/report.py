@@ -29,9 +29,15 @@ def report(
     from amulor import io
     from amulor.view import image_report
 
-    image_report.write(
-        output,
-        {path.stem: io.read_cube(path) for path in images},
-        overwrite=overwrite,
-    )
-    print(f"{output}: {len(images)} range images")
+    io.check_output(output, overwrite=overwrite, inputs=images)
+    stems = [path.stem for path in images]
+    cubes = {
+        path.stem
+        if stems.count(path.stem) == 1
+        else f"{number + 1}: {path.resolve().parent.name}/{path.stem}": io.read_cube(
+            path
+        )
+        for number, path in enumerate(images)
+    }
+    image_report.write(output, cubes, overwrite=overwrite)
+    print(f"{output}: {len(cubes)} range image{'s' if len(cubes) > 1 else ''}")

@@ -7,13 +7,15 @@ from typing import Annotated
 
 from cyclopts import Parameter
 
+from amulor.cli._arguments import SEED
+
 
 def simulate(
     survey: Path,
     /,
     *,
     output: Annotated[Path, Parameter(alias="-o")],
-    seed: int = 1,
+    seed: Annotated[int, Parameter(validator=SEED)] = 1,
     overwrite: Annotated[bool, Parameter(negative="")] = False,
 ) -> None:
     """Simulate a survey into a measurement cube.
@@ -33,6 +35,7 @@ def simulate(
     from amulor.simulation import simulate as simulate_survey
     from amulor.survey import Survey
 
+    io.check_output(output, overwrite=overwrite, inputs=[survey])
     cube = simulate_survey(Survey.from_toml(survey), rng=seed)
     io.write_cube(cube, output, overwrite=overwrite)
     print(f"{output}: {_sizes(cube.sizes)}")

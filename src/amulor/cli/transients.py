@@ -45,6 +45,7 @@ def transients(
     from amulor.errors import FormatError
     from amulor.io.transients import medium_from_minimum, read_transients
 
+    io.check_output(output, overwrite=overwrite, inputs=[file])
     try:
         frequencies = units.parse_frequencies(frequency)
         side = None if scan_side is None else units.parse(scan_side, "length")

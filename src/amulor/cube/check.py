@@ -45,7 +45,7 @@ def check(
         )
     if level is not None and found != level:
         raise CubeError(
-            f"{name}: holds a {found}, but a {level} is needed here; "
+            f"{name}: is of level {found}, but level {level} is needed here; "
             f"{_how_to_reach(found, level)}"
         )
     version = str(cube.attrs.get("amulor_schema_version"))

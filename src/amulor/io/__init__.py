@@ -9,13 +9,14 @@ import xarray as xr
 
 from amulor.errors import FormatError
 from amulor.io.e57 import write_e57
-from amulor.io.files import make_folder
+from amulor.io.files import check_output, make_folder
 from amulor.io.laz import write_laz
 from amulor.io.netcdf import read_cube, write_cube
 from amulor.io.ply import write_ply
 
 __all__ = [
     "CLOUD_SUFFIXES",
+    "check_output",
     "make_folder",
     "read_cube",
     "write_cloud",

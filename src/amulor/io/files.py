@@ -6,7 +6,7 @@ import contextlib
 import os
 import secrets
 import shutil
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from amulor.errors import FormatError
@@ -131,6 +131,37 @@ def atomic_output(
     finally:
         with contextlib.suppress(OSError):
             temporary.unlink(missing_ok=True)
+
+
+def check_output(
+    path: str | os.PathLike[str],
+    *,
+    overwrite: bool = False,
+    inputs: Sequence[str | os.PathLike[str]] = (),
+) -> None:
+    """Raise before the work if its result could not be written.
+
+    Parameters
+    ----------
+    path : path-like
+        File to be written.
+    overwrite : bool
+        Whether an existing file may be replaced.
+    inputs : sequence of path-like
+        Files that the work reads; none of them is ever replaced.
+
+    Raises
+    ------
+    FormatError
+        If the file exists and must not be replaced, is an input, or has no folder.
+    """
+    path = Path(path)
+    for source in inputs:
+        if os.path.realpath(source) == os.path.realpath(path):
+            raise FormatError(
+                f"{path} is what is read; choose another name for what is written"
+            )
+    _target(path, overwrite=overwrite)
 
 
 def _target(path: Path, *, overwrite: bool) -> Path:

@@ -12,6 +12,8 @@ from amulor.rejection.reference import Covariance
 
 #: A target is seen when its signal stands this many standard errors off zero.
 DETECTION_THRESHOLD = 5.0
+#: And when its phase is known to this; beyond, a first-order error means nothing [rad].
+LARGEST_PHASE_ERROR = 0.3
 
 
 def flags(
@@ -55,12 +57,21 @@ def flags(
     )
     with np.errstate(invalid="ignore", divide="ignore"):
         far = blurred.mahalanobis(target_signal) >= DETECTION_THRESHOLD**2
-    flag[~far & ~missing] |= QualityFlag.NO_TARGET
+    seen = far & ~missing
+    phase = detection.phase_uncertainty(
+        np.where(seen, target_signal, 1.0),
+        in_phase_variance=np.where(seen, blurred.in_phase, 1.0),
+        quadrature_variance=np.where(seen, blurred.quadrature, 1.0),
+        covariance=np.where(seen, blurred.cross, 0.0),
+    )
+    # An error that lies along one direction can leave the strength sure and the phase
+    # open.
+    seen &= phase < LARGEST_PHASE_ERROR
+    flag[~seen & ~missing] |= QualityFlag.NO_TARGET
     if water_is_in:
         flag |= QualityFlag.NO_OPEN_WATER
     if residual is not None:
-        seen = far & ~missing
-        phase = detection.phase_uncertainty(
+        own = detection.phase_uncertainty(
             np.where(seen, target_signal, 1.0),
             in_phase_variance=np.where(seen, uncertainty.in_phase, 1.0),
             quadrature_variance=np.where(seen, uncertainty.quadrature, 1.0),
@@ -68,6 +79,6 @@ def flags(
         )
         with np.errstate(invalid="ignore", divide="ignore"):
             shift = np.abs(np.angle(target_signal / (target_signal - residual)))
-        flag[seen & ~(shift <= phase)] |= QualityFlag.WATER_RESIDUAL
+        flag[seen & ~(shift <= own)] |= QualityFlag.WATER_RESIDUAL
     flag[missing] = QualityFlag.MISSING
     return flag

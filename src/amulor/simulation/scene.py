@@ -273,10 +273,10 @@ def _mesh(target: Mesh) -> NDArray[np.float64]:
         loaded = trimesh.load(target.file, force="mesh")
         corners = np.asarray(loaded.triangles, dtype=float)
     # Readers of four formats raise errors of many kinds on a damaged file.
-    except Exception as error:
+    except Exception:
         raise SurveyError(
-            f"{target.file}: cannot be read as a mesh ({error}); needed is an STL, "
-            "PLY, OBJ or GLB file"
+            f"{target.file}: cannot be read as a mesh; it is damaged, or no STL, PLY, "
+            "OBJ or GLB file"
         ) from None
     if len(corners) == 0 or not np.all(np.isfinite(corners)):
         raise SurveyError(

@@ -24,6 +24,7 @@ Progress = Callable[[str, float], None]
 WATERS = ("clear", "milk")
 CHANNELS = ("VH", "VV")
 STAGES = ("before", "after")
+_CLOUDS = ("ply", "laz", "e57")
 #: Pixels nearer than this to the edge of a tread are left out of the numbers: there
 #: one tread hides the other from the receiver [m].
 _MARGIN = 3e-3
@@ -173,6 +174,8 @@ def run(
     from amulor.studies import ladder_report
 
     io.make_folder(folder)
+    for name in output_names():
+        io.check_output(folder / name, overwrite=overwrite)
     cases: list[Case] = []
     surveys, samples = {}, {}
     for done, water in enumerate(WATERS):
@@ -220,6 +223,24 @@ def run(
     return cases
 
 
+def output_names() -> list[str]:
+    """Return the names of all files that `run` writes.
+
+    Returns
+    -------
+    list of str
+        Names in the folder.
+    """
+    names = ["report.html", "steps.json"]
+    for water in WATERS:
+        stem = f"ladder_{water}"
+        names += [f"{stem}.toml", f"{stem}_samples.nc", f"{stem}_target_signal.nc"]
+        for channel in CHANNELS:
+            names.append(f"{stem}_{channel}_range.nc")
+            names += [f"{stem}_{channel}.{suffix}" for suffix in _CLOUDS]
+    return names
+
+
 def summary(cases: list[Case]) -> list[dict[str, object]]:
     """Return the numbers of all cases for other programs.
 
@@ -260,7 +281,7 @@ def _write_images(folder: Path, case: Case, *, overwrite: bool) -> None:
     cloud = imaging.point_cloud(case.image)
     rows, columns = case.image["quality_flag"].shape
     shape = (rows, columns)
-    for suffix in ("ply", "laz", "e57"):
+    for suffix in _CLOUDS:
         io.write_cloud(
             cloud, folder / f"{stem}.{suffix}", shape=shape, overwrite=overwrite
         )

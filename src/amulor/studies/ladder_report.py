@@ -78,7 +78,8 @@ def write(
             "to the right where the beam runs nearer to the receiver's axis; after "
             "rejection they are level. What is left in milk is the water signal's own "
             "fluctuation. Spikes beside the steps are pixels hidden from the receiver: "
-            "before rejection they show the water's own distance.",
+            "before rejection they show the water's own distance; after it they are "
+            "left out, but for a few that the receiver sees in part.",
         ),
     ]
     for water, cube in samples.items():
@@ -128,16 +129,16 @@ def _ranges_table(cases: list[Case]) -> Table:
     return Table(
         [
             "case",
-            "mean error before [mm]",
-            "mean error after [mm]",
+            "error before",
+            "error after",
             "smaller by",
-            "noise per pixel [mm]",
-            "stated uncertainty [mm]",
+            "noise",
+            "stated noise",
         ],
         rows,
-        "Error of the slant range against the simulated truth, over the treads; noise "
-        "is the scatter from row to row, the stated uncertainty what the range image "
-        "claims without knowing the truth.",
+        "Slant range over the treads [mm]: mean error against the simulated truth, "
+        "scatter of single pixels from row to row, and the scatter that the range "
+        "image states without knowing the truth.",
     )
 
 

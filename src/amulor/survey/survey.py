@@ -95,7 +95,7 @@ class Survey(Description):
                 "survey is a TOML text of a few kilobytes"
             )
         try:
-            text = content.decode()
+            text = content.decode("utf-8-sig")
         except UnicodeDecodeError:
             raise SurveyError(
                 f"{path}: is no text; a survey is a TOML file in UTF-8"

@@ -9,10 +9,13 @@ import numpy as np
 import xarray as xr
 from matplotlib import colormaps
 from matplotlib.axes import Axes
+from matplotlib.colors import ListedColormap
 from matplotlib.figure import Figure
+from matplotlib.patches import Patch
 from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
+from amulor.cube import UNUSABLE
 from amulor.imaging import point_cloud
 from amulor.view.style import (
     BRIGHTNESS_MAP,
@@ -146,17 +149,12 @@ def image_overview(image: xr.Dataset) -> Figure:
                 "magma",
             ),
             ("brightness", image["intensity"].values * 1e3, "mV", BRIGHTNESS_MAP),
-            (
-                "quality flag, 0 is good",
-                image["quality_flag"].values.astype(float),
-                "sum of flags",
-                "cividis",
-            ),
         )
         for axis, (title, values, label, colours) in zip(
-            axes.ravel(), panels, strict=True
+            axes.ravel(), panels, strict=False
         ):
             _image(axis, image, values, title=title, label=label, colours=colours)
+        _quality(axes[1, 1], image)
     return figure
 
 
@@ -175,7 +173,7 @@ def profiles(images: Mapping[str, Mapping[str, xr.Dataset]]) -> Figure:
     """
     stages = list(next(iter(images.values())))
     with style():
-        figure = new_figure(1.85 * len(images), 1.75 * len(stages))
+        figure = new_figure(max(1.85 * len(images), 3.6), 1.75 * len(stages))
         axes = figure.subplots(
             len(stages), len(images), squeeze=False, sharex=True, sharey=True
         )
@@ -187,7 +185,8 @@ def profiles(images: Mapping[str, Mapping[str, xr.Dataset]]) -> Figure:
                 axis.plot(
                     across.T, height.T, color=_stage_colour(row), lw=0.4, alpha=0.35
                 )
-                axis.set_title(f"({letter}) {case}, {stage}")
+                name = f"{case}, {stage}" if len(stages) > 1 else case
+                axis.set_title(f"({letter}) {name}" if len(images) > 1 else name)
                 axis.grid(lw=0.3, color="#dddddd")
         for axis in axes[-1]:
             axis.set_xlabel("right [mm]")
@@ -278,6 +277,31 @@ def _image(
     bar.set_label(label)
     bar.outline.set_linewidth(0.4)
 
+
+def _quality(axis: Axes, image: xr.Dataset) -> None:
+    """Draw which pixels are good, doubtful or unusable."""
+    flag = image["quality_flag"].values
+    state = np.where(flag == 0, 0, np.where((flag & UNUSABLE) == 0, 1, 2))
+    axis.imshow(
+        state,
+        cmap=ListedColormap(list(_QUALITY.values())),
+        vmin=0,
+        vmax=2,
+        interpolation="none",
+    )
+    axis.set_title("quality")
+    axis.set_xlabel("column")
+    axis.set_ylabel("row")
+    patches = [
+        Patch(facecolor=colour, edgecolor="#999999", linewidth=0.4, label=name)
+        for name, colour in _QUALITY.items()
+    ]
+    axis.legend(
+        handles=patches, loc="upper center", bbox_to_anchor=(0.5, -0.45), ncols=3
+    )
+
+
+_QUALITY = {"good": "#ffffff", "doubtful": "#E69F00", "no range": "#5d6f79"}
 
 #: Share of the pixels on either side that limits may leave out [%].
 _STRAY = 3.5

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import xarray as xr
+from numpy.typing import NDArray
 
 from amulor import cube as cubes
 from amulor.view import figures
@@ -51,14 +52,21 @@ def write(
             Heading(name),
             Picture(figures.image_overview(image), flag_sentence(image)),
         ]
-    staged = {name: {"range image": image} for name, image in images.items()}
-    parts += [
-        Heading("Line profiles"),
-        Picture(figures.profiles(staged), "All rows of each image over each other."),
-        Heading("In space"),
-        Picture(figures.surfaces(images), "Height is counted towards the instrument."),
-        Heading("Where this comes from"),
-    ]
+    # A surface needs two rows and two columns, and something to be drawn of them.
+    drawable = {name: image for name, image in images.items() if _is_surface(image)}
+    if drawable:
+        staged = {name: {"range image": image} for name, image in drawable.items()}
+        parts += [
+            Heading("Line profiles"),
+            Picture(
+                figures.profiles(staged), "All rows of each image over each other."
+            ),
+            Heading("In space"),
+            Picture(
+                figures.surfaces(drawable), "Height is counted towards the instrument."
+            ),
+        ]
+    parts.append(Heading("Where this comes from"))
     for name, image in images.items():
         parts.append(Listing(f"history of {name}", str(image.attrs.get("history", ""))))
         if image.attrs.get("survey"):
@@ -92,6 +100,11 @@ def flag_sentence(image: xr.Dataset) -> str:
     return f"Grey pixels hold no range. Flags, of {flag.size} pixels: {listed}."
 
 
+def _is_surface(image: xr.Dataset) -> bool:
+    slant_range = image["slant_range"].values
+    return min(slant_range.shape) > 1 and bool(np.isfinite(slant_range).sum() > 3)
+
+
 def _origin(images: Mapping[str, xr.Dataset]) -> str:
     simulated = [name for name, cube in images.items() if cube.attrs.get("simulated")]
     if not simulated:
@@ -113,26 +126,26 @@ def _numbers(images: Mapping[str, xr.Dataset]) -> Table:
                 name,
                 f"{image.attrs.get('polarization', '')}",
                 f"{usable.mean():.1%}",
-                f"{_median(slant_range):.4f}",
-                f"{_median(sigma) * 1e3:.2f}",
-                "unknown" if bias is None else f"{_median(bias.values) * 1e3:+.2f}",
+                _median(slant_range, ".4f"),
+                _median(sigma * 1e3, ".2f"),
+                "unknown" if bias is None else _median(bias.values * 1e3, "+.2f"),
             ]
         )
     return Table(
         [
             "image",
             "channel",
-            "usable pixels",
-            "median range [m]",
-            "median uncertainty [mm]",
-            "median bias estimate [mm]",
+            "usable",
+            "range [m]",
+            "uncertainty [mm]",
+            "bias [mm]",
         ],
         rows,
-        "The uncertainty is random; the bias estimate is what the water signal left in "
-        "is expected to add, and is not taken off.",
+        "Medians over the usable pixels. The uncertainty is random; the bias is what "
+        "water signal left in is expected to add, and is not taken off.",
     )
 
 
-def _median(values: np.ndarray) -> float:
+def _median(values: NDArray[np.float64], form: str) -> str:
     finite = values[np.isfinite(values)]
-    return float(np.median(finite)) if finite.size else float("nan")
+    return format(float(np.median(finite)), form) if finite.size else "none"

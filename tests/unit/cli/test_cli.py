@@ -226,3 +226,99 @@ def test_an_interrupt_ends_with_130(monkeypatch, folder: Path, capsys) -> None:
     monkeypatch.setattr("amulor.io.read_cube", interrupt)
     assert main(["info", str(folder / "samples.nc")]) == 130
     assert "interrupted" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("seed", ["-1", "9223372036854775808", "one"])
+def test_a_seed_that_cannot_be_kept_is_wrong_use(
+    folder: Path, seed: str, tmp_path: Path, capsys
+) -> None:
+    words = ["simulate", str(folder / "tank.toml"), "-o", str(tmp_path / "x.nc")]
+    assert main([*words, f"--seed={seed}"]) == 2
+    assert not (tmp_path / "x.nc").exists()
+
+
+def test_an_input_is_never_replaced(folder: Path, capsys) -> None:
+    survey = folder / "tank.toml"
+    before = survey.read_bytes()
+    message = _fails(
+        ["simulate", str(survey), "-o", str(survey), "--overwrite"], capsys
+    )
+    assert "is what is read" in message
+    assert survey.read_bytes() == before
+    image = str(folder / "range.nc")
+    _fails(["report", image, "-o", image, "--overwrite"], capsys)
+
+
+def test_an_output_that_cannot_be_is_refused_before_the_work(
+    folder: Path, tmp_path: Path, monkeypatch, capsys
+) -> None:
+    def work(*_: object, **__: object) -> None:
+        raise AssertionError("the work was begun")
+
+    monkeypatch.setattr("amulor.simulation.simulate", work)
+    words = ["simulate", str(folder / "tank.toml")]
+    assert "no folder" in _fails([*words, "-o", str(tmp_path / "no" / "x.nc")], capsys)
+    assert "--overwrite" in _fails([*words, "-o", str(folder / "samples.nc")], capsys)
+
+
+def test_the_demo_looks_at_all_its_outputs_first(tmp_path: Path, capsys) -> None:
+    (tmp_path / "report.html").write_text("mine")
+    assert "report.html" in _fails(["demo", "-o", str(tmp_path)], capsys)
+    assert [path.name for path in tmp_path.iterdir()] == ["report.html"]
+
+
+def test_images_of_one_name_from_two_folders_are_both_drawn(
+    folder: Path, tmp_path: Path, capsys
+) -> None:
+    other = tmp_path / "range.nc"
+    other.write_bytes((folder / "range.nc").read_bytes())
+    page = tmp_path / "both.html"
+    assert main(["report", str(folder / "range.nc"), str(other), "-o", str(page)]) == 0
+    assert f"2: {tmp_path.name}/range" in page.read_text()
+    assert "2 range images" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(("columns", "rows"), [(12, 1), (1, 6), (1, 1)])
+def test_a_line_or_a_point_goes_through_the_chain(
+    plate_text: str, tmp_path: Path, columns: int, rows: int, capsys
+) -> None:
+    text = plate_text.replace("columns = 12", f"columns = {columns}")
+    (tmp_path / "line.toml").write_text(text.replace("rows = 6", f"rows = {rows}"))
+    for words in (
+        "simulate line.toml -o a.nc",
+        "reject a.nc --method open-water -o b.nc",
+        "image b.nc --polarization VV -o c.nc",
+        "export c.nc -o d.e57",
+        "report c.nc -o e.html",
+    ):
+        full = [str(tmp_path / w) if "." in w else w for w in words.split()]
+        assert main(full) == 0, words
+
+
+def test_an_empty_scene_is_said_in_words(
+    plate_text: str, tmp_path: Path, capsys
+) -> None:
+    (tmp_path / "t.toml").write_text(plate_text.replace('"1.5 m"', '"-1.5 m"'))
+    for words in (
+        "simulate t.toml -o a.nc",
+        "reject a.nc --method open-water -o b.nc",
+        "image b.nc --polarization VV -o c.nc",
+        "report c.nc -o e.html",
+    ):
+        full = [str(tmp_path / w) if "." in w else w for w in words.split()]
+        assert main(full) == 0, words
+    assert "without a usable pixel" in capsys.readouterr().out
+    assert "nan" not in (tmp_path / "e.html").read_text().split("</table>")[0]
+
+
+def test_a_closed_pipe_and_a_full_disk_make_no_traceback() -> None:
+    for tail, code in (("| true", None), ("> /dev/full", 1)):
+        done = subprocess.run(
+            ["bash", "-c", f"{sys.executable} -m amulor --help {tail}"],
+            capture_output=True,
+            text=True,
+            check=False,
+        )
+        assert "Traceback" not in done.stderr
+        assert "Exception" not in done.stderr
+        assert code is None or done.returncode == code
