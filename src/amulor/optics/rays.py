@@ -315,41 +315,26 @@ def path_limits(
     Frequencies settle what the smallest among them and their differences settles. A
     range of 0 means the start of the water.
     """
-    near, far = interval or (0.0, unambiguous_range(modulation_frequency, medium))
+    near, far = (0.0, np.inf) if interval is None else interval
     if not 0 <= near < far:
         raise ValueError(
             f"interval must run from at least 0 m to a larger range, got {near:g} to "
             f"{far:g} m"
         )
-    limits = []
-    for slant_range in (near, far):
+
+    def path_at(slant_range: float) -> NDArray[np.float64]:
         water = np.maximum(slant_range - beam.length_before, 0.0)
         point = beam.entry + water[..., None] * beam.direction
         back = return_length(point, receiver, medium=medium)
-        limits.append(beam.optical_length_before + medium.group_index * water + back)
-    if interval is None:
-        # One whole period of the path from its shortest on, not of a bent range.
-        frequency = np.asarray(modulation_frequency, dtype=float)
-        smallest = np.min(np.append(np.diff(frequency), frequency[0]))
-        limits[1] = limits[0] + speed_of_light / smallest
-    return limits[0], limits[1]
+        path: NDArray[np.float64] = (
+            beam.optical_length_before + medium.group_index * water + back
+        )
+        return path
 
-
-def unambiguous_range(modulation_frequency: ArrayLike, medium: Medium) -> float:
-    """Return the range in water that frequencies settle together.
-
-    Parameters
-    ----------
-    modulation_frequency : array_like, shape (n,)
-        Modulation frequencies, increasing [Hz].
-    medium : Medium
-        Its group index counts.
-
-    Returns
-    -------
-    float
-        Range after which all phases repeat, or come closest to it [m].
-    """
+    shortest = path_at(near)
+    if interval is not None:
+        return shortest, path_at(far)
+    # One whole period of the path from its shortest on.
     frequency = np.asarray(modulation_frequency, dtype=float)
     smallest = np.min(np.append(np.diff(frequency), frequency[0]))
-    return float(speed_of_light / (2 * medium.group_index * smallest))
+    return shortest, shortest + speed_of_light / smallest

@@ -58,12 +58,7 @@ def flags(
     with np.errstate(invalid="ignore", divide="ignore"):
         far = blurred.mahalanobis(target_signal) >= DETECTION_THRESHOLD**2
     seen = far & ~missing
-    phase = detection.phase_uncertainty(
-        np.where(seen, target_signal, 1.0),
-        in_phase_variance=np.where(seen, blurred.in_phase, 1.0),
-        quadrature_variance=np.where(seen, blurred.quadrature, 1.0),
-        covariance=np.where(seen, blurred.cross, 0.0),
-    )
+    phase = _phase_error(target_signal, blurred, seen)
     # An error that lies along one direction can leave the strength sure and the phase
     # open.
     seen &= phase < LARGEST_PHASE_ERROR
@@ -71,14 +66,21 @@ def flags(
     if water_is_in:
         flag |= QualityFlag.NO_OPEN_WATER
     if residual is not None:
-        own = detection.phase_uncertainty(
-            np.where(seen, target_signal, 1.0),
-            in_phase_variance=np.where(seen, uncertainty.in_phase, 1.0),
-            quadrature_variance=np.where(seen, uncertainty.quadrature, 1.0),
-            covariance=np.where(seen, uncertainty.cross, 0.0),
-        )
+        own = _phase_error(target_signal, uncertainty, seen)
         with np.errstate(invalid="ignore", divide="ignore"):
             shift = np.abs(np.angle(target_signal / (target_signal - residual)))
         flag[seen & ~(shift <= own)] |= QualityFlag.WATER_RESIDUAL
     flag[missing] = QualityFlag.MISSING
     return flag
+
+
+def _phase_error(
+    signal: NDArray[np.complex128], uncertainty: Covariance, seen: NDArray[np.bool_]
+) -> NDArray[np.float64]:
+    """Return the phase error where a signal is seen; elsewhere it means nothing."""
+    return detection.phase_uncertainty(
+        np.where(seen, signal, 1.0),
+        in_phase_variance=np.where(seen, uncertainty.in_phase, 1.0),
+        quadrature_variance=np.where(seen, uncertainty.quadrature, 1.0),
+        covariance=np.where(seen, uncertainty.cross, 0.0),
+    )
