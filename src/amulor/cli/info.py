@@ -22,6 +22,7 @@ def info(
     json
         Print it for other programs.
     """
+    from amulor import cube as cubes
     from amulor import io
 
     cube = io.read_cube(file)
@@ -41,7 +42,7 @@ def info(
             else []
         ),
         "simulated": bool(cube.attrs.get("simulated", 0)),
-        "flags": _flags(cube),
+        "flags": cubes.flag_counts(cube),
         "history": str(cube.attrs.get("history", "")).splitlines(),
     }
     if json:
@@ -52,16 +53,3 @@ def info(
             lines = value if isinstance(value, list) and name == "history" else [value]
             for line in lines:
                 print(f"{name:>26}: {line}")
-
-
-def _flags(cube: Any) -> dict[str, int]:
-    if "quality_flag" not in cube:
-        return {}
-    flag = cube["quality_flag"]
-    return {
-        meaning: int(((flag.values & mask) != 0).sum())
-        for mask, meaning in zip(
-            flag.attrs["flag_masks"], flag.attrs["flag_meanings"].split(), strict=True
-        )
-        if ((flag.values & mask) != 0).any()
-    }

@@ -1,6 +1,12 @@
 """The one format that measured and simulated data share."""
 
-from amulor.cube.accessor import CubeAccessor, attach, group, without_groups
+from amulor.cube.accessor import (
+    CubeAccessor,
+    attach,
+    flag_counts,
+    group,
+    without_groups,
+)
 from amulor.cube.build import build, open_water
 from amulor.cube.check import check
 from amulor.cube.provenance import attributes, digest, note
@@ -17,6 +23,7 @@ __all__ = [
     "build",
     "check",
     "digest",
+    "flag_counts",
     "group",
     "note",
     "open_water",

@@ -80,6 +80,31 @@ def attach(cube: xr.Dataset, part: xr.Dataset, name: str) -> xr.Dataset:
     return cube.assign(prefixed)
 
 
+def flag_counts(cube: xr.Dataset) -> dict[str, int]:
+    """Count the pixels or samples that carry each quality flag.
+
+    Parameters
+    ----------
+    cube : xarray.Dataset
+        A cube of any level.
+
+    Returns
+    -------
+    dict
+        Meaning to number, only of flags that occur; empty without `quality_flag`.
+    """
+    if "quality_flag" not in cube:
+        return {}
+    flag = cube["quality_flag"]
+    counts = {
+        meaning: int(np.count_nonzero(flag.values & mask))
+        for mask, meaning in zip(
+            flag.attrs["flag_masks"], flag.attrs["flag_meanings"].split(), strict=True
+        )
+    }
+    return {meaning: count for meaning, count in counts.items() if count}
+
+
 @xr.register_dataset_accessor("amulor")  # type: ignore[no-untyped-call]
 class CubeAccessor:
     """`cube.amulor`: what every step asks of a cube, in one word.

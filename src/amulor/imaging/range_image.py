@@ -77,7 +77,7 @@ def range_image(
     shift = _phase_left_in(one, signal)
     path = ambiguity.optical_path(
         np.where(usable, np.angle(signal), 0.0),
-        np.maximum(sigma, _SMALLEST_PHASE_ERROR),
+        sigma,
         modulation_frequency=frequency,
         shortest=shortest,
         longest=longest,
@@ -138,8 +138,6 @@ def range_image(
 
 #: Step of the optical path for the derivative of the slant range [m].
 _DIFFERENCE = 1e-5
-#: Samples stated to be without any error still need weights [rad].
-_SMALLEST_PHASE_ERROR = 1e-9
 
 
 def _channel(cube: xr.Dataset, polarization: str | None) -> xr.Dataset:

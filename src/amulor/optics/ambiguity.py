@@ -17,6 +17,8 @@ _SLACK = 4.0
 #: Frequencies that disagree with the best path by more than this chance say so.
 _DISAGREEMENT = 1e-4
 _MOST_CANDIDATES = 10_000
+#: Phases stated to be without any error still need weights [rad].
+_SMALLEST_PHASE_ERROR = 1e-9
 
 
 @dataclass(frozen=True)
@@ -76,7 +78,7 @@ def optical_path(
     """
     wavelength = speed_of_light / modulation_frequency
     each = wavelength.reshape(-1, *[1] * (phase.ndim - 1))
-    sigma = uncertainty * each / (2 * np.pi)
+    sigma = np.maximum(uncertainty, _SMALLEST_PHASE_ERROR) * each / (2 * np.pi)
     measured = np.mod(phase, 2 * np.pi) * each / (2 * np.pi)
     precision = sigma**-2
     best = int(np.argmin(np.nanmedian(sigma.reshape(len(sigma), -1), axis=1)))

@@ -119,7 +119,7 @@ def _depth(
     )
     path = ambiguity.optical_path(
         np.where(seen, np.angle(np.where(seen, summed, 1.0)), 0.0),
-        np.maximum(sigma, _SMALLEST_PHASE_ERROR),
+        sigma,
         modulation_frequency=frequency,
         shortest=shortest,
         longest=longest,
@@ -131,7 +131,3 @@ def _depth(
     )
     depth = np.maximum(slant_range - beam.length_before, 0.0)
     return np.where(seen & path.settled, depth, np.nan)
-
-
-#: Samples stated to be without any error still need weights [rad].
-_SMALLEST_PHASE_ERROR = 1e-9

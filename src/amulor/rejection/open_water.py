@@ -11,7 +11,7 @@ from amulor.errors import CubeError
 from amulor.optics import interference
 from amulor.rejection import column, reference
 from amulor.rejection.build import covariance_of, target_cube
-from amulor.rejection.reference import FEWEST_SHOTS, Covariance, fluctuation
+from amulor.rejection.reference import FEWEST_SHOTS, Covariance, fluctuation, stacked
 from amulor.survey import Survey
 
 
@@ -71,7 +71,7 @@ def open_water(
     signal = cube.amulor.signal.values
     shape = signal.shape
     water = np.array([fit.signal for fit in fits]).reshape(shape)
-    common = _stacked([fit.common for fit in fits], shape)
+    common = stacked([fit.common for fit in fits], shape)
     target = interference.target_signal(signal, water)
     known = covariance_of(cube) + common
     present, residual = water, None
@@ -80,7 +80,7 @@ def open_water(
         residual = -hidden * water
         present = (1 - np.nan_to_num(hidden)) * water
     # Only the water in front of the target strays.
-    stray = _stacked(
+    stray = stacked(
         [
             fluctuation(fit.relative, level.ravel())
             for fit, level in zip(fits, present.reshape(-1, *shape[2:]), strict=True)
@@ -151,15 +151,6 @@ def fit_shots(cube: xr.Dataset, shots: xr.Dataset) -> list[reference.Reference]:
         )
         fits.append(reference.fit(signal[index][use], own, places[use], pixels))
     return fits
-
-
-def _stacked(parts: list[Covariance], shape: tuple[int, ...]) -> Covariance:
-    return Covariance(
-        *(
-            np.array([getattr(part, name) for part in parts]).reshape(shape)
-            for name in ("in_phase", "quadrature", "cross")
-        )
-    )
 
 
 #: How far the scan may go beyond the shots: a share of their span, at least that [rad].

@@ -10,7 +10,7 @@ from amulor import cube as cubes
 from amulor.errors import CubeError
 from amulor.rejection.build import covariance_of, target_cube
 from amulor.rejection.open_water import fit_shots
-from amulor.rejection.reference import Covariance, fluctuation
+from amulor.rejection.reference import Covariance, fluctuation, stacked
 
 #: Channels in which backscatter of spheres is dark. A mirror-like return keeps V and H,
 #: but swaps +45 with -45 degrees and right with left, in the axes of its own light.
@@ -185,12 +185,7 @@ def _stray(
         fluctuation(fit.relative, level.ravel())
         for fit, level in zip(fit_shots(channel, shots), water[:, 0], strict=True)
     ]
-    return Covariance(
-        *(
-            np.array([getattr(part, name) for part in parts]).reshape(water.shape)
-            for name in ("in_phase", "quadrature", "cross")
-        )
-    )
+    return stacked(parts, water.shape)
 
 
 def _along(signal: NDArray[np.complex128], size: float) -> Covariance:

@@ -267,3 +267,26 @@ def fluctuation(relative: NDArray[np.float64], level: Complex) -> Covariance:
         radial * b**2 + tangential * a**2 + 2 * crossed * a * b,
         (radial - tangential) * a * b + crossed * (a**2 - b**2),
     )
+
+
+def stacked(parts: list[Covariance], shape: tuple[int, ...]) -> Covariance:
+    """Put the covariances of frequencies and channels together.
+
+    Parameters
+    ----------
+    parts : list of Covariance
+        Modulation frequency by frequency, channel by channel.
+    shape : tuple of int
+        Shape of the whole.
+
+    Returns
+    -------
+    Covariance
+        Arrays of that shape.
+    """
+    return Covariance(
+        *(
+            np.array([getattr(part, name) for part in parts]).reshape(shape)
+            for name in ("in_phase", "quadrature", "cross")
+        )
+    )

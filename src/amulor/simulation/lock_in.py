@@ -86,14 +86,9 @@ def sample(
     )
     light = target + Light(water.modulated * change, water.mean * np.maximum(change, 0))
     rate = _rate(survey) * light.mean
-    # Whatever the dwell leaves after settling is averaged; a dwell that leaves
-    # nothing still takes one reading.
-    averaging = max(survey.scan.dwell - 5 * lock_in.time_constant, 0.0)
     counting = volt**2 * detection.quadrature_variance(
         rate,
-        integration_time=detection.effective_integration_time(
-            averaging, time_constant=lock_in.time_constant
-        ),
+        integration_time=integration_time(survey),
         excess_noise_factor=detector.excess_noise_factor,
         dark_rate=detector.dark_rate,
     )
@@ -111,6 +106,27 @@ def sample(
         saturated=(volt * (rate + detector.dark_rate) > detector.saturation).astype(
             np.int8
         ),
+    )
+
+
+def integration_time(survey: Survey) -> float:
+    """Return over how long one sample counts photoelectrons, in effect [s].
+
+    Parameters
+    ----------
+    survey : Survey
+        Its dwell and its lock-in count.
+
+    Returns
+    -------
+    float
+        Noise-equivalent time. Whatever the dwell leaves after settling is averaged; a
+        dwell that leaves nothing still takes one reading.
+    """
+    constant = survey.instrument.lock_in.time_constant
+    averaging = max(survey.scan.dwell - 5 * constant, 0.0)
+    return float(
+        detection.effective_integration_time(averaging, time_constant=constant)
     )
 
 

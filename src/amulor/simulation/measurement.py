@@ -10,10 +10,11 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from amulor import cube
+from amulor.optics import detection
 from amulor.optics.rays import Medium
 from amulor.simulation import geometry as geometry_of
 from amulor.simulation import lock_in, signal
-from amulor.survey import Survey, water_properties
+from amulor.survey import Survey, WaterProperties, water_properties
 from amulor.survey.view import medium as medium_of
 from amulor.survey.view import view as view_of
 
@@ -78,7 +79,7 @@ def simulate(survey: Survey, *, rng: np.random.Generator | int) -> xr.Dataset:
     )
     if survey.scan.open_water is not None:
         measured = cube.attach(
-            measured, _open_water(survey, medium, generator), "open_water"
+            measured, _open_water(survey, water, medium, generator), "open_water"
         )
     truth = _truth(survey, geometry, target, column)
     return cube.note(cube.attach(measured, truth, "truth"), "simulate")
@@ -94,10 +95,15 @@ def _outputs(samples: lock_in.Samples) -> dict[str, NDArray[Any]]:
     }
 
 
-def _open_water(survey: Survey, medium: Medium, rng: np.random.Generator) -> xr.Dataset:
+def _open_water(
+    survey: Survey,
+    water: WaterProperties,
+    medium: Medium,
+    rng: np.random.Generator,
+) -> xr.Dataset:
     azimuth, elevation = geometry_of.open_water_directions(survey)
     view = view_of(survey, azimuth, elevation, medium=medium)
-    light = signal.water_light(survey, water_properties(survey), view)
+    light = signal.water_light(survey, water, view)
     dark = signal.Light(np.zeros_like(light.modulated), np.zeros_like(light.mean))
     shots = lock_in.sample(survey, dark, light, rng=rng)
     return cube.open_water(
@@ -124,15 +130,10 @@ def _geometry_attributes(survey: Survey, medium: Medium) -> dict[str, Any]:
 
 def _photon_noise_volt(survey: Survey) -> float:
     """Return V such that an amplitude A has the counting variance V * A / m [V]."""
-    from amulor.optics import detection
-
-    detector, lock = survey.instrument.detector, survey.instrument.lock_in
-    averaging = max(survey.scan.dwell - 5 * lock.time_constant, 0.0)
-    time = detection.effective_integration_time(
-        averaging, time_constant=lock.time_constant
-    )
+    volt = survey.instrument.detector.volt_per_photoelectron_rate
+    time = lock_in.integration_time(survey)
     unit = detection.quadrature_variance(1.0, integration_time=time)
-    return float(detector.volt_per_photoelectron_rate * unit)
+    return float(volt * unit)
 
 
 def _truth(

@@ -88,16 +88,13 @@ def flag_sentence(image: xr.Dataset) -> str:
     str
         For a caption.
     """
-    flag = image["quality_flag"]
     counts = [
         f"{count} {meaning.replace('_', ' ')}"
-        for mask, meaning in zip(
-            flag.attrs["flag_masks"], flag.attrs["flag_meanings"].split(), strict=True
-        )
-        if (count := int(np.sum((flag.values & mask) != 0)))
+        for meaning, count in cubes.flag_counts(image).items()
     ]
     listed = "; ".join(counts) if counts else "none"
-    return f"Grey pixels hold no range. Flags, of {flag.size} pixels: {listed}."
+    pixels = image["quality_flag"].size
+    return f"Grey pixels hold no range. Flags, of {pixels} pixels: {listed}."
 
 
 def _is_surface(image: xr.Dataset) -> bool:
