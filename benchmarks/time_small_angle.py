@@ -11,7 +11,12 @@ import time
 
 import numpy as np
 
-from amulor.optics import small_angle, small_angle_diffusion
+from amulor.optics import (
+    small_angle,
+    small_angle_diffusion,
+    small_angle_sharp_receiver,
+)
+from amulor.optics.phase_function_tables import petzold
 from amulor.optics.phase_functions import forward_split, henyey_greenstein
 
 SPLIT = np.pi / 2
@@ -31,16 +36,35 @@ def peaked(angle):
     return 0.7 * sharp + 0.3 * henyey_greenstein(angle, asymmetry=0.75)
 
 
-def exact(phase_function=peaked):
+COASTAL = petzold("HAOCE 11")
+
+
+def exact(phase_function=peaked, form=small_angle, **beam):
     """Return the response in small-angle form at 200 frequencies."""
-    return small_angle.water_response(
+    return form.water_response(
         SWEEP,
         absorption=0.15,
         scattering=0.35,
         phase_function=phase_function,
         split_angle=SPLIT,
         **INSTRUMENT,
+        **beam,
     )
+
+
+def measured():
+    """Return the same for a table of Petzold."""
+    return exact(COASTAL)
+
+
+def sharp():
+    """Return the response of a receiver with sharp edges, for a thin beam."""
+    return exact(form=small_angle_sharp_receiver)
+
+
+def sharp_wide_beam():
+    """Return the same for a beam of 2 mm."""
+    return exact(form=small_angle_sharp_receiver, beam_radius=2e-3)
 
 
 def first_call():
@@ -84,7 +108,10 @@ def main():
     cases = {
         "diffusion form, eq. (46)": diffusion,
         "small-angle form, eq. (29)": exact,
-        "the same, new phase function": first_call,
+        "the same, Petzold's coastal water": measured,
+        "the same, sharp receiver": sharp,
+        "the same, and a beam of 2 mm": sharp_wide_beam,
+        "first form, new phase function": first_call,
     }
     for case in cases.values():
         case()  # the first call compiles or loads the kernel

@@ -1,4 +1,4 @@
-"""Compiled loops of the optics formulas, and nothing else."""
+"""Compiled loops of the water signal in diffusion form, and nothing else."""
 
 from __future__ import annotations
 
@@ -8,12 +8,11 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["ORDER", "SPLIT", "water_column"]
+from amulor.optics._panel_kernels import ORDER, add_panel, expand
+
+__all__ = ["water_column"]
 
 Array = NDArray[np.float64]
-
-ORDER = 16  # even, and as many odd, polynomials in a panel of 2 * ORDER nodes
-SPLIT = 8.0  # phase over half a panel [rad] from which spherical Bessel functions serve
 
 _UNRESOLVED = 3e-14  # of the whole integral: what a panel may leave unresolved
 _ROUNDING = 3e-14  # of the largest value in a panel: rests below it are rounding
@@ -21,44 +20,17 @@ _NEGLIGIBLE = 1e-17  # of the whole integral: panels below it are left out
 _DARK = -700.0  # exponent below which a column counts as dark
 _CAPACITY = 512  # break points, and waiting panels
 _HALVINGS = 14  # that find a maximum of F(z)
-_FAR = 1e7  # phase [rad] beyond which whole turns are taken off first
 
-# Pi and ln 2 in pieces; the leading ones are so short that their products with the
-# whole numbers met here (below 2^23 and 2^12) are exact.
-_PI_1 = float.fromhex("0x1.921fb54p+1")
-_PI_2 = float.fromhex("0x1.10b46118p-29")
-_PI_3 = float.fromhex("0x1.313198a2e037p-60")
+# ln 2 in pieces; the leading one is so short that its products with the whole
+# numbers met here (below 2^12) are exact.
 _LN2_1 = float.fromhex("0x1.62e42fefap-1")
 _LN2_2 = float.fromhex("0x1.cf79abc9e3b3ap-40")
 _WHOLE = 1.5 * 2.0**52  # added to a whole number, leaves it in the low bits
-_SINE = tuple((-1.0) ** i / math.factorial(2 * i + 1) for i in range(11))
-_COSINE = tuple((-1.0) ** i / math.factorial(2 * i) for i in range(12))
 _EXP = tuple(1.0 / math.factorial(i) for i in range(14))
 
 # A row of water holds, in this order: 2 k' [1/m], (2/3) b_f <theta^2> [1/m], radius
 # squared [m^2], acceptance squared [1], tilt squared [1], depth where beam and axis
 # are nearest [m], their distance there squared [m^2], standoff, start, limit [m].
-
-
-@numba.njit(cache=True, error_model="numpy", fastmath={"contract"})
-def _sine_cosine(x: float) -> tuple[float, float]:
-    """Return sine and cosine of abs(x) < 2e7, in a form that compiles to vectors."""
-    turns = np.floor(x * (1 / math.pi) + 0.5)
-    r = ((x - turns * _PI_1) - turns * _PI_2) - turns * _PI_3
-    sign = 1.0 - 2.0 * (turns - 2.0 * np.floor(0.5 * turns))
-    y = r * r
-    y2 = y * y
-    y4 = y2 * y2
-    s = _SINE
-    c = _COSINE
-    sine = (s[1] + y * s[2] + y2 * (s[3] + y * s[4])) + y4 * (
-        (s[5] + y * s[6] + y2 * (s[7] + y * s[8])) + y4 * (s[9] + y * s[10])
-    )
-    cosine = (c[1] + y * c[2] + y2 * (c[3] + y * c[4])) + y4 * (
-        (c[5] + y * c[6] + y2 * (c[7] + y * c[8]))
-        + y4 * (c[9] + y * c[10] + y2 * c[11])
-    )
-    return sign * (r + r * y * sine), sign * (1.0 + y * cosine)
 
 
 @numba.njit(cache=True, error_model="numpy", fastmath={"contract"})
@@ -252,16 +224,6 @@ def _sample(
         work[1, i] = right - left
 
 
-@numba.njit(cache=True, error_model="numpy", fastmath={"contract"})
-def _expand(values: Array, table: Array, out: Array) -> None:
-    """Fill out with the product of values and table."""
-    for m in range(ORDER):
-        out[m] = 0.0
-    for i in range(ORDER):
-        for m in range(ORDER):
-            out[m] += values[i] * table[i, m]
-
-
 @numba.njit(cache=True, error_model="numpy")
 def _unresolved(
     a: float, b: float, peak: float, row: Array, rule: Array, work: Array
@@ -279,70 +241,6 @@ def _unresolved(
     at_b = abs(even + odd - np.exp(_level(b, row) - top))
     # The ends lie outside the nodes, where the polynomials miss by much more.
     return float(max(rest, max(at_a, at_b) / 30.0))
-
-
-@numba.njit(cache=True, error_model="numpy", fastmath={"contract"})
-def _add_slow(
-    half: float,
-    wavenumber: Array,
-    even: Array,
-    odd: Array,
-    turn: Array,
-    real: Array,
-    imaginary: Array,
-) -> None:
-    """Add a panel for wavenumbers that turn less than SPLIT over half of it."""
-    for f in range(wavenumber.size):
-        u = wavenumber[f] * (half / SPLIT)
-        t = 4.0 * u * u - 2.0
-        e1 = e2 = o1 = o2 = 0.0
-        for m in range(ORDER):
-            e0 = even[ORDER - 1 - m] - e2 + t * e1
-            o0 = odd[ORDER - 1 - m] - o2 + t * o1
-            e2, e1, o2, o1 = e1, e0, o1, o0
-        in_step = half * (e1 - 0.5 * t * e2)
-        across = half * u * (o1 - o2)
-        sine, cosine = _sine_cosine(turn[f])
-        real[f] += in_step * cosine - across * sine
-        imaginary[f] += in_step * sine + across * cosine
-
-
-@numba.njit(cache=True, error_model="numpy", fastmath={"contract"})
-def _add_fast(
-    half: float,
-    wavenumber: Array,
-    even: Array,
-    odd: Array,
-    turn: Array,
-    half_turn: Array,
-    real: Array,
-    imaginary: Array,
-) -> None:
-    """Add a panel for wavenumbers that turn more than SPLIT over half of it."""
-    for f in range(wavenumber.size):
-        sine, cosine = _sine_cosine(half_turn[f])
-        v = 1.0 / (wavenumber[f] * half)
-        p = sine * v
-        q = (p - cosine) * v
-        in_step = across = 0.0
-        for m in range(ORDER):
-            in_step += even[m] * p
-            across += odd[m] * q
-            p = (4.0 * m + 3.0) * v * q - p
-            q = (4.0 * m + 5.0) * v * p - q
-        sine, cosine = _sine_cosine(turn[f])
-        real[f] += half * (in_step * cosine - across * sine)
-        imaginary[f] += half * (in_step * sine + across * cosine)
-
-
-@numba.njit(cache=True, error_model="numpy")
-def _turns(wavenumber: Array, distance: float, out: Array) -> None:
-    """Fill out with wavenumber * distance, less whole turns where there are many."""
-    for f in range(wavenumber.size):
-        out[f] = wavenumber[f] * distance
-    if wavenumber.size > 0 and out[wavenumber.size - 1] > _FAR:
-        for f in range(wavenumber.size):
-            out[f] = out[f] % (2.0 * math.pi)
 
 
 @numba.njit(cache=True, error_model="numpy")
@@ -378,8 +276,8 @@ def _add_column(
             if most * (b - a) < _NEGLIGIBLE * width:
                 continue
             _sample(centre, half, peak, row, rule, work, bits)
-            _expand(work[0], rule[0], work[4])
-            _expand(work[1], rule[1], work[5])
+            expand(work[0], rule[0], work[4])
+            expand(work[1], rule[1], work[5])
             largest = 0.0
             for i in range(ORDER):
                 largest = max(largest, work[0, i])
@@ -393,34 +291,17 @@ def _add_column(
                 waiting[left + 1, 0], waiting[left + 1, 1] = a, centre
                 left += 2
                 continue
-            slow = 0
-            while slow < wavenumber.size and wavenumber[slow] * half < SPLIT:
-                slow += 1
-            _turns(wavenumber, centre, turn[0])
-            if slow < wavenumber.size:
-                _turns(wavenumber[slow:], half, turn[1, slow:])
-                _add_fast(
-                    half,
-                    wavenumber[slow:],
-                    work[4],
-                    work[5],
-                    turn[0, slow:],
-                    turn[1, slow:],
-                    sums[0, slow:],
-                    sums[1, slow:],
-                )
-            if slow > 0:
-                _expand(work[0], rule[2], work[4])
-                _expand(work[1], rule[3], work[5])
-                _add_slow(
-                    half,
-                    wavenumber[:slow],
-                    work[4],
-                    work[5],
-                    turn[0],
-                    sums[0],
-                    sums[1],
-                )
+            add_panel(
+                half,
+                centre,
+                work[0],
+                work[1],
+                wavenumber,
+                rule,
+                work[4:],
+                turn,
+                sums,
+            )
     return float(np.exp(top))
 
 

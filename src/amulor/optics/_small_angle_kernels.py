@@ -8,13 +8,12 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from amulor.optics import _kernels
+from amulor.optics._panel_kernels import ORDER, add_panel
 
-__all__ = ["add_panels", "scattered", "spread"]
+__all__ = ["add_panels", "j0", "lost", "polynomial", "scattered", "spread"]
 
 Array = NDArray[np.float64]
 
-ORDER = _kernels.ORDER  # even, and as many odd, polynomials in a panel of depths
 NEAR = 26  # argument up to which J0 comes from its table, in unit cells
 FAR = 400  # argument up to which the mean of J0 comes from its table, in unit cells
 LINEAR = 48  # cells of equal width at the start of a table of spread
@@ -33,7 +32,7 @@ _SPLIT_END = 100.0  # phase up to which the edge of the forward part is followed
 
 
 @numba.njit(cache=True, error_model="numpy", fastmath={"contract"})
-def _polynomial(table: Array, cell: int, s: float) -> float:
+def polynomial(table: Array, cell: int, s: float) -> float:
     """Return the polynomial of degree 9 of a cell at s from -1 to 1."""
     j = np.uint64(cell)
     t = s * s
@@ -45,11 +44,11 @@ def _polynomial(table: Array, cell: int, s: float) -> float:
 
 
 @numba.njit(cache=True, error_model="numpy", fastmath={"contract"})
-def _j0(x: float, table: Array) -> float:
+def j0(x: float, table: Array) -> float:
     """Return the Bessel function of order 0 at x >= 0."""
     if x < NEAR:
         cell = int(x)
-        return _polynomial(table, cell, 2.0 * (x - cell) - 1.0)
+        return polynomial(table, cell, 2.0 * (x - cell) - 1.0)
     y = 1.0 / (x * x)
     p = 1.0 - y * (9 / 128 - y * (3675 / 32768 - y * (2401245 / 4194304)))
     q = 1 / 8 - y * (75 / 1024 - y * (59535 / 262144 - y * (57972915 / 33554432)))
@@ -67,7 +66,7 @@ def spread(x: Array, angle: Array, weight: Array, table: Array, out: Array) -> N
             y = x[i] * angle[j]
             if y < FAR:
                 cell = int(y)
-                value = _polynomial(table, cell, 2.0 * (y - cell) - 1.0)
+                value = polynomial(table, cell, 2.0 * (y - cell) - 1.0)
             else:
                 value = (1.0 - 1.0 / y) / (y * y)
             total += weight[j] * angle[j] * angle[j] * value
@@ -75,18 +74,18 @@ def spread(x: Array, angle: Array, weight: Array, table: Array, out: Array) -> N
 
 
 @numba.njit(cache=True, error_model="numpy")
-def _lost(x: float, split: float, table: Array) -> float:
+def lost(x: float, split: float, table: Array) -> float:
     """Return 1 less the mean of the transform of the phase function up to x."""
     t = x * split / WIDTH
     if t < LINEAR:
         cell = int(t)
-        return x * x * _polynomial(table, cell, 2.0 * (t - cell) - 1.0)
+        return x * x * polynomial(table, cell, 2.0 * (t - cell) - 1.0)
     t = PER_OCTAVE * math.log2(t / LINEAR)
     cell = int(t)
     if cell < table.shape[0] - LINEAR:
-        return x * x * _polynomial(table, LINEAR + cell, 2.0 * (t - cell) - 1.0)
+        return x * x * polynomial(table, LINEAR + cell, 2.0 * (t - cell) - 1.0)
     last = (WIDTH / split) * LINEAR * 2.0 ** ((table.shape[0] - LINEAR) / PER_OCTAVE)
-    end = last * last * _polynomial(table, table.shape[0] - 1, 1.0)
+    end = last * last * polynomial(table, table.shape[0] - 1, 1.0)
     beyond: float = 1.0 - (1.0 - end) * last / x
     return beyond
 
@@ -96,7 +95,7 @@ def _scattering_end(depth: float, top: float, row: Array, table: Array) -> float
     """Return the wavenumber at which scattering has ended the integral, or top."""
     thickness = row[1] * depth
     if thickness > _SCATTERED_END:
-        while thickness * _lost(0.8 * top * depth, row[8], table) > _SCATTERED_END:
+        while thickness * lost(0.8 * top * depth, row[8], table) > _SCATTERED_END:
             top *= 0.8
     return top
 
@@ -138,8 +137,8 @@ def scattered(
             for i in range(nodes):
                 kappa = low + width * rule[0, i]
                 work[0, i] = -0.25 * area * kappa * kappa
-                work[1, i] = -thickness * _lost(kappa * z, row[8], table)
-                work[2, i] = kappa * _j0(kappa * offset, bessel)
+                work[1, i] = -thickness * lost(kappa * z, row[8], table)
+                work[2, i] = kappa * j0(kappa * offset, bessel)
             part = 0.0
             for i in range(nodes):
                 value = math.exp(work[0, i]) * (math.exp(work[1, i]) - none)
@@ -157,44 +156,14 @@ def add_panels(
 
     A row of value holds a panel at its Gauss-Legendre nodes, rising.
     """
-    order = _kernels.ORDER
-    even = np.empty(order)
-    odd = np.empty(order)
-    work = np.empty((2, order))
+    even = np.empty(ORDER)
+    odd = np.empty(ORDER)
+    work = np.empty((2, ORDER))
     turn = np.empty((2, wavenumber.size))
     for j in range(value.shape[0]):
         half = 0.5 * (edge[j, 1] - edge[j, 0])
         centre = edge[j, 0] + half
-        for i in range(order):
-            right, left = value[j, order + i], value[j, order - 1 - i]
+        for i in range(ORDER):
+            right, left = value[j, ORDER + i], value[j, ORDER - 1 - i]
             even[i], odd[i] = right + left, right - left
-        slow = 0
-        while slow < wavenumber.size and wavenumber[slow] * half < _kernels.SPLIT:
-            slow += 1
-        _kernels._turns(wavenumber, centre, turn[0])
-        if slow < wavenumber.size:
-            _kernels._expand(even, rule[0], work[0])
-            _kernels._expand(odd, rule[1], work[1])
-            _kernels._turns(wavenumber[slow:], half, turn[1, slow:])
-            _kernels._add_fast(
-                half,
-                wavenumber[slow:],
-                work[0],
-                work[1],
-                turn[0, slow:],
-                turn[1, slow:],
-                sums[0, slow:],
-                sums[1, slow:],
-            )
-        if slow > 0:
-            _kernels._expand(even, rule[2], work[0])
-            _kernels._expand(odd, rule[3], work[1])
-            _kernels._add_slow(
-                half,
-                wavenumber[:slow],
-                work[0],
-                work[1],
-                turn[0],
-                sums[0],
-                sums[1],
-            )
+        add_panel(half, centre, even, odd, wavenumber, rule, work, turn, sums)

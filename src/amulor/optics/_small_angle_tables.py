@@ -9,12 +9,12 @@ from typing import NamedTuple
 import numpy as np
 from numpy.polynomial import chebyshev, legendre
 from numpy.typing import ArrayLike, NDArray
-from scipy.special import j0
+from scipy.special import j0, j1
 
 from amulor.optics import _small_angle_kernels as _kernels
 from amulor.optics.phase_functions import forward_split
 
-__all__ = ["PhaseFunction", "Table", "bessel", "table"]
+__all__ = ["PhaseFunction", "Table", "bessel", "disc", "table"]
 
 Array = NDArray[np.float64]
 PhaseFunction = Callable[[Array], ArrayLike]
@@ -183,9 +183,19 @@ def _monomials(values: Array) -> Array:
 @cache
 def bessel() -> Array:
     """Return the table of J0 in cells of width 1."""
+    return _monomials(j0(_near()))
+
+
+@cache
+def disc() -> Array:
+    """Return the table of 2 J1(x) / x in cells of width 1."""
+    return _monomials(2 * j1(_near()) / _near())
+
+
+def _near() -> Array:
+    """Return the Chebyshev nodes of the cells of the tables of Bessel functions."""
     node = np.cos(np.pi * (np.arange(10) + 0.5) / 10)
-    x = np.arange(_kernels.NEAR)[:, None] + (node + 1) / 2
-    return _monomials(j0(x))
+    return np.arange(_kernels.NEAR)[:, None] + (node + 1) / 2
 
 
 @cache

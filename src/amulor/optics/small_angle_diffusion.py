@@ -2,37 +2,14 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
-from numpy.polynomial import legendre
 from numpy.typing import ArrayLike, NDArray
 from scipy.constants import speed_of_light
-from scipy.special import jv
 
-from amulor.optics import _kernels
+from amulor.optics._small_angle_arguments import checked
+from amulor.optics._small_angle_diffusion_columns import integral
 
 __all__ = ["narrow_receiver_response", "overlap", "water_response", "water_tail"]
-
-# Lower limit, whether it is itself allowed, and unit of each argument.
-_RANGE = {
-    "depth": (0.0, True, " m"),
-    "modulation_frequency": (0.0, True, " Hz"),
-    "absorption": (0.0, True, " 1/m"),
-    "forward_scattering": (0.0, True, " 1/m"),
-    "diffuse_scattering": (0.0, True, " 1/m"),
-    "second_moment": (0.0, True, " rad^2"),
-    "backscatter_vsf": (0.0, True, " 1/(m sr)"),
-    "group_index": (1.0, True, ""),
-    "baseline": (0.0, True, " m"),
-    "receiver_radius": (0.0, False, " m"),
-    "acceptance_angle": (0.0, False, " rad"),
-    "tilt": (-np.inf, False, " rad"),
-    "cross_tilt": (-np.inf, False, " rad"),
-    "standoff": (0.0, True, " m"),
-    "start": (0.0, True, " m"),
-    "end": (0.0, True, " m"),
-}
 
 
 def water_response(
@@ -139,7 +116,7 @@ def water_response(
     >>> print(f"{abs(response[1] / response[0]):.3f}")
     0.707
     """
-    return _column(
+    return integral(
         modulation_frequency=modulation_frequency,
         absorption=absorption,
         forward_scattering=forward_scattering,
@@ -219,7 +196,7 @@ def overlap(
     >>> print(f"{taken:.2e} sr")
     4.52e-05 sr
     """
-    z, a, b_f, b_d, moment, rho, radius, acceptance, along, across, front = _checked(
+    z, a, b_f, b_d, moment, rho, radius, acceptance, along, across, front = checked(
         depth=depth,
         absorption=absorption,
         forward_scattering=forward_scattering,
@@ -305,7 +282,7 @@ def water_tail(
     >>> print(f"{share.real:.3f}")
     0.069
     """
-    return _column(
+    return integral(
         modulation_frequency=modulation_frequency,
         absorption=absorption,
         forward_scattering=forward_scattering,
@@ -382,7 +359,7 @@ def narrow_receiver_response(
     >>> print(f"{abs(response[1] / response[0]):.3f}")
     0.707
     """
-    f, a, b_d, vsf, n_g, acceptance = _checked(
+    f, a, b_d, vsf, n_g, acceptance = checked(
         modulation_frequency=modulation_frequency,
         absorption=absorption,
         diffuse_scattering=diffuse_scattering,
@@ -398,114 +375,3 @@ def narrow_receiver_response(
         )
     rate = loss - 2j * np.pi / speed_of_light * f * n_g
     return np.asarray(np.pi / 2 * vsf * acceptance**2 / rate)
-
-
-def _checked(**arguments: ArrayLike) -> list[Any]:
-    """Return scalars as floats and the rest as float arrays, all within range."""
-    checked: list[Any] = []
-    for name, value in arguments.items():
-        array: Any = value
-        if not isinstance(value, float):
-            array = np.asarray(value, dtype=float)
-        if isinstance(array, float) or array.ndim == 0:
-            array = low = high = float(array)
-        elif array.size:
-            low, high = float(array.min()), float(array.max())
-        else:
-            low, high = 1.0, 1.0
-        limit, closed, unit = _RANGE[name]
-        finite = high < np.inf or name in ("start", "end")
-        if not (finite and (low > limit or (closed and low == limit))):
-            needed = "" if name in ("start", "end") else "finite"
-            if limit > -np.inf:
-                needed += " and " if needed else ""
-                needed += f"{'at least' if closed else 'above'} {limit:g}{unit}"
-            found = f"values from {low:g} to {high:g}" if low < high else f"{low:g}"
-            name = "end" if name == "start" else name
-            raise ValueError(f"{name} must be {needed}, got {found}{unit}")
-        checked.append(array)
-    return checked
-
-
-def _rule() -> NDArray[np.float64]:
-    """Return the tables that turn values at the nodes of a panel into its terms.
-
-    [0] and [1] give the factors of the spherical Bessel functions of even and odd
-    order in the moment of exp(i k s), [2] and [3] those of the Chebyshev
-    polynomials in k / SPLIT (Jacobi-Anger series), from the sums and differences
-    of the values right and left of the centre. [4] holds the right and the left
-    nodes, and the factors that continue the even and odd part to the end.
-    """
-    half = _kernels.ORDER
-    node, weight = (part[half:] for part in legendre.leggauss(2 * half))
-    order = np.arange(2 * half)
-    sign = (-1.0) ** np.arange(half)
-    series = (2 * order + 1) * legendre.legvander(node, 2 * half - 1) * weight[:, None]
-    anger = 2 * jv(order, _kernels.SPLIT * node[:, None]) * weight[:, None]
-    anger[:, 0] /= 2
-    rule = np.zeros((5, half, half))
-    rule[0], rule[1] = series[:, ::2] * sign, series[:, 1::2] * sign
-    rule[2], rule[3] = anger[:, ::2] * sign, anger[:, 1::2] * sign
-    rule[4, :2] = node, -node
-    rule[4, 2:4] = series[:, ::2].sum(axis=1) / 2, series[:, 1::2].sum(axis=1) / 2
-    return rule
-
-
-_RULE = _rule()
-#: A column shorter than this holds nothing that a double can tell from 0 [m].
-_SMALLEST_LENGTH = 1e-250
-
-
-def _column(**arguments: ArrayLike) -> NDArray[np.complex128]:
-    """Return the integral of eq. (46) between start and end."""
-    f, a, b_f, b_d, moment, vsf, n_g, rho, radius, acceptance, *rest = _checked(
-        **arguments
-    )
-    wavenumber = np.asarray(4 * np.pi / speed_of_light * f * n_g)
-    factor = np.pi * vsf * (radius * acceptance) ** 2
-    *rest, start, end = rest
-    columns = [a + b_d, 2 / 3 * b_f * moment, rho, radius, acceptance, *rest]
-    columns += [limit * (limit > _SMALLEST_LENGTH) for limit in (start, end)]
-    if all(isinstance(column, float) for column in columns):
-        result = _integrals(np.array([columns]), wavenumber.reshape(1, -1))
-        return np.asarray(factor * result.reshape(wavenumber.shape))
-    inner = np.broadcast_shapes(*(np.shape(column) for column in columns))
-    geometry = np.empty((*inner, len(columns)))
-    for i, column in enumerate(columns):
-        geometry[..., i] = column
-    rows = geometry.reshape(-1, len(columns))
-    # Axes along which the water changes come first; along the others a column is
-    # laid out in panels once for all frequencies.
-    shape = np.broadcast_shapes(wavenumber.shape, inner)
-    inner = (1,) * (len(shape) - len(inner)) + inner
-    first = [axis for axis, size in enumerate(inner) if size != 1]
-    axes = first + [axis for axis, size in enumerate(inner) if size == 1]
-    outer = (1,) * (len(shape) - wavenumber.ndim) + wavenumber.shape
-    if any(outer[axis] != 1 for axis in first):
-        table = np.broadcast_to(wavenumber, shape).transpose(axes)
-        table = table.reshape(len(rows), -1)
-    else:
-        table = wavenumber.reshape(outer).transpose(axes).reshape(1, -1)
-    result = _integrals(rows, table).reshape([shape[axis] for axis in axes])
-    return np.asarray(factor * result.transpose(np.argsort(axes)))
-
-
-def _integrals(
-    rows: NDArray[np.float64], wavenumber: NDArray[np.float64]
-) -> NDArray[np.complex128]:
-    """Return the integrals of the kernel, for wavenumbers in any order."""
-    out = np.empty((len(rows), wavenumber.shape[1]), dtype=complex)
-    # Copied, since a view may be read-only, for which the kernel is compiled again.
-    table = np.array(wavenumber, order="C")
-    unresolved = _kernels.water_column(rows, table, _RULE, out)
-    if unresolved < 0:
-        order = np.argsort(wavenumber, axis=1)
-        rising = np.take_along_axis(wavenumber, order, axis=1)
-        back = np.argsort(order, axis=1)
-        return np.take_along_axis(_integrals(rows, rising), back, axis=1)
-    if unresolved > 0:
-        raise ArithmeticError(
-            f"{unresolved} of {len(rows)} water columns cannot be integrated in double "
-            "precision; receiver_radius or acceptance_angle may be far too small"
-        )
-    return out

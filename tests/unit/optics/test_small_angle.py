@@ -153,7 +153,7 @@ def test_transform_that_is_not_renormalised_is_refused():
         ({"absorption": -0.1}, "absorption must be finite and at least 0 1/m"),
         ({"scattering": np.nan}, "scattering must be finite and at least 0 1/m"),
         ({"receiver_radius": 0.0}, "receiver_radius must be finite and above 0 m"),
-        ({"acceptance_angle": [0.1, 0.0]}, "above 0 rad, got 0 rad"),
+        ({"acceptance_angle": [0.1, 0.0]}, "above 0 rad, got values from 0 to 0.1 rad"),
         ({"beam_radius": -1e-3}, "beam_radius must be finite and at least 0 m"),
         ({"beam_divergence": -1e-3}, "beam_divergence must be finite and at least 0"),
         ({"tilt": np.inf}, "tilt must be finite"),

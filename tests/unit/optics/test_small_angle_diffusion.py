@@ -9,7 +9,6 @@ from scipy.constants import speed_of_light
 from scipy.integrate import quad
 from scipy.special import exp1, j0
 
-from amulor.optics import _kernels, small_angle_diffusion
 from amulor.optics.small_angle_diffusion import (
     narrow_receiver_response,
     overlap,
@@ -413,81 +412,3 @@ def test_more_water_gives_more_light(column, near, far):
     assume(near < far)
     short, long = water_response(0.0, **column, end=np.array([near, far]))
     assert short.real <= long.real * (1 + 1e-12)
-
-
-# ------------------------------------------------------------------- kernels
-
-
-def _kernel_arguments(name):
-    rng = np.random.default_rng(46)
-    n = _kernels.ORDER
-    row = np.array([0.4, 0.012, 4e-4, 6.4e-3, 0.01, 2.0, 0.0, 0.0, 0.0, 40.0])
-    work = rng.uniform(0.1, 1.0, (6, n))
-    wavenumber = np.linspace(0.1, 7.0, 9)
-    series = [rng.normal(size=n), rng.normal(size=n)]
-    turns = [rng.uniform(0, 100, 9) for _ in range(2)]
-    sums = [np.zeros(9), np.zeros(9)]
-    rule = small_angle_diffusion._RULE
-    table = np.array([[0.2, 0.01, 0.2, 0.02, 0.08, 0.1, 0.01, 0.1, 0.0, np.inf]])
-    return {
-        "_sine_cosine": (123.4,),
-        "_exponential": (-45.6,),
-        "_area": (1.5, row),
-        "_offset": (1.5, row),
-        "_level": (1.5, row),
-        "_slope": (1.5, row),
-        "_scale": (0.01, row),
-        "_bound": (1.5, 2.5, row),
-        "_prepare": (table[0], np.zeros(10)),
-        "_break_points": (row, np.zeros(64)),
-        "_sample": (2.0, 0.5, 1.8, row, rule, work, work.view(np.int64)),
-        "_expand": (work[0], rule[0], np.zeros(n)),
-        "_unresolved": (1.5, 2.5, 1.8, row, rule, work),
-        "_add_slow": (0.9, wavenumber, *series, turns[0], *sums),
-        "_add_fast": (90.0, wavenumber, *series, *turns, *sums),
-        "_turns": (wavenumber, 2e6, np.zeros(9)),
-        "_add_column": (
-            row,
-            wavenumber,
-            rule,
-            work,
-            np.zeros((2, 9)),
-            np.zeros((2, 9)),
-        ),
-        "water_column": (
-            table,
-            wavenumber[None],
-            rule,
-            np.zeros((1, 9), dtype=complex),
-        ),
-    }[name]
-
-
-KERNELS = sorted(
-    name for name in vars(_kernels) if hasattr(getattr(_kernels, name), "py_func")
-)
-
-
-@pytest.mark.parametrize("name", KERNELS)
-def test_compiled_and_plain_kernel_agree(name):
-    compiled, plain = _kernel_arguments(name), _kernel_arguments(name)
-    kernel = getattr(_kernels, name)
-    answers = kernel(*compiled), kernel.py_func(*plain)
-    # Fused multiply-add rounds once where plain Python rounds twice.
-    tolerance = {"rtol": 1e-12, "atol": 1e-12}
-    if answers[0] is not None:
-        assert_allclose(answers[0], answers[1], **tolerance)
-    for one, other in zip(compiled, plain, strict=True):
-        if isinstance(one, np.ndarray) and one.dtype != np.int64:
-            used = np.abs(one) < 1e15  # the rest are numbers taken apart in bits
-            assert_allclose(one[used], other[used], **tolerance)
-
-
-def test_inline_functions_keep_all_digits():
-    x = np.random.default_rng(3).uniform(-1e7, 1e7, 2000)
-    both = np.array([_kernels._sine_cosine(value) for value in x])
-    # Absolute, as the sums need it: two roundings of a number below one.
-    assert_allclose(both, np.stack([np.sin(x), np.cos(x)], axis=1), atol=5e-16, rtol=0)
-    x = np.random.default_rng(4).uniform(-700, 700, 2000)
-    parts = np.array([_kernels._exponential(value) for value in x])
-    assert_allclose(parts[:, 0] * 2.0 ** parts[:, 1], np.exp(x), rtol=5e-16)

@@ -1,0 +1,170 @@
+"""Compiled loops that integrate exp(i w z) times a polynomial over a panel."""
+
+from __future__ import annotations
+
+import math
+
+import numba
+import numpy as np
+from numpy.typing import NDArray
+
+__all__ = ["ORDER", "SPLIT", "add_panel", "expand", "sine_cosine"]
+
+Array = NDArray[np.float64]
+
+ORDER = 16  # even, and as many odd, polynomials in a panel of 2 * ORDER nodes
+SPLIT = 8.0  # phase over half a panel [rad] from which spherical Bessel functions serve
+
+_FAR = 1e7  # phase [rad] beyond which whole turns are taken off first
+
+# Pi in pieces; the leading ones are so short that their products with the whole
+# numbers met here (below 2^23) are exact.
+_PI_1 = float.fromhex("0x1.921fb54p+1")
+_PI_2 = float.fromhex("0x1.10b46118p-29")
+_PI_3 = float.fromhex("0x1.313198a2e037p-60")
+_SINE = tuple((-1.0) ** i / math.factorial(2 * i + 1) for i in range(11))
+_COSINE = tuple((-1.0) ** i / math.factorial(2 * i) for i in range(12))
+
+
+@numba.njit(cache=True, error_model="numpy", fastmath={"contract"})
+def sine_cosine(x: float) -> tuple[float, float]:
+    """Return sine and cosine of abs(x) < 2e7, in a form that compiles to vectors."""
+    turns = np.floor(x * (1 / math.pi) + 0.5)
+    r = ((x - turns * _PI_1) - turns * _PI_2) - turns * _PI_3
+    sign = 1.0 - 2.0 * (turns - 2.0 * np.floor(0.5 * turns))
+    y = r * r
+    y2 = y * y
+    y4 = y2 * y2
+    s = _SINE
+    c = _COSINE
+    sine = (s[1] + y * s[2] + y2 * (s[3] + y * s[4])) + y4 * (
+        (s[5] + y * s[6] + y2 * (s[7] + y * s[8])) + y4 * (s[9] + y * s[10])
+    )
+    cosine = (c[1] + y * c[2] + y2 * (c[3] + y * c[4])) + y4 * (
+        (c[5] + y * c[6] + y2 * (c[7] + y * c[8]))
+        + y4 * (c[9] + y * c[10] + y2 * c[11])
+    )
+    return sign * (r + r * y * sine), sign * (1.0 + y * cosine)
+
+
+@numba.njit(cache=True, error_model="numpy", fastmath={"contract"})
+def expand(values: Array, table: Array, out: Array) -> None:
+    """Fill out with the product of values and table."""
+    for m in range(ORDER):
+        out[m] = 0.0
+    for i in range(ORDER):
+        for m in range(ORDER):
+            out[m] += values[i] * table[i, m]
+
+
+@numba.njit(cache=True, error_model="numpy", fastmath={"contract"})
+def _add_slow(
+    half: float,
+    wavenumber: Array,
+    even: Array,
+    odd: Array,
+    turn: Array,
+    real: Array,
+    imaginary: Array,
+) -> None:
+    """Add a panel for wavenumbers that turn less than SPLIT over half of it."""
+    for f in range(wavenumber.size):
+        u = wavenumber[f] * (half / SPLIT)
+        t = 4.0 * u * u - 2.0
+        e1 = e2 = o1 = o2 = 0.0
+        for m in range(ORDER):
+            e0 = even[ORDER - 1 - m] - e2 + t * e1
+            o0 = odd[ORDER - 1 - m] - o2 + t * o1
+            e2, e1, o2, o1 = e1, e0, o1, o0
+        in_step = half * (e1 - 0.5 * t * e2)
+        across = half * u * (o1 - o2)
+        sine, cosine = sine_cosine(turn[f])
+        real[f] += in_step * cosine - across * sine
+        imaginary[f] += in_step * sine + across * cosine
+
+
+@numba.njit(cache=True, error_model="numpy", fastmath={"contract"})
+def _add_fast(
+    half: float,
+    wavenumber: Array,
+    even: Array,
+    odd: Array,
+    turn: Array,
+    half_turn: Array,
+    real: Array,
+    imaginary: Array,
+) -> None:
+    """Add a panel for wavenumbers that turn more than SPLIT over half of it."""
+    for f in range(wavenumber.size):
+        sine, cosine = sine_cosine(half_turn[f])
+        v = 1.0 / (wavenumber[f] * half)
+        p = sine * v
+        q = (p - cosine) * v
+        in_step = across = 0.0
+        for m in range(ORDER):
+            in_step += even[m] * p
+            across += odd[m] * q
+            p = (4.0 * m + 3.0) * v * q - p
+            q = (4.0 * m + 5.0) * v * p - q
+        sine, cosine = sine_cosine(turn[f])
+        real[f] += half * (in_step * cosine - across * sine)
+        imaginary[f] += half * (in_step * sine + across * cosine)
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _turns(wavenumber: Array, distance: float, out: Array) -> None:
+    """Fill out with wavenumber * distance, less whole turns where there are many."""
+    for f in range(wavenumber.size):
+        out[f] = wavenumber[f] * distance
+    if wavenumber.size > 0 and out[wavenumber.size - 1] > _FAR:
+        for f in range(wavenumber.size):
+            out[f] = out[f] % (2.0 * math.pi)
+
+
+@numba.njit(cache=True, error_model="numpy")
+def add_panel(
+    half: float,
+    centre: float,
+    even: Array,
+    odd: Array,
+    wavenumber: Array,
+    rule: Array,
+    work: Array,
+    turn: Array,
+    sums: Array,
+) -> None:
+    """Add the integrals of exp(i w z) times a panel to sums, for rising w.
+
+    The panel is given by the sums (even) and differences (odd) of its values right
+    and left of the centre; two rows of work and of turn are overwritten.
+    """
+    slow = 0
+    while slow < wavenumber.size and wavenumber[slow] * half < SPLIT:
+        slow += 1
+    _turns(wavenumber, centre, turn[0])
+    if slow < wavenumber.size:
+        expand(even, rule[0], work[0])
+        expand(odd, rule[1], work[1])
+        _turns(wavenumber[slow:], half, turn[1, slow:])
+        _add_fast(
+            half,
+            wavenumber[slow:],
+            work[0],
+            work[1],
+            turn[0, slow:],
+            turn[1, slow:],
+            sums[0, slow:],
+            sums[1, slow:],
+        )
+    if slow > 0:
+        expand(even, rule[2], work[0])
+        expand(odd, rule[3], work[1])
+        _add_slow(
+            half,
+            wavenumber[:slow],
+            work[0],
+            work[1],
+            turn[0],
+            sums[0],
+            sums[1],
+        )
