@@ -50,7 +50,7 @@ def find(modulation_frequency: ArrayLike, value: ArrayLike) -> Extrema:
     Notes
     -----
     Successive maxima of the interference of target and water lie v / 2 (d - z_w)
-    apart, with the group depth z_w of the water signal; see (50) to (54) of Ricci et
+    apart, with the group depth z_w of the water signal; see eqs. (50)-(54) of Ricci et
     al. 2010, as rebuilt.
 
     Examples

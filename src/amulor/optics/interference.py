@@ -258,7 +258,9 @@ def total_amplitude_and_phase(
        \varphi &= \varphi_t
            - \operatorname{atan2}(\xi \sin\psi, 1 + \xi \cos\psi).
 
-    Computed with :math:`A_t` multiplied through, so :math:`A_t = 0` is allowed.
+    Its limits are eq. (52), :math:`A_t, \varphi_t` for :math:`\xi \ll 1`, and eq. (53),
+    :math:`A_w, \varphi_w` for :math:`\xi \gg 1`. Computed with :math:`A_t` multiplied
+    through, so :math:`A_t = 0` is allowed.
 
     Examples
     --------

@@ -1,4 +1,7 @@
-r"""Mueller matrices: targets, water, polarizers, and what an analyser lets pass.
+r"""Mueller matrices: algebra, targets, particles, and what an ideal analyser passes.
+
+Real polarizers and retarders are in `amulor.optics.polarization_components`, pairs of
+states made with them in `amulor.optics.polarization_schemes`.
 
 The last two axes are (4, 4), rows out, columns in. Stokes convention: that of
 `amulor.optics.stokes`. The matrix of a scatterer or target leads from the axes of the
@@ -10,12 +13,12 @@ rebuilt.
 
 from __future__ import annotations
 
-import re
-
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from amulor.optics import stokes as _stokes
+from amulor.optics._bounds import between
+from amulor.optics.phase_function_integrals import checked_angle
 
 __all__ = [
     "apply",
@@ -24,10 +27,9 @@ __all__ = [
     "diagonal",
     "ideal_backscatter",
     "ideal_depolarizer",
-    "linear_polarizer",
     "painted_metal",
+    "particles",
     "rayleigh",
-    "retarder",
     "rotated",
 ]
 
@@ -63,7 +65,7 @@ def diagonal(m22: ArrayLike, m33: ArrayLike, m44: ArrayLike) -> NDArray[np.float
     elements = np.broadcast_arrays(
         1.0,
         *(
-            _within(value, -1, 1, name=name)
+            between(value, -1, 1, name=name)
             for name, value in (("m22", m22), ("m33", m33), ("m44", m44))
         ),
     )
@@ -191,95 +193,66 @@ def rayleigh(angle: ArrayLike) -> NDArray[np.float64]:
     >>> print(np.round(rayleigh(np.pi / 2)[0] + 0.0, 3))
     [ 1. -1.  0.  0.]
     """
-    cosine = np.cos(_within(angle, 0, np.pi, name="angle", unit=" rad"))
-    matrix = np.zeros((*cosine.shape, 4, 4))
-    matrix[..., 0, 0] = matrix[..., 1, 1] = 1
-    matrix[..., 0, 1] = matrix[..., 1, 0] = -(1 - cosine**2) / (1 + cosine**2)
-    matrix[..., 2, 2] = matrix[..., 3, 3] = 2 * cosine / (1 + cosine**2)
-    return matrix
+    cosine = np.cos(checked_angle(angle, name="angle"))
+    whole = 1 + cosine**2
+    along = 2 * cosine / whole
+    return particles(
+        m12=-(1 - cosine**2) / whole, m22=1.0, m33=along, m34=0.0, m44=along
+    )
 
 
-def linear_polarizer(
-    angle: ArrayLike, *, extinction_ratio: ArrayLike = 0.0
+def particles(
+    *, m12: ArrayLike, m22: ArrayLike, m33: ArrayLike, m34: ArrayLike, m44: ArrayLike
 ) -> NDArray[np.float64]:
-    r"""Return the matrix of a linear polarizer.
+    r"""Return the reduced matrix of particles without a preferred direction.
 
     Parameters
     ----------
-    angle : array_like
-        Direction that passes, from the parallel to the perpendicular axis [rad].
-    extinction_ratio : array_like
-        Power that passes crossed over power that passes aligned, 0 (ideal) to 1
-        (clear glass) [1]. A data sheet's 10 000:1 is 1e-4.
+    m12 : array_like
+        Element m12 = m21, from -1 to 1 [1].
+    m22 : array_like
+        Element m22, 1 for spheres and less for other shapes [1].
+    m33, m44 : array_like
+        Elements m33 and m44, from -1 to 1 and equal for spheres [1].
+    m34 : array_like
+        Element m34 = -m43, from -1 to 1 [1].
 
     Returns
     -------
     ndarray
-        Mueller matrix, broadcast shape with last axes (4, 4) [1]. All of aligned
-        light passes.
+        Mueller matrix over its first element, of the broadcast shape with last axes
+        (4, 4) [1]. The parallel axis lies in the scattering plane.
 
     Raises
     ------
     ValueError
-        If an extinction ratio is outside of its range.
+        If an element is outside of -1 to 1.
 
     Notes
     -----
-    Amplitudes 1 and :math:`\sqrt e` along the two directions, without delay:
-    :math:`m_{11} = m_{22} = (1 + e)/2`, :math:`m_{12} = m_{21} = (1 - e)/2` and
-    :math:`m_{33} = m_{44} = \sqrt e` at an angle of zero.
+    Eq. (66), and with m34 = 0 eq. (63): what symmetry leaves of the sixteen elements
+    for particles in random orientation, as many as their mirror images. Not each
+    such matrix can exist: see `amulor.optics.depolarization.realizability_defect`.
 
     Examples
     --------
-    >>> print(apply(linear_polarizer(0.0), [1.0, 0.0, 0.0, 0.0]))
-    [0.5 0.5 0.  0. ]
+    >>> milk = particles(m12=-0.1, m22=0.97, m33=-0.9, m34=0.1, m44=-0.88)
+    >>> print(milk[2])
+    [ 0.   0.  -0.9  0.1]
     """
-    leak = _within(
-        extinction_ratio, 0, 1, name="extinction_ratio (crossed over aligned)"
+    named = {"m12": m12, "m22": m22, "m33": m33, "m34": m34, "m44": m44}
+    first, second, third, across, fourth = np.broadcast_arrays(
+        *(between(value, -1, 1, name=name) for name, value in named.items())
     )
-    matrix = np.zeros((*leak.shape, 4, 4))
-    matrix[..., 0, 0] = matrix[..., 1, 1] = (1 + leak) / 2
-    matrix[..., 0, 1] = matrix[..., 1, 0] = (1 - leak) / 2
-    matrix[..., 2, 2] = matrix[..., 3, 3] = np.sqrt(leak)
-    return rotated(matrix, angle=angle)
-
-
-def retarder(retardance: ArrayLike, *, angle: ArrayLike) -> NDArray[np.float64]:
-    r"""Return the matrix of a linear retarder.
-
-    Parameters
-    ----------
-    retardance : array_like
-        Phase by which the slow component falls behind the fast one; pi/2 is a
-        quarter-wave plate [rad].
-    angle : array_like
-        Direction of the FAST axis, from the parallel to the perpendicular axis
-        [rad].
-
-    Returns
-    -------
-    ndarray
-        Mueller matrix, broadcast shape with last axes (4, 4) [1].
-
-    Notes
-    -----
-    With the fast axis along the parallel one, :math:`m_{33} = m_{44} = \cos\delta`
-    and :math:`m_{34} = -m_{43} = \sin\delta`. A quarter-wave plate with its fast
-    axis vertical turns +45 degrees into right circular.
-
-    Examples
-    --------
-    >>> plate = retarder(np.pi / 2, angle=np.pi / 2)
-    >>> print(f"V = {apply(plate, [1.0, 0.0, 1.0, 0.0])[3]:.6f}")
-    V = 1.000000
-    """
-    delta = np.asarray(retardance, dtype=np.float64)
-    matrix = np.zeros((*delta.shape, 4, 4))
-    matrix[..., 0, 0] = matrix[..., 1, 1] = 1
-    matrix[..., 2, 2] = matrix[..., 3, 3] = np.cos(delta)
-    matrix[..., 2, 3] = np.sin(delta)
-    matrix[..., 3, 2] = -np.sin(delta)
-    return rotated(matrix, angle=angle)
+    matrix = np.zeros((*first.shape, 4, 4))
+    matrix[..., 0, 0] = 1
+    matrix[..., 0, 1] = matrix[..., 1, 0] = first
+    matrix[..., 1, 1] = second
+    matrix[..., 2, 2] = third
+    matrix[..., 2, 3] = across
+    matrix[..., 3, 2] = -across
+    matrix[..., 3, 3] = fourth
+    return matrix
 
 
 def rotated(mueller: ArrayLike, *, angle: ArrayLike) -> NDArray[np.float64]:
@@ -312,7 +285,8 @@ def rotated(mueller: ArrayLike, *, angle: ArrayLike) -> NDArray[np.float64]:
 
     Examples
     --------
-    >>> print(np.round(rotated(linear_polarizer(0.0), angle=np.pi / 2)[0], 12))
+    >>> polarizer = 0.5 * particles(m12=1.0, m22=1.0, m33=0.0, m34=0.0, m44=0.0)
+    >>> print(np.round(rotated(polarizer, angle=np.pi / 2)[0], 12))
     [ 0.5 -0.5  0.   0. ]
     """
     turn = np.asarray(angle, dtype=np.float64)
@@ -402,13 +376,8 @@ def detected_fraction(mueller: ArrayLike, *, pair: str) -> NDArray[np.float64]:
     matrix = as_matrices(mueller)
     if pair == "none":
         return matrix[..., 0, 0].copy()
-    if not re.fullmatch(_stokes.PAIR_PATTERN, pair):
-        raise ValueError(
-            "pair must be 'none' or two letters out of H, V, P, M, R, L, launched "
-            f"first and analysed second, such as 'VH'; got {pair!r}"
-        )
-    launched, analyser = _stokes.state(pair[0]), _stokes.state(pair[1])
-    return apply(matrix, launched) @ analyser / 2
+    first, second = _stokes.pair_states(pair)
+    return apply(matrix, _stokes.state(first)) @ _stokes.state(second) / 2
 
 
 def _axes_turned(angle: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -444,16 +413,3 @@ def as_matrices(mueller: ArrayLike) -> NDArray[np.float64]:
     if matrix.shape[-2:] != (4, 4):
         raise ValueError(f"mueller must have last axes (4, 4), got {matrix.shape}")
     return matrix
-
-
-def _within(
-    value: ArrayLike, low: float, high: float, *, name: str, unit: str = ""
-) -> NDArray[np.float64]:
-    """Return the value as an array, refused outside of low..high."""
-    array = np.asarray(value, dtype=np.float64)
-    if not np.all((array >= low) & (array <= high)):
-        raise ValueError(
-            f"{name} must be from {low:g} to {high:g}{unit}, got values from "
-            f"{np.min(array):g} to {np.max(array):g}{unit}"
-        )
-    return array

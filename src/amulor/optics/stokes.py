@@ -27,6 +27,8 @@ turned round with it, so a mirror swaps P and M, and R and L, but keeps H and V.
 
 from __future__ import annotations
 
+import re
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -36,6 +38,7 @@ __all__ = [
     "degree_of_polarization",
     "ellipticity_angle",
     "from_field",
+    "pair_states",
     "polarization_angle",
     "state",
 ]
@@ -86,6 +89,39 @@ def state(name: str) -> NDArray[np.float64]:
         known = ", ".join(repr(known) for known in _STATES)
         raise ValueError(f"the polarization state must be one of {known}, got {name!r}")
     return np.array(_STATES[name])
+
+
+def pair_states(pair: str) -> tuple[str, str]:
+    """Return the names of the launched and the analysed state of a pair.
+
+    Parameters
+    ----------
+    pair : str
+        Two letters, launched first, such as "VH", or "none" for no polarizers.
+
+    Returns
+    -------
+    launched, analysed : str
+        Names as in `state`; both "none" for "none".
+
+    Raises
+    ------
+    ValueError
+        If the pair is not known.
+
+    Examples
+    --------
+    >>> pair_states("VH")
+    ('V', 'H')
+    """
+    if pair == "none":
+        return "none", "none"
+    if not re.fullmatch(PAIR_PATTERN, pair):
+        raise ValueError(
+            "pair must be 'none' or two letters out of H, V, P, M, R, L, launched "
+            f"first and analysed second, such as 'VH'; got {pair!r}"
+        )
+    return pair[0], pair[1]
 
 
 def from_field(parallel: ArrayLike, perpendicular: ArrayLike) -> NDArray[np.float64]:

@@ -8,6 +8,8 @@ from scipy.constants import speed_of_light
 
 from amulor.optics import small_angle_diffusion
 
+__all__ = ["target_response"]
+
 
 def target_response(
     modulation_frequency: ArrayLike,
@@ -58,16 +60,33 @@ def target_response(
     ndarray of complex
         Received power per launched power, of the broadcast shape [1].
 
+    Raises
+    ------
+    ValueError
+        If a property of the water or the receiver is out of range.
+
     Notes
     -----
     A Lambertian plane returns :math:`(\varrho / \pi) F(d) \exp(2 i \omega d / v)`
-    with the same :math:`F` as the water, (43) of [1]_ as rebuilt. The small-angle
-    model holds for surfaces that face the instrument within about half a radian.
+    with the same :math:`F` as the water, eq. (43) of Ricci et al. 2010 [1]_, as
+    rebuilt. The small-angle model holds for surfaces that face the instrument within
+    about half a radian.
 
     References
     ----------
     .. [1] R. Ricci et al., EURASIP J. Adv. Signal Process. 2010, 958360,
        :doi:`10.1155/2010/958360`.
+
+    Examples
+    --------
+    >>> echo = target_response(
+    ...     39e6, depth=1.5, optical_path=2 * 1.38 * 1.5, reflectance=0.1,
+    ...     absorption=0.15, forward_scattering=0.35, diffuse_scattering=0.0,
+    ...     second_moment=0.05, baseline=0.07, receiver_radius=0.02,
+    ...     acceptance_angle=0.08,
+    ... )
+    >>> print(f"{abs(echo):.1e}")
+    2.8e-06
     """
     shape_of_light = small_angle_diffusion.overlap(
         depth,

@@ -66,7 +66,8 @@ def impulse_response(
     -----
     Light from the depth :math:`z` comes at :math:`t = 2 z / v`, so
     :math:`h(t) = \beta_\pi F(v t / 2) \, v / 2`; the integral over
-    :math:`h(t) e^{i \omega t}` is (46) of [1]_ as rebuilt.
+    :math:`h(t) e^{i \omega t}` is eq. (46) of Ricci et al. 2010 [1]_, as rebuilt, and
+    the way from there to the time is eq. (8).
 
     References
     ----------
@@ -128,8 +129,8 @@ def maximum_distance(share: float, **water: Any) -> float:
 
     Notes
     -----
-    The integrand is (43) of Ricci et al. 2010, as rebuilt; it is never below zero, so
-    the depth is unique.
+    The integrand is eq. (43) of Ricci et al. 2010, as rebuilt; it is never below zero,
+    so the depth is unique.
 
     Examples
     --------

@@ -1,4 +1,4 @@
-"""Claims about Mueller matrices, polarizers and analyser readings."""
+"""Claims about Mueller matrices of targets and particles, and analyser readings."""
 
 import numpy as np
 import pytest
@@ -16,22 +16,6 @@ def random_jones(seed, count=1):
     rng = np.random.default_rng(seed)
     shape = (count, 2, 2)
     return rng.standard_normal(shape) + 1j * rng.standard_normal(shape)
-
-
-def mueller_of(jones):
-    """Mueller matrix of a Jones matrix from six fields, by the Stokes convention."""
-    half = np.sqrt(0.5)
-    fields = np.array([[1, 0], [0, 1], [half, half], [half, -half], [half, -1j * half]])
-    out = fields @ jones.T
-    h, v, p, m, r = stokes.from_field(out[:, 0], out[:, 1])
-    intensity = (h + v) / 2
-    return np.stack([intensity, (h - v) / 2, (p - m) / 2, r - intensity], axis=-1)
-
-
-def turned(jones, angle):
-    cosine, sine = np.cos(angle), np.sin(angle)
-    rotation = np.array([[cosine, -sine], [sine, cosine]])
-    return rotation @ jones @ rotation.T
 
 
 @pytest.mark.parametrize(
@@ -94,7 +78,9 @@ def test_a_mirror_flips_helicity_and_diagonals_but_keeps_horizontal_and_vertical
     }
 
 
-def test_a_mirror_is_the_jones_matrix_that_turns_the_perpendicular_axis_round():
+def test_a_mirror_is_the_jones_matrix_that_turns_the_perpendicular_axis_round(
+    mueller_of,
+):
     matrix = mueller_of(np.diag([1.0, -1.0]))
     assert_allclose(matrix, mueller.ideal_backscatter(), rtol=0, atol=1e-15)
 
@@ -134,7 +120,7 @@ def test_rayleigh_backscatter_is_the_ideal_one_and_forward_is_nothing():
 
 @settings(deadline=None)
 @given(st.floats(0, np.pi))
-def test_rayleigh_is_a_dipole(angle):
+def test_rayleigh_is_a_dipole(mueller_of, angle):
     # A dipole radiates its parallel part as the cosine of the angle.
     matrix = mueller_of(np.diag([np.cos(angle), 1.0]))
     assert_allclose(mueller.rayleigh(angle), matrix / matrix[0, 0], rtol=0, atol=1e-14)
@@ -148,91 +134,9 @@ def test_rayleigh_does_not_depolarize(angle):
     assert depolarization.is_realizable(matrix)
 
 
-def test_malus_law_holds():
-    light = mueller.apply(
-        mueller.linear_polarizer(np.radians([0.0, 30.0, 60.0, 90.0])), stokes.state("H")
-    )
-    assert_allclose(light[:, 0], [1, 0.75, 0.25, 0], rtol=0, atol=1e-15)
-
-
-def test_a_polarizer_at_45_degrees_passes_p_and_blocks_m():
-    matrix = mueller.linear_polarizer(np.pi / 4)
-    assert_allclose(mueller.apply(matrix, stokes.state("P"))[0], 1, rtol=1e-15)
-    assert_allclose(mueller.apply(matrix, stokes.state("M"))[0], 0, atol=1e-15)
-
-
-def test_a_leaky_polarizer_passes_its_extinction_ratio_when_crossed():
-    matrix = mueller.linear_polarizer(0.0, extinction_ratio=1e-4)
-    assert_allclose(mueller.apply(matrix, stokes.state("H"))[0], 1, rtol=1e-15)
-    # (1 + e) - (1 - e) over 2 rounds to 1e-16 of 1.
-    assert_allclose(mueller.apply(matrix, stokes.state("V"))[0], 1e-4, rtol=1e-11)
-    clear = mueller.linear_polarizer(0.4, extinction_ratio=1.0)
-    assert_allclose(clear, np.eye(4), rtol=0, atol=1e-15)
-
-
-@settings(deadline=None)
-@given(angles, st.floats(0, 1))
-def test_a_polarizer_is_its_jones_matrix(angle, leak):
-    jones = turned(np.diag([1.0, np.sqrt(leak)]), angle)
-    assert_allclose(
-        mueller.linear_polarizer(angle, extinction_ratio=leak),
-        mueller_of(jones),
-        rtol=0,
-        atol=1e-14,
-    )
-
-
-@settings(deadline=None)
-@given(angles, st.floats(-10, 10))
-def test_a_retarder_is_its_jones_matrix(angle, retardance):
-    # With exp(-i omega t) a delay multiplies by exp(+i delay): the slow axis, across.
-    jones = turned(np.diag([1.0, np.exp(1j * retardance)]), angle)
-    assert_allclose(
-        mueller.retarder(retardance, angle=angle),
-        mueller_of(jones),
-        rtol=0,
-        atol=1e-13,
-    )
-
-
-@pytest.mark.parametrize(("fast", "name"), [(np.pi / 2, "R"), (0.0, "L")])
-def test_a_quarter_wave_plate_makes_plus_45_degrees_circular(fast, name):
-    # Hecht, Optics: fast axis vertical turns a P state into a right circular one.
-    plate = mueller.retarder(np.pi / 2, angle=fast)
-    out = mueller.apply(plate, stokes.state("P"))
-    assert_allclose(out, stokes.state(name), rtol=0, atol=1e-15)
-
-
-def test_a_half_wave_plate_turns_linear_by_twice_its_angle():
-    plate = mueller.retarder(np.pi, angle=np.radians(22.5))
-    out = mueller.apply(plate, stokes.state("H"))
-    assert_allclose(out, stokes.state("P"), rtol=0, atol=1e-15)
-
-
-def test_polarizer_and_quarter_wave_plate_before_a_mirror_block_the_echo():
-    # The light passes the plate twice; on the way back its fast axis, at +45 degrees
-    # of the way there, is at -45 degrees of the axes of the returning light.
-    there = mueller.retarder(np.pi / 2, angle=np.pi / 4)
-    back = mueller.retarder(np.pi / 2, angle=-np.pi / 4)
-    through = back @ mueller.ideal_backscatter() @ there
-    assert_allclose(
-        mueller.detected_fraction(through, pair="HH"), 0, rtol=0, atol=1e-15
-    )
-    assert_allclose(mueller.detected_fraction(through, pair="HV"), 1, rtol=1e-15)
-
-
-@settings(deadline=None)
-@given(angles, angles)
-def test_an_element_turned_twice_is_turned_by_the_sum(first, second):
-    matrix = mueller.retarder(0.7, angle=0.2)
-    twice = mueller.rotated(mueller.rotated(matrix, angle=first), angle=second)
-    once = mueller.rotated(matrix, angle=first + second)
-    assert_allclose(twice, once, rtol=0, atol=1e-14)
-
-
 @settings(deadline=None)
 @given(seeds)
-def test_no_jones_matrix_depolarizes_and_each_is_realizable(seed):
+def test_no_jones_matrix_depolarizes_and_each_is_realizable(mueller_of, seed):
     matrix = mueller_of(random_jones(seed)[0])
     assert_allclose(depolarization.depolarization_index(matrix), 1, rtol=1e-12)
     # Three eigenvalues are zero, up to rounding.
@@ -243,7 +147,7 @@ def test_no_jones_matrix_depolarizes_and_each_is_realizable(seed):
 
 @settings(deadline=None, max_examples=50)
 @given(seeds, st.integers(2, 5))
-def test_mixtures_are_realizable_and_depolarize(seed, count):
+def test_mixtures_are_realizable_and_depolarize(mueller_of, seed, count):
     matrix = sum(mueller_of(jones) for jones in random_jones(seed, count))
     assert depolarization.is_realizable(matrix)
     assert depolarization.depolarization_index(matrix) < 1
@@ -282,7 +186,7 @@ def test_depolarization_figures_of_painted_metal():
 
 @settings(deadline=None)
 @given(seeds, st.floats(1e-3, 1e3), angles)
-def test_figures_depend_on_the_reduced_matrix_alone(seed, factor, angle):
+def test_figures_depend_on_the_reduced_matrix_alone(mueller_of, seed, factor, angle):
     matrix = sum(mueller_of(jones) for jones in random_jones(seed, 2))
     scaled = factor * matrix
     assert_allclose(
@@ -310,11 +214,6 @@ def test_arguments_broadcast():
     assert depolarization.depolarization_index(matrices).shape == (3, 2)
     assert depolarization.is_realizable(matrices).shape == (3, 2)
     assert mueller.rayleigh(np.zeros((5, 2))).shape == (5, 2, 4, 4)
-    assert mueller.retarder(np.zeros(3), angle=np.zeros((2, 1))).shape == (2, 3, 4, 4)
-    polarizers = mueller.linear_polarizer(
-        np.zeros((2, 1)), extinction_ratio=[0, 0.1, 1]
-    )
-    assert polarizers.shape == (2, 3, 4, 4)
 
 
 def test_the_share_without_polarizers_is_a_copy():
@@ -348,9 +247,37 @@ def test_what_is_no_mueller_matrix_is_refused():
 def test_arguments_outside_of_their_range_are_refused():
     with pytest.raises(ValueError, match="m33 must be from -1 to 1"):
         mueller.diagonal(1.0, -1.5, 0.0)
-    with pytest.raises(ValueError, match=r"extinction_ratio .* from 0 to 1"):
-        mueller.linear_polarizer(0.0, extinction_ratio=10_000)
-    with pytest.raises(ValueError, match=r"angle must be from 0 to 3\.14159 rad"):
+    with pytest.raises(ValueError, match="m34 must be from -1 to 1"):
+        mueller.particles(m12=0.0, m22=1.0, m33=1.0, m34=1.1, m44=1.0)
+    with pytest.raises(ValueError, match="angle must be from 0 to pi rad"):
         mueller.rayleigh(180.0)
     with pytest.raises(ValueError, match="tolerance must not be negative"):
         depolarization.is_realizable(np.eye(4), tolerance=-1.0)
+
+
+@settings(deadline=None)
+@given(st.floats(0, np.pi))
+def test_particles_hold_the_matrix_of_a_jones_matrix_that_is_diagonal(
+    mueller_of, angle
+):
+    # A sphere: amplitudes S2 in the scattering plane and S1 across it.
+    s1, s2 = np.exp(0.3j) * np.cos(angle / 3), np.exp(1.1j) * np.cos(angle)
+    matrix = mueller_of(np.diag([s2, s1]))
+    reduced = matrix / matrix[0, 0]
+    made = mueller.particles(
+        m12=np.clip(reduced[0, 1], -1, 1),
+        m22=1.0,
+        m33=reduced[2, 2],
+        m34=reduced[2, 3],
+        m44=reduced[3, 3],
+    )
+    assert_allclose(made, reduced, rtol=0, atol=1e-14)
+
+
+@settings(deadline=None)
+@given(st.floats(-1, 1), st.floats(-1, 1), st.floats(-1, 1))
+def test_a_lower_m22_alone_makes_the_mueller_matrix_depolarize(m12, m22, m33):
+    matrix = mueller.particles(m12=m12, m22=m22, m33=m33, m34=0.0, m44=m33)
+    # Gil and Bernabeu's index from the elements, eq. (61).
+    expected = np.sqrt((2 * m12**2 + m22**2 + 2 * m33**2) / 3)
+    assert_allclose(depolarization.depolarization_index(matrix), expected, atol=1e-15)
