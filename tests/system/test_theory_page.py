@@ -1,0 +1,184 @@
+"""The theory pages: their examples run, and print what the text says."""
+
+from __future__ import annotations
+
+import contextlib
+import importlib
+import importlib.util
+import io
+import re
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import matplotlib
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+ROOT = Path(__file__).parents[2]
+PAGES = sorted((ROOT / "docs" / "theory").glob("*.md"))
+TEXTS = {page.stem: page.read_text("utf-8") for page in PAGES}
+WITH_EXAMPLES = [name for name, text in TEXTS.items() if "```python" in text]
+FENCE = re.compile(r"^```(\w*)\n(.*?)^```$", flags=re.DOTALL | re.MULTILINE)
+MATH = re.compile(r"^\$\$\n(.*?)^\$\$$|\$([^$\n]+)\$", flags=re.DOTALL | re.MULTILINE)
+
+
+def _run(name: str) -> tuple[dict[str, Any], list[tuple[str, str]]]:
+    """Return the names that a page defines, and (printed here, printed there)."""
+    namespace: dict[str, Any] = {}
+    pairs = []
+    blocks = FENCE.findall(TEXTS[name])
+    for (language, code), (following, text) in zip(
+        blocks, [*blocks[1:], ("", "")], strict=True
+    ):
+        if language != "python":
+            continue
+        output = io.StringIO()
+        with contextlib.redirect_stdout(output):
+            exec(compile(code, f"{name}.md", "exec"), namespace)
+        printed = text if following == "text" else ""
+        pairs.append((printed, output.getvalue()))
+    return namespace, pairs
+
+
+@pytest.fixture(scope="module")
+def runs() -> dict[str, tuple[dict[str, Any], list[tuple[str, str]]]]:
+    """Each page run once, its examples one after the other."""
+    return {name: _run(name) for name in WITH_EXAMPLES}
+
+
+@pytest.mark.parametrize("name", WITH_EXAMPLES)
+def test_examples_print_what_the_page_shows(name: str, runs: Any) -> None:
+    for printed, output in runs[name][1]:
+        assert output == printed
+
+
+@pytest.mark.parametrize("name", WITH_EXAMPLES)
+def test_every_output_on_a_page_belongs_to_an_example(name: str) -> None:
+    languages = [language for language, _ in FENCE.findall(TEXTS[name])]
+    assert set(languages) == {"python", "text"}
+    for place, language in enumerate(languages):
+        if language == "text":
+            assert place > 0
+            assert languages[place - 1] == "python"
+
+
+def _prose(text: str) -> str:
+    """Return what is left of a page without code, formulas and references."""
+    text = text.partition("## References")[0]
+    for pattern in (FENCE, MATH, re.compile(r"`[^`]*`")):
+        text = pattern.sub(" ", text)
+    text = re.sub(r"\]\([^)]*\)", "]", text)  # where links lead
+    text = re.sub(r"^#.*$", " ", text, flags=re.MULTILINE)
+    text = re.sub(r"\(\d+\)|\[\d\]", " ", text)  # numbers of equations, references
+    return re.sub(r"1/m|NUC 2040|section\s+8", " ", text)
+
+
+def _numbers(text: str) -> set[float]:
+    return {float(number) for number in re.findall(r"(?<![\w.])\d+(?:\.\d+)?", text)}
+
+
+# Facts of definition that no example needs to print: right angles, one and two.
+DEFINITIONS = {0.0, 1.0, 2.0, 90.0, 180.0}
+
+
+@pytest.mark.parametrize("name", WITH_EXAMPLES)
+def test_numbers_in_the_text_stand_in_an_example_beside_it(name: str) -> None:
+    blocks = " ".join(body for _, body in FENCE.findall(TEXTS[name]))
+    shown = _numbers(re.sub(r"[-+=(,]", " ", blocks)) | DEFINITIONS
+    # A ratio of 1.62 may be told as 62 %, and 20e-3 rad as 20 mrad.
+    shown |= {round(100 * (value - 1), 6) for value in shown if 1 < value < 2}
+    shown |= {float(number) for number in re.findall(r"(\d+(?:\.\d+)?)e-?\d", blocks)}
+    assert _numbers(_prose(TEXTS[name])) - shown == set()
+
+
+def test_the_pages_walk_through_all_seventy_two_equations() -> None:
+    tags = [
+        int(tag)
+        for text in TEXTS.values()
+        for tag in re.findall(r"\\tag\{(\d+)\}", text)
+    ]
+    assert sorted(tags) == list(range(1, 73))
+
+
+@pytest.mark.parametrize("name", WITH_EXAMPLES)
+def test_named_functions_exist(name: str) -> None:
+    named = set(re.findall(r"`(amulor\.optics\.[\w.]+)`", TEXTS[name]))
+    assert named
+    for dotted in named:
+        try:
+            importlib.import_module(dotted)
+        except ModuleNotFoundError:
+            module, _, function = dotted.rpartition(".")
+            assert callable(getattr(importlib.import_module(module), function)), dotted
+
+
+@pytest.mark.parametrize("name", TEXTS)
+def test_markdown_leaves_the_formulas_alone(name: str) -> None:
+    text = FENCE.sub(" ", TEXTS[name])
+    assert "$" not in MATH.sub(" ", text)
+    for formula in ("".join(groups) for groups in MATH.findall(text)):
+        # Markdown takes \, \; \{ and the like for escapes, and < for a tag.
+        assert not re.search(r"\\[^A-Za-z]", formula), formula
+        assert "<" not in formula, formula
+        assert "operatorname" not in formula, formula  # refused by GitHub
+        assert formula.count("{") == formula.count("}"), formula
+
+
+def _anchors(text: str) -> set[str]:
+    """Return the anchors that GitHub makes of headings."""
+    headings = re.findall(r"^#+ (.*)$", FENCE.sub(" ", text), flags=re.MULTILINE)
+    return {
+        re.sub(r"[^\w\- ]", "", heading.lower()).replace(" ", "-")
+        for heading in headings
+    }
+
+
+@pytest.mark.parametrize("name", TEXTS)
+def test_links_lead_to_sections(name: str) -> None:
+    for target, anchor in re.findall(r"\]\((?!https?:)([^)#]*)#([^)]*)\)", TEXTS[name]):
+        page = TEXTS[Path(target).stem] if target else TEXTS[name]
+        assert anchor in _anchors(page), anchor
+
+
+def _figures() -> ModuleType:
+    path = ROOT / "docs" / "make_theory_images.py"
+    spec = importlib.util.spec_from_file_location("make_theory_images", path)
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+def test_the_pictures_on_the_pages_are_those_that_are_drawn() -> None:
+    shown = {
+        image
+        for text in TEXTS.values()
+        for image in re.findall(r"images/(theory-[\w-]+)\.png", text)
+    }
+    drawn = set(_figures().FIGURES)
+    stored = {path.stem for path in (ROOT / "docs" / "images").glob("theory-*")}
+    assert shown == drawn == stored
+
+
+def test_the_figure_of_ratios_shows_the_numbers_of_the_table(runs: Any) -> None:
+    matplotlib.use("agg")
+    found = runs["water-signal"][0]["found"]
+    figure = _figures().model_ratio(np.array([0.5]))
+    for column, water in enumerate(("HG", "harbour")):
+        for axis, ratio in (
+            (figure.axes[column], lambda row: row["still"]),
+            (
+                figure.axes[2 + column],
+                lambda row: row["diffusion"] / row["small_angle"],
+            ),
+        ):
+            lines = {line.get_label(): line.get_ydata() for line in axis.get_lines()}
+            for split in (90, 10):
+                for baseline in (0.07, 0.20):
+                    drawn = lines[f"split {split}°, baseline {baseline:.2f} m"]
+                    expected = ratio(found[water, baseline, split, 0.5])
+                    # One calculation, done twice: only rounding may differ.
+                    assert_allclose(drawn, [expected], rtol=1e-9)
