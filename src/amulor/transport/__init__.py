@@ -1,0 +1,29 @@
+"""Photon transport beyond single backscatter: all orders, full Stokes, modulated."""
+
+from amulor.transport.medium import Layer, Medium
+from amulor.transport.monte_carlo import Progress, Technique, simulate
+from amulor.transport.receiver import (
+    DiscReceiver,
+    GaussianReceiver,
+    PlaneTarget,
+    Source,
+)
+from amulor.transport.scattering import ScatteringMatrix
+from amulor.transport.slab import reflection_and_transmission
+from amulor.transport.tally import PathRecord, Tally
+
+__all__ = [
+    "DiscReceiver",
+    "GaussianReceiver",
+    "Layer",
+    "Medium",
+    "PathRecord",
+    "PlaneTarget",
+    "Progress",
+    "ScatteringMatrix",
+    "Source",
+    "Tally",
+    "Technique",
+    "reflection_and_transmission",
+    "simulate",
+]

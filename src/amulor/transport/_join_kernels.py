@@ -1,0 +1,254 @@
+"""Joining forward and adjoint paths in compiled loops.
+
+Water that is the same all over a plane across z lets an adjoint path be shifted over
+the face of the receiver until it meets a forward path. For each pair of segments the
+depths z at which that shift stays on the face are an interval, and the light over it
+is spread evenly over path lengths. Theory: docs/theory, "Photon transport".
+"""
+
+from __future__ import annotations
+
+import math
+
+from numba import njit
+
+from amulor.transport._angle_kernels import cell_of, height_between
+from amulor.transport._kernel_types import Array, Packed
+from amulor.transport._polarization_kernels import connected, received, reflected
+from amulor.transport._record_kernels import add_point, add_range
+from amulor.transport._trace_kernels import (
+    FACE,
+    FRONT,
+    LAYER,
+    LENGTH,
+    NX,
+    NY,
+    NZ,
+    ORDER,
+    PARTITION,
+    PER_Z,
+    SCALE,
+    SLOPE_X,
+    SLOPE_Y,
+    TOUCH_LENGTH,
+    TOUCH_NX,
+    TOUCH_NY,
+    TOUCH_NZ,
+    TOUCH_ORDER,
+    TOUCH_X,
+    TOUCH_Y,
+    TOUCH_Z,
+    TOUCHES,
+    Z_HIGH,
+    Z_LOW,
+    X,
+    Y,
+)
+
+
+@njit(cache=True, error_model="numpy")
+def join_segments(
+    forward: Array,
+    light: Array,
+    forwards: int,
+    adjoint: Array,
+    seen: Array,
+    adjoints: int,
+    water: Packed,
+    target: Packed,
+    polarized: bool,
+    balanced: bool,
+    skip_direct: bool,
+    record: Packed,
+    scratch: Array,
+) -> float:
+    """Join each forward with each adjoint segment, and return the light added.
+
+    FACE of an adjoint segment is the radius of the face, SCALE what a pair counts.
+    """
+    _, attenuation, albedo, table, _, value, element = water
+    has_target, normal, height, _, _ = target
+    mass, slope_record, beyond, wavenumber, spacing, orders = record
+    total = 0.0
+    for j in range(adjoints):
+        if skip_direct and adjoint[j, ORDER] == 0:
+            continue
+        face = adjoint[j, FACE]
+        lowest, highest = adjoint[j, Z_LOW], adjoint[j, Z_HIGH]
+        for i in range(forwards):
+            z_low = max(forward[i, Z_LOW], lowest)
+            z_high = min(forward[i, Z_HIGH], highest)
+            if z_low >= z_high:
+                continue
+            # Place of the start of the adjoint path on the face: p + d z.
+            dx = forward[i, SLOPE_X] - adjoint[j, SLOPE_X]
+            dy = forward[i, SLOPE_Y] - adjoint[j, SLOPE_Y]
+            px = forward[i, X] - adjoint[j, X]
+            py = forward[i, Y] - adjoint[j, Y]
+            a = dx * dx + dy * dy
+            b = px * dx + py * dy
+            c = px * px + py * py - face * face
+            inside = b * b - a * c
+            if inside <= 0.0:
+                continue
+            if a < 1e-24:  # parallel: on the face for all z, as inside is above zero
+                if c >= 0.0:
+                    continue
+            else:
+                root = math.sqrt(inside)
+                z_low = max(z_low, (-b - root) / a)
+                z_high = min(z_high, (-b + root) / a)
+                if z_low >= z_high:
+                    continue
+            if has_target and adjoint[j, ORDER] > 0:
+                # All vertices of the shifted path have to be in front of the target.
+                over = normal[0] * px + normal[1] * py + adjoint[j, FRONT] - height
+                rise = normal[0] * dx + normal[1] * dy
+                if rise > 0:
+                    z_low = max(z_low, -over / rise)
+                elif rise < 0:
+                    z_high = min(z_high, -over / rise)
+                elif over < 0:
+                    continue
+                if z_low >= z_high:
+                    continue
+            layer = int(forward[i, LAYER])
+            at = table[layer]
+            cosine = -(
+                forward[i, NX] * adjoint[j, NX]
+                + forward[i, NY] * adjoint[j, NY]
+                + forward[i, NZ] * adjoint[j, NZ]
+            )
+            cell = cell_of(height_between(cosine))
+            level = abs(forward[i, NZ] * adjoint[j, NZ])
+            kernel = attenuation[layer] * albedo[layer] * value[at, cell]
+            if kernel <= 0.0:
+                continue
+            order = int(forward[i, ORDER] + adjoint[j, ORDER])
+            if balanced:
+                factor = adjoint[j, SCALE] / (
+                    forward[i, PARTITION] + adjoint[j, PARTITION] + level / kernel
+                )
+            else:
+                factor = adjoint[j, SCALE] * kernel / (level * (order + 1))
+            factor *= z_high - z_low
+            part = min(order, orders - 1)
+            start = forward[i, LENGTH] + adjoint[j, LENGTH]
+            slope = forward[i, PER_Z] + adjoint[j, PER_Z]
+            first, last = start + slope * z_low, start + slope * z_high
+            if polarized:
+                connected(
+                    forward[i, NX],
+                    forward[i, NY],
+                    forward[i, NZ],
+                    light[i],
+                    -adjoint[j, NX],
+                    -adjoint[j, NY],
+                    -adjoint[j, NZ],
+                    seen[j],
+                    element,
+                    at,
+                    cell,
+                    scratch,
+                )
+                for k in range(4):
+                    scratch[k] *= factor
+            else:
+                scratch[0] = factor
+            total += scratch[0]
+            add_range(
+                mass,
+                slope_record,
+                beyond,
+                wavenumber,
+                spacing,
+                part,
+                min(first, last),
+                max(first, last),
+                scratch,
+            )
+    return total
+
+
+@njit(cache=True, error_model="numpy")
+def join_touches(
+    touch: Array,
+    touch_light: Array,
+    touches: int,
+    adjoint: Array,
+    seen: Array,
+    adjoints: int,
+    target: Packed,
+    polarized: bool,
+    skip_direct: bool,
+    record: Packed,
+    scratch: Array,
+) -> float:
+    """Join each touch of the target with each adjoint segment that meets it."""
+    _, normal, height, reflectance, mueller = target
+    mass, _, beyond, wavenumber, spacing, orders = record
+    total = 0.0
+    for i in range(touches):
+        z = touch[i, TOUCH_Z]
+        for j in range(adjoints):
+            if (
+                (skip_direct and adjoint[j, ORDER] == 0)
+                or z <= adjoint[j, Z_LOW]
+                or z > adjoint[j, Z_HIGH]
+            ):
+                continue
+            px = touch[i, TOUCH_X] - adjoint[j, X] - z * adjoint[j, SLOPE_X]
+            py = touch[i, TOUCH_Y] - adjoint[j, Y] - z * adjoint[j, SLOPE_Y]
+            if px * px + py * py > adjoint[j, FACE] * adjoint[j, FACE]:
+                continue
+            leaving = -(
+                normal[0] * adjoint[j, NX]
+                + normal[1] * adjoint[j, NY]
+                + normal[2] * adjoint[j, NZ]
+            )
+            if leaving <= 0.0:
+                continue
+            if (
+                adjoint[j, ORDER] > 0
+                and normal[0] * px + normal[1] * py + adjoint[j, FRONT] < height
+            ):
+                continue
+            factor = (
+                adjoint[j, SCALE]
+                * reflectance
+                / math.pi
+                * leaving
+                / abs(adjoint[j, NZ])
+            )
+            if polarized:
+                i_out, q_out, u_out, v_out = reflected(
+                    touch[i, TOUCH_NX],
+                    touch[i, TOUCH_NY],
+                    touch[i, TOUCH_NZ],
+                    touch_light[i],
+                    mueller,
+                    -adjoint[j, NX],
+                    -adjoint[j, NY],
+                    -adjoint[j, NZ],
+                    seen[j],
+                )
+                received(seen[j], i_out, q_out, u_out, v_out, scratch)
+                for k in range(4):
+                    scratch[k] *= factor
+            else:
+                scratch[0] = factor
+            total += scratch[0]
+            direct = (
+                touch[i, TOUCH_ORDER] + adjoint[j, ORDER] == 0
+                and touch[i, TOUCHES] == 0
+            )
+            add_point(
+                mass,
+                beyond,
+                wavenumber,
+                spacing,
+                orders if direct else orders + 1,
+                touch[i, TOUCH_LENGTH] + adjoint[j, LENGTH] + z * adjoint[j, PER_Z],
+                scratch,
+            )
+    return total

@@ -1,0 +1,212 @@
+"""A transport problem as the compiled loops take it, in the axes of the receiver."""
+
+from __future__ import annotations
+
+import hashlib
+import math
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from amulor.transport import _angle_kernels as _cells
+from amulor.transport._checks import axes_of, place, unit_vector
+from amulor.transport.medium import Layer, Medium
+from amulor.transport.receiver import (
+    GaussianReceiver,
+    PlaneTarget,
+    Receiver,
+    Source,
+)
+from amulor.transport.scattering import AngleCells, ScatteringMatrix
+
+__all__ = ["Problem", "water_tables"]
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Problem:
+    """Medium, source, receiver and target, checked against each other.
+
+    Raises
+    ------
+    ValueError
+        If they do not fit together.
+    """
+
+    medium: Medium
+    source: Source
+    receiver: Receiver
+    target: PlaneTarget | None
+
+    def __post_init__(self) -> None:
+        """Refuse what does not fit together."""
+        axis = self.axes[2]
+        if not self.medium.unbounded and abs(abs(axis[2]) - 1) > 1e-9:
+            tilt = math.degrees(math.acos(min(1.0, abs(axis[2]))))
+            raise ValueError(
+                "in layered or bounded water the receiver must look along the forward "
+                f"axis, across the layers; got a tilt of {tilt:.4g} deg"
+            )
+        edges = self.medium.edges
+        for name, part in (("source", self.source), ("receiver", self.receiver)):
+            depth = float(place(part.position, name="position")[2])
+            if not edges[0] <= depth <= edges[-1]:
+                raise ValueError(
+                    f"the {name} must be in the water, from {edges[0]:g} to "
+                    f"{edges[-1]:g} m forward, got {depth:g} m"
+                )
+        if not self.medium.polarized and np.any(self.source.stokes[1:] != 0):
+            raise ValueError(
+                "polarized light needs a medium with a ScatteringMatrix, got one with "
+                "a phase function only"
+            )
+        if self.target is not None:
+            self._refuse_behind(self.target)
+
+    def _refuse_behind(self, target: PlaneTarget) -> None:
+        """Refuse a receiver or source that is not in front of the target."""
+        normal = unit_vector(target.normal, name="normal")
+        point = place(target.position, name="position")
+        source = float((place(self.source.position, name="position") - point) @ normal)
+        centre = float(
+            (place(self.receiver.position, name="position") - point) @ normal
+        )
+        tilt = float(np.linalg.norm(np.cross(normal, self.axes[2])))
+        for name, distance in (("source", source), ("centre of the receiver", centre)):
+            if distance <= 0:
+                raise ValueError(
+                    f"the {name} must be in front of the target, on the side of its "
+                    f"normal, got {distance:.4g} m"
+                )
+        if centre - self.receiver.radius * tilt < 0:
+            raise ValueError(
+                "the receiver's face must not reach into the target: its centre is "
+                f"{centre:.4g} m in front, its edge {self.receiver.radius * tilt:.4g} "
+                "m behind that"
+            )
+
+    @cached_property
+    def axes(self) -> Array:
+        """Right, down and forward axes of the receiver, as rows."""
+        direction = unit_vector(self.receiver.direction, name="direction")
+        return axes_of(direction, name="direction of the receiver")
+
+    @cached_property
+    def layers(self) -> tuple[Layer, ...]:
+        """Layers in the order in which the receiver sees them."""
+        return self.medium.layers if self.axes[2, 2] >= 0 else self.medium.layers[::-1]
+
+    @cached_property
+    def edges(self) -> Array:
+        """Planes between the layers on the receiver's axis [m]."""
+        edges = np.array(self.medium.edges)
+        if self.medium.unbounded:
+            return edges
+        depth = place(self.receiver.position, name="position")[2]
+        sign = 1.0 if self.axes[2, 2] >= 0 else -1.0
+        return np.sort(sign * (edges - depth))
+
+    def _turned(self, position: Any) -> Array:
+        """Return a place in the axes of the receiver."""
+        offset = place(position, name="position") - place(
+            self.receiver.position, name="position"
+        )
+        result: Array = self.axes @ offset
+        return result
+
+    @cached_property
+    def water(self) -> tuple[Any, ...]:
+        """Edges, coefficients and angle tables for the kernels."""
+        return water_tables(self.layers, self.edges)
+
+    @cached_property
+    def beam(self) -> tuple[Array, Array, Array, float, float]:
+        """Centre, axis, parallel axis, radius and divergence of the source."""
+        direction = unit_vector(self.source.direction, name="direction")
+        own = axes_of(direction, name="direction of the source")
+        return (
+            self._turned(self.source.position),
+            np.ascontiguousarray(self.axes @ direction),
+            np.ascontiguousarray(self.axes @ own[0]),
+            float(self.source.radius),
+            float(self.source.divergence),
+        )
+
+    @cached_property
+    def face(self) -> tuple[float, float, bool]:
+        """Radius and acceptance of the receiver, and whether it is Gaussian."""
+        return (
+            float(self.receiver.radius),
+            float(self.receiver.acceptance_angle),
+            isinstance(self.receiver, GaussianReceiver),
+        )
+
+    @cached_property
+    def plane(self) -> tuple[bool, Array, float, float, Array]:
+        """Whether there is a target, its normal, height, reflectance and matrix."""
+        if self.target is None:
+            return False, np.array([0.0, 0.0, -1.0]), 0.0, 0.0, np.zeros((4, 4))
+        normal = self.axes @ unit_vector(self.target.normal, name="normal")
+        height = float(normal @ self._turned(self.target.position))
+        return (
+            True,
+            np.ascontiguousarray(normal),
+            height,
+            float(self.target.reflectance),
+            self.target.matrix,
+        )
+
+    @cached_property
+    def digest(self) -> str:
+        """SHA-256 of all numbers that enter, to tell problems apart."""
+        digest = hashlib.sha256()
+        parts = (
+            *self.water,
+            *self.beam,
+            *self.face,
+            *self.plane,
+            self.source.stokes,
+            self.medium.group_index,
+        )
+        for part in parts:
+            digest.update(np.ascontiguousarray(part).tobytes())
+        return digest.hexdigest()
+
+
+def water_tables(layers: tuple[Layer, ...], edges: Array) -> tuple[Any, ...]:
+    """Return edges, coefficients and angle tables for the kernels."""
+    functions: list[Any] = []
+    table = []
+    for layer in layers:
+        if not any(layer.phase_function is known for known in functions):
+            functions.append(layer.phase_function)
+        table.append(
+            next(
+                k for k, known in enumerate(functions) if known is layer.phase_function
+            )
+        )
+    shape = (len(functions), _cells.SIZE)
+    urn, value = np.empty((*shape, 8)), np.empty(shape)
+    element = np.zeros((*shape, 5))
+    for k, function in enumerate(functions):
+        matrix = function if isinstance(function, ScatteringMatrix) else None
+        cells = AngleCells(function.phase_function if matrix else function)
+        urn[k] = cells.urn
+        value[k] = cells.value
+        if matrix is not None:
+            element[k] = matrix.elements_at(cells.middle)
+    attenuation = np.array([layer.attenuation for layer in layers])
+    scattering = np.array([layer.scattering for layer in layers])
+    return (
+        edges,
+        attenuation,
+        scattering / attenuation,
+        np.array(table, dtype=np.int64),
+        urn,
+        value,
+        element,
+    )

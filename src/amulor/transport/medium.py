@@ -1,0 +1,186 @@
+"""The water that photons travel through: layers, each the same all over."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Self
+
+from amulor.optics.phase_function_objects import PhaseFunction
+from amulor.transport.scattering import ScatteringMatrix
+
+__all__ = ["Layer", "Medium"]
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Layer:
+    """Water that is the same all over, between two planes.
+
+    Raises
+    ------
+    ValueError
+        If a coefficient is below zero or not finite, both are zero, or the thickness
+        is not above zero.
+    """
+
+    absorption: float
+    """Absorption coefficient a [1/m]."""
+    scattering: float
+    """Scattering coefficient b [1/m]."""
+    phase_function: PhaseFunction | ScatteringMatrix
+    """How it scatters; with the matrix the Stokes vector is carried along."""
+    thickness: float = math.inf
+    """Extent across its planes [m]."""
+
+    def __post_init__(self) -> None:
+        """Refuse what cannot be."""
+        for name in ("absorption", "scattering"):
+            value = getattr(self, name)
+            if not (math.isfinite(value) and value >= 0):
+                raise ValueError(
+                    f"{name} must be at least 0 1/m, got {value!r} 1/m; the "
+                    "single-scattering albedo b / (a + b) has to be from 0 to 1"
+                )
+        if self.attenuation == 0:
+            raise ValueError("absorption and scattering must not both be 0 1/m")
+        if not self.thickness > 0:
+            raise ValueError(f"thickness must be above 0 m, got {self.thickness!r} m")
+
+    @property
+    def attenuation(self) -> float:
+        """Attenuation coefficient c = a + b [1/m]."""
+        return self.absorption + self.scattering
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Medium:
+    """Layers of water, one below the other along the forward axis.
+
+    Light that leaves the first or the last layer is lost: there is black, with the
+    same refractive index. Rays are straight.
+
+    Raises
+    ------
+    ValueError
+        If there is no layer, an inner layer has no end, some layers carry matrices
+        and some do not, or light could travel for ever.
+
+    Examples
+    --------
+    >>> from amulor.optics.phase_function_models import isotropic
+    >>> medium = Medium.homogeneous(
+    ...     absorption=0.2, scattering=0.8, phase_function=isotropic(), group_index=1.38
+    ... )
+    >>> print(medium.edges)
+    (-inf, inf)
+    """
+
+    layers: tuple[Layer, ...]
+    """Layers, in the order in which light that travels forward meets them."""
+    group_index: float
+    """Group index, the same in all layers [1]."""
+    top: float = -math.inf
+    """Where the first layer begins on the forward axis [m]."""
+
+    def __post_init__(self) -> None:
+        """Refuse what cannot be."""
+        if not (math.isfinite(self.group_index) and self.group_index >= 1):
+            raise ValueError(
+                f"group_index must be at least 1, got {self.group_index!r}"
+            )
+        if not self.layers:
+            raise ValueError("a medium needs at least one layer, got none")
+        if (
+            len({isinstance(x.phase_function, ScatteringMatrix) for x in self.layers})
+            > 1
+        ):
+            raise ValueError(
+                "either all layers have a ScatteringMatrix or none: Stokes vectors "
+                "need one in each layer"
+            )
+        endless = [math.isinf(layer.thickness) for layer in self.layers]
+        if math.isinf(self.top) and not (len(self.layers) == 1 and endless[0]):
+            raise ValueError(
+                "top must be a finite place on the forward axis [m] if there is more "
+                "than one layer, or one with a thickness"
+            )
+        if any(endless[:-1]):
+            raise ValueError("only the last layer may be without a thickness")
+        if endless[-1] and self.layers[-1].absorption == 0:
+            raise ValueError(
+                "a layer without end needs an absorption above 0 1/m: without it "
+                "light would never end its way"
+            )
+
+    @classmethod
+    def homogeneous(
+        cls,
+        *,
+        absorption: float,
+        scattering: float,
+        phase_function: PhaseFunction | ScatteringMatrix,
+        group_index: float,
+    ) -> Self:
+        """Return water that is the same all over, without bounds.
+
+        Parameters
+        ----------
+        absorption, scattering : float
+            Coefficients a and b [1/m].
+        phase_function : PhaseFunction or ScatteringMatrix
+            How it scatters.
+        group_index : float
+            Group index [1].
+
+        Returns
+        -------
+        Medium
+            One layer without end.
+        """
+        layer = Layer(
+            absorption=absorption, scattering=scattering, phase_function=phase_function
+        )
+        return cls(layers=(layer,), group_index=group_index)
+
+    @classmethod
+    def layered(
+        cls, layers: Sequence[Layer], *, group_index: float, top: float = 0.0
+    ) -> Self:
+        """Return layers of water, one below the other.
+
+        Parameters
+        ----------
+        layers : sequence of Layer
+            From the first that light travelling forward meets.
+        group_index : float
+            Group index [1].
+        top : float
+            Where the first layer begins on the forward axis [m].
+
+        Returns
+        -------
+        Medium
+            The layers, with nothing before and behind them.
+        """
+        return cls(layers=tuple(layers), group_index=group_index, top=top)
+
+    @property
+    def edges(self) -> tuple[float, ...]:
+        """Planes between the layers and at both ends, on the forward axis [m]."""
+        if math.isinf(self.top):
+            return (-math.inf, math.inf)
+        edges = [self.top]
+        for layer in self.layers:
+            edges.append(edges[-1] + layer.thickness)
+        return tuple(edges)
+
+    @property
+    def polarized(self) -> bool:
+        """Whether the Stokes vector is carried along."""
+        return isinstance(self.layers[0].phase_function, ScatteringMatrix)
+
+    @property
+    def unbounded(self) -> bool:
+        """Whether one water fills all space."""
+        return all(math.isinf(edge) for edge in self.edges)

@@ -1,0 +1,250 @@
+"""Photon transport to a narrow receiver: all orders of scattering, all frequencies."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from amulor.transport import _batch_kernels
+from amulor.transport._batches import Batch
+from amulor.transport._conduct import (
+    Limits,
+    Progress,
+    checked_seed,
+    conduct,
+    frequencies,
+)
+from amulor.transport._problem import Problem
+from amulor.transport._record import Record, random_state
+from amulor.transport.medium import Medium
+from amulor.transport.receiver import PlaneTarget, Receiver, Source
+from amulor.transport.tally import Tally
+
+__all__ = ["Progress", "Technique", "simulate"]
+
+#: Acceptance up to which the last way to the receiver is a local estimate [rad].
+NARROW = 0.35
+#: Batches that a run is divided into, and the most histories in one.
+_BATCHES, _LARGEST_BATCH = 128, 65536
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Technique:
+    """How paths are drawn and joined. None of this changes the expected result.
+
+    Raises
+    ------
+    ValueError
+        If a number is below 1.
+    """
+
+    paths: int = 8
+    """Forward paths in a group."""
+    partners: int = 8
+    """Adjoint paths that each forward path of a group is joined with."""
+    stratified: bool = True
+    """Whether first flights and directions of a group are spread evenly."""
+    balanced: bool = True
+    """Whether a path that can be joined at several of its scatterings counts where
+    it is the least accidental (balance heuristic), not at all of them alike."""
+    direct: bool | None = None
+    """Whether the last way to the receiver is a local estimate; if not given, for
+    acceptances up to 0.35 rad."""
+    scattering_orders: int = 10
+    """Orders of scattering that are kept apart; the last one holds all above it."""
+
+    def __post_init__(self) -> None:
+        """Refuse what cannot be."""
+        for name in ("paths", "partners", "scattering_orders"):
+            if getattr(self, name) < 1:
+                raise ValueError(
+                    f"{name} must be at least 1, got {getattr(self, name)}"
+                )
+
+
+def simulate(
+    medium: Medium,
+    source: Source,
+    receiver: Receiver,
+    modulation_frequency: ArrayLike,
+    *,
+    histories: int,
+    seed: int,
+    target: PlaneTarget | None = None,
+    relative_error: float | None = None,
+    longest_time: float | None = None,
+    resume: Tally | None = None,
+    technique: Technique | None = None,
+    threads: int | None = None,
+    keep_record: bool = False,
+    progress: Callable[[Progress], None] | None = None,
+) -> Tally:
+    r"""Return the light of a modulated beam that comes back to a receiver.
+
+    Parameters
+    ----------
+    medium : Medium
+        Water. In bounded or layered water the receiver looks along the forward axis.
+    source : Source
+        Beam that enters it.
+    receiver : DiscReceiver or GaussianReceiver
+        Receiver in the water.
+    modulation_frequency : array_like
+        Frequencies of the modulation, not below zero, shape (n,) [Hz].
+    histories : int
+        Number of paths from the source, each joined with several from the receiver.
+    seed : int
+        Seed of the random numbers, not below zero. The same seed gives the same
+        result with any number of threads.
+    target : PlaneTarget, optional
+        Surface that reflects; light does not pass it.
+    relative_error : float, optional
+        Stop when the relative error at the first frequency is as small [1].
+    longest_time : float, optional
+        Stop after that time [s]. Where it stops depends on the machine.
+    resume : Tally, optional
+        Run of the same problem and seed to go on with; `histories` counts its own
+        as well.
+    technique : Technique, optional
+        How paths are drawn and joined.
+    threads : int, optional
+        Batches at work at once; by default as many as there are processors.
+    keep_record : bool
+        Whether to keep the record of path lengths.
+    progress : callable, optional
+        Called with a `Progress` after each batch.
+
+    Returns
+    -------
+    Tally
+        Received per launched light, with its errors. If it is interrupted from the
+        keyboard after the first two batches, what was done is returned, marked so.
+
+    Raises
+    ------
+    ValueError
+        If an argument is out of its range, or they do not fit together.
+
+    Notes
+    -----
+    Solves the transport equation, eq. (6) of [1]_, with all orders of scattering.
+    Paths from the source and from the receiver are joined: as the water is the same
+    all over a plane, a path from the receiver may be shifted over its face until it
+    meets the path from the source, and the range of depths at which it does is
+    summed exactly. The way is described in the theory pages.
+
+    References
+    ----------
+    .. [1] R. Ricci et al., EURASIP J. Adv. Signal Process. 2010, 958360,
+       :doi:`10.1155/2010/958360`.
+
+    Examples
+    --------
+    >>> from amulor.optics.phase_function_models import henyey_greenstein_function
+    >>> from amulor.transport import DiscReceiver
+    >>> water = Medium.homogeneous(
+    ...     absorption=0.2,
+    ...     scattering=0.8,
+    ...     phase_function=henyey_greenstein_function(asymmetry=0.95),
+    ...     group_index=1.38,
+    ... )
+    >>> disc = DiscReceiver(radius=0.05, acceptance_angle=0.035, position=(0.07, 0, 0))
+    >>> tally = simulate(water, Source(), disc, [0.0, 50e6], histories=20_000, seed=1)
+    >>> print(bool(abs(tally.signal[0] - 3.75e-7) < 0.4e-7), tally.heavy_tailed)
+    True False
+    """
+    chosen = technique or Technique()
+    limits = Limits(histories, relative_error, longest_time, threads, progress)
+    problem = Problem(medium, source, receiver, target)
+    size = _batch_size(histories, chosen) if resume is None else resume.batch_size
+    run = _Run(
+        problem,
+        chosen,
+        frequencies(modulation_frequency),
+        checked_seed(seed),
+        size,
+        keep_record,
+    )
+    return conduct(run, run.frame(), limits, resume)
+
+
+def _batch_size(histories: int, technique: Technique) -> int:
+    """Return the histories in a batch: whole groups, in many batches."""
+    groups = math.ceil(histories / _BATCHES / technique.paths)
+    most = max(1, _LARGEST_BATCH // technique.paths)
+    return min(groups, most) * technique.paths
+
+
+@dataclass(frozen=True)
+class _Run:
+    """One batch after the other of a problem; each from its own random numbers."""
+
+    problem: Problem
+    technique: Technique
+    frequency: Array
+    seed: int
+    size: int
+    keep_record: bool
+
+    def frame(self) -> Tally:
+        """Return a tally without batches."""
+        orders = self.technique.scattering_orders
+        names = [f"water, order {k}" for k in range(1, orders)]
+        parts = (
+            *names,
+            f"water, order {orders} and above",
+            "target",
+            "target, scattered",
+        )
+        components = 4 if self.problem.medium.polarized else 1
+        return Tally(
+            modulation_frequency=self.frequency,
+            parts=parts,
+            batches=np.empty((0, len(parts), components, self.frequency.size), complex),
+            histories_of=np.empty(0, dtype=np.int64),
+            groups=0,
+            contribution=(0.0, 0.0, 0.0),
+            seed=self.seed,
+            next_batch=0,
+            batch_size=self.size,
+            problem=self.problem.digest,
+            seconds=0.0,
+        )
+
+    def __call__(self, number: int) -> Batch:
+        """Return a batch."""
+        frame = self.frame()
+        record = Record.empty(
+            self.problem.water[1],
+            self.problem.medium.group_index,
+            self.frequency,
+            frame,
+        )
+        chosen = self.technique
+        direct = chosen.direct
+        if direct is None:
+            direct = self.problem.face[1] <= NARROW
+        groups = self.size // chosen.paths
+        weight = np.zeros(groups)
+        _batch_kernels.run_batch(
+            random_state(self.seed, number),
+            groups,
+            chosen.paths,
+            chosen.partners,
+            self.problem.beam,
+            self.problem.source.stokes,
+            self.problem.face,
+            self.problem.water,
+            self.problem.plane,
+            frame.polarized,
+            (chosen.stratified, chosen.balanced, direct),
+            record.arrays(chosen.scattering_orders),
+            weight,
+        )
+        return record.batch(number, self.size, groups, weight, keep=self.keep_record)

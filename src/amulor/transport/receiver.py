@@ -1,0 +1,173 @@
+"""What launches the light, what receives it, and what it falls on."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from amulor.optics import stokes as _stokes
+from amulor.optics.depolarization import realizability_defect
+from amulor.transport._checks import (
+    above,
+    at_least,
+    at_most,
+    axes_of,
+    place,
+    unit_vector,
+)
+from amulor.transport.scattering import REALIZABILITY_TOLERANCE
+
+__all__ = ["DiscReceiver", "GaussianReceiver", "PlaneTarget", "Source"]
+
+_ORIGIN = (0.0, 0.0, 0.0)
+_FORWARD = (0.0, 0.0, 1.0)
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Source:
+    """A beam of light: a pencil, or one with Gaussian profile and divergence.
+
+    Raises
+    ------
+    ValueError
+        If a width is below zero, the divergence above 0.5 rad, the direction without
+        length or along the axis to the right, or the polarization cannot exist.
+    """
+
+    position: ArrayLike = _ORIGIN
+    """Where it starts: right, down, forward [m]."""
+    direction: ArrayLike = _FORWARD
+    """Where it goes, any length."""
+    polarization: str | ArrayLike = "none"
+    """Name of a state of `amulor.optics.stokes.state`, or a Stokes vector with an
+    intensity of 1. Its parallel axis is the part of "right" perpendicular to the
+    direction."""
+    radius: float = 0.0
+    """Radius at which the irradiance falls to 1/e; 0 for a pencil [m]."""
+    divergence: float = 0.0
+    """Semi-angle at which the radiant intensity falls to 1/e [rad]."""
+    stokes: NDArray[np.float64] = field(init=False, repr=False)
+    """Stokes vector of the light."""
+
+    def __post_init__(self) -> None:
+        """Refuse what cannot be."""
+        place(self.position, name="position")
+        axes_of(unit_vector(self.direction, name="direction"), name="direction")
+        at_least(self.radius, 0.0, name="radius", unit="m")
+        at_least(self.divergence, 0.0, name="divergence", unit="rad")
+        if self.divergence > 0.5:
+            raise ValueError(
+                f"divergence must not exceed 0.5 rad, got {self.divergence:g} rad"
+            )
+        if isinstance(self.polarization, str):
+            vector = _stokes.state(self.polarization)
+        else:
+            vector = np.array(self.polarization, dtype=np.float64)
+        if vector.shape != (4,) or not abs(vector[0] - 1) < 1e-12:
+            raise ValueError(
+                "polarization must be a Stokes vector of four numbers with an "
+                f"intensity of 1, got {self.polarization!r}"
+            )
+        degree = float(np.linalg.norm(vector[1:]))
+        if not degree <= 1 + 1e-9:
+            raise ValueError(
+                f"polarization must not have a degree above 1, got {degree:.6g}"
+            )
+        object.__setattr__(self, "stokes", vector)
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class _Receiver:
+    """Place, axis and size of a receiver.
+
+    Raises
+    ------
+    ValueError
+        If radius or acceptance are out of their range, or the direction is without
+        length or along the axis to the right.
+    """
+
+    radius: float
+    """Radius of the face [m]."""
+    acceptance_angle: float
+    """Half angle from which light is received, up to pi / 2 [rad]."""
+    position: ArrayLike = _ORIGIN
+    """Centre of the face: right, down, forward [m]."""
+    direction: ArrayLike = _FORWARD
+    """Where it looks, any length."""
+
+    def __post_init__(self) -> None:
+        """Refuse what cannot be."""
+        above(self.radius, 0.0, name="radius", unit="m")
+        at_most(self.acceptance_angle, np.pi / 2, name="acceptance_angle", unit="rad")
+        place(self.position, name="position")
+        axes_of(unit_vector(self.direction, name="direction"), name="direction")
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class DiscReceiver(_Receiver):
+    """A round face that receives all light within a cone, and nothing else.
+
+    With an acceptance of pi / 2 it receives all light that falls on its front.
+    """
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class GaussianReceiver(_Receiver):
+    r"""The receiver of eq. (38) of Ricci et al. 2010, as rebuilt.
+
+    It receives the share :math:`\exp(-s^2/R^2 - \theta^2/\gamma^2)` of the light that
+    falls on it at a distance s from its centre, under an angle to its axis.
+    """
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class PlaneTarget:
+    """An endless plane that reflects by Lambert's law.
+
+    Raises
+    ------
+    ValueError
+        If the reflectance is outside of 0 to 1, the normal without length, or the
+        matrix cannot exist.
+    """
+
+    position: ArrayLike
+    """A point of it: right, down, forward [m]."""
+    normal: ArrayLike = (0.0, 0.0, -1.0)
+    """Direction out of its lit side, any length."""
+    reflectance: float
+    """Share of the light that it reflects [1]."""
+    mueller: ArrayLike | None = None
+    """Matrix over its first element, from the axis next to "right" before the
+    reflection to that after it; an ideal depolarizer if not given."""
+    matrix: NDArray[np.float64] = field(init=False, repr=False)
+    """The matrix, shape (4, 4)."""
+
+    def __post_init__(self) -> None:
+        """Refuse what cannot be."""
+        place(self.position, name="position")
+        unit_vector(self.normal, name="normal")
+        if not 0 <= self.reflectance <= 1:
+            raise ValueError(
+                f"reflectance must be from 0 to 1, got {self.reflectance!r}"
+            )
+        given = np.diag([1.0, 0, 0, 0]) if self.mueller is None else self.mueller
+        matrix = np.array(given, dtype=np.float64)
+        if matrix.shape != (4, 4) or abs(matrix[0, 0] - 1) > 1e-12:
+            raise ValueError(
+                "mueller must have the shape (4, 4) and a first element of 1; put the "
+                "reflected share into reflectance"
+            )
+        defect = float(realizability_defect(matrix))
+        if defect > REALIZABILITY_TOLERANCE:
+            raise ValueError(
+                "mueller cannot exist: its coherency matrix has an eigenvalue of "
+                f"{-defect:.3g} of its trace"
+            )
+        object.__setattr__(self, "matrix", matrix)
+
+
+Receiver = DiscReceiver | GaussianReceiver

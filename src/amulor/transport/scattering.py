@@ -1,0 +1,334 @@
+"""Single scattering as the photon transport takes it: phase function and matrix.
+
+Equation numbers are those of R. Ricci et al., EURASIP J. Adv. Signal Process. 2010,
+958360, doi:10.1155/2010/958360, as rebuilt.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from amulor.optics.depolarization import realizability_defect
+from amulor.optics.mie import Suspension
+from amulor.optics.mueller import rayleigh
+from amulor.optics.phase_function_models import rayleigh_phase
+from amulor.optics.phase_function_objects import PhaseFunction
+from amulor.transport import _angle_kernels as _cells
+
+__all__ = ["ScatteringMatrix"]
+
+#: How far the integral of a phase function may be from 1 before it is refused.
+INTEGRAL_TOLERANCE = 2e-3
+#: How far below zero the smallest eigenvalue of a coherency matrix may lie: tables
+#: are printed with three or four digits.
+REALIZABILITY_TOLERANCE = 2e-3
+
+
+@dataclass(frozen=True, eq=False)
+class ScatteringMatrix:
+    r"""What particles do to the Stokes vector of the light that they scatter.
+
+    .. math::
+
+       p(\theta) \begin{pmatrix}
+         1 & m_{12} & 0 & 0 \\ m_{12} & m_{22} & 0 & 0 \\
+         0 & 0 & m_{33} & m_{34} \\ 0 & 0 & -m_{34} & m_{44}
+       \end{pmatrix}
+
+    eqs. (63) and (66), the form of randomly oriented particles with a plane of
+    symmetry. The parallel axis lies in the scattering plane, and the convention is
+    that of `amulor.optics.stokes`.
+
+    Parameters
+    ----------
+    phase_function : PhaseFunction
+        First element, with an integral of 1 over the sphere.
+    angle : ndarray
+        Angles of the elements, rising from 0 to pi, shape (n,) [rad].
+    elements : ndarray
+        m12, m22, m33, m34 and m44 over the first element, shape (n, 5) [1]. They are
+        linear in the angle between those given.
+
+    Raises
+    ------
+    ValueError
+        If shapes or angles do not fit, or a matrix cannot exist.
+
+    Examples
+    --------
+    >>> matrix = ScatteringMatrix.rayleigh()
+    >>> print(matrix.elements_at(np.pi / 2).round(3) + 0.0)
+    [-1.  1.  0.  0.  0.]
+    """
+
+    phase_function: PhaseFunction
+    angle: NDArray[np.float64]
+    elements: NDArray[np.float64]
+
+    def __post_init__(self) -> None:
+        """Refuse what cannot be."""
+        angle = np.asarray(self.angle, dtype=np.float64)
+        elements = np.asarray(self.elements, dtype=np.float64)
+        if angle.ndim != 1 or angle.size < 2 or elements.shape != (angle.size, 5):
+            raise ValueError(
+                "elements must have the shape (number of angles, 5) with at least two "
+                f"angles, got {elements.shape} and {angle.shape}"
+            )
+        if (
+            angle[0] != 0
+            or abs(angle[-1] - np.pi) > 1e-9
+            or not np.all(np.diff(angle) > 0)
+        ):
+            raise ValueError(
+                "angle must rise from 0 to pi rad, got values from "
+                f"{angle[0]:g} to {angle[-1]:g} rad"
+            )
+        if not np.all(np.isfinite(elements)):
+            raise ValueError("elements must be finite numbers")
+        defect = realizability_defect(_full(elements))
+        worst = int(np.argmax(defect))
+        if defect[worst] > REALIZABILITY_TOLERANCE:
+            raise ValueError(
+                "a scattering matrix cannot exist: at "
+                f"{np.degrees(angle[worst]):.4g} deg the coherency matrix has an "
+                f"eigenvalue of {-defect[worst]:.3g} of its trace, which must not "
+                f"be below -{REALIZABILITY_TOLERANCE:g}"
+            )
+
+    @classmethod
+    def rayleigh(cls, *, cells: int = 3600) -> ScatteringMatrix:
+        """Return that of particles much smaller than the wavelength, eq. (64).
+
+        Parameters
+        ----------
+        cells : int
+            Number of even steps of the angle in the table, at least 16.
+
+        Returns
+        -------
+        ScatteringMatrix
+            Without depolarization.
+        """
+        angle = np.linspace(0, np.pi, cells + 1)
+        return cls(rayleigh_phase(), angle, _compact(rayleigh(angle)))
+
+    @classmethod
+    def spheres(cls, suspension: Suspension) -> ScatteringMatrix:
+        """Return that of spheres, from Mie's theory.
+
+        Parameters
+        ----------
+        suspension : Suspension
+            As `amulor.optics.mie.size_distribution` returns it.
+
+        Returns
+        -------
+        ScatteringMatrix
+            With the angles of the suspension.
+        """
+        matrix = suspension.mueller(suspension.angle)
+        return cls(suspension.phase_function, suspension.angle, _compact(matrix))
+
+    @classmethod
+    def tabulated(
+        cls, angle: ArrayLike, *, mueller: ArrayLike, phase_function: PhaseFunction
+    ) -> ScatteringMatrix:
+        """Return that of measured or computed matrices.
+
+        Parameters
+        ----------
+        angle : array_like
+            Angles that rise from 0 to pi, shape (n,) [rad].
+        mueller : array_like
+            Mueller matrices over their first element, shape (n, 4, 4) [1].
+        phase_function : PhaseFunction
+            First element.
+
+        Returns
+        -------
+        ScatteringMatrix
+            Linear in the angle between the angles given.
+
+        Raises
+        ------
+        ValueError
+            If an element that must be 0 or 1 for symmetric particles in random
+            orientation is not, or as for the class.
+        """
+        matrix = np.asarray(mueller, dtype=np.float64)
+        theta = np.asarray(angle, dtype=np.float64)
+        if matrix.shape != (*theta.shape, 4, 4):
+            raise ValueError(
+                f"mueller must have the shape {(*theta.shape, 4, 4)}, "
+                f"got {matrix.shape}"
+            )
+        elements = _compact(matrix)
+        wrong = float(np.abs(matrix - _full(elements)).max())
+        if wrong > REALIZABILITY_TOLERANCE:
+            raise ValueError(
+                "mueller must have the form of symmetric particles in random "
+                "orientation (first element 1, m21 = m12, m43 = -m34, zeros off the "
+                f"blocks), got an element that is off by {wrong:.3g}"
+            )
+        return cls(phase_function, theta, elements)
+
+    def elements_at(self, angle: ArrayLike) -> NDArray[np.float64]:
+        """Return m12, m22, m33, m34 and m44 at angles.
+
+        Parameters
+        ----------
+        angle : array_like
+            Scattering angle, 0 to pi [rad].
+
+        Returns
+        -------
+        ndarray
+            Elements over the first, shape of `angle` with a last axis (5,) [1].
+        """
+        theta = np.asarray(angle, dtype=np.float64)
+        return np.stack(
+            [np.interp(theta, self.angle, column) for column in self.elements.T],
+            axis=-1,
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class AngleCells:
+    """A phase function as cells that angles are drawn from and looked up in.
+
+    In a cell the phase function is even in solid angle with the true mean, so what
+    is drawn and what is looked up are one and the same function. A cell is 0.4 % of
+    the angle wide; towards 180 degrees 0.4 % of what is missing to it.
+    """
+
+    phase_function: PhaseFunction
+
+    @cached_property
+    def edges(self) -> NDArray[np.float64]:
+        """sin^2(angle / 2) of the edges of the cells, shape (cells + 1,) [1]."""
+        return cell_edges()
+
+    @cached_property
+    def middle(self) -> NDArray[np.float64]:
+        """Angle in the middle of the solid angle of each cell [rad]."""
+        return _angle(0.5 * (self.edges[:-1] + self.edges[1:]))
+
+    @cached_property
+    def share(self) -> NDArray[np.float64]:
+        """Share of the scattering in each cell [1].
+
+        Raises
+        ------
+        ValueError
+            If they add up to something else than 1.
+        """
+        edges = self.edges
+        angle = _angle(edges)
+        # Simpson's rule in the height; the innermost cell may hold a steep head.
+        value = np.zeros(edges.size)
+        value[1:] = self.phase_function(angle[1:])
+        mean = (value[:-1] + 4 * self.phase_function(self.middle) + value[1:]) / 6
+        share = 4 * np.pi * mean * np.diff(edges)
+        share[0] = self.phase_function.cumulative(angle[1])
+        if not np.all(np.isfinite(share)) or np.any(share < 0):
+            raise ValueError(
+                f"{self.phase_function.name} must be finite and not below zero"
+            )
+        total = float(share.sum())
+        if abs(total - 1) > INTEGRAL_TOLERANCE:
+            raise ValueError(
+                f"{self.phase_function.name} must have an integral of 1 over the "
+                f"sphere, got {total:.6g}; divide it by that"
+            )
+        result: NDArray[np.float64] = share / total
+        return result
+
+    @cached_property
+    def value(self) -> NDArray[np.float64]:
+        """Phase function in each cell [1/sr]."""
+        result: NDArray[np.float64] = self.share / (4 * np.pi * np.diff(self.edges))
+        return result
+
+    @cached_property
+    def urn(self) -> NDArray[np.float64]:
+        """What an angle is drawn from, shape (cells, 8), a row for each cell.
+
+        A row holds a threshold, and lower end, width and number first of its own
+        cell, then of the partner.
+        """
+        threshold, partner = alias_table(self.share)
+        low, width = self.edges[:-1], np.diff(self.edges)
+        own = np.arange(low.size)
+        columns = [threshold, low, width, own, low[partner], width[partner], partner]
+        return np.stack([*columns, np.zeros(low.size)], axis=-1)
+
+
+def cell_edges() -> NDArray[np.float64]:
+    """Return sin^2(angle / 2) of the edges of the cells, from 0 to 1."""
+    step = np.arange(_cells.PER_OCTAVE) / _cells.PER_OCTAVE
+
+    def octaves(number: int) -> NDArray[np.float64]:
+        low = 0.5 ** np.arange(number + 1, 1, -1)
+        return np.concatenate([[0.0], (low[:, np.newaxis] * (1 + step)).ravel()])
+
+    forward = octaves(_cells.FORWARD_OCTAVES)
+    backward = 1 - octaves(_cells.BACKWARD_OCTAVES)[::-1]
+    return np.concatenate([forward, [0.5], backward])
+
+
+def alias_table(
+    share: NDArray[np.float64],
+) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+    """Return thresholds and partners that draw cells by their shares.
+
+    A. J. Walker, ACM Trans. Math. Softw. 3, 253 (1977), in the form of M. D. Vose,
+    IEEE Trans. Softw. Eng. 17, 972 (1991).
+    """
+    size = share.size
+    scaled = share * size / share.sum()
+    threshold, partner = np.ones(size), np.arange(size)
+    small = [int(k) for k in np.flatnonzero(scaled < 1)]
+    large = [int(k) for k in np.flatnonzero(scaled >= 1)]
+    while small and large:
+        low, high = small.pop(), large[-1]
+        threshold[low], partner[low] = scaled[low], high
+        scaled[high] -= 1 - scaled[low]
+        if scaled[high] < 1:
+            small.append(large.pop())
+    return threshold, partner
+
+
+def _angle(height: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the angle of sin^2(angle / 2)."""
+    result: NDArray[np.float64] = 2 * np.arctan2(np.sqrt(height), np.sqrt(1 - height))
+    return result
+
+
+def _compact(mueller: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return m12, m22, m33, m34 and m44 of full matrices."""
+    return np.stack(
+        [
+            mueller[..., 0, 1],
+            mueller[..., 1, 1],
+            mueller[..., 2, 2],
+            mueller[..., 2, 3],
+            mueller[..., 3, 3],
+        ],
+        axis=-1,
+    )
+
+
+def _full(elements: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return full matrices of m12, m22, m33, m34 and m44."""
+    matrix = np.zeros((*elements.shape[:-1], 4, 4))
+    matrix[..., 0, 0] = 1
+    matrix[..., 0, 1] = matrix[..., 1, 0] = elements[..., 0]
+    matrix[..., 1, 1] = elements[..., 1]
+    matrix[..., 2, 2] = elements[..., 2]
+    matrix[..., 2, 3], matrix[..., 3, 2] = elements[..., 3], -elements[..., 3]
+    matrix[..., 3, 3] = elements[..., 4]
+    return matrix

@@ -1,0 +1,203 @@
+"""Light through plane layers that are lit all over: the classical benchmark."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from amulor.transport import _slab_kernels
+from amulor.transport._batches import Batch
+from amulor.transport._conduct import (
+    Limits,
+    Progress,
+    checked_seed,
+    conduct,
+    frequencies,
+)
+from amulor.transport._problem import water_tables
+from amulor.transport._record import Record, random_state
+from amulor.transport.medium import Medium
+from amulor.transport.receiver import Source
+from amulor.transport.tally import Tally
+
+__all__ = ["reflection_and_transmission"]
+
+_BATCHES, _LARGEST_BATCH = 128, 1 << 19
+
+Array = NDArray[np.float64]
+
+
+def reflection_and_transmission(
+    medium: Medium,
+    modulation_frequency: ArrayLike,
+    *,
+    histories: int,
+    seed: int,
+    incidence: float = 0.0,
+    polarization: str | ArrayLike = "none",
+    outward: ArrayLike | None = None,
+    threads: int | None = None,
+    progress: Callable[[Progress], None] | None = None,
+) -> Tally:
+    r"""Return what of the light on plane layers comes back and gets through.
+
+    Parameters
+    ----------
+    medium : Medium
+        Layers with a finite top.
+    modulation_frequency : array_like
+        Frequencies of the modulation, not below zero, shape (n,) [Hz].
+    histories : int
+        Number of photons.
+    seed : int
+        Seed of the random numbers, not below zero.
+    incidence : float
+        Angle of the light to the forward axis, 0 to below pi / 2; it comes in the
+        plane of the axes forward and right, on its way to the right [rad].
+    polarization : str or array_like
+        State or Stokes vector of the light, parallel to that plane.
+    outward : array_like, optional
+        Directions in which the radiant intensity is asked for, as pairs of polar
+        angle to the forward axis, not pi / 2, and azimuth from the right, shape
+        (m, 2) [rad].
+    threads : int, optional
+        Batches at work at once.
+    progress : callable, optional
+        Called with a `Progress` after each batch.
+
+    Returns
+    -------
+    Tally
+        Parts "reflected" and "transmitted" (with unscattered light), per light that
+        falls in, and "direction 1" to "direction m", radiant intensity of scattered
+        light per light that falls in [1/sr]. Stokes vectors refer to the plane of the
+        direction and the forward axis.
+
+    Raises
+    ------
+    ValueError
+        If an argument is out of its range.
+
+    Notes
+    -----
+    Photons are followed until they are absorbed or leave. A direction gets a local
+    estimate at each scattering: the phase function times the transmission on the
+    straight way out.
+
+    Examples
+    --------
+    >>> from amulor.optics.phase_function_models import isotropic
+    >>> from amulor.transport import Layer
+    >>> water = Layer(
+    ...     absorption=0.1, scattering=0.9, phase_function=isotropic(), thickness=2.0
+    ... )
+    >>> tally = reflection_and_transmission(
+    ...     Medium.layered([water], group_index=1.38), [0.0], histories=20_000, seed=1
+    ... )
+    >>> print(f"{tally.part('reflected')[0][0, 0].real:.2f}")
+    0.35
+    """
+    if math.isinf(medium.edges[0]):
+        raise ValueError("medium must have a finite top [m]: use Medium.layered")
+    if not 0 <= incidence < math.pi / 2:
+        raise ValueError(
+            f"incidence must be from 0 to below pi / 2 rad, got {incidence!r} rad"
+        )
+    stokes = Source(polarization=polarization).stokes
+    if not medium.polarized and np.any(stokes[1:] != 0):
+        raise ValueError(
+            "polarized light needs a medium with a ScatteringMatrix, got one with a "
+            "phase function only"
+        )
+    ways = np.zeros((0, 2)) if outward is None else np.array(outward, dtype=np.float64)
+    if ways.ndim != 2 or ways.shape[1] != 2:
+        raise ValueError(
+            "outward must be pairs of polar angle and azimuth, shape (m, 2), got "
+            f"the shape {ways.shape}"
+        )
+    polar = ways[:, 0]
+    if not np.all((polar >= 0) & (polar <= np.pi) & (np.abs(np.cos(polar)) > 1e-6)):
+        raise ValueError("polar angles must be from 0 to pi rad, pi / 2 left out")
+    limits = Limits(histories, None, None, threads, progress)
+    direction = np.array([math.sin(incidence), 0.0, math.cos(incidence)])
+    run = _Run(
+        medium,
+        water_tables(medium.layers, np.array(medium.edges)),
+        frequencies(modulation_frequency),
+        checked_seed(seed),
+        min(math.ceil(histories / _BATCHES), _LARGEST_BATCH),
+        direction,
+        stokes,
+        _axes(ways),
+    )
+    return conduct(run, run.frame(), limits)
+
+
+@dataclass(frozen=True)
+class _Run:
+    """One batch after the other, each from its own random numbers."""
+
+    medium: Medium
+    water: tuple[Any, ...]
+    frequency: Array
+    seed: int
+    size: int
+    incidence: Array
+    stokes: Array
+    outward: Array
+
+    def frame(self) -> Tally:
+        """Return a tally without batches."""
+        ways = [f"direction {k + 1}" for k in range(len(self.outward))]
+        parts = ("reflected", "transmitted", *ways)
+        components = 4 if self.medium.polarized else 1
+        return Tally(
+            modulation_frequency=self.frequency,
+            parts=parts,
+            batches=np.empty((0, len(parts), components, self.frequency.size), complex),
+            histories_of=np.empty(0, dtype=np.int64),
+            groups=0,
+            contribution=(0.0, 0.0, 0.0),
+            seed=self.seed,
+            next_batch=0,
+            batch_size=self.size,
+            problem="",
+            seconds=0.0,
+        )
+
+    def __call__(self, number: int) -> Batch:
+        """Return a batch."""
+        frame = self.frame()
+        record = Record.empty(
+            self.water[1], self.medium.group_index, self.frequency, frame
+        )
+        _slab_kernels.run_slab(
+            random_state(self.seed, number),
+            self.size,
+            self.incidence,
+            self.stokes,
+            self.water,
+            frame.polarized,
+            self.outward,
+            record.arrays(0),
+        )
+        return record.batch(number, self.size, self.size, np.zeros(0), keep=False)
+
+
+def _axes(outward: Array) -> Array:
+    """Return directions and, towards larger polar angles, parallel axes: (m, 6)."""
+    polar, azimuth = outward.T
+    columns = [
+        np.sin(polar) * np.cos(azimuth),
+        np.sin(polar) * np.sin(azimuth),
+        np.cos(polar),
+        np.cos(polar) * np.cos(azimuth),
+        np.cos(polar) * np.sin(azimuth),
+        -np.sin(polar),
+    ]
+    return np.ascontiguousarray(np.stack(columns, axis=-1))

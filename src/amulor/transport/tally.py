@@ -1,0 +1,357 @@
+"""What a transport run has found: signals, and how sure they are."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from amulor.optics import stokes as _stokes
+
+__all__ = ["PathRecord", "Tally"]
+
+#: Batches are merged in pairs when there are that many, so memory stays flat.
+MOST_BATCHES = 256
+
+Complex = NDArray[np.complex128]
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class PathRecord:
+    """Received light by the length of its path, for other frequencies later."""
+
+    length: Array
+    """Middle of each bin of path length, shape (bins,) [m]."""
+    water: Array
+    """Mean light in each bin that met water only, shape (bins, components) [1]."""
+    target: Array
+    """Mean light in each bin that met the target [1]."""
+    beyond: float
+    """Share of the light with longer paths, which is not in the record [1]."""
+
+
+@dataclass(frozen=True, eq=False)
+class Tally:
+    r"""Received light of a transport run, per launched light.
+
+    The signal is complex, in_phase + 1j quadrature, with a later echo at a larger
+    phase. Errors are found from the scatter of batches of histories that are
+    independent of each other.
+    """
+
+    modulation_frequency: Array
+    """Frequencies, shape (n,) [Hz]."""
+    parts: tuple[str, ...]
+    """Names of the parts of the light: water by number of scatterings, target without
+    and with scattering in the water."""
+    batches: Complex
+    """Mean of each batch, shape (batches, parts, components, n); the components are I,
+    or I, Q, U and V [1]."""
+    histories_of: NDArray[np.int64]
+    """Histories in each batch."""
+    groups: int
+    """Groups of histories that share their paths; each counts as one contribution."""
+    contribution: tuple[float, float, float]
+    """Sum, sum of squares and largest of the contributions at zero frequency."""
+    seed: int
+    """Seed of the random numbers."""
+    next_batch: int
+    """Number of the first batch that was not run, for a run that goes on."""
+    batch_size: int
+    """Histories in a batch as it is run."""
+    problem: str
+    """Digest of the problem, so that only like is merged with like."""
+    seconds: float
+    """Time the run took [s]."""
+    interrupted: bool = False
+    """Whether the run was stopped before it had all of its histories."""
+    record: PathRecord | None = None
+    """Record of path lengths, if it was asked for."""
+
+    @property
+    def histories(self) -> int:
+        """Number of histories."""
+        return int(self.histories_of.sum())
+
+    @property
+    def polarized(self) -> bool:
+        """Whether there are Stokes vectors."""
+        return bool(self.batches.shape[2] == 4)
+
+    def _select(self, which: str) -> Complex:
+        """Return batches of a kind of light, shape (batches, components, n)."""
+        target = np.array([name.startswith("target") for name in self.parts])
+        chosen = {"all": np.ones_like(target), "water": ~target, "target": target}
+        summed: Complex = self.batches[:, chosen[which]].sum(axis=1)
+        return summed
+
+    def _mean(self, values: Complex) -> Complex:
+        """Return the mean over batches, each with its weight."""
+        weight = self.histories_of / self.histories
+        mean: Complex = np.tensordot(weight, values, axes=1)
+        return mean
+
+    @property
+    def stokes(self) -> Complex:
+        """Received Stokes vector at each frequency, shape (n, components) [1]."""
+        stokes: Complex = self._mean(self._select("all")).T
+        return stokes
+
+    @property
+    def signal(self) -> Complex:
+        """Received light, shape (n,) [1]."""
+        signal: Complex = self._mean(self._select("all"))[0]
+        return signal
+
+    @property
+    def water_signal(self) -> Complex:
+        """Light that met water only, shape (n,) [1]."""
+        signal: Complex = self._mean(self._select("water"))[0]
+        return signal
+
+    @property
+    def target_signal(self) -> Complex:
+        """Light that met the target, shape (n,) [1]."""
+        signal: Complex = self._mean(self._select("target"))[0]
+        return signal
+
+    def part(self, name: str) -> tuple[Complex, Array]:
+        """Return the Stokes vector of one part of the light, and its covariance.
+
+        Parameters
+        ----------
+        name : str
+            One of `parts`.
+
+        Returns
+        -------
+        stokes : ndarray
+            I, or I, Q, U and V, shape (components, n) [1].
+        covariance : ndarray
+            Of real and imaginary part, shape (components, n, 2, 2) [1].
+
+        Raises
+        ------
+        ValueError
+            If there is no such part.
+        """
+        if name not in self.parts:
+            known = ", ".join(repr(part) for part in self.parts)
+            raise ValueError(f"the parts are {known}; got {name!r}")
+        values = self.batches[:, self.parts.index(name)]
+        return self._mean(values), self.covariance_of(values)
+
+    @property
+    def by_part(self) -> dict[str, Complex]:
+        """Light of each part, shape (n,) [1]."""
+        mean = self._mean(self.batches)
+        return {name: mean[k, 0] for k, name in enumerate(self.parts)}
+
+    @property
+    def covariance(self) -> Array:
+        """Covariance of real and imaginary part of `signal`, shape (n, 2, 2) [1]."""
+        return self.covariance_of(self._select("all")[:, 0])
+
+    @property
+    def water_covariance(self) -> Array:
+        """Covariance of real and imaginary part of `water_signal` [1]."""
+        return self.covariance_of(self._select("water")[:, 0])
+
+    @property
+    def target_covariance(self) -> Array:
+        """Covariance of real and imaginary part of `target_signal` [1]."""
+        return self.covariance_of(self._select("target")[:, 0])
+
+    @property
+    def frequency_covariance(self) -> Array:
+        """Covariance of real and imaginary parts of all frequencies of `signal`.
+
+        Shape (2 n, 2 n), all real parts first [1]. All frequencies share the same
+        paths, so their errors belong together.
+        """
+        values = self._select("all")[:, 0]
+        return self._scatter(np.concatenate([values.real, values.imag], axis=1))
+
+    def covariance_of(self, values: ArrayLike) -> Array:
+        """Return the covariance of the mean of something known for each batch.
+
+        Parameters
+        ----------
+        values : array_like
+            Complex values, shape (batches, ...).
+
+        Returns
+        -------
+        ndarray
+            Covariance of real and imaginary part, shape (..., 2, 2).
+
+        Raises
+        ------
+        ValueError
+            If there are fewer than two batches.
+        """
+        batches = np.asarray(values, dtype=np.complex128)
+        pair = np.stack([batches.real, batches.imag], axis=-1)
+        weight = self._weight()
+        centred = pair - np.tensordot(self.histories_of / self.histories, pair, axes=1)
+        result: Array = np.einsum("b,b...i,b...j->...ij", weight, centred, centred)
+        return result
+
+    def _weight(self) -> Array:
+        """Return what the square of a batch's deviation counts in the variance."""
+        number = self.histories_of.size
+        if number < 2:
+            raise ValueError("an error needs at least two batches, got one")
+        share = self.histories_of / self.histories
+        result: Array = share**2 * number / (number - 1)
+        return result
+
+    def _scatter(self, values: Array) -> Array:
+        """Return the covariance of the mean of real vectors, shape (batches, m)."""
+        share = self.histories_of / self.histories
+        centred = values - share @ values
+        result: Array = (centred * self._weight()[:, np.newaxis]).T @ centred
+        return result
+
+    def detected(self, analyser: str) -> tuple[Complex, Array]:
+        """Return the light that an ideal analyser lets pass, and its covariance.
+
+        Parameters
+        ----------
+        analyser : str
+            Name of a state of `amulor.optics.stokes.state`. The parallel axis is that
+            to the right of the receiver.
+
+        Returns
+        -------
+        signal : ndarray
+            Light behind the analyser, shape (n,) [1].
+        covariance : ndarray
+            Of its real and imaginary part, shape (n, 2, 2) [1].
+
+        Raises
+        ------
+        ValueError
+            If the run carried no Stokes vectors, or there is no such state.
+        """
+        if not self.polarized:
+            raise ValueError(
+                "an analyser needs Stokes vectors; give the medium a ScatteringMatrix"
+            )
+        vector = 0.5 * _stokes.state(analyser)
+        if analyser == "none":
+            vector = vector * 2
+        values = np.einsum("k,bkn->bn", vector, self._select("all"))
+        return self._mean(values), self.covariance_of(values)
+
+    @property
+    def relative_error(self) -> Array:
+        """Standard error over the signal's modulus at each frequency, (n,) [1].
+
+        Root of the sum of the variances of real and imaginary part; infinite where
+        no light has come.
+        """
+        modulus = np.abs(self.signal)
+        error = np.sqrt(np.trace(self.covariance, axis1=-2, axis2=-1))
+        return _over(error, modulus)
+
+    @property
+    def amplitude_uncertainty(self) -> Array:
+        """Standard error of the modulus of `signal`, shape (n,) [1]."""
+        return _along(self.signal, self.covariance, turn=1.0)
+
+    @property
+    def phase_uncertainty(self) -> Array:
+        """Standard error of the phase of `signal`, shape (n,) [rad]."""
+        modulus = np.abs(self.signal)
+        across = _along(self.signal, self.covariance, turn=1.0j)
+        return _over(across, modulus)
+
+    @property
+    def effective_contributions(self) -> float:
+        """Number of equal contributions that would scatter as these do [1]."""
+        total, square, _ = self.contribution
+        return total**2 / square if square > 0 else 0.0
+
+    @property
+    def largest_share(self) -> float:
+        """Share of the light that one group of histories brought [1]."""
+        total, _, largest = self.contribution
+        return largest / total if total > 0 else 0.0
+
+    @property
+    def heavy_tailed(self) -> bool:
+        """Whether one group alone moved the mean by more than a standard error.
+
+        Then the stated errors are likely too small.
+        """
+        if self.histories_of.size < 2:
+            return True
+        total, square, largest = self.contribution
+        spread = max(square - total**2 / self.groups, 0.0)
+        return largest > math.sqrt(spread) if spread > 0 else False
+
+    def merged(self, other: Tally) -> Tally:
+        """Return the two runs as one.
+
+        Parameters
+        ----------
+        other : Tally
+            A run of the same problem at the same frequencies with another seed.
+
+        Returns
+        -------
+        Tally
+            All batches of both; it cannot go on.
+
+        Raises
+        ------
+        ValueError
+            If the problems, frequencies or parts differ, or the seeds do not.
+        """
+        if self.problem != other.problem or self.parts != other.parts:
+            raise ValueError("only runs of the same problem can be merged")
+        if not np.array_equal(self.modulation_frequency, other.modulation_frequency):
+            raise ValueError("only runs at the same frequencies can be merged")
+        if self.seed == other.seed:
+            raise ValueError(
+                f"both runs have the seed {self.seed}, so they are not independent"
+            )
+        mine, theirs = self.contribution, other.contribution
+        return replace(
+            self,
+            batches=np.concatenate([self.batches, other.batches]),
+            histories_of=np.concatenate([self.histories_of, other.histories_of]),
+            groups=self.groups + other.groups,
+            contribution=(
+                mine[0] + theirs[0],
+                mine[1] + theirs[1],
+                max(mine[2], theirs[2]),
+            ),
+            seconds=self.seconds + other.seconds,
+            next_batch=-1,
+            record=None,
+        )
+
+
+def _over(error: Array, modulus: Array) -> Array:
+    """Return an error over a modulus, infinite where no light has come."""
+    lit = modulus > 0
+    result: Array = np.full(error.shape, math.inf)
+    np.divide(error, modulus, out=result, where=lit)
+    return result
+
+
+def _along(signal: Complex, covariance: Array, *, turn: complex) -> Array:
+    """Return the standard error of the part of a signal along its own direction."""
+    modulus = np.abs(signal)
+    unit = (
+        np.divide(signal, modulus, out=np.ones_like(signal), where=modulus > 0) * turn
+    )
+    vector = np.stack([unit.real, unit.imag], axis=-1)
+    variance = np.einsum("...i,...ij,...j->...", vector, covariance, vector)
+    result: Array = np.sqrt(np.maximum(variance, 0.0))
+    return result
