@@ -21,7 +21,7 @@ from scipy.special import j0
 STEP = 0.04  # of the table of the transform, times the split angle
 
 
-def _gauss(edges, count):
+def gauss(edges, count):
     """Return nodes and weights of a Gauss rule in each panel, as flat arrays."""
     node, weight = np.polynomial.legendre.leggauss(count)
     half = np.diff(edges)[:, None] / 2
@@ -36,7 +36,7 @@ def transform(phase_function, split_angle, wavenumber):
     highest = float(np.max(wavenumber))
     even = np.linspace(0, split_angle, 4 + int(highest * split_angle / 12))
     edges = np.unique(np.append(even, np.geomspace(1e-7, split_angle, 40)[:-1]))
-    theta, weight = _gauss(edges, 14)
+    theta, weight = gauss(edges, 14)
     weight = weight * 2 * np.pi * np.sin(theta) * phase_function(theta)
     fraction = weight.sum()
     chunks = np.array_split(wavenumber, 1 + wavenumber.size * theta.size // 4_000_000)
@@ -44,7 +44,7 @@ def transform(phase_function, split_angle, wavenumber):
     return fraction, np.concatenate(sums) / fraction
 
 
-def _integrated(phase_function, split_angle, highest):
+def integrated_transform(phase_function, split_angle, highest):
     """Return the forward fraction and P(x), the integral of the transform to x."""
     step = STEP / split_angle
     count = math.ceil(highest / step) + 2
@@ -74,7 +74,7 @@ def overlap(depth, integrated, *, fraction, **column):
     highest = 11.5 / narrow
     turn = highest * (offset.max() + z.max())
     count = 12 + int(turn / 4)
-    node, weight = _gauss(np.linspace(0, 1, count + 1), 12)
+    node, weight = gauss(np.linspace(0, 1, count + 1), 12)
     kappa, weight = highest * node**2, highest * 2 * node * weight
     forward = column["scattering"] * fraction
     loss = 2 * (column["absorption"] + column["scattering"])
@@ -87,7 +87,7 @@ def overlap(depth, integrated, *, fraction, **column):
 def water_response(frequencies, *, phase_function, split_angle, end=math.inf, **column):
     """Return the response for one column and backscatter_vsf 1."""
     radius, angle = column["receiver_radius"], column["acceptance_angle"]
-    fraction, integrated = _integrated(phase_function, split_angle, 12 / angle)
+    fraction, integrated = integrated_transform(phase_function, split_angle, 12 / angle)
     reduced = column["absorption"] + column["scattering"] * (1 - fraction)
     stop = min(end, 11 / reduced)
     fine = np.geomspace(2e-3, stop, 5 + int(7 * math.log2(stop / 2e-3)))
@@ -96,7 +96,7 @@ def water_response(frequencies, *, phase_function, split_angle, end=math.inf, **
     wavenumber = 4 * np.pi * np.asarray(frequencies) * column["group_index"]
     result = np.zeros(len(wavenumber), dtype=complex)
     for low, high in pairwise(edges):
-        z, weight = _gauss(np.array([low, high]), 12)
+        z, weight = gauss(np.array([low, high]), 12)
         value = weight * overlap(z, integrated, fraction=fraction, **column)
         result += np.exp(1j * np.multiply.outer(wavenumber / speed_of_light, z)) @ value
     return math.pi * (radius * angle) ** 2 * result

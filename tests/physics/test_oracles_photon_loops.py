@@ -1,20 +1,16 @@
 """The plain photon loops against tables, the deterministic solver and each other."""
 
-import importlib
 from pathlib import Path
 
 import numpy as np
+import plain_photon_loops as loops
+import plane_parallel
+import plane_parallel_vector as vector
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 from scipy.constants import speed_of_light
 
 TESTS = Path(__file__).parents[1]
-
-with pytest.MonkeyPatch.context() as patch:
-    patch.syspath_prepend(str(TESTS / "oracles"))
-    plane_parallel = importlib.import_module("plane_parallel")
-    vector = importlib.import_module("plane_parallel_vector")
-    loops = importlib.import_module("plain_photon_loops")
 
 ELLIPTICAL = (1.0, 0.48, 0.36, 0.8)
 EVERYWHERE = {"radius": 1e6, "centre": 0.0, "acceptance": np.pi / 2}

@@ -1,9 +1,10 @@
 """The deterministic solver of slabs and half-spaces against tables and exact forms."""
 
-import importlib
 from pathlib import Path
 
 import numpy as np
+import plane_parallel
+import plane_parallel_vector as vector
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -12,11 +13,6 @@ from numpy.testing import assert_allclose
 TESTS = Path(__file__).parents[1]
 NATURAL = [1.0, 0.0, 0.0, 0.0]
 COSINE = st.floats(0.05, 1.0)
-
-with pytest.MonkeyPatch.context() as patch:
-    patch.syspath_prepend(str(TESTS / "oracles"))
-    plane_parallel = importlib.import_module("plane_parallel")
-    vector = importlib.import_module("plane_parallel_vector")
 
 
 def table(name):

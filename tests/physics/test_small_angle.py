@@ -1,12 +1,11 @@
 """Small-angle form against plain quadrature, closed limits and the diffusion form."""
 
-import importlib.util
 from functools import partial
 from itertools import pairwise
-from pathlib import Path
 
 import numpy as np
 import pytest
+import water_response_2d as oracle
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose
@@ -21,19 +20,9 @@ from amulor.optics.phase_functions import (
     henyey_greenstein_forward_fraction,
 )
 
-TESTS = Path(__file__).parents[1]
 FREQUENCIES = np.array([0.0, 5e6, 40e6, 150e6, 500e6])
 INSTRUMENT = {"baseline": 0.2, "receiver_radius": 0.02, "acceptance_angle": 0.08}
 PEAKED = partial(henyey_greenstein, asymmetry=0.97)
-
-
-def load_oracle():
-    """Return the module with the plain quadrature."""
-    path = TESTS / "oracles" / "water_response_2d.py"
-    spec = importlib.util.spec_from_file_location("water_response_2d", path)
-    oracle = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(oracle)
-    return oracle
 
 
 def gaussians(*terms):
@@ -100,16 +89,15 @@ def drawn_columns():
 @pytest.mark.parametrize("number", range(8))
 def test_response_agrees_with_plain_quadrature(number):
     column = drawn_columns()[number]
-    expected = load_oracle().water_response(FREQUENCIES, **column)
+    expected = oracle.water_response(FREQUENCIES, **column)
     found = small_angle.water_response(FREQUENCIES, **column, backscatter_vsf=1.0)
     # The promise of the docstring, for losses, fields and ends of all sizes.
     assert_allclose(found, expected, rtol=0, atol=1e-7 * expected[0].real)
 
 
 def test_overlap_agrees_with_plain_quadrature():
-    oracle = load_oracle()
     column = {"absorption": 0.1, "scattering": 0.6, **INSTRUMENT}
-    fraction, integrated = oracle._integrated(PEAKED, np.pi / 2, 200.0)
+    fraction, integrated = oracle.integrated_transform(PEAKED, np.pi / 2, 200.0)
     depth = np.array([1.0, 2.0, 4.0])
     expected = [
         oracle.overlap(np.array([z]), integrated, fraction=fraction, **column)[0]
@@ -217,9 +205,8 @@ def test_first_order_in_scattering_is_single_scattering():
     depth, b = 2.0, 1e-4
     area = 0.02**2 + (0.08 * depth) ** 2
     share = float(henyey_greenstein_forward_fraction(asymmetry=0.97, split_angle=split))
-    oracle = load_oracle()
-    kappa, weight = oracle._gauss(np.linspace(0, 12 / np.sqrt(area), 40), 12)
-    s, step = oracle._gauss(np.linspace(0, depth, 30), 8)
+    kappa, weight = oracle.gauss(np.linspace(0, 12 / np.sqrt(area), 40), 12)
+    s, step = oracle.gauss(np.linspace(0, depth, 30), 8)
     products = np.multiply.outer(kappa, s)
     _, value = oracle.transform(PEAKED, split, products.ravel())
     mean = value.reshape(products.shape) @ step

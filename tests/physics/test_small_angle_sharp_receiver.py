@@ -1,12 +1,12 @@
 """Sharp receiver in small-angle form: plain quadrature, closed limits, invariances."""
 
-import importlib.util
 from functools import cache, partial
 from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
 import pytest
+import sharp_receiver_2d as oracle
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose
@@ -42,23 +42,13 @@ PHASE_FUNCTIONS = {
 
 
 @cache
-def oracle():
-    """Return the module with the plain quadrature."""
-    path = TESTS / "oracles" / "sharp_receiver_2d.py"
-    spec = importlib.util.spec_from_file_location("sharp_receiver_2d", path)
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
-
-
-@cache
 def mean_transform(name):
     """Return what the plain quadrature needs of a phase function."""
     kinks = ()
     if name == "Petzold":
         table = Path(small_angle.__file__).parent / "data" / "petzold_1972_vsf.csv"
         kinks = tuple(np.radians(np.loadtxt(table, delimiter=",")[:, 0]))
-    return oracle().mean_transform(PHASE_FUNCTIONS[name], SPLIT, kinks=kinks)
+    return oracle.mean_transform(PHASE_FUNCTIONS[name], SPLIT, kinks=kinks)
 
 
 def overlap(depth, phase_function=PEAKED, **column):
@@ -135,7 +125,7 @@ COLUMNS = [
 
 @pytest.mark.parametrize(("name", "column"), COLUMNS)
 def test_response_agrees_with_plain_quadrature(name, column):
-    expected = oracle().water_response(
+    expected = oracle.water_response(
         FREQUENCIES, *mean_transform(name), SPLIT, group_index=1.34, **column
     )
     found = response(FREQUENCIES, PHASE_FUNCTIONS[name], **column)
@@ -155,9 +145,8 @@ def test_overlap_agrees_with_plain_quadrature(name, radius, acceptance, baseline
         "receiver_radius": radius,
         "acceptance_angle": acceptance,
     }
-    plain = oracle()
     for depth in (1.0, 5.0):
-        expected = plain.unscattered(depth, column) + plain.collected(
+        expected = oracle.unscattered(depth, column) + oracle.collected(
             depth, column, *mean_transform(name), SPLIT, turns=2e4, last=1e3
         )
         found = overlap(depth, PHASE_FUNCTIONS[name], **column)
@@ -193,15 +182,14 @@ def test_coaxial_receiver_in_clear_water_is_an_exponential_integral():
 @pytest.mark.parametrize("tilt", [0.0, 0.06])
 def test_without_scattering_it_is_the_integral_of_shared_areas(tilt):
     column = CLEAR | INSTRUMENT | {"tilt": tilt}
-    plain = oracle()
-    cuts = sorted(plain.edges_of_view(column, 30.0))
+    cuts = sorted(oracle.edges_of_view(column, 30.0))
     edges = [0.1 * min(cuts), *cuts, 3.0, 30.0]
     wave = 4 * np.pi * FREQUENCIES * 1.34 / speed_of_light
     expected = [
         sum(
             quad(
                 lambda z, wheel=wheel, rate=rate: (
-                    wheel(rate * z) * plain.unscattered(z, column)
+                    wheel(rate * z) * oracle.unscattered(z, column)
                 ),
                 low,
                 high,
@@ -271,22 +259,21 @@ def test_first_order_in_scattering_is_single_scattering_in_real_space():
     # the split, so in polar coordinates about the beam it needs no transform.
     depth, b = 2.0, 1e-5
     baseline, radius, seen = 0.12, 0.03, 0.05
-    plain = oracle()
     lowest = 1e-9
-    theta, weight = plain.gauss(np.geomspace(lowest, SPLIT, 400), 10)
+    theta, weight = oracle.gauss(np.geomspace(lowest, SPLIT, 400), 10)
     density = weight * PEAKED(theta) * np.sin(theta) / theta
     beyond = np.cumsum(density[::-1])[::-1]
     # All distances at which the ring is tangent to the edges of the shared area.
     near, far = seen - radius, seen + radius
     cuts = [lowest, *(abs(baseline + s * d) for s in (-1, 1) for d in (near, far)), 2.0]
-    rho, step = plain.gauss(np.unique(np.append(cuts, np.geomspace(1e-6, 2, 80))), 10)
+    rho, step = oracle.gauss(np.unique(np.append(cuts, np.geomspace(1e-6, 2, 80))), 10)
     starts = np.interp(np.log(rho / depth), np.log(theta), beyond - density / 2)
-    turn, arc = plain.gauss(np.linspace(0, np.pi, 200), 10)
+    turn, arc = oracle.gauss(np.linspace(0, np.pi, 200), 10)
     distance = np.sqrt(
         rho[:, None] ** 2 + baseline**2 - 2 * baseline * rho[:, None] * np.cos(turn)
     )
     grid = np.linspace(near, far, 4001)
-    areas = [plain.lens(d, radius, seen) for d in grid]
+    areas = [oracle.lens(d, radius, seen) for d in grid]
     shared = 2 * np.interp(distance, grid, areas, right=0.0) @ arc
     once = 2 * b * np.sum(step * starts * shared) / depth**2
     found = overlap(
@@ -315,7 +302,7 @@ def test_wide_beam_is_a_bundle_of_thin_ones(scattering):
         cut + s * 0.01 * 2.0**-k for cut in stops for s in (-1, 1) for k in range(9)
     ]
     edges = np.unique([0.0, *stops, *(x for x in graded if 0 < x < 0.09)])
-    rho, weight = oracle().gauss(edges, 10)
+    rho, weight = oracle.gauss(edges, 10)
     thin = overlap(depth, **column, baseline=rho)
     share = 2 * rho / width**2 * np.exp(-((rho / width) ** 2))
     found = overlap(depth, **column, baseline=0.0, beam_radius=width)
@@ -345,7 +332,7 @@ def test_transform_that_falls_slowly_is_followed_to_its_end():
         "acceptance_angle": 0.03,
     }
     for depth in (0.5, 3.0):
-        expected = oracle().unscattered(depth, column) + oracle().collected(
+        expected = oracle.unscattered(depth, column) + oracle.collected(
             depth, column, share, mean, SPLIT, turns=3e4, last=1e3
         )
         found = overlap(depth, Slow(), **column)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import numpy as np
 import plain_photon_loops
 import pytest
@@ -73,7 +75,7 @@ def single_scattering(phase_function, attenuation, scattering):
             start = off / np.tan(np.radians(2))
             # Depths from start to 30 attenuation lengths on, in logarithms.
             edges = np.geomspace(start, start + 30 / attenuation, 9)
-            for low, high in zip(edges[:-1], edges[1:], strict=True):
+            for low, high in pairwise(edges):
                 z = 0.5 * (low + high) + 0.5 * (high - low) * node
                 way = np.hypot(z, off)
                 theta = np.pi - np.arctan2(off, z)
@@ -336,8 +338,8 @@ def test_polarized_reciprocity():
     # Launched a, analysed b equals launched b', analysed a' with the places swapped,
     # where linear states keep their name and right and left change places.
     medium = water(0.3, 0.7, ScatteringMatrix.rayleigh())
-    shape = dict(radius=0.03, acceptance_angle=0.1, position=(0.15, 0, 0))
-    source = dict(radius=0.03, divergence=0.1)
+    shape = {"radius": 0.03, "acceptance_angle": 0.1, "position": (0.15, 0, 0)}
+    source = {"radius": 0.03, "divergence": 0.1}
     for (launched, analysed), (back_launched, back_analysed) in (
         (("H", "V"), ("V", "H")),
         (("R", "H"), ("H", "L")),

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import contextlib
 import importlib
 import importlib.util
-import io
 import re
 from pathlib import Path
 from types import ModuleType
@@ -24,44 +22,51 @@ FENCE = re.compile(r"^```(\w*)\n(.*?)^```$", flags=re.DOTALL | re.MULTILINE)
 MATH = re.compile(r"^\$\$\n(.*?)^\$\$$|\$([^$\n]+)\$", flags=re.DOTALL | re.MULTILINE)
 
 
-def _run(name: str) -> tuple[dict[str, Any], list[tuple[str, str]]]:
-    """Return the names that a page defines, and (printed here, printed there)."""
-    namespace: dict[str, Any] = {}
-    pairs = []
-    blocks = FENCE.findall(TEXTS[name])
-    for (language, code), (following, text) in zip(
-        blocks, [*blocks[1:], ("", "")], strict=True
-    ):
-        if language != "python":
-            continue
-        output = io.StringIO()
-        with contextlib.redirect_stdout(output):
-            exec(compile(code, f"{name}.md", "exec"), namespace)
-        printed = text if following == "text" else ""
-        pairs.append((printed, output.getvalue()))
-    return namespace, pairs
+def _script(name: str) -> ModuleType:
+    """Return a script out of docs."""
+    path = ROOT / "docs" / f"{name}.py"
+    spec = importlib.util.spec_from_file_location(name, path)
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+outputs = _script("make_theory_outputs")
 
 
 @pytest.fixture(scope="module")
 def runs() -> dict[str, tuple[dict[str, Any], list[tuple[str, str]]]]:
     """Each page run once, its examples one after the other."""
-    return {name: _run(name) for name in WITH_EXAMPLES}
+    return {name: outputs.run(TEXTS[name], name=name) for name in WITH_EXAMPLES}
 
 
 @pytest.mark.parametrize("name", WITH_EXAMPLES)
 def test_examples_print_what_the_page_shows(name: str, runs: Any) -> None:
-    for printed, output in runs[name][1]:
-        assert output == printed
+    for shown, printed in runs[name][1]:
+        assert printed == shown
 
 
 @pytest.mark.parametrize("name", WITH_EXAMPLES)
-def test_every_output_on_a_page_belongs_to_an_example(name: str) -> None:
+def test_every_output_on_a_page_stands_right_below_its_example(name: str) -> None:
     languages = [language for language, _ in FENCE.findall(TEXTS[name])]
     assert set(languages) == {"python", "text"}
-    for place, language in enumerate(languages):
-        if language == "text":
-            assert place > 0
-            assert languages[place - 1] == "python"
+    examples = outputs.EXAMPLE.findall(TEXTS[name])
+    assert len(examples) == languages.count("python")
+    assert sum(bool(shown) for _, shown in examples) == languages.count("text")
+
+
+def test_outputs_are_written_below_their_examples_and_nothing_else_changes() -> None:
+    page = (
+        "# Page\n\n```python\nx = 2\n```\n\nText.\n\n```python\nprint(x)\n```\n\n"
+        "```text\n3\n```\n\n```python\nprint(x + 2)\n```\nEnd.\n"
+    )
+    made = outputs.rewritten(page, name="page")
+    assert made == page.replace("3\n", "2\n").replace(
+        "```\nEnd", "```\n\n```text\n4\n```\nEnd"
+    )
+    assert outputs.rewritten(made, name="page") == made
 
 
 def _prose(text: str) -> str:
@@ -83,14 +88,25 @@ def _numbers(text: str) -> set[float]:
 DEFINITIONS = {0.0, 1.0, 2.0, 90.0, 180.0}
 
 
-@pytest.mark.parametrize("name", WITH_EXAMPLES)
-def test_numbers_in_the_text_stand_in_an_example_beside_it(name: str) -> None:
-    blocks = " ".join(body for _, body in FENCE.findall(TEXTS[name]))
+def _shown(text: str) -> set[float]:
+    """Return the numbers in the examples of a page, and what they may be told as."""
+    blocks = " ".join(body for _, body in FENCE.findall(text))
     shown = _numbers(re.sub(r"[-+=(,]", " ", blocks)) | DEFINITIONS
     # A ratio of 1.62 may be told as 62 %, and 20e-3 rad as 20 mrad.
     shown |= {round(100 * (value - 1), 6) for value in shown if 1 < value < 2}
-    shown |= {float(number) for number in re.findall(r"(\d+(?:\.\d+)?)e-?\d", blocks)}
-    assert _numbers(_prose(TEXTS[name])) - shown == set()
+    return shown | {
+        float(number) for number in re.findall(r"(\d+(?:\.\d+)?)e-?\d", blocks)
+    }
+
+
+@pytest.mark.parametrize("name", WITH_EXAMPLES)
+def test_numbers_in_the_text_stand_in_an_example_beside_it(name: str) -> None:
+    assert _numbers(_prose(TEXTS[name])) - _shown(TEXTS[name]) == set()
+
+
+def test_the_decision_on_the_split_angle_quotes_the_page() -> None:
+    text = (ROOT / "docs" / "decisions" / "0007-split-angle.md").read_text("utf-8")
+    assert _numbers(_prose(text)) - _shown(TEXTS["water-signal"]) == set()
 
 
 def test_the_pages_walk_through_all_seventy_two_equations() -> None:
@@ -142,23 +158,13 @@ def test_links_lead_to_sections(name: str) -> None:
         assert anchor in _anchors(page), anchor
 
 
-def _figures() -> ModuleType:
-    path = ROOT / "docs" / "make_theory_images.py"
-    spec = importlib.util.spec_from_file_location("make_theory_images", path)
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
-
-
 def test_the_pictures_on_the_pages_are_those_that_are_drawn() -> None:
     shown = {
         image
         for text in TEXTS.values()
         for image in re.findall(r"images/(theory-[\w-]+)\.png", text)
     }
-    drawn = set(_figures().FIGURES)
+    drawn = set(_script("make_theory_images").FIGURES)
     stored = {path.stem for path in (ROOT / "docs" / "images").glob("theory-*")}
     assert shown == drawn == stored
 
@@ -166,7 +172,7 @@ def test_the_pictures_on_the_pages_are_those_that_are_drawn() -> None:
 def test_the_figure_of_ratios_shows_the_numbers_of_the_table(runs: Any) -> None:
     matplotlib.use("agg")
     found = runs["water-signal"][0]["found"]
-    figure = _figures().model_ratio(np.array([0.5]))
+    figure = _script("make_theory_images").model_ratio(np.array([0.5]))
     for column, water in enumerate(("HG", "harbour")):
         for axis, ratio in (
             (figure.axes[column], lambda row: row["still"]),

@@ -1,4 +1,4 @@
-"""Arguments as arrays, refused outside of a closed range or below zero."""
+"""Arguments as arrays, refused outside of the range that a formula or table has."""
 
 from __future__ import annotations
 
@@ -6,27 +6,28 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 
-def between(
-    value: ArrayLike, low: float, high: float, *, name: str
+def within(
+    value: ArrayLike, low: float, high: float, *, name: str, unit: str = ""
 ) -> NDArray[np.float64]:
     """Return the value as an array, refused outside of low..high.
 
-    Unlike `amulor.optics._ranges.within` it leaves no room for rounding: a share of
-    -1e-13 would make a root of it undefined.
+    What is beyond an end by rounding alone, a part in 1e12 of that end, is taken for
+    the end itself: 700 * 1e-9 is above 700e-9, and what follows may rely on the range.
+    An end at 0 has no such room.
 
     Parameters
     ----------
     value : array_like
-        Argument of a formula [1].
+        Argument of a formula.
     low, high : float
-        Ends of its range, both allowed [1].
-    name : str
-        How the message calls it.
+        Ends of its range, both allowed.
+    name, unit : str
+        How the message calls them; the unit may be empty.
 
     Returns
     -------
     ndarray
-        The value [1].
+        The value, within low..high.
 
     Raises
     ------
@@ -35,16 +36,16 @@ def between(
 
     Examples
     --------
-    >>> print(between([0.5, 1], 0, 1, name="transmission"))
-    [0.5 1. ]
+    >>> print(within([1, 2], 0, 3, name="depth", unit="m"))
+    [1. 2.]
     """
     array = np.asarray(value, dtype=np.float64)
-    if not np.all((array >= low) & (array <= high)):
-        raise ValueError(
-            f"{name} must be from {low:g} to {high:g}, got values from "
-            f"{np.min(array):g} to {np.max(array):g}"
-        )
-    return array
+    least, most = low - 1e-12 * abs(low), high + 1e-12 * abs(high)
+    if not np.all((array >= least) & (array <= most)):
+        span = f"{low:g} to {high:g} {unit}".rstrip()
+        found = f"{np.min(array):g} to {np.max(array):g} {unit}".rstrip()
+        raise ValueError(f"{name} must be from {span}, got values from {found}")
+    return np.asarray(np.clip(array, low, high))
 
 
 def not_negative(value: ArrayLike, *, name: str, unit: str) -> NDArray[np.float64]:

@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from amulor.optics._ranges import within
+from amulor.optics._bounds import within
 
 _Array = NDArray[np.float64]
 

@@ -5,6 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from amulor.optics._bounds import not_negative
+
 __all__ = ["optical_thickness", "single_scattering_albedo", "transmission"]
 
 
@@ -27,7 +29,7 @@ def transmission(distance: ArrayLike, *, attenuation: ArrayLike) -> NDArray[np.f
     ------
     ValueError
         If a distance is negative, or an attenuation coefficient is negative or
-        not a number.
+        not finite.
 
     Notes
     -----
@@ -69,7 +71,7 @@ def optical_thickness(
     ------
     ValueError
         If a distance is negative, or an attenuation coefficient is negative or
-        not a number.
+        not finite.
 
     Notes
     -----
@@ -89,7 +91,7 @@ def optical_thickness(
     path = np.asarray(distance, dtype=np.float64)
     if np.any(path < 0):
         raise ValueError(f"distance must not be negative, got {np.nanmin(path):g} m")
-    coefficient = _not_negative(attenuation, name="attenuation", unit="1/m")
+    coefficient = not_negative(attenuation, name="attenuation", unit="1/m")
     return path * coefficient
 
 
@@ -113,16 +115,16 @@ def single_scattering_albedo(
     Raises
     ------
     ValueError
-        If a coefficient is negative or not a number, or if both are zero, where
-        the ratio has no meaning.
+        If a coefficient is negative or not finite, or if both are zero, where the
+        ratio has no meaning.
 
     Examples
     --------
     >>> print(f"{single_scattering_albedo(absorption=0.15, scattering=0.35):.2f}")
     0.70
     """
-    absorbed = _not_negative(absorption, name="absorption", unit="1/m")
-    scattered = _not_negative(scattering, name="scattering", unit="1/m")
+    absorbed = not_negative(absorption, name="absorption", unit="1/m")
+    scattered = not_negative(scattering, name="scattering", unit="1/m")
     attenuation = absorbed + scattered
     if np.any(attenuation == 0):
         raise ValueError(
@@ -130,11 +132,3 @@ def single_scattering_albedo(
             "got a water with both at 0 1/m"
         )
     return scattered / attenuation
-
-
-def _not_negative(value: ArrayLike, *, name: str, unit: str) -> NDArray[np.float64]:
-    """Return the value as an array, refused if negative or not a number."""
-    array = np.asarray(value, dtype=np.float64)
-    if not np.all(array >= 0):
-        raise ValueError(f"{name} must not be negative, got {np.min(array):g} {unit}")
-    return array

@@ -10,6 +10,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.constants import Planck, speed_of_light
 
+from amulor.optics._bounds import not_negative
+
 __all__ = [
     "amplitude_uncertainty",
     "effective_integration_time",
@@ -113,14 +115,10 @@ def effective_integration_time(
     >>> print(f"{effective_integration_time(0.1, time_constant=0.03):.4f} s")
     0.1407 s
     """
-    mean = np.asarray(duration, dtype=np.float64)
-    tau = np.asarray(time_constant, dtype=np.float64)
-    for name, value in (("duration", mean), ("time_constant", tau)):
-        if not np.all(np.isfinite(value) & (value >= 0)):
-            raise ValueError(
-                f"{name} must be finite and not negative, got {np.min(value):g} s"
-            )
-    mean, tau = np.broadcast_arrays(mean, tau)
+    mean, tau = np.broadcast_arrays(
+        not_negative(duration, name="duration", unit="s"),
+        not_negative(time_constant, name="time_constant", unit="s"),
+    )
     if np.any((mean == 0) & (tau == 0)):
         raise ValueError(
             "duration and time_constant must not both be 0 s: an instantaneous "

@@ -1,13 +1,17 @@
-"""Maxima and minima of a sweep over modulation frequency."""
+"""Maxima and minima of a sweep over modulation frequency, and what spaces them."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.constants import speed_of_light
 
-__all__ = ["Extrema", "find", "ripple"]
+from amulor.optics._bounds import not_negative
+
+__all__ = ["Extrema", "find", "group_depth", "ripple", "separation"]
 
 
 @dataclass(frozen=True)
@@ -49,9 +53,8 @@ def find(modulation_frequency: ArrayLike, value: ArrayLike) -> Extrema:
 
     Notes
     -----
-    Successive maxima of the interference of target and water lie v / 2 (d - z_w)
-    apart, with the group depth z_w of the water signal; see eqs. (50)-(54) of Ricci et
-    al. 2010, as rebuilt.
+    Those of the interference of target and water, eqs. (50)-(54) of Ricci et al. 2010,
+    as rebuilt, are as far apart as `separation` says.
 
     Examples
     --------
@@ -60,15 +63,7 @@ def find(modulation_frequency: ArrayLike, value: ArrayLike) -> Extrema:
     >>> print(np.round(found.maxima / 1e6, 2), np.round(found.minima / 1e6, 2))
     [40. 80.] [20. 60.]
     """
-    f = np.asarray(modulation_frequency, dtype=float)
-    y = np.asarray(value, dtype=float)
-    if f.ndim != 1 or f.shape != y.shape or f.size < 3:
-        raise ValueError(
-            "modulation_frequency and value must be 1-D, of one length, at least 3; "
-            f"got shapes {f.shape} and {y.shape}"
-        )
-    if np.any(np.diff(f) <= 0):
-        raise ValueError("modulation_frequency must increase; sort the sweep by it")
+    f, y = _sweep(modulation_frequency, np.asarray(value, dtype=float), name="value")
     left, right = y[1:-1] - y[:-2], y[2:] - y[1:-1]
     # A flat step counts once, at its right end.
     peak = np.flatnonzero(
@@ -78,6 +73,127 @@ def find(modulation_frequency: ArrayLike, value: ArrayLike) -> Extrema:
         (left <= 0) & (right > 0) & (y[1:-1] < np.maximum(y[:-2], y[2:]))
     )
     return Extrema(_vertex(f, y, peak + 1), _vertex(f, y, pit + 1))
+
+
+def group_depth(
+    modulation_frequency: ArrayLike,
+    water_signal: ArrayLike,
+    *,
+    group_index: float,
+) -> NDArray[np.float64]:
+    r"""Return the depth from which the modulation of a water signal seems to come.
+
+    Parameters
+    ----------
+    modulation_frequency : array_like, shape (n,)
+        Frequencies that increase, at least three [Hz].
+    water_signal : array_like of complex, shape (n,)
+        Signal of the water, of any unit, sampled so finely that its phase turns by
+        less than a quarter from one frequency to the next.
+    group_index : float
+        Group index of the water at the laser wavelength, at least 1 [1].
+
+    Returns
+    -------
+    ndarray, shape (n,)
+        Group depth z_w at each frequency, along the receiver axis, from where the
+        phase is counted [m].
+
+    Raises
+    ------
+    ValueError
+        If the shapes differ, there are fewer than three samples, the frequencies do
+        not increase, a signal is zero or not finite, the phase turns by a quarter or
+        more between samples, or the group index is below 1.
+
+    Notes
+    -----
+    :math:`z_w = (v / 2)\, d\varphi_w / d\omega`, as a target at the depth z has the
+    phase :math:`2 \omega z / v`. At zero frequency it is the mean depth of the
+    signal. The derivative is that of the parabola through three samples, with an error
+    of the square of their distance. Where a response goes through a deep minimum the
+    group depth can be negative: it is no place.
+
+    Examples
+    --------
+    >>> frequency = np.linspace(0, 100e6, 101)
+    >>> from amulor.optics.low_pass import first_order_response
+    >>> signal = first_order_response(frequency, cut_off=20e6)
+    >>> depth = group_depth(frequency, signal, group_index=1.34)
+    >>> print(np.round(depth[[0, 40]], 2))  # (v / 4 pi f_c) / (1 + (f / f_c)^2)
+    [0.89 0.18]
+    """
+    f, w = _sweep(modulation_frequency, water_signal, name="water_signal")
+    if not (np.all(np.isfinite(w)) and np.all(w != 0)):
+        raise ValueError(
+            "water_signal must be finite and not zero at all frequencies: zero has no "
+            "phase"
+        )
+    if not group_index >= 1:
+        raise ValueError(f"group_index must be at least 1, got {group_index:g}")
+    turn = np.angle(w[1:] / w[:-1])
+    if np.max(np.abs(turn)) >= np.pi / 2:
+        raise ValueError(
+            "the phase of water_signal must turn by less than a quarter between "
+            f"samples, got {np.max(np.abs(turn)) / (2 * np.pi):.2f} of a turn; sample "
+            "the sweep more finely"
+        )
+    phase = np.append(0.0, np.cumsum(turn))
+    slope = np.gradient(phase, 2 * np.pi * f, edge_order=2)
+    return np.asarray(speed_of_light / group_index / 2 * slope)
+
+
+def separation(
+    distance: ArrayLike, *, group_depth: ArrayLike, group_index: float
+) -> NDArray[np.float64]:
+    r"""Return how far apart the maxima of target and water are in a sweep.
+
+    Parameters
+    ----------
+    distance : array_like
+        Distance d of the target, from where the phase is counted [m].
+    group_depth : array_like
+        Group depth z_w of the water signal between the maxima, as `group_depth`
+        returns it; below the distance [m].
+    group_index : float
+        Group index of the water at the laser wavelength, at least 1 [1].
+
+    Returns
+    -------
+    ndarray
+        Full period in modulation frequency, of the broadcast shape [Hz].
+
+    Raises
+    ------
+    ValueError
+        If a distance is negative, not beyond the group depth, or the group index is
+        below 1.
+
+    Notes
+    -----
+    :math:`\Delta f = v / 2 (d - z_w)`: a full turn of the angle :math:`\psi` of
+    eq. (51) of Ricci et al. 2010 [1]_, as rebuilt, at a group depth that hardly
+    changes on the way. With :math:`z_w = 0` it would be too short.
+
+    References
+    ----------
+    .. [1] R. Ricci et al., EURASIP J. Adv. Signal Process. 2010, 958360,
+       :doi:`10.1155/2010/958360`.
+
+    Examples
+    --------
+    >>> print(f"{separation(3.9, group_depth=0.9, group_index=1.34) / 1e6:.1f} MHz")
+    37.3 MHz
+    """
+    ahead = not_negative(distance, name="distance", unit="m") - np.asarray(group_depth)
+    if not np.all(ahead > 0):
+        raise ValueError(
+            "distance must be beyond group_depth, got a target "
+            f"{-np.min(ahead):g} m in front of it"
+        )
+    if not group_index >= 1:
+        raise ValueError(f"group_index must be at least 1, got {group_index:g}")
+    return np.asarray(speed_of_light / group_index / (2 * ahead))
 
 
 def ripple(value: ArrayLike) -> float:
@@ -107,6 +223,21 @@ def ripple(value: ArrayLike) -> float:
     if not y.mean() > 0:
         raise ValueError(f"the mean of value must be above 0, got {y.mean():g}")
     return float(np.ptp(y) / y.mean())
+
+
+def _sweep(
+    modulation_frequency: ArrayLike, value: ArrayLike, *, name: str
+) -> tuple[NDArray[np.float64], NDArray[Any]]:
+    """Return frequencies and values, refused unless they are a sweep."""
+    f, y = np.asarray(modulation_frequency, dtype=float), np.asarray(value)
+    if f.ndim != 1 or f.shape != y.shape or f.size < 3:
+        raise ValueError(
+            f"modulation_frequency and {name} must be 1-D, of one length, at least 3; "
+            f"got shapes {f.shape} and {y.shape}"
+        )
+    if not np.all(np.diff(f) > 0):
+        raise ValueError("modulation_frequency must increase; sort the sweep by it")
+    return f, y
 
 
 def _vertex(

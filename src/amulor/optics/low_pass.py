@@ -11,6 +11,8 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.constants import speed_of_light
 from scipy.optimize import brentq, least_squares
 
+from amulor.optics._bounds import not_negative
+
 __all__ = [
     "LowPassFit",
     "cut_off",
@@ -165,22 +167,13 @@ def fit(modulation_frequency: ArrayLike, amplitude: ArrayLike) -> LowPassFit:
     >>> print(f"{result.cut_off / 1e6:.2f} MHz, {result.amplitude_at_zero:.2f}")
     20.00 MHz, 3.00
     """
-    f = np.asarray(modulation_frequency, dtype=float)
-    a = np.asarray(amplitude, dtype=float)
+    f = not_negative(modulation_frequency, name="modulation_frequency", unit="Hz")
+    a = not_negative(amplitude, name="amplitude", unit="")
     if f.ndim != 1 or f.shape != a.shape or np.unique(f).size < 3:
         raise ValueError(
             "modulation_frequency and amplitude must be 1-D, of one length, with at "
             f"least 3 different frequencies; got shapes {f.shape} and {a.shape}"
         )
-    for name, values, unit in (
-        ("modulation_frequency", f, " Hz"),
-        ("amplitude", a, ""),
-    ):
-        if not (np.all(values >= 0) and np.all(values < np.inf)):
-            raise ValueError(
-                f"{name} must be finite and not negative, got values from "
-                f"{values.min():g} to {values.max():g}{unit}"
-            )
     if not a.any():
         raise ValueError("amplitude must not be 0 at all frequencies")
     x, y = f / f.max(), a / a.max()

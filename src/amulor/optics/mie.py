@@ -23,6 +23,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from amulor.errors import MissingExtraError
+from amulor.optics.mueller import particles
 from amulor.optics.phase_function_integrals import checked_angle
 from amulor.optics.phase_function_objects import PhaseFunction
 from amulor.optics.phase_function_tables import tabulated
@@ -188,13 +189,7 @@ class Suspension:
             np.interp(theta, self.angle, element)
             for element in (self.m12, self.m33, self.m34)
         )
-        matrix = np.zeros((*theta.shape, 4, 4))
-        matrix[..., 0, 0] = matrix[..., 1, 1] = 1
-        matrix[..., 0, 1] = matrix[..., 1, 0] = m12
-        matrix[..., 2, 2] = matrix[..., 3, 3] = m33
-        matrix[..., 2, 3] = m34
-        matrix[..., 3, 2] = -m34
-        return matrix
+        return particles(m12=m12, m22=1.0, m33=m33, m34=m34, m44=m33)
 
 
 def size_distribution(
@@ -222,7 +217,7 @@ def size_distribution(
     medium_index : float
         Phase index of the medium, which does not absorb [1].
     angle : array_like, optional
-        Angles of the table, rising from 0 to pi, 1-D [rad]. By default 24 a lobe of
+        Angles of the table, rising from 0 to pi, 1-D [rad]. By default 32 a lobe of
         the largest sphere, at least 721.
 
     Returns
@@ -339,7 +334,7 @@ def _amplitudes(
 def _angles(angle: ArrayLike | None, *, largest: float) -> NDArray[np.float64]:
     """Return the angles of a table, refused unless they rise from 0 to pi."""
     if angle is None:
-        count = max(721, 1 + int(np.ceil(24 * largest)))
+        count = max(721, 1 + int(np.ceil(32 * largest)))
         return np.linspace(0, np.pi, count)
     theta = checked_angle(angle, name="angle")
     whole = theta.ndim == 1 and theta.size > 2 and np.all(np.diff(theta) > 0)

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.constants import speed_of_light
 
-from amulor.optics._bounds import between, not_negative
+from amulor.optics._bounds import not_negative, within
 
 __all__ = ["complex_attenuation", "launched_power", "received_power"]
 
@@ -136,7 +136,7 @@ def received_power(
     [40. 60.]
     """
     moment = np.asarray(time, dtype=np.float64)
-    depth = between(modulation_depth, 0, 1, name="modulation_depth")
+    depth = within(modulation_depth, 0, 1, name="modulation_depth")
     mean = not_negative(mean_response, name="mean_response", unit="")
     power = not_negative(mean_power, name="mean_power", unit="W")
     frequency = not_negative(

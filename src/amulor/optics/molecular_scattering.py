@@ -24,7 +24,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.constants import Avogadro, Boltzmann
 
 from amulor.optics import _quan_fry
-from amulor.optics._ranges import within
+from amulor.optics._bounds import within
 
 __all__ = [
     "DEPOLARIZATION_RATIO",

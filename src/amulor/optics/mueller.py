@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from amulor.optics import stokes as _stokes
-from amulor.optics._bounds import between
+from amulor.optics._bounds import within
 from amulor.optics.phase_function_integrals import checked_angle
 
 __all__ = [
@@ -65,7 +65,7 @@ def diagonal(m22: ArrayLike, m33: ArrayLike, m44: ArrayLike) -> NDArray[np.float
     elements = np.broadcast_arrays(
         1.0,
         *(
-            between(value, -1, 1, name=name)
+            within(value, -1, 1, name=name)
             for name, value in (("m22", m22), ("m33", m33), ("m44", m44))
         ),
     )
@@ -242,7 +242,7 @@ def particles(
     """
     named = {"m12": m12, "m22": m22, "m33": m33, "m34": m34, "m44": m44}
     first, second, third, across, fourth = np.broadcast_arrays(
-        *(between(value, -1, 1, name=name) for name, value in named.items())
+        *(within(value, -1, 1, name=name) for name, value in named.items())
     )
     matrix = np.zeros((*first.shape, 4, 4))
     matrix[..., 0, 0] = 1

@@ -15,7 +15,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from amulor.optics._bounds import between
+from amulor.optics._bounds import within
 from amulor.optics.mueller import as_matrices, rotated
 
 __all__ = ["largest_transmission", "linear_polarizer", "retarder"]
@@ -64,10 +64,10 @@ def linear_polarizer(
     >>> print(f"{mueller.apply(polarizer, stokes.state('V'))[0]:.4f}")
     0.0010
     """
-    leak = between(
+    leak = within(
         extinction_ratio, 0, 1, name="extinction_ratio (crossed over aligned)"
     )
-    peak = between(transmission, 0, 1, name="transmission")
+    peak = within(transmission, 0, 1, name="transmission")
     leak, peak = np.broadcast_arrays(leak, peak)
     matrix = np.zeros((*leak.shape, 4, 4))
     matrix[..., 0, 0] = matrix[..., 1, 1] = peak * (1 + leak) / 2
@@ -129,8 +129,8 @@ def retarder(
     """
     delta, contrast, mean = np.broadcast_arrays(
         np.asarray(retardance, dtype=np.float64),
-        between(diattenuation, -1, 1, name="diattenuation"),
-        between(transmission, 0, 1, name="transmission"),
+        within(diattenuation, -1, 1, name="diattenuation"),
+        within(transmission, 0, 1, name="transmission"),
     )
     strongest = mean * (1 + np.abs(contrast))
     if np.any(strongest > 1):

@@ -23,7 +23,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from amulor.optics import mueller as _mueller
 from amulor.optics import stokes
-from amulor.optics._bounds import between
+from amulor.optics._bounds import within
 from amulor.optics.polarization_components import linear_polarizer, retarder
 
 __all__ = [
@@ -352,7 +352,7 @@ def linear_leak(
     [0.0001   0.000405]
     """
     alpha = np.asarray(axis_error, dtype=np.float64)
-    e = between(extinction_ratio, 0, 1, name="extinction_ratio")
+    e = within(extinction_ratio, 0, 1, name="extinction_ratio")
     leak: NDArray[np.float64] = np.sin(alpha) ** 2 + e * np.cos(alpha) ** 2
     return leak
 

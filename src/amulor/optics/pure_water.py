@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from amulor.optics import _quan_fry, _tables
-from amulor.optics._ranges import within
+from amulor.optics._bounds import within
 
 __all__ = ["mason_absorption", "mason_absorption_uncertainty", "pope_fry_absorption"]
 

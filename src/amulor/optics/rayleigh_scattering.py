@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from amulor.optics._bounds import between, positive
+from amulor.optics._bounds import positive, within
 from amulor.optics.phase_function_integrals import checked_angle
 
 __all__ = [
@@ -60,7 +60,7 @@ def rayleigh_phase_value(
     [0.0597 0.1194]
     """
     theta = checked_angle(angle, name="angle")
-    delta = between(depolarization, 0, 1, name="depolarization")
+    delta = within(depolarization, 0, 1, name="depolarization")
     shape = (1 + delta) + (1 - delta) * np.cos(theta) ** 2
     value: NDArray[np.float64] = 3 / (8 * np.pi) * shape / (2 + delta)
     return value
@@ -103,7 +103,7 @@ def rayleigh_phase_cumulative(
     0.500
     """
     theta = checked_angle(angle, name="angle")
-    delta = between(depolarization, 0, 1, name="depolarization")
+    delta = within(depolarization, 0, 1, name="depolarization")
     cosine = np.cos(theta)
     height = 2 * np.sin(theta / 2) ** 2
     bracket = (1 + delta) + (1 - delta) * (1 + cosine + cosine**2) / 3

@@ -25,7 +25,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from amulor.optics import _quan_fry
-from amulor.optics._ranges import within
+from amulor.optics._bounds import within
 from amulor.optics.molecular_scattering import (
     molecular_backscattering,
     molecular_phase_function,

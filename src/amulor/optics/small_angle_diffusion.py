@@ -85,6 +85,8 @@ def water_response(
     --------
     water_tail : What lies behind the end.
     overlap : The integrand.
+    amulor.optics.phase_function_integrals.forward_split : Arguments for a split angle.
+    amulor.optics.small_angle.water_response : Slower, keeps unscattered light.
 
     Notes
     -----
@@ -92,6 +94,13 @@ def water_response(
     has the larger phase, :math:`\beta_\pi \int_0^{end} F(z) \exp(2 i \omega z n_g /
     c)\, dz`. The integral exists for every allowed water, also without losses,
     because F(z) falls at least with the square of the depth.
+
+    The split between forward and diffuse scattering decides how good the model is,
+    as it spreads all light by the second moment, what was never scattered included.
+    Against the small-angle form with 90 degrees, for attenuations from 0.1 to 2 1/m
+    and phase functions of natural water, a split of 90 degrees makes the cut-off 57
+    to 83 % too high and leaves a quarter of the echo of a plane at 3.9 m. With 10 to
+    20 degrees the cut-off is 5 to 26 % too high up to 0.5 1/m.
 
     F(z) is written as Legendre series over a few panels laid out about its
     maxima, and each term is integrated in closed form, so the cost hardly depends

@@ -1,4 +1,8 @@
-"""The echo of a diffuse surface through the same water as the water signal."""
+r"""The echo of a diffuse surface through the same water as the water signal.
+
+One function for each model of the water: a Lambertian plane returns
+:math:`(\varrho / \pi) F(d) \exp(2 i \omega d / v)` with the overlap F of that model.
+"""
 
 from __future__ import annotations
 
@@ -6,9 +10,19 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.constants import speed_of_light
 
-from amulor.optics import small_angle_diffusion
+from amulor.optics import (
+    small_angle,
+    small_angle_diffusion,
+    small_angle_sharp_receiver,
+)
+from amulor.optics._bounds import not_negative, within
+from amulor.optics._small_angle_tables import PhaseFunction
 
-__all__ = ["target_response"]
+__all__ = [
+    "sharp_receiver_target_response",
+    "small_angle_target_response",
+    "target_response",
+]
 
 
 def target_response(
@@ -29,21 +43,22 @@ def target_response(
     cross_tilt: ArrayLike = 0.0,
     standoff: ArrayLike = 0.0,
 ) -> NDArray[np.complex128]:
-    r"""Return the received modulation of a diffuse surface per launched power.
+    r"""Return the echo of a diffuse surface in the small-angle diffusion model.
 
     Parameters
     ----------
     modulation_frequency : array_like
-        Frequency of the intensity modulation [Hz].
+        Frequency of the intensity modulation, not negative [Hz].
     depth : array_like
         Water between instrument and surface, along the beam [m].
     optical_path : array_like
         Group index times length, out and back [m]; twice `depth` times the group
         index where emitter and receiver stand together in the water.
     reflectance : array_like
-        Share of the light that the surface sends back diffusely [1].
+        Share of the light that the surface sends back diffusely, 0 to 1 [1].
     cosine : array_like
-        Cosine between the normal of the surface and the way to the receiver [1].
+        Cosine between the normal of the surface and the way to the receiver, 0 to 1
+        [1].
     absorption, forward_scattering, diffuse_scattering : array_like
         Coefficients a, b_f, b_d of the water [1/m].
     second_moment : array_like
@@ -63,7 +78,11 @@ def target_response(
     Raises
     ------
     ValueError
-        If a property of the water or the receiver is out of range.
+        If an argument is outside of its range.
+
+    See Also
+    --------
+    small_angle_target_response : Keeps the light that was not scattered.
 
     Notes
     -----
@@ -71,6 +90,11 @@ def target_response(
     with the same :math:`F` as the water, eq. (43) of Ricci et al. 2010 [1]_, as
     rebuilt. The small-angle model holds for surfaces that face the instrument within
     about half a radian.
+
+    The diffusion form spreads the unscattered light with the rest. For
+    Henyey-Greenstein scattering with g = 0.95, split at 90 degrees, and a = 0.15 1/m,
+    b = 0.35 1/m, 3.9 m are left with 0.22 to 0.28 of the echo of traced rays; split
+    at 10 degrees, with 0.73 to 0.76.
 
     References
     ----------
@@ -88,7 +112,7 @@ def target_response(
     >>> print(f"{abs(echo):.1e}")
     2.8e-06
     """
-    shape_of_light = small_angle_diffusion.overlap(
+    overlap = small_angle_diffusion.overlap(
         depth,
         absorption=absorption,
         forward_scattering=forward_scattering,
@@ -101,10 +125,218 @@ def target_response(
         cross_tilt=cross_tilt,
         standoff=standoff,
     )
-    frequency = np.asarray(modulation_frequency, dtype=float)
-    delay = (
-        2 * np.pi * frequency * np.asarray(optical_path, dtype=float) / speed_of_light
+    return _echo(overlap, modulation_frequency, optical_path, reflectance, cosine)
+
+
+def small_angle_target_response(
+    modulation_frequency: ArrayLike,
+    *,
+    depth: ArrayLike,
+    optical_path: ArrayLike,
+    reflectance: ArrayLike,
+    cosine: ArrayLike = 1.0,
+    absorption: ArrayLike,
+    scattering: ArrayLike,
+    phase_function: PhaseFunction,
+    split_angle: float,
+    baseline: ArrayLike,
+    receiver_radius: ArrayLike,
+    acceptance_angle: ArrayLike,
+    beam_radius: ArrayLike = 0.0,
+    beam_divergence: ArrayLike = 0.0,
+    tilt: ArrayLike = 0.0,
+    cross_tilt: ArrayLike = 0.0,
+    standoff: ArrayLike = 0.0,
+) -> NDArray[np.complex128]:
+    r"""Return the echo of a diffuse surface in the small-angle model.
+
+    Parameters
+    ----------
+    modulation_frequency, depth, optical_path, reflectance, cosine : array_like
+        As in `target_response`.
+    absorption, scattering : array_like
+        Coefficients a and b of the water, b forward and diffuse [1/m].
+    phase_function : callable
+        Phase function [1/sr], as in `small_angle.water_response`.
+    split_angle : float
+        Angle between the forward and the diffuse part, above 0 to pi [rad].
+    baseline, receiver_radius : array_like
+        Distance of emitter and receiver; 1/e half-width of the aperture [m].
+    acceptance_angle : array_like
+        1/e semi-angle of the receiver, in water [rad].
+    beam_radius, beam_divergence, tilt, cross_tilt, standoff : array_like
+        As in `small_angle.water_response` [m, rad, rad, rad, m].
+
+    Returns
+    -------
+    ndarray of complex
+        Received power per launched power, of the broadcast shape [1].
+
+    Raises
+    ------
+    ValueError
+        If an argument is outside of its range, or if the phase function cannot be
+        used.
+
+    See Also
+    --------
+    target_response : Faster, for light that was scattered many times.
+    sharp_receiver_target_response : For a receiver with sharp edges.
+
+    Notes
+    -----
+    :math:`(\varrho / \pi) F(d) \exp(2 i \omega d / v)` with F of eq. (29) of Ricci et
+    al. 2010 [1]_, as rebuilt. Surfaces that face the instrument within about half a
+    radian, and scattering mostly below some 30 degrees. For Henyey-Greenstein
+    scattering with g = 0.95, split at 90 degrees, a = 0.15 1/m, b = 0.35 1/m and a
+    plane at 3.9 m it has 1.02 to 1.03 times the echo of traced rays.
+
+    References
+    ----------
+    .. [1] R. Ricci et al., EURASIP J. Adv. Signal Process. 2010, 958360,
+       :doi:`10.1155/2010/958360`.
+
+    Examples
+    --------
+    >>> from amulor.optics.phase_function_models import henyey_greenstein_function
+    >>> echo = small_angle_target_response(
+    ...     39e6, depth=3.9, optical_path=2 * 1.38 * 3.9, reflectance=0.8,
+    ...     absorption=0.15, scattering=0.35,
+    ...     phase_function=henyey_greenstein_function(asymmetry=0.95),
+    ...     split_angle=np.pi / 2, baseline=0.07, receiver_radius=0.02,
+    ...     acceptance_angle=0.08,
+    ... )
+    >>> print(f"{abs(echo):.2e}")
+    2.53e-06
+    """
+    overlap = small_angle.overlap(
+        depth,
+        absorption=absorption,
+        scattering=scattering,
+        phase_function=phase_function,
+        split_angle=split_angle,
+        baseline=baseline,
+        receiver_radius=receiver_radius,
+        acceptance_angle=acceptance_angle,
+        beam_radius=beam_radius,
+        beam_divergence=beam_divergence,
+        tilt=tilt,
+        cross_tilt=cross_tilt,
+        standoff=standoff,
     )
-    lambert = np.asarray(reflectance, dtype=float) / np.pi * np.asarray(cosine)
-    echo: NDArray[np.complex128] = lambert * shape_of_light * np.exp(1j * delay)
-    return echo
+    return _echo(overlap, modulation_frequency, optical_path, reflectance, cosine)
+
+
+def sharp_receiver_target_response(
+    modulation_frequency: ArrayLike,
+    *,
+    depth: ArrayLike,
+    optical_path: ArrayLike,
+    reflectance: ArrayLike,
+    cosine: ArrayLike = 1.0,
+    absorption: ArrayLike,
+    scattering: ArrayLike,
+    phase_function: PhaseFunction,
+    split_angle: float,
+    baseline: ArrayLike,
+    receiver_radius: ArrayLike,
+    acceptance_angle: ArrayLike,
+    beam_radius: ArrayLike = 0.0,
+    beam_divergence: ArrayLike = 0.0,
+    tilt: ArrayLike = 0.0,
+    cross_tilt: ArrayLike = 0.0,
+    standoff: ArrayLike = 0.0,
+) -> NDArray[np.complex128]:
+    r"""Return the echo of a diffuse surface to a receiver with sharp edges.
+
+    Parameters
+    ----------
+    modulation_frequency, depth, optical_path, reflectance, cosine : array_like
+        As in `target_response`.
+    absorption, scattering : array_like
+        Coefficients a and b of the water, b forward and diffuse [1/m].
+    phase_function : callable
+        Phase function [1/sr], as in `small_angle_sharp_receiver.water_response`.
+    split_angle : float
+        Angle between the forward and the diffuse part, above 0 to pi [rad].
+    baseline, receiver_radius : array_like
+        Distance of emitter and receiver; radius of the circular aperture [m].
+    acceptance_angle : array_like
+        Semi-angle of the cone that the receiver takes in, in water [rad].
+    beam_radius, beam_divergence, tilt, cross_tilt, standoff : array_like
+        As in `small_angle_sharp_receiver.water_response` [m, rad, rad, rad, m].
+
+    Returns
+    -------
+    ndarray of complex
+        Received power per launched power, of the broadcast shape [1].
+
+    Raises
+    ------
+    ValueError
+        If an argument is outside of its range, or if the phase function cannot be
+        used.
+
+    See Also
+    --------
+    small_angle_target_response : Faster, for a Gaussian receiver.
+
+    Notes
+    -----
+    :math:`(\varrho / \pi) F(d) \exp(2 i \omega d / v)` with F of eq. (29) of Ricci et
+    al. 2010 [1]_, as rebuilt, for a uniform disc and a uniform cone. Where these see
+    all of the spot, clear water gives the lidar equation, reflectance over pi times
+    aperture over distance squared, exactly; a Gaussian receiver never quite does.
+
+    References
+    ----------
+    .. [1] R. Ricci et al., EURASIP J. Adv. Signal Process. 2010, 958360,
+       :doi:`10.1155/2010/958360`.
+
+    Examples
+    --------
+    >>> from amulor.optics.phase_function_models import henyey_greenstein_function
+    >>> echo = sharp_receiver_target_response(
+    ...     39e6, depth=3.9, optical_path=2 * 1.38 * 3.9, reflectance=0.8,
+    ...     absorption=0.15, scattering=0.35,
+    ...     phase_function=henyey_greenstein_function(asymmetry=0.95),
+    ...     split_angle=np.pi / 2, baseline=0.07, receiver_radius=0.02,
+    ...     acceptance_angle=0.08,
+    ... )
+    >>> print(f"{abs(echo):.2e}")
+    2.96e-06
+    """
+    overlap = small_angle_sharp_receiver.overlap(
+        depth,
+        absorption=absorption,
+        scattering=scattering,
+        phase_function=phase_function,
+        split_angle=split_angle,
+        baseline=baseline,
+        receiver_radius=receiver_radius,
+        acceptance_angle=acceptance_angle,
+        beam_radius=beam_radius,
+        beam_divergence=beam_divergence,
+        tilt=tilt,
+        cross_tilt=cross_tilt,
+        standoff=standoff,
+    )
+    return _echo(overlap, modulation_frequency, optical_path, reflectance, cosine)
+
+
+def _echo(
+    overlap: NDArray[np.float64],
+    modulation_frequency: ArrayLike,
+    optical_path: ArrayLike,
+    reflectance: ArrayLike,
+    cosine: ArrayLike,
+) -> NDArray[np.complex128]:
+    """Return the echo of a Lambertian plane that the light reaches like this."""
+    frequency = not_negative(
+        modulation_frequency, name="modulation_frequency", unit="Hz"
+    )
+    path = not_negative(optical_path, name="optical_path", unit="m")
+    lambert = within(reflectance, 0, 1, name="reflectance") / np.pi
+    facing = within(cosine, 0, 1, name="cosine")
+    delay = 2 * np.pi * frequency * path / speed_of_light
+    return np.asarray(lambert * facing * overlap * np.exp(1j * delay))

@@ -27,7 +27,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from amulor.optics import _tables
-from amulor.optics._ranges import within
+from amulor.optics._bounds import within
 from amulor.optics.phase_function_tables import STATIONS as PETZOLD_STATIONS
 
 __all__ = [

@@ -89,8 +89,9 @@ def trace(
     thickness is the optical one of the first flight. count holds the number of
     forward segments, of touches and of adjoint segments, and is moved on. water holds
     edges, attenuation, albedo, table and the tables; target whether there is one, its
-    normal, height, reflectance and matrix. Adjoint paths go through the target; what of them is in front of it is
-    told by FRONT, the least height of their vertices over it, the start left out.
+    normal, height, reflectance and matrix. Adjoint paths go through the target; what
+    of them is in front of it is told by FRONT, the least height of their vertices over
+    it, the start left out.
     """
     edge, attenuation, albedo, table, urn, value, element = water
     has_target, normal, height, reflectance, mueller = target

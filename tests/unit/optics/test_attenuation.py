@@ -76,9 +76,9 @@ def test_arguments_broadcast():
 
 @pytest.mark.parametrize("value", [-0.1, np.nan])
 def test_negative_coefficients_are_refused(value):
-    with pytest.raises(ValueError, match="attenuation must not be negative"):
+    with pytest.raises(ValueError, match="attenuation must be finite and not negative"):
         attenuation.optical_thickness(1.0, attenuation=value)
-    with pytest.raises(ValueError, match="scattering must not be negative"):
+    with pytest.raises(ValueError, match="scattering must be finite and not negative"):
         attenuation.single_scattering_albedo(absorption=0.1, scattering=value)
 
 

@@ -1,9 +1,9 @@
 """Claims about modulated light in time, and its complex attenuation."""
 
-import importlib
 from pathlib import Path
 
 import numpy as np
+import plane_parallel
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -17,10 +17,6 @@ REFERENCE = TESTS / "reference"
 depths = st.floats(0, 1)
 frequencies = st.floats(1e5, 1e9)
 phases = st.floats(-np.pi, np.pi)
-
-with pytest.MonkeyPatch.context() as patch:
-    patch.syspath_prepend(str(TESTS / "oracles"))
-    plane_parallel = importlib.import_module("plane_parallel")
 
 
 def test_the_laser_of_the_paper_swings_about_its_mean():
