@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from cyclopts import Parameter
 
-from amulor.cli._output import print_json, print_table
+from amulor.cli._arguments import SEED
+from amulor.cli._output import print_json, print_table, progress_bar
+
+if TYPE_CHECKING:
+    from amulor.survey import Survey
 
 
 def backscatter(
@@ -15,7 +20,9 @@ def backscatter(
     /,
     *,
     frequency: str = "0.5MHz:138MHz:200",
-    model: Literal["diffusion", "small-angle"] = "diffusion",
+    model: Literal["diffusion", "small-angle", "montecarlo"] = "diffusion",
+    error: str = "1%",
+    seed: Annotated[int, Parameter(validator=SEED)] = 1,
     plot: Path | None = None,
     overwrite: Annotated[bool, Parameter(negative="")] = False,
     json: Annotated[bool, Parameter(negative="")] = False,
@@ -29,7 +36,12 @@ def backscatter(
     frequency
         Modulation frequencies, "10MHz,39MHz" or first, last and number.
     model
-        Small-angle diffusion, or small-angle with the whole phase function.
+        Small-angle diffusion, small-angle with the whole phase function, or photons
+        followed through all orders of scattering.
+    error
+        Relative error of the unmodulated light at which the photons stop.
+    seed
+        Seed of the photons.
     plot
         Picture to draw (PNG or SVG).
     overwrite
@@ -41,65 +53,195 @@ def backscatter(
 
     from amulor import units
     from amulor.errors import SurveyError
-    from amulor.optics import low_pass
-    from amulor.simulation import backscatter as models
     from amulor.survey import Survey
 
     described = Survey.from_toml(survey)
+    try:
+        frequencies = np.array(units.parse_frequencies(frequency))
+        if model == "montecarlo":
+            goal = units.parse(error, "share")
+            found = _followed(described, frequencies, error=goal, seed=seed, quiet=json)
+        else:
+            found = _formula(described, frequencies, model=model)
+        if found["power_share_unmodulated"] == 0:
+            raise ValueError(
+                "the receiver gets no light from this water; check receiver position, "
+                "axis and acceptance, and phase_function_at_180"
+            )
+    except ValueError as problem:
+        raise SurveyError(f"{survey}: {problem}") from None
+    if plot is not None:
+        from amulor.view import sweep
+
+        name = f"{model} model"
+        relative = found["relative_amplitude"] * np.exp(1j * found["phase_rad"])
+        errors = found.get("relative_amplitude_uncertainty")
+        half_power = found["cut_off_hz"]
+        sweep.write(
+            plot,
+            frequencies,
+            {name: relative},
+            cut_off=None if math.isnan(half_power) else half_power,
+            errors=None if errors is None else {name: errors},
+            title=described.name,
+            overwrite=overwrite,
+        )
+    if json:
+        print_json(found)
+    else:
+        _print(described.name, found)
+
+
+def _formula(survey: Survey, frequencies: Any, *, model: str) -> dict[str, Any]:
+    """Return what a closed model says."""
+    import numpy as np
+
+    from amulor.optics import low_pass
+    from amulor.simulation import backscatter as models
+
     response_of = {
         "diffusion": models.diffusion_response,
         "small-angle": models.small_angle_response,
     }[model]
-    try:
-        frequencies = np.array(units.parse_frequencies(frequency))
-        response = response_of(described, frequencies)
-        still = float(abs(response_of(described, np.zeros(1))[0]))
-        if still == 0:
-            raise SurveyError(
-                f"{survey}: the receiver gets no light from this water; check "
-                "receiver position, axis and acceptance, and phase_function_at_180"
-            )
-        half_power = low_pass.cut_off(lambda f: response_of(described, f))
-        fitted = low_pass.fit(frequencies, abs(response)) if len(response) > 2 else None
-    except ValueError as error:
-        raise SurveyError(f"{survey}: {error}") from None
-    if plot is not None:
-        from amulor.view import sweep
-
-        sweep.write(
-            plot,
-            frequencies,
-            {f"{model} model": response / still},
-            cut_off=half_power,
-            title=described.name,
-            overwrite=overwrite,
-        )
+    response = response_of(survey, frequencies)
+    still = float(abs(response_of(survey, np.zeros(1))[0]))
     found = {
         "model": model,
         "power_share_unmodulated": still,
-        "cut_off_hz": half_power,
+        "cut_off_hz": math.nan,
+        "fitted_cut_off_hz": None,
+        "fitted_cut_off_uncertainty_hz": None,
+        "modulation_frequency_hz": frequencies,
+        "relative_amplitude": abs(response) / still if still else abs(response),
+        "phase_rad": np.angle(response),
+    }
+    if still:
+        found["cut_off_hz"] = low_pass.cut_off(lambda f: response_of(survey, f))
+        if len(response) > 2:
+            fitted = low_pass.fit(frequencies, abs(response))
+            found["fitted_cut_off_hz"] = fitted.cut_off
+            found["fitted_cut_off_uncertainty_hz"] = fitted.cut_off_standard_error
+    return found
+
+
+def _followed(
+    survey: Survey, frequencies: Any, *, error: float, seed: int, quiet: bool
+) -> dict[str, Any]:
+    """Return what photons say, with errors."""
+    import numpy as np
+
+    from amulor.optics import low_pass
+    from amulor.simulation import transport
+
+    rising = np.unique(np.concatenate([[0.0], frequencies]))
+    with progress_bar(quiet=quiet) as advance:
+        advance("compiling the photon transport, once, half a minute", 0.0)
+        tally = transport.monte_carlo_response(
+            survey,
+            rising,
+            relative_error=error,
+            seed=seed,
+            progress=lambda state: advance(
+                f"error {100 * state.relative_error:.2g} %, "
+                f"{_time_left(state, error)}{state.histories:,} photons",
+                min(1.0, (error / state.relative_error) ** 2),
+            ),
+        )
+    still = float(abs(tally.signal[0]))
+    chosen = np.searchsorted(rising, frequencies)
+    cut_off, cut_off_error = transport.half_power(tally)
+    relative = np.abs(tally.signal[chosen]) / still
+    fitted = low_pass.fit(frequencies, relative) if len(frequencies) > 2 else None
+    ratio_error = _ratio_error(tally)[chosen]
+    return {
+        "model": "montecarlo",
+        "power_share_unmodulated": still,
+        "power_share_unmodulated_uncertainty": float(tally.amplitude_uncertainty[0]),
+        "cut_off_hz": cut_off,
+        "cut_off_uncertainty_hz": cut_off_error,
         "fitted_cut_off_hz": None if fitted is None else fitted.cut_off,
         "fitted_cut_off_uncertainty_hz": (
             None if fitted is None else fitted.cut_off_standard_error
         ),
         "modulation_frequency_hz": frequencies,
-        "relative_amplitude": abs(response) / still,
-        "phase_rad": np.angle(response),
+        "relative_amplitude": relative,
+        "relative_amplitude_uncertainty": ratio_error,
+        "phase_rad": np.angle(tally.signal[chosen]),
+        "phase_uncertainty_rad": tally.phase_uncertainty[chosen],
+        "share_by_scattering_order": [
+            float(abs(light[0]) / still)
+            for name, light in tally.by_part.items()
+            if name.startswith("water")
+        ],
+        "histories": tally.histories,
+        "seed": seed,
+        "interrupted": tally.interrupted,
+        "heavy_tailed": tally.heavy_tailed,
     }
-    if json:
-        print_json(found)
-        return
-    rows = [
-        [f"{f / 1e6:.3g}", f"{abs(r) / still:.4f}", f"{np.degrees(np.angle(r)):.2f}"]
-        for f, r in list(zip(frequencies, response, strict=True))[
-            :: max(1, len(frequencies) // 12)
-        ]
-    ]
+
+
+def _ratio_error(tally: Any) -> Any:
+    """Return the standard error of the modulus over that at zero frequency."""
+    import numpy as np
+
+    values = tally.batches.sum(axis=1)[:, 0]
+    mean = tally.signal
+    still = abs(mean[0])
+    along = (values * np.conj(mean) / np.abs(mean)).real
+    ratio = (along - along[:, :1] * np.abs(mean) / still) / still
+    return np.sqrt(tally.covariance_of(ratio)[:, 0, 0])
+
+
+def _time_left(state: Any, error: float) -> str:
+    """Return the time that is left until an error, as text."""
+    if math.isinf(state.relative_error):
+        return ""
+    left = state.seconds * max((state.relative_error / error) ** 2 - 1, 0.0)
+    return f"{left:.0f} s left, "
+
+
+def _print(name: str, found: dict[str, Any]) -> None:
+    """Print a dozen of the frequencies and the summary."""
+    import numpy as np
+
+    frequencies, amplitude = (
+        found["modulation_frequency_hz"],
+        found["relative_amplitude"],
+    )
+    errors = found.get("relative_amplitude_uncertainty")
+    phase, phase_errors = found["phase_rad"], found.get("phase_uncertainty_rad")
+    rows = []
+    for k in range(0, len(frequencies), max(1, len(frequencies) // 12)):
+        row = [f"{frequencies[k] / 1e6:.3g}", f"{amplitude[k]:.4f}"]
+        degrees = f"{np.degrees(phase[k]):.2f}"
+        if errors is not None and phase_errors is not None:
+            row[-1] += f" +- {errors[k]:.4f}"
+            degrees += f" +- {np.degrees(phase_errors[k]):.2f}"
+        rows.append([*row, degrees])
     print_table(
-        f"{described.name}: water signal, {model} model",
+        f"{name}: water signal, {found['model']} model",
         ["MHz", "relative amplitude", "phase [deg]"],
         rows,
     )
-    print(f"Received of the unmodulated light: {still:.4g}")
-    print(f"Cut-off at 1/sqrt 2: {half_power / 1e6:.2f} MHz", end="")
-    print("" if fitted is None else f"; free fit: {fitted.cut_off / 1e6:.2f} MHz")
+    still = f"{found['power_share_unmodulated']:.4g}"
+    if "power_share_unmodulated_uncertainty" in found:
+        still += f" +- {found['power_share_unmodulated_uncertainty']:.1g}"
+    print(f"Received of the unmodulated light: {still}")
+    if math.isnan(found["cut_off_hz"]):
+        print("Cut-off at 1/sqrt 2: beyond these frequencies", end="")
+    else:
+        print(f"Cut-off at 1/sqrt 2: {found['cut_off_hz'] / 1e6:.2f}", end="")
+        if "cut_off_uncertainty_hz" in found:
+            print(f" +- {found['cut_off_uncertainty_hz'] / 1e6:.2f}", end="")
+        print(" MHz", end="")
+    fitted = found["fitted_cut_off_hz"]
+    print("" if fitted is None else f"; free fit: {fitted / 1e6:.2f} MHz")
+    if "histories" in found:
+        print(
+            f"{found['histories']:,} photons; orders of scattering 1, 2, 3, ...: "
+            + ", ".join(f"{share:.2f}" for share in found["share_by_scattering_order"])
+        )
+    if found.get("interrupted"):
+        print("Interrupted before the error was reached.")
+    if found.get("heavy_tailed"):
+        print("Single photons outweigh the error stated: treat it as too small.")

@@ -26,7 +26,7 @@ class Progress:
     goal: int
     """Histories asked for."""
     relative_error: float
-    """Relative error at the first frequency; infinite before two batches [1]."""
+    """Relative error at the first frequency; infinite before eight batches [1]."""
     seconds: float
     """Time since the start [s]."""
 
@@ -49,16 +49,15 @@ class Limits:
 
     def __post_init__(self) -> None:
         """Refuse what cannot be."""
-        if self.histories < 1:
-            raise ValueError(f"histories must be at least 1, got {self.histories}")
+        _refuse_fractions(self.histories, least=1, name="histories")
         if self.relative_error is not None and not self.relative_error > 0:
             raise ValueError(
                 f"relative_error must be above 0, got {self.relative_error}"
             )
         if self.longest_time is not None and not self.longest_time > 0:
             raise ValueError(f"longest_time must be above 0 s, got {self.longest_time}")
-        if self.threads is not None and self.threads < 1:
-            raise ValueError(f"threads must be at least 1, got {self.threads}")
+        if self.threads is not None:
+            _refuse_fractions(self.threads, least=1, name="threads")
 
 
 def frequencies(modulation_frequency: ArrayLike) -> NDArray[np.float64]:
@@ -69,18 +68,27 @@ def frequencies(modulation_frequency: ArrayLike) -> NDArray[np.float64]:
             "modulation_frequency must be a list of at least one frequency [Hz], got "
             f"the shape {frequency.shape}"
         )
-    if not np.all(np.isfinite(frequency) & (frequency >= 0)):
+    wrong = frequency[~(np.isfinite(frequency) & (frequency >= 0))]
+    if wrong.size > 0:
         raise ValueError(
-            f"modulation_frequency must not be below 0 Hz, got {np.min(frequency):g} Hz"
+            "modulation_frequency must be finite and not below 0 Hz, got "
+            f"{wrong[0]:g} Hz"
         )
     return frequency
 
 
 def checked_seed(seed: int) -> int:
     """Return a seed that a random number generator takes."""
-    if seed < 0:
-        raise ValueError(f"seed must not be below 0, got {seed}")
+    _refuse_fractions(seed, least=0, name="seed")
     return int(seed)
+
+
+def _refuse_fractions(value: float, *, least: int, name: str) -> None:
+    """Refuse a number that is not whole or too small."""
+    if not (value >= least and value % 1 == 0):
+        raise ValueError(
+            f"{name} must be a whole number of at least {least}, got {value}"
+        )
 
 
 def conduct(
@@ -91,14 +99,14 @@ def conduct(
 ) -> Tally:
     """Return the tally of all batches up to the first limit that is met."""
     started = time.monotonic()
-    done = Accumulator(frame, resume)
+    done = Accumulator.start(frame, resume)
     size = frame.batch_size
     goal = max(1, math.ceil(limits.histories / size))
     workers = limits.threads or os.cpu_count() or 1
     interrupted = False
     try:
         for batch in _in_order(batch_of, done.next_batch, goal, workers):
-            done.add(batch)
+            done = done.with_batch(batch)
             seconds = time.monotonic() - started
             error = done.relative_error()
             if limits.progress is not None:

@@ -22,7 +22,7 @@ from amulor.transport.receiver import (
 )
 from amulor.transport.scattering import AngleCells, ScatteringMatrix
 
-__all__ = ["Problem", "water_tables"]
+__all__ = ["Problem", "digest_of", "water_tables"]
 
 Array = NDArray[np.float64]
 
@@ -163,18 +163,23 @@ class Problem:
     @cached_property
     def digest(self) -> str:
         """SHA-256 of all numbers that enter, to tell problems apart."""
-        digest = hashlib.sha256()
-        parts = (
+        return digest_of(
             *self.water,
             *self.beam,
             *self.face,
             *self.plane,
             self.source.stokes,
             self.medium.group_index,
+            self.medium.polarized,
         )
-        for part in parts:
-            digest.update(np.ascontiguousarray(part).tobytes())
-        return digest.hexdigest()
+
+
+def digest_of(*parts: Any) -> str:
+    """Return the SHA-256 of numbers and arrays."""
+    digest = hashlib.sha256()
+    for part in parts:
+        digest.update(np.ascontiguousarray(part).tobytes())
+    return digest.hexdigest()
 
 
 def water_tables(layers: tuple[Layer, ...], edges: Array) -> tuple[Any, ...]:
@@ -204,7 +209,12 @@ def water_tables(layers: tuple[Layer, ...], edges: Array) -> tuple[Any, ...]:
     return (
         edges,
         attenuation,
-        scattering / attenuation,
+        np.divide(
+            scattering,
+            attenuation,
+            out=np.zeros_like(scattering),
+            where=attenuation > 0,
+        ),
         np.array(table, dtype=np.int64),
         urn,
         value,

@@ -46,7 +46,7 @@ class Record:
         wavenumber = 2j * np.pi * frequency * group_index / speed_of_light
         steepest = max(float(np.abs(wavenumber).max()), float(attenuation.max()))
         spacing = _STEP / steepest
-        wanted = 30 / float(attenuation.min()) / spacing
+        wanted = 30 / float(attenuation[attenuation > 0].min()) / spacing
         nodes = int(min(max(wanted, _FEWEST_NODES), _MOST_NODES))
         shape = (len(frame.parts), frame.batches.shape[2])
         return cls(

@@ -15,13 +15,13 @@ __all__ = ["Layer", "Medium"]
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Layer:
-    """Water that is the same all over, between two planes.
+    """Water that is the same all over, between two planes; or a gap without any.
 
     Raises
     ------
     ValueError
-        If a coefficient is below zero or not finite, both are zero, or the thickness
-        is not above zero.
+        If a coefficient is below zero or not finite, both are zero in a layer without
+        end, or the thickness is not above zero.
     """
 
     absorption: float
@@ -42,8 +42,11 @@ class Layer:
                     f"{name} must be at least 0 1/m, got {value!r} 1/m; the "
                     "single-scattering albedo b / (a + b) has to be from 0 to 1"
                 )
-        if self.attenuation == 0:
-            raise ValueError("absorption and scattering must not both be 0 1/m")
+        if self.attenuation == 0 and math.isinf(self.thickness):
+            raise ValueError(
+                "absorption and scattering must not both be 0 1/m in a layer without "
+                "end"
+            )
         if not self.thickness > 0:
             raise ValueError(f"thickness must be above 0 m, got {self.thickness!r} m")
 
@@ -104,6 +107,15 @@ class Medium:
             raise ValueError(
                 "top must be a finite place on the forward axis [m] if there is more "
                 "than one layer, or one with a thickness"
+            )
+        if math.isnan(self.top) or self.top == math.inf:
+            raise ValueError(
+                f"top must be a place on the forward axis [m], got {self.top!r} m"
+            )
+        if all(layer.attenuation == 0 for layer in self.layers):
+            raise ValueError(
+                "a medium needs a layer that absorbs or scatters, got only layers with "
+                "an attenuation of 0 1/m"
             )
         if any(endless[:-1]):
             raise ValueError("only the last layer may be without a thickness")

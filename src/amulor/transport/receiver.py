@@ -161,6 +161,8 @@ class PlaneTarget:
                 "mueller must have the shape (4, 4) and a first element of 1; put the "
                 "reflected share into reflectance"
             )
+        if not np.all(np.isfinite(matrix)):
+            raise ValueError("mueller must hold finite numbers")
         defect = float(realizability_defect(matrix))
         if defect > REALIZABILITY_TOLERANCE:
             raise ValueError(

@@ -168,7 +168,7 @@ class ScatteringMatrix:
             )
         elements = _compact(matrix)
         wrong = float(np.abs(matrix - _full(elements)).max())
-        if wrong > REALIZABILITY_TOLERANCE:
+        if not wrong <= REALIZABILITY_TOLERANCE:
             raise ValueError(
                 "mueller must have the form of symmetric particles in random "
                 "orientation (first element 1, m21 = m12, m43 = -m34, zeros off the "

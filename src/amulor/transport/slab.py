@@ -19,7 +19,7 @@ from amulor.transport._conduct import (
     conduct,
     frequencies,
 )
-from amulor.transport._problem import water_tables
+from amulor.transport._problem import digest_of, water_tables
 from amulor.transport._record import Record, random_state
 from amulor.transport.medium import Medium
 from amulor.transport.receiver import Source
@@ -166,7 +166,14 @@ class _Run:
             seed=self.seed,
             next_batch=0,
             batch_size=self.size,
-            problem="",
+            problem=digest_of(
+                *self.water,
+                self.medium.group_index,
+                self.medium.polarized,
+                self.incidence,
+                self.stokes,
+                self.outward,
+            ),
             seconds=0.0,
         )
 

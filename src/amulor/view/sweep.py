@@ -20,6 +20,7 @@ def figure(
     responses: Mapping[str, NDArray[np.complex128]],
     *,
     cut_off: float | None = None,
+    errors: Mapping[str, NDArray[np.float64]] | None = None,
     title: str = "",
 ) -> Figure:
     """Draw relative amplitude and phase of the water signal.
@@ -32,6 +33,8 @@ def figure(
         Name to response over the one at zero frequency [1].
     cut_off : float, optional
         Where to mark the half-power point [Hz].
+    errors : mapping of str to ndarray, optional
+        Standard errors of relative amplitudes, drawn as a band [1].
     title : str
         Title of the figure.
 
@@ -44,7 +47,16 @@ def figure(
         drawn = new_figure(4.8, 4.4)
         top, bottom = drawn.subplots(2, 1, sharex=True)
         for name, response in responses.items():
-            top.plot(modulation_frequency / 1e6, np.abs(response), label=name)
+            (line,) = top.plot(modulation_frequency / 1e6, np.abs(response), label=name)
+            if errors is not None and name in errors:
+                top.fill_between(
+                    modulation_frequency / 1e6,
+                    np.abs(response) - errors[name],
+                    np.abs(response) + errors[name],
+                    color=line.get_color(),
+                    alpha=0.3,
+                    lw=0,
+                )
             phase = np.degrees(np.unwrap(np.angle(response)))
             bottom.plot(modulation_frequency / 1e6, phase, label=name)
         if cut_off is not None:

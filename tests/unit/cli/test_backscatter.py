@@ -109,3 +109,57 @@ def test_wrong_values_get_one_line(
     message = capsys.readouterr().err
     assert complaint in message
     assert message.count("\n") == 1
+
+
+def _with_asymmetry(path: Path, *, window: str = "") -> Path:
+    text = TANK.replace("forward_fraction = 1.0\n", "asymmetry = 0.9\n")
+    text = text.replace('second_moment = "0.05 rad^2"\n', "")
+    text = text.replace('phase_function_at_180 = "0.001 1/sr"\n', "")
+    path.write_text(text + window)
+    return path
+
+
+def test_photons_agree_with_the_small_angle_model(tank: Path, capsys) -> None:
+    words = ["backscatter", str(_with_asymmetry(tank)), "--frequency", "1MHz:60MHz:12"]
+    photons = _json([*words, "--model", "montecarlo", "--error", "2 %"], capsys)
+    formula = _json([*words, "--model", "small-angle"], capsys)
+    light, error = (
+        photons["power_share_unmodulated"],
+        photons["power_share_unmodulated_uncertainty"],
+    )
+    assert error < 0.021 * light
+    # The small-angle form is good to about a tenth in this water.
+    assert light == pytest.approx(formula["power_share_unmodulated"], rel=0.12)
+    assert photons["cut_off_hz"] == pytest.approx(
+        formula["cut_off_hz"], abs=0.1 * formula["cut_off_hz"]
+    )
+    assert photons["cut_off_uncertainty_hz"] < 0.1 * photons["cut_off_hz"]
+    assert len(photons["phase_uncertainty_rad"]) == 12
+    assert sum(photons["share_by_scattering_order"]) == pytest.approx(1, abs=1e-9)
+    assert not photons["heavy_tailed"]
+
+
+def test_photons_through_a_window_count_from_the_water(tank: Path, capsys) -> None:
+    window = """
+[instrument.window]
+distance = "10 cm"
+thickness = "2 cm"
+"""
+    words = ["--frequency", "1MHz,10MHz", "--model", "montecarlo", "--error", "3%"]
+    words = ["backscatter", str(_with_asymmetry(tank, window=window)), *words]
+    photons = _json(words, capsys)
+    words[words.index("montecarlo")] = "small-angle"
+    formula = _json(words, capsys)
+    assert photons["phase_rad"] == pytest.approx(formula["phase_rad"], rel=0.08)
+
+
+def test_photons_need_the_whole_phase_function(tank: Path, capsys) -> None:
+    assert main(["backscatter", str(tank), "--model", "montecarlo"]) == 1
+    assert "add asymmetry" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("error", ["0%", "1 m", "little"])
+def test_an_error_that_is_none_is_refused(tank: Path, error: str, capsys) -> None:
+    words = ["backscatter", str(_with_asymmetry(tank)), "--model", "montecarlo"]
+    assert main([*words, "--error", error]) == 1
+    assert len(capsys.readouterr().err.strip().splitlines()) == 1

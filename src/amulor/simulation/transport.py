@@ -1,0 +1,186 @@
+"""The water signal of a survey by photon transport: all orders of scattering."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from amulor.errors import SurveyError
+from amulor.optics import rays
+from amulor.optics.phase_function_models import henyey_greenstein_function
+from amulor.survey import Survey, water_properties
+from amulor.survey.view import medium as crossed_by
+from amulor.transport import (
+    GaussianReceiver,
+    Layer,
+    Medium,
+    PlaneTarget,
+    Progress,
+    Source,
+    Tally,
+    simulate,
+)
+
+#: Most histories of a run that is to reach a relative error.
+MOST_HISTORIES = 50_000_000
+
+
+def monte_carlo_response(
+    survey: Survey,
+    modulation_frequency: ArrayLike,
+    *,
+    relative_error: float = 0.01,
+    seed: int = 1,
+    progress: Callable[[Progress], None] | None = None,
+) -> Tally:
+    """Return the open-water signal at the middle of the scan by photon transport.
+
+    Parameters
+    ----------
+    survey : Survey
+        Water and instrument count; targets and polarizers do not. The water must have
+        an asymmetry, since photons need the whole phase function.
+    modulation_frequency : array_like
+        Frequencies of the intensity modulation; the first one decides on the error,
+        so it should be 0 [Hz].
+    relative_error : float
+        Relative error to reach at the first frequency [1].
+    seed : int
+        Seed of the random numbers.
+    progress : callable, optional
+        Called with the state of the run after each batch.
+
+    Returns
+    -------
+    Tally
+        Received power per launched power, with the phase counted from where the water
+        begins, and errors.
+
+    Raises
+    ------
+    SurveyError
+        If the water states no asymmetry, or the receiver looks through a window at an
+        angle.
+
+    Notes
+    -----
+    `amulor.transport.simulate` with the Henyey-Greenstein phase function, the Gaussian
+    receiver of eq. (38) of Ricci et al. 2010, as rebuilt, and a thin beam. Behind a
+    window the receiver is put where it seems to be from the water, with a gap that
+    lets all light pass.
+    """
+    water = water_properties(survey)
+    asymmetry = survey.water.asymmetry
+    if asymmetry is None:
+        raise SurveyError(
+            "water.asymmetry is missing; photon transport needs the whole phase "
+            "function, not only its moments: add asymmetry, or use the diffusion model"
+        )
+    function = henyey_greenstein_function(asymmetry=asymmetry)
+    instrument, scan = survey.instrument, survey.scan
+    receiver, window = instrument.receiver, crossed_by(survey, water)
+    beam = rays.enter_water(
+        instrument.emitter.position,
+        rays.direction(scan.azimuth, scan.elevation),
+        medium=window,
+    )
+    axis = rays.direction(receiver.azimuth, receiver.elevation)
+    frequency = np.asarray(modulation_frequency, dtype=np.float64)
+    layer = Layer(
+        absorption=survey.water.absorption,
+        scattering=survey.water.scattering,
+        phase_function=function,
+    )
+    target = None
+    if survey.water.column_end is not None:
+        # The far end of the water is black.
+        end = beam.entry + survey.water.column_end * beam.direction
+        target = PlaneTarget(position=end, normal=-beam.direction, reflectance=0.0)
+    if window.window_distance is None:
+        space = Medium(layers=(layer,), group_index=water.group_index)
+        place, acceptance, gap = np.array(receiver.position), receiver.acceptance, 0.0
+    else:
+        if abs(axis[2] - 1) > 1e-9:
+            raise SurveyError(
+                "instrument.receiver looks through the window at an angle; photon "
+                "transport needs azimuth and elevation of 0 there: aim the emitter "
+                "instead, or use the small-angle model"
+            )
+        begin = float(beam.entry[2])
+        reduced = (
+            window.window_distance
+            - receiver.position[2]
+            + window.window_thickness / window.window_refractive_index
+        )
+        gap = window.refractive_index * reduced
+        passage = Layer(
+            absorption=0.0, scattering=0.0, phase_function=function, thickness=gap
+        )
+        space = Medium.layered(
+            [passage, layer], group_index=water.group_index, top=begin - gap
+        )
+        place = np.array([*receiver.position[:2], begin - gap])
+        acceptance = receiver.acceptance / window.refractive_index
+    tally = simulate(
+        space,
+        Source(position=beam.entry, direction=beam.direction),
+        GaussianReceiver(
+            position=place,
+            direction=axis,
+            radius=receiver.radius,
+            acceptance_angle=acceptance,
+        ),
+        frequency,
+        histories=MOST_HISTORIES,
+        seed=seed,
+        target=target,
+        relative_error=relative_error,
+        progress=progress,
+    )
+    return tally.delayed(-gap, group_index=water.group_index) if gap else tally
+
+
+def half_power(tally: Tally) -> tuple[float, float]:
+    r"""Return the cut-off of a run, and its standard error.
+
+    Parameters
+    ----------
+    tally : Tally
+        Run with rising frequencies, of which the first is 0.
+
+    Returns
+    -------
+    cut_off : float
+        Where the modulus falls to :math:`1/\sqrt 2` of that at zero frequency, by
+        a straight line between neighbours; nan if it does not fall so far [Hz].
+    standard_error : float
+        From the scatter of the batches [Hz].
+
+    Raises
+    ------
+    ValueError
+        If the first frequency is not 0 or they do not rise.
+    """
+    frequency = tally.modulation_frequency
+    if frequency[0] != 0 or not np.all(np.diff(frequency) > 0):
+        raise ValueError("the frequencies must rise from 0 Hz")
+    relative = np.abs(tally.signal) / abs(tally.signal[0])
+    below = np.flatnonzero(relative < math.sqrt(0.5))
+    if below.size == 0:
+        return math.nan, math.nan
+    k = int(below[0])
+    drop = relative[k - 1] - relative[k]
+    share = (relative[k - 1] - math.sqrt(0.5)) / drop
+    step = frequency[k] - frequency[k - 1]
+    # Batches of the modulus at the crossing over the light at zero frequency.
+    values = tally.batches.sum(axis=1)[:, 0]
+    unit = np.conj(tally.signal) / np.abs(tally.signal)
+    along = (values * unit).real
+    ends = along[:, [k - 1, k]] / abs(tally.signal[0])
+    at_crossing = (1 - share) * ends[:, 0] + share * ends[:, 1]
+    ratio = at_crossing - math.sqrt(0.5) * along[:, 0] / abs(tally.signal[0])
+    error = math.sqrt(tally.covariance_of(ratio)[0, 0])
+    return frequency[k - 1] + share * step, error * step / drop
