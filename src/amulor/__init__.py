@@ -19,7 +19,7 @@ import importlib
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from amulor import cube, imaging, optics, rejection, view
+    from amulor import cube, imaging, optics, rejection, transport, view
     from amulor.io import read_cube, write_cube
     from amulor.simulation import simulate
     from amulor.survey import Survey
@@ -35,11 +35,12 @@ __all__ = [
     "read_cube",
     "rejection",
     "simulate",
+    "transport",
     "view",
     "write_cube",
 ]
 
-_MODULES = ("cube", "imaging", "io", "optics", "rejection", "view")
+_MODULES = ("cube", "imaging", "io", "optics", "rejection", "transport", "view")
 _NAMES = {
     "Survey": "amulor.survey",
     "read_cube": "amulor.io",

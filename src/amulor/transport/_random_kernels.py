@@ -1,8 +1,8 @@
 """Random numbers inside of compiled loops: the generator xoshiro256++.
 
 Blackman and Vigna, ACM Trans. Math. Softw. 47, 36 (2021), doi:10.1145/3460772. A
-`numpy.random.Generator` can be called from compiled code too, at six times the cost
-(docs/decisions/0006). Each batch of histories has a state of its own, drawn from a
+`numpy.random.Generator` can be called from compiled code too, at several times the
+cost (docs/decisions/0006). Each batch of histories has a state of its own, drawn from a
 `numpy.random.SeedSequence`.
 """
 
