@@ -1,4 +1,4 @@
-"""Reads and writes files: cubes as netCDF, point clouds in the formats of others."""
+"""Reads and writes files: cubes and tallies as netCDF, clouds in others' formats."""
 
 from __future__ import annotations
 
@@ -13,17 +13,20 @@ from amulor.io.files import check_output, make_folder
 from amulor.io.laz import write_laz
 from amulor.io.netcdf import read_cube, write_cube
 from amulor.io.ply import write_ply
+from amulor.io.tallies import read_tally, write_tally
 
 __all__ = [
     "CLOUD_SUFFIXES",
     "check_output",
     "make_folder",
     "read_cube",
+    "read_tally",
     "write_cloud",
     "write_cube",
     "write_e57",
     "write_laz",
     "write_ply",
+    "write_tally",
 ]
 
 #: Suffixes that `write_cloud` knows.

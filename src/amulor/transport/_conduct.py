@@ -103,12 +103,13 @@ def conduct(
     size = frame.batch_size
     goal = max(1, math.ceil(limits.histories / size))
     workers = limits.threads or os.cpu_count() or 1
-    interrupted = False
+    interrupted, error = False, math.inf
     try:
         for batch in _in_order(batch_of, done.next_batch, goal, workers):
             done = done.with_batch(batch)
             seconds = time.monotonic() - started
-            error = done.relative_error()
+            if limits.progress is not None or limits.relative_error is not None:
+                error = done.relative_error()
             if limits.progress is not None:
                 limits.progress(Progress(done.histories, goal * size, error, seconds))
             if limits.relative_error is not None and error <= limits.relative_error:

@@ -48,8 +48,11 @@ def turned_frame(
 @njit(cache=True, error_model="numpy")
 def projected_frame(nx: float, ny: float, nz: float) -> Vector:
     """Return the part of the axis (1, 0, 0) perpendicular to n, made a unit vector."""
-    norm = math.sqrt(max(1.0 - nx * nx, 1e-300))
-    return (1.0 - nx * nx) / norm, -nx * ny / norm, -nx * nz / norm
+    across = ny * ny + nz * nz
+    if across < 1e-24:  # along that axis, where it has no part to the side
+        return 0.0, 1.0, 0.0
+    norm = math.sqrt(across)
+    return across / norm, -nx * ny / norm, -nx * nz / norm
 
 
 @njit(cache=True, error_model="numpy")

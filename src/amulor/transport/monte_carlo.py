@@ -62,10 +62,9 @@ class Technique:
     def __post_init__(self) -> None:
         """Refuse what cannot be."""
         for name in ("paths", "partners", "scattering_orders"):
-            if getattr(self, name) < 1:
-                raise ValueError(
-                    f"{name} must be at least 1, got {getattr(self, name)}"
-                )
+            value = getattr(self, name)
+            if value < 1 or value != int(value):
+                raise ValueError(f"{name} must be a whole number from 1, got {value!r}")
 
 
 def simulate(
@@ -163,6 +162,11 @@ def simulate(
     limits = Limits(histories, relative_error, longest_time, threads, progress)
     problem = Problem(medium, source, receiver, target)
     size = _batch_size(histories, chosen) if resume is None else resume.batch_size
+    if size % chosen.paths:
+        raise ValueError(
+            f"the run to go on with has batches of {size} histories, which groups of "
+            f"{chosen.paths} paths do not fill; use its technique"
+        )
     run = _Run(
         problem,
         chosen,

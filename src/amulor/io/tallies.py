@@ -1,0 +1,220 @@
+"""Reads and writes what a photon transport run has found, to merge it or go on."""
+
+from __future__ import annotations
+
+import io
+import os
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+
+from amulor.errors import AmulorError, FormatError
+from amulor.io.files import atomic_output, read_bytes
+from amulor.io.netcdf import (
+    _HDF5_SIGNATURE,
+    _check_seal,
+    _encoded,
+    _opened,
+    _reason,
+)
+
+if TYPE_CHECKING:
+    from amulor.transport.tally import Tally
+
+#: Version of what the file holds.
+_VERSION = "1"
+_DIMENSIONS = ("batch", "part", "component", "modulation_frequency")
+_PER_LIGHT = {"units": "1", "long_name": "light per launched light"}
+
+
+def write_tally(
+    tally: Tally, path: str | os.PathLike[str], *, overwrite: bool = False
+) -> None:
+    """Write the result of a transport run to a netCDF-4 file.
+
+    Parameters
+    ----------
+    tally : Tally
+        Result of `amulor.transport.simulate` or `reflection_and_transmission`.
+    path : path-like
+        File to make, by custom with the suffix `.nc`.
+    overwrite : bool
+        Whether an existing file is replaced.
+
+    Raises
+    ------
+    FormatError
+        If the file exists and `overwrite` is not set, or cannot be written.
+
+    Notes
+    -----
+    All batches are kept, so what `read_tally` gives back can be merged and gone on
+    with like the original, and has the same numbers to the last bit. Complex numbers
+    are stored as real and imaginary part, in_phase and quadrature.
+    """
+    components = ["I", "Q", "U", "V"][: tally.batches.shape[2]]
+    frequency = {"units": "Hz", "long_name": "modulation frequency"}
+    histories = {"units": "1", "long_name": "histories in each batch"}
+    coordinates: dict[str, Any] = {
+        "part": ("part", np.array(tally.parts, dtype=object)),
+        "component": ("component", np.array(components, dtype=object)),
+        "modulation_frequency": (
+            "modulation_frequency",
+            tally.modulation_frequency,
+            frequency,
+        ),
+    }
+    variables: dict[str, Any] = {
+        "in_phase": (_DIMENSIONS, tally.batches.real, _PER_LIGHT),
+        "quadrature": (_DIMENSIONS, tally.batches.imag, _PER_LIGHT),
+        "histories": ("batch", tally.histories_of, histories),
+    }
+    attributes: dict[str, Any] = {
+        "title": "light of a photon transport run, as means of batches of histories",
+        "amulor_tally_version": _VERSION,
+        "problem": tally.problem,
+        # Text, as there is no limit to the size of a seed.
+        "seeds": " ".join(str(seed) for seed in (tally.seed, *tally.merged_seeds)),
+        "batch_size": np.int64(tally.batch_size),
+        "next_batch": np.int64(tally.next_batch),
+        "groups": np.int64(tally.groups),
+        "contribution_sum": np.float64(tally.contribution[0]),
+        "contribution_sum_of_squares": np.float64(tally.contribution[1]),
+        "largest_contribution": np.float64(tally.contribution[2]),
+        "seconds": np.float64(tally.seconds),
+        "interrupted": np.int8(tally.interrupted),
+    }
+    record = tally.record
+    if record is not None:
+        length = {"units": "m", "long_name": "length of the path"}
+        coordinates["path_length"] = ("path_length", record.length, length)
+        for name, light in (("water", record.water), ("target", record.target)):
+            dimensions = ("path_length", "component")
+            variables[f"{name}_by_path"] = (dimensions, light, _PER_LIGHT)
+        attributes["beyond_record"] = np.float64(record.beyond)
+    with atomic_output(path, overwrite=overwrite) as temporary:
+        dataset = xr.Dataset(variables, coordinates, attributes)
+        temporary.write_bytes(_encoded({"": dataset}))
+
+
+def read_tally(path: str | os.PathLike[str]) -> Tally:
+    """Read the result of a transport run.
+
+    Parameters
+    ----------
+    path : path-like
+        File that `write_tally` wrote.
+
+    Returns
+    -------
+    Tally
+        As it was written.
+
+    Raises
+    ------
+    FormatError
+        If the file is missing or damaged, or something else than such a result.
+    """
+    path = Path(path)
+    content = read_bytes(path)
+    if not content.startswith(_HDF5_SIGNATURE):
+        raise FormatError(
+            f"{path} is no netCDF-4 file, it starts with {content[:8]!r}; name a tally "
+            "that amulor wrote"
+        )
+    _check_seal(content, path)
+    try:
+        return _tally(_loaded(content, path), path)
+    except AmulorError:
+        raise
+    except Exception as error:  # h5py and what decodes the file raise many kinds
+        raise FormatError(
+            f"{path} cannot be read as a tally: {_reason(error)}; it is damaged, or "
+            "another program wrote it: copy it again, or make it again"
+        ) from error
+
+
+def _loaded(content: bytes, path: Path) -> xr.Dataset:
+    """Return all that the file holds."""
+    import h5netcdf
+    import h5py
+
+    with h5py.File(io.BytesIO(content), "r") as storage:
+        version = dict(storage.attrs).get("amulor_tally_version")
+        if version is None:
+            raise FormatError(
+                f"{path} is no tally of amulor: it lacks the attribute "
+                "'amulor_tally_version'; name a file that write_tally wrote"
+            )
+        with h5netcdf.File(storage, "r", decode_vlen_strings=True) as file:
+            found = _opened(file, None)
+    if found.attrs["amulor_tally_version"] != _VERSION:
+        raise FormatError(
+            f"{path} has 'amulor_tally_version' "
+            f"{found.attrs['amulor_tally_version']!r}, this version of amulor reads "
+            f"{_VERSION!r}; read it with the version that wrote it"
+        )
+    return found
+
+
+def _tally(found: xr.Dataset, path: Path) -> Tally:
+    """Return the tally that a file holds, checked as far as numbers can tell."""
+    # Brings the compiled loops with it, which other readers of files do not need.
+    from amulor.transport.tally import PathRecord, Tally
+
+    def real(name: str) -> NDArray[np.float64]:
+        values: NDArray[np.float64] = np.array(found[name].values, dtype=np.float64)
+        if not np.all(np.isfinite(values)):
+            raise FormatError(
+                f"{path}: '{name}' holds numbers that are not finite; make it again"
+            )
+        return values
+
+    def number(name: str) -> float:
+        return float(found.attrs[name])
+
+    def whole(name: str) -> int:
+        return int(found.attrs[name])
+
+    batches = np.empty(found["in_phase"].shape, dtype=np.complex128)
+    batches.real, batches.imag = real("in_phase"), real("quadrature")
+    histories_of = np.array(found["histories"].values, dtype=np.int64)
+    if found["in_phase"].dims != _DIMENSIONS or batches.shape[2] not in (1, 4):
+        raise FormatError(
+            f"{path}: 'in_phase' has {dict(found['in_phase'].sizes)}, needed are the "
+            f"dimensions {', '.join(_DIMENSIONS)} with 1 or 4 components; make it again"
+        )
+    if histories_of.size == 0 or np.any(histories_of < 1):
+        raise FormatError(f"{path} has a batch without histories; make it again")
+    seed, *merged = (int(word) for word in str(found.attrs["seeds"]).split())
+    record = None
+    if "path_length" in found:
+        record = PathRecord(
+            length=real("path_length"),
+            water=real("water_by_path"),
+            target=real("target_by_path"),
+            beyond=number("beyond_record"),
+        )
+    return Tally(
+        modulation_frequency=real("modulation_frequency"),
+        parts=tuple(str(name) for name in found["part"].values),
+        batches=batches,
+        histories_of=histories_of,
+        groups=whole("groups"),
+        contribution=(
+            number("contribution_sum"),
+            number("contribution_sum_of_squares"),
+            number("largest_contribution"),
+        ),
+        seed=seed,
+        merged_seeds=tuple(merged),
+        next_batch=whole("next_batch"),
+        batch_size=whole("batch_size"),
+        problem=str(found.attrs["problem"]),
+        seconds=number("seconds"),
+        interrupted=bool(whole("interrupted")),
+        record=record,
+    )
