@@ -1,0 +1,396 @@
+"""Compiled loops of the joint estimation: the search for the most likely path."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numba
+import numpy as np
+from numpy.typing import NDArray
+
+from amulor.rejection._joint_kernels import (
+    LANES,
+    depth_of,
+    descent,
+    fill_phasor,
+    misfit,
+    misfit_at,
+    turn_by,
+    water_to,
+)
+
+Array = NDArray[Any]
+
+
+#: Local minima of the coarse likelihood that are looked at closely.
+CANDIDATES = 6
+#: Columns of what `estimate` fills in.
+PATH, COST, INFORMATION, LOWER, UPPER, WRONG, EMPTY_COST, USED = range(8)
+COLUMNS = 8
+
+#: A minimum is out of the race when it is this much higher [1], and by this share of
+#: what the target explains, which the coarse grid may miss.
+_NEAR, _GRID_ERROR = 60.0, 0.05
+_MOST_STEPS = 20
+_HALVINGS = 6
+_BISECTIONS = 24
+
+
+@numba.njit(cache=True)
+def _half_width(
+    side: float,
+    path: float,
+    sigma: float,
+    lowest: float,
+    first: float,
+    last: float,
+    nodes: Array,
+    step: float,
+    share: Array,
+    value: Array,
+    slope: Array,
+    turn: Array,
+    wavenumber: Array,
+    transfer: Array,
+    signal: Array,
+    weight: Array,
+    gain: Array,
+    water: Array,
+    change: Array,
+    phasor: Array,
+    amplitude: Array,
+) -> float:
+    """Return how far the path may go to one side until the misfit has risen by 1."""
+    near, far = 0.0, sigma
+    rise = 0.0
+    for attempt in range(6):
+        cost, _ = misfit_at(
+            path + side * far, first, last, nodes, step, share, value, slope, turn,
+            wavenumber, transfer, signal, weight, gain, water, change, phasor,
+            amplitude,
+        )  # fmt: skip
+        rise = cost - lowest
+        # A parabola to a tenth: its own width serves.
+        if attempt == 0 and abs(rise - 1) < 0.1:
+            return far / math.sqrt(rise)
+        if rise >= 1:
+            break
+        near, far = far, 1.5 * far
+    if rise < 1:
+        return far
+    for _ in range(_BISECTIONS):
+        middle = 0.5 * (near + far)
+        cost, _ = misfit_at(
+            path + side * middle, first, last, nodes, step, share, value, slope, turn,
+            wavenumber, transfer, signal, weight, gain, water, change, phasor,
+            amplitude,
+        )  # fmt: skip
+        if cost - lowest < 1:
+            near = middle
+        else:
+            far = middle
+    return 0.5 * (near + far)
+
+
+@numba.njit(cache=True, fastmath=LANES)
+def _coarse(
+    grid: Array,
+    coarse: Array,
+    shortest: float,
+    longest: float,
+    first: float,
+    last: float,
+    depths: Array,
+    step: float,
+    share: Array,
+    value: Array,
+    turn: Array,
+    signal: Array,
+    weight: Array,
+    gain: Array,
+    water: Array,
+    amplitude: Array,
+    minima: Array,
+    levels: Array,
+) -> int:
+    """Fill in the lowest local minima of the likelihood on a grid of paths."""
+    nodes, frequencies = value.shape[1], value.shape[3]
+    before, level = np.inf, np.inf
+    settled = -1
+    found = 0
+    for j in range(grid.size + 1):
+        after = np.inf
+        if j < grid.size and shortest <= grid[j] <= longest:
+            depth, _ = depth_of(grid[j], first, last, depths)
+            node = min(max(int(depth / step + 0.5), 0), nodes - 2)
+            if node != settled:
+                settled = node
+                water[:] = 0
+                for r in range(share.size):
+                    for f in range(frequencies):
+                        water[0, f] += share[r] * value[r, node, 0, f]
+                        water[1, f] += share[r] * value[r, node, 1, f]
+                turn_by(water, turn)
+            after = misfit(signal, weight, gain, water, coarse[j], amplitude)
+        if level < np.inf and level <= before and level < after:
+            # The vertex of the parabola through three points.
+            place, height = grid[j - 1], level
+            bend = before - 2 * level + after
+            if before < np.inf and after < np.inf and bend > 0:
+                shift = 0.5 * (before - after) / bend
+                place += shift * (grid[1] - grid[0])
+                height -= 0.25 * (before - after) * shift
+            worst = 0
+            for k in range(CANDIDATES):
+                if levels[k] > levels[worst]:
+                    worst = k
+            if height < levels[worst]:
+                minima[worst], levels[worst] = place, height
+                found = min(found + 1, CANDIDATES)
+        before, level = level, after
+    order = np.argsort(levels)
+    minima[:] = minima[order]
+    levels[:] = levels[order]
+    return found
+
+
+@numba.njit(cache=True, parallel=True)
+def estimate(
+    signal: Array,
+    weight: Array,
+    gain: Array,
+    share: Array,
+    turned: Array,
+    value: Array,
+    slope: Array,
+    step: float,
+    wavenumber: Array,
+    transfer: Array,
+    grid: Array,
+    start: Array,
+    longest: Array,
+    depths: Array,
+    known: Array,
+    is_known: bool,
+    out: Array,
+    amplitudes: Array,
+    influences: Array,
+) -> None:
+    """Fill in the most likely path of every pixel.
+
+    Arrays run over (pixel, channel, part, frequency), the parts real and imaginary.
+    `grid` holds the paths of the coarse likelihood; where `is_known`, the search starts
+    at the path `known` instead.
+    """
+    channels, frequencies = signal.shape[1], signal.shape[3]
+    coarse = np.empty((grid.size, 2, frequencies))
+    for j in range(grid.size):
+        fill_phasor(grid[j], wavenumber, transfer, coarse[j])
+    spacing = grid[1] - grid[0]
+    for n in numba.prange(signal.shape[0]):
+        water = np.empty((2, frequencies))
+        change = np.empty((2, frequencies))
+        phasor = np.empty((2, frequencies))
+        turn = np.empty((2, frequencies))
+        amplitude = np.empty(channels)
+        influence = np.empty((channels, 2, frequencies))
+        minima = np.empty(CANDIDATES)
+        levels = np.full(CANDIDATES, np.inf)
+        first, last = start[n], longest[n]
+        for f in range(frequencies):
+            turn[0, f] = math.cos(wavenumber[f] * turned[n])
+            turn[1, f] = math.sin(wavenumber[f] * turned[n])
+        used = 0
+        for c in range(channels):
+            for f in range(frequencies):
+                if weight[n, c, 0, f] > 0:
+                    used += 2
+        # Water alone, open to its end.
+        water_to(np.inf, step, share[n], value, slope, water, change)
+        turn_by(water, turn)
+        phasor[:] = 0
+        empty = misfit(signal[n], weight[n], gain, water, phasor, amplitude)
+        found = 0
+        if is_known:
+            minima[0], levels[0], found = known[n], 0.0, 1
+        else:
+            found = _coarse(
+                grid, coarse, first - spacing, last + spacing, first, last, depths[n],
+                step, share[n], value, turn, signal[n], weight[n], gain, water,
+                amplitude, minima, levels,
+            )  # fmt: skip
+        best, best_path, best_information = np.inf, np.nan, 0.0
+        mass = np.zeros(CANDIDATES)
+        costs = np.full(CANDIDATES, np.inf)
+        for k in range(found):
+            # What is worse by more than the coarse grid can err is not looked at.
+            if levels[k] > best + _NEAR + _GRID_ERROR * empty:
+                break
+            path = minima[k]
+            cost, rate = misfit_at(
+                path, first, last, depths[n], step, share[n], value, slope, turn,
+                wavenumber, transfer, signal[n], weight[n], gain, water, change, phasor,
+                amplitude,
+            )  # fmt: skip
+            information = 0.0
+            for _ in range(_MOST_STEPS):
+                downhill, information = descent(
+                    signal[n], weight[n], gain, water, change, rate, phasor, wavenumber,
+                    amplitude, influence,
+                )  # fmt: skip
+                if not information > 0:
+                    break
+                move = downhill / information
+                move = min(max(move, -0.5 * spacing), 0.5 * spacing)
+                moved, new = path, cost
+                for _ in range(_HALVINGS):
+                    moved = path + move
+                    new, rate = misfit_at(
+                        moved, first, last, depths[n], step, share[n], value, slope,
+                        turn, wavenumber, transfer, signal[n], weight[n], gain, water,
+                        change, phasor, amplitude,
+                    )  # fmt: skip
+                    if new <= cost:
+                        break
+                    move *= 0.5
+                if not new <= cost:
+                    break
+                path, cost = moved, new
+                if abs(move) < 1e-3 / math.sqrt(information) or abs(move) < 1e-10:
+                    break
+            if not information > 0:
+                continue
+            # The error may carry a path a little beyond its limits.
+            slack = min(4 / math.sqrt(information), spacing)
+            if path < first - slack or path > last + slack:
+                continue
+            same = False
+            for m in range(k):
+                if costs[m] < np.inf and abs(minima[m] - path) < 0.25 * spacing:
+                    same = True
+            if same:
+                continue
+            minima[k], costs[k] = path, cost
+            mass[k] = 1 / math.sqrt(information)
+            if cost < best:
+                best, best_path, best_information = cost, path, information
+        if not best_information > 0:
+            out[n, PATH] = np.nan
+            out[n, COST] = np.inf
+            out[n, INFORMATION] = 0.0
+            out[n, LOWER], out[n, UPPER], out[n, WRONG] = np.nan, np.nan, 1.0
+            out[n, EMPTY_COST], out[n, USED] = empty, used
+            amplitudes[n] = 0
+            influences[n] = 0
+            continue
+        total, own = 0.0, 0.0
+        for k in range(found):
+            if costs[k] < np.inf:
+                likely = mass[k] * math.exp(-0.5 * min(costs[k] - best, 1400.0))
+                total += likely
+                if minima[k] == best_path:
+                    own = likely
+        sigma = 1 / math.sqrt(best_information)
+        lower, upper = sigma, sigma
+        if not is_known:
+            lower = _half_width(
+                -1.0, best_path, sigma, best, first, last, depths[n], step, share[n],
+                value, slope, turn, wavenumber, transfer, signal[n], weight[n], gain,
+                water, change, phasor, amplitude,
+            )  # fmt: skip
+            upper = _half_width(
+                1.0, best_path, sigma, best, first, last, depths[n], step, share[n],
+                value, slope, turn, wavenumber, transfer, signal[n], weight[n], gain,
+                water, change, phasor, amplitude,
+            )  # fmt: skip
+        cost, rate = misfit_at(
+            best_path, first, last, depths[n], step, share[n], value, slope, turn,
+            wavenumber, transfer, signal[n], weight[n], gain, water, change, phasor,
+            amplitude,
+        )  # fmt: skip
+        _, information = descent(
+            signal[n], weight[n], gain, water, change, rate, phasor, wavenumber,
+            amplitude, influence,
+        )  # fmt: skip
+        out[n, PATH], out[n, COST], out[n, INFORMATION] = best_path, best, information
+        out[n, LOWER], out[n, UPPER] = lower, upper
+        out[n, WRONG] = 1 - own / total
+        out[n, EMPTY_COST], out[n, USED] = empty, used
+        amplitudes[n] = amplitude
+        influences[n] = influence / information
+
+
+@numba.njit(cache=True)
+def starting_costs(
+    signal: Array,
+    weight: Array,
+    share: Array,
+    turned: Array,
+    value: Array,
+    step: float,
+    wavenumber: Array,
+    transfer: Array,
+    grid: Array,
+    start: Array,
+    longest: Array,
+    depths: Array,
+    best: Array,
+    strength: Array,
+) -> None:
+    """Fill in the misfit of each pixel with a water signal of its own strength.
+
+    For every path on the grid the amplitudes of target and water are fitted channel by
+    channel, neither below zero; `strength` holds those of the water at the best.
+    """
+    channels, frequencies = signal.shape[1], signal.shape[3]
+    coarse = np.empty((grid.size, 2, frequencies))
+    for j in range(grid.size):
+        fill_phasor(grid[j], wavenumber, transfer, coarse[j])
+    water = np.empty((2, frequencies))
+    turn = np.empty((2, frequencies))
+    trial = np.empty(channels)
+    for n in range(signal.shape[0]):
+        best[n] = np.inf
+        for f in range(frequencies):
+            turn[0, f] = math.cos(wavenumber[f] * turned[n])
+            turn[1, f] = math.sin(wavenumber[f] * turned[n])
+        for j in range(grid.size):
+            if not start[n] <= grid[j] <= longest[n]:
+                continue
+            depth, _ = depth_of(grid[j], start[n], longest[n], depths[n])
+            node = min(max(int(depth / step + 0.5), 0), value.shape[1] - 2)
+            water[:] = 0
+            for r in range(share.shape[1]):
+                for f in range(frequencies):
+                    water[0, f] += share[n, r] * value[r, node, 0, f]
+                    water[1, f] += share[n, r] * value[r, node, 1, f]
+            turn_by(water, turn)
+            total = 0.0
+            for c in range(channels):
+                ee, ew, ww, ye, yw, yy = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+                for f in range(frequencies):
+                    a, b, d = weight[n, c, 0, f], weight[n, c, 1, f], weight[n, c, 2, f]
+                    u, v = signal[n, c, 0, f], signal[n, c, 1, f]
+                    e, i = coarse[j, 0, f], coarse[j, 1, f]
+                    w, x = water[0, f], water[1, f]
+                    yy += a * u * u + 2 * b * u * v + d * v * v
+                    ye += e * (a * u + b * v) + i * (b * u + d * v)
+                    yw += w * (a * u + b * v) + x * (b * u + d * v)
+                    ee += a * e * e + 2 * b * e * i + d * i * i
+                    ew += e * (a * w + b * x) + i * (b * w + d * x)
+                    ww += a * w * w + 2 * b * w * x + d * x * x
+                determinant = ee * ww - ew * ew
+                s, t = 0.0, 0.0
+                if determinant > 1e-12 * ee * ww:
+                    t = (ye * ww - yw * ew) / determinant
+                    s = (yw * ee - ye * ew) / determinant
+                if t <= 0 or s <= 0:
+                    t, s = max(ye, 0.0) / ee if ee > 0 else 0.0, 0.0
+                    if ww > 0 and yw > 0 and yw * yw / ww > t * ye:
+                        t, s = 0.0, yw / ww
+                trial[c] = s
+                total += yy - t * ye - s * yw
+            if total < best[n]:
+                best[n] = total
+                strength[n] = trial

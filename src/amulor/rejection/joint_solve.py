@@ -1,0 +1,168 @@
+"""Estimates of all pixels once what they share is known, with their errors."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from amulor.rejection import joint_pixels, joint_shared
+from amulor.rejection.joint_pixels import Estimates, Pixels
+from amulor.rejection.joint_priors import Layout, Shared
+from amulor.rejection.joint_water import Frame
+from amulor.rejection.reference import Covariance
+
+Floats = NDArray[np.float64]
+Complex = NDArray[np.complex128]
+
+
+@dataclass(frozen=True)
+class Result:
+    """What is found for every pixel, flat arrays over the scan."""
+
+    estimates: Estimates
+    seen: NDArray[np.bool_]
+    depth: Floats
+    water: Complex
+    common: Covariance
+    stray: Complex | None
+    shared_variance: Floats
+    bound: Floats
+    departure: Floats
+
+
+def solve(frame: Frame, pixels: Pixels, shared: Shared, transfer: Complex) -> Result:
+    """Return the estimates of some pixels with the shared ones known."""
+    wavenumber = frame.wavenumber
+    full = transfer * (1 + shared.echo)
+    open_path = np.full(len(pixels), np.inf)
+    stray = None
+    if shared.fluctuation > 0:
+        _, water, _ = joint_pixels.water_at(pixels, open_path, shared.table, wavenumber)
+        stray = shared.fluctuation * shared.gain * water[:, None]
+    found = joint_pixels.estimate(
+        pixels,
+        joint_pixels.weight(pixels, stray),
+        shared.table,
+        gain=shared.gain,
+        transfer=full,
+        wavenumber=wavenumber,
+    )
+    seen = joint_shared.is_seen(found)
+    path = np.where(seen, found.path, np.inf)
+    depth, water, _ = joint_pixels.water_at(pixels, path, shared.table, wavenumber)
+    changes = joint_pixels.shape_changes(pixels, depth, shared.table, wavenumber)
+    if shared.fluctuation > 0:
+        stray = shared.fluctuation * shared.gain * water[:, None]
+    slopes = _path_slopes(
+        shared,
+        found,
+        water,
+        changes,
+        np.exp(1j * np.where(seen, path, 0.0)[:, None] * wavenumber) * transfer,
+    )
+    layout = _layout(shared)
+    own = np.divide(
+        1.0,
+        found.information,
+        out=np.full(len(pixels), np.nan),
+        where=found.information > 0,
+    )
+    variance = np.einsum("ni,ni->n", slopes @ shared.covariance, slopes)
+    basic = slopes[:, layout.parametric]
+    parametric = np.einsum("ni,ni->n", basic @ shared.parametric, basic)
+    free = slice(layout.blocks[1].start, layout.size)
+    moved = np.abs(slopes[:, free] @ _free_parameters(shared))
+    unsure = np.einsum(
+        "ni,ni->n", slopes[:, free] @ shared.covariance[free, free], slopes[:, free]
+    )
+    return Result(
+        found,
+        seen,
+        depth,
+        shared.gain * water[:, None],
+        _common(shared, water, changes),
+        stray,
+        variance,
+        own + parametric,
+        np.hypot(moved, np.sqrt(np.maximum(unsure, 0.0))),
+    )
+
+
+def _layout(shared: Shared) -> Layout:
+    channels, frequencies = shared.departure.shape
+    return Layout(channels, frequencies, len(shared.shape.knots))
+
+
+def _free_parameters(shared: Shared) -> Floats:
+    """Return the departures of water and echo in the order of `Layout`."""
+    return np.concatenate(
+        [
+            shared.departure.real.ravel(),
+            shared.departure.imag.ravel(),
+            shared.echo.real,
+            shared.echo.imag,
+        ]
+    )
+
+
+def _path_slopes(
+    shared: Shared,
+    found: Estimates,
+    water: Complex,
+    changes: Complex,
+    echo: Complex,
+) -> Floats:
+    """Return how the paths move with the shared parameters, (pixel, parameter)."""
+    layout = _layout(shared)
+    channels = len(shared.strength)
+    out = np.zeros((len(water), layout.size))
+    pull = np.conj(found.influence)
+    for c in range(channels):
+        out[:, c] = -np.sum(
+            (pull[:, c] * (1 + shared.departure[c]) * water).real, axis=-1
+        )
+    turned = pull * shared.gain
+    out[:, layout.shape] = -np.einsum("ncf,nmf->nm", turned, changes).real
+    _, free, echoes = layout.blocks
+    own = pull * shared.strength[:, None] * water[:, None]
+    both = np.stack([-own.real, own.imag], axis=1)
+    out[:, free] = both.reshape(len(water), -1)
+    back = np.einsum("ncf,nc->nf", pull, found.amplitude) * echo
+    out[:, echoes] = np.concatenate([-back.real, back.imag], axis=1)
+    return out
+
+
+def _common(shared: Shared, water: Complex, changes: Complex) -> Covariance:
+    """Return the covariance of the estimated water signal, which pixels share."""
+    layout = _layout(shared)
+    channels, frequencies = shared.departure.shape
+    shape = (len(water), channels, frequencies)
+    parts = [np.empty(shape) for _ in range(3)]
+    inner = np.arange(layout.shape.start, layout.shape.stop)
+    first = layout.blocks[1].start
+    for c in range(channels):
+        for f in range(frequencies):
+            departure = first + c * frequencies + f
+            columns = np.concatenate(
+                [[c], inner, [departure, departure + channels * frequencies]]
+            )
+            own = shared.strength[c] * water[:, f]
+            slope = np.concatenate(
+                [
+                    ((1 + shared.departure[c, f]) * water[:, f])[:, None],
+                    shared.gain[c, f] * changes[:, :, f],
+                    np.stack([own, 1j * own], axis=1),
+                ],
+                axis=1,
+            )
+            matrix = shared.covariance[np.ix_(columns, columns)]
+            real, imaginary = slope.real @ matrix, slope.imag @ matrix
+            for part, left, right in (
+                (parts[0], real, slope.real),
+                (parts[1], imaginary, slope.imag),
+                (parts[2], real, slope.imag),
+            ):
+                part[:, c, f] = np.sum(left * right, axis=1)
+    return Covariance(*parts)
