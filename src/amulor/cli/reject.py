@@ -3,22 +3,42 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from cyclopts import Parameter
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+    from amulor.rejection import Comparison
 
 
 def reject(
     cube: Path,
     /,
     *,
-    method: Literal["open-water", "cross-polarized", "co-polarized", "unmix", "none"],
+    method: Literal[
+        "auto",
+        "open-water",
+        "polarization",
+        "frequency",
+        "combined",
+        "joint",
+        "cross-polarized",
+        "co-polarized",
+        "unmix",
+        "none",
+    ],
     output: Annotated[Path, Parameter(alias="-o")],
+    open_water: Path | None = None,
     target_ratio: float | None = None,
     water_ratio: float | None = None,
     water_fluctuation: str | None = None,
+    frequency: str | None = None,
+    column_uncertainty: str | None = None,
     nearest: str | None = None,
     farthest: str | None = None,
+    json: Annotated[bool, Parameter(negative="")] = False,
     overwrite: Annotated[bool, Parameter(negative="")] = False,
 ) -> None:
     """Take the water signal out of a measurement cube.
@@ -28,61 +48,167 @@ def reject(
     cube
         Measurement cube (netCDF).
     method
-        What to do; "none" keeps the water in, for comparison.
+        What to do: "auto" compares all that the data allow and takes the best;
+        "polarization" estimates the ratios that "unmix" wants stated; "none" keeps the
+        water in, for comparison.
     output
         File to write (netCDF).
+    open_water
+        Cube of the same water without a target, for cubes without open-water shots.
     target_ratio
-        Cross- over co-polarized signal of the target, for unmix.
+        Cross- over co-polarized signal of the target, for unmix, polarization and
+        combined.
     water_ratio
-        Cross- over co-polarized signal of the water, for unmix.
+        Cross- over co-polarized signal of the water, for unmix and polarization.
     water_fluctuation
         Relative change of the water signal from sample to sample, such
-        as "5 %", for unmix without open-water shots.
+        as "5 %", for unmix and polarization without open-water shots.
+    frequency
+        Frequency to keep, such as "39 MHz", for frequency; the best one by default.
+    column_uncertainty
+        How sure the survey's water behind the target is, such as "20 %", for
+        open-water: puts that water back, which a target hides.
     nearest
-        Nearest possible slant range, such as "0.5 m", for open-water.
+        Nearest possible slant range, such as "0.5 m"; with --farthest.
     farthest
         Farthest possible slant range, such as "3 m"; with --nearest.
+    json
+        Print the figures as JSON.
     overwrite
         Replace a file that is there.
     """
     from amulor import io, rejection, units
     from amulor.cli._arguments import interval_of
+    from amulor.cli._output import print_json
     from amulor.errors import CubeError
 
     interval = interval_of(nearest, farthest)
-    io.check_output(output, overwrite=overwrite, inputs=[cube])
+    inputs = [cube] if open_water is None else [cube, open_water]
+    io.check_output(output, overwrite=overwrite, inputs=inputs)
     samples = io.read_cube(cube)
-    if method == "unmix":
-        if target_ratio is None or water_ratio is None:
-            raise CubeError(
-                "unmix needs --target-ratio and --water-ratio, the cross- over "
-                "co-polarized signal of target and water"
+    if open_water is not None:
+        samples = rejection.with_open_water(samples, io.read_cube(open_water))
+    if method == "unmix" and (target_ratio is None or water_ratio is None):
+        raise CubeError(
+            "unmix needs --target-ratio and --water-ratio, the cross- over "
+            "co-polarized signal of target and water; --method polarization estimates "
+            "them"
+        )
+    comparison: Comparison | None = None
+    try:
+        if method == "auto":
+            comparison = rejection.compare(samples, interval=interval)
+            target = rejection.auto(samples, interval=interval, comparison=comparison)
+        elif method == "open-water":
+            target = rejection.open_water(
+                samples,
+                interval=interval,
+                column_uncertainty=_share(column_uncertainty),
             )
-        try:
+        elif method in ("polarization", "unmix"):
             target = rejection.unmix(
                 samples,
                 target_ratio=target_ratio,
                 water_ratio=water_ratio,
-                water_fluctuation=(
-                    None
-                    if water_fluctuation is None
-                    else units.parse(water_fluctuation, "share")
-                ),
+                water_fluctuation=_share(water_fluctuation),
             )
-        except ValueError as error:
-            raise CubeError(str(error)) from None
-    elif method == "open-water":
-        try:
-            target = rejection.open_water(samples, interval=interval)
-        except ValueError as error:
-            raise CubeError(str(error)) from None
-    else:
-        function = {
-            "cross-polarized": rejection.cross_polarized,
-            "co-polarized": rejection.co_polarized,
-            "none": rejection.keep_water,
-        }[method]
-        target = function(samples)
+        elif method == "frequency":
+            target = rejection.frequency(
+                samples,
+                modulation_frequency=(
+                    None if frequency is None else units.parse(frequency, "frequency")
+                ),
+                interval=interval,
+            )
+        elif method == "combined":
+            target = rejection.combined(
+                samples, interval=interval, target_ratio=target_ratio
+            )
+        elif method == "joint":
+            target = rejection.joint(samples, interval=interval)
+        else:
+            target = {
+                "cross-polarized": rejection.cross_polarized,
+                "co-polarized": rejection.co_polarized,
+                "none": rejection.keep_water,
+            }[method](samples)
+    except ValueError as error:
+        raise CubeError(str(error)) from None
     io.write_cube(target, output, overwrite=overwrite)
+    if json:
+        print_json(_figures(output, method, target, comparison))
+        return
+    if comparison is not None:
+        _print_comparison(comparison)
+    elif "frequency_choice" in target.attrs:
+        print(target.attrs["frequency_choice"])
+        for warning in filter(None, target.attrs["frequency_warnings"].split("; ")):
+            print(f"note: {warning}")
     flagged = float((target["quality_flag"] != 0).mean())
     print(f"{output}: target signal, {flagged:.1%} of the samples flagged")
+
+
+def _share(text: str | None) -> float | None:
+    from amulor import units
+
+    return None if text is None else units.parse(text, "share")
+
+
+def _figures(
+    output: Path, method: str, target: xr.Dataset, comparison: Comparison | None
+) -> dict[str, Any]:
+    """Return what `--json` prints."""
+    from dataclasses import asdict
+
+    from amulor import cube as cubes
+
+    found: dict[str, Any] = {
+        "output": str(output),
+        "method": method,
+        "polarizations": [str(name) for name in target["polarization"].values],
+        "modulation_frequencies_hz": target["modulation_frequency"].values,
+        "flagged_share": float((target["quality_flag"] != 0).mean()),
+        "flags": cubes.flag_counts(target),
+    }
+    for name in ("frequency_choice", "frequency_warnings", "target_ratio"):
+        if name in target.attrs:
+            found[name] = target.attrs[name]
+    if comparison is not None:
+        found |= {
+            "method": comparison.method,
+            "reason": comparison.reason,
+            "comparison": [asdict(row) for row in comparison.rows],
+        }
+    return found
+
+
+def _print_comparison(comparison: Comparison) -> None:
+    from amulor.cli._output import print_table
+
+    rows = []
+    for row in comparison.rows:
+        mark = "->" if row.recommended else ""
+        if not row.polarization:
+            continue
+        rows.append(
+            [
+                f"{mark}{row.method}",
+                row.polarization,
+                _millimetres(row.bias),
+                _millimetres(row.noise),
+                f"{row.usable:.0%}",
+                f"{row.flagged:.0%}",
+            ]
+        )
+    header = ["method", "channel", "bias", "noise", "usable", "flagged"]
+    print_table("Rejection methods", header, rows)
+    for row in comparison.rows:
+        if row.note and not row.recommended:
+            print(f"{' '.join([row.method, row.polarization]).strip()}: {row.note}")
+    print(f"recommended: {comparison.reason}")
+
+
+def _millimetres(value: float) -> str:
+    import math
+
+    return f"{value * 1e3:.3g} mm" if math.isfinite(value) else "unknown"

@@ -1,7 +1,8 @@
-"""`amulor water`: the optical constants of pure fresh or sea water."""
+"""`amulor water`: optical constants of pure water, and the fit of measured water."""
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Annotated, Any
 
 from cyclopts import Parameter
@@ -111,3 +112,74 @@ def water(
         ),
     ):
         print(f"{name:>22}: {text}" if name else f"{'':>22}  {text}")
+
+
+def fit(
+    cube: Path,
+    /,
+    *,
+    no_target: Annotated[bool, Parameter(negative="")] = False,
+    json: Annotated[bool, Parameter(negative="")] = False,
+) -> None:
+    """Fit the water of a cube: attenuation, spread of the light, cut-off.
+
+    Parameters
+    ----------
+    cube
+        Measurement cube (netCDF) with open-water shots at three frequencies or more.
+    no_target
+        Nothing stood in the beam: the samples themselves are open water.
+    json
+        Print it for other programs, in SI units.
+    """
+    from dataclasses import asdict
+
+    from amulor import io
+    from amulor.rejection.water_fit import water_fit
+
+    found = water_fit(io.read_cube(cube), no_target=no_target)
+    if json:
+        print_json(asdict(found))
+        return
+    known = dict(zip(found.names, found.identified, strict=True))
+    for text, value, error, unit, name in (
+        (
+            "reduced attenuation k'",
+            found.reduced_attenuation,
+            found.reduced_attenuation_uncertainty,
+            "1/m",
+            "reduced_attenuation",
+        ),
+        (
+            "spread b_f <theta^2>",
+            found.spread,
+            found.spread_uncertainty,
+            "rad^2/m",
+            "spread",
+        ),
+        (
+            "forward scattering b_f",
+            found.forward_scattering,
+            found.forward_scattering_uncertainty,
+            "1/m",
+            "forward_scattering",
+        ),
+        (
+            "depth of the maximum",
+            found.depth_of_maximum,
+            found.depth_of_maximum_uncertainty,
+            "m",
+            "",
+        ),
+        (
+            "cut-off",
+            found.cut_off / 1e6,
+            found.cut_off_uncertainty / 1e6,
+            "MHz",
+            "",
+        ),
+    ):
+        note = "" if known.get(name, True) else " (not settled by these data)"
+        print(f"{text:<24}{value:.4g} +- {error:.2g} {unit}{note}")
+    print(f"{'fluctuation':<24}{found.fluctuation:.2%}")
+    print(f"{'misfit':<24}{found.misfit:.3g} (1 if the model is right)")

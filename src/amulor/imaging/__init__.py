@@ -1,7 +1,17 @@
 """From the target signal to range images, point clouds and their quality."""
 
-from amulor.imaging import metrics
+from amulor.imaging import correlation, metrics
+from amulor.imaging.edges import flag_mixed, mixed_pixels
 from amulor.imaging.point_cloud import point_cloud
 from amulor.imaging.range_image import range_image
+from amulor.imaging.unwrap import unwrapped_range_image
 
-__all__ = ["metrics", "point_cloud", "range_image"]
+__all__ = [
+    "correlation",
+    "flag_mixed",
+    "metrics",
+    "mixed_pixels",
+    "point_cloud",
+    "range_image",
+    "unwrapped_range_image",
+]

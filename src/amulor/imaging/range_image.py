@@ -62,27 +62,77 @@ def range_image(
        :doi:`10.1155/2010/958360`.
     """
     cubes.check(cube, "target_signal")
-    one = _channel(cube, polarization)
+    one = channel_of(cube, polarization)
     medium = medium_of(one)
     frequency = one["modulation_frequency"].values
-    beam, receiver = beams_of(one), receivers_of(one)
     shortest, longest = rays.path_limits(
-        interval, beam, receiver, medium=medium, modulation_frequency=frequency
+        interval,
+        beams_of(one),
+        receivers_of(one),
+        medium=medium,
+        modulation_frequency=frequency,
     )
-    signal = one.amulor.signal.values
-    flag = np.bitwise_or.reduce(one["quality_flag"].values, axis=0).astype(np.int16)
-    usable = (flag & UNUSABLE) == 0
-    to_path = speed_of_light / (2 * np.pi * frequency[:, None, None])
-    sigma = _phase_uncertainty(one, signal, usable, "")
-    shift = _phase_left_in(one, signal)
+    flag, sigma, shift = phase_errors(one)
     path = ambiguity.optical_path(
-        np.where(usable, np.angle(signal), 0.0),
+        np.where((flag & UNUSABLE) == 0, np.angle(one.amulor.signal.values), 0.0),
         sigma,
         modulation_frequency=frequency,
         shortest=shortest,
         longest=longest,
         doubt=np.nan_to_num(np.abs(shift), nan=np.inf),
     )
+    image = image_of_path(one, path, interval=interval)
+    return cubes.note(image, f"image, channel {image.attrs['polarization']}")
+
+
+def phase_errors(
+    one: xr.Dataset,
+) -> tuple[NDArray[np.int16], Floats, Floats]:
+    """Return flags, phase errors and phase shifts by water of one channel.
+
+    Parameters
+    ----------
+    one : xarray.Dataset
+        Level `target_signal` without the dimension polarization.
+
+    Returns
+    -------
+    tuple of three ndarrays
+        Flags over (row, column), all frequencies together; phase error and shift by
+        the water left in, over (modulation_frequency, row, column) [rad].
+    """
+    signal = one.amulor.signal.values
+    flag = np.bitwise_or.reduce(one["quality_flag"].values, axis=0).astype(np.int16)
+    sigma = _phase_uncertainty(one, signal, (flag & UNUSABLE) == 0, "")
+    return flag, sigma, _phase_left_in(one, signal)
+
+
+def image_of_path(
+    one: xr.Dataset, path: ambiguity.Path, *, interval: tuple[float, float] | None
+) -> xr.Dataset:
+    """Return the range image that belongs to optical paths.
+
+    Parameters
+    ----------
+    one : xarray.Dataset
+        Level `target_signal` without the dimension polarization.
+    path : amulor.optics.ambiguity.Path
+        Optical path of every pixel.
+    interval : tuple of float, optional
+        Limits of the slant range that were used [m].
+
+    Returns
+    -------
+    xarray.Dataset
+        Level `range_image`.
+    """
+    medium = medium_of(one)
+    frequency = one["modulation_frequency"].values
+    beam, receiver = beams_of(one), receivers_of(one)
+    signal = one.amulor.signal.values
+    flag, _, shift = phase_errors(one)
+    usable = (flag & UNUSABLE) == 0
+    to_path = speed_of_light / (2 * np.pi * frequency[:, None, None])
 
     def to_range(length: Floats) -> Floats:
         return rays.slant_range_of_path(length, beam, receiver, medium=medium)
@@ -100,9 +150,12 @@ def range_image(
     if "common_covariance" in one:
         shared = _phase_uncertainty(one, signal, usable, "common_")
         # Errors that pixels share may be shared by the frequencies as well: a wrong
-        # depolarization ratio is. Added as such, they make an upper limit.
+        # depolarization ratio is. Added as such, they make an upper limit. References
+        # are measured anew at each frequency.
         apart = np.sum((path.weight * to_path * shared) ** 2, axis=0)
-        together = np.sum(path.weight * to_path * shared, axis=0) ** 2
+        together = apart
+        if one.attrs.get("frequencies_share_errors", 1):
+            together = np.sum(path.weight * to_path * shared, axis=0) ** 2
         variance = variance - apart + together
         variables["slant_range_common_uncertainty"] = slope * np.sqrt(together)
     variables["slant_range"] = slant_range
@@ -133,14 +186,33 @@ def range_image(
     if truth is not None:
         pixel_truth = truth[[n for n in truth if truth[n].dims == ("row", "column")]]
         image = cubes.attach(image, pixel_truth, "truth")
-    return cubes.note(image, f"image, channel {image.attrs['polarization']}")
+    return image
 
 
 #: Step of the optical path for the derivative of the slant range [m].
 _DIFFERENCE = 1e-5
 
 
-def _channel(cube: xr.Dataset, polarization: str | None) -> xr.Dataset:
+def channel_of(cube: xr.Dataset, polarization: str | None) -> xr.Dataset:
+    """Return one polarization channel of a cube.
+
+    Parameters
+    ----------
+    cube : xarray.Dataset
+        Level `target_signal`.
+    polarization : str, optional
+        Channel to take; needed if there are several.
+
+    Returns
+    -------
+    xarray.Dataset
+        Without the dimension polarization.
+
+    Raises
+    ------
+    CubeError
+        If the channel is not there, or has to be chosen.
+    """
     present = [str(value) for value in cube["polarization"].values]
     if polarization is None and len(present) > 1:
         raise CubeError(

@@ -1,11 +1,43 @@
 """From samples to the signal of the target: one method a file."""
 
+from amulor.rejection.analysers import stokes_vectors, unmix_stokes
+from amulor.rejection.attach import with_open_water
+from amulor.rejection.combined import combined
+from amulor.rejection.compare import Comparison, Row, auto, compare
+from amulor.rejection.frequency import FrequencyChoice, choose_frequency, frequency
+from amulor.rejection.joint import joint
 from amulor.rejection.open_water import open_water
 from amulor.rejection.polarization import (
+    ChannelChoice,
+    choose_channel,
     co_polarized,
     cross_polarized,
     keep_water,
     unmix,
 )
+from amulor.rejection.ratios import Ratio, target_ratio, water_ratio
 
-__all__ = ["co_polarized", "cross_polarized", "keep_water", "open_water", "unmix"]
+__all__ = [
+    "ChannelChoice",
+    "Comparison",
+    "FrequencyChoice",
+    "Ratio",
+    "Row",
+    "auto",
+    "choose_channel",
+    "choose_frequency",
+    "co_polarized",
+    "combined",
+    "compare",
+    "cross_polarized",
+    "frequency",
+    "joint",
+    "keep_water",
+    "open_water",
+    "stokes_vectors",
+    "target_ratio",
+    "unmix",
+    "unmix_stokes",
+    "water_ratio",
+    "with_open_water",
+]

@@ -36,6 +36,28 @@ def covariance_of(samples: xr.Dataset) -> Covariance:
     )
 
 
+def along(signal: NDArray[np.complex128], size: float) -> Covariance:
+    """Return the covariance of an error that stretches a signal by a random factor.
+
+    Parameters
+    ----------
+    signal : ndarray of complex
+        What is stretched [V].
+    size : float
+        Standard deviation of the factor [1].
+
+    Returns
+    -------
+    Covariance
+        Arrays of the shape of the signal.
+    """
+    return Covariance(
+        (size * signal.real) ** 2,
+        (size * signal.imag) ** 2,
+        size**2 * signal.real * signal.imag,
+    )
+
+
 def target_cube(
     samples: xr.Dataset,
     target_signal: NDArray[np.complex128],

@@ -6,10 +6,11 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from amulor.optics import ambiguity, detection, rays, small_angle_diffusion
+from amulor.optics import ambiguity, detection, rays
+from amulor.rejection import column_share
 from amulor.rejection.reference import Covariance
 from amulor.survey import Survey, WaterProperties, water_properties
-from amulor.survey.view import kernel_arguments, medium, view
+from amulor.survey.view import medium
 
 
 def hidden_share(
@@ -47,10 +48,12 @@ def hidden_share(
 
     Notes
     -----
-    Decision on (46) of Ricci et al. 2010: open water is integrated to its end, water
-    with a target to the target; the difference stays when open water is subtracted.
-    That difference itself moves the distance by millimetres, and the share by a few
-    tenths of a per cent of its value, which a second pass would not be worth.
+    Decision on (46) of Ricci et al. 2010, as rebuilt: open water is integrated to its
+    end, water with a target to the target; the difference stays when open water is
+    subtracted. That difference itself moves the distance by millimetres, and the share
+    by a few tenths of a per cent of its value, which a second pass would not be worth.
+    Large scans take the share from a table over directions and depths, see
+    `column_share.shares`.
     """
     text = cube.attrs.get("survey")
     if not text:
@@ -58,29 +61,16 @@ def hidden_share(
     survey = Survey.from_text(text, name="survey in the cube")
     water = water_properties(survey)
     depth = _depth(cube, target_signal, uncertainty, survey, water, interval)
-    surroundings = medium(survey, water)
-    where = view(
-        survey,
-        cube["azimuth"].values,
-        cube["elevation"].values,
-        medium=surroundings,
-    )
-    arguments = kernel_arguments(survey, water, where) | {
-        "backscatter_vsf": 1.0,
-        "group_index": water.group_index,
-    }
-    each = cube["modulation_frequency"].values[:, None, None]
-    end = np.inf if survey.water.column_end is None else survey.water.column_end
-    whole = small_angle_diffusion.water_response(each, end=end, **arguments)
     settled = np.isfinite(depth)
-    behind = small_angle_diffusion.water_tail(
-        each, end=np.where(settled, np.minimum(depth, end), 0.0), **arguments
+    frequency = cube["modulation_frequency"].values
+    share = np.full((frequency.size, *depth.shape), np.nan, dtype=complex)
+    share[:, settled] = column_share.shares(
+        survey,
+        cube["azimuth"].values[settled],
+        cube["elevation"].values[settled],
+        depth[settled],
+        modulation_frequency=frequency,
     )
-    if np.isfinite(end):
-        behind = behind - small_angle_diffusion.water_tail(each, end=end, **arguments)
-    # A receiver that sees no water has none behind the target either.
-    share = np.divide(behind, whole, out=np.zeros_like(behind), where=whole != 0)
-    share[:, ~settled] = np.nan
     return np.broadcast_to(share[:, None], target_signal.shape)
 
 

@@ -2,22 +2,20 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
 from amulor import cube as cubes
 from amulor.errors import CubeError
-from amulor.rejection.build import covariance_of, target_cube
+from amulor.rejection import ratios
+from amulor.rejection.build import along, covariance_of, target_cube
+from amulor.rejection.channels import CO_POLARIZED, CROSS_POLARIZED, names_of, pair_of
+from amulor.rejection.merit import merit
 from amulor.rejection.open_water import fit_shots
 from amulor.rejection.reference import Covariance, fluctuation, stacked
-
-#: Channels in which backscatter of spheres is dark. A mirror-like return keeps V and H,
-#: but swaps +45 with -45 degrees and right with left, in the axes of its own light.
-CROSS_POLARIZED = ("VH", "HV", "PP", "MM", "RR", "LL")
-#: Channels in which it is bright.
-CO_POLARIZED = ("VV", "HH", "PM", "MP", "RL", "LR")
-_PARTNERS = dict(zip(CO_POLARIZED, CROSS_POLARIZED, strict=True))
 
 
 def keep_water(cube: xr.Dataset) -> xr.Dataset:
@@ -81,28 +79,110 @@ def co_polarized(cube: xr.Dataset) -> xr.Dataset:
     return _chosen(cube, CO_POLARIZED, name="co-polarized")
 
 
+@dataclass(frozen=True)
+class ChannelChoice:
+    """The channel in which the water disturbs least, with the figures of all."""
+
+    polarization: str
+    """The choice."""
+    reason: str
+    """Why this channel."""
+    channels: tuple[str, ...]
+    """All channels of the cube."""
+    ratio: NDArray[np.float64]
+    """Signal-to-optical-noise ratio (54), (modulation_frequency, channel) [1]."""
+    noise: NDArray[np.float64]
+    """Random error of the slant range, likewise [m]."""
+    shift: NDArray[np.float64]
+    """Shift of the slant range by the water left in, likewise [m]."""
+
+
+def choose_channel(
+    cube: xr.Dataset, *, interval: tuple[float, float] | None = None
+) -> ChannelChoice:
+    r"""Choose the polarization channel in which the water disturbs least.
+
+    Parameters
+    ----------
+    cube : xarray.Dataset
+        Level `samples`, with open-water shots and any channels, linear or circular.
+    interval : tuple of float, optional
+        Nearest and farthest slant range that are possible [m].
+
+    Returns
+    -------
+    ChannelChoice
+        The choice and its reason.
+
+    Raises
+    ------
+    CubeError
+        If there are no open-water shots, or no pixel shows a target in any channel.
+
+    Notes
+    -----
+    A crossed channel has less water, but less of the target too: which one wins
+    depends on the noise. Judged by random error and shift of the slant range together,
+    both with the water left in, at the frequency that serves each channel best.
+    """
+    cubes.check(cube, "samples")
+    found = merit(cube, interval=interval)
+    error = np.where(np.isfinite(found.error), found.error, np.inf)
+    each = error.min(axis=0)
+    if not np.isfinite(each).any():
+        raise CubeError(
+            "no pixel shows a target in any channel once the water is taken out; raise "
+            "power or dwell, or look for the target elsewhere"
+        )
+    names = names_of(cube)
+    best = int(np.argmin(each))
+    at = error.argmin(axis=0)
+    texts = [
+        f"{name} {found.ratio[k, c]:.3g} times the water, shift "
+        f"{found.shift[k, c] * 1e3:.3g} mm, noise {found.noise[k, c] * 1e3:.3g} mm"
+        for c, (name, k) in enumerate(zip(names, at, strict=True))
+        if np.isfinite(each[c])
+    ]
+    kind = (
+        "cross-polarized"
+        if names[best] in CROSS_POLARIZED
+        else "co-polarized"
+        if names[best] in CO_POLARIZED
+        else "mixed"
+    )
+    return ChannelChoice(
+        polarization=names[best],
+        reason=f"{names[best]} ({kind}) errs least: {'; '.join(texts)}",
+        channels=tuple(names),
+        ratio=found.ratio,
+        noise=found.noise,
+        shift=found.shift,
+    )
+
+
 def unmix(
     cube: xr.Dataset,
     *,
-    target_ratio: float,
-    water_ratio: float,
+    target_ratio: float | None = None,
+    water_ratio: float | None = None,
     target_ratio_uncertainty: float = 0.0,
     water_ratio_uncertainty: float = 0.0,
     water_fluctuation: float | None = None,
 ) -> xr.Dataset:
-    r"""Separate target and water by their known depolarization ratios.
+    r"""Separate target and water by their depolarization ratios.
 
     Parameters
     ----------
     cube : xarray.Dataset
         Level `samples`, with a co-polarized channel and its cross-polarized partner.
-    target_ratio, water_ratio : float
+    target_ratio, water_ratio : float, optional
         Cross-polarized over co-polarized signal of target and water, between 0 and 1
         and different from each other; :math:`(1 - m_{22}) / (1 + m_{22})` for linear
-        light on a diagonal Mueller matrix [1].
+        light on a diagonal Mueller matrix [1]. What is left out is estimated, with its
+        uncertainty, by `ratios.target_ratio` and `ratios.water_ratio`.
     target_ratio_uncertainty, water_ratio_uncertainty : float
-        Their standard uncertainties; their share of the error is common to all
-        pixels [1].
+        Standard uncertainties of what is stated; their share of the error is common to
+        all pixels [1].
     water_fluctuation : float, optional
         Relative change of the water signal from sample to sample, which differs in
         the two channels since they are measured one after the other [1]. Taken from
@@ -116,7 +196,8 @@ def unmix(
     Raises
     ------
     CubeError
-        If the two channels are not there, or nothing tells how the water fluctuates.
+        If the two channels are not there, nothing tells how the water fluctuates, or
+        a ratio that is left out cannot be estimated.
     ValueError
         If the ratios are equal or out of range: then no unmixing is possible.
 
@@ -126,6 +207,13 @@ def unmix(
     :math:`B = r_t T + r_w W`, :math:`T = (B - r_w A) / (r_t - r_w)`.
     """
     cubes.check(cube, "samples")
+    co, cross = pair_of(cube)
+    if target_ratio is None:
+        found = ratios.target_ratio(cube)
+        target_ratio, target_ratio_uncertainty = found.value, found.uncertainty
+    if water_ratio is None:
+        found = ratios.water_ratio(cube)
+        water_ratio, water_ratio_uncertainty = found.value, found.uncertainty
     for name, ratio in (("target_ratio", target_ratio), ("water_ratio", water_ratio)):
         if not 0 <= ratio <= 1:
             raise ValueError(f"{name} must lie between 0 and 1, got {ratio:g}")
@@ -135,7 +223,6 @@ def unmix(
             f"target_ratio ({target_ratio:g}) and water_ratio ({water_ratio:g}) are "
             f"closer than {_SMALLEST_CONTRAST:g}; polarization cannot tell them apart"
         )
-    co, cross = _pair(cube)
     first, second = cube.sel(polarization=[co]), cube.sel(polarization=[cross])
     a, b = first.amulor.signal.values, second.amulor.signal.values
     target = (b - water_ratio * a) / contrast
@@ -151,7 +238,7 @@ def unmix(
         either = np.maximum(first["saturated"].values, second["saturated"].values)
         first = first.assign(saturated=first["saturated"].copy(data=either))
     # dT/dr_t = -T / contrast and dT/dr_w = -W / contrast.
-    common = _along(target, target_ratio_uncertainty / contrast) + _along(
+    common = along(target, target_ratio_uncertainty / contrast) + along(
         water, water_ratio_uncertainty / contrast
     )
     return target_cube(
@@ -162,6 +249,10 @@ def unmix(
         common=common,
         step=f"reject, unmix {co} and {cross}, ratios of target {target_ratio:g}, "
         f"of water {water_ratio:g}",
+        target_ratio=target_ratio,
+        target_ratio_uncertainty=target_ratio_uncertainty,
+        water_ratio=water_ratio,
+        water_ratio_uncertainty=water_ratio_uncertainty,
     )
 
 
@@ -173,7 +264,7 @@ def _stray(
 ) -> Covariance:
     """Return how the water signal of one channel strays, per unit of co-polarized."""
     if stated is not None:
-        return _along(water, stated)
+        return along(water, stated)
     shots = channel.amulor.open_water
     if shots is None:
         raise CubeError(
@@ -188,30 +279,9 @@ def _stray(
     return stacked(parts, water.shape)
 
 
-def _along(signal: NDArray[np.complex128], size: float) -> Covariance:
-    """Return the covariance of an error that stretches a signal by a random factor."""
-    return Covariance(
-        (size * signal.real) ** 2,
-        (size * signal.imag) ** 2,
-        size**2 * signal.real * signal.imag,
-    )
-
-
-def _pair(cube: xr.Dataset) -> tuple[str, str]:
-    present = [str(value) for value in cube["polarization"].values]
-    for co, cross in _PARTNERS.items():
-        if co in present and cross in present:
-            return co, cross
-    listed = ", ".join("+".join(pair) for pair in _PARTNERS.items())
-    raise CubeError(
-        f"the cube has the channels {', '.join(present)}, but unmixing needs one of "
-        f"the pairs {listed}; record both analyser positions"
-    )
-
-
 def _chosen(cube: xr.Dataset, channels: tuple[str, ...], *, name: str) -> xr.Dataset:
     cubes.check(cube, "samples")
-    present = [str(value) for value in cube["polarization"].values]
+    present = names_of(cube)
     chosen = [channel for channel in present if channel in channels]
     if not chosen:
         raise CubeError(

@@ -66,12 +66,136 @@ def flags(
     if water_is_in:
         flag |= QualityFlag.NO_OPEN_WATER
     if residual is not None:
-        own = _phase_error(target_signal, uncertainty, seen)
-        with np.errstate(invalid="ignore", divide="ignore"):
-            shift = np.abs(np.angle(target_signal / (target_signal - residual)))
-        flag[seen & ~(shift <= own)] |= QualityFlag.WATER_RESIDUAL
+        moved = moves_the_phase(target_signal, residual, uncertainty)
+        flag[seen & moved] |= QualityFlag.WATER_RESIDUAL
     flag[missing] = QualityFlag.MISSING
     return flag
+
+
+def moves_the_phase(
+    target_signal: NDArray[np.complex128],
+    residual: NDArray[np.complex128],
+    uncertainty: Covariance,
+) -> NDArray[np.bool_]:
+    """Return where water left in turns a phase by more than its uncertainty.
+
+    Parameters
+    ----------
+    target_signal : ndarray of complex
+        Signal with the water in it [V].
+    residual : ndarray of complex
+        That water [V]; where it is not a number, it is not known.
+    uncertainty : Covariance
+        All other errors.
+
+    Returns
+    -------
+    ndarray of bool
+        True also where the residual is not known.
+    """
+    own = _phase_error(target_signal, uncertainty, np.isfinite(target_signal))
+    with np.errstate(invalid="ignore", divide="ignore"):
+        shift = np.abs(np.angle(target_signal / (target_signal - residual)))
+    still = (residual == 0) | (shift <= own)
+    return np.asarray(~still)
+
+
+def looks_like_water(
+    samples: xr.Dataset,
+    left: NDArray[np.complex128],
+    water_signal: NDArray[np.complex128],
+    uncertainty: Covariance,
+) -> NDArray[np.bool_]:
+    """Return where what is left of samples has the shape of the water signal.
+
+    Parameters
+    ----------
+    samples : xarray.Dataset
+        What was measured; saturated samples do not count.
+    left : ndarray, shape (modulation_frequency, polarization, row, column)
+        What a subtraction left [V].
+    water_signal : ndarray of the same shape
+        What was subtracted [V].
+    uncertainty : Covariance
+        Errors of what is left.
+
+    Returns
+    -------
+    ndarray of bool, shape (row, column)
+        True where a real multiple of the water signal explains what is left, at all
+        frequencies and channels at once, and is clearly not zero: open water of
+        another strength than the reference. With a single sample a pixel tells
+        nothing.
+
+    Notes
+    -----
+    Least squares with the covariances of the samples: the multiple stands five
+    standard errors off zero and the rest is no larger than chance makes it in 1 of
+    1000 cases. A target agrees only if it has the phase and the strength of the water
+    signal at every frequency and in every channel.
+    """
+    from scipy.stats import chi2
+
+    use = np.isfinite(left) & np.isfinite(water_signal)
+    if "saturated" in samples:
+        use &= samples["saturated"].values == 0
+    determinant = uncertainty.in_phase * uncertainty.quadrature - uncertainty.cross**2
+    use &= determinant > 0
+    count = use.sum(axis=(0, 1))
+    scale = np.divide(1.0, determinant, out=np.zeros(left.shape), where=use)
+    rest = np.where(use, left, 0)
+    shape = np.where(use, water_signal, 0)
+    own, cross = (_product(one, shape, uncertainty, scale) for one in (shape, rest))
+    square = _product(rest, rest, uncertainty, scale)
+    explained = np.divide(cross**2, own, out=np.zeros(own.shape), where=own > 0)
+    misfit = np.maximum(square - explained, 0.0)
+    freedom = np.maximum(2 * count - 1, 1)
+    likely = chi2.sf(misfit, freedom) > _PLAUSIBLE
+    return np.asarray((count > 1) & (explained > DETECTION_THRESHOLD**2) & likely)
+
+
+#: What is explained leaves a rest that chance makes at least so often [1].
+_PLAUSIBLE = 1e-3
+
+
+def _product(
+    first: NDArray[np.complex128],
+    second: NDArray[np.complex128],
+    uncertainty: Covariance,
+    scale: NDArray[np.float64],
+) -> NDArray[np.float64]:
+    """Return the sum of products over frequencies and channels, errors as metric."""
+    each = scale * (
+        uncertainty.quadrature * first.real * second.real
+        + uncertainty.in_phase * first.imag * second.imag
+        - uncertainty.cross * (first.real * second.imag + first.imag * second.real)
+    )
+    summed: NDArray[np.float64] = each.sum(axis=(0, 1))
+    return summed
+
+
+def add(cube: xr.Dataset, flag: QualityFlag, where: NDArray[np.bool_]) -> xr.Dataset:
+    """Return a target-signal cube with one more flag.
+
+    Parameters
+    ----------
+    cube : xarray.Dataset
+        Level `target_signal`.
+    flag : QualityFlag
+        What to add.
+    where : ndarray of bool
+        Samples, or pixels with all their samples; those that are missing or show no
+        target stay as they are.
+
+    Returns
+    -------
+    xarray.Dataset
+        The same data.
+    """
+    old = cube["quality_flag"].values
+    seen = (old & (QualityFlag.MISSING | QualityFlag.NO_TARGET)) == 0
+    new = np.where(seen & where, old | flag, old).astype(np.int16)
+    return cube.assign(quality_flag=cube["quality_flag"].copy(data=new))
 
 
 def _phase_error(
@@ -79,7 +203,7 @@ def _phase_error(
 ) -> NDArray[np.float64]:
     """Return the phase error where a signal is seen; elsewhere it means nothing."""
     return detection.phase_uncertainty(
-        np.where(seen, signal, 1.0),
+        np.where(seen & (signal != 0), signal, 1.0),
         in_phase_variance=np.where(seen, uncertainty.in_phase, 1.0),
         quadrature_variance=np.where(seen, uncertainty.quadrature, 1.0),
         covariance=np.where(seen, uncertainty.cross, 0.0),

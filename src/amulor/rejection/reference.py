@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +19,8 @@ _SIGNIFICANCE = 0.05
 _FREEDOM = 4
 #: A constant, and enough shots to judge it.
 FEWEST_SHOTS = 1 + _FREEDOM
+#: Pixels at which the polynomial is evaluated at once; this bounds the memory.
+_AT_ONCE = 16_384
 
 
 @dataclass(frozen=True)
@@ -45,6 +48,12 @@ class Covariance:
             self.in_phase * factor, self.quadrature * factor, self.cross * factor
         )
 
+    def part(self, index: Any) -> Covariance:
+        """Return the covariance of some of the outputs."""
+        return Covariance(
+            self.in_phase[index], self.quadrature[index], self.cross[index]
+        )
+
     def mahalanobis(self, signal: Complex) -> Floats:
         """Return the squared distance of a signal from zero in units of its error."""
         real, imaginary = signal.real, signal.imag
@@ -63,6 +72,22 @@ class Covariance:
 
 
 @dataclass(frozen=True)
+class Drift:
+    """Relative change of the water signal from the first to the last shot."""
+
+    change: complex
+    """Change, radial + 1j * tangential, per unit of the water signal [1]."""
+    uncertainty: complex
+    """Standard uncertainty of its two parts, likewise [1]."""
+    chance: float
+    """Probability that steady water shows as much [1]."""
+
+
+#: What shots tell that cannot be compared with each other.
+NO_DRIFT = Drift(0j, complex(np.inf, np.inf), 1.0)
+
+
+@dataclass(frozen=True)
 class Reference:
     """Water signal at each pixel, and how well it is known."""
 
@@ -74,6 +99,8 @@ class Reference:
     """How one sample strays, (radial, tangential) covariance per squared signal [1]."""
     degree: int
     """Degree of the polynomial over the scan directions."""
+    drift: Drift
+    """What changed from the first shot to the last."""
 
 
 def fit(
@@ -134,19 +161,74 @@ def fit(
         variance = total.in_phase + total.quadrature
         # Channels that see nothing at all have no error either: all shots alike.
         weight = np.ones(len(shots)) if variance.min() == 0 else 2 / variance
-    at_pixels = _design((pixel_direction - centre) / scale, chosen)
-    common = Covariance(
-        *(
-            np.einsum("ij,jk,ik->i", at_pixels, (gain * part) @ gain.T, at_pixels)
-            for part in (total.in_phase, total.quadrature, total.cross)
-        )
-    )
     # Few shots tell their own scatter badly: Student's variance instead of the normal.
     freedom = len(shots) - len(chosen)
     unsure = freedom / (freedom - 1)
-    return Reference(
-        at_pixels @ coefficients, common.scaled(unsure), relative * unsure, int(degree)
+    spreads = [
+        unsure * (gain * part) @ gain.T
+        for part in (total.in_phase, total.quadrature, total.cross)
+    ]
+    # One product of real matrices for all: coefficients, then the three covariances.
+    table = np.hstack(
+        [coefficients.real[:, None], coefficients.imag[:, None], *spreads]
     )
+    signal = np.empty(len(pixel_direction), dtype=complex)
+    common = [np.empty(len(pixel_direction)) for _ in spreads]
+    for first in range(0, len(pixel_direction), _AT_ONCE):
+        part = slice(first, first + _AT_ONCE)
+        at_pixels = _design((pixel_direction[part] - centre) / scale, chosen)
+        product = at_pixels @ table
+        signal[part] = product[:, 0] + 1j * product[:, 1]
+        sides = product[:, 2:].reshape(len(at_pixels), len(spreads), -1)
+        for k, values in enumerate(common):
+            values[part] = np.einsum("ij,ij->i", sides[:, k], at_pixels)
+    return Reference(
+        signal,
+        Covariance(*common),
+        relative * unsure,
+        int(degree),
+        _drift(shots, level, where),
+    )
+
+
+def _drift(shots: Complex, level: Complex, where: Floats) -> Drift:
+    """Return how the shots of the same direction change with their order.
+
+    A straight line over the order, each direction with a mean of its own: what the
+    polynomial over the directions misses is no drift. Directions that are repeated
+    first and last tell it well, repeats in a row badly, single shots not at all.
+    """
+    from scipy.stats import t as student
+
+    _, group, size = np.unique(
+        np.round(where, 9), axis=0, return_inverse=True, return_counts=True
+    )
+    group = group.ravel()
+
+    def own_of(values: Floats) -> Floats:
+        mean: Floats = np.bincount(group, values) / size
+        return values - mean[group]
+
+    freedom = len(shots) - len(size) - 1
+    order = own_of(np.linspace(-0.5, 0.5, len(shots)))
+    square = float(order @ order)
+    if freedom < 1 or np.abs(level).min() == 0 or square < 1e-9 * len(shots):
+        return NO_DRIFT
+    relative = (shots - level) / level
+    parts, errors, chances = [], [], []
+    for values in (relative.real, relative.imag):
+        slope = float(order @ values) / square
+        rest = own_of(values) - slope * order
+        error = float(np.sqrt(rest @ rest / freedom / square))
+        parts.append(slope)
+        errors.append(error)
+        steady = 1.0 if slope == 0 else 0.0
+        chances.append(
+            2 * float(student.sf(abs(slope) / error, freedom)) if error > 0 else steady
+        )
+    # Either part may show it: the smaller chance of two.
+    chance = min(1.0, 2 * min(chances))
+    return Drift(complex(*parts), complex(*errors), chance)
 
 
 def _frame(direction: Floats) -> tuple[Floats, Floats]:
@@ -170,8 +252,15 @@ def _powers(where: Floats) -> NDArray[np.intp]:
 
 
 def _design(where: Floats, powers: NDArray[np.intp]) -> Floats:
-    columns: Floats = np.prod(where[:, None, :] ** powers[None, :, :], axis=2)
-    return columns
+    # Powers by repeated products: a general power costs ten times as much.
+    tables = []
+    for axis, highest in zip(where.T, powers.max(axis=0), strict=True):
+        table = np.ones((int(highest) + 1, len(axis)))
+        for power in range(1, int(highest) + 1):
+            table[power] = table[power - 1] * axis
+        tables.append(table)
+    columns: Floats = (tables[0][powers[:, 0]] * tables[1][powers[:, 1]]).T
+    return np.ascontiguousarray(columns)
 
 
 def _choose_degree(

@@ -149,3 +149,28 @@ def test_a_certain_signal_is_infinitely_far_off_zero() -> None:
     assert found[0] == np.inf
     assert found[1] == 0
     assert np.isnan(found[2])
+
+
+def test_a_drift_is_told_from_a_change_over_the_directions() -> None:
+    rng = np.random.default_rng(8)
+    shots, stated, places, _ = _shots(rng, repeats=2)
+    # First all directions, then all again: the second time 10 % more water.
+    order = np.concatenate([np.arange(0, 42, 2), np.arange(1, 42, 2)])
+    shots, places = shots[order], places[order]
+    changed = shots * np.repeat([1.0, 1.1], 21)
+    found = reference.fit(changed, stated, places, PLACES).drift
+    # Half of the scan lies between the two visits of a direction: 10 % there are 20 %
+    # from the first shot to the last, relative to a level that lies between.
+    assert found.change.real == pytest.approx(0.19, abs=4 * found.uncertainty.real)
+    assert found.chance < 1e-6
+    steady = reference.fit(shots, stated, places, PLACES).drift
+    assert abs(steady.change.real) < 4 * steady.uncertainty.real
+
+
+def test_single_shots_across_the_scan_tell_no_drift() -> None:
+    shots, stated, places, _ = _shots(np.random.default_rng(9), repeats=1)
+    # A kink that no polynomial of the fit follows, in the order of the shots.
+    bent = shots * np.where(np.arange(21) > 15, 2.0, 1.0)
+    found = reference.fit(bent, stated, places, PLACES).drift
+    assert found.chance == 1.0
+    assert found.uncertainty.real == np.inf

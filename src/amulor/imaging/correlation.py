@@ -1,0 +1,192 @@
+"""Errors of means and differences of pixels that share a reference."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import xarray as xr
+from numpy.typing import ArrayLike, NDArray
+from scipy.constants import speed_of_light
+
+from amulor.errors import CubeError
+
+Floats = NDArray[np.float64]
+
+#: A matrix over more pixels would not fit into memory beside others.
+_MOST_PIXELS = 4096
+
+
+@dataclass(frozen=True)
+class RangeFigure:
+    """A slant range, or a difference of two, with its uncertainty."""
+
+    value: float
+    """Mean, or difference of means [m]."""
+    uncertainty: float
+    """Standard uncertainty, shared errors included [m]."""
+    random: float
+    """The part of it that comes from noise [m]."""
+
+
+def covariance(image: xr.Dataset, pixels: ArrayLike) -> Floats:
+    r"""Return the covariance of the slant ranges of some pixels.
+
+    Parameters
+    ----------
+    image : xarray.Dataset
+        Level `range_image`.
+    pixels : array_like of bool, shape (row, column)
+        Which pixels; unusable ones are left out.
+
+    Returns
+    -------
+    ndarray, shape (n, n)
+        In the order of the rows of the image [m^2].
+
+    Raises
+    ------
+    CubeError
+        If the shapes differ, or there are no pixels or too many.
+
+    Notes
+    -----
+    Noise is independent from pixel to pixel. The reference is a polynomial over the
+    scan, of the degree that the image states: its errors at two pixels correlate like
+    :math:`\phi_i^T (\Phi^T \Phi)^{-1} \phi_j` with the monomials :math:`\phi`, for
+    shots that cover the scan evenly. An error of the water signal turns the phase by
+    its part across the target's phasor, which turns itself with the range, so
+    pixels at different ranges share less: a factor of the cosine of their difference
+    in phase, averaged over the frequencies. Without a stated degree, all share alike.
+    """
+    which = _usable(image, pixels)
+    count = int(which.sum())
+    if count > _MOST_PIXELS:
+        raise CubeError(
+            f"{count} pixels are too many for a covariance matrix, at most "
+            f"{_MOST_PIXELS} fit; take a smaller region"
+        )
+    total = image["slant_range_uncertainty"].values[which] ** 2
+    if "slant_range_common_uncertainty" not in image:
+        return np.diag(total)
+    shared = image["slant_range_common_uncertainty"].values[which]
+    matrix = np.outer(shared, shared) * _correlation(image, which)
+    matrix[np.diag_indices(count)] = total
+    return matrix
+
+
+def mean_range(image: xr.Dataset, region: ArrayLike) -> RangeFigure:
+    """Return the mean slant range of a region.
+
+    Parameters
+    ----------
+    image : xarray.Dataset
+        Level `range_image`.
+    region : array_like of bool, shape (row, column)
+        Pixels to take; unusable ones are left out.
+
+    Returns
+    -------
+    RangeFigure
+        Mean with its uncertainty.
+
+    Raises
+    ------
+    CubeError
+        As `covariance`.
+    """
+    which = _usable(image, region)
+    weight = np.full(int(which.sum()), 1 / which.sum())
+    return _figure(image, which, weight)
+
+
+def range_difference(
+    image: xr.Dataset, first: ArrayLike, second: ArrayLike
+) -> RangeFigure:
+    """Return by how much one region is farther than another.
+
+    Parameters
+    ----------
+    image : xarray.Dataset
+        Level `range_image`.
+    first, second : array_like of bool, shape (row, column)
+        Pixels of either, none of them in both.
+
+    Returns
+    -------
+    RangeFigure
+        Mean of the second less mean of the first; what both share cancels.
+
+    Raises
+    ------
+    CubeError
+        As `covariance`, or if the regions overlap.
+    """
+    one, other = _usable(image, first), _usable(image, second)
+    if np.any(one & other):
+        raise CubeError(
+            f"the regions share {int(np.sum(one & other))} pixels; choose regions "
+            "apart from each other"
+        )
+    both = one | other
+    weight = np.where(other[both], 1 / other.sum(), -1 / one.sum())
+    return _figure(image, both, weight)
+
+
+def _figure(image: xr.Dataset, which: NDArray[np.bool_], weight: Floats) -> RangeFigure:
+    matrix = covariance(image, which)
+    noise = np.diag(matrix).copy()
+    if "slant_range_common_uncertainty" in image:
+        noise -= image["slant_range_common_uncertainty"].values[which] ** 2
+    variance = float(weight @ matrix @ weight)
+    random = float(weight**2 @ noise)
+    return RangeFigure(
+        value=float(weight @ image["slant_range"].values[which]),
+        uncertainty=max(variance, 0.0) ** 0.5,
+        random=max(random, 0.0) ** 0.5,
+    )
+
+
+def _usable(image: xr.Dataset, pixels: ArrayLike) -> NDArray[np.bool_]:
+    mask = np.asarray(pixels, dtype=bool)
+    if mask.shape != image["slant_range"].shape:
+        raise CubeError(
+            f"the region has the shape {mask.shape}, the image "
+            f"{image['slant_range'].shape}; they must agree"
+        )
+    which: NDArray[np.bool_] = mask & np.isfinite(image["slant_range"].values)
+    if not which.any():
+        raise CubeError("the region has no usable pixel; enlarge it")
+    return which
+
+
+def _correlation(image: xr.Dataset, which: NDArray[np.bool_]) -> Floats:
+    """Return the correlation of the shared errors of some pixels."""
+    distance = image["slant_range"].values[which]
+    group_index = float(image["geometry"].attrs["group_index"])
+    frequency = np.atleast_1d(image.attrs["modulation_frequencies"])
+    turn = np.zeros((len(distance), len(distance)))
+    for each in frequency:
+        wavenumber = 4 * np.pi * each * group_index / speed_of_light
+        turn += np.cos(wavenumber * (distance[:, None] - distance)) / len(frequency)
+    if "open_water_degree" not in image.attrs:
+        return turn
+    degree = int(np.max(image.attrs["open_water_degree"]))
+    axes = []
+    for name in ("azimuth", "elevation"):
+        values = image[name].values
+        span = np.ptp(values)
+        axes.append((values - values.mean()) * (2 / span if span > 0 else 0.0))
+    columns = np.stack(
+        [
+            (axes[0] ** i * axes[1] ** j).ravel()
+            for i in range(degree + 1)
+            for j in range(degree + 1 - i)
+        ],
+        axis=1,
+    )
+    basis, singular, _ = np.linalg.svd(columns, full_matrices=False)
+    basis = basis[:, singular > 1e-9 * singular[0]]
+    own = basis[which.ravel()]
+    own /= np.linalg.norm(own, axis=1, keepdims=True)
+    return np.asarray(own @ own.T * turn)

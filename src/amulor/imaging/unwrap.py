@@ -1,0 +1,167 @@
+"""Range images of one ambiguous frequency, unwrapped from pixel to pixel."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+from scipy.constants import speed_of_light
+
+from amulor import cube as cubes
+from amulor.cube import UNUSABLE
+from amulor.errors import CubeError, MissingExtraError
+from amulor.imaging.geometry import beams_of, medium_of, receivers_of
+from amulor.imaging.range_image import channel_of, image_of_path, phase_errors
+from amulor.optics import ambiguity, rays
+
+Floats = NDArray[np.float64]
+
+#: Share of a surface that must lie in the interval; the rest may be noise [1].
+_INSIDE = 0.98
+
+
+def unwrapped_range_image(
+    cube: xr.Dataset,
+    *,
+    interval: tuple[float, float],
+    polarization: str | None = None,
+    modulation_frequency: float | None = None,
+) -> xr.Dataset:
+    """Turn the phase at one frequency into slant ranges, by continuity of surfaces.
+
+    Parameters
+    ----------
+    cube : xarray.Dataset
+        Level `target_signal`.
+    interval : tuple of float
+        Nearest and farthest slant range that are possible [m]. May hold several
+        ambiguity intervals, but each connected surface must fit into it in one way
+        only.
+    polarization : str, optional
+        Channel to take; needed if there are several.
+    modulation_frequency : float, optional
+        Frequency to use, as it stands in the cube [Hz]. By default the one with the
+        smallest error of the range.
+
+    Returns
+    -------
+    xarray.Dataset
+        Level `range_image`. Surfaces that fit into the interval in no way or in
+        several are flagged `AMBIGUOUS` and hold no number.
+
+    Raises
+    ------
+    CubeError
+        If the channel or the frequency is not there, or has to be chosen.
+    MissingExtraError
+        If scikit-image is not installed.
+    ValueError
+        If the interval is empty.
+
+    Notes
+    -----
+    A fallback: several frequencies settle the interval pixel by pixel, without any
+    assumption about the scene (`range_image`). Here neighbours are taken to differ by
+    less than half an ambiguity interval, by the reliability-ordered unwrapping of
+    scikit-image (M. A. Herraez et al., Appl. Opt. 41, 7437 (2002)); a step of the scene
+    that is higher comes out too low by whole intervals, which nothing can show. Parts
+    of the picture that unusable pixels separate are unwrapped on their own.
+    """
+    cubes.check(cube, "target_signal")
+    one = channel_of(cube, polarization)
+    one = one.isel(modulation_frequency=[_frequency(one, modulation_frequency)])
+    flag, sigma, _ = phase_errors(one)
+    usable = (flag & UNUSABLE) == 0
+    wavelength = float(speed_of_light / one["modulation_frequency"].values[0])
+    shortest, longest = rays.path_limits(
+        interval,
+        beams_of(one),
+        receivers_of(one),
+        medium=medium_of(one),
+        modulation_frequency=one["modulation_frequency"].values,
+    )
+    shortest, longest = np.broadcast_arrays(shortest, longest)
+    phase = np.where(usable, np.angle(one.amulor.signal.values[0]), 0.0)
+    length = np.zeros(phase.shape)
+    settled = np.zeros(phase.shape, dtype=bool)
+    slack = _SLACK * sigma[0] * wavelength / (2 * np.pi)
+    for box, surface in _surfaces(usable):
+        path = _unwrapped(phase[box], surface)[surface] * wavelength / (2 * np.pi)
+        low = (shortest - slack)[box][surface]
+        high = (longest + slack)[box][surface]
+        first = int(np.ceil(np.min(low - path) / wavelength))
+        last = int(np.floor(np.max(high - path) / wavelength))
+        fits = [
+            turns
+            for turns in range(first, last + 1)
+            if np.mean(
+                (path + turns * wavelength >= low) & (path + turns * wavelength <= high)
+            )
+            >= _INSIDE
+        ]
+        length[box][surface] = path + (fits[0] if fits else 0) * wavelength
+        settled[box][surface] = len(fits) == 1
+    found = ambiguity.Path(
+        length,
+        sigma[0] * wavelength / (2 * np.pi),
+        np.ones((1, *phase.shape)),
+        settled,
+    )
+    image = image_of_path(one, found, interval=interval)
+    return cubes.note(
+        image, f"image, channel {image.attrs['polarization']}, unwrapped in space"
+    )
+
+
+#: A range may lie this many standard errors outside the interval: it was measured.
+_SLACK = 4.0
+
+
+def _frequency(one: xr.Dataset, wanted: float | None) -> int:
+    there = one["modulation_frequency"].values
+    if wanted is None:
+        flag, sigma, _ = phase_errors(one)
+        usable = (flag & UNUSABLE) == 0
+        if not usable.any():
+            return 0
+        return int(np.argmin(np.median(sigma[:, usable], axis=1) / there))
+    which = np.flatnonzero(np.isclose(there, wanted, rtol=1e-9))
+    if len(which) == 0:
+        listed = ", ".join(f"{value / 1e6:g}" for value in there)
+        raise CubeError(
+            f"the cube has no target signal at {wanted / 1e6:g} MHz, but at {listed} "
+            "MHz; choose one of these"
+        )
+    return int(which[0])
+
+
+def _surfaces(
+    usable: NDArray[np.bool_],
+) -> list[tuple[tuple[slice, slice], NDArray[np.bool_]]]:
+    """Return the connected parts of the usable pixels: box, and pixels in it."""
+    from scipy import ndimage
+
+    label, _ = ndimage.label(usable)
+    boxes = ndimage.find_objects(label)
+    return [(box, label[box] == number + 1) for number, box in enumerate(boxes)]
+
+
+def _unwrapped(phase: Floats, surface: NDArray[np.bool_]) -> Floats:
+    """Return the phase, continuous over one connected surface [rad]."""
+    try:
+        from skimage.restoration import unwrap_phase
+    except ImportError:
+        raise MissingExtraError(
+            "scikit-image", extra="unwrap", purpose="spatial unwrapping"
+        ) from None
+    found = phase.copy()
+    if min(phase.shape) == 1:
+        # A single row or column: the way from pixel to pixel is the only one.
+        found[surface] = np.unwrap(phase[surface])
+        return found
+    hidden: Any = np.ma.array(phase, mask=~surface)
+    solved = unwrap_phase(hidden)  # type: ignore[no-untyped-call]
+    found[surface] = np.asarray(solved)[surface]
+    return found

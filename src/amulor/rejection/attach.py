@@ -1,0 +1,156 @@
+"""Takes the open-water reference from another cube, if it fits."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+
+from amulor import cube as cubes
+from amulor.errors import CubeError
+from amulor.survey import Survey
+
+#: Numbers that differ by no more than this are the same [1].
+_SAME = 1e-6
+
+
+def with_open_water(cube: xr.Dataset, reference: xr.Dataset) -> xr.Dataset:
+    """Return samples with the open-water shots of another cube.
+
+    Parameters
+    ----------
+    cube : xarray.Dataset
+        Level `samples`; shots that it has are replaced.
+    reference : xarray.Dataset
+        Level `samples`, of the same water by the same instrument. Its open-water shots
+        are taken; if it has none, all its pixels are, in the order in which they were
+        recorded: a scan with the target away.
+
+    Returns
+    -------
+    xarray.Dataset
+        Level `samples` with the group `open_water`.
+
+    Raises
+    ------
+    CubeError
+        If the reference lacks a frequency or a channel of the cube, was recorded by
+        another instrument or in another place, or in water that its survey describes
+        otherwise.
+    """
+    cubes.check(cube, "samples", name="the target cube")
+    cubes.check(reference, "samples", name="the open-water cube")
+    _refuse_other_frequencies(cube, reference)
+    _refuse_other_channels(cube, reference)
+    _refuse_other_geometry(cube, reference)
+    _refuse_other_surveys(cube, reference)
+    chosen = reference.sel(
+        modulation_frequency=cube["modulation_frequency"].values,
+        polarization=cube["polarization"].values,
+    )
+    shots = chosen.amulor.open_water
+    if shots is None:
+        shots = _pixels_as_shots(chosen)
+    bare = cubes.without_groups(cube)
+    truth = cube.amulor.truth
+    if truth is not None:
+        bare = cubes.attach(bare, truth, "truth")
+    return cubes.note(
+        cubes.attach(bare, shots, "open_water"), "open water from another cube"
+    )
+
+
+def _pixels_as_shots(reference: xr.Dataset) -> xr.Dataset:
+    """Return the pixels of a scan without a target as shots, by time if it is known."""
+    order = np.arange(reference["azimuth"].size)
+    if "time" in reference.coords:
+        order = np.argsort(reference["time"].values.ravel(), kind="stable")
+
+    def flat(values: NDArray[Any]) -> NDArray[Any]:
+        wide = values.reshape(*values.shape[:-2], -1)
+        return np.asarray(wide[..., order])
+
+    names = ["in_phase", "quadrature", "in_phase_uncertainty", "quadrature_uncertainty"]
+    if "in_phase_quadrature_covariance" in reference:
+        names.append("in_phase_quadrature_covariance")
+    variables = {name: flat(reference[name].values) for name in names}
+    if "saturated" in reference:
+        lost = flat(reference["saturated"].values) != 0
+        variables["in_phase"] = np.where(lost, np.nan, variables["in_phase"])
+    for name in ("azimuth", "elevation"):
+        variables[name] = flat(reference[name].values)
+    return cubes.open_water(variables)
+
+
+def _refuse_other_frequencies(cube: xr.Dataset, reference: xr.Dataset) -> None:
+    needed = cube["modulation_frequency"].values
+    there = reference["modulation_frequency"].values
+    missing = [value for value in needed if value not in there]
+    if missing:
+        listed = ", ".join(f"{value / 1e6:g}" for value in missing)
+        raise CubeError(
+            f"the open-water cube has no sample at {listed} MHz, which the target cube "
+            "has; record it again at these frequencies, or select the common ones first"
+        )
+
+
+def _refuse_other_channels(cube: xr.Dataset, reference: xr.Dataset) -> None:
+    there = {str(value) for value in reference["polarization"].values}
+    missing = [str(v) for v in cube["polarization"].values if str(v) not in there]
+    if missing:
+        raise CubeError(
+            f"the open-water cube has the channels {', '.join(sorted(there))}, but the "
+            f"target cube has {', '.join(missing)} too; record open water in every "
+            "channel, or select the common ones first"
+        )
+
+
+def _refuse_other_geometry(cube: xr.Dataset, reference: xr.Dataset) -> None:
+    ours, theirs = cube.amulor.geometry, reference.amulor.geometry
+    for key in sorted((set(ours) | set(theirs)) - {"long_name", "units"}):
+        a, b = ours.get(key), theirs.get(key)
+        if a is None or b is None or not np.allclose(a, b, rtol=_SAME, atol=_SAME):
+            raise CubeError(
+                f"{key} is {b} in the open-water cube, but {a} in the target cube; "
+                "record open water with the instrument as it stands, in the same water"
+            )
+
+
+def _refuse_other_surveys(cube: xr.Dataset, reference: xr.Dataset) -> None:
+    texts = [part.attrs.get("survey") for part in (cube, reference)]
+    if not all(texts):
+        return
+    ours, theirs = (Survey.from_text(str(text)) for text in texts)
+    for part, remedy in (
+        ("water", "record open water in the same water as the target"),
+        ("instrument", "record open water with the same settings as the target"),
+    ):
+        a, b = (getattr(survey, part).model_dump() for survey in (ours, theirs))
+        found = _first_difference(a, b)
+        if found is not None:
+            name, one, other = found
+            raise CubeError(
+                f"the open-water cube is of another {part}: {part}.{name} is {other} "
+                f"there, but {one} in the target cube; {remedy}"
+            )
+
+
+def _first_difference(
+    ours: Mapping[str, Any], theirs: Mapping[str, Any]
+) -> tuple[str, Any, Any] | None:
+    """Return name and both values of the first field that differs."""
+    for name, value in ours.items():
+        # The reference may have been recorded at more frequencies and channels.
+        if name in ("modulation_frequencies", "polarizations"):
+            continue
+        other = theirs.get(name)
+        if isinstance(value, Mapping) and isinstance(other, Mapping):
+            found = _first_difference(value, other)
+            if found is not None:
+                return f"{name}.{found[0]}", *found[1:]
+        elif value != other:
+            return name, value, other
+    return None

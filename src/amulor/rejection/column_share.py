@@ -1,0 +1,222 @@
+"""Shares of the open-water signal behind given depths, from a table on large scans."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+from numpy.polynomial import chebyshev
+from numpy.typing import NDArray
+from scipy.constants import speed_of_light
+
+from amulor.optics import small_angle_diffusion
+from amulor.survey import Survey, water_properties
+from amulor.survey.view import kernel_arguments, medium, view
+
+Floats = NDArray[np.float64]
+Complex = NDArray[np.complex128]
+_Function = Callable[[Floats], Complex]
+
+#: Largest error of an interpolated share, in parts of the open-water signal [1].
+LARGEST_ERROR = 1e-4
+#: Nodes along azimuth, elevation and depth of the tables that are tried in turn.
+_NODES = ((5, 5, 9), (5, 5, 17), (9, 9, 33), (17, 17, 65))
+#: Pixels at which a table is compared with the integral.
+_CHECKS = 192
+#: A table with more nodes than this share of the pixels would not be worth its while.
+_WORTH = 0.5
+#: Numbers that one step of the work may hold; this bounds the memory.
+_AT_ONCE = 2_000_000
+
+
+def shares(
+    survey: Survey,
+    azimuth: Floats,
+    elevation: Floats,
+    depth: Floats,
+    *,
+    modulation_frequency: Floats,
+) -> Complex:
+    r"""Return which share of the open-water signal arises behind given depths.
+
+    Parameters
+    ----------
+    survey : Survey
+        Its water and its instrument count.
+    azimuth, elevation : ndarray, shape (n,)
+        Directions of the beams [rad].
+    depth : ndarray, shape (n,)
+        Water in front of the target [m].
+    modulation_frequency : ndarray, shape (m,)
+        Modulation frequencies [Hz].
+
+    Returns
+    -------
+    ndarray of complex, shape (m, n)
+        Shares, exact or within `LARGEST_ERROR` [1].
+
+    Notes
+    -----
+    The quotient of (46) of Ricci et al. 2010, as rebuilt, from the depth on and as a
+    whole. Freed of the delay :math:`e^{2 i k z}` it is smooth in direction and depth,
+    so a product of Chebyshev polynomials follows it. A table counts only if, at pixels
+    spread over the scan, it agrees with the integral to half of `LARGEST_ERROR`; if
+    none of four does, every pixel is integrated.
+    """
+    places = np.stack([azimuth, elevation, depth])
+    count = places.shape[1]
+    if count == 0:
+        return np.zeros((len(modulation_frequency), 0), dtype=complex)
+    checks = places[:, _spread(places)]
+    exact: Complex | None = None
+    for nodes in _NODES:
+        table = _Table(survey, places, nodes, modulation_frequency)
+        if table.size > _WORTH * count:
+            break
+        table.fill()
+        if exact is None:
+            exact = integrated(survey, checks, modulation_frequency)
+        if np.abs(table.at(checks) - exact).max() <= LARGEST_ERROR / 2:
+            return _in_parts(table.at, places, modulation_frequency, table.width)
+    return _in_parts(
+        lambda part: integrated(survey, part, modulation_frequency),
+        places,
+        modulation_frequency,
+        len(modulation_frequency),
+    )
+
+
+class _Table:
+    """Chebyshev series of a share over azimuth, elevation and depth.
+
+    Parameters
+    ----------
+    survey : Survey
+        Water and instrument.
+    places : ndarray, shape (3, n)
+        Where it will be evaluated: sets the box.
+    nodes : tuple of int
+        Nodes along the three axes; an axis without extent takes one.
+    frequency : ndarray
+        Modulation frequencies [Hz].
+    """
+
+    def __init__(
+        self,
+        survey: Survey,
+        places: Floats,
+        nodes: tuple[int, int, int],
+        frequency: Floats,
+    ) -> None:
+        low, high = places.min(axis=1), places.max(axis=1)
+        self._survey, self._frequency = survey, frequency
+        self._centre = (low + high) / 2
+        self._half = np.where(high > low, (high - low) / 2, 1.0)
+        self._count = [
+            n if extent > 0 else 1 for n, extent in zip(nodes, high - low, strict=True)
+        ]
+        self._wavenumber = (
+            4
+            * np.pi
+            * frequency
+            * water_properties(survey).group_index
+            / speed_of_light
+        )
+        self.size = int(np.prod(self._count))
+        self.width = self._count[2] * len(frequency)
+
+    def fill(self) -> None:
+        """Integrate at the nodes and find the coefficients."""
+        axes = [np.cos(np.pi * (np.arange(n) + 0.5) / n) for n in self._count]
+        inverse = [
+            np.linalg.inv(chebyshev.chebvander(axis, n - 1))
+            for axis, n in zip(axes, self._count, strict=True)
+        ]
+        grid = np.stack(np.meshgrid(*axes, indexing="ij")).reshape(3, -1)
+        places = self._centre[:, None] + self._half[:, None] * grid
+        # Rounding must not push a depth below zero.
+        places[2] = np.maximum(places[2], 0.0)
+        value = integrated(self._survey, places, self._frequency)
+        value *= np.exp(-1j * np.outer(self._wavenumber, places[2]))
+        value = value.reshape(len(self._frequency), *self._count)
+        coefficients = np.einsum("fijk,ai,bj,ck->abcf", value, *inverse, optimize=True)
+        self._coefficients = coefficients.reshape(
+            self._count[0] * self._count[1], self.width
+        )
+
+    def at(self, places: Floats) -> Complex:
+        """Return the shares at places, shape (frequencies, n)."""
+        scaled = (places - self._centre[:, None]) / self._half[:, None]
+        across, up, down = (
+            chebyshev.chebvander(axis, n - 1)
+            for axis, n in zip(scaled, self._count, strict=True)
+        )
+        directions = (across[:, :, None] * up[:, None, :]).reshape(len(across), -1)
+        # One product of real matrices: real and imaginary parts side by side.
+        real = self._coefficients.view(float)
+        series = (
+            (directions @ real).view(complex).reshape(len(across), down.shape[1], -1)
+        )
+        value: Complex = np.einsum("nk,nkf->fn", down, series)
+        value *= np.exp(1j * np.outer(self._wavenumber, places[2]))
+        return value
+
+
+def _spread(places: Floats) -> NDArray[np.intp]:
+    """Return pixels spread over the scan, the extremes of each axis among them."""
+    count = places.shape[1]
+    even = np.linspace(0, count - 1, min(_CHECKS, count)).astype(int)
+    extremes = np.concatenate([places.argmin(axis=1), places.argmax(axis=1)])
+    return np.unique(np.concatenate([even, extremes]))
+
+
+def _in_parts(
+    function: _Function, places: Floats, frequency: Floats, width: int
+) -> Complex:
+    """Evaluate a function of places part by part, so that memory stays bounded."""
+    count = places.shape[1]
+    out = np.empty((len(frequency), count), dtype=complex)
+    step = max(1, _AT_ONCE // width)
+    for first in range(0, count, step):
+        part = slice(first, first + step)
+        out[:, part] = function(places[:, part])
+    return out
+
+
+def integrated(survey: Survey, places: Floats, frequency: Floats) -> Complex:
+    """Return the shares by integration, pixel by pixel.
+
+    Parameters
+    ----------
+    survey : Survey
+        Its water and its instrument count.
+    places : ndarray, shape (3, n)
+        Azimuth, elevation [rad] and depth [m].
+    frequency : ndarray, shape (m,)
+        Modulation frequencies [Hz].
+
+    Returns
+    -------
+    ndarray of complex, shape (m, n)
+        Shares [1].
+    """
+    azimuth, elevation, depth = places
+    water = water_properties(survey)
+    where = view(survey, azimuth, elevation, medium=medium(survey, water))
+    arguments = kernel_arguments(survey, water, where) | {
+        "backscatter_vsf": 1.0,
+        "group_index": water.group_index,
+    }
+    each = frequency[:, None]
+    end = np.inf if survey.water.column_end is None else survey.water.column_end
+    whole = small_angle_diffusion.water_response(each, end=end, **arguments)
+    behind = small_angle_diffusion.water_tail(
+        each, end=np.minimum(depth, end), **arguments
+    )
+    if np.isfinite(end):
+        behind = behind - small_angle_diffusion.water_tail(each, end=end, **arguments)
+    # A receiver that sees no water has none behind the target either.
+    share: Complex = np.divide(
+        behind, whole, out=np.zeros_like(behind), where=whole != 0
+    )
+    return share

@@ -1,0 +1,171 @@
+"""Takes open water out of each channel, then combines the channels by polarization."""
+
+from __future__ import annotations
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+
+from amulor import cube as cubes
+from amulor.cube import QualityFlag
+from amulor.rejection import mixing, quality, ratios
+from amulor.rejection.build import along, covariance_of, target_cube
+from amulor.rejection.channels import pair_of
+from amulor.rejection.open_water import open_water
+from amulor.rejection.reference import Covariance
+
+Complex = NDArray[np.complex128]
+
+
+def combined(
+    cube: xr.Dataset,
+    *,
+    interval: tuple[float, float] | None = None,
+    target_ratio: float | None = None,
+    target_ratio_uncertainty: float = 0.0,
+    water_change: float = 0.0,
+    column_uncertainty: float = 0.2,
+) -> xr.Dataset:
+    r"""Subtract open water in each channel, then unmix what is left.
+
+    Parameters
+    ----------
+    cube : xarray.Dataset
+        Level `samples`, with a co-polarized channel, its cross-polarized partner and
+        open-water shots.
+    interval : tuple of float, optional
+        Nearest and farthest slant range that are possible [m].
+    target_ratio : float, optional
+        Cross-polarized over co-polarized signal of the target, between 0 and 1 [1];
+        estimated, with its uncertainty, if left out.
+    target_ratio_uncertainty : float
+        Standard uncertainty of what is stated [1].
+    water_change : float
+        Relative standard deviation by which the water signal at a pixel may differ from
+        the reference in both channels alike, beyond its fluctuation from sample to
+        sample [1]. The larger, the more the result rests on polarization.
+    column_uncertainty : float
+        As in `open_water` [1].
+
+    Returns
+    -------
+    xarray.Dataset
+        Level `target_signal` with one channel, the co-polarized one.
+
+    Raises
+    ------
+    CubeError
+        If the two channels or the open-water shots are not there, or the ratio cannot
+        be estimated.
+    ValueError
+        If the ratio is out of range, or an uncertainty is.
+
+    Notes
+    -----
+    What subtraction leaves in the channels is :math:`T + \delta` and
+    :math:`r_t T + r_w \delta`, with the depolarization ratios r of target and water,
+    the latter from the reference itself, and water :math:`\delta` that was not in it.
+    Generalised least squares with the inverse covariance of both channels, in which
+    :math:`\delta` is an error that they share: :math:`\delta = 0` gives the weighted
+    mean of the channels, a large one gives unmixing.
+    """
+    cubes.check(cube, "samples")
+    _refuse_odd(target_ratio, water_change)
+    co, cross = pair_of(cube)
+    if target_ratio is None:
+        found = ratios.target_ratio(cube, interval=interval)
+        target_ratio, target_ratio_uncertainty = found.value, found.uncertainty
+    left = open_water(cube, interval=interval, column_uncertainty=column_uncertainty)
+    parts = [left.sel(polarization=name) for name in (co, cross)]
+    signals = [part.amulor.signal.values for part in parts]
+    water = [part.amulor.water_signal.values for part in parts]
+    shared = [_common_of(part) for part in parts]
+    own = [
+        _less(covariance_of(part), common)
+        for part, common in zip(parts, shared, strict=True)
+    ]
+    water_weight = np.divide(
+        (water[1] * water[0].conj()).real,
+        np.abs(water[0]) ** 2,
+        out=np.zeros(water[0].shape),
+        where=np.abs(water[0]) > 0,
+    )
+    prior = along(water[0], water_change)
+    solved = mixing.unmix(
+        signals,
+        [a + b for a, b in zip(own, shared, strict=True)],
+        target_weights=[1.0, target_ratio],
+        water_weights=[1.0, water_weight],
+        water_prior=prior,
+    )
+    target = solved.target
+    # A wrong ratio moves the crossed channel away from the estimate.
+    slope = solved.shift_by([np.zeros_like(target), -target])
+    by_ratio = along(slope, target_ratio_uncertainty)
+    common = solved.error_of(shared) + by_ratio
+    residual = None
+    if "residual_in_phase" in left:
+        # Put back where the distance is settled; where it is not, it is not known.
+        known = [np.isfinite(part["residual_in_phase"].values) for part in parts]
+        residual = np.where(known[0] & known[1], 0.0, np.nan) + 0j * target
+    first = cube.sel(polarization=[co])
+    if "saturated" in cube:
+        pair = cube.sel(polarization=[co, cross])["saturated"].values
+        first = first.assign(
+            saturated=first["saturated"].copy(data=pair.max(axis=1, keepdims=True))
+        )
+    result = target_cube(
+        first,
+        target[:, None],
+        _wide(solved.independent + by_ratio),
+        water_signal=first.amulor.signal.values - target[:, None],
+        residual=None if residual is None else residual[:, None],
+        common=_wide(common),
+        step=f"reject, combine {co} and {cross} after open water, ratio of the target "
+        f"{target_ratio:g}",
+        frequencies_share_errors=np.int32(0),
+        target_ratio=target_ratio,
+        target_ratio_uncertainty=target_ratio_uncertainty,
+        open_water_drift=left.attrs["open_water_drift"],
+        open_water_drift_uncertainty=left.attrs["open_water_drift_uncertainty"],
+    )
+    if water_change == 0:
+        # Nothing here makes up for a reference that is doubtful.
+        flags = [
+            part["quality_flag"].values & QualityFlag.WATER_RESIDUAL for part in parts
+        ]
+        result = quality.add(
+            result, QualityFlag.WATER_RESIDUAL, ((flags[0] | flags[1]) != 0)[:, None]
+        )
+    return result
+
+
+def _refuse_odd(target_ratio: float | None, water_change: float) -> None:
+    if target_ratio is not None and not 0 <= target_ratio <= 1:
+        raise ValueError(f"target_ratio must lie between 0 and 1, got {target_ratio:g}")
+    if not 0 <= water_change < np.inf:
+        raise ValueError(
+            f"water_change must be finite and not negative, got {water_change:g}"
+        )
+
+
+def _common_of(part: xr.Dataset) -> Covariance:
+    return Covariance(
+        part["common_in_phase_uncertainty"].values ** 2,
+        part["common_quadrature_uncertainty"].values ** 2,
+        part["common_covariance"].values,
+    )
+
+
+def _less(total: Covariance, part: Covariance) -> Covariance:
+    """Return a covariance without a part of it, rounding below zero taken off."""
+    return Covariance(
+        np.maximum(total.in_phase - part.in_phase, 0.0),
+        np.maximum(total.quadrature - part.quadrature, 0.0),
+        total.cross - part.cross,
+    )
+
+
+def _wide(covariance: Covariance) -> Covariance:
+    """Return a covariance with an axis for the one channel."""
+    return covariance.part((slice(None), None))

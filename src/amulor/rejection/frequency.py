@@ -1,0 +1,323 @@
+"""Keeps the one modulation frequency at which the water disturbs least."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+
+from amulor import cube as cubes
+from amulor.errors import CubeError
+from amulor.optics import extrema, low_pass, ranging
+from amulor.rejection import merit as merits
+from amulor.rejection.build import covariance_of, target_cube
+from amulor.rejection.channels import names_of
+from amulor.rejection.merit import Merit
+from amulor.rejection.open_water import shots_of
+from amulor.rejection.quality import LARGEST_PHASE_ERROR
+
+Floats = NDArray[np.float64]
+
+#: A shift by water above this share of the ambiguity interval spoils a picture [1].
+_LARGE_SHIFT = 0.02
+#: Ambiguity intervals are compared to this precision: limits are measured, too [1].
+_ROOM = 1e-6
+
+
+@dataclass(frozen=True)
+class FrequencyChoice:
+    """The best single frequency of a sweep, with all that speaks for and against it."""
+
+    modulation_frequency: float
+    """The choice [Hz]."""
+    polarization: str
+    """Channel that the figures are for."""
+    cut_off: float | None
+    """Fitted cut-off of the water signal [Hz]; None if the sweep does not show one."""
+    reason: str
+    """Why this frequency."""
+    warnings: tuple[str, ...]
+    """What makes it, or the sweep, less useful than it may look."""
+    sweep: Floats
+    """All frequencies of the sweep [Hz]."""
+    amplitude: Floats
+    """Amplitude of target and water together [V]."""
+    ratio: Floats
+    """Signal-to-optical-noise ratio (54) [1]."""
+    contrast: Floats
+    """Contrast (54) [1]."""
+    noise: Floats
+    """Random error of the slant range [m]."""
+    shift: Floats
+    """Shift of the slant range by the water, root mean square [m]."""
+    ambiguity_interval: Floats
+    """Slant range after which a frequency alone repeats [m]."""
+    maxima: dict[str, Floats]
+    """Frequencies at which amplitude, ratio and contrast are largest [Hz]."""
+
+    @property
+    def above_cut_off(self) -> bool | None:
+        """Whether the choice is above the cut-off; None if there is no cut-off."""
+        if self.cut_off is None:
+            return None
+        return self.modulation_frequency > self.cut_off
+
+
+def choose_frequency(
+    cube: xr.Dataset,
+    *,
+    polarization: str | None = None,
+    interval: tuple[float, float] | None = None,
+) -> FrequencyChoice:
+    r"""Choose the best single frequency of a sweep, with the water left in.
+
+    Parameters
+    ----------
+    cube : xarray.Dataset
+        Level `samples`, with open-water shots.
+    polarization : str, optional
+        Channel to judge; the one with the smallest error by default.
+    interval : tuple of float, optional
+        Nearest and farthest slant range that are possible [m].
+
+    Returns
+    -------
+    FrequencyChoice
+        The choice, its reason, warnings, and the whole sweep.
+
+    Raises
+    ------
+    CubeError
+        If there are no open-water shots, the channel is not there, or no pixel shows a
+        target at any frequency.
+
+    Notes
+    -----
+    Amplitude, signal-to-optical-noise ratio and contrast (54) of Ricci et al. 2010, as
+    rebuilt, are largest where target and water are in phase, and there the water does
+    not turn the phase. The water signal falls beyond its cut-off and the target's does
+    not, so high frequencies suffer less, but repeat sooner. The choice is the smallest
+    error of the slant range, random error and shift together, among the frequencies
+    that alone settle the interval; among all if none does.
+    """
+    cubes.check(cube, "samples")
+    found = merits.merit(cube, interval=interval)
+    channel = _channel(cube, found, polarization)
+    frequency = cube["modulation_frequency"].values
+    error = found.error[:, channel]
+    if not np.isfinite(error).any():
+        raise CubeError(
+            "no pixel shows a target at any frequency once the water is taken out; "
+            "raise power or dwell, or look for the target elsewhere"
+        )
+    alone = ranging.ambiguity_interval(
+        frequency, group_index=float(cube["geometry"].attrs["group_index"])
+    )
+    span = None if interval is None else interval[1] - interval[0]
+    clear = (
+        np.ones(frequency.size, bool) if span is None else alone * (1 + _ROOM) > span
+    )
+    eligible = clear & np.isfinite(error)
+    candidates = eligible if eligible.any() else np.isfinite(error)
+    best = int(np.argmin(np.where(candidates, error, np.inf)))
+    cut_off = _cut_off(cube, channel)
+    one = {
+        name: getattr(found, name)[:, channel]
+        for name in ("amplitude", "ratio", "contrast", "noise", "shift")
+    }
+    return FrequencyChoice(
+        modulation_frequency=float(frequency[best]),
+        polarization=names_of(cube)[channel],
+        cut_off=cut_off,
+        reason=_reason(frequency, best, one, cut_off, eligible, error, span),
+        warnings=_warnings(frequency, best, one, alone, span, eligible, clear),
+        sweep=frequency,
+        ambiguity_interval=np.asarray(alone),
+        maxima={
+            name: _maxima(frequency, one[name])
+            for name in ("amplitude", "ratio", "contrast")
+        },
+        **one,
+    )
+
+
+def frequency(
+    cube: xr.Dataset,
+    *,
+    modulation_frequency: float | None = None,
+    interval: tuple[float, float] | None = None,
+) -> xr.Dataset:
+    """Keep one modulation frequency, the best one, with the water left in.
+
+    Parameters
+    ----------
+    cube : xarray.Dataset
+        Level `samples`, with open-water shots.
+    modulation_frequency : float, optional
+        Which one to keep, as it stands in the cube [Hz]. By default that of
+        `choose_frequency`.
+    interval : tuple of float, optional
+        Nearest and farthest slant range that are possible [m].
+
+    Returns
+    -------
+    xarray.Dataset
+        Level `target_signal` with one frequency. The signal is that of the samples;
+        the `residual_` variables hold the water in it as the shots tell, from which
+        the shift of the range follows, and the uncertainty holds the fluctuation of
+        that water and the error of the shots. Flagged `WATER_RESIDUAL` where the shift
+        exceeds the uncertainty, `NO_TARGET` where the signal is not five times the
+        water in it. The attributes `frequency_choice` and `frequency_warnings` say why.
+
+    Raises
+    ------
+    CubeError
+        As `choose_frequency`, or if the cube has no such frequency.
+    """
+    cubes.check(cube, "samples")
+    warnings: tuple[str, ...] = ()
+    if modulation_frequency is None:
+        choice = choose_frequency(cube, interval=interval)
+        modulation_frequency = choice.modulation_frequency
+        reason, warnings = choice.reason, choice.warnings
+    else:
+        reason = "chosen by the user"
+    there = cube["modulation_frequency"].values
+    which = np.flatnonzero(np.isclose(there, modulation_frequency, rtol=1e-9))
+    if len(which) == 0:
+        listed = ", ".join(f"{value / 1e6:g}" for value in there)
+        raise CubeError(
+            f"the cube has no sample at {modulation_frequency / 1e6:g} MHz, but at "
+            f"{listed} MHz; choose one of these"
+        )
+    water = merits.water_of(cube, interval=interval)
+    one = cube.isel(modulation_frequency=which)
+    left = np.where(water.settled, water.signal, np.nan)[which]
+    errors = covariance_of(cube) + water.stray + water.common
+    signal = one.amulor.signal.values
+    return target_cube(
+        one,
+        signal,
+        errors.part(which),
+        water_signal=np.zeros_like(signal),
+        residual=left,
+        common=water.common.part(which),
+        step=f"reject, keep {modulation_frequency / 1e6:g} MHz alone",
+        frequencies_share_errors=np.int32(0),
+        frequency_choice=reason,
+        frequency_warnings="; ".join(warnings),
+    )
+
+
+def _channel(cube: xr.Dataset, found: Merit, polarization: str | None) -> int:
+    names = names_of(cube)
+    if polarization is None:
+        best = np.nanmin(
+            np.where(np.isfinite(found.error), found.error, np.inf), axis=0
+        )
+        return int(np.argmin(best))
+    if polarization not in names:
+        raise CubeError(
+            f"the cube has no channel {polarization!r}, but {', '.join(names)}; choose "
+            "one"
+        )
+    return names.index(polarization)
+
+
+def _cut_off(cube: xr.Dataset, channel: int) -> float | None:
+    shots = shots_of(cube)
+    signal = (shots["in_phase"].values + 1j * shots["quadrature"].values)[:, channel]
+    frequency = cube["modulation_frequency"].values
+    amplitude = np.abs(np.nanmean(signal, axis=-1))
+    try:
+        cut_off = low_pass.fit(frequency, amplitude).cut_off
+    except ValueError:
+        return None
+    # A sweep that stays on one side of the cut-off does not show it.
+    return float(cut_off) if frequency[0] < cut_off < frequency[-1] else None
+
+
+def _maxima(frequency: Floats, values: Floats) -> Floats:
+    good = np.isfinite(values)
+    if good.sum() < 3:
+        return np.empty(0)
+    return extrema.find(frequency[good], values[good]).maxima
+
+
+def _reason(
+    frequency: Floats,
+    best: int,
+    one: dict[str, Floats],
+    cut_off: float | None,
+    eligible: NDArray[np.bool_],
+    error: Floats,
+    span: float | None,
+) -> str:
+    where = "the sweep shows no cut-off of the water signal"
+    if cut_off is not None:
+        side = "above" if frequency[best] > cut_off else "below"
+        where = f"{side} the cut-off of the water signal at {cut_off / 1e6:.3g} MHz"
+    text = (
+        f"{frequency[best] / 1e6:.6g} MHz, {where}: the signal is "
+        f"{one['ratio'][best]:.3g} times that of the water, which shifts the range by "
+        f"{one['shift'][best] * 1e3:.3g} mm; noise {one['noise'][best] * 1e3:.3g} mm"
+    )
+    rest = np.flatnonzero(np.isfinite(error) & (np.arange(error.size) != best))
+    better = [k for k in rest if error[k] < error[best] and not eligible[k]]
+    if better and span is not None:
+        text += (
+            f"; frequencies from {frequency[better[0]] / 1e6:.6g} MHz on would err "
+            f"less, but repeat within the {span:.3g} m of the interval"
+        )
+    elif len(rest):
+        worst = rest[int(np.argmax(error[rest]))]
+        text += (
+            f"; {error[worst] * 1e3:.3g} mm at {frequency[worst] / 1e6:.6g} MHz, the "
+            "worst of the sweep"
+        )
+    return text
+
+
+def _warnings(
+    frequency: Floats,
+    best: int,
+    one: dict[str, Floats],
+    alone: Floats,
+    span: float | None,
+    eligible: NDArray[np.bool_],
+    clear: NDArray[np.bool_],
+) -> tuple[str, ...]:
+    found = []
+    if frequency.size == 1:
+        found.append("the cube has one frequency, so there was nothing to choose")
+    if span is None:
+        found.append(
+            f"this frequency alone repeats after {alone[best]:.3g} m; state the "
+            "interval that is possible if targets may be farther"
+        )
+    elif not clear[best]:
+        found.append(
+            f"useless without further knowledge: it repeats after {alone[best]:.3g} m "
+            f"and the interval spans {span:.3g} m; narrow it, or record a lower one"
+        )
+    if one["noise"][best] > LARGEST_PHASE_ERROR / (2 * np.pi) * alone[best]:
+        found.append(
+            f"useless for noise: {one['noise'][best]:.3g} m is "
+            f"{one['noise'][best] / alone[best]:.0%} of the ambiguity interval; raise "
+            "power or dwell"
+        )
+    if one["shift"][best] > _LARGE_SHIFT * alone[best]:
+        found.append(
+            f"the water still shifts the range by {one['shift'][best] * 1e3:.3g} mm; "
+            "subtract open water instead"
+        )
+    at_an_end = best in (0, frequency.size - 1) and frequency.size > 1
+    blocked = best + 1 < frequency.size and not eligible[best + 1]
+    if at_an_end and not blocked:
+        found.append(
+            "the best frequency stands at the end of the sweep; a wider sweep may hold "
+            "a better one"
+        )
+    return tuple(found)

@@ -1,0 +1,114 @@
+"""Pixels whose beam meets two surfaces: found at edges, and nowhere else."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import xarray as xr
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from amulor import cube as cubes
+from amulor import imaging
+
+SIGMA = 1e-3
+
+
+def _image(distance: np.ndarray, *, common: float = 0.0) -> xr.Dataset:
+    shape = distance.shape
+    return cubes.build(
+        "range_image",
+        {
+            "slant_range": distance,
+            "slant_range_uncertainty": np.full(shape, np.hypot(SIGMA, common)),
+            "slant_range_common_uncertainty": np.full(shape, common),
+            "intensity": np.ones(shape),
+            "quality_flag": np.where(np.isfinite(distance), 0, 4).astype(np.int16),
+        },
+        {"azimuth": np.zeros(shape), "elevation": np.zeros(shape)},
+        geometry={
+            "group_index": 1.38,
+            "refractive_index": 1.34,
+            "emitter_position": np.zeros(3),
+            "receiver_position": np.zeros(3),
+        },
+        attributes=cubes.attributes("range_image", title="edge", source="by hand"),
+    )
+
+
+def _step(width: float, *, turned: bool) -> np.ndarray:
+    """Return an edge of 10 cm seen by a beam that covers so many pixels.
+
+    The mixture is that of the phasors at 39 MHz, both surfaces equally bright.
+    """
+    share = np.clip((np.arange(20) - 9.9) / width + 0.5, 0, 1)
+    wavenumber = 4 * np.pi * 39e6 * 1.38 / 299792458.0
+    sum_of_both = (1 - share) * np.exp(1j * wavenumber * 1.5) + share * np.exp(
+        1j * wavenumber * 1.4
+    )
+    line = np.angle(sum_of_both) / wavenumber
+    image = np.broadcast_to(line, (8, 20))
+    return image.T if turned else image
+
+
+@pytest.mark.parametrize("turned", [False, True])
+@pytest.mark.parametrize("width", [1.0, 2.0])
+def test_mixed_pixels_of_an_edge_are_found(width: float, turned: bool) -> None:
+    distance = _step(width, turned=turned)
+    rng = np.random.default_rng(1)
+    noisy = distance + SIGMA * rng.standard_normal(distance.shape)
+    found = imaging.mixed_pixels(_image(noisy))
+    off = np.minimum(abs(distance - distance.max()), abs(distance - distance.min()))
+    clearly = off > 2e-2
+    assert clearly.sum() >= 8
+    assert found[clearly].all()
+    assert not found[off < 1e-6].any()
+
+
+@pytest.mark.parametrize(
+    "surface",
+    [
+        np.where(np.arange(20) < 10, 1.5, 1.4) * np.ones((8, 1)),
+        1.5 + 0.03 * np.arange(20) * np.ones((8, 1)),
+        1.5 + 2e-4 * (np.arange(20) - 10.0) ** 2 * np.ones((8, 1)),
+    ],
+    ids=["sharp step", "slope", "bowl"],
+)
+def test_clean_surfaces_have_none(surface: np.ndarray) -> None:
+    rng = np.random.default_rng(2)
+    noisy = surface + SIGMA * rng.standard_normal(surface.shape)
+    assert not imaging.mixed_pixels(_image(noisy)).any()
+
+
+@settings(max_examples=20)
+@given(shift=st.floats(-1, 1), common=st.floats(0, 0.1))
+def test_what_pixels_share_changes_nothing(shift: float, common: float) -> None:
+    distance = _step(2.0, turned=False)
+    plain = imaging.mixed_pixels(_image(distance))
+    moved = imaging.mixed_pixels(_image(distance + shift, common=common))
+    np.testing.assert_array_equal(plain, moved)
+
+
+def test_a_missing_neighbour_decides_nothing() -> None:
+    distance = _step(1.0, turned=False).copy()
+    distance[:, 8] = np.nan
+    distance[:, 12] = np.nan
+    assert not imaging.mixed_pixels(_image(distance), reach=1)[:, 9:12].any()
+
+
+def test_the_mark_is_written_into_the_image() -> None:
+    image = imaging.flag_mixed(_image(_step(1.0, turned=False)))
+    cubes.check(image, "range_image")
+    np.testing.assert_array_equal(
+        image["user_mixed"].values == 1, imaging.mixed_pixels(image)
+    )
+    assert image["user_mixed"].values.any()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [({"significance": 0.0}, "above 0"), ({"reach": 0}, "at least 1 pixel")],
+)
+def test_odd_arguments_are_refused(arguments: dict, words: str) -> None:
+    with pytest.raises(ValueError, match=words):
+        imaging.mixed_pixels(_image(_step(1.0, turned=False)), **arguments)

@@ -1,0 +1,131 @@
+"""All methods side by side, and the one that is recommended."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+import xarray as xr
+
+from amulor import cube as cubes
+from amulor import imaging, rejection
+from amulor.errors import CubeError
+from amulor.simulation import simulate
+from amulor.survey import Survey
+
+Make = Callable[..., xr.Dataset]
+PAIR = {"VV": (1.0, 1.0), "VH": (0.242, 0.105)}
+
+
+@pytest.fixture(scope="module")
+def cube(plate_text: str) -> xr.Dataset:
+    text = plate_text.replace('["39 MHz"]', '["10 MHz", "39 MHz", "61 MHz"]')
+    return simulate(Survey.from_text(text), rng=31)
+
+
+@pytest.fixture(scope="module")
+def found(cube: xr.Dataset) -> rejection.Comparison:
+    return rejection.compare(cube, interval=(0.5, 3.0))
+
+
+def test_every_method_has_a_row(found: rejection.Comparison) -> None:
+    methods = {row.method for row in found.rows}
+    assert methods == {
+        "cross-polarized",
+        "open-water",
+        "frequency",
+        "polarization",
+        "combined",
+        "joint",
+    }
+    assert sum(row.recommended for row in found.rows) == 1
+    best = next(row for row in found.rows if row.recommended)
+    assert (best.method, best.polarization) == (found.method, found.polarization)
+    assert found.reason.startswith(f"{best.method} {best.polarization}: error")
+
+
+def test_the_stated_errors_are_the_errors(
+    cube: xr.Dataset, found: rejection.Comparison
+) -> None:
+    for row in found.rows:
+        if row.method not in ("open-water", "combined"):
+            continue
+        run = {
+            "open-water": lambda c: rejection.open_water(
+                c, interval=(0.5, 3.0), column_uncertainty=0.2
+            ),
+            "combined": lambda c: rejection.combined(c, interval=(0.5, 3.0)),
+        }[row.method]
+        image = imaging.range_image(
+            run(cube), polarization=row.polarization, interval=(0.5, 3.0)
+        )
+        error = (image["slant_range"] - image["truth_slant_range"]).values
+        # 72 pixels that share a reference.
+        assert np.sqrt(np.mean(error**2)) == pytest.approx(row.error, rel=0.4), row
+
+
+def test_the_frequency_alone_carries_its_bias(found: rejection.Comparison) -> None:
+    row = next(row for row in found.rows if row.method == "frequency")
+    others = [row for row in found.rows if row.method == "open-water"]
+    assert row.bias > 10 * max(other.noise for other in others)
+    assert row.flagged == 1.0
+
+
+def test_auto_does_what_is_recommended(
+    cube: xr.Dataset, found: rejection.Comparison
+) -> None:
+    target = rejection.auto(cube, interval=(0.5, 3.0), comparison=found)
+    cubes.check(target, "target_signal")
+    assert target.attrs["rejection_method"] == found.method
+    assert list(target["polarization"].values) == [found.polarization]
+
+
+def test_methods_that_cannot_run_say_why(by_hand: Make) -> None:
+    cube = by_hand(frequency=[39e6], channels={"VV": (1.0, 1.0)})
+    rows = {row.method: row for row in rejection.compare(cube).rows}
+    assert "unmixing needs one of the pairs" in rows["polarization"].note
+    assert "one modulation frequency" in rows["joint"].note
+    assert rows["open-water"].recommended
+    assert rows["joint"].usable == 0
+
+
+def test_without_a_reference_the_crossed_channel_is_left(by_hand: Make) -> None:
+    cube = cubes.without_groups(by_hand(frequency=[39e6], channels=PAIR))
+    found = rejection.compare(cube)
+    assert (found.method, found.polarization) == ("cross-polarized", "VH")
+    best = next(row for row in found.rows if row.recommended)
+    assert np.isinf(best.bias)
+    assert "record open-water shots" in found.reason
+
+
+def test_of_equal_methods_the_simpler_one_wins(by_hand: Make) -> None:
+    # The crossed channel adds 0.242^2 = 6 % of weight: 3 % less error.
+    cube = by_hand(frequency=[39e6], channels=PAIR, shots=400, shape=(20, 20))
+    found = rejection.compare(cube, interval=(0.5, 2.5))
+    assert (found.method, found.polarization) == ("open-water", "VV")
+    errors = {row.method: row.error for row in found.rows if row.polarization == "VV"}
+    assert errors["combined"] < errors["open-water"]
+
+
+def test_a_cube_without_any_target_is_refused(by_hand: Make) -> None:
+    cube = by_hand(frequency=[39e6], channels={"VV": (1.0, 1.0)}, target=0.0)
+    with pytest.raises(CubeError, match="no method has a pixel"):
+        rejection.compare(cube)
+
+
+def test_no_method_reads_the_truth(cube: xr.Dataset) -> None:
+    lying = cube.copy()
+    for name in lying.data_vars:
+        if str(name).startswith("truth_"):
+            lying[name] = lying[name] * 0 + 1.0
+    methods: tuple[Callable[[xr.Dataset], xr.Dataset], ...] = (
+        lambda c: rejection.open_water(c, column_uncertainty=0.2),
+        rejection.unmix,
+        rejection.combined,
+        rejection.frequency,
+    )
+    for method in methods:
+        honest, other = method(cube), method(lying)
+        for name in ("in_phase", "quadrature_uncertainty", "quality_flag"):
+            np.testing.assert_array_equal(honest[name], other[name])

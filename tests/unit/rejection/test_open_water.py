@@ -1,0 +1,136 @@
+"""Open water: drift, a reference of other water, the column that is put back."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+import xarray as xr
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.testing import assert_allclose
+
+from amulor import imaging, rejection
+from amulor.cube import QualityFlag
+from amulor.errors import CubeError
+from amulor.rejection.open_water import subtract
+from amulor.simulation import simulate
+from amulor.survey import Survey
+
+ONE = {"VV": (1.0, 1.0)}
+Make = Callable[..., xr.Dataset]
+
+
+def test_subtraction_is_the_difference_of_phasors_in_place() -> None:
+    signal, water = np.array([0.75 + 0.75j]), np.array([-0.25 + 0.25j])
+    found = subtract(signal, water)
+    assert found is signal
+    # (55)-(57): 1 + 0.5i, amplitude sqrt(1.25), phase atan(1/2).
+    assert_allclose(found, [1 + 0.5j])
+
+
+def test_a_drift_is_measured_and_counts_as_an_error(by_hand: Make) -> None:
+    steady = rejection.open_water(by_hand(frequency=[39e6], channels=ONE))
+    moving = rejection.open_water(by_hand(frequency=[39e6], channels=ONE, drift=0.1))
+    found = moving.attrs["open_water_drift"].item()
+    stated = moving.attrs["open_water_drift_uncertainty"].item()
+    assert abs(found - 0.1) < 4 * stated
+    assert stated < 0.03
+    names = ("common_in_phase_uncertainty", "common_quadrature_uncertainty")
+    size = [
+        np.sqrt(sum(np.mean(cube[name].values ** 2) for name in names))
+        for cube in (steady, moving)
+    ]
+    # Spread evenly over 10 % of the water signal, 0.2 / sqrt(1 + 1.3^2).
+    expected = 0.1 / np.sqrt(12) * 0.2 / np.hypot(1, 39 / 30)
+    assert size[1] == pytest.approx(np.hypot(size[0], expected), rel=0.2)
+    assert size[0] < expected / 4
+
+
+def test_a_drift_that_moves_the_phase_is_flagged(by_hand: Make) -> None:
+    cube = by_hand(frequency=[39e6], channels=ONE, drift=0.15, water=0.6)
+    flag = rejection.open_water(cube)["quality_flag"].values
+    assert (flag & QualityFlag.WATER_RESIDUAL).all()
+    calm = by_hand(frequency=[39e6], channels=ONE, water=0.6)
+    assert not rejection.open_water(calm)["quality_flag"].values.any()
+
+
+def test_water_that_changed_too_much_is_refused_with_the_remedy(by_hand: Make) -> None:
+    cube = by_hand(frequency=[39e6], channels=ONE, drift=0.5)
+    with pytest.raises(CubeError, match=r"changed by 5\d% .* record the reference"):
+        rejection.open_water(cube)
+
+
+def test_steady_water_is_not_taken_for_a_drift(by_hand: Make) -> None:
+    # 40 scans at a chance of 1 in 1000 each: two alarms would be 1 in 1300.
+    alarms = 0
+    for seed in range(40):
+        cube = by_hand(seed, frequency=[39e6], channels=ONE, shape=(1, 2))
+        common = rejection.open_water(cube)["common_quadrature_uncertainty"].values
+        alarms += bool(common.max() > 1e-3)
+    assert alarms <= 1
+
+
+def test_a_reference_of_other_water_is_seen_where_there_is_no_target(
+    by_hand: Make,
+) -> None:
+    cube = by_hand(
+        frequency=[10e6, 39e6, 90e6], channels=ONE, target=0.0, reference_water=0.15
+    )
+    flag = rejection.open_water(cube)["quality_flag"].values
+    assert ((flag & QualityFlag.WATER_RESIDUAL) != 0)[0].all()
+    same = by_hand(frequency=[10e6, 39e6, 90e6], channels=ONE, target=0.0)
+    flag = rejection.open_water(same)["quality_flag"].values
+    assert ((flag & QualityFlag.NO_TARGET) != 0).mean() > 0.99
+    assert not (flag & QualityFlag.WATER_RESIDUAL).any()
+
+
+@settings(max_examples=20)
+@given(distance=st.floats(0.5, 3.0))
+def test_a_target_is_not_taken_for_other_water(by_hand: Make, distance: float) -> None:
+    cube = by_hand(frequency=[10e6, 39e6, 90e6], channels=ONE, distance=distance)
+    flag = rejection.open_water(cube)["quality_flag"].values
+    assert not (flag & QualityFlag.WATER_RESIDUAL).any()
+
+
+def test_the_column_behind_the_target_is_put_back(plate_text: str) -> None:
+    # Near target, still water, hardly any noise: what is left is the column.
+    text = plate_text.replace('signal_fluctuation = "5 %"', "")
+    text = text.replace('"0.06 deg"', '"0 deg"').replace('"20 mW"', '"2e4 W"')
+    text = text.replace('"10 %"', '"10 %"\nsaturation = "1e20 V"')
+    text = text.replace('"1.5 m"', '"1 m"')
+    cube = simulate(Survey.from_text(text), rng=1)
+    error, bias = {}, {}
+    for share in (None, 0.2):
+        target = rejection.open_water(cube, column_uncertainty=share)
+        image = imaging.range_image(target, polarization="VV")
+        found = abs(image["slant_range"] - image["truth_slant_range"])
+        error[share], bias[share] = float(found.mean()), image["slant_range_bias"]
+    # The share follows from a distance that the column itself has moved by a percent.
+    assert error[None] > 1e-3
+    assert error[0.2] < error[None] / 30
+    assert float(abs(bias[0.2]).max()) < 1e-12
+    assert abs(float(abs(bias[None]).mean()) - error[None]) < 0.05 * error[None]
+
+
+def test_what_is_put_back_keeps_its_share_as_an_error(plate: Survey) -> None:
+    cube = simulate(plate, rng=3)
+    sure, unsure = (
+        rejection.open_water(cube, column_uncertainty=share) for share in (0.0, 0.5)
+    )
+    stated = rejection.open_water(cube)
+    left = stated["residual_in_phase"].values
+    grown = (
+        unsure["common_in_phase_uncertainty"].values ** 2
+        - sure["common_in_phase_uncertainty"].values ** 2
+    )
+    assert_allclose(grown, (0.5 * left) ** 2, rtol=1e-6, atol=1e-25)
+    assert_allclose(unsure["in_phase"], stated["in_phase"].values - left, rtol=1e-12)
+    assert (unsure["residual_in_phase"].values == 0).all()
+
+
+@pytest.mark.parametrize("share", [-0.1, 1.5, np.nan])
+def test_an_odd_share_is_refused(plate: Survey, share: float) -> None:
+    with pytest.raises(ValueError, match="between 0 and 1"):
+        rejection.open_water(simulate(plate, rng=1), column_uncertainty=share)
