@@ -1,6 +1,7 @@
 """Photon transport beyond single backscatter: all orders, full Stokes, modulated."""
 
 from amulor.transport.medium import Layer, Medium
+from amulor.transport.mesh import MeshTarget
 from amulor.transport.monte_carlo import Progress, Technique, simulate
 from amulor.transport.receiver import (
     DiscReceiver,
@@ -17,6 +18,7 @@ __all__ = [
     "GaussianReceiver",
     "Layer",
     "Medium",
+    "MeshTarget",
     "PathRecord",
     "PlaneTarget",
     "Progress",

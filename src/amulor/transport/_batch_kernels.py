@@ -174,6 +174,7 @@ def run_batch(
                 )
         forwards, touches, adjoints = count[0], count[1], count[2]
         total = join_segments(
+            state,
             forward,
             light,
             forwards,
@@ -197,6 +198,7 @@ def run_batch(
                 receiver,
                 1.0 / group,
                 water,
+                target,
                 polarized,
                 balanced,
                 record,

@@ -13,6 +13,7 @@ from numba import njit
 
 from amulor.transport._angle_kernels import cell_of, disc_point, height_between
 from amulor.transport._kernel_types import Array, Packed, States, Vector
+from amulor.transport._mesh_kernels import blocked
 from amulor.transport._polarization_kernels import (
     connected,
     received,
@@ -28,6 +29,9 @@ from amulor.transport._record_kernels import (
 from amulor.transport._trace_kernels import (
     LAYER,
     LENGTH,
+    NORMAL_X,
+    NORMAL_Y,
+    NORMAL_Z,
     NX,
     NY,
     NZ,
@@ -45,6 +49,7 @@ from amulor.transport._trace_kernels import (
     TOUCH_Y,
     TOUCH_Z,
     TOUCHES,
+    TRIANGLE,
     Z_HIGH,
     Z_LOW,
     X,
@@ -98,6 +103,7 @@ def direct_from_segments(
     receiver: Packed,
     scale: float,
     water: Packed,
+    target: Packed,
     polarized: bool,
     balanced: bool,
     record: Packed,
@@ -107,6 +113,8 @@ def direct_from_segments(
     """Add the light scattered once more on each segment, straight to the receiver."""
     radius, acceptance, gaussian = receiver
     edge, attenuation, albedo, table, _, value, element = water
+    mesh = target[5]
+    has_mesh = mesh[0].shape[0] > 0
     mass, _, beyond, wavenumber, spacing, orders = record
     total = 0.0
     for i in range(forwards):
@@ -142,6 +150,8 @@ def direct_from_segments(
         cell = cell_of(height_between(cosine))
         kernel = attenuation[layer] * albedo[layer] * value[at, cell]
         if kernel <= 0.0:
+            continue
+        if has_mesh and blocked(x, y, z, px, py, 0.0, -1.0, mesh):
             continue
         own = abs(forward[i, NZ] * mz) / kernel
         part_of_it = 1.0 / (forward[i, ORDER] + 1.0)
@@ -210,7 +220,8 @@ def direct_from_touches(
     """Add the light that goes from each touch straight to the receiver."""
     radius, acceptance, gaussian = receiver
     edge, attenuation = water[0], water[1]
-    _, normal, _, reflectance, mueller = target
+    _, _, _, reflectance, mueller, mesh = target
+    has_mesh = mesh[0].shape[0] > 0
     mass, _, beyond, wavenumber, spacing, orders = record
     total = 0.0
     for i in range(touches):
@@ -223,8 +234,12 @@ def direct_from_touches(
             continue
         distance = math.sqrt((px - x) ** 2 + (py - y) ** 2 + z * z)
         mx, my, mz = (px - x) / distance, (py - y) / distance, -z / distance
-        leaving = normal[0] * mx + normal[1] * my + normal[2] * mz
+        leaving = (
+            touch[i, NORMAL_X] * mx + touch[i, NORMAL_Y] * my + touch[i, NORMAL_Z] * mz
+        )
         if leaving <= 0.0:
+            continue
+        if has_mesh and blocked(x, y, z, px, py, 0.0, touch[i, TRIANGLE], mesh):
             continue
         depth = transmission_depth(z, 0.0, distance, edge, attenuation)
         factor = (

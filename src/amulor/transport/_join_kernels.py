@@ -3,7 +3,9 @@
 Water that is the same all over a plane across z lets an adjoint path be shifted over
 the face of the receiver until it meets a forward path. For each pair of segments the
 depths z at which that shift stays on the face are an interval, and the light over it
-is spread evenly over path lengths. Theory: docs/theory, "Photon transport".
+is spread evenly over path lengths. A target may hide parts of that interval: a plane
+one end of it, and with a mesh it is tried at one depth drawn from the interval.
+Theory: docs/theory, "Photon transport".
 """
 
 from __future__ import annotations
@@ -13,14 +15,19 @@ import math
 from numba import njit
 
 from amulor.transport._angle_kernels import cell_of, height_between
-from amulor.transport._kernel_types import Array, Packed
+from amulor.transport._kernel_types import Array, Packed, States
+from amulor.transport._mesh_kernels import blocked
 from amulor.transport._polarization_kernels import connected, received, reflected
+from amulor.transport._random_kernels import uniform
 from amulor.transport._record_kernels import add_point, add_range
 from amulor.transport._trace_kernels import (
     FACE,
     FRONT,
     LAYER,
     LENGTH,
+    NORMAL_X,
+    NORMAL_Y,
+    NORMAL_Z,
     NX,
     NY,
     NZ,
@@ -30,6 +37,7 @@ from amulor.transport._trace_kernels import (
     SCALE,
     SLOPE_X,
     SLOPE_Y,
+    START,
     TOUCH_LENGTH,
     TOUCH_NX,
     TOUCH_NY,
@@ -39,6 +47,7 @@ from amulor.transport._trace_kernels import (
     TOUCH_Y,
     TOUCH_Z,
     TOUCHES,
+    TRIANGLE,
     Z_HIGH,
     Z_LOW,
     X,
@@ -47,7 +56,44 @@ from amulor.transport._trace_kernels import (
 
 
 @njit(cache=True, error_model="numpy")
+def path_blocked(
+    adjoint: Array,
+    row: int,
+    px: float,
+    py: float,
+    z: float,
+    start: float,
+    mesh: Packed,
+) -> bool:
+    """Return whether the mesh is in the way of a shifted adjoint path.
+
+    The path starts at (px, py) on the face and ends at z on its segment in row; start
+    is the number of the triangle it ends on, or -1.
+    """
+    end = z
+    for k in range(row, int(adjoint[row, START]) - 1, -1):
+        if k < row:
+            end = adjoint[k, Z_HIGH] if adjoint[k, NZ] > 0.0 else adjoint[k, Z_LOW]
+            start = -1.0
+        begin = adjoint[k, Z_LOW] if adjoint[k, NZ] > 0.0 else adjoint[k, Z_HIGH]
+        x, y = px + adjoint[k, X], py + adjoint[k, Y]
+        if blocked(
+            x + end * adjoint[k, SLOPE_X],
+            y + end * adjoint[k, SLOPE_Y],
+            end,
+            x + begin * adjoint[k, SLOPE_X],
+            y + begin * adjoint[k, SLOPE_Y],
+            begin,
+            start,
+            mesh,
+        ):
+            return True
+    return False
+
+
+@njit(cache=True, error_model="numpy")
 def join_segments(
+    state: States,
     forward: Array,
     light: Array,
     forwards: int,
@@ -67,7 +113,8 @@ def join_segments(
     FACE of an adjoint segment is the radius of the face, SCALE what a pair counts.
     """
     _, attenuation, albedo, table, _, value, element = water
-    has_target, normal, height, _, _ = target
+    has_plane, normal, height, _, _, mesh = target
+    has_mesh = mesh[0].shape[0] > 0
     mass, slope_record, beyond, wavenumber, spacing, orders = record
     total = 0.0
     for j in range(adjoints):
@@ -100,8 +147,8 @@ def join_segments(
                 z_high = min(z_high, (-b + root) / a)
                 if z_low >= z_high:
                     continue
-            if has_target and adjoint[j, ORDER] > 0:
-                # All vertices of the shifted path have to be in front of the target.
+            if has_plane and adjoint[j, ORDER] > 0:
+                # All vertices of the shifted path have to be in front of the plane.
                 over = normal[0] * px + normal[1] * py + adjoint[j, FRONT] - height
                 rise = normal[0] * dx + normal[1] * dy
                 if rise > 0:
@@ -132,6 +179,13 @@ def join_segments(
             else:
                 factor = adjoint[j, SCALE] * kernel / (level * (order + 1))
             factor *= z_high - z_low
+            if has_mesh:
+                z_low += (z_high - z_low) * uniform(state)
+                z_high = z_low
+                if path_blocked(
+                    adjoint, j, px + dx * z_low, py + dy * z_low, z_low, -1.0, mesh
+                ):
+                    continue
             part = min(order, orders - 1)
             start = forward[i, LENGTH] + adjoint[j, LENGTH]
             slope = forward[i, PER_Z] + adjoint[j, PER_Z]
@@ -185,7 +239,8 @@ def join_touches(
     scratch: Array,
 ) -> float:
     """Join each touch of the target with each adjoint segment that meets it."""
-    _, normal, height, reflectance, mueller = target
+    has_plane, normal, height, reflectance, mueller, mesh = target
+    has_mesh = mesh[0].shape[0] > 0
     mass, _, beyond, wavenumber, spacing, orders = record
     total = 0.0
     for i in range(touches):
@@ -202,15 +257,20 @@ def join_touches(
             if px * px + py * py > adjoint[j, FACE] * adjoint[j, FACE]:
                 continue
             leaving = -(
-                normal[0] * adjoint[j, NX]
-                + normal[1] * adjoint[j, NY]
-                + normal[2] * adjoint[j, NZ]
+                touch[i, NORMAL_X] * adjoint[j, NX]
+                + touch[i, NORMAL_Y] * adjoint[j, NY]
+                + touch[i, NORMAL_Z] * adjoint[j, NZ]
             )
             if leaving <= 0.0:
                 continue
             if (
-                adjoint[j, ORDER] > 0
+                has_plane
+                and adjoint[j, ORDER] > 0
                 and normal[0] * px + normal[1] * py + adjoint[j, FRONT] < height
+            ):
+                continue
+            if has_mesh and path_blocked(
+                adjoint, j, px, py, z, touch[i, TRIANGLE], mesh
             ):
                 continue
             factor = (

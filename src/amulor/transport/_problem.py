@@ -14,6 +14,12 @@ from numpy.typing import NDArray
 from amulor.transport import _angle_kernels as _cells
 from amulor.transport._checks import axes_of, place, unit_vector
 from amulor.transport.medium import Layer, Medium
+from amulor.transport.mesh import (
+    RELATIVE_GAP,
+    MeshTarget,
+    distance_to_triangles,
+    hierarchy,
+)
 from amulor.transport.receiver import (
     GaussianReceiver,
     PlaneTarget,
@@ -40,7 +46,7 @@ class Problem:
     medium: Medium
     source: Source
     receiver: Receiver
-    target: PlaneTarget | None
+    target: PlaneTarget | MeshTarget | None
 
     def __post_init__(self) -> None:
         """Refuse what does not fit together."""
@@ -64,8 +70,10 @@ class Problem:
                 "polarized light needs a medium with a ScatteringMatrix, got one with "
                 "a phase function only"
             )
-        if self.target is not None:
+        if isinstance(self.target, PlaneTarget):
             self._refuse_behind(self.target)
+        elif self.target is not None:
+            self._refuse_inside(self.target)
 
     def _refuse_behind(self, target: PlaneTarget) -> None:
         """Refuse a receiver or source that is not in front of the target."""
@@ -89,6 +97,31 @@ class Problem:
                 "m behind that"
             )
 
+    def _refuse_inside(self, target: MeshTarget) -> None:
+        """Refuse a receiver or source that is inside of a mesh, or touches it."""
+        source = place(self.source.position, name="position")
+        centre = place(self.receiver.position, name="position")
+        parts = (("source", source), ("centre of the receiver", centre))
+        for name, point in parts:
+            depth = target.depth_inside(point)
+            if depth > 0:
+                raise ValueError(
+                    f"the {name} must be outside of the target, which is closed there, "
+                    f"got one {depth:.4g} m under its surface"
+                )
+            distance = distance_to_triangles(point, target.corners)
+            if distance <= RELATIVE_GAP * np.abs(target.corners - centre).max():
+                raise ValueError(
+                    f"the {name} must not lie on the target, got a distance of "
+                    f"{distance:.3g} m"
+                )
+        reach = target.reach_into(centre, self.axes[2], self.receiver.radius)
+        if reach > 0:
+            raise ValueError(
+                "the receiver's face must not reach into the target, got a triangle "
+                f"{reach:.4g} m inside of its rim"
+            )
+
     @cached_property
     def axes(self) -> Array:
         """Right, down and forward axes of the receiver, as rows."""
@@ -110,12 +143,10 @@ class Problem:
         sign = 1.0 if self.axes[2, 2] >= 0 else -1.0
         return np.sort(sign * (edges - depth))
 
-    def _turned(self, position: Any) -> Array:
-        """Return a place in the axes of the receiver."""
-        offset = place(position, name="position") - place(
-            self.receiver.position, name="position"
-        )
-        result: Array = self.axes @ offset
+    def _turned(self, position: Array) -> Array:
+        """Return places in the axes of the receiver."""
+        offset = position - place(self.receiver.position, name="position")
+        result: Array = offset @ self.axes.T
         return result
 
     @cached_property
@@ -129,7 +160,7 @@ class Problem:
         direction = unit_vector(self.source.direction, name="direction")
         own = axes_of(direction, name="direction of the source")
         return (
-            self._turned(self.source.position),
+            self._turned(place(self.source.position, name="position")),
             np.ascontiguousarray(self.axes @ direction),
             np.ascontiguousarray(self.axes @ own[0]),
             float(self.source.radius),
@@ -146,19 +177,25 @@ class Problem:
         )
 
     @cached_property
-    def plane(self) -> tuple[bool, Array, float, float, Array]:
-        """Whether there is a target, its normal, height, reflectance and matrix."""
-        if self.target is None:
-            return False, np.array([0.0, 0.0, -1.0]), 0.0, 0.0, np.zeros((4, 4))
-        normal = self.axes @ unit_vector(self.target.normal, name="normal")
-        height = float(normal @ self._turned(self.target.position))
-        return (
-            True,
-            np.ascontiguousarray(normal),
-            height,
-            float(self.target.reflectance),
-            self.target.matrix,
-        )
+    def surface(self) -> tuple[Any, ...]:
+        """The target for the kernels, also if there is none.
+
+        Whether it is a plane, the normal and height of that, reflectance and matrix,
+        and the mesh: boxes, links, triangles and least distance, without boxes if the
+        target is not a mesh.
+        """
+        target = self.target
+        empty = (np.empty((0, 6)), np.empty((0, 3), np.int64), np.empty((0, 12)), 0.0)
+        normal, height = np.array([0.0, 0.0, -1.0]), 0.0
+        if target is None:
+            return False, normal, height, 0.0, np.zeros((4, 4)), empty
+        reflection = (float(target.reflectance), target.matrix)
+        if isinstance(target, MeshTarget):
+            corners = self._turned(target.corners)
+            return False, normal, height, *reflection, hierarchy(corners)
+        normal = self.axes @ unit_vector(target.normal, name="normal")
+        height = float(normal @ self._turned(place(target.position, name="position")))
+        return True, np.ascontiguousarray(normal), height, *reflection, empty
 
     @cached_property
     def digest(self) -> str:
@@ -167,7 +204,8 @@ class Problem:
             *self.water,
             *self.beam,
             *self.face,
-            *self.plane,
+            *self.surface[:5],
+            *self.surface[5][:3],
             self.source.stokes,
             self.medium.group_index,
             self.medium.polarized,

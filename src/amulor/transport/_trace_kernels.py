@@ -14,6 +14,7 @@ from numba import njit
 
 from amulor.transport._angle_kernels import draw_height
 from amulor.transport._kernel_types import Array, Integers, Packed, States, Vector
+from amulor.transport._mesh_kernels import facing_normal, first_hit
 from amulor.transport._polarization_kernels import (
     cross,
     reflected,
@@ -25,13 +26,15 @@ from amulor.transport._random_kernels import exponential, uniform
 
 # Columns of a segment. X, Y and LENGTH are those at z = 0 on its straight line.
 Z_LOW, Z_HIGH, X, Y, SLOPE_X, SLOPE_Y, PER_Z, LENGTH = range(8)
-NX, NY, NZ, PARTITION, ORDER, LAYER, FRONT, FACE, SCALE = range(8, 17)
-SEGMENT_COLUMNS = 17
+NX, NY, NZ, PARTITION, ORDER, LAYER, FRONT, FACE, SCALE, START = range(8, 18)
+SEGMENT_COLUMNS = 18  # START is the row of the first segment of the path
 
-# Columns of a touch of the target: place, path length, order, direction.
+# Columns of a touch of the target: place, path length, order, direction of the light,
+# normal on its side, and number of the triangle (-1 for a plane).
 TOUCH_X, TOUCH_Y, TOUCH_Z, TOUCH_LENGTH, TOUCH_ORDER, TOUCHES = range(6)
 TOUCH_NX, TOUCH_NY, TOUCH_NZ = range(6, 9)
-TOUCH_COLUMNS = 9
+NORMAL_X, NORMAL_Y, NORMAL_Z, TRIANGLE = range(9, 13)
+TOUCH_COLUMNS = 13
 
 _LEVEL = 1e-9  # segments with less of a slope have no z to be joined at
 
@@ -88,19 +91,21 @@ def trace(
 
     thickness is the optical one of the first flight. count holds the number of
     forward segments, of touches and of adjoint segments, and is moved on. water holds
-    edges, attenuation, albedo, table and the tables; target whether there is one, its
-    normal, height, reflectance and matrix. Adjoint paths go through the target; what
-    of them is in front of it is told by FRONT, the least height of their vertices over
-    it, the start left out.
+    edges, attenuation, albedo, table and the tables; target whether it is a plane, the
+    normal and height of that, reflectance and matrix, and the mesh, which may be empty.
+    Adjoint paths go through the target; what of them is in front of a plane is told by
+    FRONT, the least height of their vertices over it, the start left out.
     """
     edge, attenuation, albedo, table, urn, value, element = water
-    has_target, normal, height, reflectance, mueller = target
+    has_plane, normal, height, reflectance, mueller, mesh = target
+    has_mesh = mesh[0].shape[0] > 0
     x, y, z = start[0], start[1], start[2]
     nx, ny, nz = start[3], start[4], start[5]
     ex, ey, ez = start[6], start[7], start[8]
     layer = layer_of(z, edge)
     used = count[2] if adjoint else count[0]
     touches = count[1]
+    first = used
     columns = light.shape[1]
     now[0], now[1], now[2] = ex, ey, ez
     length = 0.0
@@ -108,13 +113,26 @@ def trace(
     front = math.inf
     order = 0
     met = 0
+    ux, uy, uz = normal[0], normal[1], normal[2]
+    triangle = -1.0
     while True:
         to_target = math.inf
-        if has_target and not adjoint:
+        if has_plane and not adjoint:
             fall = normal[0] * nx + normal[1] * ny + normal[2] * nz
             if fall < 0:
                 over = normal[0] * x + normal[1] * y + normal[2] * z - height
                 to_target = max(over, 0.0) / -fall
+        if has_mesh and not adjoint:
+            thinnest = math.inf
+            for k in range(attenuation.size):
+                thinnest = min(thinnest, attenuation[k])
+            limit = thickness / thinnest
+            to_target, hit = first_hit(x, y, z, nx, ny, nz, limit, 0.0, triangle, mesh)
+            triangle = hit
+            if hit < 0.0:
+                to_target = math.inf
+            else:
+                ux, uy, uz = facing_normal(hit, nx, ny, nz, mesh)
         end = 0  # 1 out of the water, 2 at the target, 3 at a collision
         while end == 0:
             if layer < 0 or layer >= attenuation.size:
@@ -164,6 +182,7 @@ def trace(
                 )
                 segment[used, FRONT] = front
                 segment[used, FACE], segment[used, SCALE] = face, scale
+                segment[used, START] = first
                 if polarized:
                     light = room(light, used)
                     for k in range(columns):
@@ -173,6 +192,7 @@ def trace(
             y += ny * step
             z = next_z
             length += step
+            to_target -= step
             if cross_edge:
                 thickness -= attenuation[layer] * step
                 layer += 1 if nz > 0 else -1
@@ -197,6 +217,12 @@ def trace(
                 touch[touches, TOUCH_NY],
                 touch[touches, TOUCH_NZ],
             ) = nx, ny, nz
+            (
+                touch[touches, NORMAL_X],
+                touch[touches, NORMAL_Y],
+                touch[touches, NORMAL_Z],
+            ) = ux, uy, uz
+            touch[touches, TRIANGLE] = triangle
             if polarized:
                 touch_light = room(touch_light, touches)
                 for k in range(columns):
@@ -206,15 +232,15 @@ def trace(
             if uniform(state) >= reflectance:
                 break
             # Lambert's law about the normal.
-            ax, ay, az = any_frame(normal[0], normal[1], normal[2])
-            bx, by, bz = cross(normal[0], normal[1], normal[2], ax, ay, az)
+            ax, ay, az = any_frame(ux, uy, uz)
+            bx, by, bz = cross(ux, uy, uz, ax, ay, az)
             share = uniform(state)
             up, out = math.sqrt(1.0 - share), math.sqrt(share)
             azimuth = 2.0 * math.pi * uniform(state)
             along, across = out * math.cos(azimuth), out * math.sin(azimuth)
-            mx = up * normal[0] + along * ax + across * bx
-            my = up * normal[1] + along * ay + across * by
-            mz = up * normal[2] + along * az + across * bz
+            mx = up * ux + along * ax + across * bx
+            my = up * uy + along * ay + across * by
+            mz = up * uz + along * az + across * bz
             if polarized:
                 fx, fy, fz = any_frame(mx, my, mz)
                 after[0], after[1], after[2] = fx, fy, fz
@@ -227,6 +253,7 @@ def trace(
             nx, ny, nz = mx, my, mz
             thickness = exponential(state)
             continue
+        triangle = -1.0
         if uniform(state) >= albedo[layer]:
             break
         at = table[layer]
@@ -272,7 +299,7 @@ def trace(
         partition += abs(nz * mz) / (
             attenuation[layer] * albedo[layer] * value[at, cell]
         )
-        if adjoint and has_target:
+        if adjoint and has_plane:
             front = min(front, normal[0] * x + normal[1] * y + normal[2] * z)
         nx, ny, nz = mx, my, mz
         order += 1

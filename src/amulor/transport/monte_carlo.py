@@ -21,6 +21,7 @@ from amulor.transport._conduct import (
 from amulor.transport._problem import Problem
 from amulor.transport._record import Record, random_state
 from amulor.transport.medium import Medium
+from amulor.transport.mesh import MeshTarget
 from amulor.transport.receiver import PlaneTarget, Receiver, Source
 from amulor.transport.tally import Tally
 
@@ -75,7 +76,7 @@ def simulate(
     *,
     histories: int,
     seed: int,
-    target: PlaneTarget | None = None,
+    target: PlaneTarget | MeshTarget | None = None,
     relative_error: float | None = None,
     longest_time: float | None = None,
     resume: Tally | None = None,
@@ -101,7 +102,7 @@ def simulate(
     seed : int
         Seed of the random numbers, not below zero. The same seed gives the same
         result with any number of threads.
-    target : PlaneTarget, optional
+    target : PlaneTarget or MeshTarget, optional
         Surface that reflects; light does not pass it.
     relative_error : float, optional
         Stop when the relative error at the first frequency is as small [1].
@@ -136,7 +137,8 @@ def simulate(
     Paths from the source and from the receiver are joined: as the water is the same
     all over a plane, a path from the receiver may be shifted over its face until it
     meets the path from the source, and the range of depths at which it does is
-    summed exactly. The way is described in the theory pages.
+    summed exactly; where a mesh may hide it, it is tried at one of these depths. The
+    way is described in the theory pages.
 
     References
     ----------
@@ -245,7 +247,7 @@ class _Run:
             self.problem.source.stokes,
             self.problem.face,
             self.problem.water,
-            self.problem.plane,
+            self.problem.surface,
             frame.polarized,
             (chosen.stratified, chosen.balanced, direct),
             record.arrays(chosen.scattering_orders),

@@ -123,6 +123,36 @@ class GaussianReceiver(_Receiver):
     """
 
 
+def reflection_matrix(
+    reflectance: float, mueller: ArrayLike | None
+) -> NDArray[np.float64]:
+    """Return the reduced matrix of a surface, checked along with its reflectance.
+
+    Raises
+    ------
+    ValueError
+        If the reflectance is outside of 0 to 1, or the matrix cannot exist.
+    """
+    if not 0 <= reflectance <= 1:
+        raise ValueError(f"reflectance must be from 0 to 1, got {reflectance!r}")
+    given = np.diag([1.0, 0, 0, 0]) if mueller is None else mueller
+    matrix = np.array(given, dtype=np.float64)
+    if matrix.shape != (4, 4) or abs(matrix[0, 0] - 1) > 1e-12:
+        raise ValueError(
+            "mueller must have the shape (4, 4) and a first element of 1; put the "
+            "reflected share into reflectance"
+        )
+    if not np.all(np.isfinite(matrix)):
+        raise ValueError("mueller must hold finite numbers")
+    defect = float(realizability_defect(matrix))
+    if defect > REALIZABILITY_TOLERANCE:
+        raise ValueError(
+            "mueller cannot exist: its coherency matrix has an eigenvalue of "
+            f"{-defect:.3g} of its trace"
+        )
+    return matrix
+
+
 @dataclass(frozen=True, eq=False, kw_only=True)
 class PlaneTarget:
     """An endless plane that reflects by Lambert's law.
@@ -150,25 +180,7 @@ class PlaneTarget:
         """Refuse what cannot be."""
         place(self.position, name="position")
         unit_vector(self.normal, name="normal")
-        if not 0 <= self.reflectance <= 1:
-            raise ValueError(
-                f"reflectance must be from 0 to 1, got {self.reflectance!r}"
-            )
-        given = np.diag([1.0, 0, 0, 0]) if self.mueller is None else self.mueller
-        matrix = np.array(given, dtype=np.float64)
-        if matrix.shape != (4, 4) or abs(matrix[0, 0] - 1) > 1e-12:
-            raise ValueError(
-                "mueller must have the shape (4, 4) and a first element of 1; put the "
-                "reflected share into reflectance"
-            )
-        if not np.all(np.isfinite(matrix)):
-            raise ValueError("mueller must hold finite numbers")
-        defect = float(realizability_defect(matrix))
-        if defect > REALIZABILITY_TOLERANCE:
-            raise ValueError(
-                "mueller cannot exist: its coherency matrix has an eigenvalue of "
-                f"{-defect:.3g} of its trace"
-            )
+        matrix = reflection_matrix(self.reflectance, self.mueller)
         object.__setattr__(self, "matrix", matrix)
 
 

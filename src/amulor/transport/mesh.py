@@ -1,0 +1,322 @@
+"""Targets that are triangle meshes, and the hierarchy of boxes that rays walk."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+
+from amulor.transport._mesh_kernels import (
+    EDGE_ONE,
+    EDGE_TWO,
+    ESCAPE,
+    NORMAL,
+    TRIANGLES,
+)
+from amulor.transport.receiver import reflection_matrix
+
+__all__ = ["MeshTarget", "hierarchy"]
+
+Array = NDArray[np.float64]
+Integers = NDArray[np.int64]
+
+#: Triangles in a box without boxes, at most.
+LEAF = 4
+#: Padding of boxes, and least distance of a hit to a ray that starts on a triangle,
+#: over the largest coordinate: far above rounding (1e-16), far below what matters.
+RELATIVE_GAP = 1e-9
+#: Least area of a triangle over the square of its longest edge.
+_FLATTEST = 1e-9
+# Rays that tell whether a point is inside: no simple ratio of their components.
+_PROBES = np.array(
+    [[0.5377, 0.6131, 0.5787], [-0.7127, 0.3571, 0.6037], [0.2213, -0.8419, -0.4921]]
+)
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class MeshTarget:
+    """A surface of triangles that reflects by Lambert's law, on both of its sides.
+
+    Light does not pass it. The order of a triangle's corners does not matter: the
+    side that the light comes from is the one that reflects it. Light may be reflected
+    any number of times.
+
+    Raises
+    ------
+    ValueError
+        If there is no triangle, a face names a vertex that does not exist or is
+        without area, two faces are the same triangle, the reflectance is outside of 0
+        to 1, or the matrix cannot exist.
+
+    Examples
+    --------
+    >>> plate = MeshTarget(
+    ...     vertices=[[-1, -1, 3], [1, -1, 3], [1, 1, 3], [-1, 1, 3]],
+    ...     faces=[[0, 1, 2], [0, 2, 3]],
+    ...     reflectance=0.5,
+    ... )
+    >>> plate.corners.shape
+    (2, 3, 3)
+    """
+
+    vertices: ArrayLike
+    """Places of the vertices: right, down, forward, shape (vertices, 3) [m]."""
+    faces: ArrayLike
+    """Numbers of the three vertices of each triangle, shape (faces, 3)."""
+    reflectance: float
+    """Share of the light that it reflects [1]."""
+    mueller: ArrayLike | None = None
+    """Matrix over its first element, from the axis next to "right" before the
+    reflection to that after it; an ideal depolarizer if not given."""
+    corners: Array = field(init=False, repr=False)
+    """Places of the corners of each triangle, shape (faces, 3, 3) [m]."""
+    matrix: Array = field(init=False, repr=False)
+    """The matrix, shape (4, 4)."""
+
+    def __post_init__(self) -> None:
+        """Refuse what cannot be."""
+        object.__setattr__(self, "corners", _corners(self.vertices, self.faces))
+        matrix = reflection_matrix(self.reflectance, self.mueller)
+        object.__setattr__(self, "matrix", matrix)
+
+    def depth_inside(self, point: Array) -> float:
+        """Return how deep a point is inside of a closed part, 0 if it is in none [m].
+
+        A part is a set of triangles that share edges; it is closed if each of its
+        edges has two triangles.
+        """
+        inside = 0.0
+        for part in self._closed_parts:
+            # A ray that meets the part an odd number of times starts inside of it;
+            # the third one decides where the ray of one runs along an edge.
+            odd = [_crossings(part, point, probe) % 2 for probe in _PROBES]
+            if sum(odd) >= 2:
+                inside = max(inside, distance_to_triangles(point, part))
+        return inside
+
+    def reach_into(self, centre: Array, axis: Array, radius: float) -> float:
+        """Return how far the mesh reaches into a disc from its rim, or 0 [m].
+
+        Parameters
+        ----------
+        centre, axis : ndarray
+            Centre of the disc [m], and unit vector perpendicular to it.
+        radius : float
+            Its radius [m].
+        """
+        height = (self.corners - centre) @ axis
+        inplane = self.corners - centre - height[..., np.newaxis] * axis
+        nearest = np.inf
+        for first, second, third in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
+            # Of a corner alone on its side two edges go through the plane of the disc.
+            one = height[:, first]
+            alone = (one * height[:, second] <= 0) & (one * height[:, third] <= 0)
+            through = np.flatnonzero(alone & (one != 0))
+            if through.size == 0:
+                continue
+            ends = []
+            for other in (second, third):
+                share = one[through] / (one[through] - height[through, other])
+                start, end = inplane[through, first], inplane[through, other]
+                ends.append(start + share[:, np.newaxis] * (end - start))
+            nearest = min(nearest, float(_to_segments(np.zeros(3), *ends).min()))
+        level = np.all(height == 0, axis=1)
+        if np.any(level):
+            nearest = min(nearest, distance_to_triangles(centre, self.corners[level]))
+        return max(0.0, radius - nearest)
+
+    @cached_property
+    def _closed_parts(self) -> list[Array]:
+        """Return the corners of each part that is closed."""
+        shape = self.corners.shape
+        _, number = np.unique(self.corners.reshape(-1, 3), axis=0, return_inverse=True)
+        vertex = number.reshape(shape[0], 3)
+        pairs = np.sort(
+            np.concatenate([vertex[:, [0, 1]], vertex[:, [1, 2]], vertex[:, [2, 0]]]),
+            axis=1,
+        )
+        _, edge, shared = np.unique(
+            pairs, axis=0, return_inverse=True, return_counts=True
+        )
+        edge = edge.reshape(-1)
+        triangle = np.tile(np.arange(shape[0]), 3)
+        incidence = coo_array(
+            (np.ones(edge.size), (triangle, edge)), shape=(shape[0], len(shared))
+        ).tocsr()
+        count, part = connected_components(incidence @ incidence.T, directed=False)
+        closed = np.ones(count, dtype=bool)
+        closed[part[triangle[shared[edge] != 2]]] = False
+        return [self.corners[part == k] for k in np.flatnonzero(closed)]
+
+
+def _corners(vertices: ArrayLike, faces: ArrayLike) -> Array:
+    """Return the corners of all triangles, checked."""
+    place = np.array(vertices, dtype=np.float64)
+    if place.ndim != 2 or place.shape[1] != 3:
+        raise ValueError(
+            "vertices must have the shape (vertices, 3), right, down, forward, got "
+            f"{place.shape}"
+        )
+    if not np.all(np.isfinite(place)):
+        wrong = int(np.flatnonzero(~np.isfinite(place).all(axis=1))[0])
+        raise ValueError(f"vertices must be finite, got {place[wrong]} at {wrong}")
+    given = np.array(faces)
+    if given.size == 0:
+        raise ValueError("faces must hold at least one triangle, got none")
+    if given.ndim != 2 or given.shape[1] != 3:
+        raise ValueError(f"faces must have the shape (faces, 3), got {given.shape}")
+    if not np.issubdtype(given.dtype, np.integer):
+        raise ValueError(
+            f"faces must be whole numbers of vertices, got numbers of {given.dtype}"
+        )
+    number = given.astype(np.int64)
+    beyond = np.flatnonzero(((number < 0) | (number >= len(place))).any(axis=1))
+    if beyond.size > 0:
+        row = number[beyond[0]]
+        raise ValueError(
+            f"faces must name vertices from 0 to {len(place) - 1}, got "
+            f"{row.tolist()} in face {beyond[0]} ({beyond.size} such faces)"
+        )
+    corner: Array = place[number]
+    sides = corner[:, [1, 2, 0]] - corner
+    longest = np.linalg.norm(sides, axis=2).max(axis=1)
+    area = 0.5 * np.linalg.norm(np.cross(sides[:, 0], sides[:, 1]), axis=1)
+    flat = np.flatnonzero(~(area > _FLATTEST * longest**2))
+    if flat.size > 0:
+        worst = int(flat[0])
+        raise ValueError(
+            f"faces must have an area above {_FLATTEST:g} of their longest edge "
+            f"squared, got {area[worst]:.3g} m2 with an edge of {longest[worst]:.3g} m "
+            f"in face {worst} ({flat.size} such faces); leave them out"
+        )
+    _refuse_twins(corner)
+    return corner
+
+
+def _refuse_twins(corner: Array) -> None:
+    """Refuse two triangles at one place: light would not know its side."""
+    _, number = np.unique(corner.reshape(-1, 3), axis=0, return_inverse=True)
+    _, first, same = np.unique(
+        np.sort(number.reshape(-1, 3), axis=1),
+        axis=0,
+        return_index=True,
+        return_inverse=True,
+    )
+    twins = np.flatnonzero(first[same.reshape(-1)] != np.arange(len(corner)))
+    if twins.size > 0:
+        one, other = int(first[same.reshape(-1)[twins[0]]]), int(twins[0])
+        raise ValueError(
+            f"faces {one} and {other} are the same triangle ({twins.size} such "
+            "pairs); leave one of them out, as both of its sides reflect"
+        )
+
+
+def _crossings(corner: Array, point: Array, direction: Array) -> int:
+    """Return how many triangles a ray meets."""
+    one, two = corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]
+    p = np.cross(direction, two)
+    determinant = np.einsum("ij,ij->i", one, p)
+    s = point - corner[:, 0]
+    q = np.cross(s, one)
+    usable = determinant != 0
+    scale = np.divide(1.0, determinant, out=np.zeros_like(determinant), where=usable)
+    u = np.einsum("ij,ij->i", s, p) * scale
+    v = q @ direction * scale
+    t = np.einsum("ij,ij->i", two, q) * scale
+    return int(np.sum(usable & (u >= 0) & (v >= 0) & (u + v <= 1) & (t > 0)))
+
+
+def _to_segments(point: Array, start: Array, end: Array) -> Array:
+    """Return the distances of a point from straight segments."""
+    way = end - start
+    square = np.einsum("ij,ij->i", way, way)
+    along = np.einsum("ij,ij->i", point - start, way)
+    share = np.divide(along, square, out=np.zeros_like(along), where=square > 0)
+    nearest = start + np.clip(share, 0, 1)[:, np.newaxis] * way
+    distance: Array = np.linalg.norm(nearest - point, axis=1)
+    return distance
+
+
+def distance_to_triangles(point: Array, corner: Array) -> float:
+    """Return the distance of a point from the nearest of some triangles [m]."""
+    one, two = corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]
+    normal = np.cross(one, two)
+    square = np.einsum("ij,ij->i", normal, normal)
+    offset = point - corner[:, 0]
+    v = np.einsum("ij,ij->i", np.cross(one, offset), normal) / square
+    u = np.einsum("ij,ij->i", np.cross(offset, two), normal) / square
+    over = (u >= 0) & (v >= 0) & (u + v <= 1)
+    height = np.abs(np.einsum("ij,ij->i", offset, normal)) / np.sqrt(square)
+    rim = np.min(
+        [_to_segments(point, corner[:, k], corner[:, (k + 1) % 3]) for k in range(3)],
+        axis=0,
+    )
+    return float(np.min(np.where(over, height, rim)))
+
+
+def hierarchy(corner: Array) -> tuple[Array, Integers, Array, float]:
+    """Return boxes, links, triangles and least distance for the kernels.
+
+    Parameters
+    ----------
+    corner : ndarray
+        Corners of the triangles, shape (faces, 3, 3) [m].
+
+    Returns
+    -------
+    tuple
+        Lower and upper corners of the boxes, shape (boxes, 6) [m]; for each, the box
+        that follows if it is missed, its first triangle and how many it has itself,
+        shape (boxes, 3); corner, two edges and unit normal of the triangles in the
+        order of the boxes, shape (faces, 12) [m]; and the least distance of a hit to
+        a ray that starts on a triangle [m].
+
+    Notes
+    -----
+    A box is split at the median of the triangles' centres along the axis on which
+    those spread the most.
+    """
+    low, high = corner.min(axis=1), corner.max(axis=1)
+    centre = 0.5 * (low + high)
+    least = RELATIVE_GAP * float(np.abs(corner).max())
+    boxes: list[Any] = []
+    links: list[list[int]] = []
+    order: list[Integers] = []
+    placed = 0
+
+    def grow(chosen: Integers) -> None:
+        """Add a box with some triangles, and the boxes in it."""
+        nonlocal placed
+        number = len(boxes)
+        boxes.append(
+            [*(low[chosen].min(axis=0) - least), *(high[chosen].max(axis=0) + least)]
+        )
+        links.append([0, placed, 0])
+        if chosen.size <= LEAF:
+            links[number][TRIANGLES] = chosen.size
+            order.append(chosen)
+            placed += chosen.size
+        else:
+            axis = int(np.argmax(np.ptp(centre[chosen], axis=0)))
+            half = chosen.size // 2
+            ranked = chosen[np.argpartition(centre[chosen, axis], half)]
+            grow(ranked[:half])
+            grow(ranked[half:])
+        links[number][ESCAPE] = len(boxes)
+
+    grow(np.arange(len(corner)))
+    sorted_corner = corner[np.concatenate(order)]
+    triangle = np.empty((len(corner), 12))
+    one = sorted_corner[:, 1] - sorted_corner[:, 0]
+    two = sorted_corner[:, 2] - sorted_corner[:, 0]
+    normal = np.cross(one, two)
+    triangle[:, :EDGE_ONE] = sorted_corner[:, 0]
+    triangle[:, EDGE_ONE:EDGE_TWO] = one
+    triangle[:, EDGE_TWO:NORMAL] = two
+    triangle[:, NORMAL:] = normal / np.linalg.norm(normal, axis=1, keepdims=True)
+    return np.array(boxes), np.array(links, dtype=np.int64), triangle, least
