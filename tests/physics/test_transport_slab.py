@@ -63,8 +63,9 @@ def test_modulated_reflection_and_transmission_of_the_mcml_slab():
         medium, frequency(modulation), histories=1_000_000, seed=11
     )
     found, covariance = tally.part("reflected")
-    # 0.3 % of the reflected light: a wrong free path or phase would show.
-    assert np.sqrt(covariance[0, 0, 0, 0]) < 3.2e-3 * abs(reflected[0])
+    # 0.3 % of the reflected light, itself known within some 6 %: a wrong free path or
+    # phase would show.
+    assert np.sqrt(covariance[0, 0, 0, 0]) < 3.6e-3 * abs(reflected[0])
     assert_within(found[0], covariance[0], reflected)
     found, covariance = tally.part("transmitted")
     assert_within(found[0], covariance[0], transmitted)

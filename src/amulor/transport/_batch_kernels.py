@@ -112,16 +112,15 @@ def run_batch(
     now, after = np.zeros(ADJOINT_COLUMNS), np.zeros(ADJOINT_COLUMNS)
     start = np.zeros(9)
     count = np.zeros(3, dtype=np.int64)
-    backward = False  # a variable, so that one compiled function serves both ways
     for g in range(groups):
         for k in range(3):
             count[k] = 0
         for k in range(group + partners):
             backward = k >= group
+            share = uniform(state)
             if backward:
                 face, angle = face_and_acceptance(state, radius, acceptance, gaussian)
                 largest = math.sin(angle) ** 2
-                share = uniform(state)
                 if stratified:
                     share = (k - group + share) / partners
                 look(state, share, largest, start)
@@ -129,49 +128,41 @@ def run_batch(
                 scale = math.pi * largest / (group * partners)
                 for i in range(3, ADJOINT_COLUMNS):
                     now[i] = at_once[i]
-                adjoint, seen, no_touch, no_light = trace(
-                    state,
-                    thickness,
-                    start,
-                    face,
-                    scale,
-                    backward,
-                    polarized,
-                    now,
-                    after,
-                    water,
-                    target,
-                    adjoint,
-                    seen,
-                    no_touch,
-                    no_light,
-                    count,
-                )
+                path, path_light = adjoint, seen
+                hit, hit_light = no_touch, no_light
             else:
+                face, scale = 0.0, 0.0
                 launch(state, source, start)
-                share = uniform(state)
                 if stratified:
                     share = (k + share) / group
+                thickness = -math.log(1.0 - share)
                 for i in range(4):
                     now[3 + i] = stokes[i]
-                forward, light, touch, touch_light = trace(
-                    state,
-                    -math.log(1.0 - share),
-                    start,
-                    0.0,
-                    0.0,
-                    backward,
-                    polarized,
-                    now,
-                    after,
-                    water,
-                    target,
-                    forward,
-                    light,
-                    touch,
-                    touch_light,
-                    count,
-                )
+                path, path_light = forward, light
+                hit, hit_light = touch, touch_light
+            path, path_light, hit, hit_light = trace(
+                state,
+                thickness,
+                start,
+                face,
+                scale,
+                backward,
+                polarized,
+                now,
+                after,
+                water,
+                target,
+                path,
+                path_light,
+                hit,
+                hit_light,
+                count,
+            )
+            if backward:
+                adjoint, seen = path, path_light
+            else:
+                forward, light = path, path_light
+                touch, touch_light = hit, hit_light
         forwards, touches, adjoints = count[0], count[1], count[2]
         total = join_segments(
             state,

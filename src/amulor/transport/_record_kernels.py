@@ -116,15 +116,20 @@ def transform(
     ramp = np.empty(used, dtype=np.complex128)
     for f in range(wavenumber.size):
         q = wavenumber[f]
+        per_node = np.exp(q * spacing)
+        inverse = 0.0j if q == 0.0 else 1.0 / q
+        phasor = 1.0 + 0.0j
         for n in range(used):
             length = n * spacing
-            phasor = np.exp(q * length)
+            if n % 32 == 0:  # so that errors of the products do not grow
+                phasor = np.exp(q * length)
             point[n] = phasor
             # -(exp(q L) - 1) / q, for the edges of which the sum is zero.
             if abs(q) * length < 1e-4:
                 ramp[n] = -length * (1.0 + 0.5 * q * length)
             else:
-                ramp[n] = -(phasor - 1.0) / q
+                ramp[n] = (1.0 - phasor) * inverse
+            phasor *= per_node
         for p in range(parts):
             for k in range(components):
                 total = 0.0 + 0.0j

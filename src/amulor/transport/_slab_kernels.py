@@ -72,12 +72,18 @@ def run_slab(
     for k in range(4):
         seen[3 + 5 * k] = 1.0
     start = edge[0]
+    first_x, first_y, first_z = projected_frame(
+        incidence[0], incidence[1], incidence[2]
+    )
+    # Without Stokes vectors and fixed directions only the cosine to z counts.
+    depth_only = not polarized and outward.shape[0] == 0
     for _ in range(histories):
         z = start
         nx, ny, nz = incidence[0], incidence[1], incidence[2]
-        ex, ey, ez = projected_frame(nx, ny, nz)
-        for k in range(4):
-            now[3 + k] = stokes[k]
+        ex, ey, ez = first_x, first_y, first_z
+        if polarized:
+            for k in range(4):
+                now[3 + k] = stokes[k]
         length = 0.0
         layer = 0
         thickness = exponential(state)
@@ -145,6 +151,12 @@ def run_slab(
             cosine = 1.0 - 2.0 * drawn
             sine = 2.0 * math.sqrt(drawn * (1.0 - drawn))
             azimuth = 2.0 * math.pi * uniform(state)
+            thickness = exponential(state)
+            if depth_only:
+                level = math.sqrt(max(1.0 - nz * nz, 0.0))
+                nz = cosine * nz + sine * level * math.cos(azimuth)
+                nz = min(max(nz, -1.0), 1.0)
+                continue
             cos_azimuth, sin_azimuth = math.cos(azimuth), math.sin(azimuth)
             if not polarized:
                 ex, ey, ez = any_frame(nx, ny, nz)
@@ -169,7 +181,6 @@ def run_slab(
                 ey = cosine * fy - sine * ny
                 ez = cosine * fz - sine * nz
             nx, ny, nz = mx * norm, my * norm, mz * norm
-            thickness = exponential(state)
 
 
 @njit(cache=True, error_model="numpy")

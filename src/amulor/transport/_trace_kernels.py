@@ -159,7 +159,8 @@ def trace(
             if cross_edge:
                 next_z = edge[layer + 1] if nz > 0 else edge[layer]
             if met == 0 and abs(nz) > _LEVEL:
-                segment = room(segment, used)
+                if used == segment.shape[0]:
+                    segment = room(segment, used)
                 segment[used, Z_LOW], segment[used, Z_HIGH] = (
                     min(z, next_z),
                     max(z, next_z),
@@ -184,7 +185,8 @@ def trace(
                 segment[used, FACE], segment[used, SCALE] = face, scale
                 segment[used, START] = first
                 if polarized:
-                    light = room(light, used)
+                    if used == light.shape[0]:
+                        light = room(light, used)
                     for k in range(columns):
                         light[used, k] = now[k]
                 used += 1

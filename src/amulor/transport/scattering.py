@@ -8,16 +8,19 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from amulor.optics.depolarization import realizability_defect
-from amulor.optics.mie import Suspension
 from amulor.optics.mueller import rayleigh
 from amulor.optics.phase_function_models import rayleigh_phase
 from amulor.optics.phase_function_objects import PhaseFunction
 from amulor.transport import _angle_kernels as _cells
+
+if TYPE_CHECKING:
+    from amulor.optics.mie import Suspension
 
 __all__ = ["ScatteringMatrix"]
 
