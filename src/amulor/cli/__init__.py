@@ -20,7 +20,21 @@ COMMANDS = {
         "water:water",
         "Print the optical constants of pure fresh or sea water.",
     ),
+    "water fit": (
+        "water:fit",
+        "Fit the water of a cube: attenuation, spread of the light, cut-off.",
+    ),
     "simulate": ("simulate:simulate", "Simulate a survey into a measurement cube."),
+    "acquire": ("acquire:acquire", "Run a scan and record its measurement cube."),
+    "recover": ("recover:recover", "Make the cube of a scan from its journal."),
+    "devices simulate": (
+        "devices:simulate",
+        "Serve simulated devices on the network until Ctrl-C.",
+    ),
+    "devices calibrate": (
+        "devices:calibrate",
+        "Find phase zero from a plate at a known distance.",
+    ),
     "import transients": (
         "transients:transients",
         "Turn single-photon histograms into a measurement cube.",
@@ -34,6 +48,8 @@ COMMANDS = {
 _GROUPS = {
     "survey": "Look at survey files.",
     "import": "Bring in data of other instruments.",
+    "devices": "Rehearse and calibrate instruments.",
+    "water": "Optical constants of pure water, and the fit of measured water.",
 }
 
 
@@ -93,6 +109,8 @@ def _help() -> str:
 
 
 def _run(words: list[str]) -> int:
+    from importlib import import_module
+
     from cyclopts import App, CycloptsError
 
     from amulor.errors import AmulorError
@@ -111,6 +129,11 @@ def _run(words: list[str]) -> int:
         app.command(group)
     for name, (target, _) in COMMANDS.items():
         first, _, rest = name.partition(" ")
+        if name in groups:  # a command by itself that has commands below it, too
+            module, _, function = target.partition(":")
+            imported = import_module(f"amulor.cli.{module}")
+            groups[name].default(getattr(imported, function))
+            continue
         place, own = (groups[first], rest) if rest else (app, first)
         place.command(f"amulor.cli.{target}", name=own)
     try:

@@ -64,7 +64,7 @@ def simulate(survey: Survey, *, rng: np.random.Generator | int) -> xr.Dataset:
             "elevation": geometry.elevation,
             "time": geometry.time,
         },
-        geometry=_geometry_attributes(survey, medium),
+        geometry=geometry_attributes(survey, medium),
         attributes=cube.attributes(
             "samples",
             title=survey.name,
@@ -74,7 +74,7 @@ def simulate(survey: Survey, *, rng: np.random.Generator | int) -> xr.Dataset:
             survey=survey.to_toml(),
             input_digests=f"survey {cube.digest(survey.to_toml())}",
             modulation_depth=survey.instrument.modulation_depth,
-            photon_noise_volt=_photon_noise_volt(survey),
+            photon_noise_volt=photon_noise_volt(survey),
         ),
     )
     if survey.scan.open_water is not None:
@@ -111,7 +111,21 @@ def _open_water(
     )
 
 
-def _geometry_attributes(survey: Survey, medium: Medium) -> dict[str, Any]:
+def geometry_attributes(survey: Survey, medium: Medium) -> dict[str, Any]:
+    """Return what a cube says about indices, window and places of the instrument.
+
+    Parameters
+    ----------
+    survey : Survey
+        Its instrument and scan count.
+    medium : amulor.optics.rays.Medium
+        Indices and window.
+
+    Returns
+    -------
+    dict
+        Attributes of a measurement cube.
+    """
     found: dict[str, Any] = {
         "group_index": medium.group_index,
         "refractive_index": medium.refractive_index,
@@ -128,7 +142,7 @@ def _geometry_attributes(survey: Survey, medium: Medium) -> dict[str, Any]:
     return found
 
 
-def _photon_noise_volt(survey: Survey) -> float:
+def photon_noise_volt(survey: Survey) -> float:
     """Return V such that an amplitude A has the counting variance V * A / m [V]."""
     volt = survey.instrument.detector.volt_per_photoelectron_rate
     time = lock_in.integration_time(survey)

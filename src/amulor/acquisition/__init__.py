@@ -1,0 +1,20 @@
+"""From an instrument, real or simulated, to the measurement cube of a survey."""
+
+from amulor.acquisition.build import build, recover
+from amulor.acquisition.calibration import Calibration, from_plates
+from amulor.acquisition.journal import Journal
+from amulor.acquisition.run import Control, Outcome, Progress, acquire
+from amulor.acquisition.settings import Settings
+
+__all__ = [
+    "Calibration",
+    "Control",
+    "Journal",
+    "Outcome",
+    "Progress",
+    "Settings",
+    "acquire",
+    "build",
+    "from_plates",
+    "recover",
+]

@@ -1,0 +1,273 @@
+"""Phase zero and phase against amplitude, from a plate at a known distance."""
+
+from __future__ import annotations
+
+import math
+import tomllib
+from collections.abc import Sequence
+from itertools import pairwise
+from pathlib import Path
+from typing import Annotated, Self
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+from pydantic import Field, ValidationError, model_validator
+from scipy.constants import speed_of_light
+
+from amulor import cube as cubes
+from amulor.errors import CubeError, FormatError
+from amulor.optics import rays
+from amulor.survey.quantity import Angle, Description, Frequency, Voltage
+
+#: Share of the rows and columns in the middle that the plate is looked at in.
+_MIDDLE = 0.5
+
+
+class FrequencyCalibration(Description):
+    """What one modulation frequency is delayed by beside the light's way."""
+
+    modulation_frequency: Annotated[Frequency, Field(gt=0)]
+    """Which one [Hz]."""
+    amplitudes: Annotated[
+        tuple[Annotated[Voltage, Field(gt=0)], ...], Field(min_length=1)
+    ]
+    """Peak amplitudes that it was measured at, increasing [V]."""
+    phases: tuple[Angle, ...]
+    """Delay at each of them [rad]."""
+
+    @model_validator(mode="after")
+    def _lists_fit(self) -> Self:
+        if len(self.phases) != len(self.amplitudes):
+            raise ValueError(
+                f"{len(self.amplitudes)} amplitudes and {len(self.phases)} phases; "
+                "each amplitude needs its phase"
+            )
+        if any(b <= a for a, b in pairwise(self.amplitudes)):
+            raise ValueError("amplitudes must increase")
+        return self
+
+
+class Calibration(Description):
+    """Delays of the instrument itself, by modulation frequency and amplitude."""
+
+    frequencies: Annotated[tuple[FrequencyCalibration, ...], Field(min_length=1)]
+    """One for each modulation frequency of a scan, in any order."""
+
+    @classmethod
+    def from_toml(cls, path: str | Path) -> Self:
+        """Read a calibration file.
+
+        Parameters
+        ----------
+        path : str or pathlib.Path
+            TOML file that `to_toml` wrote.
+
+        Returns
+        -------
+        Calibration
+            In SI units.
+
+        Raises
+        ------
+        FormatError
+            If it cannot be read, with one line for each thing that is wrong.
+        """
+        path = Path(path)
+        try:
+            content = tomllib.loads(path.read_text("utf-8-sig"))
+            return cls.model_validate(content, context={"from_text": True})
+        except OSError as error:
+            raise FormatError(
+                f"{path}: cannot be read ({error.strerror}); check the name"
+            ) from None
+        except (UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+            raise FormatError(f"{path}: is no valid TOML: {error}") from None
+        except ValidationError as error:
+            raise FormatError(
+                "\n".join(
+                    f"{path}: {'.'.join(map(str, one['loc']))}: {one['msg']}"
+                    for one in error.errors()
+                )
+            ) from None
+
+    def to_toml(self) -> str:
+        """Write the calibration as TOML, each quantity with its SI unit.
+
+        Returns
+        -------
+        str
+            Text that `from_toml` reads back to an equal calibration.
+        """
+        import tomli_w
+
+        return tomli_w.dumps(self.model_dump(mode="json"))
+
+
+def phase_correction(
+    calibration: Calibration,
+    amplitude: NDArray[np.float64],
+    *,
+    modulation_frequency: float,
+) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+    """Return what is to be taken off the phase of samples of one frequency.
+
+    Parameters
+    ----------
+    calibration : Calibration
+        Delays of the instrument.
+    amplitude : ndarray
+        Peak amplitudes of the samples, of any shape [V].
+    modulation_frequency : float
+        Of the samples [Hz].
+
+    Returns
+    -------
+    correction : ndarray
+        Delay of the instrument, linear in the logarithm of the amplitude [rad].
+    known : ndarray of bool
+        False where the amplitude lies outside of what was calibrated; the delay of
+        the nearest calibrated amplitude stands there. One amplitude alone is taken
+        to hold for all.
+
+    Raises
+    ------
+    FormatError
+        If the frequency was not calibrated.
+    """
+    for one in calibration.frequencies:
+        if math.isclose(one.modulation_frequency, modulation_frequency, rel_tol=1e-6):
+            break
+    else:
+        raise FormatError(
+            f"the calibration has no {modulation_frequency / 1e6:g} MHz; record the "
+            "plate at the frequencies of the scan"
+        )
+    at = np.asarray(one.amplitudes)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        correction = np.interp(np.log(amplitude), np.log(at), np.asarray(one.phases))
+    if at.size == 1:
+        return correction, np.isfinite(amplitude)
+    return correction, (amplitude >= at[0]) & (amplitude <= at[-1])
+
+
+def from_plates(plates: Sequence[xr.Dataset], *, distance: float) -> Calibration:
+    """Work out the delays of an instrument from a plate, through one or more filters.
+
+    Parameters
+    ----------
+    plates : sequence of xarray.Dataset
+        Cubes of level `target_signal`, recorded without a calibration: the plate
+        alone, through filters of different density if there are several.
+    distance : float
+        Forward coordinate of the plate, which stands square to it, above zero [m].
+
+    Returns
+    -------
+    Calibration
+        For each frequency the delay at the mean amplitude of each cube, the strongest
+        channel of polarization in the middle half of rows and columns.
+
+    Raises
+    ------
+    CubeError
+        If a cube is of another level, has a calibration already, or shows no plate.
+    ValueError
+        If the distance is not above zero.
+
+    Notes
+    -----
+    The delay is the phase of the sum of all samples, each turned back by the phase of
+    its own way: 2 pi f / c times the group index times the length, out to the plate
+    and back to the receiver.
+    """
+    if not distance > 0:
+        raise ValueError(f"distance must be above 0 m, got {distance:g} m")
+    if not plates:
+        raise CubeError("no cube was given; record the plate first")
+    tables: dict[float, dict[float, float]] = {}
+    for cube in plates:
+        _refuse(cube)
+        middle = _middle(cube)
+        signal = _plate_signal(middle)
+        strongest = int(np.nanargmax(np.nanmean(np.abs(signal), axis=(0, 2, 3))))
+        path = _optical_path(middle, distance)
+        for number, frequency in enumerate(cube["modulation_frequency"].values):
+            way = 2 * np.pi * frequency * path / speed_of_light
+            flag = middle["quality_flag"].values[number, strongest]
+            usable = (flag & cubes.UNUSABLE) == 0
+            turned = (signal[number, strongest] * np.exp(-1j * way))[usable]
+            if turned.size == 0:
+                raise CubeError(
+                    f"no pixel in the middle of the scan shows a target at "
+                    f"{frequency / 1e6:g} MHz; let the plate fill the middle half of "
+                    "the scan"
+                )
+            mean = complex(turned.mean())
+            tables.setdefault(float(frequency), {})[abs(mean)] = float(np.angle(mean))
+    return Calibration(
+        frequencies=tuple(
+            FrequencyCalibration(
+                modulation_frequency=frequency,
+                amplitudes=tuple(sorted(table)),
+                phases=_unwrapped([table[one] for one in sorted(table)]),
+            )
+            for frequency, table in sorted(tables.items())
+        )
+    )
+
+
+def _plate_signal(cube: xr.Dataset) -> NDArray[np.complex128]:
+    """Return the target signal, less the water signal that is estimated to be left."""
+    signal = np.asarray(cube.amulor.signal.values)
+    if "residual_in_phase" not in cube:
+        return signal
+    left = cube["residual_in_phase"] + 1j * cube["residual_quadrature"]
+    return np.asarray(signal - np.nan_to_num(left.values))
+
+
+def _refuse(cube: xr.Dataset) -> None:
+    cubes.check(cube, "target_signal", name="the cube of the plate")
+    if "calibration" in cube.attrs:
+        raise CubeError(
+            "the cube of the plate has a calibration already; make it again from its "
+            "journal without one (amulor recover, without --calibration)"
+        )
+
+
+def _middle(cube: xr.Dataset) -> xr.Dataset:
+    def part(size: int) -> slice:
+        edge = int(size * (1 - _MIDDLE) / 2)
+        return slice(edge, size - edge)
+
+    return cube.isel(row=part(cube.sizes["row"]), column=part(cube.sizes["column"]))
+
+
+def _optical_path(cube: xr.Dataset, distance: float) -> NDArray[np.float64]:
+    geometry = cube.amulor.geometry
+    window = {
+        key: float(geometry[key])
+        for key in (
+            "window_distance",
+            "window_thickness",
+            "window_refractive_index",
+            "window_group_index",
+        )
+        if key in geometry
+    }
+    medium = rays.Medium(
+        float(geometry["refractive_index"]), float(geometry["group_index"]), **window
+    )
+    directions = rays.direction(cube["azimuth"].values, cube["elevation"].values)
+    beam = rays.enter_water(geometry["emitter_position"], directions, medium=medium)
+    length = (distance - beam.entry[..., 2]) / beam.direction[..., 2]
+    point = beam.entry + beam.direction * length[..., None]
+    return np.asarray(
+        beam.optical_length_before
+        + medium.group_index * length
+        + rays.return_length(point, geometry["receiver_position"], medium=medium)
+    )
+
+
+def _unwrapped(phases: list[float]) -> tuple[float, ...]:
+    return tuple(float(phase) for phase in np.unwrap(phases))

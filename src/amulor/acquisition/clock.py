@@ -1,0 +1,56 @@
+"""The time that a scan and its devices go by: real, faster, or only counted."""
+
+from __future__ import annotations
+
+import time
+from typing import Protocol
+
+
+class Clock(Protocol):
+    """Where the time comes from, so that a rehearsal can be faster than a scan."""
+
+    def now(self) -> float:
+        """Return the time since some fixed moment [s]."""
+
+    def sleep(self, duration: float) -> None:
+        """Wait for a time [s]."""
+
+
+class RealClock:
+    """The time on the wall, or a multiple of it.
+
+    Parameters
+    ----------
+    speed : float
+        How many seconds of this clock pass in one second, above zero [1].
+        Anything but 1 is for simulated devices.
+    """
+
+    def __init__(self, speed: float = 1.0) -> None:
+        if not speed > 0:
+            raise ValueError(f"speed must be above 0, got {speed:g}")
+        self._speed = speed
+
+    def now(self) -> float:
+        """Return the time since some fixed moment [s]."""
+        return time.monotonic() * self._speed
+
+    def sleep(self, duration: float) -> None:
+        """Wait for a time [s]."""
+        if duration > 0:
+            time.sleep(duration / self._speed)
+
+
+class VirtualClock:
+    """A clock that jumps instead of waiting, for devices in the same program."""
+
+    def __init__(self) -> None:
+        self._now = 0.0
+
+    def now(self) -> float:
+        """Return the time that has been slept so far [s]."""
+        return self._now
+
+    def sleep(self, duration: float) -> None:
+        """Let a time [s] pass at once."""
+        self._now += max(duration, 0.0)

@@ -1,0 +1,211 @@
+"""From the devices file to connected devices."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Callable
+
+from amulor.acquisition.bench import Bench
+from amulor.acquisition.clock import Clock, RealClock, VirtualClock
+from amulor.acquisition.devices import Devices
+from amulor.acquisition.direct import SCHEME, DirectLink
+from amulor.acquisition.gate import LockInGate
+from amulor.acquisition.operator import OperatorTargetStage
+from amulor.acquisition.pi_gcs import PiController, PiMount, PiScanner, PiTargetStage
+from amulor.acquisition.protocols import RotationMount, TargetStage
+from amulor.acquisition.settings import (
+    MountSettings,
+    ScannerSettings,
+    Settings,
+    TargetSettings,
+)
+from amulor.acquisition.simulated import (
+    SimulatedLaser,
+    SimulatedLockIn,
+    SimulatedMount,
+    SimulatedScanner,
+    SimulatedTargetStage,
+)
+from amulor.acquisition.stanford_sr844 import Sr844
+from amulor.acquisition.stanford_sr865a import Sr865a
+from amulor.acquisition.visa import Conversation, Link
+from amulor.acquisition.zurich import ZurichLockIn
+from amulor.survey import Survey
+
+
+def connect(
+    survey: Survey,
+    settings: Settings,
+    *,
+    part: int = 0,
+    ask: Callable[[str], None] | None = None,
+) -> Devices:
+    """Connect the devices that a file names.
+
+    Parameters
+    ----------
+    survey : Survey
+        What embedded simulated devices stand in front of.
+    settings : Settings
+        Which devices, and where.
+    part : int
+        How many parts of the scan there were before; simulated noise is another one
+        in each [1].
+    ask : callable, optional
+        Asks an operator to do something and returns when it is done.
+
+    Returns
+    -------
+    Devices
+        All of them, with the laser off.
+
+    Raises
+    ------
+    InstrumentError
+        If one does not answer, or is another one than stated.
+    MissingExtraError
+        If the package that talks to one is not installed.
+    """
+    if settings.simulated:
+        devices = _simulated(survey, settings, part)
+    else:
+        devices = _real(settings, ask)
+    devices.laser.off()
+    return devices
+
+
+def simulated_bench(
+    survey: Survey, settings: Settings, *, clock: Clock, part: int = 0
+) -> Bench:
+    """Return the simulated instrument of a survey.
+
+    Parameters
+    ----------
+    survey : Survey
+        What it stands in front of.
+    settings : Settings
+        Imperfections, and the angles of the mounts.
+    clock : Clock
+        What it goes by.
+    part : int
+        Added to the seed [1].
+
+    Returns
+    -------
+    Bench
+        With the laser off.
+    """
+    simulation = settings.simulation
+    return Bench(
+        survey,
+        simulation.model_copy(update={"seed": simulation.seed + part}),
+        clock=clock,
+        launch=settings.launch.angles,
+        analyser=settings.analyser.angles,
+    )
+
+
+def open_link(address: str, *, timeout: float) -> Conversation:
+    """Open the link that an address names.
+
+    Parameters
+    ----------
+    address : str
+        VISA resource name, or tcp://host:port for a socket without a VISA library.
+    timeout : float
+        How long one answer may take [s].
+
+    Returns
+    -------
+    Conversation
+        Open.
+
+    Raises
+    ------
+    InstrumentError
+        If nothing can be reached there.
+    MissingExtraError
+        If PyVISA is needed and not installed.
+    """
+    if address.startswith(SCHEME):
+        return DirectLink(address, timeout=timeout)
+    return Link.open(address, timeout=timeout)
+
+
+def _simulated(survey: Survey, settings: Settings, part: int) -> Devices:
+    speed = settings.simulation.speed
+    clock: Clock = VirtualClock() if speed is None else RealClock(speed)
+    bench = simulated_bench(survey, settings, clock=clock, part=part)
+    return Devices(
+        laser=SimulatedLaser(bench),
+        lock_in=SimulatedLockIn(bench),
+        scanner=SimulatedScanner(bench),
+        launch=SimulatedMount(bench, "launch"),
+        analyser=SimulatedMount(bench, "analyser"),
+        target=SimulatedTargetStage(bench),
+        clock=clock,
+    )
+
+
+def _real(settings: Settings, ask: Callable[[str], None] | None) -> Devices:
+    clock = RealClock(settings.procedure.clock_speed)
+    with contextlib.ExitStack() as opened:
+        lock_in = _lock_in(settings, clock)
+        opened.callback(lock_in.close)
+        stages = _Stages(clock, opened)
+        devices = Devices(
+            laser=LockInGate(lock_in, settings.laser),
+            lock_in=lock_in,
+            scanner=PiScanner(stages.at(settings.scanner), settings.scanner),
+            launch=_mount(settings.launch, stages),
+            analyser=_mount(settings.analyser, stages),
+            target=_target(settings.target, stages, ask),
+            clock=clock,
+        )
+        opened.pop_all()
+    return devices
+
+
+class _Stages:
+    """Controllers by their address: several axes share one link."""
+
+    def __init__(self, clock: Clock, opened: contextlib.ExitStack) -> None:
+        self._clock = clock
+        self._opened = opened
+        self._known: dict[str, PiController] = {}
+
+    def at(self, own: ScannerSettings | MountSettings | TargetSettings) -> PiController:
+        assert own.address is not None
+        if own.address not in self._known:
+            link = open_link(own.address, timeout=own.timeout)
+            self._opened.callback(link.close)
+            self._known[own.address] = PiController(link, clock=self._clock)
+        return self._known[own.address]
+
+
+def _lock_in(settings: Settings, clock: Clock) -> Sr844 | Sr865a | ZurichLockIn:
+    own = settings.lock_in
+    assert own.address is not None
+    if own.driver == "zurich":
+        return ZurichLockIn.connect(
+            own.address, mean_output_input=own.mean_output_input, clock=clock
+        )
+    link = open_link(own.address, timeout=own.timeout)
+    driver: type[Sr844 | Sr865a] = Sr844 if own.driver == "sr844" else Sr865a
+    try:
+        return driver(link, mean_output_input=own.mean_output_input, clock=clock)
+    except BaseException:
+        link.close()
+        raise
+
+
+def _mount(own: MountSettings, stages: _Stages) -> RotationMount | None:
+    return None if own.driver == "none" else PiMount(stages.at(own), own.axis)
+
+
+def _target(
+    own: TargetSettings, stages: _Stages, ask: Callable[[str], None] | None
+) -> TargetStage:
+    if own.driver == "operator":
+        return OperatorTargetStage(ask)
+    return PiTargetStage(stages.at(own), own)

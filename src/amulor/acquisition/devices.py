@@ -1,0 +1,114 @@
+"""The devices of a scan together: who they are, and how all of them are made safe."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+from amulor import cube
+from amulor.acquisition.clock import Clock
+from amulor.acquisition.protocols import (
+    Device,
+    Laser,
+    LockIn,
+    RotationMount,
+    Scanner,
+    TargetStage,
+)
+from amulor.acquisition.settings import Settings
+from amulor.acquisition.simulated import SIMULATOR
+
+
+@dataclass(frozen=True)
+class Devices:
+    """All devices of a scan, connected."""
+
+    laser: Laser
+    """What lets light out."""
+    lock_in: LockIn
+    """What measures."""
+    scanner: Scanner
+    """What turns the beam."""
+    launch: RotationMount | None
+    """What sets the launched polarization, None if nothing turns."""
+    analyser: RotationMount | None
+    """What sets the analysed polarization, None if nothing turns."""
+    target: TargetStage
+    """What takes the target out of the beam."""
+    clock: Clock
+    """What the devices go by."""
+
+    def all(self) -> Iterator[tuple[str, Device]]:
+        """Yield name and device; the laser first, since it is made safe first."""
+        for name in ("laser", "scanner", "target", "launch", "analyser", "lock_in"):
+            device = getattr(self, name)
+            if device is not None:
+                yield name, device
+
+    def identities(self) -> dict[str, str]:
+        """Return what each device says it is."""
+        return {name: device.identity() for name, device in self.all()}
+
+    def make_safe(self) -> list[str]:
+        """Make every device safe, whatever the others do.
+
+        Returns
+        -------
+        list of str
+            What went wrong, device by device; empty if all are safe.
+        """
+        wrong = []
+        for name, device in self.all():
+            try:
+                device.make_safe()
+            except Exception as error:  # the next device must be reached in any case
+                wrong.append(f"{name} could not be made safe: {error}")
+        return wrong
+
+    def close(self) -> None:
+        """Let go of every device."""
+        for _, device in self.all():
+            with contextlib.suppress(Exception):
+                device.close()
+
+
+def digest(settings: Settings, identities: dict[str, str]) -> str:
+    """Return what changes when the instrument or the procedure is another one.
+
+    Parameters
+    ----------
+    settings : Settings
+        Devices and procedure.
+    identities : dict
+        What the devices say they are.
+
+    Returns
+    -------
+    str
+        SHA-256. Where a device is linked to and how long its answers may take do not
+        count, nor does the speed of a rehearsal.
+    """
+    content = settings.model_dump(mode="json", exclude={"simulation": True})
+    for part in content.values():
+        for name in [*part]:
+            if name in ("address", "clock_speed") or name.endswith("timeout"):
+                del part[name]
+    return cube.digest(json.dumps([content, identities], sort_keys=True))
+
+
+def is_simulated(identities: dict[str, str]) -> bool:
+    """Return whether any device says that it is simulated.
+
+    Parameters
+    ----------
+    identities : dict
+        What the devices say they are.
+
+    Returns
+    -------
+    bool
+        True for one simulated device among others, too.
+    """
+    return any(SIMULATOR in identity for identity in identities.values())

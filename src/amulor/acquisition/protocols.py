@@ -1,0 +1,109 @@
+"""What a device must offer to a scan: SI units, blocking calls, a safe state."""
+
+from __future__ import annotations
+
+import enum
+from dataclasses import dataclass
+from typing import Protocol
+
+
+class Overload(enum.IntFlag):
+    """Where a lock-in ran out of room; bits that add up."""
+
+    NONE = 0
+    INPUT = 1
+    """The signal input, before any mixing."""
+    RESERVE = 2
+    """An amplifier between the mixer and the filter."""
+    OUTPUT = 4
+    """The output filter: the signal itself is larger than the full scale."""
+
+
+@dataclass(frozen=True)
+class Reading:
+    """One look at a lock-in amplifier, all values of one instant."""
+
+    signal: complex
+    """Peak amplitude of the modulation, delayed echo with positive phase [V]."""
+    mean: float
+    """Mean output of the detector, not a number where it is not wired [V]."""
+    modulation_frequency: float
+    """Frequency that the instrument says it detects at [Hz]."""
+    overload: Overload = Overload.NONE
+    """What has overloaded since the reading before."""
+    unlocked: bool = False
+    """Whether the reference was lost at any time since the reading before."""
+
+
+class Device(Protocol):
+    """What every device can do."""
+
+    def identity(self) -> str:
+        """Return maker, model, serial number and firmware as the device says them."""
+
+    def make_safe(self) -> None:
+        """Bring the device into the state that it may be left alone in.
+
+        It can be called at any time, twice, and after an error.
+        """
+
+    def close(self) -> None:
+        """Let go of the link to the device; it may be called twice."""
+
+
+class LockIn(Device, Protocol):
+    """A lock-in amplifier that makes its own reference."""
+
+    def prepare(self, *, time_constant: float) -> None:
+        """Set internal reference, one-pole output filter and time constant [s]."""
+
+    def set_frequency(self, frequency: float, *, timeout: float) -> float:
+        """Set the modulation frequency [Hz], wait for lock, return what is set [Hz]."""
+
+    def read(self) -> Reading:
+        """Return the outputs and the state of this instant."""
+
+    def relieve(self, overload: Overload) -> bool:
+        """Take one step that makes room for an overload; False if there is none."""
+
+    def sharpen(self, amplitude: float) -> bool:
+        """Take one step to a finer scale if this peak amplitude [V] leaves room."""
+
+    def full_scale(self) -> float:
+        """Return the largest peak amplitude of the present setting [V]."""
+
+
+class Scanner(Device, Protocol):
+    """What turns the beam, or the instrument with it."""
+
+    def move(
+        self, azimuth: float, elevation: float, *, timeout: float
+    ) -> tuple[float, float]:
+        """Turn to a direction [rad] within a time [s]; return where it stands [rad]."""
+
+
+class RotationMount(Device, Protocol):
+    """A polarizer or a retarder that turns about the beam."""
+
+    def rotate(self, angle: float, *, timeout: float) -> float:
+        """Turn to an angle [rad] within a time [s]; return where it stands [rad]."""
+
+
+class Laser(Device, Protocol):
+    """The light source; off is its safe state."""
+
+    def on(self) -> None:
+        """Let light out."""
+
+    def off(self) -> None:
+        """Let no light out."""
+
+
+class TargetStage(Device, Protocol):
+    """What takes the target out of the beam, so that only water is seen."""
+
+    def bring_in(self, *, timeout: float) -> None:
+        """Put the target where it is scanned, within a time [s]."""
+
+    def take_out(self, *, timeout: float) -> None:
+        """Leave open water in every beam of the scan, within a time [s]."""

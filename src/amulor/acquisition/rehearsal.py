@@ -1,0 +1,105 @@
+"""A whole simulated instrument on network ports, and the devices file that finds it."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Literal
+
+from amulor.acquisition.bench import Bench
+from amulor.acquisition.clock import RealClock
+from amulor.acquisition.connect import simulated_bench
+from amulor.acquisition.settings import Settings
+from amulor.acquisition.simulated_pi import SimulatedPiController
+from amulor.acquisition.simulated_stanford import (
+    SimulatedSr844,
+    SimulatedSr865a,
+    SimulatedStanford,
+)
+from amulor.acquisition.tcp import DeviceServer
+from amulor.survey import Survey
+
+#: What the simulated lock-in is wired to, by the model.
+Model = Literal["sr844", "sr865a"]
+
+
+@dataclass(frozen=True)
+class Rehearsal:
+    """Simulated devices that listen."""
+
+    settings: Settings
+    """Devices file that finds them."""
+    bench: Bench
+    """What they stand in front of."""
+    lock_in: SimulatedStanford
+    """What answers at the lock-in's port."""
+    stages: SimulatedPiController
+    """What answers at the stages' port."""
+
+
+@contextlib.contextmanager
+def rehearse(
+    survey: Survey,
+    settings: Settings | None = None,
+    *,
+    model: Model = "sr844",
+    speed: float = 1.0,
+    host: str = "127.0.0.1",
+    ports: tuple[int, int] = (0, 0),
+) -> Iterator[Rehearsal]:
+    """Serve a simulated lock-in and stages for as long as a `with` block lasts.
+
+    Parameters
+    ----------
+    survey : Survey
+        What stands in front of the instrument.
+    settings : Settings, optional
+        Its part `simulation` says what is not ideal; procedure, axes and angles are
+        taken over.
+    model : str
+        Which lock-in.
+    speed : float
+        How much faster than real the simulated time goes [1].
+    host : str
+        Address to listen at.
+    ports : tuple of int
+        Of the lock-in and of the stages; any free ones by default [1].
+
+    Yields
+    ------
+    Rehearsal
+        With the addresses in its settings.
+    """
+    base = settings or Settings()
+    bench = simulated_bench(survey, base, clock=RealClock(speed))
+    lock_in = {"sr844": SimulatedSr844, "sr865a": SimulatedSr865a}[model](bench)
+    stages = SimulatedPiController(bench, base)
+    with (
+        DeviceServer(lock_in, host=host, port=ports[0]) as first,
+        DeviceServer(stages, host=host, port=ports[1]) as second,
+    ):
+        yield Rehearsal(
+            _found_at(base, model, first.address, second.address, speed),
+            bench,
+            lock_in,
+            stages,
+        )
+
+
+def _found_at(
+    base: Settings, model: Model, lock_in: str, stages: str, speed: float
+) -> Settings:
+    content = base.model_dump(exclude_unset=True)
+    parts: dict[str, dict[str, object]] = {
+        "lock_in": {"driver": model, "address": lock_in, "mean_output_input": 1},
+        "scanner": {"driver": "pi_gcs", "address": stages},
+        "launch": {"driver": "pi_gcs", "address": stages},
+        "analyser": {"driver": "pi_gcs", "address": stages, "axis": base.analyser.axis},
+        "laser": {"driver": "lock_in_output"},
+        "target": {"driver": "pi_gcs", "address": stages},
+        "procedure": {"clock_speed": speed},
+    }
+    for name, part in parts.items():
+        content[name] = {**content.get(name, {}), **part}
+    return Settings.model_validate(content)

@@ -1,0 +1,272 @@
+"""Runs a scan: what is missing is taken, committed, and the devices are left safe."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Protocol
+
+from amulor import cube
+from amulor.acquisition import plan
+from amulor.acquisition.connect import connect
+from amulor.acquisition.devices import Devices, digest
+from amulor.acquisition.journal import Journal
+from amulor.acquisition.plan import Key, Step
+from amulor.acquisition.sampler import Sampler
+from amulor.acquisition.settings import Settings
+from amulor.errors import AmulorError
+from amulor.io.files import atomic_output, make_folder
+from amulor.survey import Survey
+
+SURVEY_NAME = "survey.toml"
+DEVICES_NAME = "devices.toml"
+
+
+@dataclass(frozen=True)
+class Progress:
+    """How far a scan has come."""
+
+    done: int
+    """Samples in the journal [1]."""
+    total: int
+    """Samples that it will have, references included [1]."""
+    rate: float
+    """Samples per second of this run, by the wall clock [1/s]."""
+    left: float
+    """Time that is left at this rate [s]."""
+    flagged: int
+    """Samples of this run with a flag [1]."""
+    kind: str
+    """What is taken now."""
+
+
+class Control(Protocol):
+    """Who can interrupt a scan between two samples."""
+
+    def pause_wanted(self) -> bool:
+        """Return whether the scan is to stop here for a question."""
+
+    def go_on(self) -> bool:
+        """Ask, with all devices safe, whether the scan goes on; False ends it."""
+
+
+class _Unattended:
+    def pause_wanted(self) -> bool:
+        return False
+
+    def go_on(self) -> bool:
+        return True
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What a run of a scan came to."""
+
+    finished: bool
+    """Whether every planned sample is in the journal."""
+    done: int
+    """Samples in the journal [1]."""
+    total: int
+    """Samples that a finished scan has [1]."""
+    flagged: int
+    """Samples of this run with a flag [1]."""
+    unsafe: list[str]
+    """Devices that could not be made safe, with the reason."""
+
+
+def acquire(
+    survey: Survey,
+    folder: Path,
+    *,
+    settings: Settings | None = None,
+    resume: bool = False,
+    devices: Devices | None = None,
+    control: Control | None = None,
+    progress: Callable[[Progress], None] = lambda now: None,
+    acknowledged: Callable[[Key], None] = lambda key: None,
+    ask: Callable[[str], None] | None = None,
+) -> Outcome:
+    """Run a scan, or what is left of one, into the journal of a folder.
+
+    Parameters
+    ----------
+    survey : Survey
+        What is measured.
+    folder : pathlib.Path
+        Folder of the scan; made if it is not there.
+    settings : Settings, optional
+        Devices and procedure; the embedded simulated ones by default.
+    resume : bool
+        Go on with the scan in the folder instead of beginning one.
+    devices : Devices, optional
+        Connected devices, instead of those that the settings name. They are made safe
+        but not closed.
+    control : Control, optional
+        Who can interrupt; nobody by default.
+    progress : callable
+        Is told how far it has come, after each sample.
+    acknowledged : callable
+        Is told the key of each sample that survives a loss of power from now on.
+    ask : callable, optional
+        Asks an operator to do something and returns when it is done.
+
+    Returns
+    -------
+    Outcome
+        `finished` is False only if `control` ended the scan.
+
+    Raises
+    ------
+    FormatError
+        If the folder cannot be used, for example because its disk is full.
+    SurveyError, InstrumentError
+        If a scan is resumed with another survey or other devices; if a device fails.
+        What was acknowledged is kept, and all devices have been made safe.
+    """
+    settings = settings or Settings()
+    make_folder(folder)
+    with contextlib.ExitStack() as stack:
+        if devices is None:
+            part = _segments_so_far(folder) if resume else 0
+            devices = connect(survey, settings, part=part, ask=ask)
+            stack.callback(devices.close)
+        try:
+            meta = _meta(survey, settings, devices)
+            opened = Journal.resume if resume else Journal.create
+            journal = stack.enter_context(opened(folder, meta=meta))
+            if not resume:
+                _keep(folder, SURVEY_NAME, survey.to_toml())
+                _keep(folder, DEVICES_NAME, settings.to_toml())
+            run = _Run(survey, settings, devices, journal)
+            return run.go(control or _Unattended(), progress, acknowledged)
+        except BaseException:
+            # Once more, in case that the first time was interrupted, or never came.
+            devices.make_safe()
+            raise
+
+
+class _Run:
+    def __init__(
+        self, survey: Survey, settings: Settings, devices: Devices, journal: Journal
+    ) -> None:
+        self._survey, self._settings = survey, settings
+        self._devices, self._journal = devices, journal
+        self._sampler = Sampler(survey, settings, devices)
+        self._done = journal.keys()
+        self._flagged = 0
+        self._started = time.monotonic()
+        self._taken = 0
+        self._elapsed = journal.last_elapsed()
+        self._clock_start = devices.clock.now()
+
+    def go(
+        self,
+        control: Control,
+        progress: Callable[[Progress], None],
+        acknowledged: Callable[[Key], None],
+    ) -> Outcome:
+        missing = self._missing()
+        while missing:
+            segment = self._journal.begin_segment()
+            reason = "stopped"
+            try:
+                steps = [*self._again(segment), *missing]
+                self._sampler.prepare()
+                total = len(self._done) + len(steps)
+                for step in steps:
+                    if control.pause_wanted():
+                        reason = "paused"
+                        break
+                    self._take(step, segment)
+                    acknowledged(step.key)
+                    progress(self._progress(step, total))
+                else:
+                    reason = "finished"
+            except AmulorError as error:
+                reason = str(error)
+                raise type(error)(self._with_next_step(error)) from error
+            except BaseException as error:
+                reason = f"interrupted by {type(error).__name__}"
+                raise
+            finally:
+                unsafe = self._end(segment, reason)
+            self._sampler.forget()
+            missing = self._missing()
+            if missing and not control.go_on():
+                break
+        else:
+            unsafe = self._devices.make_safe()
+        return Outcome(
+            finished=not missing,
+            done=len(self._done),
+            total=len(self._done) + len(missing),
+            flagged=self._flagged,
+            unsafe=unsafe,
+        )
+
+    def _missing(self) -> list[Step]:
+        planned = plan.steps(self._survey, self._settings.procedure)
+        return [step for step in planned if step.key not in self._done]
+
+    def _again(self, segment: int) -> Iterator[Step]:
+        """Yield the reference that a scan needs that was broken off in the middle."""
+        if any(key.kind == plan.SCAN for key in self._done):
+            yield from plan.extra_reference(
+                self._survey, self._settings.procedure, number=segment - 2
+            )
+
+    def _take(self, step: Step, segment: int) -> None:
+        passed = self._devices.clock.now() - self._clock_start
+        record = self._sampler.take(
+            step, elapsed=self._elapsed + passed, segment=segment
+        )
+        self._journal.commit(step.key, record)
+        self._done.add(step.key)
+        self._taken += 1
+        self._flagged += bool(record.flags)
+
+    def _progress(self, step: Step, total: int) -> Progress:
+        rate = self._taken / max(time.monotonic() - self._started, 1e-9)
+        done = len(self._done)
+        left = (total - done) / rate
+        return Progress(done, total, rate, left, self._flagged, step.key.kind)
+
+    def _end(self, segment: int, reason: str) -> list[str]:
+        # Light off before anything that could fail, such as a full disk.
+        unsafe = self._devices.make_safe()
+        with contextlib.suppress(AmulorError):
+            self._journal.end_segment(segment, "; ".join([reason, *unsafe]))
+        return unsafe
+
+    def _with_next_step(self, error: AmulorError) -> str:
+        folder = self._journal.folder
+        return (
+            f"{error}; {len(self._done)} samples are kept in {folder}. Mend it, then "
+            f"go on with: amulor acquire {folder / SURVEY_NAME} -o {folder} --devices "
+            f"{folder / DEVICES_NAME} --resume"
+        )
+
+
+def _meta(survey: Survey, settings: Settings, devices: Devices) -> dict[str, str]:
+    identities = devices.identities()
+    return {
+        "survey": survey.to_toml(),
+        "survey_digest": cube.digest(survey.to_toml()),
+        "devices": settings.to_toml(),
+        "instrument_digest": digest(settings, identities),
+        "identities": json.dumps(identities),
+    }
+
+
+def _segments_so_far(folder: Path) -> int:
+    with Journal.read(folder) as journal:
+        return len(journal.segments())
+
+
+def _keep(folder: Path, name: str, text: str) -> None:
+    with atomic_output(folder / name, overwrite=True) as temporary:
+        temporary.write_text(text, encoding="utf-8")

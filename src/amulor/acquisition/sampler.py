@@ -1,0 +1,239 @@
+"""Takes one sample: arrange, settle, read, make room, and say what was in the way."""
+
+from __future__ import annotations
+
+import enum
+import statistics
+
+from amulor.acquisition.devices import Devices
+from amulor.acquisition.journal import Record
+from amulor.acquisition.plan import DARK, OPEN_WATER, SCAN, Step
+from amulor.acquisition.protocols import Overload, Reading
+from amulor.acquisition.settings import Settings
+from amulor.acquisition.uncertainty import readings_of
+from amulor.errors import InstrumentError
+from amulor.optics import stokes
+from amulor.survey import Survey
+
+#: Samples in a row that leave room before a finer scale is taken.
+_CALM = 20
+
+
+class SampleFlag(enum.IntFlag):
+    """What stood in the way of a sample; bits that add up."""
+
+    NONE = 0
+    OVERLOAD = 1
+    """The lock-in or the detector overloaded, and there was no more room to make."""
+    REPEATED = 2
+    """The reference was lost, and the sample taken again."""
+    RESCALED = 4
+    """Room was made in the lock-in before the sample was taken again."""
+    OFF_POSITION = 8
+    """The beam came to stand off the commanded direction by more than the tolerance."""
+    OFF_FREQUENCY = 16
+    """The lock-in detects at another frequency than the commanded one."""
+
+
+#: Largest relative difference of commanded and read-back frequency; the oscillator of
+#: an SR844 has three digits, its counter has more.
+_FREQUENCY_TOLERANCE = 1e-3
+
+
+class Sampler:
+    """Takes samples one after the other and remembers how the devices stand.
+
+    Parameters
+    ----------
+    survey : Survey
+        What is measured.
+    settings : Settings
+        How it is done.
+    devices : Devices
+        With what.
+    """
+
+    def __init__(self, survey: Survey, settings: Settings, devices: Devices) -> None:
+        self._settings = settings
+        self._procedure = settings.procedure
+        self._devices = devices
+        self._constant = survey.instrument.lock_in.time_constant
+        self._saturation = survey.instrument.detector.saturation
+        self._readings = readings_of(survey, settling=settings.procedure.settling)
+        self._overloaded_in_a_row = 0
+        self._calm = 0
+        self.forget()
+
+    def prepare(self) -> None:
+        """Bring the lock-in into the state that a scan needs."""
+        self._devices.lock_in.prepare(time_constant=self._constant)
+        self.forget()
+
+    def forget(self) -> None:
+        """Take nothing for granted any more, after devices were made safe."""
+        self._frequency: float | None = None
+        self._polarization: str | None = None
+        self._laser: bool | None = None
+        self._target_is_in: bool | None = None
+
+    def take(self, step: Step, *, elapsed: float, segment: int) -> Record:
+        """Take one sample.
+
+        Parameters
+        ----------
+        step : Step
+            What to take.
+        elapsed : float
+            Time since the scan began, to be recorded [s].
+        segment : int
+            Part of the scan, to be recorded [1].
+
+        Returns
+        -------
+        Record
+            What was measured. An overload that no change of scale cured is flagged.
+
+        Raises
+        ------
+        InstrumentError
+            If a device fails, if the reference stays lost, or if too many samples in
+            a row are overloaded.
+        """
+        azimuth, elevation = self._arrange(step)
+        readings, flags = self._read()
+        flags |= self._compare(step, azimuth, elevation, readings[-1])
+        signal = sum(reading.signal for reading in readings) / len(readings)
+        means = [reading.mean for reading in readings if reading.mean == reading.mean]
+        mean = statistics.fmean(means) if means else None
+        if mean is not None and mean > self._saturation:
+            flags |= SampleFlag.OVERLOAD
+        self._count_overloads(flags)
+        scale = self._devices.lock_in.full_scale()
+        if step.key.kind != DARK:
+            self._sharpen(abs(signal), flags)
+        return Record(
+            in_phase=signal.real,
+            quadrature=signal.imag,
+            mean=mean,
+            readings=len(readings),
+            full_scale=scale,
+            flags=int(flags),
+            commanded_azimuth=step.azimuth,
+            commanded_elevation=step.elevation,
+            azimuth=azimuth,
+            elevation=elevation,
+            modulation_frequency=readings[-1].modulation_frequency,
+            elapsed=elapsed,
+            segment=segment,
+        )
+
+    def _arrange(self, step: Step) -> tuple[float, float]:
+        devices, settings = self._devices, self._settings
+        if step.key.frequency != self._frequency:
+            devices.lock_in.set_frequency(
+                step.key.frequency, timeout=settings.lock_in.lock_timeout
+            )
+            self._frequency = step.key.frequency
+        if step.key.polarization != self._polarization:
+            self._set_polarization(step.key.polarization)
+        self._switch_laser(step.key.kind != DARK)
+        self._move_target(step.key.kind)
+        return devices.scanner.move(
+            step.azimuth, step.elevation, timeout=settings.scanner.move_timeout
+        )
+
+    def _set_polarization(self, pair: str) -> None:
+        launched, analysed = stokes.pair_states(pair)
+        for name, state in (("launch", launched), ("analyser", analysed)):
+            mount = getattr(self._devices, name)
+            own = getattr(self._settings, name)
+            if mount is None or state == "none":
+                continue
+            if state not in own.angles:
+                raise InstrumentError(
+                    f"the devices file states no angle of the {name} mount for the "
+                    f"state {state}; add {name}.angles.{state}"
+                )
+            mount.rotate(own.angles[state], timeout=own.move_timeout)
+        self._polarization = pair
+
+    def _switch_laser(self, on: bool) -> None:
+        if on == self._laser:
+            return
+        if on:
+            self._devices.laser.on()
+            self._devices.clock.sleep(self._settings.laser.warm_up)
+        else:
+            self._devices.laser.off()
+        self._laser = on
+
+    def _move_target(self, kind: str) -> None:
+        if kind == DARK or (kind == SCAN) == self._target_is_in:
+            return
+        timeout = self._settings.target.move_timeout
+        if kind == OPEN_WATER:
+            self._devices.target.take_out(timeout=timeout)
+        else:
+            self._devices.target.bring_in(timeout=timeout)
+        self._target_is_in = kind == SCAN
+
+    def _read(self) -> tuple[list[Reading], SampleFlag]:
+        lock_in, flags, lost, tries = self._devices.lock_in, SampleFlag.NONE, 0, 0
+        while True:
+            self._devices.clock.sleep(self._procedure.settling * self._constant)
+            readings = [lock_in.read()]
+            for _ in range(self._readings - 1):
+                self._devices.clock.sleep(self._constant)
+                readings.append(lock_in.read())
+            overload = Overload.NONE
+            for reading in readings:
+                overload |= reading.overload
+            unlocked = any(reading.unlocked for reading in readings)
+            if not overload and not unlocked:
+                return readings, flags
+            tries += 1
+            if unlocked:
+                flags |= SampleFlag.REPEATED
+                lost += 1
+                if lost > self._procedure.attempts:
+                    raise InstrumentError(
+                        f"the lock-in has lost its reference in {lost} samples in a "
+                        "row; check the reference and the modulation frequency"
+                    )
+            elif tries == 1:
+                # Status bits hold what happened on the way here; look once more.
+                continue
+            elif lock_in.relieve(overload):
+                flags |= SampleFlag.RESCALED
+            else:
+                return readings, flags | SampleFlag.OVERLOAD
+
+    def _compare(
+        self, step: Step, azimuth: float, elevation: float, last: Reading
+    ) -> SampleFlag:
+        flags = SampleFlag.NONE
+        error = max(abs(azimuth - step.azimuth), abs(elevation - step.elevation))
+        if error > self._procedure.position_tolerance:
+            flags |= SampleFlag.OFF_POSITION
+        off = abs(last.modulation_frequency - step.key.frequency)
+        if off > _FREQUENCY_TOLERANCE * step.key.frequency:
+            flags |= SampleFlag.OFF_FREQUENCY
+        return flags
+
+    def _count_overloads(self, flags: SampleFlag) -> None:
+        if not flags & SampleFlag.OVERLOAD:
+            self._overloaded_in_a_row = 0
+            return
+        self._overloaded_in_a_row += 1
+        if self._overloaded_in_a_row > self._procedure.patience:
+            raise InstrumentError(
+                f"{self._overloaded_in_a_row} samples in a row are overloaded, at the "
+                "coarsest scale; take light or gain away"
+            )
+
+    def _sharpen(self, amplitude: float, flags: SampleFlag) -> None:
+        # Only after a calm while: every change of scale costs settling, and some
+        # instruments a little phase.
+        self._calm = 0 if flags & SampleFlag.RESCALED else self._calm + 1
+        if self._calm >= _CALM and self._devices.lock_in.sharpen(amplitude):
+            self._calm = 0

@@ -1,0 +1,298 @@
+"""The file that says which devices take a scan and how: one TOML, strictly checked."""
+
+from __future__ import annotations
+
+import math
+import tomllib
+from pathlib import Path
+from typing import Annotated, Literal, Self
+
+from pydantic import Field, ValidationError, model_validator
+
+from amulor.errors import InstrumentError
+from amulor.survey import messages
+from amulor.survey.quantity import (
+    Angle,
+    Description,
+    Length,
+    Time,
+    Voltage,
+)
+
+Address = Annotated[str, Field(min_length=1, max_length=200)]
+Axis = Annotated[str, Field(pattern=r"^[A-Za-z0-9_]{1,16}$")]
+Patience = Annotated[Time, Field(gt=0, le=3600)]
+
+#: Drivers that can stand in one file with devices that are not simulated.
+_ANYWHERE = ("simulated", "none", "operator")
+#: Angle of a linear polarizer for the states that it makes or passes [rad].
+_LINEAR_POLARIZER = {
+    "V": 0.0,
+    "H": math.pi / 2,
+    "P": math.pi / 4,
+    "M": 3 * math.pi / 4,
+}
+
+
+def _need(there: bool, what: str) -> None:
+    if not there:
+        raise ValueError(f"{what} is needed; state it")
+
+
+class _Linked(Description):
+    address: Address | None = None
+    """VISA resource name, such as "GPIB0::8::INSTR" or
+    "TCPIP::10.0.0.5::50000::SOCKET"; "tcp://10.0.0.5:50000" for a socket without a VISA
+    library; of Zurich Instruments "server:device", such as "localhost:dev2006"."""
+    timeout: Patience = 5.0
+    """How long one answer may take [s]."""
+
+
+class LockInSettings(_Linked):
+    """The lock-in amplifier."""
+
+    driver: Literal["simulated", "sr844", "sr865a", "zurich"] = "simulated"
+    """Which instrument it is."""
+    mean_output_input: Annotated[int, Field(ge=1, le=4)] | None = None
+    """Auxiliary input that the mean output of the detector is wired to [1]."""
+    lock_timeout: Patience = 10.0
+    """How long the reference may take to lock [s]."""
+
+    @model_validator(mode="after")
+    def _address_is_stated(self) -> Self:
+        _need(self.address is not None or self.driver == "simulated", "lock_in.address")
+        return self
+
+
+class ScannerSettings(_Linked):
+    """What turns the beam."""
+
+    driver: Literal["simulated", "pi_gcs"] = "simulated"
+    """Which controller it is."""
+    azimuth_axis: Axis = "1"
+    """Axis of the controller that turns to the right."""
+    elevation_axis: Axis = "2"
+    """Axis of the controller that turns upwards."""
+    angle_per_unit: Angle = math.radians(1.0)
+    """Turn of the beam per unit of the axis; twice the turn of a mirror. Negative if
+    the axis counts the other way [rad]."""
+    azimuth_zero: float = 0.0
+    """Position of the axis where the azimuth is zero, in its unit."""
+    elevation_zero: float = 0.0
+    """Position of the axis where the elevation is zero, in its unit."""
+    park_azimuth: Angle | None = None
+    """Direction to be left in; where it stands, if left out [rad]."""
+    park_elevation: Angle | None = None
+    """Direction to be left in; where it stands, if left out [rad]."""
+    move_timeout: Patience = 30.0
+    """How long one move may take [s]."""
+
+    @model_validator(mode="after")
+    def _address_is_stated(self) -> Self:
+        _need(self.address is not None or self.driver == "simulated", "scanner.address")
+        _need(self.angle_per_unit != 0, "scanner.angle_per_unit, not 0,")
+        _need(
+            (self.park_azimuth is None) == (self.park_elevation is None),
+            "both or none of scanner.park_azimuth and scanner.park_elevation",
+        )
+        return self
+
+
+class MountSettings(_Linked):
+    """A rotation mount with a polarizer or a retarder."""
+
+    driver: Literal["simulated", "pi_gcs", "none"] = "simulated"
+    """Which controller it is; "none" for a polarizer that stays as it is."""
+    axis: Axis = "3"
+    """Axis of the controller, in degrees."""
+    angles: dict[Annotated[str, Field(pattern="^[VHPMRL]$")], Angle] = Field(
+        default_factory=lambda: dict(_LINEAR_POLARIZER)
+    )
+    """Angle of the mount for each state of polarization that it makes or passes; by
+    default those of a linear polarizer [rad]."""
+    move_timeout: Patience = 30.0
+    """How long one turn may take [s]."""
+
+    @model_validator(mode="after")
+    def _address_is_stated(self) -> Self:
+        _need(self.address is not None or self.driver != "pi_gcs", "address of a mount")
+        return self
+
+
+class LaserSettings(Description):
+    """What lets light out."""
+
+    driver: Literal["simulated", "lock_in_output"] = "simulated"
+    """"lock_in_output": an auxiliary output of the lock-in is wired to the enable input
+    of the laser."""
+    output: Annotated[int, Field(ge=1, le=4)] = 1
+    """Which auxiliary output [1]."""
+    on_voltage: Annotated[Voltage, Field(gt=0, le=10)] = 5.0
+    """Voltage that lets light out; 0 V lets none out [V]."""
+    warm_up: Annotated[Time, Field(ge=0, le=3600)] = 0.0
+    """Wait after it was switched on [s]."""
+
+
+class TargetSettings(_Linked):
+    """What takes the target out of the beam for open-water shots."""
+
+    driver: Literal["simulated", "pi_gcs", "operator"] = "simulated"
+    """"operator": somebody is asked to do it."""
+    axis: Axis = "5"
+    """Axis of the controller, in millimetres."""
+    position_in: Length = 0.0
+    """Where the target is scanned [m]."""
+    position_out: Length = 0.2
+    """Where it is out of every beam [m]."""
+    move_timeout: Patience = 60.0
+    """How long the way may take [s]."""
+
+    @model_validator(mode="after")
+    def _address_is_stated(self) -> Self:
+        _need(self.address is not None or self.driver != "pi_gcs", "target.address")
+        return self
+
+
+class Procedure(Description):
+    """How each sample is taken."""
+
+    settling: Annotated[float, Field(ge=3, le=50)] = 5.0
+    """Wait after each change, in time constants of the lock-in [1]."""
+    references: Annotated[int, Field(ge=1, le=10_000)] = 2
+    """Times at which dark readings and open-water shots are taken, spread evenly from
+    before the scan to after it; the repeats are dealt out among them [1]."""
+    dark_readings: Annotated[int, Field(ge=0, le=100_000)] = 5
+    """Samples with the laser off, per channel, at each of these times [1]."""
+    attempts: Annotated[int, Field(ge=1, le=100)] = 3
+    """How often a sample is taken again after the reference was lost in it [1]."""
+    patience: Annotated[int, Field(ge=1, le=1_000_000)] = 50
+    """Overloaded samples one after the other before the scan stops [1]."""
+    position_tolerance: Annotated[Angle, Field(gt=0)] = 1e-4
+    """Largest difference of commanded and read-back direction that is not flagged
+    [rad]."""
+    clock_speed: Annotated[float, Field(gt=0, le=1e6)] = 1.0
+    """How much faster than real the clock of simulators on the network runs; 1 for
+    devices that are real [1]."""
+
+
+class SimulationSettings(Description):
+    """What embedded simulated devices do that ideal ones would not."""
+
+    seed: Annotated[int, Field(ge=0, lt=2**63)] = 1
+    """Seed of the noise [1]."""
+    speed: Annotated[float, Field(gt=0, le=1e6)] | None = None
+    """How much faster than real; as fast as the computer can if left out [1]."""
+    cable_delay: Time = 0.0
+    """Delay of the signal path, which calibration of phase zero finds [s]."""
+    pickup: Voltage = 0.0
+    """In-phase output without light, which dark readings find [V]."""
+    phase_drift: Angle = 0.0
+    """Change of the phase in one second [rad]."""
+    phase_walk: Angle = 0.0
+    """Change of the phase when the amplitude is ten times as large [rad]."""
+    position_error: Angle = 2e-6
+    """Random error of where the scanner comes to stand [rad]."""
+    faults: tuple[
+        Annotated[
+            str,
+            Field(
+                pattern=r"^(overload|saturation|unlock|lost-link|timeout|stuck)"
+                r"@\d+(x\d+)?$"
+            ),
+        ],
+        ...,
+    ] = ()
+    """Faults by the number of the reading that they begin at and, if more than one, how
+    many readings they last: "unlock@500x3"."""
+
+
+class Settings(Description):
+    """The devices of a scan; by default all of them are simulated."""
+
+    lock_in: LockInSettings = LockInSettings()
+    """The lock-in amplifier."""
+    scanner: ScannerSettings = ScannerSettings()
+    """What turns the beam."""
+    launch: MountSettings = MountSettings()
+    """What sets the launched polarization."""
+    analyser: MountSettings = MountSettings(axis="4")
+    """What sets the analysed polarization."""
+    laser: LaserSettings = LaserSettings()
+    """What lets light out."""
+    target: TargetSettings = TargetSettings()
+    """What takes the target out of the beam."""
+    procedure: Procedure = Procedure()
+    """How each sample is taken."""
+    simulation: SimulationSettings = SimulationSettings()
+    """What embedded simulated devices do."""
+
+    @model_validator(mode="after")
+    def _simulated_devices_stay_among_themselves(self) -> Self:
+        drivers = {
+            "lock_in": self.lock_in.driver,
+            "scanner": self.scanner.driver,
+            "launch": self.launch.driver,
+            "analyser": self.analyser.driver,
+            "laser": self.laser.driver,
+            "target": self.target.driver,
+        }
+        simulated = [name for name, driver in drivers.items() if driver == "simulated"]
+        real = [name for name, driver in drivers.items() if driver not in _ANYWHERE]
+        if simulated and real:
+            raise ValueError(
+                f"{', '.join(simulated)} simulated, {', '.join(real)} not: embedded "
+                "simulated devices see one scene together and cannot work beside "
+                'others; set every driver, mounts without a motor to "none"'
+            )
+        return self
+
+    @property
+    def simulated(self) -> bool:
+        """Whether the devices are the embedded simulated ones."""
+        return self.lock_in.driver == "simulated"
+
+    @classmethod
+    def from_toml(cls, path: str | Path) -> Self:
+        """Read a devices file.
+
+        Parameters
+        ----------
+        path : str or pathlib.Path
+            TOML file.
+
+        Returns
+        -------
+        Settings
+            In SI units.
+
+        Raises
+        ------
+        InstrumentError
+            With one line for each thing that is wrong.
+        """
+        path = Path(path)
+        try:
+            content = tomllib.loads(path.read_text("utf-8-sig"))
+        except OSError as error:
+            raise InstrumentError(
+                f"{path}: cannot be read ({error.strerror}); check the name"
+            ) from None
+        except (UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+            raise InstrumentError(f"{path}: is no valid TOML: {error}") from None
+        try:
+            return cls.model_validate(content, context={"from_text": True})
+        except ValidationError as error:
+            lines = messages.lines(error, content, model=cls, name=str(path))
+            raise InstrumentError("\n".join(lines)) from None
+
+    def to_toml(self) -> str:
+        """Write the settings as TOML, each quantity with its SI unit.
+
+        Returns
+        -------
+        str
+            Text that `from_toml` reads back to equal settings.
+        """
+        import tomli_w
+
+        return tomli_w.dumps(self.model_dump(mode="json", exclude_none=True))

@@ -1,0 +1,143 @@
+"""`amulor devices`: simulated devices to rehearse with, and calibration."""
+
+from __future__ import annotations
+
+import signal
+import sys
+import threading
+from pathlib import Path
+from typing import Annotated, Literal
+
+from cyclopts import Parameter
+
+
+def simulate(
+    survey: Path,
+    /,
+    *,
+    output: Annotated[Path, Parameter(alias="-o")],
+    lock_in: Literal["sr844", "sr865a"] = "sr844",
+    devices: Path | None = None,
+    speed: float = 1.0,
+    fault: tuple[str, ...] = (),
+    host: str = "127.0.0.1",
+    lock_in_port: int = 0,
+    stage_port: int = 0,
+    overwrite: Annotated[bool, Parameter(negative="")] = False,
+) -> None:
+    """Serve simulated devices on the network until Ctrl-C.
+
+    Parameters
+    ----------
+    survey
+        Survey file (TOML): what the simulated instrument stands in front of.
+    output
+        Devices file to write (TOML), for "amulor acquire --devices".
+    lock_in
+        Which lock-in amplifier speaks.
+    devices
+        Devices file (TOML) to start from; its part [simulation] says what is not ideal.
+    speed
+        How much faster than real the simulated time goes.
+    fault
+        What goes wrong at which reading, such as "unlock@500x3"; several are allowed.
+        Kinds: overload, saturation, unlock, lost-link, timeout, stuck.
+    host
+        Address to listen at.
+    lock_in_port
+        Port of the lock-in amplifier; any free one by default.
+    stage_port
+        Port of the stages; any free one by default.
+    overwrite
+        Replace a file that is there.
+    """
+    from pydantic import ValidationError
+
+    from amulor import io
+    from amulor.acquisition import Settings
+    from amulor.acquisition.rehearsal import rehearse
+    from amulor.errors import InstrumentError
+    from amulor.io.files import atomic_output
+    from amulor.survey import Survey
+
+    inputs = [survey] if devices is None else [survey, devices]
+    io.check_output(output, overwrite=overwrite, inputs=inputs)
+    described = Survey.from_toml(survey)
+    base = Settings() if devices is None else Settings.from_toml(devices)
+    try:
+        content = base.model_dump(exclude_unset=True)
+        content.setdefault("simulation", {})
+        content["simulation"]["faults"] = (*base.simulation.faults, *fault)
+        settings = Settings.model_validate(content)
+    except ValidationError as error:
+        raise InstrumentError(
+            f"--fault {' '.join(fault)}: {error.errors()[0]['msg']}"
+        ) from None
+    ports = (lock_in_port, stage_port)
+    try:
+        with rehearse(
+            described, settings, model=lock_in, speed=speed, host=host, ports=ports
+        ) as found:
+            with atomic_output(output, overwrite=overwrite) as temporary:
+                temporary.write_text(found.settings.to_toml(), encoding="utf-8")
+            print(f"{output}: {lock_in} at {found.settings.lock_in.address}")
+            print(f"{output}: stages at {found.settings.scanner.address}")
+            print("Ctrl-C ends it.")
+            sys.stdout.flush()
+            _wait_for_the_end()
+    except OSError as error:
+        raise InstrumentError(f"cannot listen at {host}: {error.strerror}") from None
+
+
+def calibrate(
+    cubes: tuple[Path, ...],
+    /,
+    *,
+    distance: str,
+    output: Annotated[Path, Parameter(alias="-o")],
+    overwrite: Annotated[bool, Parameter(negative="")] = False,
+) -> None:
+    """Find phase zero from a plate at a known distance.
+
+    Parameters
+    ----------
+    cubes
+        Target signals (netCDF) of the plate, the water taken out; several, through
+        filters of different density, give the phase against the amplitude, too.
+    distance
+        Forward coordinate of the plate, such as "1.5 m".
+    output
+        Calibration file to write (TOML).
+    overwrite
+        Replace a file that is there.
+    """
+    from amulor import acquisition, io, units
+    from amulor.errors import CubeError
+    from amulor.io.files import atomic_output
+
+    io.check_output(output, overwrite=overwrite, inputs=cubes)
+    try:
+        length = units.parse(distance, "length")
+        found = acquisition.from_plates(
+            [io.read_cube(path) for path in cubes], distance=length
+        )
+    except ValueError as error:
+        raise CubeError(str(error)) from None
+    with atomic_output(output, overwrite=overwrite) as temporary:
+        temporary.write_text(found.to_toml(), encoding="utf-8")
+    for one in found.frequencies:
+        phases = ", ".join(f"{phase:+.4f}" for phase in one.phases)
+        print(f"{output}: {one.modulation_frequency / 1e6:g} MHz: {phases} rad")
+
+
+def _wait_for_the_end() -> None:
+    end = threading.Event()
+    before = {
+        number: signal.signal(number, lambda *_: end.set())
+        for number in (signal.SIGINT, signal.SIGTERM)
+    }
+    try:
+        end.wait()
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)

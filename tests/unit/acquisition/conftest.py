@@ -1,0 +1,85 @@
+"""A small fast survey, a folder without a slow disk, and one end of a conversation."""
+
+from __future__ import annotations
+
+import shutil
+import tempfile
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from amulor.acquisition.clock import VirtualClock
+from amulor.acquisition.settings import Settings
+from amulor.survey import Survey
+
+
+@pytest.fixture(scope="session")
+def small(plate_text: str) -> Survey:
+    """Return a survey of 5 x 3 pixels with one reading a sample."""
+    text = (
+        plate_text.replace("columns = 12", "columns = 5")
+        .replace("rows = 6", "rows = 3")
+        .replace('dwell = "125 ms"', 'dwell = "50 ms"')
+        .replace(
+            "columns = 5\nrows = 3\nrepeats = 8", "columns = 3\nrows = 2\nrepeats = 2"
+        )
+    )
+    return Survey.from_text(text)
+
+
+@pytest.fixture
+def settings() -> Settings:
+    """Return settings with few references."""
+    return Settings.model_validate({"procedure": {"dark_readings": 2}})
+
+
+@pytest.fixture
+def folder() -> Iterator[Path]:
+    """Return a folder in memory where there is one: a disk that syncs slowly is not
+    what these tests are about."""
+    memory = Path("/dev/shm")
+    place = tempfile.mkdtemp(dir=memory if memory.is_dir() else None)
+    yield Path(place)
+    shutil.rmtree(place)
+
+
+class Script:
+    """The other end of a conversation: the lines that must come, and their answers."""
+
+    address = "a script"
+
+    def __init__(self, *turns: tuple[str, list[str]]) -> None:
+        self.turns = [*turns]
+        self.closed = self.reopened = 0
+
+    def send(self, line: str) -> None:
+        assert self.ask(line, answers=0) == []
+
+    def ask(self, line: str, *, answers: int = 1) -> list[str]:
+        assert self.turns, f"nothing more was expected, but {line!r} came"
+        expected, found = self.turns.pop(0)
+        assert line == expected
+        assert len(found) == answers
+        return found
+
+    def reopen(self) -> None:
+        self.reopened += 1
+
+    def close(self) -> None:
+        self.closed += 1
+
+    def extend(self, *turns: tuple[str, list[str]]) -> None:
+        self.turns.extend(turns)
+
+
+@pytest.fixture
+def script() -> type[Script]:
+    """Return the class of scripted conversations."""
+    return Script
+
+
+@pytest.fixture
+def clock() -> VirtualClock:
+    """Return a clock that does not wait."""
+    return VirtualClock()

@@ -1,0 +1,98 @@
+"""Devices files are read strictly, and say what is wrong in one line each."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import pytest
+
+from amulor.acquisition.devices import digest
+from amulor.acquisition.settings import Settings
+from amulor.errors import InstrumentError
+
+REAL = """
+[lock_in]
+driver = "sr844"
+address = "GPIB0::8::INSTR"
+mean_output_input = 1
+[scanner]
+driver = "pi_gcs"
+address = "tcp://10.0.0.5:50000"
+angle_per_unit = "2 deg"
+[launch]
+driver = "none"
+[analyser]
+driver = "pi_gcs"
+address = "tcp://10.0.0.5:50000"
+axis = "3"
+angles = { V = "1.5 deg", H = "91.5 deg" }
+[laser]
+driver = "lock_in_output"
+warm_up = "2 s"
+[target]
+driver = "operator"
+[procedure]
+references = 5
+"""
+
+
+def read(tmp_path: Path, text: str) -> Settings:
+    path = tmp_path / "devices.toml"
+    path.write_text(text)
+    return Settings.from_toml(path)
+
+
+def test_what_is_written_is_read_back(tmp_path: Path) -> None:
+    settings = read(tmp_path, REAL)
+    assert settings.analyser.angles["H"] == pytest.approx(1.597, abs=1e-3)
+    assert settings.scanner.angle_per_unit == pytest.approx(0.0349, abs=1e-4)
+    assert read(tmp_path, settings.to_toml()) == settings
+    assert read(tmp_path, "") == Settings()
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "text"),
+    [
+        ('address = "GPIB0::8::INSTR"', "", r"lock_in\.address is needed"),
+        ("references = 5", "refernces = 5", "did you mean 'references'"),
+        ("references = 5", "references = 0", "references"),
+        ('driver = "sr844"', 'driver = "sr830"', "driver"),
+        ('warm_up = "2 s"', "warm_up = 2", "without a unit"),
+        ('driver = "operator"', 'driver = "simulated"', "set every driver"),
+        ("angles = { V", "angles = { X", "angles"),
+        ('angle_per_unit = "2 deg"', 'angle_per_unit = "0 deg"', "not 0"),
+        ("[procedure]", '[simulation]\nfaults = ["fire@3"]\n[procedure]', "faults"),
+        ("[launch]", "[launch", "no valid TOML"),
+    ],
+)
+def test_a_mistake_is_named(tmp_path: Path, old: str, new: str, text: str) -> None:
+    assert old in REAL
+    with pytest.raises(InstrumentError, match=text):
+        read(tmp_path, REAL.replace(old, new))
+
+
+def test_a_missing_file_is_named(tmp_path: Path) -> None:
+    with pytest.raises(InstrumentError, match="cannot be read"):
+        Settings.from_toml(tmp_path / "none.toml")
+
+
+def test_the_digest_knows_the_instrument_and_not_its_place(tmp_path: Path) -> None:
+    settings, who = read(tmp_path, REAL), {"lock_in": "SR844"}
+    same = REAL.replace("GPIB0::8::INSTR", "GPIB0::9::INSTR").replace("10.0.0.5", "a")
+    assert digest(read(tmp_path, same), who) == digest(settings, who)
+    for other in (
+        REAL.replace('"91.5 deg"', '"90 deg"'),
+        REAL.replace("references = 5", "references = 6"),
+        REAL.replace('"2 deg"', '"1 deg"'),
+    ):
+        assert digest(read(tmp_path, other), who) != digest(settings, who)
+    assert digest(settings, {"lock_in": "SR844 s/n 2"}) != digest(settings, who)
+
+
+def test_the_devices_file_of_the_manual_is_one(tmp_path: Path) -> None:
+    page = Path(__file__).parents[3] / "docs" / "how-to" / "acquire.md"
+    (block,) = re.findall(r"```toml\n(.*?)```", page.read_text("utf-8"), re.DOTALL)
+    settings = read(tmp_path, block)
+    assert settings.lock_in.driver == "sr844"
+    assert not settings.simulated
