@@ -11,6 +11,7 @@ from numpy.polynomial.legendre import leggauss
 from scipy.constants import speed_of_light
 
 from amulor.optics import small_angle_diffusion
+from amulor.optics.mie import size_distribution
 from amulor.optics.phase_function_models import (
     henyey_greenstein_function,
     isotropic,
@@ -433,3 +434,49 @@ def test_error_bars_hold_over_independent_seeds(acceptance):
     assert np.all(np.abs(score.std(axis=0) - 1) < 0.16)
     inside = np.mean(np.abs(score) < 1, axis=0)
     assert np.all(np.abs(inside - 0.683) < 0.11)
+
+
+def test_one_run_serves_water_that_absorbs_more():
+    function = henyey_greenstein_function(asymmetry=0.8)
+    clear = simulate(
+        water(0.1, 0.5, function), Source(), DISC, FREQUENCY, histories=300_000,
+        seed=80, keep_record=True,
+    )  # fmt: skip
+    dark = simulate(
+        water(0.25, 0.5, function), Source(), DISC, FREQUENCY, histories=300_000,
+        seed=81,
+    )  # fmt: skip
+    found = clear.record.stokes(FREQUENCY, group_index=INDEX, more_absorption=0.15)
+    # Path lengths count as that of their bin: 3e-4 at the highest frequency.
+    error = clear.relative_error * np.abs(clear.signal) + dark.relative_error * np.abs(
+        dark.signal
+    )
+    assert error[0] < 0.03 * abs(dark.signal[0])
+    assert np.all(np.abs(found[:, 0] - dark.signal) < SIGMAS * error)
+    assert abs(dark.signal[0]) < 0.7 * abs(clear.signal[0])
+
+
+def test_spheres_far_below_the_wavelength_are_rayleigh_scatterers():
+    pytest.importorskip("miepython")
+    suspension = size_distribution(
+        np.array([8e-9]), number=np.array([1e20]), wavelength=405e-9,
+        particle_index=1.5, medium_index=1.34,
+    )  # fmt: skip
+    receiver = DiscReceiver(radius=0.05, acceptance_angle=0.2, position=(0.07, 0, 0))
+    runs = [
+        simulate(
+            water(0.3, 0.7, matrix), Source(polarization=(1, 0.6, 0, 0.8)), receiver,
+            [0.0], histories=150_000, seed=seed,
+        )
+        for seed, matrix in (
+            (82, ScatteringMatrix.rayleigh()),
+            (83, ScatteringMatrix.spheres(suspension)),
+        )
+    ]  # fmt: skip
+    assert_agree(*runs)
+    for analyser in ("H", "P", "R", "L"):
+        one, covariance_one = runs[0].detected(analyser)
+        other, covariance_other = runs[1].detected(analyser)
+        error = np.sqrt(covariance_one[0, 0, 0] + covariance_other[0, 0, 0])
+        assert error < 0.05 * abs(runs[0].signal[0])
+        assert abs(one[0] - other[0]) < SIGMAS * error

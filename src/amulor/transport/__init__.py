@@ -3,6 +3,7 @@
 from amulor.transport.medium import Layer, Medium
 from amulor.transport.mesh import MeshTarget
 from amulor.transport.monte_carlo import Progress, Technique, simulate
+from amulor.transport.path_record import PathRecord
 from amulor.transport.receiver import (
     DiscReceiver,
     GaussianReceiver,
@@ -11,7 +12,7 @@ from amulor.transport.receiver import (
 )
 from amulor.transport.scattering import ScatteringMatrix
 from amulor.transport.slab import reflection_and_transmission
-from amulor.transport.tally import PathRecord, Tally
+from amulor.transport.tally import Tally
 
 __all__ = [
     "DiscReceiver",

@@ -9,9 +9,9 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
+from amulor.transport.path_record import PathRecord
 from amulor.transport.tally import (
     MOST_BATCHES,
-    PathRecord,
     Tally,
     paired,
     variance_weight,

@@ -10,34 +10,15 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.constants import speed_of_light
 
 from amulor.optics import stokes as _stokes
+from amulor.transport.path_record import PathRecord
 
-__all__ = ["PathRecord", "Tally"]
+__all__ = ["Tally"]
 
 #: Batches are merged in pairs when there are that many, so memory stays flat.
 MOST_BATCHES = 256
 
 Complex = NDArray[np.complex128]
 Array = NDArray[np.float64]
-
-
-@dataclass(frozen=True, eq=False)
-class PathRecord:
-    """Received light by the length of its path, for other frequencies later.
-
-    Light of all lengths in a bin counts at its middle. A phasor that is summed over
-    the bins is wrong by at most an eighth of the square of the phase across a bin
-    times the unmodulated light: 3e-4 at the highest frequency of the run.
-    """
-
-    length: Array
-    """Middle of each bin of path length, shape (bins,) [m]."""
-    water: Array
-    """Mean light in each bin that met water only, shape (bins, components) [1]."""
-    target: Array
-    """Mean light in each bin that met the target [1]."""
-    beyond: float
-    """Share of the unmodulated light with longer paths, which is not in the record
-    [1]."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,0 +1,79 @@
+"""Received light by the length of its path, for other frequencies and absorptions."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.constants import speed_of_light
+
+__all__ = ["PathRecord"]
+
+Complex = NDArray[np.complex128]
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class PathRecord:
+    """Received light by the length of its path, for other frequencies later.
+
+    Light of all lengths in a bin counts at its middle. A phasor that is summed over
+    the bins is wrong by at most an eighth of the square of the phase across a bin
+    times the unmodulated light: 3e-4 at the highest frequency of the run.
+    """
+
+    length: Array
+    """Middle of each bin of path length, shape (bins,) [m]."""
+    water: Array
+    """Mean light in each bin that met water only, shape (bins, components) [1]."""
+    target: Array
+    """Mean light in each bin that met the target [1]."""
+    beyond: float
+    """Share of the unmodulated light with longer paths, which is not in the record
+    [1]."""
+
+    def stokes(
+        self,
+        modulation_frequency: ArrayLike,
+        *,
+        group_index: float,
+        more_absorption: float = 0.0,
+    ) -> Complex:
+        r"""Return the light at other frequencies, or in water that absorbs more.
+
+        Parameters
+        ----------
+        modulation_frequency : array_like
+            Frequencies, not above those of the run, shape (n,) [Hz].
+        group_index : float
+            Group index of the run [1].
+        more_absorption : float
+            What to add to the absorption coefficient in all layers, not below 0: less
+            absorption would need paths that the run has not followed [1/m].
+
+        Returns
+        -------
+        ndarray
+            Water and target together, shape (n, components) [1]. Without errors; the
+            scatter is that of the run.
+
+        Raises
+        ------
+        ValueError
+            If the absorption added is below zero.
+
+        Notes
+        -----
+        Eq. (9) of Ricci et al. 2010 (:doi:`10.1155/2010/958360`), as rebuilt: a path
+        of length L counts :math:`e^{(i \omega / v - a) L}`.
+        """
+        if not more_absorption >= 0:
+            raise ValueError(
+                f"more_absorption must be at least 0 1/m, got {more_absorption!r} 1/m"
+            )
+        frequency = np.atleast_1d(np.asarray(modulation_frequency, dtype=np.float64))
+        wave = (2j * np.pi * group_index / speed_of_light) * frequency - more_absorption
+        phasor: Complex = np.exp(np.outer(wave, self.length).astype(np.complex128))
+        result: Complex = phasor @ (self.water + self.target)
+        return result
