@@ -94,7 +94,7 @@ def errors(found: xr.Dataset, truth: xr.Dataset) -> tuple[np.ndarray, np.ndarray
 
 
 @pytest.mark.parametrize("fluctuation", [0.0, 5.0])
-@pytest.mark.parametrize("shots", [True, False])
+@pytest.mark.parametrize("shots", [True, pytest.param(False, marks=pytest.mark.study)])
 def test_intervals_hold_what_they_promise_and_reach_the_bound(
     fluctuation: float, shots: bool
 ) -> None:
@@ -202,8 +202,16 @@ def other() -> OtherModel:
     return OtherModel(tank(12, 8))
 
 
-@pytest.mark.parametrize("ratio", [0.1, 0.5, 1.0, 2.0])
-@pytest.mark.parametrize("shots", [True, False])
+@pytest.mark.parametrize(
+    "ratio",
+    [
+        0.1,
+        pytest.param(0.5, marks=pytest.mark.study),
+        pytest.param(1.0, marks=pytest.mark.study),
+        2.0,
+    ],
+)
+@pytest.mark.parametrize("shots", [pytest.param(True, marks=pytest.mark.study), False])
 def test_water_of_another_kind_biases_ten_times_less_than_raw_phases(
     other: OtherModel, ratio: float, shots: bool
 ) -> None:
