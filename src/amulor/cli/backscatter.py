@@ -152,7 +152,7 @@ def _followed(
     cut_off, cut_off_error = transport.half_power(tally)
     relative = np.abs(tally.signal[chosen]) / still
     fitted = low_pass.fit(frequencies, relative) if len(frequencies) > 2 else None
-    ratio_error = _ratio_error(tally)[chosen]
+    ratio_error = transport.relative_amplitude_uncertainty(tally)[chosen]
     return {
         "model": "montecarlo",
         "power_share_unmodulated": still,
@@ -178,18 +178,6 @@ def _followed(
         "interrupted": tally.interrupted,
         "heavy_tailed": tally.heavy_tailed,
     }
-
-
-def _ratio_error(tally: Any) -> Any:
-    """Return the standard error of the modulus over that at zero frequency."""
-    import numpy as np
-
-    values = tally.batches.sum(axis=1)[:, 0]
-    mean = tally.signal
-    still = abs(mean[0])
-    along = (values * np.conj(mean) / np.abs(mean)).real
-    ratio = (along - along[:, :1] * np.abs(mean) / still) / still
-    return np.sqrt(tally.covariance_of(ratio)[:, 0, 0])
 
 
 def _time_left(state: Any, error: float) -> str:

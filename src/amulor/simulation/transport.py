@@ -6,13 +6,14 @@ import math
 from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from amulor.errors import SurveyError
 from amulor.optics import rays
 from amulor.optics.phase_function_models import henyey_greenstein_function
 from amulor.survey import Survey, water_properties
 from amulor.survey.view import medium as crossed_by
+from amulor.survey.view import seen_from_water
 from amulor.transport import (
     GaussianReceiver,
     Layer,
@@ -88,6 +89,7 @@ def monte_carlo_response(
         medium=window,
     )
     axis = rays.direction(receiver.azimuth, receiver.elevation)
+    gap, acceptance = seen_from_water(survey, window)
     frequency = np.asarray(modulation_frequency, dtype=np.float64)
     layer = Layer(
         absorption=survey.water.absorption,
@@ -101,7 +103,7 @@ def monte_carlo_response(
         target = PlaneTarget(position=end, normal=-beam.direction, reflectance=0.0)
     if window.window_distance is None:
         space = Medium(layers=(layer,), group_index=water.group_index)
-        place, acceptance, gap = np.array(receiver.position), receiver.acceptance, 0.0
+        place = np.array(receiver.position)
     else:
         if abs(axis[2] - 1) > 1e-9:
             raise SurveyError(
@@ -110,12 +112,6 @@ def monte_carlo_response(
                 "instead, or use the small-angle model"
             )
         begin = float(beam.entry[2])
-        reduced = (
-            window.window_distance
-            - receiver.position[2]
-            + window.window_thickness / window.window_refractive_index
-        )
-        gap = window.refractive_index * reduced
         passage = Layer(
             absorption=0.0, scattering=0.0, phase_function=function, thickness=gap
         )
@@ -123,7 +119,6 @@ def monte_carlo_response(
             [passage, layer], group_index=water.group_index, top=begin - gap
         )
         place = np.array([*receiver.position[:2], begin - gap])
-        acceptance = receiver.acceptance / window.refractive_index
     tally = simulate(
         space,
         Source(position=beam.entry, direction=beam.direction),
@@ -167,7 +162,8 @@ def half_power(tally: Tally) -> tuple[float, float]:
     frequency = tally.modulation_frequency
     if frequency[0] != 0 or not np.all(np.diff(frequency) > 0):
         raise ValueError("the frequencies must rise from 0 Hz")
-    relative = np.abs(tally.signal) / abs(tally.signal[0])
+    still = abs(tally.signal[0])
+    relative = np.abs(tally.signal) / still
     below = np.flatnonzero(relative < math.sqrt(0.5))
     if below.size == 0:
         return math.nan, math.nan
@@ -176,11 +172,37 @@ def half_power(tally: Tally) -> tuple[float, float]:
     share = (relative[k - 1] - math.sqrt(0.5)) / drop
     step = frequency[k] - frequency[k - 1]
     # Batches of the modulus at the crossing over the light at zero frequency.
-    values = tally.batches.sum(axis=1)[:, 0]
-    unit = np.conj(tally.signal) / np.abs(tally.signal)
-    along = (values * unit).real
-    ends = along[:, [k - 1, k]] / abs(tally.signal[0])
-    at_crossing = (1 - share) * ends[:, 0] + share * ends[:, 1]
-    ratio = at_crossing - math.sqrt(0.5) * along[:, 0] / abs(tally.signal[0])
+    along = _moduli(tally) / still
+    at_crossing = (1 - share) * along[:, k - 1] + share * along[:, k]
+    ratio = at_crossing - math.sqrt(0.5) * along[:, 0]
     error = math.sqrt(tally.covariance_of(ratio)[0, 0])
     return frequency[k - 1] + share * step, error * step / drop
+
+
+def relative_amplitude_uncertainty(tally: Tally) -> NDArray[np.float64]:
+    """Return the standard errors of the moduli over that at zero frequency.
+
+    Parameters
+    ----------
+    tally : Tally
+        Run of which the first frequency is 0.
+
+    Returns
+    -------
+    ndarray
+        Standard errors, shape (n,) [1]. The error of the light at zero frequency is
+        shared by both, and so cancels in part.
+    """
+    along, modulus = _moduli(tally), np.abs(tally.signal)
+    ratio = (along - along[:, :1] * modulus / modulus[0]) / modulus[0]
+    error: NDArray[np.float64] = np.sqrt(tally.covariance_of(ratio)[:, 0, 0])
+    return error
+
+
+def _moduli(tally: Tally) -> NDArray[np.float64]:
+    """Return each batch's part along the mean signal, shape (batches, n)."""
+    values = tally.batches.sum(axis=1)[:, 0]
+    along: NDArray[np.float64] = (
+        values * np.conj(tally.signal) / np.abs(tally.signal)
+    ).real
+    return along

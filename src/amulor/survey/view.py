@@ -64,6 +64,35 @@ def medium(survey: Survey, water: WaterProperties) -> rays.Medium:
     )
 
 
+def seen_from_water(survey: Survey, medium: rays.Medium) -> tuple[float, float]:
+    """Return where the receiver seems to be from the water, and what it accepts.
+
+    Parameters
+    ----------
+    survey : Survey
+        Its receiver counts.
+    medium : amulor.optics.rays.Medium
+        Indices and window.
+
+    Returns
+    -------
+    standoff : float
+        Air and glass before the water, as a depth of water; 0 without a window [m].
+    acceptance : float
+        1/e half-width of the field of view, in the water [rad].
+    """
+    receiver = survey.instrument.receiver
+    if medium.window_distance is None:
+        return 0.0, receiver.acceptance
+    reduced = (
+        medium.window_distance
+        - receiver.position[2]
+        + medium.window_thickness / medium.window_refractive_index
+    )
+    index = medium.refractive_index
+    return index * reduced, receiver.acceptance / index
+
+
 def view(
     survey: Survey, azimuth: Floats, elevation: Floats, *, medium: rays.Medium
 ) -> View:
@@ -124,23 +153,16 @@ def view(
     offset = offset - np.sum(offset * sight.direction, axis=-1)[..., None] * (
         sight.direction
     )
-    acceptance, standoff = receiver.acceptance, np.zeros(azimuth.shape)
-    if medium.window_distance is not None:
-        acceptance = receiver.acceptance / medium.refractive_index
-        reduced = (
-            medium.window_distance
-            - receiver.position[2]
-            + medium.window_thickness / medium.window_refractive_index
-        )
-        standoff = np.full(azimuth.shape, medium.refractive_index * reduced)
-        # The offset is that at the water's edge; the model counts it from the start.
-        offset = offset + inclination * standoff[..., None]
+    standoff, acceptance = seen_from_water(survey, medium)
+    # The offset is that at the water's edge; the model counts it from the start.
+    offset = offset + inclination * standoff
     baseline = np.linalg.norm(offset, axis=-1)
     safe = np.where(baseline > 0, baseline, 1.0)[..., None]
     tilt = np.sum(inclination * offset / safe, axis=-1)
     total = np.sum(inclination**2, axis=-1)
     cross = np.sqrt(np.maximum(total - tilt**2, 0.0))
-    return View(baseline, tilt, cross, standoff, before, acceptance)
+    depths = np.full(azimuth.shape, standoff)
+    return View(baseline, tilt, cross, depths, before, acceptance)
 
 
 def kernel_arguments(
