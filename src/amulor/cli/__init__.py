@@ -44,11 +44,16 @@ COMMANDS = {
     "image": ("image:image", "Turn a target signal into a range image."),
     "export": ("export:export", "Write a range image as a point cloud."),
     "report": ("report:report", "Draw range images into one HTML file."),
+    "reproduce ricci2010": (
+        "reproduce:ricci2010",
+        "Redraw the figures of Ricci et al. 2010 and check their statements.",
+    ),
 }
 _GROUPS = {
     "survey": "Look at survey files.",
     "import": "Bring in data of other instruments.",
     "devices": "Rehearse and calibrate instruments.",
+    "reproduce": "Published figures, redrawn and checked.",
     "water": "Optical constants of pure water, and the fit of measured water.",
 }
 

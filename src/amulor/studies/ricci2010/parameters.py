@@ -1,0 +1,133 @@
+"""The numbers of the study, each with its basis and its range, from one TOML file."""
+
+from __future__ import annotations
+
+import tomllib
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from importlib import resources
+from typing import Any, Literal
+
+from amulor import units
+
+#: How a number is known: printed in the paper's text, following from what is
+#: printed, or chosen because nothing fixes it.
+Basis = Literal["text", "deduced", "assumed"]
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """A number of the study."""
+
+    name: str
+    """Name in `parameters.toml`."""
+    value: float
+    """Value in the unit of `amulor.units.SI_UNITS`."""
+    basis: Basis
+    """How it is known."""
+    reason: str
+    """Where it comes from, in a sentence."""
+    shown: str
+    """Value as the file states it, with its unit."""
+    quantity: str
+    """What it measures, a key of `amulor.units.SI_UNITS`."""
+    limits: tuple[float, float] | None = None
+    """Lowest and highest value that what survives of the paper allows, in the same
+    unit; None where it is printed."""
+    shown_limits: tuple[str, str] | None = None
+    """The limits as the file states them."""
+
+
+def load() -> dict[str, Parameter]:
+    """Return all numbers of the study.
+
+    Returns
+    -------
+    dict of str to Parameter
+        In the order of the file.
+
+    Raises
+    ------
+    ValueError
+        If an entry does not say all it must, or its value is outside its range.
+    """
+    text = (resources.files("amulor.studies.ricci2010") / "parameters.toml").read_text(
+        encoding="utf-8"
+    )
+    return parse(text)
+
+
+def parse(text: str) -> dict[str, Parameter]:
+    """Return the numbers that a text states.
+
+    Parameters
+    ----------
+    text : str
+        TOML, one table for each number.
+
+    Returns
+    -------
+    dict of str to Parameter
+        In the order of the text.
+
+    Raises
+    ------
+    ValueError
+        If an entry does not say all it must, or its value is outside its range.
+    """
+    return {name: _entry(name, entry) for name, entry in tomllib.loads(text).items()}
+
+
+def varied(
+    parameters: Mapping[str, Parameter], name: str, value: float
+) -> dict[str, Parameter]:
+    """Return the numbers with one of them changed.
+
+    Parameters
+    ----------
+    parameters : mapping of str to Parameter
+        All numbers.
+    name : str
+        Which one.
+    value : float
+        Its new value, in the unit of `amulor.units.SI_UNITS`.
+
+    Returns
+    -------
+    dict of str to Parameter
+        A copy.
+    """
+    return {**parameters, name: replace(parameters[name], value=value)}
+
+
+def _entry(name: str, entry: Mapping[str, Any]) -> Parameter:
+    known = {"value", "quantity", "basis", "reason", "range"}
+    wrong = sorted(set(entry) ^ known - {"range"} - (set(entry) & {"range"}))
+    missing = sorted(known - {"range"} - set(entry))
+    if missing or set(entry) - known:
+        raise ValueError(
+            f"parameter {name!r}: missing or unknown {', '.join(wrong or missing)}"
+        )
+    basis, quantity = entry["basis"], entry["quantity"]
+    if basis not in ("text", "deduced", "assumed"):
+        raise ValueError(
+            f"parameter {name!r}: basis is {basis!r}, and must be text, deduced or "
+            "assumed"
+        )
+    if (basis == "text") == ("range" in entry):
+        raise ValueError(
+            f"parameter {name!r}: a printed number has no range, every other one has"
+        )
+    value = units.parse(entry["value"], quantity)
+    limits = shown = None
+    if "range" in entry:
+        low, high = (units.parse(end, quantity) for end in entry["range"])
+        if not low <= value <= high or low == high:
+            raise ValueError(
+                f"parameter {name!r}: {entry['value']} is outside its range "
+                f"{entry['range'][0]} to {entry['range'][1]}"
+            )
+        limits, shown = (low, high), (entry["range"][0], entry["range"][1])
+    return Parameter(
+        name, value, basis, entry["reason"], entry["value"], quantity, limits, shown
+    )

@@ -1,0 +1,251 @@
+"""Runs the study: every figure with its checks, and what they depend on, into files."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+from matplotlib.figure import Figure
+
+from amulor import io
+from amulor.io.files import atomic_output
+from amulor.studies.ricci2010.checks import Check
+from amulor.studies.ricci2010.parameters import Parameter
+from amulor.studies.ricci2010.sensitivity import Dependence, sensitivity
+from amulor.studies.ricci2010.study import Study
+from amulor.view.report import png
+from amulor.view.style import style
+
+#: Figure 2 is a drawing of the instrument.
+FIGURES = (1, *range(3, 16))
+#: Called with what is done now and the share of the work done before it.
+Progress = Callable[[str, float], None]
+
+
+@dataclass(frozen=True)
+class Redrawn:
+    """One figure, redrawn."""
+
+    number: int
+    """Its number in the paper."""
+    title: str
+    """Short title."""
+    caption: str
+    """What is to be seen."""
+    checks: tuple[Check, ...]
+    """What the paper says of it, beside what was found."""
+    drawn: Figure
+    """The figure."""
+
+
+@dataclass(frozen=True)
+class Results:
+    """The study, or the part of it that was asked for."""
+
+    figures: tuple[Redrawn, ...]
+    """In the order of the paper."""
+    dependence: tuple[Dependence, ...] | None
+    """What each conclusion depends on; None if it was not looked into."""
+    parameters: dict[str, Parameter]
+    """All numbers of the study."""
+
+    def plain(self) -> dict[str, Any]:
+        """Return all but the pictures for other programs.
+
+        Returns
+        -------
+        dict
+            Texts, numbers, lists.
+        """
+        return {
+            "figures": [
+                {
+                    "number": figure.number,
+                    "title": figure.title,
+                    "caption": figure.caption,
+                    "checks": [check.plain() for check in figure.checks],
+                }
+                for figure in self.figures
+            ],
+            "sensitivity": None
+            if self.dependence is None
+            else [dependence.plain() for dependence in self.dependence],
+            "parameters": [vars(entry) for entry in self.parameters.values()],
+        }
+
+
+def run(
+    numbers: Sequence[int] = FIGURES,
+    *,
+    quick: bool = False,
+    depend: bool = True,
+    seed: int = 1,
+    progress: Progress = lambda step, share: None,
+) -> Results:
+    """Redraw figures of the paper and check what it says of them.
+
+    Parameters
+    ----------
+    numbers : sequence of int
+        Which figures, of `FIGURES`.
+    quick : bool
+        Whether to take fewer points, pixels and photons: for a first look.
+    depend : bool
+        Whether to vary every number over its range, to see which conclusions flip.
+    seed : int
+        Seed of all synthetic noise.
+    progress : callable, optional
+        Called with a step and the share of the work done before it.
+
+    Returns
+    -------
+    Results
+        Figures, checks and dependences.
+
+    Raises
+    ------
+    ValueError
+        If the paper has no such figure, or it is a drawing.
+    """
+    wrong = sorted(set(numbers) - set(FIGURES))
+    if wrong:
+        raise ValueError(
+            f"figure {wrong[0]} is not redrawn; figures 1 and 3 to 15 are (figure 2 is "
+            "a drawing of the instrument)"
+        )
+    chosen = sorted(set(numbers))
+    study = Study(quick=quick, seed=seed)
+    part = 0.4 if depend else 1.0
+    figures = []
+    for done, number in enumerate(chosen):
+        progress(f"figure {number}", part * done / len(chosen))
+        figures.append(_redrawn(study, number))
+    dependence = None
+    if depend:
+        modules = {number: _module(number) for number in chosen}
+        dependence = sensitivity(
+            Study(quick=True, seed=seed),
+            {number: module.checks for number, module in modules.items()},
+            progress=lambda step, share: progress(step, part + (1 - part) * share),
+        )
+    progress("done", 1.0)
+    return Results(tuple(figures), dependence, study.parameters)
+
+
+def write(folder: Path, results: Results, *, overwrite: bool = False) -> list[str]:
+    """Write figures as PNG and SVG, all numbers as JSON, and a report.
+
+    Parameters
+    ----------
+    folder : pathlib.Path
+        Where to; made if it is not there.
+    results : Results
+        What `run` returns.
+    overwrite : bool
+        Whether files that are there may be replaced.
+
+    Returns
+    -------
+    list of str
+        Names of the files.
+
+    Raises
+    ------
+    FormatError
+        If a file exists, or the folder cannot be written.
+    """
+    from amulor.studies.ricci2010 import report
+
+    numbers = [figure.number for figure in results.figures]
+    check_outputs(folder, numbers, overwrite=overwrite)
+    for figure in results.figures:
+        stem = folder / stem_of(figure.number)
+        with atomic_output(stem.with_suffix(".png"), overwrite=overwrite) as temporary:
+            temporary.write_bytes(png(figure.drawn, dots_per_inch=200))
+        with (
+            atomic_output(stem.with_suffix(".svg"), overwrite=overwrite) as temporary,
+            style(),
+        ):
+            figure.drawn.savefig(
+                temporary, format="svg", dpi=200, metadata={"Date": None}
+            )
+    with atomic_output(folder / "checks.json", overwrite=overwrite) as temporary:
+        temporary.write_text(json.dumps(results.plain(), indent=2) + "\n")
+    report.write(folder / "report.html", results, overwrite=overwrite)
+    return output_names(numbers)
+
+
+def check_outputs(folder: Path, numbers: Sequence[int], *, overwrite: bool) -> None:
+    """Refuse a folder into which the study cannot be written, before the work.
+
+    Parameters
+    ----------
+    folder : pathlib.Path
+        Where to; made if it is not there.
+    numbers : sequence of int
+        Which figures.
+    overwrite : bool
+        Whether files that are there may be replaced.
+
+    Raises
+    ------
+    FormatError
+        If a file exists, or the folder cannot be made.
+    """
+    io.make_folder(folder)
+    for name in output_names(numbers):
+        io.check_output(folder / name, overwrite=overwrite)
+
+
+def output_names(numbers: Sequence[int]) -> list[str]:
+    """Return the names of all files that `write` writes.
+
+    Parameters
+    ----------
+    numbers : sequence of int
+        Which figures.
+
+    Returns
+    -------
+    list of str
+        Names in the folder.
+    """
+    pictures = [
+        f"{stem_of(number)}.{kind}" for number in numbers for kind in ("png", "svg")
+    ]
+    return [*pictures, "checks.json", "report.html"]
+
+
+def stem_of(number: int) -> str:
+    """Return the name of a figure's files and of its code.
+
+    Parameters
+    ----------
+    number : int
+        Its number in the paper.
+
+    Returns
+    -------
+    str
+        Such as "figure_07".
+    """
+    return f"figure_{number:02d}"
+
+
+def _redrawn(study: Study, number: int) -> Redrawn:
+    module = _module(number)
+    return Redrawn(
+        number=number,
+        title=module.TITLE,
+        caption=module.CAPTION,
+        checks=tuple(module.checks(study)),
+        drawn=module.draw(study),
+    )
+
+
+def _module(number: int) -> Any:
+    return import_module(f"amulor.studies.ricci2010.{stem_of(number)}")

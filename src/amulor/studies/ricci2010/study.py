@@ -1,0 +1,134 @@
+"""One run of the study: its numbers, its pace, and results that figures share."""
+
+from __future__ import annotations
+
+import zlib
+from collections.abc import Callable, Mapping
+from typing import Any, TypeVar
+
+import numpy as np
+
+from amulor.studies.ricci2010.parameters import Parameter, load
+
+Result = TypeVar("Result")
+
+
+class Study:
+    """Numbers of the study, and a memory of what was computed from them.
+
+    Parameters
+    ----------
+    parameters : mapping of str to Parameter, optional
+        Numbers; those of `parameters.toml` by default.
+    quick : bool
+        Whether to take fewer points, pixels and photons.
+    seed : int
+        Seed of all synthetic noise.
+
+    Notes
+    -----
+    `study["name"]` gives a number and notes that it was read. `study.once(function)`
+    gives `function(study)`, computed again only if a number has changed that the
+    function read; so figures share what they have in common, and the sensitivity study
+    repeats no more than it must.
+    """
+
+    def __init__(
+        self,
+        parameters: Mapping[str, Parameter] | None = None,
+        *,
+        quick: bool = False,
+        seed: int = 1,
+    ) -> None:
+        self.parameters = dict(load() if parameters is None else parameters)
+        self.quick = quick
+        self.seed = seed
+        self._read: list[set[str]] = []
+        self._known: dict[Any, list[tuple[dict[str, float], Any]]] = {}
+
+    def __getitem__(self, name: str) -> float:
+        """Return a number in the unit of `amulor.units.SI_UNITS`."""
+        for names in self._read:
+            names.add(name)
+        return self.parameters[name].value
+
+    def with_parameters(self, parameters: Mapping[str, Parameter]) -> Study:
+        """Return a study of other numbers that remembers the same results.
+
+        Parameters
+        ----------
+        parameters : mapping of str to Parameter
+            All numbers.
+
+        Returns
+        -------
+        Study
+            Of the same pace and seed.
+        """
+        other = Study(parameters, quick=self.quick, seed=self.seed)
+        other._known = self._known
+        return other
+
+    def rng(self, label: str) -> np.random.Generator:
+        """Return the generator of one series of synthetic noise.
+
+        Parameters
+        ----------
+        label : str
+            Names the series; other labels give independent noise.
+
+        Returns
+        -------
+        numpy.random.Generator
+            The same at each call.
+        """
+        return np.random.default_rng([self.seed, zlib.crc32(label.encode())])
+
+    def once(self, function: Callable[[Study], Result]) -> Result:
+        """Return what a function makes of the study, computed once.
+
+        Parameters
+        ----------
+        function : callable
+            Takes the study; reads numbers by `study["name"]` only.
+
+        Returns
+        -------
+        object
+            Its result, which nobody may change.
+        """
+        for numbers, result in self._known.setdefault(function, []):
+            if all(self.parameters[n].value == v for n, v in numbers.items()):
+                for names in self._read:
+                    names.update(numbers)
+                found: Result = result
+                return found
+        names, found = self.read_by(function)
+        self._known[function].append((self._values(names), found))
+        return found
+
+    def read_by(self, function: Callable[[Study], Result]) -> tuple[set[str], Result]:
+        """Return the names of the numbers that a function reads, and its result.
+
+        Parameters
+        ----------
+        function : callable
+            Takes the study.
+
+        Returns
+        -------
+        names : set of str
+            Names of numbers.
+        result : object
+            What it returned.
+        """
+        names: set[str] = set()
+        self._read.append(names)
+        try:
+            result = function(self)
+        finally:
+            self._read.pop()
+        return names, result
+
+    def _values(self, names: set[str]) -> dict[str, float]:
+        return {name: self.parameters[name].value for name in names}
