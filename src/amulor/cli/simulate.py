@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 from cyclopts import Parameter
 
@@ -15,6 +15,7 @@ def simulate(
     /,
     *,
     output: Annotated[Path, Parameter(alias="-o")],
+    model: Literal["diffusion", "small-angle"] = "diffusion",
     seed: Annotated[int, Parameter(validator=SEED)] = 1,
     overwrite: Annotated[bool, Parameter(negative="")] = False,
 ) -> None:
@@ -26,17 +27,27 @@ def simulate(
         Survey file (TOML).
     output
         File to write (netCDF).
+    model
+        Forward model: the diffusion form, or the small-angle form with the whole phase
+        function, which is slower and better and needs water.asymmetry.
     seed
         Seed of the simulated noise.
     overwrite
         Replace a file that is there.
     """
     from amulor import io
+    from amulor.errors import SurveyError
+    from amulor.simulation import DiffusionModel, SmallAngleModel
     from amulor.simulation import simulate as simulate_survey
     from amulor.survey import Survey
 
     io.check_output(output, overwrite=overwrite, inputs=[survey])
-    cube = simulate_survey(Survey.from_toml(survey), rng=seed)
+    chosen = SmallAngleModel() if model == "small-angle" else DiffusionModel()
+    described = Survey.from_toml(survey)
+    try:
+        cube = simulate_survey(described, rng=seed, model=chosen)
+    except SurveyError as problem:
+        raise SurveyError(f"{survey}: {problem}") from None
     io.write_cube(cube, output, overwrite=overwrite)
     print(f"{output}: {_sizes(cube.sizes)}")
 

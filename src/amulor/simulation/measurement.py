@@ -14,12 +14,18 @@ from amulor.optics import detection
 from amulor.optics.rays import Medium
 from amulor.simulation import geometry as geometry_of
 from amulor.simulation import lock_in, signal
+from amulor.simulation.models import DiffusionModel, SignalModel
 from amulor.survey import Survey, WaterProperties, water_properties
 from amulor.survey.view import medium as medium_of
 from amulor.survey.view import view as view_of
 
 
-def simulate(survey: Survey, *, rng: np.random.Generator | int) -> xr.Dataset:
+def simulate(
+    survey: Survey,
+    *,
+    rng: np.random.Generator | int,
+    model: SignalModel = DiffusionModel(),  # noqa: B008 - it is frozen
+) -> xr.Dataset:
     """Simulate a survey, the open-water shots included.
 
     Parameters
@@ -28,6 +34,10 @@ def simulate(survey: Survey, *, rng: np.random.Generator | int) -> xr.Dataset:
         What is measured, and with what.
     rng : numpy.random.Generator or int
         Source of the noise; a whole number is a seed and is written into the cube.
+    model : SignalModel
+        Forward model of target and water light: `DiffusionModel()`, the fast form that
+        the paper uses, or `SmallAngleModel()`, which keeps the unscattered light and
+        needs the water's asymmetry.
 
     Returns
     -------
@@ -37,21 +47,24 @@ def simulate(survey: Survey, *, rng: np.random.Generator | int) -> xr.Dataset:
     Raises
     ------
     SurveyError
-        If the water's indices cannot be computed or a mesh cannot be read.
+        If the water's indices cannot be computed, a mesh cannot be read, or the model
+        needs more of the water than the survey says.
     MissingExtraError
         If there are targets and the extra `scene` is not installed.
 
     Notes
     -----
-    Target and water signal share the kernel (43) of Ricci et al. 2010, as rebuilt; the
-    column ends at the target. Reflections at a window are left out.
+    Target and water signal share the kernel (43) or (29) of Ricci et al. 2010, as
+    rebuilt; the column ends at the target. Reflections at a window are left out.
     """
     seed = int(rng) if isinstance(rng, numbers.Integral) else None
     generator = np.random.default_rng(rng)
     water = water_properties(survey)
     geometry = geometry_of.trace(survey, water)
-    target = signal.target_light(survey, water, geometry)
-    column = signal.water_light(survey, water, geometry.view, end=geometry.depth)
+    target = signal.target_light(survey, water, geometry, model=model)
+    column = signal.water_light(
+        survey, water, geometry.view, end=geometry.depth, model=model
+    )
     samples = lock_in.sample(survey, target, column, rng=generator)
     medium = medium_of(survey, water)
     measured = cube.build(
@@ -68,7 +81,7 @@ def simulate(survey: Survey, *, rng: np.random.Generator | int) -> xr.Dataset:
         attributes=cube.attributes(
             "samples",
             title=survey.name,
-            source="simulation by amulor, small-angle diffusion model",
+            source=f"simulation by amulor, {model.title}",
             simulated=np.int32(1),
             seed=seed,
             survey=survey.to_toml(),
@@ -79,7 +92,7 @@ def simulate(survey: Survey, *, rng: np.random.Generator | int) -> xr.Dataset:
     )
     if survey.scan.open_water is not None:
         measured = cube.attach(
-            measured, _open_water(survey, water, medium, generator), "open_water"
+            measured, _open_water(survey, water, medium, generator, model), "open_water"
         )
     truth = _truth(survey, geometry, target, column)
     return cube.note(cube.attach(measured, truth, "truth"), "simulate")
@@ -100,10 +113,11 @@ def _open_water(
     water: WaterProperties,
     medium: Medium,
     rng: np.random.Generator,
+    model: SignalModel,
 ) -> xr.Dataset:
     azimuth, elevation = geometry_of.open_water_directions(survey)
     view = view_of(survey, azimuth, elevation, medium=medium)
-    light = signal.water_light(survey, water, view)
+    light = signal.water_light(survey, water, view, model=model)
     dark = signal.Light(np.zeros_like(light.modulated), np.zeros_like(light.mean))
     shots = lock_in.sample(survey, dark, light, rng=rng)
     return cube.open_water(

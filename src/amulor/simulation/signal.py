@@ -9,11 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.constants import speed_of_light
 
-from amulor.optics import mueller, small_angle_diffusion, target_echo
+from amulor.optics import mueller
 from amulor.simulation.geometry import Geometry
+from amulor.simulation.models import DiffusionModel, SignalModel
 from amulor.survey import Survey, WaterProperties
 from amulor.survey.mueller import matrix
-from amulor.survey.view import View, kernel_arguments
+from amulor.survey.view import View
 
 
 @dataclass(frozen=True)
@@ -30,7 +31,13 @@ class Light:
         return Light(self.modulated + other.modulated, self.mean + other.mean)
 
 
-def target_light(survey: Survey, water: WaterProperties, geometry: Geometry) -> Light:
+def target_light(
+    survey: Survey,
+    water: WaterProperties,
+    geometry: Geometry,
+    *,
+    model: SignalModel = DiffusionModel(),  # noqa: B008 - it is frozen
+) -> Light:
     """Return the light that the targets send back.
 
     Parameters
@@ -41,6 +48,8 @@ def target_light(survey: Survey, water: WaterProperties, geometry: Geometry) -> 
         The water in between.
     geometry : Geometry
         What each beam meets.
+    model : SignalModel
+        Forward model; the diffusion form by default.
 
     Returns
     -------
@@ -56,13 +65,17 @@ def target_light(survey: Survey, water: WaterProperties, geometry: Geometry) -> 
         share[:, own] = _fractions(survey, target.mueller)[:, None]
     frequency = _frequencies(survey)
     depth = np.where(met, geometry.depth, 0.0)
-    response = target_echo.target_response(
+    response = model.echo(
         frequency[:, None, None, None],
-        depth=depth,
-        optical_path=geometry.optical_path,
-        reflectance=reflectance,
-        cosine=geometry.cosine,
-        **kernel_arguments(survey, water, geometry.view),
+        survey=survey,
+        water=water,
+        view=geometry.view,
+        surface={
+            "depth": depth,
+            "optical_path": geometry.optical_path,
+            "reflectance": reflectance,
+            "cosine": geometry.cosine,
+        },
     )
     return _light(response * share)
 
@@ -73,6 +86,7 @@ def water_light(
     view: View,
     *,
     end: NDArray[np.float64] | None = None,
+    model: SignalModel = DiffusionModel(),  # noqa: B008 - it is frozen
 ) -> Light:
     """Return the light that the water scatters back.
 
@@ -86,6 +100,8 @@ def water_light(
         How the receiver looks at each beam.
     end : ndarray, optional
         Where the column ends, infinite where it meets nothing [m]; nowhere by default.
+    model : SignalModel
+        Forward model; the diffusion form by default.
 
     Returns
     -------
@@ -95,13 +111,7 @@ def water_light(
     far = np.inf if survey.water.column_end is None else survey.water.column_end
     stop = np.minimum(np.inf if end is None else end, far)
     frequency = _frequencies(survey).reshape(-1, 1, *[1] * view.tilt.ndim)
-    response = small_angle_diffusion.water_response(
-        frequency,
-        backscatter_vsf=water.backscatter_vsf,
-        group_index=water.group_index,
-        end=stop,
-        **kernel_arguments(survey, water, view),
-    )
+    response = model.column(frequency, survey=survey, water=water, view=view, end=stop)
     # The model counts the delay from where the water begins.
     response = response * np.exp(
         2j * np.pi * frequency * view.optical_offset / speed_of_light
