@@ -209,6 +209,9 @@ def test_range_steps_are_the_published_ones_with_and_without_the_foam(scenes):
     assert shift[2] < shift[1] / 3
     assert shift[3] < shift[2]
     assert_allclose(clean[2:], 1, atol=0.02)
+    # With the foam taken out, 50 and 100 MHz say what 400 MHz says; raw they are short.
+    assert_allclose(clean[:2] / clean[3], 1, atol=0.03)
+    assert np.all(raw[:2] / clean[3] < 0.86)
 
 
 def test_at_400_megahertz_the_step_is_ambiguous(scenes):

@@ -2,15 +2,41 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
+from functools import wraps
 
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+
+from amulor.studies.ricci2010.study import Study
+from amulor.view.style import style
 
 #: Put where a paper would say "measured".
 SYNTHETIC = "synthetic measurement"
 #: Width of a figure over both columns, and over one [inch].
 WIDE, NARROW = 7.2, 3.6
+
+
+def styled(draw: Callable[[Study], Figure]) -> Callable[[Study], Figure]:
+    """Return a function that draws with the settings of amulor.
+
+    Parameters
+    ----------
+    draw : callable
+        Takes the study, returns its figure.
+
+    Returns
+    -------
+    callable
+        The same, drawn inside `amulor.view.style.style`.
+    """
+
+    @wraps(draw)
+    def drawn(study: Study) -> Figure:
+        with style():
+            return draw(study)
+
+    return drawn
 
 
 def letter(axes: Iterable[Axes], titles: Iterable[str]) -> None:

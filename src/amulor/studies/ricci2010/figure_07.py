@@ -18,7 +18,9 @@ CAPTION = (
     "frequency: (a) experiment 1, weak water signal; (b) experiment 2, higher "
     "turbidity; (c) experiment 3, farther target. Filled circles: synthetic "
     "measurement; open circles: after open-water subtraction; crosses: joint estimate "
-    "from 28 of the frequencies without any open-water shot; line: echo without water."
+    "from some 28 of the frequencies without any open-water shot; black line: echo "
+    "without water; grey line: the same experiment, light spread by the small-angle "
+    "form (29)."
 )
 #: Successive maxima, and minima, of experiment 2 stand 33.5 to 43.4 MHz apart, read to
 #: 2 MHz; those of experiment 3 about 25 MHz [MHz].
@@ -84,6 +86,7 @@ def checks(study: Study) -> list[Check]:
         ),
         *[_range(sweep) for sweep in (first, second, third)],
         *[_white(sweep) for sweep in (first, second, third)],
+        *_in_better_water(study),
     ]
 
 
@@ -92,11 +95,24 @@ def draw(study: Study) -> Figure:
     with style():
         figure = new_figure(WIDE, 2.5)
         axes = figure.subplots(1, 3)
-        for axis, sweep in zip(axes, study.once(shared.sweeps), strict=True):
+        for axis, sweep, other in zip(
+            axes,
+            study.once(shared.sweeps),
+            study.once(shared.small_angle_sweeps),
+            strict=True,
+        ):
             # Over the mean echo, since the volts of the original are not known.
             unit = np.abs(sweep.truth).mean()
             f, every = sweep.frequency / 1e6, shared.shown(sweep)
             axis.plot(f, np.abs(sweep.truth) / unit, "-", color="black", lw=0.8)
+            axis.plot(
+                f,
+                np.abs(other.signal) / np.abs(other.truth).mean(),
+                "-",
+                color="#999999",
+                lw=0.8,
+                label="$A$, small-angle form (29)",
+            )
             axis.plot(
                 f[every],
                 np.abs(sweep.signal[every]) / unit,
@@ -131,21 +147,57 @@ def draw(study: Study) -> Figure:
         axes[0].set_ylabel("amplitude over mean echo [1]")
         letter(axes, shared.TITLES)
         handles, labels = axes[0].get_legend_handles_labels()
-        figure.legend(handles, labels, loc="outside upper center", ncols=3)
+        figure.legend(handles, labels, loc="outside upper center", ncols=4)
         mark_synthetic(figure)
     return figure
+
+
+def _in_better_water(study: Study) -> list[Check]:
+    """Return the checks of experiments 2 and 3 with the water signal of form (29)."""
+    checks = []
+    for sweep, low, high in zip(
+        study.once(shared.small_angle_sweeps)[1:],
+        (_SECOND[0] - _READING, _THIRD - _READING),
+        (_SECOND[1] + _READING, _THIRD + _READING),
+        strict=True,
+    ):
+        name = f"experiment {sweep.number} by the small-angle form (29): "
+        amplitude = np.abs(sweep.signal)
+        apart = (
+            extrema.find(sweep.frequency, shared.smoothed(amplitude)).separations / 1e6
+        )
+        checks += [
+            holds(
+                name + "maxima, and minima, stand as far apart (mean)",
+                len(apart) >= 3 and low < float(np.mean(apart)) < high,
+                found=_spread(apart),
+                wanted=f"mean of at least 3 from {low:g} to {high:g} MHz",
+            ),
+            within(
+                name + "subtraction takes the oscillation out (ripple over raw)",
+                extrema.ripple(np.abs(sweep.subtracted)) / extrema.ripple(amplitude),
+                -np.inf,
+                0.2 if sweep.number == 2 else 0.1,
+            ),
+            _range(sweep, name),
+        ]
+    return checks
 
 
 def _spread(apart: np.ndarray) -> str:
     if len(apart) == 0:
         return "none"
-    return f"{len(apart)}, {apart.min():.1f} to {apart.max():.1f} MHz"
+    return (
+        f"{len(apart)}, {apart.min():.1f} to {apart.max():.1f}, mean "
+        f"{apart.mean():.1f} MHz"
+    )
 
 
-def _range(sweep: shared.Sweep) -> Check:
+def _range(sweep: shared.Sweep, name: str | None = None) -> Check:
     found, sigma, true = sweep.joint_range
     return holds(
-        f"experiment {sweep.number}: joint estimate meets the slant range",
+        (name or f"experiment {sweep.number}: ")
+        + "joint estimate without open water meets the slant range",
         abs(found - true) < 3 * sigma and sweep.joint_flags == 0,
         found=f"{1e3 * (found - true):+.2f} ± {1e3 * sigma:.2f} mm"
         + (", flagged" if sweep.joint_flags else ""),

@@ -13,8 +13,9 @@ from scipy.signal import savgol_filter
 from amulor import cube as cubes
 from amulor import rejection
 from amulor.optics import extrema, interference
-from amulor.simulation import simulate
+from amulor.simulation import DiffusionModel, SmallAngleModel, simulate
 from amulor.studies.ricci2010.study import Study
+from amulor.studies.ricci2010.water_sweeps import asymmetry
 from amulor.survey import Survey
 
 Floats = NDArray[np.float64]
@@ -42,6 +43,8 @@ scattering = "{scattering} 1/m"
 forward_fraction = 1.0
 second_moment = "{second_moment} rad^2"
 phase_function_at_180 = "{backscatter} 1/sr"
+asymmetry = {asymmetry}
+split_angle = "{split_angle} rad"
 refractive_index = {index}
 group_index = {index}
 column_end = "{length} m"
@@ -179,18 +182,40 @@ def sweeps(study: Study) -> tuple[Sweep, ...]:
     tuple of Sweep
         In the order of the paper.
     """
-    return tuple(study.once(_EXPERIMENT[number]) for number in EXPERIMENTS)
+    return tuple(study.once(_DIFFUSION[number]) for number in EXPERIMENTS)
 
 
-def _experiment(study: Study, *, number: int) -> Sweep:
+def small_angle_sweeps(study: Study) -> tuple[Sweep, ...]:
+    """Return the experiments again, in water that spreads light as form (29) says.
+
+    Parameters
+    ----------
+    study : Study
+        Its numbers; the ratios of water signal and echo are the same, and so are the
+        second moments, now those of Henyey-Greenstein phase functions.
+
+    Returns
+    -------
+    tuple of Sweep
+        In the order of the paper. Joint estimation assumes the diffusion form there,
+        too.
+    """
+    return tuple(study.once(_SMALL_ANGLE[number]) for number in EXPERIMENTS)
+
+
+def _experiment(
+    study: Study, *, number: int, model: DiffusionModel | SmallAngleModel
+) -> Sweep:
     frequency = np.linspace(FIRST, LAST, QUICK_COUNT if study.quick else COUNT)
     distance = study[f"distance_{number}"]
     # The echo is proportional to the reflectance, so one trial settles it.
-    trial = simulate(_survey(study, number, frequency, reflectance=0.3), rng=0)
+    trial = simulate(
+        _survey(study, number, frequency, reflectance=0.3), rng=0, model=model
+    )
     mean = float((_water(trial) / np.abs(_target(trial))).mean())
     reflectance = 0.3 * mean / study[f"mean_ratio_{number}"]
     survey = _survey(study, number, frequency, reflectance=reflectance)
-    cube = simulate(survey, rng=study.rng(f"sweep {number}"))
+    cube = simulate(survey, rng=study.rng(f"sweep {number}"), model=model)
     interval = (distance - 1.0, distance + 1.0)
     subtracted = rejection.open_water(cube, interval=interval)
     every = cubes.without_groups(cube).isel(
@@ -234,7 +259,10 @@ def _experiment(study: Study, *, number: int) -> Sweep:
     )
 
 
-_EXPERIMENT = {number: partial(_experiment, number=number) for number in EXPERIMENTS}
+_DIFFUSION, _SMALL_ANGLE = (
+    {number: partial(_experiment, number=number, model=model) for number in EXPERIMENTS}
+    for model in (DiffusionModel(), SmallAngleModel())
+)
 
 
 def _survey(
@@ -242,6 +270,7 @@ def _survey(
 ) -> Survey:
     turbidity = TURBIDITY[number]
     attenuation = study[f"attenuation_{turbidity}"]
+    moment = study[f"second_moment_{turbidity}"]
     # More than all light cannot come back: then the water scatters less instead, which
     # leaves every ratio as it is.
     possible = min(reflectance, 1.0)
@@ -250,8 +279,10 @@ def _survey(
             number=number,
             absorption=attenuation * study["absorption_share"],
             scattering=attenuation * (1 - study["absorption_share"]),
-            second_moment=study[f"second_moment_{turbidity}"],
+            second_moment=moment,
             backscatter=study["long_backscatter"] * possible / reflectance,
+            asymmetry=asymmetry(moment, split_angle=study["split_angle"]),
+            split_angle=study["split_angle"],
             index=study["index"],
             length=study["long_length"],
             distance=study[f"distance_{number}"],

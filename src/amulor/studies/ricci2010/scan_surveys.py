@@ -1,0 +1,175 @@
+"""The surveys of the scans: the study's instrument before a target in some water."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import xarray as xr
+
+from amulor import imaging
+from amulor.studies.ricci2010.study import Study
+from amulor.survey import Survey
+from amulor.units import write
+
+
+@dataclass(frozen=True)
+class ScanWater:
+    """What the water of a scan is like."""
+
+    attenuation: float
+    """Attenuation coefficient [1/m]."""
+    second_moment: float
+    """Mean square angle of forward scattering [rad^2]."""
+    backscatter: float
+    """Phase function at 180 degrees [1/sr]."""
+    m22: float
+    """Element m22 of its reduced Mueller matrix straight backwards [1]."""
+    fluctuation: float
+    """Relative change of the water signal from sample to sample [1]."""
+
+
+@dataclass(frozen=True)
+class ScanField:
+    """Where a scan is made, and over how much."""
+
+    distance: float
+    """Distance of the target, which the receiver is aimed at [m]."""
+    baseline: float
+    """Distance of the receiver from the beam [m]."""
+    columns: int
+    """Pixels of a line [1]."""
+    rows: int
+    """Lines [1]."""
+    width: float
+    """Azimuth span [rad]."""
+    height: float
+    """Elevation span [rad]."""
+
+
+def survey_of(
+    study: Study,
+    *,
+    name: str,
+    water: ScanWater,
+    field: ScanField,
+    target: str,
+    polarizations: Sequence[str],
+) -> Survey:
+    """Return the survey of a scan with the instrument of the study.
+
+    Parameters
+    ----------
+    study : Study
+        Its instrument counts.
+    name : str
+        Title.
+    water : ScanWater
+        The water.
+    field : ScanField
+        Place and size of the scan.
+    target : str
+        Shape of the target in TOML; its paint is that of the ladder.
+    polarizations : sequence of str
+        Channels.
+
+    Returns
+    -------
+    Survey
+        Read from the text of a survey file.
+    """
+    share = study["absorption_share"]
+    # A sphere straight backwards: m33 = -m22, m44 = 1 - 2 m22.
+    matrix = [water.m22, -water.m22, 1 - 2 * water.m22]
+    m22, m44 = study["m22_target"], study["m44_target"]
+
+    def text(value: float, quantity: str) -> str:
+        return f'"{write(value, quantity)}"'
+
+    place = text(field.distance, "length")
+    channels = ", ".join(f'"{name}"' for name in polarizations)
+    return Survey.from_text(f"""
+name = "{name}"
+[water]
+absorption = {text(share * water.attenuation, "attenuation coefficient")}
+scattering = {text((1 - share) * water.attenuation, "attenuation coefficient")}
+forward_fraction = 1.0
+second_moment = {text(water.second_moment, "angle squared")}
+phase_function_at_180 = {text(water.backscatter, "solid-angle density")}
+refractive_index = {study["index"]}
+group_index = {study["index"]}
+backscatter_mueller = {matrix}
+signal_fluctuation = {water.fluctuation}
+[[targets]]
+position = ["0 m", "0 m", {place}]
+reflectance = {study["ladder_reflectance"]}
+mueller = [{m22}, {-m22}, {m44}]
+{target}
+[instrument]
+wavelength = {text(study["wavelength"], "length")}
+power = {text(study["power"], "power")}
+modulation_depth = {study["modulation_depth"]}
+modulation_frequencies = [{text(study["frequency"], "frequency")}]
+polarizations = [{channels}]
+[instrument.receiver]
+position = [{text(field.baseline, "length")}, "0 m", "0 m"]
+azimuth = {text(-math.atan2(field.baseline, field.distance), "angle")}
+radius = {text(study["receiver_radius"], "length")}
+acceptance = {text(study["acceptance"], "angle")}
+[instrument.detector]
+optical_transmission = {study["optical_transmission"]}
+saturation = "1e3 V"
+[instrument.lock_in]
+time_constant = {text(study["lock_in_time_constant"], "time")}
+phase_floor = {text(study["scan_phase_floor"], "angle")}
+[scan]
+columns = {field.columns}
+rows = {field.rows}
+azimuth_span = {text(field.width, "angle")}
+elevation_span = {text(field.height, "angle")}
+dwell = {text(study["dwell"], "time")}
+[scan.open_water]
+columns = 9
+rows = 3
+repeats = {round(study["open_water_repeats"])}
+""")
+
+
+def around(distance: float) -> tuple[float, float]:
+    """Return the slant ranges that somebody who set up a target holds possible.
+
+    Parameters
+    ----------
+    distance : float
+        Forward distance of the target [m].
+
+    Returns
+    -------
+    nearest, farthest : float
+        Less than an ambiguity interval apart [m].
+    """
+    return max(distance - 1.0, 0.2), distance + 1.0
+
+
+def images(
+    target: xr.Dataset, *, interval: tuple[float, float]
+) -> dict[str, xr.Dataset]:
+    """Return the range images of all channels of a target signal.
+
+    Parameters
+    ----------
+    target : xarray.Dataset
+        Level `target_signal`.
+    interval : tuple of float
+        Nearest and farthest slant range that are possible [m].
+
+    Returns
+    -------
+    dict of str to xarray.Dataset
+        Channel to range image.
+    """
+    return {
+        channel: imaging.range_image(target, polarization=channel, interval=interval)
+        for channel in map(str, target["polarization"].values)
+    }

@@ -1,0 +1,194 @@
+"""Draws range images as lit surfaces in space, gaps where there is no range."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import xarray as xr
+from matplotlib.colors import LinearSegmentedColormap
+from matplotlib.figure import Figure
+from matplotlib.gridspec import SubplotSpec
+from matplotlib.ticker import MultipleLocator
+from mpl_toolkits.mplot3d.art3d import Poly3DCollection
+from numpy.typing import NDArray
+
+from amulor.imaging import point_cloud
+from amulor.view.style import new_figure
+
+Floats = NDArray[np.float64]
+
+#: From the far to the near, ever lighter, as in copper.
+COPPER = LinearSegmentedColormap.from_list(
+    "amulor copper", ["#3f4a50", "#7a584c", "#bd7a4e", "#e3b184", "#fbeede"]
+)
+#: Heights of the darkest and the lightest colour of the ladder [mm].
+LADDER_SHADES = (-12.0, 82.0)
+#: Light from above and from the left of a viewer, and the share of it from everywhere.
+_LIGHT = np.array([-0.45, 0.35, 0.82])
+_AMBIENT = 0.45
+#: Below this elevation an axis towards the viewer has no room for ticks [degree].
+_EDGE_ON = 30.0
+
+
+@dataclass(frozen=True)
+class Relief:
+    """A range image as a surface over the plane of the target."""
+
+    right: Floats
+    """Places to the right, shape (row, column) [mm]."""
+    up: Floats
+    """Places upwards [mm]."""
+    near: Floats
+    """Heights towards the instrument, not numbers without a range [mm]."""
+
+
+def relief(image: xr.Dataset, *, origin: float) -> Relief:
+    """Return the points of a range image as a surface.
+
+    Parameters
+    ----------
+    image : xarray.Dataset
+        Level `range_image`.
+    origin : float
+        Forward place from which heights are counted [m].
+
+    Returns
+    -------
+    Relief
+        In millimetres; pixels without a range keep their place in the plane.
+    """
+    cloud = point_cloud(image)
+    place = (cloud["row"].values, cloud["column"].values)
+    right = origin * np.tan(image["azimuth"].values)
+    up = origin * np.tan(image["elevation"].values)
+    near = np.full(right.shape, np.nan)
+    right[place], up[place] = cloud["x"].values, -cloud["y"].values
+    near[place] = origin - cloud["z"].values
+    return Relief(right * 1e3, up * 1e3, near * 1e3)
+
+
+def canvas(
+    width: float, height: float, *, rows: int, columns: int
+) -> tuple[Figure, list[SubplotSpec]]:
+    """Return an empty figure with room for the labels of panels in space.
+
+    Parameters
+    ----------
+    width, height : float
+        Size [inch].
+    rows, columns : int
+        Number of panels [1].
+
+    Returns
+    -------
+    figure : matplotlib.figure.Figure
+        Its layout does not see these labels, so that it needs wider margins.
+    cells : list of matplotlib.gridspec.SubplotSpec
+        Places of the panels, row by row.
+    """
+    figure = new_figure(width, height)
+    engine: Any = figure.get_layout_engine()
+    engine.set(h_pad=0.13, w_pad=0.08)
+    grid = figure.add_gridspec(rows, columns)
+    return figure, [grid[place] for place in range(rows * columns)]
+
+
+def draw(
+    figure: Figure,
+    where: SubplotSpec,
+    surface: Relief,
+    *,
+    limits: tuple[float, float],
+    shades: tuple[float, float] | None = None,
+    elevation: float = 32.0,
+    azimuth: float = -62.0,
+    spacing: float = 20.0,
+    zoom: float = 1.0,
+) -> Any:
+    """Draw a surface with the same scale along all three axes.
+
+    Parameters
+    ----------
+    figure : matplotlib.figure.Figure
+        Where it goes.
+    where : matplotlib.gridspec.SubplotSpec
+        Which part of it.
+    surface : Relief
+        What is drawn.
+    limits : tuple of float
+        Lowest and highest height; what lies outside is left out [mm].
+    shades : tuple of float, optional
+        Heights of the darkest and the lightest colour; the limits by default [mm].
+    elevation, azimuth : float
+        Direction of the viewer [degree].
+    spacing : float
+        Distance of the ticks along all axes [mm].
+    zoom : float
+        Size of the box in its panel [1].
+
+    Returns
+    -------
+    mpl_toolkits.mplot3d.axes3d.Axes3D
+        The panel.
+    """
+    axis: Any = figure.add_subplot(where, projection="3d", computed_zorder=False)
+    corners = np.stack([surface.right, surface.up, surface.near], axis=-1)
+    quads = _quads(corners)
+    inside = (quads[..., 2] >= limits[0]) & (quads[..., 2] <= limits[1])
+    keep = np.isfinite(quads).all(axis=(1, 2)) & inside.all(axis=1)
+    shade = _quads(_brightness(corners)[..., None])[..., 0].mean(axis=1)
+    low, high = limits if shades is None else shades
+    colours = COPPER((quads[..., 2].mean(axis=1)[keep] - low) / (high - low))
+    colours[:, :3] *= shade[keep, None]
+    faces = Poly3DCollection(
+        quads[keep], facecolors=colours, edgecolors=colours, linewidths=0.25, zorder=2
+    )
+    faces.set_rasterized(True)
+    axis.add_collection3d(faces, autolim=False)
+    spans = []
+    for name, values in zip("xy", (surface.right, surface.up), strict=True):
+        ends = float(values.min()), float(values.max())
+        getattr(axis, f"set_{name}lim")(*ends, auto=False, view_margin=0)
+        spans.append(ends[1] - ends[0])
+    axis.set_zlim(*limits, view_margin=0)
+    axis.set_box_aspect([*spans, limits[1] - limits[0]], zoom=zoom)
+    axis.view_init(elev=elevation, azim=azimuth)
+    axis.set_proj_type("ortho")
+    for each in (axis.xaxis, axis.yaxis, axis.zaxis):
+        each.set_major_locator(MultipleLocator(spacing))
+        each.set_pane_color((1.0, 1.0, 1.0, 0.0))
+        each.line.set_linewidth(0.5)
+        each._axinfo["grid"].update(linewidth=0.3, color="#d5dbde")
+    axis.tick_params(pad=-3, labelsize=6, length=2)
+    # Seen from low, the ticks of the front edge lie close above its label.
+    pad = -7 if elevation > _EDGE_ON - 5 or azimuth % 180 == 90 else -4
+    axis.set_xlabel("right [mm]", labelpad=pad, fontsize=7)
+    axis.set_ylabel("up [mm]", labelpad=-7, fontsize=7)
+    axis.set_zlabel("nearer [mm]", labelpad=-7, fontsize=7)
+    if azimuth % 180 == 90 and elevation < _EDGE_ON:
+        # The axis points at the viewer: its ticks would stand on each other.
+        axis.set_yticks([])
+        axis.set_ylabel("")
+    return axis
+
+
+def _quads(grid: Floats) -> Floats:
+    """Return the four corners of each mesh of a grid, shape (mesh, 4, ...)."""
+    around = (grid[:-1, :-1], grid[:-1, 1:], grid[1:, 1:], grid[1:, :-1])
+    return np.stack(around, axis=2).reshape(-1, 4, grid.shape[-1])
+
+
+def _brightness(corners: Floats) -> Floats:
+    """Return the light on each corner: a diffuse surface under a lamp and a sky."""
+    filled = np.nan_to_num(corners[..., 2])
+    column = corners[..., 0].mean(axis=0)
+    row = corners[..., 1].mean(axis=1)
+    by_row, by_column = np.gradient(filled, row, column)
+    normal = np.stack([-by_column, -by_row, np.ones_like(filled)], axis=-1)
+    normal /= np.linalg.norm(normal, axis=-1, keepdims=True)
+    lamp = _LIGHT / np.linalg.norm(_LIGHT)
+    light = np.clip(normal @ lamp, 0.0, None) / lamp[2]
+    bright: Floats = np.clip(_AMBIENT + (1 - _AMBIENT) * light, 0.0, 1.0)
+    return bright

@@ -1,0 +1,224 @@
+"""Figures 5, 6, 13, 14 and 15 of the published study: what their checks are worth."""
+
+from __future__ import annotations
+
+import math
+from types import ModuleType
+
+import numpy as np
+import pytest
+
+from amulor.studies.ricci2010 import (
+    disc_scans,
+    figure_05,
+    figure_06,
+    figure_13,
+    figure_14,
+    figure_15,
+    ladder_scans,
+    surfaces,
+)
+from amulor.studies.ricci2010.checks import Check
+from amulor.studies.ricci2010.parameters import varied
+from amulor.studies.ricci2010.study import Study
+from amulor.view.style import style
+
+FIGURES = (figure_05, figure_06, figure_13, figure_14, figure_15)
+#: Metres per second in vacuum, the paper's index, and its frequency [Hz].
+VELOCITY, FREQUENCY = 299_792_458 / 1.34, 39e6
+
+
+@pytest.fixture(scope="module")
+def study() -> Study:
+    return Study(quick=True)
+
+
+def with_numbers(study: Study, **numbers: float) -> Study:
+    changed = study.parameters
+    for name, value in numbers.items():
+        changed = varied(changed, name, value)
+    return study.with_parameters(changed)
+
+
+def failed(checks: list[Check]) -> set[str]:
+    return {check.statement for check in checks if not check.passed}
+
+
+#: What honest physics does not meet with the numbers of the study.
+FAILURES: dict[ModuleType, set[str]] = {
+    figure_05: {"the same, for a column of water that ends with the tank"},
+    figure_06: {"the frequency alone, nothing subtracted, gives the steps"},
+    figure_13: {
+        "(c) VH, milk: steps, the polarizers alone",
+        "(d) VV, milk: steps, the polarizers alone",
+    },
+    figure_14: set(),
+    figure_15: set(),
+}
+
+
+@pytest.mark.parametrize("figure", FIGURES)
+def test_the_statements_hold_but_for_those_that_are_known_to_fail(
+    study: Study, figure: ModuleType
+) -> None:
+    found = figure.checks(study)
+    assert failed(found) == FAILURES[figure]
+    assert len({check.statement for check in found}) == len(found)
+
+
+def test_only_the_range_errors_behind_the_noise_are_no_test(study: Study) -> None:
+    fixed = [c.statement for f in FIGURES for c in f.checks(study) if c.role == "set"]
+    assert [text.split(":")[0] for text in fixed] == [
+        "(a) VH, clear water",
+        "(c) VH, milk",
+        "(d) VV, milk",
+    ]
+    assert all(text.endswith("range error of a pixel") for text in fixed)
+
+
+# Numbers that do not come from here --------------------------------------------------
+
+
+def test_steps_turn_the_phase_as_far_as_the_speed_of_light_says(study: Study) -> None:
+    per_metre = 360 * 2 * FREQUENCY / VELOCITY
+    assert 0.01 * per_metre == pytest.approx(1.2552, abs=1e-4)
+    for height in (0.01, 0.04):
+        found = math.degrees(ladder_scans.phase_step(study, height))
+        assert found == pytest.approx(height * per_metre, rel=1e-12)
+
+
+def test_crossed_in_clear_water_the_phase_floor_is_all_the_noise(study: Study) -> None:
+    scan = study.once(ladder_scans.polarized_clear)
+    found = scan.steps(scan.subtracted["VH"])
+    floor = 0.06 / 360 * VELOCITY / (2 * FREQUENCY)
+    # 2900 pixels: 1.3 % by chance; shot noise and water add less than 2 %.
+    assert found.noise == pytest.approx(floor, rel=0.05)
+    assert found.pixels == found.wanted > 2500
+
+
+def test_no_error_exceeds_what_two_phasors_allow(study: Study) -> None:
+    # For less water than target the phase is off by at most arcsin of their ratio.
+    for scan_of in (ladder_scans.polarized_clear, ladder_scans.polarized_milk):
+        scan = study.once(scan_of)
+        for channel, ratio in scan.water_ratio.items():
+            most = math.asin(ratio) * VELOCITY / (4 * math.pi * FREQUENCY)
+            found = scan.steps(scan.raw[channel])
+            # The ratio is a mean over the ladder; noise adds in quadrature.
+            assert found.error < 1.1 * math.hypot(most, 2 * found.noise)
+
+
+def test_polarizers_pass_the_published_shares_of_the_ladder(study: Study) -> None:
+    # Painted metal with m22 = 0.61: 80.5 % parallel, 19.5 % crossed.
+    water = {0.81: (0.905, 0.095), 0.95: (0.975, 0.025)}
+    for scan_of, (parallel, crossed) in zip(
+        (ladder_scans.polarized_milk, ladder_scans.polarized_clear),
+        water.values(),
+        strict=True,
+    ):
+        ratio = study.once(scan_of).water_ratio
+        expected = (crossed / 0.195) / (parallel / 0.805)
+        assert ratio["VH"] / ratio["VV"] == pytest.approx(expected, rel=1e-6)
+
+
+def test_outlines_of_a_drawn_disc_are_its_own(study: Study) -> None:
+    scan = study.once(disc_scans.bent_disc)
+    image = scan.subtracted["VH"]
+    across = 1.5 * np.tan(image["azimuth"].values)
+    up = 1.5 * np.tan(image["elevation"].values)
+
+    def disc(x: float, y: float, diameter: float) -> np.ndarray:
+        return np.hypot(across - x, up - y) < diameter / 2
+
+    drawn = disc(0, 0, 0.06) & ~disc(0.001, 0.002, 0.02) & ~disc(-0.02, 0, 0.005)
+    image = image.assign(intensity=image["intensity"].copy(data=0.2 + 0.7 * drawn))
+    flat = image.where(image["quality_flag"] < 0)  # no ranges: the stated distance
+    flat["quality_flag"] = image["quality_flag"].copy(
+        data=np.full(image["quality_flag"].shape, 4, dtype=np.int16)
+    )
+    flat["intensity"] = image["intensity"]
+    found = disc_scans.outlines(flat, distance=1.5)
+    assert found.rim is not None
+    assert found.central_hole is not None
+    assert len(found.small_holes) == 1
+    for outline, true in (
+        (found.rim, 0.06),
+        (found.central_hole, 0.02),
+        (found.small_holes[0], 0.005),
+    ):
+        assert abs(outline.diameter - true) < 3 * outline.uncertainty
+        # Half a pixel: an error bar that covers everything would prove nothing.
+        assert outline.uncertainty < 0.5e-3
+
+
+# What must make a check fail ----------------------------------------------------------
+
+
+def test_another_ladder_does_not_pass_for_this_one(study: Study) -> None:
+    scan = study.once(ladder_scans.polarized_clear)
+    steps = scan.steps(scan.subtracted["VH"])
+    other = with_numbers(study, other_steps=0.0105)
+    assert ladder_scans.steps_agree(study, "steps", steps).passed
+    assert not ladder_scans.steps_agree(other, "steps", steps).passed
+    assert "(a) VH, clear water: phase of the first step" in failed(
+        figure_13.checks(with_numbers(study, first_step=0.044))
+    )
+
+
+def test_without_backscatter_polarizers_and_subtraction_gain_nothing(
+    study: Study,
+) -> None:
+    clean = with_numbers(
+        study, scan_backscatter=1e-12, maalox_backscatter=1e-12, long_backscatter=1e-12
+    )
+    assert {
+        "(c) VH, milk: range error of a pixel",
+        "(d) VV, milk: range error of a pixel",
+        "the range error grows from (a) to (d)",
+    } <= failed(figure_13.checks(clean))
+    contrast = "contrast of disc and surround better in VH, open water subtracted"
+    assert contrast in failed(figure_15.checks(clean))
+    # And the frequency alone then gives the steps in the long tank.
+    assert FAILURES[figure_06] & failed(figure_06.checks(clean)) == set()
+
+
+def test_a_lower_frequency_is_not_above_the_cut_off(study: Study) -> None:
+    slow = with_numbers(study, frequency=15e6)
+    assert any("above the cut-off" in text for text in failed(figure_05.checks(slow)))
+    assert any("above the cut-off" in text for text in failed(figure_06.checks(slow)))
+
+
+def test_water_that_depolarizes_like_the_paint_leaves_no_better_channel(
+    study: Study,
+) -> None:
+    alike = with_numbers(study, maalox_m22=0.61)
+    names = failed(figure_15.checks(alike))
+    assert "contrast of disc and surround better in VH, the polarizers alone" in names
+
+
+# Drawing ------------------------------------------------------------------------------
+
+
+def test_a_surface_stands_in_space_where_the_target_stands(study: Study) -> None:
+    scan = study.once(ladder_scans.polarized_clear)
+    image = scan.subtracted["VH"]
+    relief = surfaces.relief(image, origin=scan.farthest(image))
+    heights = [float(np.nanmean(relief.near[scan.treads == i])) for i in range(1, 6)]
+    # 580 pixels of 0.5 mm each leave 0.02 mm; the water behind the steps, which is
+    # subtracted although it is not there, and the lean of the scan stay below 0.2 mm.
+    assert heights == pytest.approx([0, 40, 50, 60, 70], abs=0.2)
+    # Treads are 2 cm wide, from -5 to 5 cm.
+    assert relief.right[scan.treads == 5].min() == pytest.approx(33, abs=1.1)
+    # What is hidden by a step has no height.
+    assert np.isnan(relief.near).sum() > 20
+
+
+@pytest.mark.parametrize("figure", [figure_06, figure_13])
+def test_figures_are_drawn_and_say_that_they_are_synthetic(
+    study: Study, figure: ModuleType
+) -> None:
+    with style():
+        drawn = figure.draw(study)
+        drawn.canvas.draw()
+    texts = [text.get_text() for text in drawn.texts]
+    assert any("synthetic" in text for text in texts)
+    assert "synthetic" in figure.CAPTION
