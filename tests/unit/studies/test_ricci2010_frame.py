@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +12,7 @@ import pytest
 
 from amulor.cli import main
 from amulor.errors import SurveyError
-from amulor.studies.ricci2010 import parameters, reproduce, tables
+from amulor.studies.ricci2010 import figure_01, parameters, reproduce, tables
 from amulor.studies.ricci2010.checks import Check, holds, within
 from amulor.studies.ricci2010.sensitivity import sensitivity
 from amulor.studies.ricci2010.study import Study
@@ -176,3 +177,23 @@ def test_the_command_writes_pictures_checks_and_a_report(
     assert [figure["number"] for figure in written["figures"]] == [9]
     assert len(written["parameters"]) == len(parameters.load())
     assert "synthetic" in (folder / "figure_09.svg").read_text()
+
+
+def test_several_processes_find_what_one_finds() -> None:
+    chosen = {
+        name: entry
+        for name, entry in parameters.load().items()
+        if entry.limits is None or name in ("receiver_radius", "acceptance")
+    }
+    fixed = {
+        name: replace(entry, limits=None, shown_limits=None)
+        for name, entry in parameters.load().items()
+        if name not in chosen
+    }
+    study = Study({**fixed, **chosen}, quick=True)
+    one, several = (
+        sensitivity(study, {1: figure_01.checks}, workers=workers) for workers in (1, 2)
+    )
+    assert one == several
+    # A receiver of 5 cm is near enough to 20 cm to see light right at the instrument.
+    assert [flip.shown for entry in one for flip in entry.flips].count("5 cm") == 1

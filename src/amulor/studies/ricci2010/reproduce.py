@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from importlib import import_module
@@ -130,6 +131,7 @@ def run(
         dependence = sensitivity(
             Study(quick=True, seed=seed),
             {number: module.checks for number, module in modules.items()},
+            workers=os.cpu_count() or 1,
             progress=lambda step, share: progress(step, part + (1 - part) * share),
         )
     progress("done", 1.0)

@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
+from functools import cache
+from itertools import groupby
+from multiprocessing import get_context
 from typing import Any
 
 from amulor.errors import AmulorError
 from amulor.studies.ricci2010.checks import Check
-from amulor.studies.ricci2010.parameters import varied
+from amulor.studies.ricci2010.parameters import Parameter, varied
 from amulor.studies.ricci2010.study import Study
 
 Checks = Callable[[Study], list[Check]]
@@ -77,6 +81,7 @@ def sensitivity(
     study: Study,
     figures: Mapping[int, Checks],
     *,
+    workers: int = 1,
     progress: Callable[[str, float], None] = lambda step, share: None,
 ) -> tuple[Dependence, ...]:
     """Vary every number that is not printed in the paper to both ends of its range.
@@ -86,7 +91,10 @@ def sensitivity(
     study : Study
         Numbers as they are.
     figures : mapping of int to callable
-        Number of each figure to its checks.
+        Number of each figure to its checks; with several workers, functions that
+        other processes can import.
+    workers : int
+        Processes at work at once.
     progress : callable, optional
         Called with a step and the share of the work done before it.
 
@@ -104,37 +112,106 @@ def sensitivity(
     for number, checks in figures.items():
         progress(f"what figure {number} reads", 0.0)
         read[number], before[number] = study.read_by(checks)
+    ends = [
+        _End(parameter.name, value, shown)
+        for parameter in study.parameters.values()
+        if parameter.limits is not None and parameter.shown_limits is not None
+        for value, shown in zip(parameter.limits, parameter.shown_limits, strict=True)
+        if value != parameter.value
+    ]
+    tasks = [
+        (end, number, len(before[number]))
+        for end in ends
+        for number in figures
+        if end.name in read[number]
+    ]
     changes: dict[tuple[int, int], list[Change]] = {}
-    free = [p for p in study.parameters.values() if p.limits is not None]
-    for done, parameter in enumerate(free):
-        progress(f"varying {parameter.name}", done / len(free))
-        assert parameter.limits is not None
-        assert parameter.shown_limits is not None
-        for value, shown in zip(parameter.limits, parameter.shown_limits, strict=True):
-            if value == parameter.value:
-                continue
-            other = study.with_parameters(
-                varied(study.parameters, parameter.name, value)
+    for done, (task, outcomes) in enumerate(_worked(study, figures, tasks, workers)):
+        end, number, _ = task
+        progress(f"varied {end.name}, figure {number}", (done + 1) / len(tasks))
+        for place, (found, text, passed) in enumerate(outcomes):
+            changes.setdefault((number, place), []).append(
+                Change(end.name, end.shown, text, passed, found)
             )
-            for number, checks in figures.items():
-                if parameter.name not in read[number]:
-                    continue
-                for place, (found, text, passed) in enumerate(
-                    _outcomes(checks, other, len(before[number]))
-                ):
-                    changes.setdefault((number, place), []).append(
-                        Change(parameter.name, shown, text, passed, found)
-                    )
+    order = {name: place for place, name in enumerate(study.parameters)}
     return tuple(
-        Dependence(number, check, tuple(changes.get((number, place), ())))
+        Dependence(
+            number,
+            check,
+            tuple(
+                sorted(
+                    changes.get((number, place), ()), key=lambda c: order[c.parameter]
+                )
+            ),
+        )
         for number in figures
         for place, check in enumerate(before[number])
     )
 
 
-def _outcomes(
-    checks: Checks, study: Study, count: int
-) -> list[tuple[float | None, str, bool]]:
+@dataclass(frozen=True)
+class _End:
+    """One end of the range of one number."""
+
+    name: str
+    value: float
+    shown: str
+
+
+_Task = tuple[_End, int, int]
+_Outcome = tuple[float | None, str, bool]
+
+
+def _worked(
+    study: Study, figures: Mapping[int, Checks], tasks: list[_Task], workers: int
+) -> Iterator[tuple[_Task, list[_Outcome]]]:
+    """Yield tasks with their outcomes; those of one end of one number stay together."""
+    together = [list(group) for _, group in groupby(tasks, key=lambda task: task[0])]
+    if workers == 1:
+        for group in together:
+            for task in group:
+                yield task, _outcome(study, figures, task)
+        return
+    spawn = get_context("spawn")
+    with ProcessPoolExecutor(min(workers, len(together) or 1), spawn) as pool:
+        stated = tuple(study.parameters.values())
+        wanted = [
+            pool.submit(
+                _elsewhere, stated, study.quick, study.seed, dict(figures), group
+            )
+            for group in together
+        ]
+        for group, outcomes in zip(together, wanted, strict=True):
+            yield from zip(group, outcomes.result(), strict=True)
+
+
+def _elsewhere(
+    parameters: tuple[Parameter, ...],
+    quick: bool,
+    seed: int,
+    figures: Mapping[int, Checks],
+    tasks: list[_Task],
+) -> list[list[_Outcome]]:
+    """Return the outcomes of tasks in a process of its own."""
+    study = _study_here(parameters, quick, seed)
+    return [_outcome(study, figures, task) for task in tasks]
+
+
+@cache
+def _study_here(parameters: tuple[Parameter, ...], quick: bool, seed: int) -> Study:
+    """Return the study that the tasks of a process share, with what it remembers."""
+    return Study({entry.name: entry for entry in parameters}, quick=quick, seed=seed)
+
+
+def _outcome(
+    study: Study, figures: Mapping[int, Checks], task: _Task
+) -> list[_Outcome]:
+    end, number, count = task
+    other = study.with_parameters(varied(study.parameters, end.name, end.value))
+    return _outcomes(figures[number], other, count)
+
+
+def _outcomes(checks: Checks, study: Study, count: int) -> list[_Outcome]:
     """Return value, text and outcome of each check; all fail where nothing comes."""
     try:
         found = checks(study)
