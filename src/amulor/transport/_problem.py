@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import math
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import Any
 
 import numpy as np
@@ -236,12 +236,7 @@ def water_tables(layers: tuple[Layer, ...], edges: Array) -> tuple[Any, ...]:
     urn, value = np.empty((*shape, 8)), np.empty(shape)
     element = np.zeros((*shape, 5))
     for k, function in enumerate(functions):
-        matrix = function if isinstance(function, ScatteringMatrix) else None
-        cells = AngleCells(function.phase_function if matrix else function)
-        urn[k] = cells.urn
-        value[k] = cells.value
-        if matrix is not None:
-            element[k] = matrix.elements_at(cells.middle)
+        urn[k], value[k], element[k] = _angle_tables(function)
     attenuation = np.array([layer.attenuation for layer in layers])
     scattering = np.array([layer.scattering for layer in layers])
     return (
@@ -258,3 +253,14 @@ def water_tables(layers: tuple[Layer, ...], edges: Array) -> tuple[Any, ...]:
         value,
         element,
     )
+
+
+@lru_cache(maxsize=8)
+def _angle_tables(function: Any) -> tuple[Array, Array, Array]:
+    """Return what angles are drawn from and looked up in; runs often share a water."""
+    matrix = function if isinstance(function, ScatteringMatrix) else None
+    cells = AngleCells(function.phase_function if matrix else function)
+    element = np.zeros((_cells.SIZE, 5))
+    if matrix is not None:
+        element[:] = matrix.elements_at(cells.middle)
+    return cells.urn, cells.value, element

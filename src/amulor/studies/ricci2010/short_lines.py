@@ -398,10 +398,10 @@ def panel(
             "--",
             color="#555555",
             linewidth=0.8,
-            label=f"{pairs[0]} less open water, without noise",
+            label=f"{pairs[0]} less open water",
             zorder=3,
         )
-    axis.set(xlim=(0, PIXELS + 1), xlabel="pixel", ylabel="phase (degrees)")
+    axis.set(xlim=(0, PIXELS + 1), xlabel="pixel", ylabel="phase [degree]")
     axis.xaxis.set_major_locator(FixedLocator([1, 20, 40, 60, 80]))
     axis.grid(axis="y")
 
