@@ -13,12 +13,17 @@ from numpy.typing import NDArray
 
 from amulor import cube as cubes
 from amulor.acquisition import plan
-from amulor.acquisition.calibration import Calibration, phase_correction
+from amulor.acquisition.calibration import Calibration
 from amulor.acquisition.devices import is_simulated
-from amulor.acquisition.journal import Journal, Record
-from amulor.acquisition.plan import Key
+from amulor.acquisition.journal import Journal
 from amulor.acquisition.sampler import SampleFlag
-from amulor.acquisition.uncertainty import reading_variance, variance_share
+from amulor.acquisition.samples import (
+    Floats,
+    Samples,
+    correct,
+    counting_variance,
+    dark_output,
+)
 from amulor.errors import CubeError, FormatError
 from amulor.io import read_cube, write_cube
 from amulor.simulation.geometry import scan_directions
@@ -32,8 +37,6 @@ CUBE_NAME = "cube.nc"
 UNCALIBRATED = 32
 _SAMPLE = ("modulation_frequency", "polarization", "row", "column")
 _PIXEL = ("row", "column")
-
-Floats = NDArray[np.float64]
 
 
 def recover(
@@ -120,15 +123,15 @@ def build(journal: Journal, *, calibration: Calibration | None = None) -> xr.Dat
     """
     meta = journal.meta()
     survey = Survey.from_text(meta["survey"], name="the survey of the journal")
-    scan = _Samples(survey, survey.scan.rows, survey.scan.columns)
+    scan = Samples(survey, survey.scan.rows, survey.scan.columns)
     scan.fill(journal, plan.SCAN)
     if not np.isfinite(scan.signal).any():
         raise CubeError(
             f"{journal.folder} holds no sample of the scan yet; go on with it by "
             "amulor acquire --resume"
         )
-    dark = _dark(survey, journal)
-    uncalibrated = _correct(scan, dark, survey, calibration)
+    dark = dark_output(survey, journal)
+    uncalibrated = correct(scan, dark, survey, calibration)
     measured = cubes.build(
         "samples",
         {
@@ -153,121 +156,13 @@ def build(journal: Journal, *, calibration: Calibration | None = None) -> xr.Dat
     return cubes.note(measured, "acquire")
 
 
-class _Samples:
-    """Samples of one kind as arrays over frequency, polarization and two places."""
-
-    def __init__(self, survey: Survey, first: int, second: int) -> None:
-        instrument = survey.instrument
-        self._frequency = {
-            value: number
-            for number, value in enumerate(instrument.modulation_frequencies)
-        }
-        self._pair = {
-            pair: number for number, pair in enumerate(instrument.polarizations)
-        }
-        shape = (len(self._frequency), len(self._pair), first, second)
-
-        def empty() -> Floats:
-            return np.full(shape, np.nan)
-
-        self.signal = np.full(shape, np.nan + 0j)
-        self.raw_amplitude = empty()
-        self.mean, self.readings = empty(), np.ones(shape)
-        self.full_scale, self.elapsed = empty(), empty()
-        self.azimuth, self.elevation = empty(), empty()
-        self.commanded_azimuth, self.commanded_elevation = empty(), empty()
-        self.modulation_frequency = empty()
-        self.flags = np.zeros(shape, dtype=np.int16)
-        self.segment = np.zeros(shape, dtype=np.int32)
-
-    def fill(self, journal: Journal, kind: str) -> None:
-        """Take over all samples of one kind, each at its row and column."""
-        for key, record in journal.samples(kind):
-            self.put(key, record, key.row, key.column)
-
-    def put(self, key: Key, record: Record, first: int, second: int) -> None:
-        """Take over one sample."""
-        at = (
-            self._frequency[key.frequency],
-            self._pair[key.polarization],
-            first,
-            second,
-        )
-        self.signal[at] = complex(record.in_phase, record.quadrature)
-        self.raw_amplitude[at] = abs(self.signal[at])
-        self.mean[at] = np.nan if record.mean is None else record.mean
-        for name in (
-            "readings", "full_scale", "elapsed", "azimuth", "elevation",
-            "commanded_azimuth", "commanded_elevation", "modulation_frequency",
-            "flags", "segment",
-        ):  # fmt: skip
-            getattr(self, name)[at] = getattr(record, name)
-
-
-def _dark(survey: Survey, journal: Journal) -> tuple[NDArray[np.complex128], Floats]:
-    """Return the mean of the dark readings of each channel, and its variance [V^2]."""
-    number = 1 + max((key.repeat for key, _ in journal.samples(plan.DARK)), default=-1)
-    channels = (
-        len(survey.instrument.modulation_frequencies),
-        len(survey.instrument.polarizations),
-    )
-    if number == 0:
-        return np.zeros(channels, dtype=complex), np.zeros(channels)
-    samples = _Samples(survey, 1, number)
-    for key, record in journal.samples(plan.DARK):
-        samples.put(key, record, 0, key.repeat)
-    there = np.isfinite(samples.signal).sum(axis=(2, 3))
-    some = np.maximum(there, 1)
-    mean = np.nansum(samples.signal, axis=(2, 3)) / some
-    one = np.nanmean(_counting(samples, survey)) if there.any() else 0.0
-    return mean, np.where(there > 0, one / some, 0.0)
-
-
-def _correct(
-    samples: _Samples,
-    dark: tuple[NDArray[np.complex128], Floats],
-    survey: Survey,
-    calibration: Calibration | None,
-) -> NDArray[np.bool_]:
-    """Take off dark output and delay; return where the calibration does not reach."""
-    samples.signal -= dark[0][:, :, None, None]
-    outside = np.zeros(samples.signal.shape, dtype=bool)
-    if calibration is None:
-        return outside
-    for number, frequency in enumerate(survey.instrument.modulation_frequencies):
-        amplitude = np.abs(samples.signal[number])
-        delay, known = phase_correction(
-            calibration, amplitude, modulation_frequency=frequency
-        )
-        there = np.isfinite(amplitude)
-        samples.signal[number][there] *= np.exp(-1j * delay[there])
-        outside[number] = there & ~known
-    return outside
-
-
-def _counting(samples: _Samples, survey: Survey) -> Floats:
-    """Return the counting variance of each sample [V^2]."""
-    detector = survey.instrument.detector
-    volt = detector.volt_per_photoelectron_rate
-    lower = samples.raw_amplitude / (survey.instrument.modulation_depth * volt)
-    # A mean output below that of dark counts is noise about no light at all.
-    seen = np.maximum(samples.mean / volt - detector.dark_rate, 0.0)
-    rate = np.where(np.isfinite(samples.mean), seen, lower)
-    one = reading_variance(
-        survey,
-        rate=np.nan_to_num(rate),
-        time_constant=survey.instrument.lock_in.time_constant,
-    )
-    return np.asarray(one * variance_share(samples.readings, spacing=1.0))
-
-
 def _outputs(
-    samples: _Samples,
+    samples: Samples,
     dark: tuple[NDArray[np.complex128], Floats],
     survey: Survey,
 ) -> dict[str, NDArray[Any]]:
     signal = samples.signal
-    counting = _counting(samples, survey) + dark[1][:, :, None, None]
+    counting = counting_variance(samples, survey) + dark[1][:, :, None, None]
     along = survey.instrument.lock_in.phase_floor**2
     return {
         "in_phase": signal.real,
@@ -278,7 +173,7 @@ def _outputs(
     }
 
 
-def _directions(samples: _Samples, survey: Survey) -> dict[str, Floats]:
+def _directions(samples: Samples, survey: Survey) -> dict[str, Floats]:
     """Return where the beam stood; where nothing was measured, where it was to go."""
     azimuth, elevation, _ = scan_directions(survey)
     return {
@@ -314,10 +209,10 @@ def _open_water(
             dict.fromkeys((key.repeat, key.row, key.column) for key, _ in taken)
         )
     }
-    samples = _Samples(survey, 1, len(shots))
+    samples = Samples(survey, 1, len(shots))
     for key, record in taken:
         samples.put(key, record, 0, shots[key.repeat, key.row, key.column])
-    _correct(samples, dark, survey, calibration)
+    correct(samples, dark, survey, calibration)
     # A shot that overloaded says nothing about the water.
     samples.signal[samples.flags & SampleFlag.OVERLOAD != 0] = np.nan
     outputs = {
@@ -332,7 +227,7 @@ def _open_water(
 
 
 def _user_variables(
-    samples: _Samples, uncalibrated: NDArray[np.bool_]
+    samples: Samples, uncalibrated: NDArray[np.bool_]
 ) -> dict[str, xr.Variable]:
     flags = [flag for flag in SampleFlag if flag]
     masks = np.array([*map(int, flags), UNCALIBRATED], dtype=np.int16)
@@ -360,6 +255,10 @@ def _user_variables(
         "user_commanded_elevation": variable(
             "direction asked for, upwards", _PIXEL, commanded["commanded_elevation"],
             "rad",
+        ),
+        "user_takes": variable(
+            "how often a sample was taken; the last take stands", _SAMPLE,
+            samples.takes, "1",
         ),
         "user_modulation_frequency": variable(
             "frequency read back", _SAMPLE, samples.modulation_frequency, "Hz"

@@ -18,6 +18,7 @@ from scipy.constants import speed_of_light
 from amulor import cube as cubes
 from amulor.errors import CubeError, FormatError
 from amulor.optics import rays
+from amulor.survey import messages
 from amulor.survey.quantity import Angle, Description, Frequency, Voltage
 
 #: Share of the rows and columns in the middle that the plate is looked at in.
@@ -75,21 +76,46 @@ class Calibration(Description):
         """
         path = Path(path)
         try:
-            content = tomllib.loads(path.read_text("utf-8-sig"))
-            return cls.model_validate(content, context={"from_text": True})
+            text = path.read_text("utf-8-sig")
         except OSError as error:
             raise FormatError(
                 f"{path}: cannot be read ({error.strerror}); check the name"
             ) from None
-        except (UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+        except UnicodeDecodeError as error:
             raise FormatError(f"{path}: is no valid TOML: {error}") from None
+        return cls.from_text(text, name=str(path))
+
+    @classmethod
+    def from_text(cls, text: str, *, name: str = "calibration") -> Self:
+        """Read a calibration from the text of its file.
+
+        Parameters
+        ----------
+        text : str
+            TOML, also that of the attribute `calibration` of a cube.
+        name : str
+            What messages call it.
+
+        Returns
+        -------
+        Calibration
+            In SI units.
+
+        Raises
+        ------
+        FormatError
+            As `from_toml`.
+        """
+        try:
+            content = tomllib.loads(text)
+            return cls.model_validate(content, context={"from_text": True})
+        except tomllib.TOMLDecodeError as error:
+            raise FormatError(f"{name}: is no valid TOML: {error}") from None
         except ValidationError as error:
-            raise FormatError(
-                "\n".join(
-                    f"{path}: {'.'.join(map(str, one['loc']))}: {one['msg']}"
-                    for one in error.errors()
-                )
-            ) from None
+            lines = messages.lines(
+                error, content, model=cls, name=name, what="a calibration"
+            )
+            raise FormatError("\n".join(lines)) from None
 
     def to_toml(self) -> str:
         """Write the calibration as TOML, each quantity with its SI unit.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from typing import Protocol
 
@@ -27,8 +28,8 @@ class RealClock:
     """
 
     def __init__(self, speed: float = 1.0) -> None:
-        if not speed > 0:
-            raise ValueError(f"speed must be above 0, got {speed:g}")
+        if not 0 < speed < math.inf:
+            raise ValueError(f"speed must be above 0 and finite, got {speed:g}")
         self._speed = speed
 
     def now(self) -> float:

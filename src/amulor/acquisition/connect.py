@@ -70,7 +70,11 @@ def connect(
         devices = _simulated(survey, settings, part)
     else:
         devices = _real(settings, ask)
-    devices.laser.off()
+    try:
+        devices.laser.off()
+    except BaseException:
+        devices.close()
+        raise
     return devices
 
 

@@ -20,6 +20,9 @@ from amulor.acquisition.protocols import (
 from amulor.acquisition.settings import Settings
 from amulor.acquisition.simulated import SIMULATOR
 
+#: Settings that change no sample.
+_NO_PART_OF_IT = ("address", "clock_speed", "attempts", "patience")
+
 
 @dataclass(frozen=True)
 class Devices:
@@ -64,7 +67,9 @@ class Devices:
             try:
                 device.make_safe()
             except Exception as error:  # the next device must be reached in any case
-                wrong.append(f"{name} could not be made safe: {error}")
+                wrong.append(
+                    f"{name} could not be made safe, see to it by hand: {error}"
+                )
         return wrong
 
     def close(self) -> None:
@@ -88,12 +93,13 @@ def digest(settings: Settings, identities: dict[str, str]) -> str:
     -------
     str
         SHA-256. Where a device is linked to and how long its answers may take do not
-        count, nor does the speed of a rehearsal.
+        count, nor does the speed of a rehearsal, nor how much is put up with before a
+        scan stops.
     """
     content = settings.model_dump(mode="json", exclude={"simulation": True})
     for part in content.values():
         for name in [*part]:
-            if name in ("address", "clock_speed") or name.endswith("timeout"):
+            if name in _NO_PART_OF_IT or name.endswith("timeout"):
                 del part[name]
     return cube.digest(json.dumps([content, identities], sort_keys=True))
 

@@ -25,11 +25,13 @@ class OperatorTargetStage:
 
     def bring_in(self, *, timeout: float) -> None:
         """Ask for the target."""
-        self._request("Put the target into the beam")
+        self._request("The laser is off. Put the target into the beam")
 
     def take_out(self, *, timeout: float) -> None:
         """Ask for open water."""
-        self._request("Take the target out of the beam: only water is to be seen")
+        self._request(
+            "The laser is off. Take the target out: only water is to be in the beam"
+        )
 
     def make_safe(self) -> None:
         """Do nothing."""

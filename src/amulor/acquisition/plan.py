@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from collections.abc import Collection, Iterator, Mapping
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -30,7 +30,8 @@ class Key(NamedTuple):
     polarization: str
     """Launched and analysed state, or "none"."""
     repeat: int
-    """Number of the sample among those of the same place and channel [1]."""
+    """Number of the sample among those of the same place and channel; of the scan
+    itself 0, more if it was taken again [1]."""
 
 
 @dataclass(frozen=True)
@@ -114,6 +115,32 @@ def extra_reference(
         yield from _open_water(
             survey, channel, range(first + number, first + number + 1)
         )
+
+
+def retakes(
+    survey: Survey, procedure: Procedure, *, spoiled: Collection[Key]
+) -> Iterator[Step]:
+    """Yield once more the samples of the scan that were spoiled.
+
+    Parameters
+    ----------
+    survey : Survey
+        Scan, frequencies and channels.
+    procedure : Procedure
+        How references are spread.
+    spoiled : collection of Key
+        The newest take of each.
+
+    Yields
+    ------
+    Step
+        In the order of the scan, with the repeat number after that of the take that
+        was spoiled: the key is a new one.
+    """
+    repeats = {key._replace(repeat=0): key.repeat for key in spoiled}
+    for step in steps(survey, procedure):
+        if step.key in repeats:
+            yield replace(step, key=step.key._replace(repeat=repeats[step.key] + 1))
 
 
 def reference_block(

@@ -22,6 +22,7 @@ from amulor.survey import Survey
 
 #: What the simulated lock-in is wired to, by the model.
 Model = Literal["sr844", "sr865a"]
+_LAST_PORT = 65535
 
 
 @dataclass(frozen=True)
@@ -70,7 +71,19 @@ def rehearse(
     ------
     Rehearsal
         With the addresses in its settings.
+
+    Raises
+    ------
+    ValueError
+        If the speed is not above zero, or a port is none.
+    OSError
+        If it cannot be listened there.
     """
+    if any(not 0 <= port <= _LAST_PORT for port in ports):
+        raise ValueError(
+            f"ports must be from 1 to {_LAST_PORT}, or 0 for any free one, got "
+            f"{ports[0]} and {ports[1]}"
+        )
     base = settings or Settings()
     bench = simulated_bench(survey, base, clock=RealClock(speed))
     lock_in = {"sr844": SimulatedSr844, "sr865a": SimulatedSr865a}[model](bench)
@@ -96,7 +109,7 @@ def _found_at(
         "scanner": {"driver": "pi_gcs", "address": stages},
         "launch": {"driver": "pi_gcs", "address": stages},
         "analyser": {"driver": "pi_gcs", "address": stages, "axis": base.analyser.axis},
-        "laser": {"driver": "lock_in_output"},
+        "laser": {"driver": "lock_in_output", "output": 1, "on_voltage": 5.0},
         "target": {"driver": "pi_gcs", "address": stages},
         "procedure": {"clock_speed": speed},
     }

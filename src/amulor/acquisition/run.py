@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import contextlib
+import itertools
 import json
+import shlex
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -16,7 +18,7 @@ from amulor.acquisition.connect import connect
 from amulor.acquisition.devices import Devices, digest
 from amulor.acquisition.journal import Journal
 from amulor.acquisition.plan import Key, Step
-from amulor.acquisition.sampler import Sampler
+from amulor.acquisition.sampler import SPOILED, Sampler
 from amulor.acquisition.settings import Settings
 from amulor.errors import AmulorError
 from amulor.io.files import atomic_output, make_folder
@@ -35,7 +37,7 @@ class Progress:
     total: int
     """Samples that it will have, references included [1]."""
     rate: float
-    """Samples per second of this run, by the wall clock [1/s]."""
+    """Samples per second since it began or went on, by the wall clock [1/s]."""
     left: float
     """Time that is left at this rate [s]."""
     flagged: int
@@ -84,6 +86,7 @@ def acquire(
     *,
     settings: Settings | None = None,
     resume: bool = False,
+    retake_flagged: bool = False,
     devices: Devices | None = None,
     control: Control | None = None,
     progress: Callable[[Progress], None] = lambda now: None,
@@ -102,6 +105,10 @@ def acquire(
         Devices and procedure; the embedded simulated ones by default.
     resume : bool
         Go on with the scan in the folder instead of beginning one.
+    retake_flagged : bool
+        Take samples that are overloaded or off their place, as the journal has them
+        before this run, once more after all that is missing. Each take has a key of
+        its own; the last one goes into the cube.
     devices : Devices, optional
         Connected devices, instead of those that the settings name. They are made safe
         but not closed.
@@ -117,7 +124,8 @@ def acquire(
     Returns
     -------
     Outcome
-        `finished` is False only if `control` ended the scan.
+        `finished` is False only if `control` ended the scan, or if a device could not
+        be made safe in a pause.
 
     Raises
     ------
@@ -128,40 +136,93 @@ def acquire(
         What was acknowledged is kept, and all devices have been made safe.
     """
     settings = settings or Settings()
-    make_folder(folder)
+    start = {
+        "survey": survey.to_toml(),
+        "survey_digest": cube.digest(survey.to_toml()),
+    }
     with contextlib.ExitStack() as stack:
+        # The folder first: a scan that is going on there has the devices, and one that
+        # is refused must not switch off its light.
+        if resume:
+            journal = stack.enter_context(Journal.resume(folder, meta=start))
+            part = len(journal.segments())
+        else:
+            make_folder(folder)
+            claim = Journal.claim(folder)
+            stack.callback(claim.close)
+            part = 0
         if devices is None:
-            part = _segments_so_far(folder) if resume else 0
             devices = connect(survey, settings, part=part, ask=ask)
             stack.callback(devices.close)
-        try:
-            meta = _meta(survey, settings, devices)
-            opened = Journal.resume if resume else Journal.create
-            journal = stack.enter_context(opened(folder, meta=meta))
-            if not resume:
-                _keep(folder, SURVEY_NAME, survey.to_toml())
-                _keep(folder, DEVICES_NAME, settings.to_toml())
-            run = _Run(survey, settings, devices, journal)
+        with _left_safe(devices):
+            identities = devices.identities()
+            meta = {
+                **start,
+                "devices": settings.to_toml(),
+                "instrument_digest": digest(settings, identities),
+                "identities": json.dumps(identities),
+            }
+            if resume:
+                journal.refuse_another(meta)
+            else:
+                journal = Journal.create(folder, meta=meta, claim=claim)
+                stack.enter_context(journal)
+            _keep_copies(journal)
+            run = _Run(survey, settings, devices, journal, retake=retake_flagged)
             return run.go(control or _Unattended(), progress, acknowledged)
-        except BaseException:
-            # Once more, in case that the first time was interrupted, or never came.
-            devices.make_safe()
-            raise
+
+
+def resume_command(folder: Path) -> str:
+    """Return the command that goes on with the scan of a folder.
+
+    Parameters
+    ----------
+    folder : pathlib.Path
+        Of the scan.
+
+    Returns
+    -------
+    str
+        For a shell.
+    """
+    words = ["amulor", "acquire", str(folder / SURVEY_NAME), "-o", str(folder)]
+    return shlex.join([*words, "--resume"])
+
+
+@contextlib.contextmanager
+def _left_safe(devices: Devices) -> Iterator[None]:
+    """Make devices safe after any exception, and say in it which of them are not."""
+    try:
+        yield
+    except BaseException as error:
+        # Once more, in case that the first time was interrupted, or never came.
+        unsafe = "; ".join(devices.make_safe())
+        if unsafe and isinstance(error, AmulorError):
+            raise type(error)(f"{unsafe}; {error}") from error
+        if unsafe:
+            error.add_note(unsafe)
+        raise
 
 
 class _Run:
     def __init__(
-        self, survey: Survey, settings: Settings, devices: Devices, journal: Journal
+        self,
+        survey: Survey,
+        settings: Settings,
+        devices: Devices,
+        journal: Journal,
+        *,
+        retake: bool,
     ) -> None:
         self._survey, self._settings = survey, settings
         self._devices, self._journal = devices, journal
         self._sampler = Sampler(survey, settings, devices)
         self._done = journal.keys()
+        self._retakes = [*self._to_be_retaken()] if retake else []
         self._flagged = 0
-        self._started = time.monotonic()
-        self._taken = 0
         self._elapsed = journal.last_elapsed()
         self._clock_start = devices.clock.now()
+        self._begin_to_count()
 
     def go(
         self,
@@ -176,6 +237,7 @@ class _Run:
             try:
                 steps = [*self._again(segment), *missing]
                 self._sampler.prepare()
+                self._begin_to_count()
                 total = len(self._done) + len(steps)
                 for step in steps:
                     if control.pause_wanted():
@@ -196,7 +258,7 @@ class _Run:
                 unsafe = self._end(segment, reason)
             self._sampler.forget()
             missing = self._missing()
-            if missing and not control.go_on():
+            if missing and (unsafe or not control.go_on()):
                 break
         else:
             unsafe = self._devices.make_safe()
@@ -210,7 +272,25 @@ class _Run:
 
     def _missing(self) -> list[Step]:
         planned = plan.steps(self._survey, self._settings.procedure)
-        return [step for step in planned if step.key not in self._done]
+        wanted = itertools.chain(planned, self._retakes)
+        return [step for step in wanted if step.key not in self._done]
+
+    def _to_be_retaken(self) -> Iterator[Step]:
+        """Return the samples whose newest take was spoiled, to be taken once more."""
+        newest = {
+            key._replace(repeat=0): (key, record.flags)
+            for key, record in self._journal.samples(plan.SCAN)
+        }
+        return plan.retakes(
+            self._survey,
+            self._settings.procedure,
+            spoiled=[key for key, flags in newest.values() if flags & SPOILED],
+        )
+
+    def _begin_to_count(self) -> None:
+        """Let rate and time left not count the time of a question."""
+        self._started = time.monotonic()
+        self._taken = 0
 
     def _again(self, segment: int) -> Iterator[Step]:
         """Yield the reference that a scan needs that was broken off in the middle."""
@@ -246,27 +326,15 @@ class _Run:
         folder = self._journal.folder
         return (
             f"{error}; {len(self._done)} samples are kept in {folder}. Mend it, then "
-            f"go on with: amulor acquire {folder / SURVEY_NAME} -o {folder} --devices "
-            f"{folder / DEVICES_NAME} --resume"
+            f"go on with: {resume_command(folder)}"
         )
 
 
-def _meta(survey: Survey, settings: Settings, devices: Devices) -> dict[str, str]:
-    identities = devices.identities()
-    return {
-        "survey": survey.to_toml(),
-        "survey_digest": cube.digest(survey.to_toml()),
-        "devices": settings.to_toml(),
-        "instrument_digest": digest(settings, identities),
-        "identities": json.dumps(identities),
-    }
-
-
-def _segments_so_far(folder: Path) -> int:
-    with Journal.read(folder) as journal:
-        return len(journal.segments())
-
-
-def _keep(folder: Path, name: str, text: str) -> None:
-    with atomic_output(folder / name, overwrite=True) as temporary:
-        temporary.write_text(text, encoding="utf-8")
+def _keep_copies(journal: Journal) -> None:
+    """Lay survey and devices file beside a journal, unless they are there."""
+    meta = journal.meta()
+    for name, key in ((SURVEY_NAME, "survey"), (DEVICES_NAME, "devices")):
+        path = journal.folder / name
+        if not path.exists():
+            with atomic_output(path) as temporary:
+                temporary.write_text(meta[key], encoding="utf-8")

@@ -6,9 +6,9 @@ import enum
 import statistics
 
 from amulor.acquisition.devices import Devices
-from amulor.acquisition.journal import Record
 from amulor.acquisition.plan import DARK, OPEN_WATER, SCAN, Step
 from amulor.acquisition.protocols import Overload, Reading
+from amulor.acquisition.record import Record
 from amulor.acquisition.settings import Settings
 from amulor.acquisition.uncertainty import readings_of
 from amulor.errors import InstrumentError
@@ -34,6 +34,10 @@ class SampleFlag(enum.IntFlag):
     OFF_FREQUENCY = 16
     """The lock-in detects at another frequency than the commanded one."""
 
+
+#: A sample with one of these can be taken again on request. Of the others, two were
+#: taken again at once and are good, and a frequency would come out as it did before.
+SPOILED = SampleFlag.OVERLOAD | SampleFlag.OFF_POSITION
 
 #: Largest relative difference of commanded and read-back frequency; the oscillator of
 #: an SR844 has three digits, its counter has more.
@@ -136,8 +140,8 @@ class Sampler:
             self._frequency = step.key.frequency
         if step.key.polarization != self._polarization:
             self._set_polarization(step.key.polarization)
-        self._switch_laser(step.key.kind != DARK)
         self._move_target(step.key.kind)
+        self._switch_laser(step.key.kind != DARK)
         return devices.scanner.move(
             step.azimuth, step.elevation, timeout=settings.scanner.move_timeout
         )
@@ -171,6 +175,9 @@ class Sampler:
         if kind == DARK or (kind == SCAN) == self._target_is_in:
             return
         timeout = self._settings.target.move_timeout
+        if self._settings.target.driver == "operator":
+            # Somebody will reach into the beam.
+            self._switch_laser(False)
         if kind == OPEN_WATER:
             self._devices.target.take_out(timeout=timeout)
         else:

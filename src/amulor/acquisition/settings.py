@@ -282,7 +282,9 @@ class Settings(Description):
         try:
             return cls.model_validate(content, context={"from_text": True})
         except ValidationError as error:
-            lines = messages.lines(error, content, model=cls, name=str(path))
+            lines = messages.lines(
+                error, content, model=cls, name=str(path), what="a devices file"
+            )
             raise InstrumentError("\n".join(lines)) from None
 
     def to_toml(self) -> str:

@@ -65,7 +65,7 @@ class SimulatedPiController:
         with self._lock:
             self.lines.append(line)
             del self.lines[:-1000]
-            command, *words = line.split()
+            command, *words = line.split() or [""]
             if command == "*IDN?":
                 return [f"(c) Physik Instrumente, C-884, 0, {SIMULATOR}"]
             if command == "ERR?":
@@ -93,7 +93,14 @@ class SimulatedPiController:
         return False
 
     def _move(self, words: list[str]) -> None:
-        axes, goals = words[::2], [float(word) for word in words[1::2]]
+        axes = words[::2]
+        try:
+            goals = [float(word) for word in words[1::2]]
+        except ValueError:
+            goals = []
+        if not axes or len(goals) != len(axes):
+            self._error = _UNKNOWN
+            return
         if not self._known(axes):
             return
         # A line is carried out as a whole or not at all.

@@ -85,7 +85,7 @@ class SimulatedStanford:
             return None
         try:
             return self._handlers[word](argument)
-        except (ValueError, IndexError):
+        except (ValueError, LookupError):
             self._error |= _EXECUTION_ERROR
             return []
 

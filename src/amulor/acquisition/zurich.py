@@ -1,7 +1,8 @@
 """UHFLI of Zurich Instruments through zhinst-toolkit; tested against a contract only.
 
 No instrument and no simulator of one stood behind the tests: they check that these
-nodes are set and read as the manual names them, and nothing more.
+nodes are set and read as the manual names them, and nothing more. An HF2LI, whose nodes
+and input ranges may differ, was not looked at.
 """
 
 from __future__ import annotations

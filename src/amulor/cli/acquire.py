@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import contextlib
+import os
 import signal
 import sys
 import threading
@@ -24,6 +26,7 @@ def acquire(
     output: Annotated[Path, Parameter(alias="-o")],
     devices: Path | None = None,
     resume: Annotated[bool, Parameter(negative="")] = False,
+    retake_flagged: Annotated[bool, Parameter(negative="")] = False,
     calibration: Path | None = None,
     overwrite: Annotated[bool, Parameter(negative="")] = False,
     json: Annotated[bool, Parameter(negative="")] = False,
@@ -38,39 +41,61 @@ def acquire(
         Folder of the scan: journal.sqlite, survey.toml, devices.toml, and cube.nc
         when all is taken. Ctrl-C pauses and asks.
     devices
-        Devices file (TOML); simulated devices if left out.
+        Devices file (TOML); if left out, simulated devices, with --resume those of the
+        scan.
     resume
         Go on with the scan that is in the folder.
+    retake_flagged
+        With --resume: take overloaded samples and those off their place once more,
+        after all that is missing. The cube gets the last take of each.
     calibration
-        Calibration file (TOML) that "amulor devices calibrate" wrote.
+        Calibration file (TOML) that "amulor devices calibrate" wrote; if left out with
+        --resume, the one that a cube in the folder was made with.
     overwrite
-        Replace cube.nc if it is there. A scan in the folder is never replaced.
+        Replace cube.nc if it is there, and forget the calibration in it. A scan in the
+        folder is never replaced.
     json
         Print the outcome for other programs.
     """
     from amulor import acquisition, io
     from amulor.acquisition.build import CUBE_NAME
-    from amulor.acquisition.journal import FILE_NAME
+    from amulor.acquisition.journal_file import FILE_NAME
+    from amulor.acquisition.run import DEVICES_NAME, resume_command
     from amulor.cli._output import print_json
+    from amulor.errors import InstrumentError
     from amulor.survey import Survey
 
+    if retake_flagged and not resume:
+        raise InstrumentError("--retake-flagged needs a scan to go on with: --resume")
     # A scan that is resumed may have the cube of its first part beside it.
     replace = overwrite or resume
     if output.is_dir() and not (output / FILE_NAME).exists():
         io.check_output(output / CUBE_NAME, overwrite=replace, inputs=[survey])
     described = Survey.from_toml(survey)
+    if devices is None and resume and (output / DEVICES_NAME).exists():
+        devices = output / DEVICES_NAME
     settings = _settings(devices)
     known = None if calibration is None else _calibration(calibration)
-    with _live(quiet=json) as screen, _Interrupts(screen) as control:
-        outcome = acquisition.acquire(
-            described,
-            output,
-            settings=settings,
-            resume=resume,
-            control=control,
-            progress=screen.show,
-            ask=screen.request if sys.stdin.isatty() else None,
-        )
+    if known is None and resume and not overwrite:
+        known = _calibration_of(output / CUBE_NAME)
+    try:
+        with _live(quiet=json) as screen, _Interrupts(screen) as control:
+            outcome = acquisition.acquire(
+                described,
+                output,
+                settings=settings,
+                resume=resume,
+                retake_flagged=retake_flagged,
+                control=control,
+                progress=screen.show,
+                ask=screen.request if sys.stdin.isatty() else None,
+            )
+    except KeyboardInterrupt as interrupt:
+        for note in getattr(interrupt, "__notes__", ()):
+            print(f"amulor: {note}", file=sys.stderr)
+        if (output / FILE_NAME).exists():
+            print(f"{output}: go on with: {resume_command(output)}", file=sys.stderr)
+        raise
     found: dict[str, Any] = {
         "finished": outcome.finished,
         "done": outcome.done,
@@ -78,21 +103,23 @@ def acquire(
         "flagged": outcome.flagged,
         "unsafe": outcome.unsafe,
     }
-    for line in outcome.unsafe:
-        print(f"amulor: {line}", file=sys.stderr)
     if outcome.finished:
         path = acquisition.recover(output, calibration=known, overwrite=replace)
         found["cube"] = str(path)
     if json:
         print_json(found)
     elif outcome.finished:
-        print(f"{found['cube']}: {outcome.done} samples, {outcome.flagged} flagged")
+        print(
+            f"{found['cube']}: {outcome.done} samples, {outcome.flagged} flagged in "
+            "this run"
+        )
     else:
         print(
             f"{output}: {outcome.done} of {outcome.total} samples; go on with: "
-            f"amulor acquire {output / 'survey.toml'} -o {output} --devices "
-            f"{output / 'devices.toml'} --resume"
+            f"{resume_command(output)}"
         )
+    if outcome.unsafe:
+        raise InstrumentError("\n".join(outcome.unsafe))
     if not outcome.finished:
         raise KeyboardInterrupt
 
@@ -109,21 +136,41 @@ def _calibration(path: Path) -> Any:
     return Calibration.from_toml(path)
 
 
+def _calibration_of(path: Path) -> Any:
+    """Return the calibration that a cube was made with, if there are both."""
+    from amulor import io
+    from amulor.acquisition import Calibration
+
+    if not path.exists():
+        return None
+    text = io.read_cube(path).attrs.get("calibration")
+    return None if text is None else Calibration.from_text(text, name=str(path))
+
+
 class _Interrupts:
-    """Ctrl-C asks between two samples; a second one, or a termination, ends at once."""
+    """Ctrl-C asks between two samples; a second one, or a termination, ends at once.
+
+    While devices are made safe after that, no signal but SIGKILL is listened to.
+    """
+
+    #: Ctrl-Z, too: a program that is only stopped would leave the light on.
+    _ASK = ("SIGINT", "SIGTSTP")
+    _END = ("SIGTERM", "SIGHUP", "SIGQUIT")
 
     def __init__(self, screen: _Screen) -> None:
         self._screen = screen
         self._wanted = False
+        self._leaving = False
         self._before: dict[int, Any] = {}
 
     def __enter__(self) -> _Interrupts:
         """Take over the signals, where that can be done."""
         if threading.current_thread() is threading.main_thread():
-            self._before[signal.SIGINT] = signal.signal(signal.SIGINT, self._want)
-            self._before[signal.SIGTERM] = signal.signal(signal.SIGTERM, self._end)
-            if hasattr(signal, "SIGHUP"):
-                self._before[signal.SIGHUP] = signal.signal(signal.SIGHUP, self._end)
+            for names, handler in ((self._ASK, self._want), (self._END, self._end)):
+                for name in names:
+                    if hasattr(signal, name):
+                        number = getattr(signal, name)
+                        self._before[number] = signal.signal(number, handler)
         return self
 
     def __exit__(self, *_: object) -> None:
@@ -133,12 +180,12 @@ class _Interrupts:
 
     def pause_wanted(self) -> bool:
         """Return whether Ctrl-C was pressed."""
-        return self._wanted
+        return self._wanted or self._leaving
 
     def go_on(self) -> bool:
         """Ask whether the scan goes on; in a pipe it does not."""
         self._wanted = False
-        if not sys.stdin.isatty():
+        if self._leaving or not sys.stdin.isatty():
             return False
         answer = self._screen.ask(
             "Paused: laser off, stage stopped. Go on with the scan? [Y/n] "
@@ -147,11 +194,16 @@ class _Interrupts:
 
     def _want(self, number: int, frame: object) -> None:
         # In place of an answer, or a second time before the question: at once.
-        if self._wanted or self._screen.asking:
-            raise KeyboardInterrupt
+        if self._wanted or self._screen.asking or self._leaving:
+            self._end(number, frame)
         self._wanted = True
 
     def _end(self, number: int, frame: object) -> None:
+        if self._leaving:
+            with contextlib.suppress(OSError):
+                os.write(2, b"\namulor: devices are being made safe\n")
+            return
+        self._leaving = True
         raise KeyboardInterrupt
 
 
@@ -180,8 +232,12 @@ class _Screen:
         if self._bar is not None:
             self._bar.stop()
         self.asking = True
+        # Not by `input`: that would write it where the outcome goes, maybe to a file.
+        print(text, end="", file=sys.stderr, flush=True)
         try:
-            return input(text)
+            return input()
+        except EOFError:  # Ctrl-D, or the terminal is gone
+            raise KeyboardInterrupt from None
         finally:
             self.asking = False
             if self._bar is not None:

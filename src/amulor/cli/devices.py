@@ -71,7 +71,9 @@ def simulate(
         settings = Settings.model_validate(content)
     except ValidationError as error:
         raise InstrumentError(
-            f"--fault {' '.join(fault)}: {error.errors()[0]['msg']}"
+            f"--fault {error.errors()[0]['input']}: needed is kind@reading, or "
+            "kind@reading and x and how many readings, such as unlock@500x3; kinds: "
+            "overload, saturation, unlock, lost-link, timeout, stuck"
         ) from None
     ports = (lock_in_port, stage_port)
     try:
@@ -85,8 +87,9 @@ def simulate(
             print("Ctrl-C ends it.")
             sys.stdout.flush()
             _wait_for_the_end()
-    except OSError as error:
-        raise InstrumentError(f"cannot listen at {host}: {error.strerror}") from None
+    except (OSError, ValueError) as error:
+        reason = getattr(error, "strerror", None) or error
+        raise InstrumentError(f"cannot serve at {host}: {reason}") from None
 
 
 def calibrate(

@@ -4,16 +4,19 @@ from __future__ import annotations
 
 import difflib
 import json
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from typing import Any, get_args
 
 from pydantic import BaseModel, ValidationError
 
-from amulor.survey import target
-
 
 def lines(
-    error: ValidationError, content: Any, *, model: type[BaseModel], name: str
+    error: ValidationError,
+    content: Any,
+    *,
+    model: type[BaseModel],
+    name: str,
+    what: str = "a survey",
 ) -> list[str]:
     """Turn the findings of the validator into one line each.
 
@@ -27,21 +30,34 @@ def lines(
         The description that the file as a whole stands for.
     name : str
         The file.
+    what : str
+        What it describes, with its article.
 
     Returns
     -------
     list of str
         `file: field: what was found, what is allowed`, each line once.
     """
-    found = [_line(problem, content, model, name) for problem in error.errors()]
+    problems = error.errors()
+    above = {one["loc"][:end] for one in problems for end in range(len(one["loc"]))}
+    found = [
+        _line(problem, content, model, name, what)
+        for problem in problems
+        # A list whose items are all wrong counts as empty, which it is not.
+        if problem["type"] != "too_short" or problem["loc"] not in above
+    ]
     return list(dict.fromkeys(found))
 
 
 def _line(
-    problem: Mapping[str, Any], content: Any, model: type[BaseModel], name: str
+    problem: Mapping[str, Any],
+    content: Any,
+    model: type[BaseModel],
+    name: str,
+    what: str,
 ) -> str:
     location = _location(problem["loc"], content)
-    field = ".".join(str(part) for part in location) or "survey"
+    field = ".".join(str(part) for part in location) or what.partition(" ")[2]
     kind, bounds = problem["type"], problem.get("ctx", {})
     found = _found(location, content)
     if kind == "extra_forbidden":
@@ -49,7 +65,7 @@ def _line(
         close = difflib.get_close_matches(str(location[-1]), allowed, n=1)
         hint = f"did you mean {close[0]!r}? " if close else ""
         return (
-            f"{name}: {field}: is no field of a survey; {hint}"
+            f"{name}: {field}: is no field of {what}; {hint}"
             f"allowed here: {', '.join(allowed)}"
         )
     if kind == "missing":
@@ -61,6 +77,8 @@ def _line(
         return f"{name}: {field}: found {found}, but it must {_LIMITS[kind]} {limit:g}"
     if kind == "literal_error":
         return f"{name}: {field}: found {found}, but it must be {limit}"
+    if kind == "string_pattern_mismatch" and "polarizations" not in location:
+        return f"{name}: {field}: found {found}; {_meant(location, content, model)}"
     if kind in _NEEDED:
         return f"{name}: {field}: found {found}, but {_NEEDED[kind]}"
     text = str(problem["msg"])
@@ -123,33 +141,44 @@ def _table(
 ) -> type[BaseModel]:
     """Return the description class that a table of the file stands for."""
     here = content
+    annotation: Any = model
     for part in location:
         here = here[part]
-        if isinstance(part, int):
-            kinds = {
-                get_args(m.model_fields["kind"].annotation)[0]: m for m in _TARGETS
-            }
-            model = kinds[here["kind"]]
-            continue
-        annotation = model.model_fields[part].annotation
-        parts = [annotation, *get_args(annotation)]
+        if not isinstance(part, int):  # an item of a list has the kinds of the list
+            annotation = model.model_fields[part].annotation
         model = next(
-            (p for p in parts if isinstance(p, type) and issubclass(p, BaseModel)),
-            model,
+            (one for one in _models(annotation) if _is_of_kind(here, one)), model
         )
     return model
 
 
-_TARGETS: tuple[type[BaseModel], ...] = (
-    target.Plate,
-    target.Staircase,
-    target.Disc,
-    target.Mesh,
-)
+def _models(annotation: Any) -> Iterator[type[BaseModel]]:
+    """Yield every description class that an annotation names, at any depth."""
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        yield annotation
+    for part in get_args(annotation):
+        yield from _models(part)
+
+
+def _is_of_kind(table: Any, model: type[BaseModel]) -> bool:
+    """Return whether a table of the file can stand for a class, by its `kind`."""
+    field = model.model_fields.get("kind")
+    if field is None or not isinstance(table, dict):
+        return True
+    return table.get("kind", field.default) in get_args(field.annotation)
 
 
 def _needed(location: list[Any], content: Any, model: type[BaseModel]) -> str:
     if isinstance(location[-1], int):
         return f"needed are at least {location[-1] + 1} values"
-    field = _table(location[:-1], content, model).model_fields[location[-1]]
-    return "needed is: " + " ".join((field.description or "a value").split())
+    return _meant(location, content, model)
+
+
+def _meant(location: list[Any], content: Any, model: type[BaseModel]) -> str:
+    """Return what a field is, or the one that a key or an item belongs to."""
+    for end in range(len(location) - 1, -1, -1):
+        fields = _table(location[:end], content, model).model_fields
+        if location[end] in fields:
+            text = fields[location[end]].description or "a value"
+            return "needed is: " + " ".join(text.split())
+    return "needed is a value"

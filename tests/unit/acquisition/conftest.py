@@ -1,15 +1,19 @@
-"""A small fast survey, a folder without a slow disk, and one end of a conversation."""
+"""A small fast survey, a folder without a slow disk, and what stops or asks a scan."""
 
 from __future__ import annotations
 
 import shutil
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
+import xarray as xr
 
+from amulor import acquisition
 from amulor.acquisition.clock import VirtualClock
+from amulor.acquisition.devices import Devices
+from amulor.acquisition.journal import Journal
 from amulor.acquisition.settings import Settings
 from amulor.survey import Survey
 
@@ -83,3 +87,61 @@ def script() -> type[Script]:
 def clock() -> VirtualClock:
     """Return a clock that does not wait."""
     return VirtualClock()
+
+
+def _made(settings: Settings, **parts: dict) -> Settings:
+    content = settings.model_dump(exclude_unset=True)
+    for name, part in parts.items():
+        content[name] = {**content.get(name, {}), **part}
+    return Settings.model_validate(content)
+
+
+@pytest.fixture(name="made")
+def made_fixture() -> Callable[..., Settings]:
+    """Return what changes parts of settings."""
+    return _made
+
+
+def _safe(devices: Devices) -> bool:
+    """Return whether the last thing that each device was told was to be safe."""
+    last = {name: device.log[-1] for name, device in devices.all()}
+    return last.pop("laser") == "off" and {*last.values()} == {"safe"}
+
+
+@pytest.fixture(name="safe")
+def safe_fixture() -> Callable[[Devices], bool]:
+    """Return what tells whether devices were left safe."""
+    return _safe
+
+
+def _cube_of(folder: Path) -> xr.Dataset:
+    """Return the cube of a folder; that it is written well is tested elsewhere."""
+    with Journal.read(folder) as journal:
+        return acquisition.build(journal)
+
+
+@pytest.fixture(name="cube_of")
+def cube_of_fixture() -> Callable[[Path], xr.Dataset]:
+    """Return what makes the cube of a folder in memory."""
+    return _cube_of
+
+
+class Stop:
+    """Pauses once before a sample, and then goes on or not."""
+
+    def __init__(self, at: int, *, go_on: bool) -> None:
+        self.left, self._go_on, self.asked = at, go_on, 0
+
+    def pause_wanted(self) -> bool:
+        self.left -= 1
+        return self.left == -1
+
+    def go_on(self) -> bool:
+        self.asked += 1
+        return self._go_on
+
+
+@pytest.fixture(name="Stop")
+def stop_fixture() -> type[Stop]:
+    """Return the class of controls that pause once."""
+    return Stop

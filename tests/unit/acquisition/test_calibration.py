@@ -16,6 +16,7 @@ from amulor.acquisition.calibration import (
     from_plates,
     phase_correction,
 )
+from amulor.acquisition.journal import Journal
 from amulor.acquisition.settings import Settings
 from amulor.errors import CubeError, FormatError
 from amulor.survey import OpenWater, Survey
@@ -45,7 +46,8 @@ def recorded(survey: Survey, folder: Path, **simulation: object):
         {"procedure": {"dark_readings": 10}, "simulation": simulation}
     )
     acquisition.acquire(survey, folder, settings=settings)
-    return folder, rejection.open_water(io.read_cube(acquisition.recover(folder)))
+    with Journal.read(folder) as journal:
+        return folder, rejection.open_water(acquisition.build(journal))
 
 
 def test_a_delay_in_the_cable_is_found_and_taken_off(clear, folder) -> None:
@@ -117,8 +119,8 @@ def test_a_calibrated_plate_is_no_calibration(clear, folder) -> None:
             ),
         )
     )
-    path = acquisition.recover(place, calibration=wide, overwrite=True)
-    plate = rejection.open_water(io.read_cube(path))
+    with Journal.read(place) as journal:
+        plate = rejection.open_water(acquisition.build(journal, calibration=wide))
     with pytest.raises(CubeError, match="has a calibration already"):
         from_plates([plate], distance=1.5)
     with pytest.raises(ValueError, match="above 0 m"):
@@ -139,6 +141,12 @@ def test_a_calibrated_plate_is_no_calibration(clear, folder) -> None:
             "phases=[]",
             "each amplitude needs its phase",
         ),
+        (
+            "[[frequencies]]\nmodulation_frequency='1 MHz'\namplitudes=['1 mV']\n"
+            "phase=['0.1 rad']",
+            r"0\.phase: is no field of a calibration; did you mean 'phases'",
+        ),
+        ("frequencies = []", "at least one is needed"),
         ("nonsense", "no valid TOML"),
     ],
 )
@@ -147,3 +155,14 @@ def test_a_wrong_calibration_file_is_named(tmp_path, text, message) -> None:
     path.write_text(text)
     with pytest.raises(FormatError, match=message):
         Calibration.from_toml(path)
+
+
+def test_a_list_of_wrong_items_is_not_called_empty(tmp_path) -> None:
+    path = tmp_path / "calibration.toml"
+    path.write_text("[[frequencies]]\nmodulation_frequency = 1\nphases = ['0 rad']")
+    with pytest.raises(FormatError) as caught:
+        Calibration.from_toml(path)
+    lines = str(caught.value).splitlines()
+    assert len(lines) == 2
+    assert "frequencies.0.modulation_frequency: " in lines[0]
+    assert "frequencies.0.amplitudes: is missing" in lines[1]

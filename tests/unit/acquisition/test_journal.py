@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import os
 import sqlite3
 import threading
 import time
@@ -10,8 +11,11 @@ from pathlib import Path
 
 import pytest
 
-from amulor.acquisition.journal import FILE_NAME, Journal, Record
+from amulor.acquisition import journal_file
+from amulor.acquisition.journal import Journal
+from amulor.acquisition.journal_file import FILE_NAME
 from amulor.acquisition.plan import DARK, SCAN, Key
+from amulor.acquisition.record import Record
 from amulor.errors import FormatError, InstrumentError, SurveyError
 
 META = {
@@ -91,6 +95,87 @@ def test_there_is_one_writer_at_a_time(folder: Path) -> None:
     Journal.resume(folder, meta=META).close()
 
 
+def test_of_two_that_begin_at_once_one_is_refused(folder: Path) -> None:
+    for number in range(20):
+        place = folder / str(number)
+        place.mkdir()
+        begun, refused = [], []
+        start = threading.Barrier(2)
+
+        def begin(place=place, begun=begun, refused=refused, start=start) -> None:
+            start.wait()
+            try:
+                with Journal.create(place, meta=META) as journal:
+                    journal.commit(key(len(begun)), RECORD)
+                    begun.append(journal.count())
+            except FormatError as error:
+                refused.append(str(error))
+
+        threads = [threading.Thread(target=begin) for _ in range(2)]
+        for thread in threads:
+            thread.start()
+        for thread in threads:
+            thread.join()
+        assert (len(begun), len(refused)) == (1, 1)
+        with Journal.read(place) as journal:
+            assert journal.keys() == {key(0)}
+
+
+def test_a_journal_made_in_the_meantime_is_not_replaced(
+    folder: Path, monkeypatch
+) -> None:
+    claimed = journal_file.claimed
+
+    def late(place: Path) -> sqlite3.Connection:
+        # Another program begins and ends a scan just before the claim is had.
+        monkeypatch.setattr(journal_file, "claimed", claimed)
+        with Journal.create(place, meta=META) as first:
+            first.commit(key(1), RECORD)
+        return claimed(place)
+
+    monkeypatch.setattr(journal_file, "claimed", late)
+    with pytest.raises(FormatError, match="holds a scan already"):
+        Journal.create(folder, meta=META)
+    with Journal.read(folder) as journal:
+        assert journal.keys() == {key(1)}
+
+
+def test_the_newest_samples_of_a_lost_journal_get_into_no_other(folder: Path) -> None:
+    with Journal.create(folder, meta=META) as journal:
+        journal.commit(key(1), RECORD)
+        log = (folder / f"{FILE_NAME}-wal").read_bytes()
+    assert log
+    (folder / FILE_NAME).unlink()
+    (folder / f"{FILE_NAME}-wal").write_bytes(log)
+    with pytest.raises(FormatError, match="put that back"):
+        Journal.create(folder, meta=META)
+    assert (folder / f"{FILE_NAME}-wal").read_bytes() == log
+
+
+def test_names_are_synchronised_with_their_folders(folder: Path, monkeypatch) -> None:
+    place = folder / "scan"
+    place.mkdir()
+    done: list[str] = []
+    replace, fsync = os.replace, os.fsync
+
+    def synchronised(handle: int) -> None:
+        done.append(os.readlink(f"/proc/self/fd/{handle}"))
+        fsync(handle)
+
+    def renamed(old: Path, new: Path) -> None:
+        done.append("renamed")
+        replace(old, new)
+
+    if not Path("/proc/self/fd").is_dir():
+        pytest.skip("what a file handle stands for cannot be asked here")
+    monkeypatch.setattr(os, "fsync", synchronised)
+    monkeypatch.setattr(os, "replace", renamed)
+    Journal.create(place, meta=META).close()
+    real = place.resolve()
+    # The new name in the folder, and the folder in the one above.
+    assert done == ["renamed", str(real), str(real.parent)]
+
+
 def test_resuming_needs_a_scan(folder: Path) -> None:
     with pytest.raises(FormatError, match="leave out --resume"):
         Journal.resume(folder, meta=META)
@@ -110,6 +195,16 @@ def test_another_survey_or_instrument_is_refused(folder, name, error) -> None:
     Journal.resume(folder, meta=META).close()
 
 
+def test_which_device_is_another_one_is_told(folder: Path) -> None:
+    before = {**META, "identities": '{"laser": "A", "lock_in": "SR844 s/n 1"}'}
+    now = {**META, "identities": '{"laser": "A", "lock_in": "SR844 s/n 2"}'}
+    Journal.create(folder, meta=before).close()
+    with pytest.raises(InstrumentError) as caught:
+        Journal.resume(folder, meta={**now, "instrument_digest": "sha256:3333333333"})
+    assert "lock_in was SR844 s/n 1, is SR844 s/n 2;" in str(caught.value)
+    assert "laser" not in str(caught.value)
+
+
 def test_another_schema_is_refused(folder: Path) -> None:
     with Journal.create(folder, meta=META) as journal:
         journal.note("journal_schema", "99")
@@ -121,7 +216,7 @@ def test_another_schema_is_refused(folder: Path) -> None:
 def test_a_damaged_journal_is_told(folder: Path) -> None:
     Journal.create(folder, meta=META).close()
     (folder / FILE_NAME).write_bytes(b"something else entirely" * 1000)
-    with pytest.raises(FormatError, match="not a database"):
+    with pytest.raises(FormatError, match=r"not a database; it is damaged, take a"):
         Journal.read(folder)
 
 
@@ -154,6 +249,20 @@ def test_a_full_journal_says_so_and_keeps_what_it_has(folder: Path) -> None:
         assert acknowledged > 0
     with Journal.read(folder) as journal:
         assert journal.keys() == {key(number) for number in range(acknowledged)}
+
+
+def test_a_reader_can_write_nothing(folder: Path) -> None:
+    Journal.create(folder, meta=META).close()
+    with Journal.read(folder) as journal:
+        for write in (
+            lambda: journal.commit(key(1), RECORD),
+            lambda: journal.note("survey_digest", "another"),
+            journal.begin_segment,
+        ):
+            with pytest.raises(FormatError, match="readonly"):
+                write()
+    with Journal.resume(folder, meta=META) as journal:
+        assert journal.count() == 0
 
 
 def test_a_reader_neither_blocks_nor_disturbs_the_writer(folder: Path) -> None:

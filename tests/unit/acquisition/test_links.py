@@ -7,7 +7,11 @@ import time
 
 import pytest
 
-from amulor.acquisition.connect import open_link
+from amulor.acquisition.clock import VirtualClock
+from amulor.acquisition.connect import connect, open_link, simulated_bench
+from amulor.acquisition.rehearsal import rehearse
+from amulor.acquisition.settings import Settings
+from amulor.acquisition.simulated_pi import SimulatedPiController
 from amulor.acquisition.tcp import DeviceServer, LinkLostError
 from amulor.acquisition.visa import Link
 from amulor.errors import InstrumentError, MissingExtraError
@@ -97,3 +101,46 @@ def test_pyvisa_is_asked_for_by_its_extra(monkeypatch) -> None:
     monkeypatch.setitem(sys.modules, "pyvisa", None)
     with pytest.raises(MissingExtraError, match=r"amulor\[acquire\]"):
         Link.open("GPIB0::8::INSTR", timeout=1.0)
+
+
+def test_simulated_stages_survive_nonsense(small) -> None:
+    settings = Settings()
+    bench = simulated_bench(small, settings, clock=VirtualClock())
+    stages = SimulatedPiController(bench, settings)
+    for line in ("", "MOV 1 far", "MOV 1", "MOV", "POS? 77", "jump"):
+        assert stages.answer(line) == []
+        assert stages.answer("ERR?") == [stages_error(line)]
+    assert stages.answer("POS? 1") == ["1=0.0000000"]
+
+
+def stages_error(line: str) -> str:
+    """Return the code that the manual gives: unknown axis, or unknown command."""
+    return "15" if line == "POS? 77" else "2"
+
+
+def test_a_rehearsal_is_wired_as_its_simulators_are(small) -> None:
+    own = Settings.model_validate({"laser": {"output": 3, "on_voltage": 1.0}})
+    with rehearse(small, own) as rehearsal:
+        devices = connect(small, rehearsal.settings)
+        devices.laser.on()
+        assert rehearsal.bench.laser_on
+        devices.laser.off()
+        assert not rehearsal.bench.laser_on
+        # What no output and no value is called is an error of execution.
+        for line in ("AUXO 9,x", "AUXO? 9", "SNAP? 77"):
+            assert rehearsal.lock_in.answer(line) == []
+            assert rehearsal.lock_in.answer("*ESR?") == ["16"]
+        devices.close()
+
+
+@pytest.mark.parametrize(
+    ("words", "text"),
+    [
+        ({"speed": 0.0}, "speed must be above 0"),
+        ({"speed": float("inf")}, "speed must be above 0 and finite"),
+        ({"ports": (99999, 0)}, "ports must be from 1 to 65535"),
+    ],
+)
+def test_a_rehearsal_that_cannot_be_is_refused(small, words, text) -> None:
+    with pytest.raises(ValueError, match=text), rehearse(small, **words):
+        pass

@@ -20,8 +20,10 @@ from pathlib import Path
 
 import pytest
 
-from amulor.acquisition.journal import FILE_NAME, Journal, Record
+from amulor.acquisition.journal import Journal
+from amulor.acquisition.journal_file import FILE_NAME
 from amulor.acquisition.plan import SCAN, Key
+from amulor.acquisition.record import Record
 
 META = {"survey_digest": "1", "instrument_digest": "2", "identities": "{}"}
 RECORD = Record(

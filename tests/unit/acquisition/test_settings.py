@@ -64,6 +64,8 @@ def test_what_is_written_is_read_back(tmp_path: Path) -> None:
         ('angle_per_unit = "2 deg"', 'angle_per_unit = "0 deg"', "not 0"),
         ("[procedure]", '[simulation]\nfaults = ["fire@3"]\n[procedure]', "faults"),
         ("[launch]", "[launch", "no valid TOML"),
+        ("references = 5", "refernces = 5", "is no field of a devices file"),
+        ('axis = "3"', 'axis = "a b"', "needed is: Axis of the controller"),
     ],
 )
 def test_a_mistake_is_named(tmp_path: Path, old: str, new: str, text: str) -> None:
@@ -81,6 +83,9 @@ def test_the_digest_knows_the_instrument_and_not_its_place(tmp_path: Path) -> No
     settings, who = read(tmp_path, REAL), {"lock_in": "SR844"}
     same = REAL.replace("GPIB0::8::INSTR", "GPIB0::9::INSTR").replace("10.0.0.5", "a")
     assert digest(read(tmp_path, same), who) == digest(settings, who)
+    # Nor does it matter how much is put up with before a scan stops.
+    patient = REAL + "patience = 500\nattempts = 9\n"
+    assert digest(read(tmp_path, patient), who) == digest(settings, who)
     for other in (
         REAL.replace('"91.5 deg"', '"90 deg"'),
         REAL.replace("references = 5", "references = 6"),

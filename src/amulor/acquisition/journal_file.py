@@ -1,0 +1,202 @@
+"""The file behind a journal: made whole, for one writer, its errors explained."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import sqlite3
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+
+from amulor.errors import FormatError
+
+FILE_NAME = "journal.sqlite"
+_LOCK_NAME = "writer.lock"
+#: How long a lock of another program is waited for [s].
+_PATIENCE = 10.0
+
+
+def claimed(folder: Path) -> sqlite3.Connection:
+    """Return the right to write to the journal of a folder.
+
+    Parameters
+    ----------
+    folder : pathlib.Path
+        An existing folder.
+
+    Returns
+    -------
+    sqlite3.Connection
+        The right lasts until it is closed; that of a program that was killed is gone
+        with it.
+
+    Raises
+    ------
+    FormatError
+        If another program has it, or if the folder cannot be written.
+    """
+    path = folder / _LOCK_NAME
+    lock = None
+    try:
+        lock = sqlite3.connect(path, isolation_level=None, timeout=0)
+        lock.execute("BEGIN EXCLUSIVE")
+    except sqlite3.Error as error:
+        if lock is not None:
+            lock.close()
+        if "locked" in str(error):
+            raise FormatError(
+                f"{folder} is written to by another program; wait for it, or stop it"
+            ) from None
+        raise FormatError(
+            f"{path} cannot be written: {error}; check the permissions of the folder "
+            "and the space on its disk"
+        ) from error
+    return lock
+
+
+def make(path: Path, *, tables: Sequence[str], meta: Mapping[str, str]) -> None:
+    """Make the file, so that one that exists under its name is whole.
+
+    Parameters
+    ----------
+    path : pathlib.Path
+        File that is not there yet.
+    tables : sequence of str
+        Statements that make the tables; one of them is `meta`.
+    meta : mapping
+        Content of that table.
+
+    Raises
+    ------
+    FormatError
+        If it cannot be written.
+    """
+    draft = path.with_name(f".{path.name}.new")
+    with explained(path):
+        try:
+            draft.unlink(missing_ok=True)
+            connection = sqlite3.connect(draft, isolation_level=None)
+            with contextlib.closing(connection):
+                connection.execute("PRAGMA synchronous = FULL")
+                connection.execute("BEGIN")
+                for statement in tables:
+                    connection.execute(statement)
+                connection.executemany("INSERT INTO meta VALUES (?, ?)", meta.items())
+                connection.execute("COMMIT")
+            os.replace(draft, path)
+        except BaseException:
+            with contextlib.suppress(OSError):
+                draft.unlink(missing_ok=True)
+            raise
+        # A new name lasts when its folder is on disk, and so does a new folder.
+        for folder in (path.parent, path.parent.resolve().parent):
+            _synchronise(folder)
+
+
+def writer(path: Path) -> sqlite3.Connection:
+    """Open the file so that what is committed survives a loss of power.
+
+    Parameters
+    ----------
+    path : pathlib.Path
+        An existing journal.
+
+    Returns
+    -------
+    sqlite3.Connection
+        Each statement outside of a transaction is one of its own.
+
+    Raises
+    ------
+    FormatError
+        If it cannot be opened.
+    """
+    with explained(path):
+        connection = sqlite3.connect(path, isolation_level=None, timeout=_PATIENCE)
+        try:
+            (mode,) = connection.execute("PRAGMA journal_mode = WAL").fetchone()
+            if mode != "wal":  # some file systems of networks cannot do it
+                raise sqlite3.OperationalError(
+                    "a reader would block the writer here; take a disk of this computer"
+                )
+            connection.execute("PRAGMA synchronous = FULL")
+        except BaseException:
+            connection.close()
+            raise
+        return connection
+
+
+def reader(path: Path) -> sqlite3.Connection:
+    """Open the file for reading, also while it is written to.
+
+    Parameters
+    ----------
+    path : pathlib.Path
+        An existing journal.
+
+    Returns
+    -------
+    sqlite3.Connection
+        Every statement that writes raises.
+
+    Raises
+    ------
+    FormatError
+        If it cannot be opened.
+    """
+    with explained(path):
+        connection = sqlite3.connect(path, isolation_level=None, timeout=_PATIENCE)
+        connection.execute("PRAGMA query_only = ON")
+        return connection
+
+
+@contextlib.contextmanager
+def explained(path: Path) -> Iterator[None]:
+    """Turn errors of SQLite and of the operating system into one that says what to do.
+
+    Parameters
+    ----------
+    path : pathlib.Path
+        The journal.
+
+    Raises
+    ------
+    FormatError
+        For each of them.
+    """
+    try:
+        yield
+    except sqlite3.IntegrityError as error:
+        raise FormatError(
+            f"{path}: this sample is there already, or incomplete ({error}); nothing "
+            "was changed"
+        ) from error
+    except (sqlite3.Error, OSError) as error:
+        raise FormatError(
+            f"{path} cannot be used: {error}; {_advice(error)}"
+        ) from error
+
+
+def _advice(error: Exception) -> str:
+    code = getattr(error, "sqlite_errorcode", 0) & 0xFF
+    if code in (sqlite3.SQLITE_CORRUPT, sqlite3.SQLITE_NOTADB):
+        return "it is damaged, take a copy of the folder before anything else"
+    if code in (sqlite3.SQLITE_READONLY, sqlite3.SQLITE_CANTOPEN, sqlite3.SQLITE_PERM):
+        return (
+            "check permissions; what lies on a medium that cannot be written must be "
+            "copied to one that can, as a whole folder"
+        )
+    return (
+        "free some space, check permissions and disk; what was acknowledged before is "
+        "kept"
+    )
+
+
+def _synchronise(folder: Path) -> None:
+    # Windows and some file systems cannot do this.
+    with contextlib.suppress(OSError):
+        handle = os.open(folder, os.O_RDONLY)
+        try:
+            os.fsync(handle)
+        finally:
+            os.close(handle)

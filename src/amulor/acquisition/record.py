@@ -1,0 +1,37 @@
+"""What one sample of a scan has brought, as the journal keeps it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class Record:
+    """What one sample has brought, apart from its key."""
+
+    in_phase: float
+    """Mean of the readings [V]."""
+    quadrature: float
+    """Mean of the readings [V]."""
+    mean: float | None
+    """Mean output of the detector, None where it is not wired [V]."""
+    readings: int
+    """How many readings were averaged [1]."""
+    full_scale: float
+    """Largest peak amplitude of the setting [V]."""
+    flags: int
+    """Sum of `SampleFlag` [1]."""
+    commanded_azimuth: float
+    """Direction asked for [rad]."""
+    commanded_elevation: float
+    """Direction asked for [rad]."""
+    azimuth: float
+    """Direction read back [rad]."""
+    elevation: float
+    """Direction read back [rad]."""
+    modulation_frequency: float
+    """Frequency read back [Hz]."""
+    elapsed: float
+    """Time since the scan began, by the clock of the scan [s]."""
+    segment: int
+    """Which uninterrupted part of the scan it belongs to [1]."""

@@ -1,0 +1,134 @@
+"""Scans end to end: embedded devices, and simulated ones over the network."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+
+from amulor import acquisition, imaging, io, rejection
+from amulor.acquisition.journal import Journal
+from amulor.acquisition.rehearsal import rehearse
+from amulor.acquisition.sampler import SampleFlag
+from amulor.acquisition.settings import Settings
+from amulor.errors import InstrumentError
+from amulor.simulation import simulate
+from amulor.survey import Survey
+
+
+def test_an_acquired_cube_is_the_simulated_one_within_noise(
+    plate, folder, ranges
+) -> None:
+    acquisition.acquire(plate, folder)
+    acquired = io.read_cube(acquisition.recover(folder))
+    ideal = simulate(plate, rng=2)
+    for name, coordinate in ideal.coords.items():
+        assert acquired[name].shape == coordinate.shape
+    for name in ("in_phase_uncertainty", "quadrature_uncertainty"):
+        # The variance follows from the noisy mean output here, from truth there.
+        np.testing.assert_allclose(acquired[name], ideal[name], rtol=0.15)
+    difference = ranges(acquired) - ideal["truth_slant_range"].values
+    # Noise of a pixel is 1.8 mm; the mean of 72 shares the error of the reference.
+    assert abs(difference.mean()) < 2e-3
+    assert 1e-3 < difference.std() < 3e-3
+    assert acquired.attrs["simulated"] == 1
+
+
+@pytest.mark.parametrize("model", ["sr844", "sr865a"])
+def test_a_scan_over_the_network_gives_the_same_ranges(
+    text, folder, model, few
+) -> None:
+    if model == "sr865a":  # it ends at 4 MHz
+        text = text.replace('"39 MHz"', '"3.9 MHz"')
+    survey = Survey.from_text(text)
+    with rehearse(survey, few, model=model, speed=500) as rehearsal:
+        outcome = acquisition.acquire(survey, folder, settings=rehearsal.settings)
+        assert outcome.finished
+        assert not rehearsal.bench.laser_on
+        word = {"sr844": "AUXO", "sr865a": "AUXV"}[model]
+        gates = [line for line in rehearsal.lock_in.lines if line.startswith(word)]
+        assert gates[-1] == f"{word} 1,0.000;{word}? 1"
+        assert "STP" in rehearsal.stages.lines[-6:]
+    cube = io.read_cube(acquisition.recover(folder))
+    assert model.upper() in cube.attrs["source"]
+    assert cube.attrs["simulated"] == 1
+    image = imaging.range_image(rejection.open_water(cube).sel(polarization=["VH"]))
+    error = image["slant_range"] / simulate(survey, rng=1)["truth_slant_range"] - 1
+    # A tenth of the frequency is ten times the range error of 2 mm.
+    assert float(np.abs(error).mean()) < (0.003 if model == "sr844" else 0.03)
+
+
+def test_the_frequency_that_an_instrument_rounds_to_is_kept_and_flagged(
+    text, folder, few
+) -> None:
+    # Three digits: 0.1 % off, a little more than what is let pass.
+    survey = Survey.from_text(text.replace('"39 MHz"', '"39.06 MHz"'))
+    with rehearse(survey, few, speed=1000) as rehearsal:
+        acquisition.acquire(survey, folder, settings=rehearsal.settings)
+    with Journal.read(folder) as journal:
+        cube = acquisition.build(journal)
+    assert cube["modulation_frequency"].values.tolist() == [39.06e6]
+    assert (cube["user_modulation_frequency"] == 39.1e6).all()
+    assert (cube["user_sample_flag"].values & SampleFlag.OFF_FREQUENCY).all()
+
+
+def test_the_same_scan_goes_over_pyvisa(survey, folder, few, ranges) -> None:
+    pytest.importorskip("pyvisa_py", reason="PyVISA-py is not installed")
+    with rehearse(survey, few, speed=1000) as rehearsal:
+        content = rehearsal.settings.model_dump(exclude_unset=True)
+        for part in content.values():
+            if part.get("address"):
+                host, port = part["address"].removeprefix("tcp://").split(":")
+                part["address"] = f"TCPIP::{host}::{port}::SOCKET"
+        settings = Settings.model_validate(content)
+        assert acquisition.acquire(survey, folder, settings=settings).finished
+    assert ranges(io.read_cube(acquisition.recover(folder))).shape == (4, 8)
+
+
+@pytest.mark.parametrize(
+    ("fault", "message"),
+    [
+        ("lost-link@40", "closed the link|has not answered"),
+        ("timeout@40", "has not answered"),
+        ("unlock@40x99", "lost its reference"),
+        ("overload@40x999", "in a row are overloaded"),
+        ("stuck@40x999", "not on target"),
+    ],
+)
+def test_faults_over_the_network_leave_the_laser_off(
+    tiny, folder, fault, message
+) -> None:
+    base = Settings.model_validate(
+        {
+            "lock_in": {"timeout": 0.3},
+            "scanner": {"timeout": 0.3, "move_timeout": 1.0},
+            "procedure": {"dark_readings": 2, "patience": 3},
+            "simulation": {"faults": [fault]},
+        }
+    )
+    with rehearse(tiny, base, speed=1000) as rehearsal:
+        with pytest.raises(InstrumentError, match=message) as caught:
+            acquisition.acquire(tiny, folder, settings=rehearsal.settings)
+        assert not rehearsal.bench.laser_on
+        gates = [line for line in rehearsal.lock_in.lines if line.startswith("AUXO")]
+        assert gates[-1] == "AUXO 1,0.000;AUXO? 1"
+        assert "STP" in rehearsal.stages.lines[-12:]
+    assert "--resume" in str(caught.value)
+
+
+def test_a_scan_over_a_lost_link_is_gone_on_with(tiny, folder, few) -> None:
+    lost = Settings.model_validate(
+        {"procedure": {"dark_readings": 2}, "simulation": {"faults": ["lost-link@42"]}}
+    )
+    with rehearse(tiny, lost, speed=1000) as first, pytest.raises(InstrumentError):
+        acquisition.acquire(tiny, folder, settings=first.settings)
+    # Mended: another port, no fault, the same instrument.
+    with rehearse(tiny, few, speed=1000) as second:
+        settings = second.settings
+        assert acquisition.acquire(
+            tiny, folder, settings=settings, resume=True
+        ).finished
+    cube = io.read_cube(acquisition.recover(folder))
+    assert {*cube["user_segment"].values.ravel()} == {1, 2}
+    assert len(json.loads(cube.attrs["segments"])) == 2
