@@ -8,7 +8,7 @@ from typing import Annotated
 from cyclopts import Parameter
 
 from amulor.cli._arguments import SEED
-from amulor.cli._output import print_json, print_table, progress_bar
+from amulor.cli._output import print_json, progress_bar
 
 
 def ricci2010(
@@ -21,12 +21,12 @@ def ricci2010(
     overwrite: Annotated[bool, Parameter(negative="")] = False,
     json: Annotated[bool, Parameter(negative="")] = False,
 ) -> None:
-    """Redraw figures 1 and 3 to 15 of Ricci et al. 2010 and check their statements.
+    """Redraw the figures of Ricci et al. 2010 and check their statements.
 
     Parameters
     ----------
     figure
-        Number of a figure, may be given several times; all by default.
+        Number of a figure, may be given several times; 1 and 3 to 15 by default.
     output
         Folder for figures (PNG and SVG), checks.json and report.html.
     quick
@@ -72,10 +72,12 @@ def ricci2010(
             print(f"              found {found}; needed {wanted}")
         print()
     if results.dependence is not None:
-        print_table(
-            "Conclusions that flip when one number goes to an end of its range",
-            tables.DEPENDENCE_HEADER,
-            tables.dependence_rows(results.dependence),
-        )
+        print("Conclusions that flip when one number goes to an end of its range")
+        for number, statement, state, flips in tables.dependence_rows(
+            results.dependence
+        ):
+            print(f"  figure {number:<3}  {statement}")
+            print(f"              {state}; flips at {flips}")
+        print()
     print(tables.tally(c for redrawn in results.figures for c in redrawn.checks))
     print(f"Report: {output / 'report.html'}")
