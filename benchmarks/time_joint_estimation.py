@@ -9,14 +9,16 @@ from as many starts as it takes to find that interval.
 
 from __future__ import annotations
 
+import resource
 import time
 
 import numpy as np
 from scipy.optimize import least_squares
 
-from amulor.rejection import joint_pixels, joint_shared
-from amulor.rejection.joint import _flat, joint
-from amulor.rejection.joint_water import frame_of
+from amulor.rejection import joint_model, joint_pixels, joint_search, joint_shared
+from amulor.rejection.joint import joint
+from amulor.rejection.joint_frame import frame_of
+from amulor.rejection.joint_samples import flat
 from amulor.simulation import simulate
 from amulor.survey import Survey
 
@@ -63,6 +65,8 @@ dwell = "125 ms"
 """
 FREQUENCIES = np.linspace(5e6, 146e6, 16)
 INTERVAL = (1.0, 8.0)
+#: How often the whole method gets 100,000 pixels at once.
+WHOLE = (1, 10)
 
 
 def scene(columns, rows):
@@ -77,7 +81,7 @@ class Problem:
 
     def __init__(self, columns=100, rows=60):
         self.cube = scene(columns, rows)
-        signal, errors, usable = _flat(self.cube)
+        signal, errors, usable = flat(self.cube)
         azimuth = self.cube["azimuth"].values.ravel()
         elevation = self.cube["elevation"].values.ravel()
         self.frame = frame_of(self.cube, azimuth, elevation)
@@ -103,7 +107,7 @@ class Problem:
 
     def solve(self):
         """Return the estimates of all pixels by the compiled solver."""
-        return joint_pixels.estimate(
+        return joint_search.estimate(
             self.pixels,
             joint_pixels.weight(self.pixels),
             self.shared.table,
@@ -123,7 +127,7 @@ class Problem:
 
         def function(parameter):
             path = np.array([parameter[1]])
-            _, water, _ = joint_pixels.water_at(
+            _, water, _ = joint_model.water_at(
                 pixel, path, self.shared.table, self.frame.wavenumber
             )
             echo = np.exp(1j * path[0] * self.frame.wavenumber) * full
@@ -139,6 +143,20 @@ class Problem:
     def scale(self):
         """Return the size of the samples [V]."""
         return float(np.median(np.abs(self.pixels.signal)))
+
+
+def whole_method(repeats):
+    """Return pixels, time [s] and growth of memory [B] of the method on a scan."""
+    strip = scene(500, 200)
+    lines = np.tile(np.arange(200), repeats)
+    names = [name for name in strip.data_vars if str(name).startswith("truth_")]
+    cube = strip.drop_vars(names).isel(row=lines)
+    before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    begin = time.perf_counter()
+    joint(cube, interval=INTERVAL)
+    taken = time.perf_counter() - begin
+    after = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    return cube["azimuth"].size, taken, (after - before) * 1024
 
 
 def scipy_loop(problem, numbers, starts):
@@ -168,10 +186,6 @@ def main():
         found = problem.solve()
         best = min(best, time.perf_counter() - begin)
     each = best / len(problem.pixels)
-    large = scene(300, 200)
-    begin = time.perf_counter()
-    joint(large, interval=INTERVAL)
-    whole = (time.perf_counter() - begin) / 60_000
     numbers = np.linspace(0, len(problem.pixels) - 1, 12).astype(int)
     period = 2 * np.pi / problem.frame.wavenumber.max()
     near = [[found.path[n] + 0.02 * period] for n in numbers]
@@ -181,7 +195,12 @@ def main():
     blind, longer = scipy_loop(problem, numbers, every)
     print(f"16 frequencies, slant ranges from {INTERVAL[0]:g} to {INTERVAL[1]:g} m")
     print(f"compiled solver           {1 / each:10.0f} pixels/s")
-    print(f"whole method, 60 000      {1 / whole:10.0f} pixels/s")
+    for repeats in WHOLE:
+        size, seconds_taken, memory = whole_method(repeats)
+        print(
+            f"whole method, {size:9d} {size / seconds_taken:10.0f} pixels/s"
+            f"   {seconds_taken:.1f} s, {memory / size:.0f} bytes/pixel at most"
+        )
     print(f"least_squares, told where {1 / seconds:10.1f} pixels/s", end="")
     print(f"   solver faster {seconds / each:6.0f} times")
     print(f"least_squares, all starts {1 / longer:10.1f} pixels/s", end="")

@@ -1,4 +1,4 @@
-"""Likelihood of the samples of many pixels, and its highest point for each."""
+"""Samples of many pixels with all that their likelihood needs."""
 
 from __future__ import annotations
 
@@ -8,9 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from amulor.optics import rays
-from amulor.rejection import _joint_kernels as kernels
-from amulor.rejection import _joint_search_kernels as search
-from amulor.rejection.joint_water import Frame, Table
+from amulor.rejection.joint_frame import Frame, Table
 from amulor.rejection.reference import Covariance
 
 Floats = NDArray[np.float64]
@@ -73,33 +71,6 @@ class Pixels:
                 )
             },
         )
-
-
-@dataclass(frozen=True)
-class Estimates:
-    """Most likely path of each pixel, and what belongs to it."""
-
-    path: Floats
-    """Optical path, out and back; not a number where none is possible [m]."""
-    amplitude: Floats
-    """Target amplitude in each channel, (pixel, channel) [V]."""
-    cost: Floats
-    """Sum of squared errors in units of their standard deviation [1]."""
-    empty_cost: Floats
-    """The same for open water without a target [1]."""
-    information: Floats
-    """Inverse variance of the path with the water signal known [1/m^2]."""
-    lower: Floats
-    """How far the path may be shorter until `cost` has risen by 1 [m]."""
-    upper: Floats
-    """How far it may be longer [m]."""
-    wrong: Floats
-    """Probability that the path lies in another ambiguity interval [1]."""
-    used: NDArray[np.intp]
-    """Number of outputs that count, two for each sample."""
-    influence: Complex
-    """Shift of the path per unit of in-phase + 1j * quadrature, as the real part of
-    the product with its conjugate, (pixel, channel, frequency) [m/V]."""
 
 
 def pixels_of(
@@ -230,153 +201,3 @@ def shares(pixels: Pixels, table: Table) -> Floats:
 def parts(values: Complex) -> Floats:
     """Return complex numbers as real and imaginary parts, the axis before the last."""
     return np.ascontiguousarray(np.stack([values.real, values.imag], axis=-2))
-
-
-def estimate(
-    pixels: Pixels,
-    weights: Floats,
-    table: Table,
-    *,
-    gain: Complex,
-    transfer: Complex,
-    wavenumber: Floats,
-    known: Floats | None = None,
-) -> Estimates:
-    """Return the most likely path of each pixel for a given water signal.
-
-    Parameters
-    ----------
-    pixels : Pixels
-        Samples.
-    weights : ndarray
-        Their inverse covariance, from `weight`.
-    table : Table
-        Water signal against its end.
-    gain : ndarray of complex, shape (channel, frequency)
-        Strength of the water signal [V].
-    transfer : ndarray of complex, shape (frequency,)
-        What the echo of the target has beyond its delay [1].
-    wavenumber : ndarray, shape (frequency,)
-        Phase per path [1/m].
-    known : ndarray, optional
-        Paths to start from instead of looking for the highest likelihood anywhere;
-        leaves the limits of the profile and other intervals alone [m].
-
-    Returns
-    -------
-    Estimates
-        Arrays over the pixels.
-    """
-    count, channels, frequencies = pixels.signal.shape
-    grid = grid_of(pixels, wavenumber) if count else np.arange(2.0)
-    out = np.empty((count, search.COLUMNS))
-    amplitude = np.empty((count, channels))
-    influence = np.empty((count, channels, 2, frequencies))
-    search.estimate(
-        parts(pixels.signal),
-        np.ascontiguousarray(weights),
-        parts(gain),
-        shares(pixels, table),
-        pixels.turned,
-        parts(table.value),
-        parts(table.slope),
-        table.step,
-        wavenumber,
-        parts(transfer),
-        grid,
-        pixels.shortest,
-        pixels.longest,
-        pixels.depths,
-        np.zeros(0) if known is None else known,
-        known is not None,
-        out,
-        amplitude,
-        influence,
-    )
-    return Estimates(
-        path=out[:, search.PATH],
-        amplitude=amplitude,
-        cost=out[:, search.COST],
-        empty_cost=out[:, search.EMPTY_COST],
-        information=out[:, search.INFORMATION],
-        lower=out[:, search.LOWER],
-        upper=out[:, search.UPPER],
-        wrong=out[:, search.WRONG],
-        used=out[:, search.USED].astype(np.intp),
-        influence=influence[..., 0, :] + 1j * influence[..., 1, :],
-    )
-
-
-def water_at(
-    pixels: Pixels, path: Floats, table: Table, wavenumber: Floats
-) -> tuple[Floats, Complex, Complex]:
-    """Return depth [m], water signal of unit strength, and its slope in the path.
-
-    Parameters
-    ----------
-    pixels : Pixels
-        Their places count.
-    path : ndarray, shape (pixel,)
-        Optical path; infinite for open water [m].
-    table : Table
-        Water signal against its end.
-    wavenumber : ndarray, shape (frequency,)
-        Phase per path [1/m].
-
-    Returns
-    -------
-    tuple of ndarrays
-        Depth, signal [1] and slope [1/m], the latter over (pixel, frequency).
-    """
-    count = len(pixels)
-    depth = np.empty(count)
-    water = np.empty((count, 2, wavenumber.size))
-    change = np.empty_like(water)
-    kernels.water_at(
-        path,
-        pixels.shortest,
-        pixels.longest,
-        pixels.depths,
-        table.step,
-        shares(pixels, table),
-        parts(table.value),
-        parts(table.slope),
-        pixels.turned,
-        wavenumber,
-        depth,
-        water,
-        change,
-    )
-    return (
-        depth,
-        water[:, 0] + 1j * water[:, 1],
-        change[:, 0] + 1j * change[:, 1],
-    )
-
-
-def shape_changes(
-    pixels: Pixels, depth: Floats, table: Table, wavenumber: Floats
-) -> Complex:
-    """Return the derivatives of the water signal with respect to its shape.
-
-    Parameters
-    ----------
-    pixels : Pixels
-        Their places count.
-    depth : ndarray, shape (pixel,)
-        Where the water ends, infinite for open water [m].
-    table : Table
-        Water signal against its end.
-    wavenumber : ndarray, shape (frequency,)
-        Phase per path [1/m].
-
-    Returns
-    -------
-    ndarray of complex, shape (pixel, parameter, frequency)
-        Derivatives [1].
-    """
-    out = np.empty((len(pixels), len(table.change), wavenumber.size), dtype=complex)
-    kernels.interpolate(depth, table.step, shares(pixels, table), table.change, out)
-    turn = np.exp(1j * pixels.turned[:, None] * wavenumber)
-    out *= turn[:, None, :]
-    return out

@@ -7,23 +7,31 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import solve_triangular
 
-from amulor.rejection.joint_water import COEFFICIENTS, Shape, Table
+from amulor.rejection.joint_frame import Table
+from amulor.rejection.joint_shape import COEFFICIENTS, Shape
 
 Floats = NDArray[np.float64]
 Complex = NDArray[np.complex128]
+#: Standard deviations of correction, departure and echo [1].
+Widths = tuple[float, float, float]
 
 #: Weak knowledge of natural waters: centre and standard deviation of the logarithms of
 #: k' [1/m], b_f <theta^2> [rad^2/m] and b_f [1/m]; a factor of 7 either way.
 _CENTRE = np.log([0.4, 0.02, 1.0])
 _PRIOR = 2.0
 #: Standard deviations tried for what the model does not know: the logarithm of the
-#: overlap at the knots, and relative departures of water signal and echo [1].
+#: overlap at the knots, departures of the water signal over its strength, and those of
+#: the echo [1].
 _TRIED = (
     (1e-3, 0.01, 0.03, 0.1, 0.3, 1.0),
-    (1e-6, 1e-3, 3e-3, 0.01, 0.03, 0.1),
+    (1e-6, 3e-4, 1e-3, 3e-3, 0.01, 0.03, 0.1),
     (1e-6, 3e-4, 1e-3, 3e-3, 0.01, 0.03),
 )
+
+#: No widths yet.
+NONE: Widths = (0.0, 0.0, 0.0)
 
 
 @dataclass(frozen=True)
@@ -37,7 +45,9 @@ class Shared:
     strength: Floats
     """Strength of the water signal in each channel, see `Table` [V]."""
     departure: Complex
-    """Relative departure of the water signal, (channel, frequency) [1]."""
+    """Departure of the water signal from the model, over the strength, which depends
+    on the frequency only: light from in front of all targets, (channel, frequency)
+    [1]."""
     echo: Complex
     """Relative departure of the target's echo from a delay, (frequency,) [1]."""
     fluctuation: float
@@ -47,7 +57,7 @@ class Shared:
     parametric: Floats
     """Covariance of the strengths and the logarithms of k' and spread, if the model
     were right and nothing else known."""
-    tried: tuple[float, float, float]
+    tried: Widths
     """Standard deviations that the data prefer for correction, departure, echo [1]."""
     evidence: float
     """Twice the logarithm of how much the data prefer departures over none [1]."""
@@ -56,8 +66,29 @@ class Shared:
 
     @property
     def gain(self) -> Complex:
-        """Strength with its departure, (channel, frequency) [V]."""
-        return self.strength[:, None] * (1 + self.departure)
+        """Strength at each frequency, (channel, frequency) [V]."""
+        gain = np.repeat(self.strength[:, None], self.echo.size, axis=1)
+        return gain.astype(complex)
+
+    def light(self, water: Complex, near: Complex) -> Complex:
+        """Return the water signal of pixels, (pixel, channel, frequency) [V].
+
+        Parameters
+        ----------
+        water, near : ndarray of complex, shape (pixel, frequency)
+            Water signal of unit strength, of the model and from the start [1].
+
+        Returns
+        -------
+        ndarray of complex
+            With its departure.
+        """
+        return self.strength[:, None] * water[:, None] + self.offset * near[:, None]
+
+    @property
+    def offset(self) -> Complex:
+        """Departure in the middle of the scan, (channel, frequency) [V]."""
+        return self.strength[:, None] * self.departure
 
 
 @dataclass(frozen=True)
@@ -97,16 +128,6 @@ class Layout:
         return int(self.blocks[2].stop)
 
 
-@dataclass(frozen=True)
-class Normal:
-    """Normal equations of the shared parameters, the pixels' own eliminated."""
-
-    matrix: Floats
-    vector: Floats
-    square: float
-    freedom: int
-
-
 def whitened(weights: Floats, values: Complex) -> Floats:
     """Return values in units of their errors, (pixel, channel, outputs)."""
     return whitened_columns(weights, values[..., None]).reshape(*values.shape[:2], -1)
@@ -134,9 +155,7 @@ def inverse_of(matrix: Floats) -> Floats:
     return found
 
 
-def prior_of(
-    state: Shared, layout: Layout, tried: tuple[float, float, float]
-) -> tuple[Floats, Floats]:
+def prior_of(state: Shared, layout: Layout, tried: Widths) -> tuple[Floats, Floats]:
     """Return the precision of the priors, and how far off their centres a state is."""
     precision, origin = np.zeros(layout.size), np.zeros(layout.size)
     at = layout.shape.start
@@ -159,31 +178,63 @@ def prior_of(
 
 
 def widths_of(
-    normal: Normal, state: Shared, layout: Layout
-) -> tuple[tuple[float, float, float], float]:
-    """Return the widths of the priors with the highest evidence, and its gain."""
-    best, chosen, plain = np.inf, (_TRIED[0][0], _TRIED[1][0], _TRIED[2][0]), np.inf
-    smallest = min(_TRIED[1]), min(_TRIED[2])
-    for tried in itertools.product(*_TRIED):
-        prior, origin = prior_of(state, layout, tried)
-        root = np.sqrt(1 / np.where(prior > 0, prior, 1.0))
-        # In units of the priors' widths the determinant is that of the evidence.
-        matrix = normal.matrix * np.outer(root, root) + np.diag(
-            (prior > 0).astype(float)
-        )
-        vector = root * (normal.vector - prior * origin)
-        scale = np.sqrt(np.diag(matrix))
-        factor = np.linalg.cholesky(
-            matrix / np.outer(scale, scale) + 1e-12 * np.eye(layout.size)
-        )
-        solved = np.linalg.solve(factor, vector / scale)
-        value = (
-            float(prior @ origin**2)
-            - float(solved @ solved)
-            + 2 * float(np.sum(np.log(np.diag(factor))) + np.sum(np.log(scale)))
-        )
-        if tried[1:] == smallest:
-            plain = min(plain, value)
-        if value < best:
-            best, chosen = value, tried
-    return chosen, plain - best
+    matrix: Floats, vector: Floats, state: Shared, layout: Layout
+) -> tuple[Widths, float]:
+    """Return the widths of the priors with the highest evidence, and its gain.
+
+    Parameters
+    ----------
+    matrix, vector : ndarray
+        Normal equations of all parameters about the state.
+    state : Shared
+        Its widths are where the search starts; all are tried if there are none yet.
+    layout : Layout
+        Where the parameters stand.
+
+    Returns
+    -------
+    tuple of tuple and float
+        Widths, and twice the logarithm of how much the data prefer departures [1].
+    """
+    known: dict[Widths, float] = {}
+
+    def value(tried: Widths) -> float:
+        if tried not in known:
+            known[tried] = _cost_of(matrix, vector, state, layout, tried)
+        return known[tried]
+
+    if state.tried == NONE:
+        chosen = min(((a, b, c) for a, b, c in itertools.product(*_TRIED)), key=value)
+    else:
+        chosen, before = state.tried, NONE
+        while chosen != before:
+            before = chosen
+            a, b, c = chosen
+            a = min(_TRIED[0], key=lambda width: value((width, b, c)))
+            b = min(_TRIED[1], key=lambda width: value((a, width, c)))
+            c = min(_TRIED[2], key=lambda width: value((a, b, width)))
+            chosen = (a, b, c)
+    plain = min(value((width, _TRIED[1][0], _TRIED[2][0])) for width in _TRIED[0])
+    return chosen, plain - value(chosen)
+
+
+def _cost_of(
+    matrix: Floats, vector: Floats, state: Shared, layout: Layout, tried: Widths
+) -> float:
+    """Return minus twice the logarithm of the evidence, but for a constant."""
+    prior, origin = prior_of(state, layout, tried)
+    root = np.sqrt(1 / np.where(prior > 0, prior, 1.0))
+    # In units of the priors' widths the determinant is that of the evidence.
+    scaled = matrix * np.outer(root, root)
+    scaled[np.diag_indices(layout.size)] += prior > 0
+    downhill = root * (vector - prior * origin)
+    scale = np.sqrt(np.diag(scaled))
+    scaled /= np.outer(scale, scale)
+    scaled[np.diag_indices(layout.size)] += 1e-12
+    factor = np.linalg.cholesky(scaled)
+    solved = solve_triangular(factor, downhill / scale, lower=True, check_finite=False)
+    return (
+        float(prior @ origin**2)
+        - float(solved @ solved)
+        + 2 * float(np.sum(np.log(np.diag(factor))) + np.sum(np.log(scale)))
+    )

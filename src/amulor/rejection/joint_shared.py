@@ -2,121 +2,45 @@
 
 from __future__ import annotations
 
-import itertools
 from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from amulor.rejection import _joint_search_kernels as search
-from amulor.rejection.joint_pixels import (
-    Estimates,
-    Pixels,
-    estimate,
-    grid_of,
-    parts,
-    shape_changes,
-    shares,
-    water_at,
-    weight,
-)
+from amulor.rejection.joint_frame import Frame
+from amulor.rejection.joint_model import near, water_at
+from amulor.rejection.joint_normal import Normal, Seen, normal_equations
+from amulor.rejection.joint_pixels import Pixels, weight
 from amulor.rejection.joint_priors import (
+    NONE,
     Layout,
-    Normal,
     Shared,
+    Widths,
     inverse_of,
     prior_of,
-    whitened,
-    whitened_columns,
     widths_of,
 )
-from amulor.rejection.joint_water import COEFFICIENTS, Frame, Shape
+from amulor.rejection.joint_scatter import are_ordinary, fluctuation_of, is_seen
+from amulor.rejection.joint_search import Estimates, estimate, without_offset
+from amulor.rejection.joint_shape import COEFFICIENTS
+from amulor.rejection.joint_start import start
 
 Floats = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
-#: A target is there when it explains this much more than water alone, in chi-square.
-DETECTION = 25.0
 #: Shares of the water signal that come from in front of the knots of the correction.
 _KNOTS = np.array([0.002, 0.01, 0.03, 0.08, 0.18, 0.32, 0.5, 0.68, 0.82, 0.92, 0.975])
-_GRID = (np.geomspace(0.06, 2.5, 7), np.geomspace(2e-3, 0.1, 3))
-_FORWARD = 1.0
-_STARTERS = 48
-_AT_ONCE = 128
 _PARAMETRIC_STEPS, _FREE_STEPS = 14, 10
-_HALVINGS = 4
-#: Pixels that misfit by less than this chance have no say in what all share [1].
-_ODD = 1e-6
-#: A step that promises less than this in chi-square is the last one.
+#: Dampings tried for a step, each ten times the one before, and the least of them [1].
+_TRIALS, _LEAST_DAMPING = 6, 1e-3
+#: A step that promises or brings less than this in chi-square is the last one, and
+#: one that promises less than 1 is worth a few trials only.
 _SETTLED = 0.02
-
-
-def start(
-    frame: Frame,
-    targets: Pixels,
-    shots: Pixels | None,
-    *,
-    transfer: Complex,
-    longest: float,
-) -> tuple[Shape, Floats]:
-    """Find a shape and strengths of the water signal from which to start.
-
-    Parameters
-    ----------
-    frame : Frame
-        How the receiver looks at the scan.
-    targets : Pixels
-        Samples with or without a target.
-    shots : Pixels, optional
-        Samples that are known to be open water; they decide alone if given.
-    transfer : ndarray of complex
-        What the echo has beyond its delay [1].
-    longest : float
-        Depth beyond which no target stands [m].
-
-    Returns
-    -------
-    tuple of Shape and ndarray
-        The best of a grid, and the strength in each channel [V].
-    """
-    best, found = np.inf, None
-    if shots is None:
-        few = np.linspace(0, len(targets) - 1, min(_STARTERS, len(targets)))
-        some = targets.part(few.astype(np.intp))
-        grid = grid_of(some, frame.wavenumber)
-    else:
-        some, grid = shots, np.zeros(0)
-    plain = weight(some)
-    channels = some.signal.shape[1]
-    nothing = np.zeros(0)
-    for loss, spread in itertools.product(*_GRID):
-        shape = Shape(float(loss), float(spread), _FORWARD, nothing, nothing)
-        table = frame.table(shape, longest=longest)
-        if shots is None:
-            cost = np.empty(len(some))
-            strength = np.zeros((len(some), channels))
-            search.starting_costs(
-                parts(some.signal), plain, shares(some, table), some.turned,
-                parts(table.value), table.step, frame.wavenumber, parts(transfer),
-                grid, some.shortest, some.longest, some.depths, cost, strength,
-            )  # fmt: skip
-            total = float(cost.sum())
-            typical = np.median(strength, axis=0)
-        else:
-            open_path = np.full(len(some), np.inf)
-            _, water, _ = water_at(some, open_path, table, frame.wavenumber)
-            u, v = (
-                whitened(plain, some.signal),
-                whitened(plain, np.broadcast_to(water[:, None], some.signal.shape)),
-            )
-            square = np.einsum("ncx,ncx->c", v, v)
-            along = np.einsum("ncx,ncx->c", u, v)
-            typical = np.maximum(along, 0) / np.where(square > 0, square, 1)
-            total = float(np.sum(u**2) - np.sum(typical * along))
-        if total < best:
-            best, found = total, (shape, typical)
-    assert found is not None
-    return found
+_FEW_TRIALS = 3
+#: How often the fluctuation is estimated anew, unless it changes by less than this [1].
+_ROUNDS, _STEADY = 4, 0.02
+#: Pixels that settle the coefficients before the departures are looked for.
+_FIRST = 256
 
 
 def fit(
@@ -149,9 +73,10 @@ def fit(
 
     Notes
     -----
-    Gauss-Newton on the strengths, k' and b_f <theta^2> and then, with normal priors,
-    on what the model does not know: a smooth factor on the overlap, and departures of
-    water signal and echo at each frequency. The paths and amplitudes of the pixels
+    Damped Gauss-Newton on the strengths, k', b_f <theta^2> and b_f and then, with
+    normal priors, on what the model does not know: a smooth factor on the overlap,
+    light from in front of all targets at each frequency, and departures of the echo,
+    which are the same in all pixels. The paths and amplitudes of the pixels
     are eliminated at every step (Schur complement). The widths of the priors maximise
     the evidence in Laplace's approximation, so they vanish where the model is right.
     """
@@ -166,25 +91,34 @@ def fit(
         0.0,
         np.zeros((0, 0)),
         np.zeros((0, 0)),
-        (0.0, 0.0, 0.0),
+        NONE,
         0.0,
         np.nan,
     )
+    few = np.linspace(0, len(targets) - 1, min(_FIRST, len(targets))).astype(np.intp)
+    problem = _Problem(frame, targets.part(few), shots, transfer, longest)
+    state, _ = problem.descend(state, _PARAMETRIC_STEPS, free=False)
     problem = _Problem(frame, targets, shots, transfer, longest)
-    state, paths = problem.descend(state, _PARAMETRIC_STEPS, free=False)
-    kept = problem.ordinary(state, paths)
+    kept, paths = problem.ordinary(state)
     if not kept.all():
         some = targets.part(np.flatnonzero(kept))
         problem = _Problem(frame, some, shots, transfer, longest)
-        state, paths = problem.descend(
-            state, _PARAMETRIC_STEPS, free=False, paths=paths[kept]
-        )
+        paths = paths[kept]
+    state, paths = problem.descend(state, _PARAMETRIC_STEPS, free=False, paths=paths)
     knots = frame.quantiles(state.shape, _KNOTS)
     free_shape = replace(state.shape, knots=knots, correction=np.zeros(len(knots)))
     state = replace(
         state, shape=free_shape, table=frame.table(free_shape, longest=longest)
     )
     state, paths = problem.descend(state, _FREE_STEPS, free=True, paths=paths)
+    # Only what no departure explains is a fluctuation; looked at before, a model that
+    # is wrong would pass for one.
+    for _ in range(_ROUNDS):
+        level = problem.fluctuation(state, problem.local(state, paths))
+        if abs(level - state.fluctuation) <= _STEADY * level:
+            break
+        state = replace(state, fluctuation=level)
+        state, paths = problem.descend(state, _FREE_STEPS, free=True, paths=paths)
     return state
 
 
@@ -214,37 +148,35 @@ class _Problem:
         used = layout.size if free else layout.parametric.stop
         estimates = self.local(state, paths)
         normal = self.normal(state, estimates, layout, used)
+        damping = 0.0
         for _ in range(steps):
+            tried, evidence = NONE, 0.0
             if free:
-                level = self.fluctuation(state, estimates)
-                if level != state.fluctuation:
-                    state = replace(state, fluctuation=level)
-                    estimates = self.local(state, estimates.path)
-                    normal = self.normal(state, estimates, layout, used)
-            tried, evidence = (
-                widths_of(normal, state, layout) if free else ((0.0, 0.0, 0.0), 0.0)
-            )
+                tried, evidence = widths_of(normal.matrix, normal.vector, state, layout)
             prior, origin = prior_of(state, layout, tried)
             matrix = normal.matrix + np.diag(prior[:used])
             vector = normal.vector - (prior * origin)[:used]
-            inverse = inverse_of(matrix)
-            step = inverse @ vector
-            expected = float(vector @ step)
-            level = normal.square + float(prior @ origin**2)
-            state = replace(state, tried=tried, evidence=evidence, covariance=inverse)
+            level = _objective(normal, state, layout, tried)
+            state = replace(
+                state, tried=tried, evidence=evidence, covariance=inverse_of(matrix)
+            )
+            expected = float(vector @ state.covariance @ vector)
             best = (state, estimates, normal)
-            for _ in range(_HALVINGS):
+            for _ in range(_TRIALS if expected > 1 else _FEW_TRIALS):
+                # Levenberg's and Marquardt's way between Newton and steepest descent.
+                damped = matrix + damping * np.diag(np.diag(matrix))
+                step = inverse_of(damped) @ vector
                 moved = self.moved(state, step, layout)
                 new_estimates = self.local(moved, estimates.path)
                 new = self.normal(moved, new_estimates, layout, used)
-                new_origin = prior_of(moved, layout, tried)[1]
-                if new.square + float(prior @ new_origin**2) < level:
+                if _objective(new, moved, layout, tried) < level:
                     best = (moved, new_estimates, new)
+                    damping = damping / 10 if damping > _LEAST_DAMPING else 0.0
                     break
-                step = step / 2
-            stuck = best[0] is state
+                damping = max(10 * damping, _LEAST_DAMPING)
+            gained = level - _objective(best[2], best[0], layout, tried)
             state, estimates, normal = best
-            if stuck or expected < _SETTLED:
+            if min(gained, expected) < _SETTLED:
                 break
         basic = layout.parametric
         return (
@@ -281,7 +213,12 @@ class _Problem:
         """Return the pixels' own best paths and amplitudes."""
         start = None if paths is None else np.nan_to_num(paths, nan=0.0)
         return estimate(
-            self.targets,
+            without_offset(
+                self.targets,
+                state.table,
+                offset=state.offset,
+                wavenumber=self.frame.wavenumber,
+            ),
             weight(self.targets, self.stray(state, self.targets, paths)),
             state.table,
             gain=state.gain,
@@ -299,192 +236,57 @@ class _Problem:
         at = np.full(len(pixels), np.inf) if paths is None else paths
         at = np.where(np.isfinite(at), at, np.inf)
         _, water, _ = water_at(pixels, at, state.table, self.frame.wavenumber)
-        return state.fluctuation * state.gain * water[:, None]
+        start = near(pixels, state.table, self.frame.wavenumber)
+        return state.fluctuation * state.light(water, start)
 
-    def batches(
-        self, state: Shared, estimates: Estimates
-    ) -> list[tuple[Pixels, Floats, Floats]]:
-        """Return pixels, paths and amplitudes in batches; open water has no path."""
+    def groups(self, estimates: Estimates) -> list[Seen]:
+        """Return pixels and shots with their paths and amplitudes."""
         seen = is_seen(estimates)
-        path = np.where(seen, estimates.path, np.inf)
         amplitude = np.where(seen[:, None], estimates.amplitude, 0.0)
-        groups = [(self.targets, path, amplitude)]
+        found = [Seen(self.targets, np.where(seen, estimates.path, np.inf), amplitude)]
         if self.shots is not None:
-            none = np.full(len(self.shots), np.inf)
-            groups.append((self.shots, none, np.zeros((len(none), amplitude.shape[1]))))
-        found = []
-        for pixels, where, size in groups:
-            # Sorted, so that a batch holds either targets or open water.
-            order = np.argsort(~np.isfinite(where), kind="stable")
-            border = int(np.isfinite(where).sum())
-            for first, last in ((0, border), (border, len(where))):
-                for begin in range(first, last, _AT_ONCE):
-                    chosen = order[begin : min(begin + _AT_ONCE, last)]
-                    found.append((pixels.part(chosen), where[chosen], size[chosen]))
-        return found
+            count = len(self.shots)
+            none = np.zeros((count, amplitude.shape[1]))
+            found.append(Seen(self.shots, np.full(count, np.inf), none))
+        return [group for group in found if len(group.pixels)]
 
     def normal(
         self, state: Shared, estimates: Estimates, layout: Layout, used: int
     ) -> Normal:
         """Return the normal equations of the first parameters about a state."""
-        matrix = np.zeros((used, used))
-        vector = np.zeros(used)
-        square, rows = 0.0, 0
-        for pixels, path, amplitude in self.batches(state, estimates):
-            residual, shared, own, count = self.linearised(
-                state, layout, used, pixels, path, amplitude
+        total = Normal(np.zeros((used, used)), np.zeros(used), 0.0, 0)
+        for group in self.groups(estimates):
+            total = total + normal_equations(
+                state,
+                group,
+                layout,
+                used,
+                transfer=self.transfer,
+                wavenumber=self.frame.wavenumber,
             )
-            flat = shared.reshape(-1, used)
-            matrix += flat.T @ flat
-            vector += flat.T @ residual.ravel()
-            square += float(np.sum(residual**2))
-            rows += count
-            if own is not None:
-                # What the pixels' own parameters would take up.
-                basis = np.linalg.qr(own)[0].transpose(0, 2, 1)
-                along = (basis @ shared).reshape(-1, used)
-                taken = (basis @ residual[..., None]).ravel()
-                matrix -= along.T @ along
-                vector -= along.T @ taken
-                square -= float(np.sum(taken**2))
-                rows -= taken.size
-        return Normal(matrix, vector, square, rows)
-
-    def linearised(
-        self,
-        state: Shared,
-        layout: Layout,
-        used: int,
-        pixels: Pixels,
-        path: Floats,
-        amplitude: Floats,
-    ) -> tuple[Floats, Floats, Floats | None, int]:
-        """Return whitened residuals and derivatives of a batch of pixels."""
-        wavenumber = self.frame.wavenumber
-        depth, water, slope = water_at(pixels, path, state.table, wavenumber)
-        is_target = bool(np.isfinite(path[0]))
-        echo = np.zeros_like(water)
-        if is_target:
-            echo = np.exp(1j * path[:, None] * wavenumber) * self.transfer
-        gain = state.gain
-        model = gain * water[:, None] + (
-            amplitude[..., None] * (echo * (1 + state.echo))[:, None]
-        )
-        stray = state.fluctuation * gain * water[:, None]
-        weights = weight(pixels, stray if state.fluctuation > 0 else None)
-        count, channels, frequencies = pixels.signal.shape
-        jacobian = np.zeros((count, channels, frequencies, used), dtype=complex)
-        _, free, echoes = layout.blocks
-        changes = shape_changes(pixels, depth, state.table, wavenumber)
-        number = np.arange(frequencies)
-        for c in range(channels):
-            jacobian[:, c, :, c] = (1 + state.departure[c]) * water
-            jacobian[:, c, :, layout.shape] = gain[c][:, None] * np.swapaxes(
-                changes, 1, 2
-            )
-            if used < layout.size:
-                continue
-            first = free.start + c * frequencies + number
-            other = first + channels * frequencies
-            jacobian[:, c, number, first] = state.strength[c] * water
-            jacobian[:, c, number, other] = 1j * state.strength[c] * water
-            if is_target:
-                own_echo = amplitude[:, c, None] * echo
-                jacobian[:, c, number, echoes.start + number] = own_echo
-                jacobian[:, c, number, echoes.start + frequencies + number] = (
-                    1j * own_echo
-                )
-        residual = whitened(weights, np.where(pixels.usable, pixels.signal - model, 0))
-        shared = whitened_columns(weights, jacobian)
-        own = None
-        if is_target:
-            columns = np.zeros(
-                (count, channels, frequencies, channels + 1), dtype=complex
-            )
-            full = echo * (1 + state.echo)
-            for c in range(channels):
-                columns[:, c, :, c] = full
-                columns[:, c, :, channels] = (
-                    1j * wavenumber * amplitude[:, c, None] * full + gain[c] * slope
-                )
-            own = whitened_columns(weights, columns)
-        return (
-            residual.reshape(count, -1),
-            shared,
-            own,
-            2 * int(pixels.usable.sum()),
-        )
-
-    def ordinary(self, state: Shared, paths: Floats) -> NDArray[np.bool_]:
-        """Return which pixels are no odd ones among the others: edges, fish, bubbles.
-
-        Their misfit is compared with the median, whatever that is: a model that is
-        wrong for all pixels makes none of them odd.
-        """
-        from scipy.stats import chi2
-
-        if not len(self.targets):
-            return np.ones(0, dtype=bool)
-        estimates = self.local(state, paths)
-        level = self.fluctuation(state, estimates)
-        estimates = self.local(replace(state, fluctuation=level), paths)
-        seen = is_seen(estimates)
-        cost = np.where(seen, estimates.cost, estimates.empty_cost)
-        own = seen * (1 + state.strength.size)
-        freedom = np.maximum(estimates.used - own, 1)
-        typical = max(float(np.median(cost / chi2.median(freedom))), 1.0)
-        kept: NDArray[np.bool_] = chi2.sf(cost / typical, freedom) > _ODD
-        return kept
+        return total
 
     def fluctuation(self, state: Shared, estimates: Estimates) -> float:
         """Return the relative change of the water signal that explains the scatter."""
-        batches = []
-        rows = 0
-        for pixels, path, amplitude in self.batches(state, estimates):
-            _, water, _ = water_at(pixels, path, state.table, self.frame.wavenumber)
-            model = state.gain * water[:, None]
-            rows += 2 * int(pixels.usable.sum())
-            if np.isfinite(path[0]):
-                echo = np.exp(1j * path[:, None] * self.frame.wavenumber)
-                echo = echo * self.transfer * (1 + state.echo)
-                rows -= len(pixels) * (1 + model.shape[1])
-                left = pixels.signal - model - amplitude[..., None] * echo[:, None]
-            else:
-                left = pixels.signal - model
-            batches.append((pixels, left, model))
+        return fluctuation_of(
+            state,
+            self.groups(estimates),
+            transfer=self.transfer,
+            wavenumber=self.frame.wavenumber,
+        )
 
-        def excess(level: float) -> float:
-            total = 0.0
-            for pixels, left, model in batches:
-                found = whitened(weight(pixels, level * model), left)
-                total += float(np.sum(found**2))
-            return total / rows - 1
+    def ordinary(self, state: Shared) -> tuple[NDArray[np.bool_], Floats]:
+        """Return which pixels are no odd ones, and the paths of all.
 
-        # Within what chance does, the stated errors explain the scatter alone.
-        if excess(0.0) < 3 * np.sqrt(2 / rows):
-            return 0.0
-        low, high = 0.0, 1.0
-        if excess(high) > 0:
-            return high
-        for _ in range(30):
-            middle = 0.5 * (low + high)
-            low, high = (middle, high) if excess(middle) > 0 else (low, middle)
-        return 0.5 * (low + high)
+        The fluctuation of the water is allowed for.
+        """
+        estimates = self.local(state, None)
+        level = self.fluctuation(state, estimates)
+        estimates = self.local(replace(state, fluctuation=level), estimates.path)
+        return are_ordinary(estimates), estimates.path
 
 
-def is_seen(estimates: Estimates) -> NDArray[np.bool_]:
-    """Return which pixels have a target rather than open water.
-
-    Parameters
-    ----------
-    estimates : Estimates
-        What was found for each pixel.
-
-    Returns
-    -------
-    ndarray of bool
-        True where a target explains the samples better by `DETECTION`.
-    """
-    better = estimates.empty_cost - estimates.cost >= DETECTION
-    lit = (estimates.amplitude > 0).any(axis=1)
-    return np.asarray(np.isfinite(estimates.path) & better & lit)
+def _objective(normal: Normal, state: Shared, layout: Layout, tried: Widths) -> float:
+    """Return minus twice the logarithm of the posterior, but for a constant."""
+    prior, origin = prior_of(state, layout, tried)
+    return normal.square + float(prior @ origin**2)

@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from amulor.rejection import joint_pixels, joint_shared
-from amulor.rejection.joint_pixels import Estimates, Pixels
+from amulor.rejection import joint_model, joint_pixels, joint_search
+from amulor.rejection.joint_frame import Frame
+from amulor.rejection.joint_pixels import Pixels
 from amulor.rejection.joint_priors import Layout, Shared
-from amulor.rejection.joint_water import Frame
+from amulor.rejection.joint_scatter import is_seen
+from amulor.rejection.joint_search import Estimates
 from amulor.rejection.reference import Covariance
 
 Floats = NDArray[np.float64]
@@ -38,27 +40,32 @@ def solve(frame: Frame, pixels: Pixels, shared: Shared, transfer: Complex) -> Re
     full = transfer * (1 + shared.echo)
     open_path = np.full(len(pixels), np.inf)
     stray = None
+    near = joint_model.near(pixels, shared.table, wavenumber)
     if shared.fluctuation > 0:
-        _, water, _ = joint_pixels.water_at(pixels, open_path, shared.table, wavenumber)
-        stray = shared.fluctuation * shared.gain * water[:, None]
-    found = joint_pixels.estimate(
-        pixels,
+        _, water, _ = joint_model.water_at(pixels, open_path, shared.table, wavenumber)
+        stray = shared.fluctuation * shared.light(water, near)
+    found = joint_search.estimate(
+        joint_search.without_offset(
+            pixels, shared.table, offset=shared.offset, wavenumber=wavenumber
+        ),
         joint_pixels.weight(pixels, stray),
         shared.table,
         gain=shared.gain,
         transfer=full,
         wavenumber=wavenumber,
     )
-    seen = joint_shared.is_seen(found)
+    seen = is_seen(found)
     path = np.where(seen, found.path, np.inf)
-    depth, water, _ = joint_pixels.water_at(pixels, path, shared.table, wavenumber)
-    changes = joint_pixels.shape_changes(pixels, depth, shared.table, wavenumber)
+    depth, water, _ = joint_model.water_at(pixels, path, shared.table, wavenumber)
+    changes = joint_model.shape_changes(pixels, depth, shared.table, wavenumber)
+    whole = shared.light(water, near)
     if shared.fluctuation > 0:
-        stray = shared.fluctuation * shared.gain * water[:, None]
+        stray = shared.fluctuation * whole
     slopes = _path_slopes(
         shared,
         found,
         water,
+        near,
         changes,
         np.exp(1j * np.where(seen, path, 0.0)[:, None] * wavenumber) * transfer,
     )
@@ -77,12 +84,14 @@ def solve(frame: Frame, pixels: Pixels, shared: Shared, transfer: Complex) -> Re
     unsure = np.einsum(
         "ni,ni->n", slopes[:, free] @ shared.covariance[free, free], slopes[:, free]
     )
+    # Nobody asks for the influences any more, and they are most of the memory.
+    found = replace(found, influence=np.zeros((0, 0, 0), dtype=complex))
     return Result(
         found,
         seen,
         depth,
-        shared.gain * water[:, None],
-        _common(shared, water, changes),
+        whole,
+        _common(shared, water, near, changes),
         stray,
         variance,
         own + parametric,
@@ -111,6 +120,7 @@ def _path_slopes(
     shared: Shared,
     found: Estimates,
     water: Complex,
+    near: Complex,
     changes: Complex,
     echo: Complex,
 ) -> Floats:
@@ -121,12 +131,12 @@ def _path_slopes(
     pull = np.conj(found.influence)
     for c in range(channels):
         out[:, c] = -np.sum(
-            (pull[:, c] * (1 + shared.departure[c]) * water).real, axis=-1
+            (pull[:, c] * (water + shared.departure[c] * near)).real, axis=-1
         )
     turned = pull * shared.gain
     out[:, layout.shape] = -np.einsum("ncf,nmf->nm", turned, changes).real
     _, free, echoes = layout.blocks
-    own = pull * shared.strength[:, None] * water[:, None]
+    own = pull * shared.strength[:, None] * near[:, None]
     both = np.stack([-own.real, own.imag], axis=1)
     out[:, free] = both.reshape(len(water), -1)
     back = np.einsum("ncf,nc->nf", pull, found.amplitude) * echo
@@ -134,7 +144,9 @@ def _path_slopes(
     return out
 
 
-def _common(shared: Shared, water: Complex, changes: Complex) -> Covariance:
+def _common(
+    shared: Shared, water: Complex, near: Complex, changes: Complex
+) -> Covariance:
     """Return the covariance of the estimated water signal, which pixels share."""
     layout = _layout(shared)
     channels, frequencies = shared.departure.shape
@@ -148,10 +160,10 @@ def _common(shared: Shared, water: Complex, changes: Complex) -> Covariance:
             columns = np.concatenate(
                 [[c], inner, [departure, departure + channels * frequencies]]
             )
-            own = shared.strength[c] * water[:, f]
+            own = shared.strength[c] * near[:, f]
             slope = np.concatenate(
                 [
-                    ((1 + shared.departure[c, f]) * water[:, f])[:, None],
+                    (water[:, f] + shared.departure[c, f] * near[:, f])[:, None],
                     shared.gain[c, f] * changes[:, :, f],
                     np.stack([own, 1j * own], axis=1),
                 ],

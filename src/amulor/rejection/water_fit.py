@@ -14,9 +14,10 @@ from amulor import cube as cubes
 from amulor.errors import CubeError
 from amulor.optics import low_pass
 from amulor.rejection import joint_shared
-from amulor.rejection.joint import open_water_samples
+from amulor.rejection.joint_frame import Frame
 from amulor.rejection.joint_priors import Shared
-from amulor.rejection.joint_water import COEFFICIENTS, Frame, Shape
+from amulor.rejection.joint_samples import open_water_samples
+from amulor.rejection.joint_shape import COEFFICIENTS, Shape
 
 Floats = NDArray[np.float64]
 

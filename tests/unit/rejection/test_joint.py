@@ -15,10 +15,12 @@ from amulor.cube import QualityFlag
 from amulor.errors import CubeError
 from amulor.optics import small_angle_diffusion
 from amulor.rejection import _joint_kernels as kernels
-from amulor.rejection import joint_pixels
+from amulor.rejection import _joint_normal_kernels as normal_kernels
+from amulor.rejection import joint_pixels, joint_search
 from amulor.rejection.joint import joint
+from amulor.rejection.joint_frame import Table, frame_of
 from amulor.rejection.joint_pixels import Pixels
-from amulor.rejection.joint_water import Shape, Table, frame_of
+from amulor.rejection.joint_shape import Shape
 from amulor.rejection.reference import Covariance
 from amulor.simulation import simulate
 from amulor.survey import Survey
@@ -254,7 +256,7 @@ def _solve(
     *,
     shortest: float = 2.0,
     longest: float = 8.0,
-) -> joint_pixels.Estimates:
+) -> joint_search.Estimates:
     """Return the estimate behind a water signal that does not depend on its end."""
     variance = np.broadcast_to(sigma**2, signal.shape).copy()
     count = len(signal)
@@ -275,9 +277,10 @@ def _solve(
         np.zeros_like(value),
         np.zeros((0, *value.shape), dtype=complex),
         np.ones((1, 1)),
+        np.ones(1),
         1.0,
     )
-    return joint_pixels.estimate(
+    return joint_search.estimate(
         pixels,
         joint_pixels.weight(pixels),
         table,
@@ -361,6 +364,35 @@ def test_a_common_delay_moves_the_path_by_itself(
     assert_allclose(two.cost, one.cost, rtol=1e-4)
 
 
+@settings(max_examples=30)
+@given(paths, seeds, st.floats(0.02, 0.35))
+def test_the_interval_ends_where_the_misfit_has_risen_by_one(
+    path: float, seed: int, noise: float
+) -> None:
+    signal, _, water = _draw(path, 1.0, seed)
+    rng = np.random.default_rng(seed)
+    stray = rng.standard_normal((2, 6))
+    wavenumber = 2 * np.pi * FREQUENCIES / speed_of_light
+    clean = np.exp(1j * wavenumber * path)
+    signal = (clean + water + noise * (stray[0] + 1j * stray[1]))[None, None]
+    found = _solve(signal, np.array(noise), water, FREQUENCIES)
+
+    def rise(length: float) -> float:
+        # The best amplitude in closed form.
+        along = np.mean((signal[0, 0] - water) * np.exp(-1j * wavenumber * length)).real
+        square = np.sum(np.abs(signal[0, 0] - water) ** 2)
+        return float((square - 6 * max(along, 0.0) ** 2) / noise**2 - found.cost[0])
+
+    sigma = float(found.information[0] ** -0.5)
+    for end in (found.path - found.lower, found.path + found.upper):
+        # A side that is a parabola to a tenth is taken as one, to a twentieth in width.
+        assert rise(float(end[0])) == pytest.approx(1.0, abs=0.11)
+    near = float(found.path[0])
+    assert rise(near) == pytest.approx(0.0, abs=1e-4)
+    assert rise(near + 0.3 * sigma) > 0
+    assert rise(near - 0.3 * sigma) > 0
+
+
 def test_the_uncompiled_loop_gives_the_same_sums() -> None:
     rng = np.random.default_rng(3)
     signal, gain = rng.standard_normal((2, 2, 5)), rng.standard_normal((2, 2, 5))
@@ -371,3 +403,64 @@ def test_the_uncompiled_loop_gives_the_same_sums() -> None:
     fast = kernels.misfit(signal, weight, gain, water, phasor, two)
     assert fast == pytest.approx(plain, rel=1e-12)
     assert_allclose(two, one, rtol=1e-12)
+
+
+def test_normal_equations_are_those_of_the_written_out_least_squares() -> None:
+    rng = np.random.default_rng(8)
+    count, channels, frequencies, parameters = 3, 2, 4, 2
+
+    def draw(*shape: int) -> np.ndarray:
+        return rng.standard_normal(shape) + 1j * rng.standard_normal(shape)
+
+    left, base = draw(count, channels, frequencies), draw(count, channels, frequencies)
+    changes, near = draw(count, parameters, frequencies), draw(count, frequencies)
+    echo, slope = draw(count, frequencies), draw(count, frequencies)
+    factor, wavenumber = draw(frequencies), rng.uniform(1, 3, frequencies)
+    strength = rng.uniform(1, 2, channels)
+    amplitude = rng.uniform(1, 2, (count, channels))
+    is_target = np.array([True, False, True])
+    weight = rng.uniform(1, 2, (count, channels, 3, frequencies))
+    weight[:, :, 1] -= 1.5
+    first_departure = channels + parameters
+    first_echo = first_departure + 2 * channels * frequencies
+    used = first_echo + 2 * frequencies
+    matrix, vector = np.zeros((2, used, used)), np.zeros((2, used))
+    square = np.zeros(2)
+    normal_kernels.accumulate(
+        left, weight, base, changes, near, strength, echo, factor, amplitude, slope,
+        wavenumber, is_target, first_departure, first_echo, True, matrix, vector,
+        square,
+    )  # fmt: skip
+    expected = np.zeros((used, used)), np.zeros(used), 0.0
+    for n in range(count):
+        rows, own, rest = [], [], []
+        for c in range(channels):
+            for f in range(frequencies):
+                row = np.zeros(used, dtype=complex)
+                row[c] = base[n, c, f]
+                row[channels : channels + parameters] = strength[c] * changes[n, :, f]
+                at = first_departure + c * frequencies + f
+                row[at] = strength[c] * near[n, f]
+                row[at + channels * frequencies] = 1j * strength[c] * near[n, f]
+                row[first_echo + f] = amplitude[n, c] * echo[n, f]
+                row[first_echo + frequencies + f] = 1j * amplitude[n, c] * echo[n, f]
+                full = echo[n, f] * factor[f]
+                mine = np.zeros(channels + 1, dtype=complex)
+                mine[c] = full
+                way = 1j * wavenumber[f] * amplitude[n, c] * full
+                mine[channels] = way + strength[c] * slope[n, f]
+                xx, xy, yy = weight[n, c, :, f]
+                root = np.linalg.cholesky(np.array([[xx, xy], [xy, yy]])).T
+                rows.append(root @ np.stack([row.real, row.imag]))
+                own.append(root @ np.stack([mine.real, mine.imag]))
+                rest.append(root @ [left[n, c, f].real, left[n, c, f].imag])
+        jacobian, mine, residual = (np.concatenate(x) for x in (rows, own, rest))
+        if is_target[n]:
+            project = np.eye(len(residual)) - mine @ np.linalg.pinv(mine)
+            jacobian, residual = project @ jacobian, project @ residual
+        expected[0][...] += jacobian.T @ jacobian
+        expected[1][...] += jacobian.T @ residual
+        expected = (*expected[:2], expected[2] + residual @ residual)
+    assert_allclose(matrix.sum(axis=0), expected[0], atol=1e-10)
+    assert_allclose(vector.sum(axis=0), expected[1], atol=1e-10)
+    assert square.sum() == pytest.approx(expected[2], rel=1e-12)

@@ -14,6 +14,7 @@ from scipy.constants import speed_of_light
 from amulor.errors import CubeError
 from amulor.optics import rays, small_angle_diffusion
 from amulor.rejection import _joint_kernels
+from amulor.rejection.joint_shape import COEFFICIENTS, Shape, hats
 from amulor.survey import Survey, water_properties
 from amulor.survey.view import kernel_arguments, medium, view
 
@@ -37,37 +38,6 @@ _BEHIND = 0.3
 
 
 @dataclass(frozen=True)
-class Shape:
-    """What gives the water signal its shape, shared by all pixels of a scan."""
-
-    reduced_attenuation: float
-    """Reduced attenuation coefficient k' = a + b_d [1/m]."""
-    spread: float
-    """Growth b_f <theta^2> of the mean square angle of the light [rad^2/m]."""
-    forward_scattering: float
-    """Forward scattering b_f, above which some light is not scattered at all [1/m]."""
-    correction: Floats
-    """How the overlap departs from the model, in units of its prior's width [1]."""
-    knots: Floats
-    """Depths between which the logarithm of the departure is linear [m]."""
-
-    def moved(self, step: Floats) -> Shape:
-        """Return the shape after a step in the logarithms and the correction."""
-        loss, spread, forward = np.exp(step[:COEFFICIENTS])
-        return Shape(
-            float(self.reduced_attenuation * loss),
-            float(self.spread * spread),
-            float(self.forward_scattering * forward),
-            self.correction + step[COEFFICIENTS:],
-            self.knots,
-        )
-
-
-#: Coefficients of a shape, whose logarithms are estimated.
-COEFFICIENTS = 3
-
-
-@dataclass(frozen=True)
 class Table:
     """Water signal of unit strength against the depth where the water ends.
 
@@ -84,6 +54,8 @@ class Table:
     """Derivative with respect to the parameters of the shape, one axis more [1]."""
     basis: Floats
     """How much of each component a direction of `Frame` has, (direction, component)."""
+    level: Floats
+    """Open water at frequency 0, by component; 1 in the middle of the scan [1]."""
     strength: float
     """Received per launched power behind strength 1, per backscatter [sr m]."""
 
@@ -252,11 +224,11 @@ class Frame:
     def middle(self, depth: Floats, shape: Shape) -> Floats:
         """Return the overlap in the middle of the scan, with the correction [sr]."""
         centre = self.weights(*(np.array([0.5 * sum(box)]) for box in self._box))[0]
-        factor = np.exp(shape.correction @ _hats(depth, shape.knots))
+        factor = np.exp(shape.correction @ hats(depth, shape.knots))
         found: Floats = centre @ self._overlap(depth, shape, self._nodes) * factor
         return found
 
-    def table(self, shape: Shape, *, longest: float) -> Table:
+    def table(self, shape: Shape, *, longest: float, derivatives: bool = True) -> Table:
         """Integrate the water signal up to every depth.
 
         Parameters
@@ -265,6 +237,8 @@ class Frame:
             Shape of the water signal.
         longest : float
             Depth beyond which no target stands [m].
+        derivatives : bool
+            Whether to add those with respect to the shape.
 
         Returns
         -------
@@ -297,8 +271,8 @@ class Frame:
         middle = 0.5 * (edges[1:] + edges[:-1])
         z = (middle[:, None] + 0.5 * width[:, None] * point).ravel()
         share = (0.5 * width[:, None] * weight).ravel()
-        profile = self._profiles(z, shape)
-        at_edge = self._profiles(edges, shape)[0]
+        profile = self._profiles(z, shape, derivatives=derivatives)
+        at_edge = self._profiles(edges, shape, derivatives=False)[0]
         component = _components(profile[0], profile[1:])
         rate = 2 * self.medium.group_index * self.wavenumber
         phasor = np.exp(1j * rate * z[:, None])
@@ -319,14 +293,21 @@ class Frame:
         change = total[1:] / strength - (
             total[0] * (at_zero[1:] / strength**2)[:, None, None, None]
         )
+        level = component.T @ (profile[0] @ share) / strength
         return Table(
-            step, total[0] / strength, slope / strength, change, component, strength
+            step,
+            total[0] / strength,
+            slope / strength,
+            change,
+            component,
+            level,
+            strength,
         )
 
-    def _profiles(self, depth: Floats, shape: Shape) -> Floats:
+    def _profiles(self, depth: Floats, shape: Shape, *, derivatives: bool) -> Floats:
         """Return the overlap and its derivatives, (parameter, direction, depth)."""
-        hats = _hats(depth, shape.knots)
-        factor = np.exp(shape.correction @ hats)
+        hat = hats(depth, shape.knots)
+        factor = np.exp(shape.correction @ hat)
 
         def light(of: Shape) -> Floats:
             found: Floats = self._overlap(depth, of, self._nodes) * factor
@@ -335,13 +316,14 @@ class Frame:
             return found
 
         base = light(shape)
+        if not derivatives:
+            return base[None]
         changes = [-2 * shape.reduced_attenuation * depth * base]
         for parameter in range(1, COEFFICIENTS):
             step = np.zeros(COEFFICIENTS + len(shape.knots))
             step[parameter] = _SMALL
-            rise = light(shape.moved(step)) - light(shape.moved(-step))
-            changes.append(rise / (2 * _SMALL))
-        return np.stack([base, *changes, *(base * hat for hat in hats)])
+            changes.append((light(shape.moved(step)) - base) / _SMALL)
+        return np.stack([base, *changes, *(base * row for row in hat)])
 
 
 #: A receiver that takes in less than this sees no beam [sr m].
@@ -358,26 +340,9 @@ def _unseen() -> CubeError:
 
 #: Share of the largest overlap that counts as zero [1].
 _NEXT_TO_NOTHING = 1e-30
-#: Step of the logarithm of a coefficient for a derivative [1].
-_SMALL = 1e-4
-
-
-def _hats(depth: Floats, knots: Floats) -> Floats:
-    """Return smooth functions whose sum with normal coefficients is a smooth one.
-
-    Between the knots they are linear; from knot to knot their sum is a normal process
-    with a correlation of `_CORRELATION` knots and a variance of 1.
-    """
-    number = np.arange(len(knots))
-    covariance = np.exp(-(((number[:, None] - number) / _CORRELATION) ** 2) / 2)
-    covariance += 1e-6 * np.eye(len(knots))
-    values = np.linalg.cholesky(covariance) if len(knots) else covariance
-    return np.array([np.interp(depth, knots, row) for row in values.T]).reshape(
-        len(knots), depth.size
-    )
-
-
-_CORRELATION = 2.0
+#: Step of the logarithm of a coefficient for a derivative: what a one-sided one errs
+#: by and what rounding leaves of it are both far below what a step of the fit needs.
+_SMALL = 1e-5
 
 
 def _components(light: Floats, derivatives: Floats) -> Floats:
