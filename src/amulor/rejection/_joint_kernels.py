@@ -248,6 +248,39 @@ def interpolate(
                 out[n, m, f] = total
 
 
+@numba.njit(cache=True)
+def _water_at_one(
+    path: float,
+    start: float,
+    longest: float,
+    depths: Array,
+    step: float,
+    share: Array,
+    value: Array,
+    slope: Array,
+    turned: float,
+    wavenumber: Array,
+    water: Array,
+    change: Array,
+) -> float:
+    """Fill in water signal and its derivative at a path; return the depth."""
+    turn = np.empty((2, wavenumber.size))
+    depth, rate = np.inf, 0.0
+    if path < np.inf:
+        depth, rate = depth_of(path, start, longest, depths)
+    water_to(depth, step, share, value, slope, water, change)
+    for f in range(wavenumber.size):
+        turn[0, f] = math.cos(wavenumber[f] * turned)
+        turn[1, f] = math.sin(wavenumber[f] * turned)
+    turn_by(water, turn)
+    turn_by(change, turn)
+    for f in range(wavenumber.size):
+        change[0, f] *= rate
+        change[1, f] *= rate
+    return depth
+
+
+# What runs in parallel is compiled faster if the loop holds a call and no more.
 @numba.njit(cache=True, parallel=True)
 def water_at(
     path: Array,
@@ -269,17 +302,10 @@ def water_at(
     A path that is infinite means open water.
     """
     for n in numba.prange(path.size):
-        turn = np.empty((2, wavenumber.size))
-        depth[n], rate = np.inf, 0.0
-        if path[n] < np.inf:
-            depth[n], rate = depth_of(path[n], start[n], longest[n], depths[n])
-        water_to(depth[n], step, share[n], value, slope, water[n], change[n])
-        for f in range(wavenumber.size):
-            turn[0, f] = math.cos(wavenumber[f] * turned[n])
-            turn[1, f] = math.sin(wavenumber[f] * turned[n])
-        turn_by(water[n], turn)
-        turn_by(change[n], turn)
-        change[n] *= rate
+        depth[n] = _water_at_one(
+            path[n], start[n], longest[n], depths[n], step, share[n], value, slope,
+            turned[n], wavenumber, water[n], change[n],
+        )  # fmt: skip
 
 
 @numba.njit(cache=True)
@@ -297,11 +323,14 @@ def integrate(
     total = np.empty(phasor.shape[1], dtype=np.complex128)
     for m in range(profile.shape[0]):
         for r in range(profile.shape[1]):
-            total[:] = 0
-            out[m, r, 0] = total
+            for f in range(phasor.shape[1]):
+                total[f] = 0
+                out[m, r, 0, f] = 0
             for k in range(phasor.shape[0]):
                 for f in range(phasor.shape[1]):
                     total[f] += profile[m, r, k] * phasor[k, f]
                 if (k + 1) % order == 0 and (k + 1) // order <= count:
-                    out[m, r, (k + 1) // order] = total
-            out[m, r, count + 1] = total
+                    for f in range(phasor.shape[1]):
+                        out[m, r, (k + 1) // order, f] = total[f]
+            for f in range(phasor.shape[1]):
+                out[m, r, count + 1, f] = total[f]

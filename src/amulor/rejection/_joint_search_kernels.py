@@ -149,12 +149,180 @@ def _coarse(
                 minima[worst], levels[worst] = place, height
                 found = min(found + 1, CANDIDATES)
         before, level = level, after
-    order = np.argsort(levels)
-    minima[:] = minima[order]
-    levels[:] = levels[order]
+    for k in range(1, CANDIDATES):
+        place, height = minima[k], levels[k]
+        m = k
+        while m > 0 and levels[m - 1] > height:
+            minima[m], levels[m] = minima[m - 1], levels[m - 1]
+            m -= 1
+        minima[m], levels[m] = place, height
     return found
 
 
+@numba.njit(cache=True)
+def _estimate_one(
+    signal: Array,
+    weight: Array,
+    gain: Array,
+    share: Array,
+    turned: float,
+    value: Array,
+    slope: Array,
+    step: float,
+    wavenumber: Array,
+    transfer: Array,
+    grid: Array,
+    coarse: Array,
+    first: float,
+    last: float,
+    depths: Array,
+    known: float,
+    is_known: bool,
+    out: Array,
+    amplitudes: Array,
+    influences: Array,
+) -> None:
+    """Fill in the most likely path of one pixel."""
+    channels, frequencies = signal.shape[0], signal.shape[2]
+    spacing = grid[1] - grid[0]
+    water = np.empty((2, frequencies))
+    change = np.empty((2, frequencies))
+    phasor = np.empty((2, frequencies))
+    turn = np.empty((2, frequencies))
+    amplitude = np.empty(channels)
+    influence = np.empty((channels, 2, frequencies))
+    minima = np.empty(CANDIDATES)
+    levels = np.full(CANDIDATES, np.inf)
+    for f in range(frequencies):
+        turn[0, f] = math.cos(wavenumber[f] * turned)
+        turn[1, f] = math.sin(wavenumber[f] * turned)
+    used = 0
+    for c in range(channels):
+        for f in range(frequencies):
+            if weight[c, 0, f] > 0:
+                used += 2
+    # Water alone, open to its end.
+    water_to(np.inf, step, share, value, slope, water, change)
+    turn_by(water, turn)
+    for f in range(frequencies):
+        phasor[0, f] = phasor[1, f] = 0
+    empty = misfit(signal, weight, gain, water, phasor, amplitude)
+    found = 0
+    if is_known:
+        minima[0], levels[0], found = known, 0.0, 1
+    else:
+        found = _coarse(
+            grid, coarse, first - spacing, last + spacing, first, last, depths,
+            step, share, value, turn, signal, weight, gain, water,
+            amplitude, minima, levels,
+        )  # fmt: skip
+    best, best_path, best_information = np.inf, np.nan, 0.0
+    mass = np.zeros(CANDIDATES)
+    costs = np.full(CANDIDATES, np.inf)
+    for k in range(found):
+        # What is worse by more than the coarse grid can err is not looked at.
+        if levels[k] > best + _NEAR + _GRID_ERROR * empty:
+            break
+        path = minima[k]
+        cost, rate = misfit_at(
+            path, first, last, depths, step, share, value, slope, turn,
+            wavenumber, transfer, signal, weight, gain, water, change, phasor,
+            amplitude,
+        )  # fmt: skip
+        information = 0.0
+        for _ in range(_MOST_STEPS):
+            downhill, information = descent(
+                signal, weight, gain, water, change, rate, phasor, wavenumber,
+                amplitude, influence,
+            )  # fmt: skip
+            if not information > 0:
+                break
+            move = downhill / information
+            move = min(max(move, -0.5 * spacing), 0.5 * spacing)
+            moved, new = path, cost
+            for _ in range(_HALVINGS):
+                moved = path + move
+                new, rate = misfit_at(
+                    moved, first, last, depths, step, share, value, slope,
+                    turn, wavenumber, transfer, signal, weight, gain, water,
+                    change, phasor, amplitude,
+                )  # fmt: skip
+                if new <= cost:
+                    break
+                move *= 0.5
+            if not new <= cost:
+                break
+            path, cost = moved, new
+            if abs(move) < 1e-3 / math.sqrt(information) or abs(move) < 1e-10:
+                break
+        if not information > 0:
+            continue
+        # The error may carry a path a little beyond its limits.
+        slack = min(4 / math.sqrt(information), spacing)
+        if path < first - slack or path > last + slack:
+            continue
+        same = False
+        for m in range(k):
+            if costs[m] < np.inf and abs(minima[m] - path) < 0.25 * spacing:
+                same = True
+        if same:
+            continue
+        minima[k], costs[k] = path, cost
+        mass[k] = 1 / math.sqrt(information)
+        if cost < best:
+            best, best_path, best_information = cost, path, information
+    if not best_information > 0:
+        out[PATH] = np.nan
+        out[COST] = np.inf
+        out[INFORMATION] = 0.0
+        out[LOWER], out[UPPER], out[WRONG] = np.nan, np.nan, 1.0
+        out[EMPTY_COST], out[USED] = empty, used
+        for c in range(channels):
+            amplitudes[c] = 0
+            for f in range(frequencies):
+                influences[c, 0, f] = influences[c, 1, f] = 0
+        return
+    total, own = 0.0, 0.0
+    for k in range(found):
+        if costs[k] < np.inf:
+            likely = mass[k] * math.exp(-0.5 * min(costs[k] - best, 1400.0))
+            total += likely
+            if minima[k] == best_path:
+                own = likely
+    sigma = 1 / math.sqrt(best_information)
+    lower, upper = sigma, sigma
+    if not is_known:
+        lower = _half_width(
+            -1.0, best_path, sigma, best, first, last, depths, step, share,
+            value, slope, turn, wavenumber, transfer, signal, weight, gain,
+            water, change, phasor, amplitude,
+        )  # fmt: skip
+        upper = _half_width(
+            1.0, best_path, sigma, best, first, last, depths, step, share,
+            value, slope, turn, wavenumber, transfer, signal, weight, gain,
+            water, change, phasor, amplitude,
+        )  # fmt: skip
+    cost, rate = misfit_at(
+        best_path, first, last, depths, step, share, value, slope, turn,
+        wavenumber, transfer, signal, weight, gain, water, change, phasor,
+        amplitude,
+    )  # fmt: skip
+    _, information = descent(
+        signal, weight, gain, water, change, rate, phasor, wavenumber,
+        amplitude, influence,
+    )  # fmt: skip
+    out[PATH], out[COST], out[INFORMATION] = best_path, best, information
+    out[LOWER], out[UPPER] = lower, upper
+    out[WRONG] = 1 - own / total
+    out[EMPTY_COST], out[USED] = empty, used
+    for c in range(channels):
+        amplitudes[c] = amplitude[c]
+        for f in range(frequencies):
+            influences[c, 0, f] = influence[c, 0, f] / information
+            influences[c, 1, f] = influence[c, 1, f] / information
+
+
+# What runs in parallel is compiled faster if the loop holds a call and no more.
 @numba.njit(cache=True, parallel=True)
 def estimate(
     signal: Array,
@@ -183,142 +351,16 @@ def estimate(
     `grid` holds the paths of the coarse likelihood; where `is_known`, the search starts
     at the path `known` instead.
     """
-    channels, frequencies = signal.shape[1], signal.shape[3]
+    frequencies = signal.shape[3]
     coarse = np.empty((grid.size, 2, frequencies))
     for j in range(grid.size):
         fill_phasor(grid[j], wavenumber, transfer, coarse[j])
-    spacing = grid[1] - grid[0]
     for n in numba.prange(signal.shape[0]):
-        water = np.empty((2, frequencies))
-        change = np.empty((2, frequencies))
-        phasor = np.empty((2, frequencies))
-        turn = np.empty((2, frequencies))
-        amplitude = np.empty(channels)
-        influence = np.empty((channels, 2, frequencies))
-        minima = np.empty(CANDIDATES)
-        levels = np.full(CANDIDATES, np.inf)
-        first, last = start[n], longest[n]
-        for f in range(frequencies):
-            turn[0, f] = math.cos(wavenumber[f] * turned[n])
-            turn[1, f] = math.sin(wavenumber[f] * turned[n])
-        used = 0
-        for c in range(channels):
-            for f in range(frequencies):
-                if weight[n, c, 0, f] > 0:
-                    used += 2
-        # Water alone, open to its end.
-        water_to(np.inf, step, share[n], value, slope, water, change)
-        turn_by(water, turn)
-        phasor[:] = 0
-        empty = misfit(signal[n], weight[n], gain, water, phasor, amplitude)
-        found = 0
-        if is_known:
-            minima[0], levels[0], found = known[n], 0.0, 1
-        else:
-            found = _coarse(
-                grid, coarse, first - spacing, last + spacing, first, last, depths[n],
-                step, share[n], value, turn, signal[n], weight[n], gain, water,
-                amplitude, minima, levels,
-            )  # fmt: skip
-        best, best_path, best_information = np.inf, np.nan, 0.0
-        mass = np.zeros(CANDIDATES)
-        costs = np.full(CANDIDATES, np.inf)
-        for k in range(found):
-            # What is worse by more than the coarse grid can err is not looked at.
-            if levels[k] > best + _NEAR + _GRID_ERROR * empty:
-                break
-            path = minima[k]
-            cost, rate = misfit_at(
-                path, first, last, depths[n], step, share[n], value, slope, turn,
-                wavenumber, transfer, signal[n], weight[n], gain, water, change, phasor,
-                amplitude,
-            )  # fmt: skip
-            information = 0.0
-            for _ in range(_MOST_STEPS):
-                downhill, information = descent(
-                    signal[n], weight[n], gain, water, change, rate, phasor, wavenumber,
-                    amplitude, influence,
-                )  # fmt: skip
-                if not information > 0:
-                    break
-                move = downhill / information
-                move = min(max(move, -0.5 * spacing), 0.5 * spacing)
-                moved, new = path, cost
-                for _ in range(_HALVINGS):
-                    moved = path + move
-                    new, rate = misfit_at(
-                        moved, first, last, depths[n], step, share[n], value, slope,
-                        turn, wavenumber, transfer, signal[n], weight[n], gain, water,
-                        change, phasor, amplitude,
-                    )  # fmt: skip
-                    if new <= cost:
-                        break
-                    move *= 0.5
-                if not new <= cost:
-                    break
-                path, cost = moved, new
-                if abs(move) < 1e-3 / math.sqrt(information) or abs(move) < 1e-10:
-                    break
-            if not information > 0:
-                continue
-            # The error may carry a path a little beyond its limits.
-            slack = min(4 / math.sqrt(information), spacing)
-            if path < first - slack or path > last + slack:
-                continue
-            same = False
-            for m in range(k):
-                if costs[m] < np.inf and abs(minima[m] - path) < 0.25 * spacing:
-                    same = True
-            if same:
-                continue
-            minima[k], costs[k] = path, cost
-            mass[k] = 1 / math.sqrt(information)
-            if cost < best:
-                best, best_path, best_information = cost, path, information
-        if not best_information > 0:
-            out[n, PATH] = np.nan
-            out[n, COST] = np.inf
-            out[n, INFORMATION] = 0.0
-            out[n, LOWER], out[n, UPPER], out[n, WRONG] = np.nan, np.nan, 1.0
-            out[n, EMPTY_COST], out[n, USED] = empty, used
-            amplitudes[n] = 0
-            influences[n] = 0
-            continue
-        total, own = 0.0, 0.0
-        for k in range(found):
-            if costs[k] < np.inf:
-                likely = mass[k] * math.exp(-0.5 * min(costs[k] - best, 1400.0))
-                total += likely
-                if minima[k] == best_path:
-                    own = likely
-        sigma = 1 / math.sqrt(best_information)
-        lower, upper = sigma, sigma
-        if not is_known:
-            lower = _half_width(
-                -1.0, best_path, sigma, best, first, last, depths[n], step, share[n],
-                value, slope, turn, wavenumber, transfer, signal[n], weight[n], gain,
-                water, change, phasor, amplitude,
-            )  # fmt: skip
-            upper = _half_width(
-                1.0, best_path, sigma, best, first, last, depths[n], step, share[n],
-                value, slope, turn, wavenumber, transfer, signal[n], weight[n], gain,
-                water, change, phasor, amplitude,
-            )  # fmt: skip
-        cost, rate = misfit_at(
-            best_path, first, last, depths[n], step, share[n], value, slope, turn,
-            wavenumber, transfer, signal[n], weight[n], gain, water, change, phasor,
-            amplitude,
+        _estimate_one(
+            signal[n], weight[n], gain, share[n], turned[n], value, slope, step,
+            wavenumber, transfer, grid, coarse, start[n], longest[n], depths[n],
+            known[n], is_known, out[n], amplitudes[n], influences[n],
         )  # fmt: skip
-        _, information = descent(
-            signal[n], weight[n], gain, water, change, rate, phasor, wavenumber,
-            amplitude, influence,
-        )  # fmt: skip
-        out[n, PATH], out[n, COST], out[n, INFORMATION] = best_path, best, information
-        out[n, LOWER], out[n, UPPER] = lower, upper
-        out[n, WRONG] = 1 - own / total
-        out[n, EMPTY_COST], out[n, USED] = empty, used
-        amplitudes[n] = amplitude
-        influences[n] = influence / information
 
 
 @numba.njit(cache=True)
@@ -393,4 +435,5 @@ def starting_costs(
                 total += yy - t * ye - s * yw
             if total < best[n]:
                 best[n] = total
-                strength[n] = trial
+                for c in range(channels):
+                    strength[n, c] = trial[c]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any, Protocol
 
 import numpy as np
@@ -11,6 +12,7 @@ from numpy.typing import NDArray
 from amulor.errors import SurveyError
 from amulor.optics import small_angle, small_angle_diffusion, target_echo
 from amulor.optics.phase_function_models import henyey_greenstein_function
+from amulor.optics.phase_function_objects import PhaseFunction
 from amulor.survey import Survey, WaterProperties
 from amulor.survey.view import View, kernel_arguments
 
@@ -215,6 +217,12 @@ def whole_function_arguments(
     return {
         **arguments,
         "scattering": survey.water.scattering,
-        "phase_function": henyey_greenstein_function(asymmetry=asymmetry),
+        "phase_function": _henyey_greenstein(asymmetry),
         "split_angle": survey.water.split_angle,
     }
+
+
+@lru_cache(maxsize=8)
+def _henyey_greenstein(asymmetry: float) -> PhaseFunction:
+    """Return one and the same function each time: its transform is kept with it."""
+    return henyey_greenstein_function(asymmetry=asymmetry)
