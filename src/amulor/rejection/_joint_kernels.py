@@ -14,6 +14,8 @@ Array = NDArray[Any]
 #: Sums may be taken in any order, so that they run in parallel lanes.
 LANES = {"reassoc", "contract"}
 
+# Where a loop runs in parallel it holds a call and no more: it compiles much faster.
+
 
 @numba.njit(cache=True)
 def depth_of(
@@ -218,6 +220,31 @@ def misfit_at(
     return misfit(signal, weight, gain, water, phasor, amplitude), rate
 
 
+@numba.njit(cache=True, fastmath=LANES)
+def _interpolate_one(
+    depth: float,
+    step: float,
+    share: Array,
+    table: Array,
+    out: Array,
+) -> None:
+    """Fill in columns of water up to one depth, linear between the nodes."""
+    last = table.shape[2] - 2
+    if depth == np.inf:
+        j, t = last, 1.0
+    else:
+        place = min(max(depth / step, 0.0), float(last))
+        j = min(int(place), last - 1)
+        t = place - j
+    for m in range(table.shape[0]):
+        for f in range(table.shape[3]):
+            out[m, f] = 0
+        for r in range(table.shape[1]):
+            before, after = share[r] * (1 - t), share[r] * t
+            for f in range(table.shape[3]):
+                out[m, f] += before * table[m, r, j, f] + after * table[m, r, j + 1, f]
+
+
 @numba.njit(cache=True, parallel=True)
 def interpolate(
     depth: Array,
@@ -231,21 +258,8 @@ def interpolate(
     `table` runs over (parameter, component, node, frequency), `out` over (pixel,
     parameter, frequency), both complex.
     """
-    last = table.shape[2] - 2
     for n in numba.prange(depth.size):
-        if depth[n] == np.inf:
-            j, t = last, 1.0
-        else:
-            place = min(max(depth[n] / step, 0.0), float(last))
-            j = min(int(place), last - 1)
-            t = place - j
-        for m in range(table.shape[0]):
-            for f in range(table.shape[3]):
-                total = 0.0 + 0.0j
-                for r in range(table.shape[1]):
-                    a, b = table[m, r, j, f], table[m, r, j + 1, f]
-                    total += share[n, r] * (a + t * (b - a))
-                out[n, m, f] = total
+        _interpolate_one(depth[n], step, share[n], table, out[n])
 
 
 @numba.njit(cache=True)
@@ -280,7 +294,6 @@ def _water_at_one(
     return depth
 
 
-# What runs in parallel is compiled faster if the loop holds a call and no more.
 @numba.njit(cache=True, parallel=True)
 def water_at(
     path: Array,

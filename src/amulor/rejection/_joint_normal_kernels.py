@@ -145,7 +145,6 @@ def _accumulate_some(
     return square
 
 
-# What runs in parallel is compiled faster if the loop holds a call and no more.
 @numba.njit(cache=True, parallel=True)
 def accumulate(
     residual: Array,

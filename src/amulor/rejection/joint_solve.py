@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from amulor.rejection import _joint_common_kernels as kernels
 from amulor.rejection import joint_model, joint_pixels, joint_search
 from amulor.rejection.joint_frame import Frame
 from amulor.rejection.joint_pixels import Pixels
@@ -153,28 +154,26 @@ def _common(
     shape = (len(water), channels, frequencies)
     parts = [np.empty(shape) for _ in range(3)]
     inner = np.arange(layout.shape.start, layout.shape.stop)
-    first = layout.blocks[1].start
-    for c in range(channels):
-        for f in range(frequencies):
-            departure = first + c * frequencies + f
-            columns = np.concatenate(
-                [[c], inner, [departure, departure + channels * frequencies]]
-            )
-            own = shared.strength[c] * near[:, f]
-            slope = np.concatenate(
-                [
-                    (water[:, f] + shared.departure[c, f] * near[:, f])[:, None],
-                    shared.gain[c, f] * changes[:, :, f],
-                    np.stack([own, 1j * own], axis=1),
-                ],
-                axis=1,
-            )
-            matrix = shared.covariance[np.ix_(columns, columns)]
-            real, imaginary = slope.real @ matrix, slope.imag @ matrix
-            for part, left, right in (
-                (parts[0], real, slope.real),
-                (parts[1], imaginary, slope.imag),
-                (parts[2], real, slope.imag),
-            ):
-                part[:, c, f] = np.sum(left * right, axis=1)
+    channel, frequency = np.indices((channels, frequencies))
+    first = layout.blocks[1].start + channel * frequencies + frequency
+    columns = np.concatenate(
+        [
+            channel[..., None],
+            np.broadcast_to(inner, (channels, frequencies, inner.size)),
+            first[..., None],
+            first[..., None] + channels * frequencies,
+        ],
+        axis=-1,
+    )
+    matrix = shared.covariance[columns[..., :, None], columns[..., None, :]]
+    kernels.common(
+        shared.strength,
+        np.ascontiguousarray(shared.gain),
+        np.ascontiguousarray(shared.departure),
+        near,
+        water,
+        changes,
+        matrix,
+        *parts,
+    )
     return Covariance(*parts)

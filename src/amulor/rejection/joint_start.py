@@ -7,7 +7,7 @@ import itertools
 import numpy as np
 from numpy.typing import NDArray
 
-from amulor.rejection import _joint_search_kernels as search
+from amulor.rejection import _joint_start_kernels as kernels
 from amulor.rejection.joint_frame import Frame
 from amulor.rejection.joint_model import water_at
 from amulor.rejection.joint_pixels import (
@@ -74,7 +74,7 @@ def start(
         if shots is None:
             cost = np.empty(len(some))
             strength = np.zeros((len(some), channels))
-            search.starting_costs(
+            kernels.starting_costs(
                 parts(some.signal), plain, shares(some, table), some.turned,
                 parts(table.value), table.step, frame.wavenumber, parts(transfer),
                 grid, some.shortest, some.longest, some.depths, cost, strength,

@@ -14,6 +14,7 @@ from amulor import cube as cubes
 from amulor.cube import QualityFlag
 from amulor.errors import CubeError
 from amulor.optics import small_angle_diffusion
+from amulor.rejection import _joint_common_kernels as common_kernels
 from amulor.rejection import _joint_kernels as kernels
 from amulor.rejection import _joint_normal_kernels as normal_kernels
 from amulor.rejection import joint_pixels, joint_search
@@ -464,3 +465,38 @@ def test_normal_equations_are_those_of_the_written_out_least_squares() -> None:
     assert_allclose(matrix.sum(axis=0), expected[0], atol=1e-10)
     assert_allclose(vector.sum(axis=0), expected[1], atol=1e-10)
     assert square.sum() == pytest.approx(expected[2], rel=1e-12)
+
+
+def test_the_common_covariance_is_that_of_dense_algebra() -> None:
+    rng = np.random.default_rng(3)
+    pixels, channels, frequencies, shapes = 4, 2, 3, 2
+
+    def drawn(*shape: int) -> np.ndarray:
+        return rng.standard_normal(shape) + 1j * rng.standard_normal(shape)
+
+    strength = rng.random(channels)
+    gain, departure = drawn(channels, frequencies), drawn(channels, frequencies)
+    near, water = drawn(pixels, frequencies), drawn(pixels, frequencies)
+    changes = drawn(pixels, shapes, frequencies)
+    root = rng.standard_normal((channels, frequencies, shapes + 3, shapes + 3))
+    matrix = root @ np.swapaxes(root, -1, -2)
+    found = [np.empty((pixels, channels, frequencies)) for _ in range(3)]
+    common_kernels.common(
+        strength, gain, departure, near, water, changes, matrix, *found
+    )
+    for n, c, f in np.ndindex(pixels, channels, frequencies):
+        # Derivatives of s W + s d N by strength, shape, real and imaginary d.
+        slope = np.array(
+            [
+                water[n, f] + departure[c, f] * near[n, f],
+                *(gain[c, f] * changes[n, :, f]),
+                strength[c] * near[n, f],
+                1j * strength[c] * near[n, f],
+            ]
+        )
+        columns = np.stack([slope.real, slope.imag])
+        dense = columns @ matrix[c, f] @ columns.T
+        xx, yy, xy = (values[n, c, f] for values in found)
+        assert_allclose(
+            [[xx, xy], [xy, yy]], dense, rtol=1e-12, atol=1e-12 * abs(dense).max()
+        )

@@ -78,6 +78,8 @@ def draw(study: Study) -> Figure:
             axis.label_outer()
         letter(axes.flat, [lines.water_name(study, step) for step in lines.TURBIDITIES])
         handles, labels = axes[0, 0].get_legend_handles_labels()
-        figure.legend(handles, labels, loc="outside upper center", ncols=4, columnspacing=1.2)
+        figure.legend(
+            handles, labels, loc="outside upper center", ncols=4, columnspacing=1.2
+        )
         mark_synthetic(figure)
     return figure
