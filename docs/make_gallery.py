@@ -18,6 +18,7 @@ from amulor.studies.ricci2010.report import FOREWORD
 
 DOCS = Path(__file__).parent
 IMAGES = DOCS / "images" / "ricci2010"
+CHECKS = IMAGES / "checks.json"
 PAGE = DOCS / "gallery" / "ricci2010.md"
 CODE = "../../src/amulor/studies/ricci2010"
 
@@ -29,10 +30,14 @@ def main() -> None:
         IMAGES.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryDirectory() as folder:
             for name in reproduce.write(Path(folder), results):
-                if name != "report.html":
+                if name not in ("report.html", "checks.json"):
                     shutil.copy(Path(folder) / name, IMAGES / name)
+        found = results.plain()
+        for entry in found["sensitivity"]:
+            del entry["changes"]  # the page shows the flips only
+        CHECKS.write_text(json.dumps(found, indent=1) + "\n")
     PAGE.parent.mkdir(exist_ok=True)
-    PAGE.write_text(page(json.loads((IMAGES / "checks.json").read_text())))
+    PAGE.write_text(page(json.loads(CHECKS.read_text())))
 
 
 def page(study: dict[str, Any]) -> str:
