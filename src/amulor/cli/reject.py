@@ -12,6 +12,12 @@ if TYPE_CHECKING:
 
     from amulor.rejection import Comparison
 
+#: What to say while it works; compiled code is kept for the next time.
+_WAITING = {
+    "auto": "comparing the methods; the first time compiles one, under a minute",
+    "joint": "estimating jointly; the first time compiles it, under a minute",
+}
+
 
 def reject(
     cube: Path,
@@ -79,7 +85,7 @@ def reject(
     """
     from amulor import io, rejection, units
     from amulor.cli._arguments import interval_of
-    from amulor.cli._output import print_json
+    from amulor.cli._output import print_json, progress_bar
     from amulor.errors import CubeError
 
     interval = interval_of(nearest, farthest)
@@ -96,42 +102,48 @@ def reject(
         )
     comparison: Comparison | None = None
     try:
-        if method == "auto":
-            comparison = rejection.compare(samples, interval=interval)
-            target = rejection.auto(samples, interval=interval, comparison=comparison)
-        elif method == "open-water":
-            target = rejection.open_water(
-                samples,
-                interval=interval,
-                column_uncertainty=_share(column_uncertainty),
-            )
-        elif method in ("polarization", "unmix"):
-            target = rejection.unmix(
-                samples,
-                target_ratio=target_ratio,
-                water_ratio=water_ratio,
-                water_fluctuation=_share(water_fluctuation),
-            )
-        elif method == "frequency":
-            target = rejection.frequency(
-                samples,
-                modulation_frequency=(
-                    None if frequency is None else units.parse(frequency, "frequency")
-                ),
-                interval=interval,
-            )
-        elif method == "combined":
-            target = rejection.combined(
-                samples, interval=interval, target_ratio=target_ratio
-            )
-        elif method == "joint":
-            target = rejection.joint(samples, interval=interval)
-        else:
-            target = {
-                "cross-polarized": rejection.cross_polarized,
-                "co-polarized": rejection.co_polarized,
-                "none": rejection.keep_water,
-            }[method](samples)
+        with progress_bar(quiet=json) as advance:
+            advance(_WAITING.get(method, "taking the water out"), 0.0)
+            if method == "auto":
+                comparison = rejection.compare(samples, interval=interval)
+                target = rejection.auto(
+                    samples, interval=interval, comparison=comparison
+                )
+            elif method == "open-water":
+                target = rejection.open_water(
+                    samples,
+                    interval=interval,
+                    column_uncertainty=_share(column_uncertainty),
+                )
+            elif method in ("polarization", "unmix"):
+                target = rejection.unmix(
+                    samples,
+                    target_ratio=target_ratio,
+                    water_ratio=water_ratio,
+                    water_fluctuation=_share(water_fluctuation),
+                )
+            elif method == "frequency":
+                target = rejection.frequency(
+                    samples,
+                    modulation_frequency=(
+                        None
+                        if frequency is None
+                        else units.parse(frequency, "frequency")
+                    ),
+                    interval=interval,
+                )
+            elif method == "combined":
+                target = rejection.combined(
+                    samples, interval=interval, target_ratio=target_ratio
+                )
+            elif method == "joint":
+                target = rejection.joint(samples, interval=interval)
+            else:
+                target = {
+                    "cross-polarized": rejection.cross_polarized,
+                    "co-polarized": rejection.co_polarized,
+                    "none": rejection.keep_water,
+                }[method](samples)
     except ValueError as error:
         raise CubeError(str(error)) from None
     io.write_cube(target, output, overwrite=overwrite)

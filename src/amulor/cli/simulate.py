@@ -8,6 +8,7 @@ from typing import Annotated, Literal
 from cyclopts import Parameter
 
 from amulor.cli._arguments import SEED
+from amulor.cli._output import progress_bar
 
 
 def simulate(
@@ -45,7 +46,9 @@ def simulate(
     chosen = SmallAngleModel() if model == "small-angle" else DiffusionModel()
     described = Survey.from_toml(survey)
     try:
-        cube = simulate_survey(described, rng=seed, model=chosen)
+        with progress_bar() as advance:
+            advance(f"simulating, {chosen.title}", 0.0)
+            cube = simulate_survey(described, rng=seed, model=chosen)
     except SurveyError as problem:
         raise SurveyError(f"{survey}: {problem}") from None
     io.write_cube(cube, output, overwrite=overwrite)
