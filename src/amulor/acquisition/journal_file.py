@@ -9,6 +9,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
 from amulor.errors import FormatError
+from amulor.io.files import synchronise_folder
 
 FILE_NAME = "journal.sqlite"
 _LOCK_NAME = "writer.lock"
@@ -90,7 +91,7 @@ def make(path: Path, *, tables: Sequence[str], meta: Mapping[str, str]) -> None:
             raise
         # A new name lasts when its folder is on disk, and so does a new folder.
         for folder in (path.parent, path.parent.resolve().parent):
-            _synchronise(folder)
+            synchronise_folder(folder)
 
 
 def writer(path: Path) -> sqlite3.Connection:
@@ -190,13 +191,3 @@ def _advice(error: Exception) -> str:
         "free some space, check permissions and disk; what was acknowledged before is "
         "kept"
     )
-
-
-def _synchronise(folder: Path) -> None:
-    # Windows and some file systems cannot do this.
-    with contextlib.suppress(OSError):
-        handle = os.open(folder, os.O_RDONLY)
-        try:
-            os.fsync(handle)
-        finally:
-            os.close(handle)

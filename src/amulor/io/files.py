@@ -122,7 +122,7 @@ def atomic_output(
         if target.exists():
             shutil.copymode(target, temporary)
         os.replace(temporary, target)
-        _synchronise_folder(target.parent)
+        synchronise_folder(target.parent)
     except OSError as error:
         raise FormatError(
             f"{path} cannot be written: {_reason(error)}; free some space or choose "
@@ -198,8 +198,15 @@ def _synchronise(path: Path) -> None:
         os.close(handle)
 
 
-def _synchronise_folder(folder: Path) -> None:
-    # The file is in its place by now; some file systems and Windows cannot do this.
+def synchronise_folder(folder: Path) -> None:
+    """Wait until the names in a folder are on disk, where the system can do that.
+
+    Parameters
+    ----------
+    folder : pathlib.Path
+        An existing folder. Some file systems, and Windows, cannot; then nothing is
+        done.
+    """
     with contextlib.suppress(OSError):
         handle = os.open(folder, os.O_RDONLY)
         try:
