@@ -15,6 +15,9 @@ FILE_NAME = "journal.sqlite"
 _LOCK_NAME = "writer.lock"
 #: How long a lock of another program is waited for [s].
 _PATIENCE = 10.0
+#: Two that ask for the right at the same moment get in each other's way; within this
+#: time one of them has it [s].
+_AT_ONCE = 0.25
 
 
 def claimed(folder: Path) -> sqlite3.Connection:
@@ -39,7 +42,7 @@ def claimed(folder: Path) -> sqlite3.Connection:
     path = folder / _LOCK_NAME
     lock = None
     try:
-        lock = sqlite3.connect(path, isolation_level=None, timeout=0)
+        lock = sqlite3.connect(path, isolation_level=None, timeout=_AT_ONCE)
         lock.execute("BEGIN EXCLUSIVE")
     except sqlite3.Error as error:
         if lock is not None:
