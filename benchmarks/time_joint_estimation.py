@@ -15,10 +15,21 @@ import time
 import numpy as np
 from scipy.optimize import least_squares
 
-from amulor.rejection import joint_model, joint_pixels, joint_search, joint_shared
-from amulor.rejection.joint import joint
-from amulor.rejection.joint_frame import frame_of
-from amulor.rejection.joint_samples import flat
+from amulor.rejection.joint import (
+    model as joint_model,
+)
+from amulor.rejection.joint import (
+    pixels as joint_pixels,
+)
+from amulor.rejection.joint import (
+    search as joint_search,
+)
+from amulor.rejection.joint import (
+    shared as joint_shared,
+)
+from amulor.rejection.joint.estimate import joint
+from amulor.rejection.joint.frame import frame_of
+from amulor.rejection.joint.samples import flat
 from amulor.simulation import simulate
 from amulor.survey import Survey
 

@@ -15,8 +15,8 @@ import time
 import numpy as np
 
 from amulor import rejection
-from amulor.rejection import column_share
 from amulor.rejection.open_water import subtract
+from amulor.rejection.reference import column_share
 from amulor.simulation import simulate
 from amulor.survey import Survey
 

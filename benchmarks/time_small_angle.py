@@ -11,13 +11,10 @@ import time
 
 import numpy as np
 
-from amulor.optics import (
-    small_angle,
-    small_angle_diffusion,
-    small_angle_sharp_receiver,
-)
-from amulor.optics.phase_function_tables import petzold
+from amulor.optics import small_angle, small_angle_diffusion
 from amulor.optics.phase_functions import forward_split, henyey_greenstein
+from amulor.optics.phase_functions.tables import petzold
+from amulor.optics.small_angle import sharp_receiver as small_angle_sharp_receiver
 
 SPLIT = np.pi / 2
 SWEEP = np.linspace(0.5e6, 138e6, 200)

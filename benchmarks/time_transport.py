@@ -36,8 +36,8 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "oracles"))
 
 import plain_photon_loops as plain
 
-from amulor.optics.mueller import rayleigh
-from amulor.optics.phase_function_models import henyey_greenstein_function
+from amulor.optics.phase_functions.models import henyey_greenstein_function
+from amulor.optics.polarization.mueller import rayleigh
 from amulor.transport import (
     DiscReceiver,
     Layer,
@@ -55,7 +55,7 @@ ANGLE = np.linspace(0, np.pi, 3601)
 PEAK = henyey_greenstein_function(asymmetry=NARROW.asymmetry)
 MATRIX = ScatteringMatrix.tabulated(ANGLE, mueller=rayleigh(ANGLE), phase_function=PEAK)
 FIRST_USE = """
-from amulor.optics.phase_function_models import henyey_greenstein_function
+from amulor.optics.phase_functions.models import henyey_greenstein_function
 from amulor.transport import DiscReceiver, Medium, Source, simulate
 peak = henyey_greenstein_function(asymmetry=0.95)
 water = Medium.homogeneous(

@@ -15,15 +15,15 @@ from amulor.optics import (
     extrema,
     interference,
     low_pass,
-    mie,
-    mueller,
     small_angle,
     small_angle_diffusion,
     target_echo,
 )
-from amulor.optics.phase_function_models import henyey_greenstein_function
-from amulor.optics.phase_function_objects import PhaseFunction
-from amulor.optics.phase_function_tables import petzold
+from amulor.optics.phase_functions import mie
+from amulor.optics.phase_functions.models import henyey_greenstein_function
+from amulor.optics.phase_functions.phase_function import PhaseFunction
+from amulor.optics.phase_functions.tables import petzold
+from amulor.optics.polarization import mueller
 from amulor.view.report import png
 from amulor.view.style import COLOURS, new_figure, style
 

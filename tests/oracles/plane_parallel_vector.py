@@ -2,10 +2,10 @@
 
 Frames. The axes of a direction are those of its meridian plane: parallel is
 d(direction) / d(polar angle to +z), perpendicular is d(direction) / d(azimuth), and
-parallel x perpendicular is the direction, as in `amulor.optics.stokes`; +z points into
-the water. For light along +z at azimuth 0 parallel is x and perpendicular y. A Mueller
-matrix leads from axes to axes that both have parallel in the scattering plane and a
-common perpendicular, as in `amulor.optics.mueller`.
+parallel x perpendicular is the direction, as in `amulor.optics.polarization.stokes`; +z
+points into the water. For light along +z at azimuth 0 parallel is x and perpendicular
+y. A Mueller matrix leads from axes to axes that both have parallel in the scattering
+plane and a common perpendicular, as in `amulor.optics.polarization.mueller`.
 
 The phase matrix is made by turning the axes of the two directions themselves, on an
 even grid of azimuths, with no series and no symmetry put in; its Fourier modes are sums

@@ -15,23 +15,40 @@ import pytest
 import amulor.optics
 
 LAST = 72
+WATER_SIGNAL = "small_angle.gaussian_receiver.water_response"
+DIFFUSION_OVERLAP = "small_angle_diffusion.response.overlap"
 
 # Steps of the derivation that compute nothing by themselves: what each is, and the
 # function that computes what it leads to.
 STEPS = {
     6: ("transport equation in time", "modulated_light.complex_attenuation"),
-    11: ("radiance in two parts, forward and diffuse", "small_angle.water_response"),
-    12: ("one diffuse scattering only", "small_angle.water_response"),
-    13: ("both parts by Green's function", "small_angle.water_response"),
-    14: ("reciprocity of Green's function", "small_angle.water_response"),
-    15: ("received power by reciprocity", "small_angle.water_response"),
+    11: (
+        "radiance in two parts, forward and diffuse",
+        WATER_SIGNAL,
+    ),
+    12: ("one diffuse scattering only", WATER_SIGNAL),
+    13: (
+        "both parts by Green's function",
+        WATER_SIGNAL,
+    ),
+    14: (
+        "reciprocity of Green's function",
+        WATER_SIGNAL,
+    ),
+    15: (
+        "received power by reciprocity",
+        WATER_SIGNAL,
+    ),
     16: (
         "small angles in place of directions",
-        "small_angle_transforms.layer_transfer",
+        "small_angle.transforms.layer_transfer",
     ),
-    30: ("eq. (26) once more", "small_angle.water_response"),
-    41: ("S(z), in eq. (43)", "small_angle_diffusion.overlap"),
-    42: ("eq. (40) integrated, before the areas", "small_angle_diffusion.overlap"),
+    30: ("eq. (26) once more", WATER_SIGNAL),
+    41: ("S(z), in eq. (43)", DIFFUSION_OVERLAP),
+    42: (
+        "eq. (40) integrated, before the areas",
+        DIFFUSION_OVERLAP,
+    ),
 }
 
 CITATION = re.compile(r"\b[Ee]qs?\. ((?:\(\d+\)(?:-|, and |, | and | to )?)+)")
@@ -51,20 +68,21 @@ def cited(text):
 
 def docstrings():
     """Return name and docstring, and that of the module, of all that is public."""
-    for info in pkgutil.iter_modules(amulor.optics.__path__):
-        if info.name.startswith("_"):
+    for info in pkgutil.walk_packages(amulor.optics.__path__, "amulor.optics."):
+        short = info.name.removeprefix("amulor.optics.")
+        if "._" in info.name:
             continue
-        module = importlib.import_module(f"amulor.optics.{info.name}")
+        module = importlib.import_module(info.name)
         for name, thing in vars(module).items():
             own = getattr(thing, "__module__", None) == module.__name__
             if name.startswith("_") or not own or not callable(thing):
                 continue
-            yield f"{info.name}.{name}", inspect.getdoc(thing) or "", module.__doc__
+            yield f"{short}.{name}", inspect.getdoc(thing) or "", module.__doc__
             if inspect.isclass(thing):
                 for method, function in vars(thing).items():
                     if not method.startswith("_") and inspect.isfunction(function):
                         text = inspect.getdoc(function) or ""
-                        yield f"{info.name}.{name}.{method}", text, module.__doc__
+                        yield f"{short}.{name}.{method}", text, module.__doc__
 
 
 @pytest.fixture(scope="module")

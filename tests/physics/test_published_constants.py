@@ -14,15 +14,14 @@ from amulor.optics import (
     extrema,
     interference,
     low_pass,
-    mie,
-    mueller,
-    pure_water,
     ranging,
-    seawater,
     small_angle_diffusion,
-    water_types,
 )
-from amulor.optics.phase_function_tables import STATIONS, petzold
+from amulor.optics.phase_functions import mie
+from amulor.optics.phase_functions.tables import STATIONS, petzold
+from amulor.optics.polarization import mueller
+from amulor.optics.water import pure_water, seawater
+from amulor.optics.water import types as water_types
 
 REFERENCE = Path(__file__).parents[1] / "reference"
 HARBOUR = ("NUC 2200", "NUC 2040", "NUC 2240")

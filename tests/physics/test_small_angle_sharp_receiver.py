@@ -14,10 +14,11 @@ from scipy.constants import speed_of_light
 from scipy.integrate import quad
 from scipy.special import exp1, hyp2f1
 
-from amulor.optics import small_angle, small_angle_sharp_receiver
-from amulor.optics.phase_function_models import fournier_forand
-from amulor.optics.phase_function_tables import petzold
+from amulor.optics import small_angle
 from amulor.optics.phase_functions import henyey_greenstein
+from amulor.optics.phase_functions.models import fournier_forand
+from amulor.optics.phase_functions.tables import petzold
+from amulor.optics.small_angle import sharp_receiver as small_angle_sharp_receiver
 
 TESTS = Path(__file__).parents[1]
 SPLIT = np.pi / 2

@@ -11,12 +11,13 @@ from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 from scipy.constants import speed_of_light
 
-from amulor.optics import small_angle, small_angle_sharp_receiver, target_echo
+from amulor.optics import small_angle, target_echo
 from amulor.optics.phase_functions import (
     forward_split,
     henyey_greenstein,
     henyey_greenstein_forward_fraction,
 )
+from amulor.optics.small_angle import sharp_receiver as small_angle_sharp_receiver
 
 SPLIT = np.pi / 2
 PEAKED = partial(henyey_greenstein, asymmetry=0.95)

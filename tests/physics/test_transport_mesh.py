@@ -7,10 +7,7 @@ import pytest
 from numpy.polynomial.legendre import leggauss
 from scipy.constants import speed_of_light
 
-from amulor.optics.phase_function_models import (
-    henyey_greenstein_function,
-    isotropic,
-)
+from amulor.optics.phase_functions.models import henyey_greenstein_function, isotropic
 from amulor.transport import (
     DiscReceiver,
     GaussianReceiver,

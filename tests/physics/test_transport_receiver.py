@@ -11,11 +11,8 @@ from numpy.polynomial.legendre import leggauss
 from scipy.constants import speed_of_light
 
 from amulor.optics import small_angle_diffusion
-from amulor.optics.mie import size_distribution
-from amulor.optics.phase_function_models import (
-    henyey_greenstein_function,
-    isotropic,
-)
+from amulor.optics.phase_functions.mie import size_distribution
+from amulor.optics.phase_functions.models import henyey_greenstein_function, isotropic
 from amulor.transport import (
     DiscReceiver,
     GaussianReceiver,

@@ -10,10 +10,7 @@ import plane_parallel_vector
 import pytest
 from scipy.constants import speed_of_light
 
-from amulor.optics.phase_function_models import (
-    henyey_greenstein_function,
-    isotropic,
-)
+from amulor.optics.phase_functions.models import henyey_greenstein_function, isotropic
 from amulor.transport import (
     Layer,
     Medium,

@@ -14,7 +14,7 @@ from amulor.cube import QualityFlag
 from amulor.imaging import range_image
 from amulor.optics import small_angle
 from amulor.optics.phase_functions import henyey_greenstein
-from amulor.rejection.joint import joint
+from amulor.rejection.joint.estimate import joint
 from amulor.simulation import geometry as geometry_of
 from amulor.simulation import simulate
 from amulor.survey import Survey, water_properties

@@ -13,10 +13,10 @@ from amulor import rejection
 from amulor.cube import QualityFlag
 from amulor.imaging import range_image
 from amulor.optics import rays
-from amulor.optics.phase_function_models import fournier_forand, two_term
-from amulor.optics.phase_function_objects import PhaseFunction
-from amulor.optics.phase_function_tables import petzold
-from amulor.rejection.joint import joint
+from amulor.optics.phase_functions.models import fournier_forand, two_term
+from amulor.optics.phase_functions.phase_function import PhaseFunction
+from amulor.optics.phase_functions.tables import petzold
+from amulor.rejection.joint.estimate import joint
 from amulor.simulation import simulate
 from amulor.survey import Survey
 from amulor.transport import GaussianReceiver, Medium, PlaneTarget, Source

@@ -12,7 +12,7 @@ from amulor import rejection
 from amulor.cube import QualityFlag
 from amulor.errors import CubeError
 from amulor.imaging import range_image
-from amulor.rejection.joint import joint
+from amulor.rejection.joint.estimate import joint
 from amulor.simulation import simulate
 from amulor.survey import Survey
 

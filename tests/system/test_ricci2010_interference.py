@@ -7,14 +7,10 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from amulor.studies.ricci2010 import (
-    figure_07,
-    figure_08,
-    figure_09,
-    interference_sweeps,
-    parameters,
-)
+from amulor.studies.ricci2010 import parameters
 from amulor.studies.ricci2010.checks import Check
+from amulor.studies.ricci2010.figures import figure_07, figure_08, figure_09
+from amulor.studies.ricci2010.scenes import interference_sweeps
 from amulor.studies.ricci2010.study import Study
 
 FIGURES = (figure_07, figure_08, figure_09)

@@ -8,12 +8,13 @@ from numpy.polynomial import chebyshev
 from numpy.testing import assert_allclose
 from scipy.constants import speed_of_light
 
-from amulor.optics.depolarization import realizability_defect
-from amulor.optics.mueller import detected_fraction
-from amulor.studies.ricci2010 import figure_10, figure_11, figure_12, short_lines
-from amulor.studies.ricci2010 import milk_light as light
-from amulor.studies.ricci2010 import milk_tank as tank
+from amulor.optics.polarization.depolarization import realizability_defect
+from amulor.optics.polarization.mueller import detected_fraction
+from amulor.studies.ricci2010.figures import figure_10, figure_11, figure_12
 from amulor.studies.ricci2010.parameters import load, varied
+from amulor.studies.ricci2010.scenes import milk_light as light
+from amulor.studies.ricci2010.scenes import milk_tank as tank
+from amulor.studies.ricci2010.scenes import short_lines
 from amulor.studies.ricci2010.study import Study
 from amulor.transport import Medium, PlaneTarget, ScatteringMatrix, Source, simulate
 

@@ -8,18 +8,17 @@ from types import ModuleType
 import numpy as np
 import pytest
 
-from amulor.studies.ricci2010 import (
-    disc_scans,
+from amulor.studies.ricci2010.checks import Check
+from amulor.studies.ricci2010.figures import (
     figure_05,
     figure_06,
     figure_13,
     figure_14,
     figure_15,
-    ladder_scans,
     surfaces,
 )
-from amulor.studies.ricci2010.checks import Check
 from amulor.studies.ricci2010.parameters import varied
+from amulor.studies.ricci2010.scenes import disc_scans, ladder_scans
 from amulor.studies.ricci2010.study import Study
 from amulor.view.style import style
 

@@ -1,8 +1,8 @@
 """From an instrument, real or simulated, to the measurement cube of a survey."""
 
-from amulor.acquisition.build import build, recover
-from amulor.acquisition.calibration import Calibration, from_plates
-from amulor.acquisition.journal import Journal
+from amulor.acquisition.cube.build import build, recover
+from amulor.acquisition.cube.calibration import Calibration, from_plates
+from amulor.acquisition.journal.journal import Journal
 from amulor.acquisition.run import Control, Outcome, Progress, acquire
 from amulor.acquisition.settings import Settings
 

@@ -5,13 +5,21 @@ from __future__ import annotations
 import contextlib
 from collections.abc import Callable
 
-from amulor.acquisition.bench import Bench
 from amulor.acquisition.clock import Clock, RealClock, VirtualClock
 from amulor.acquisition.devices import Devices
-from amulor.acquisition.direct import SCHEME, DirectLink
+from amulor.acquisition.drivers.pi_gcs import (
+    PiController,
+    PiMount,
+    PiScanner,
+    PiTargetStage,
+)
+from amulor.acquisition.drivers.stanford_sr844 import Sr844
+from amulor.acquisition.drivers.stanford_sr865a import Sr865a
+from amulor.acquisition.drivers.zurich import ZurichLockIn
 from amulor.acquisition.gate import LockInGate
+from amulor.acquisition.links.direct import SCHEME, DirectLink
+from amulor.acquisition.links.visa import Conversation, Link
 from amulor.acquisition.operator import OperatorTargetStage
-from amulor.acquisition.pi_gcs import PiController, PiMount, PiScanner, PiTargetStage
 from amulor.acquisition.protocols import RotationMount, TargetStage
 from amulor.acquisition.settings import (
     MountSettings,
@@ -19,17 +27,14 @@ from amulor.acquisition.settings import (
     Settings,
     TargetSettings,
 )
-from amulor.acquisition.simulated import (
+from amulor.acquisition.simulated.bench import Bench
+from amulor.acquisition.simulated.devices import (
     SimulatedLaser,
     SimulatedLockIn,
     SimulatedMount,
     SimulatedScanner,
     SimulatedTargetStage,
 )
-from amulor.acquisition.stanford_sr844 import Sr844
-from amulor.acquisition.stanford_sr865a import Sr865a
-from amulor.acquisition.visa import Conversation, Link
-from amulor.acquisition.zurich import ZurichLockIn
 from amulor.survey import Survey
 
 

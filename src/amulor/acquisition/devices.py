@@ -18,7 +18,7 @@ from amulor.acquisition.protocols import (
     TargetStage,
 )
 from amulor.acquisition.settings import Settings
-from amulor.acquisition.simulated import SIMULATOR
+from amulor.acquisition.simulated.devices import SIMULATOR
 
 #: Settings that change no sample.
 _NO_PART_OF_IT = ("address", "clock_speed", "attempts", "patience")

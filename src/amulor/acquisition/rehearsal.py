@@ -7,17 +7,17 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Literal
 
-from amulor.acquisition.bench import Bench
 from amulor.acquisition.clock import RealClock
 from amulor.acquisition.connect import simulated_bench
+from amulor.acquisition.links.tcp import DeviceServer
 from amulor.acquisition.settings import Settings
-from amulor.acquisition.simulated_pi import SimulatedPiController
-from amulor.acquisition.simulated_stanford import (
+from amulor.acquisition.simulated.bench import Bench
+from amulor.acquisition.simulated.pi import SimulatedPiController
+from amulor.acquisition.simulated.stanford import (
     SimulatedSr844,
     SimulatedSr865a,
     SimulatedStanford,
 )
-from amulor.acquisition.tcp import DeviceServer
 from amulor.survey import Survey
 
 #: What the simulated lock-in is wired to, by the model.

@@ -16,7 +16,7 @@ from amulor import cube
 from amulor.acquisition import plan
 from amulor.acquisition.connect import connect
 from amulor.acquisition.devices import Devices, digest
-from amulor.acquisition.journal import Journal
+from amulor.acquisition.journal.journal import Journal
 from amulor.acquisition.plan import Key, Step
 from amulor.acquisition.sampler import SPOILED, Sampler
 from amulor.acquisition.settings import Settings

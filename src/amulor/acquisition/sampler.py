@@ -6,13 +6,13 @@ import enum
 import statistics
 
 from amulor.acquisition.devices import Devices
+from amulor.acquisition.journal.record import Record
 from amulor.acquisition.plan import DARK, OPEN_WATER, SCAN, Step
 from amulor.acquisition.protocols import Overload, Reading
-from amulor.acquisition.record import Record
 from amulor.acquisition.settings import Settings
 from amulor.acquisition.uncertainty import readings_of
 from amulor.errors import InstrumentError
-from amulor.optics import stokes
+from amulor.optics.polarization import stokes
 from amulor.survey import Survey
 
 #: Samples in a row that leave room before a finer scale is taken.

@@ -58,8 +58,8 @@ def acquire(
         Print the outcome for other programs.
     """
     from amulor import acquisition, io
-    from amulor.acquisition.build import CUBE_NAME
-    from amulor.acquisition.journal_file import FILE_NAME
+    from amulor.acquisition.cube.build import CUBE_NAME
+    from amulor.acquisition.journal.file import FILE_NAME
     from amulor.acquisition.run import DEVICES_NAME, resume_command
     from amulor.cli._output import print_json
     from amulor.errors import InstrumentError

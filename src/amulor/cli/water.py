@@ -35,7 +35,8 @@ def water(
     """
     from amulor import units
     from amulor.errors import AmulorError
-    from amulor.optics import ranging, seawater
+    from amulor.optics import ranging
+    from amulor.optics.water import seawater
 
     state = {"temperature": temperature, "salinity": salinity}
     try:
@@ -135,7 +136,7 @@ def fit(
     from dataclasses import asdict
 
     from amulor import io
-    from amulor.rejection.water_fit import water_fit
+    from amulor.rejection.joint.water_fit import water_fit
 
     found = water_fit(io.read_cube(cube), no_target=no_target)
     if json:

@@ -11,7 +11,7 @@ import xarray as xr
 
 from amulor.cube import accessor, schema
 from amulor.errors import CubeError
-from amulor.optics import stokes
+from amulor.optics.polarization import stokes
 
 # Variables that a caller may add to a cube go under names of his own with this start.
 _FREE_PREFIX = "user_"

@@ -10,13 +10,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.constants import speed_of_light
 
-from amulor.optics import (
-    small_angle,
-    small_angle_diffusion,
-    small_angle_sharp_receiver,
-)
+from amulor.optics import small_angle, small_angle_diffusion
 from amulor.optics._bounds import not_negative, within
-from amulor.optics._small_angle_tables import PhaseFunction
+from amulor.optics.small_angle import sharp_receiver as small_angle_sharp_receiver
+from amulor.optics.small_angle._tables import PhaseFunction
 
 __all__ = [
     "sharp_receiver_target_response",
@@ -198,7 +195,7 @@ def small_angle_target_response(
 
     Examples
     --------
-    >>> from amulor.optics.phase_function_models import henyey_greenstein_function
+    >>> from amulor.optics.phase_functions.models import henyey_greenstein_function
     >>> echo = small_angle_target_response(
     ...     39e6, depth=3.9, optical_path=2 * 1.38 * 3.9, reflectance=0.8,
     ...     absorption=0.15, scattering=0.35,
@@ -295,7 +292,7 @@ def sharp_receiver_target_response(
 
     Examples
     --------
-    >>> from amulor.optics.phase_function_models import henyey_greenstein_function
+    >>> from amulor.optics.phase_functions.models import henyey_greenstein_function
     >>> echo = sharp_receiver_target_response(
     ...     39e6, depth=3.9, optical_path=2 * 1.38 * 3.9, reflectance=0.8,
     ...     absorption=0.15, scattering=0.35,

@@ -1,11 +1,11 @@
 """From samples to the signal of the target: one method a file."""
 
-from amulor.rejection.analysers import stokes_vectors, unmix_stokes
-from amulor.rejection.attach import with_open_water
+from amulor.rejection.channels.analysers import stokes_vectors, unmix_stokes
+from amulor.rejection.channels.ratios import Ratio, target_ratio, water_ratio
 from amulor.rejection.combined import combined
 from amulor.rejection.compare import Comparison, Row, auto, compare
 from amulor.rejection.frequency import FrequencyChoice, choose_frequency, frequency
-from amulor.rejection.joint import joint
+from amulor.rejection.joint.estimate import joint
 from amulor.rejection.open_water import open_water
 from amulor.rejection.polarization import (
     ChannelChoice,
@@ -15,7 +15,7 @@ from amulor.rejection.polarization import (
     keep_water,
     unmix,
 )
-from amulor.rejection.ratios import Ratio, target_ratio, water_ratio
+from amulor.rejection.reference.attach import with_open_water
 
 __all__ = [
     "ChannelChoice",

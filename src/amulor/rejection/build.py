@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from amulor import cube as cubes
 from amulor.rejection import quality
-from amulor.rejection.reference import Covariance
+from amulor.rejection.reference.fit import Covariance
 
 
 def covariance_of(samples: xr.Dataset) -> Covariance:

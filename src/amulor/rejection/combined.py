@@ -8,11 +8,12 @@ from numpy.typing import NDArray
 
 from amulor import cube as cubes
 from amulor.cube import QualityFlag
-from amulor.rejection import mixing, quality, ratios
+from amulor.rejection import quality
 from amulor.rejection.build import along, covariance_of, target_cube
-from amulor.rejection.channels import pair_of
+from amulor.rejection.channels import mixing, ratios
+from amulor.rejection.channels.names import pair_of
 from amulor.rejection.open_water import open_water
-from amulor.rejection.reference import Covariance
+from amulor.rejection.reference.fit import Covariance
 
 Complex = NDArray[np.complex128]
 

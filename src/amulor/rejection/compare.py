@@ -15,10 +15,10 @@ from amulor.cube import UNUSABLE, QualityFlag
 from amulor.errors import AmulorError, CubeError
 from amulor.optics import detection, ranging
 from amulor.rejection.build import covariance_of
-from amulor.rejection.channels import names_of
+from amulor.rejection.channels.names import names_of
 from amulor.rejection.combined import combined
 from amulor.rejection.frequency import frequency
-from amulor.rejection.joint import joint
+from amulor.rejection.joint.estimate import joint
 from amulor.rejection.open_water import open_water
 from amulor.rejection.polarization import cross_polarized, unmix
 

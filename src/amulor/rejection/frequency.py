@@ -13,7 +13,7 @@ from amulor.errors import CubeError
 from amulor.optics import extrema, low_pass, ranging
 from amulor.rejection import merit as merits
 from amulor.rejection.build import covariance_of, target_cube
-from amulor.rejection.channels import names_of
+from amulor.rejection.channels.names import names_of
 from amulor.rejection.merit import Merit
 from amulor.rejection.open_water import shots_of
 from amulor.rejection.quality import LARGEST_PHASE_ERROR

@@ -11,10 +11,11 @@ from scipy.constants import speed_of_light
 
 from amulor.cube import UNUSABLE
 from amulor.optics import detection, interference
-from amulor.rejection import column, quality
+from amulor.rejection import quality
 from amulor.rejection.build import covariance_of
 from amulor.rejection.open_water import fit_shots, shots_of
-from amulor.rejection.reference import Covariance, fluctuation, stacked
+from amulor.rejection.reference import column
+from amulor.rejection.reference.fit import Covariance, fluctuation, stacked
 
 Floats = NDArray[np.float64]
 Complex = NDArray[np.complex128]

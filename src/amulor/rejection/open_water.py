@@ -11,9 +11,11 @@ from numpy.typing import NDArray
 from amulor import cube as cubes
 from amulor.cube import QualityFlag
 from amulor.errors import CubeError
-from amulor.rejection import column, quality, reference
+from amulor.rejection import quality
 from amulor.rejection.build import along, covariance_of, target_cube
-from amulor.rejection.reference import (
+from amulor.rejection.reference import column
+from amulor.rejection.reference import fit as reference
+from amulor.rejection.reference.fit import (
     FEWEST_SHOTS,
     NO_DRIFT,
     Covariance,

@@ -10,12 +10,17 @@ from numpy.typing import NDArray
 
 from amulor import cube as cubes
 from amulor.errors import CubeError
-from amulor.rejection import ratios
 from amulor.rejection.build import along, covariance_of, target_cube
-from amulor.rejection.channels import CO_POLARIZED, CROSS_POLARIZED, names_of, pair_of
+from amulor.rejection.channels import ratios
+from amulor.rejection.channels.names import (
+    CO_POLARIZED,
+    CROSS_POLARIZED,
+    names_of,
+    pair_of,
+)
 from amulor.rejection.merit import merit
 from amulor.rejection.open_water import fit_shots
-from amulor.rejection.reference import Covariance, fluctuation, stacked
+from amulor.rejection.reference.fit import Covariance, fluctuation, stacked
 
 
 def keep_water(cube: xr.Dataset) -> xr.Dataset:

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from amulor.cube import QualityFlag
 from amulor.optics import detection
-from amulor.rejection.reference import Covariance
+from amulor.rejection.reference.fit import Covariance
 
 #: A target is seen when its signal stands this many standard errors off zero.
 DETECTION_THRESHOLD = 5.0

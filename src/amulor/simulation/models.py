@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from amulor.errors import SurveyError
 from amulor.optics import small_angle, small_angle_diffusion, target_echo
-from amulor.optics.phase_function_models import henyey_greenstein_function
-from amulor.optics.phase_function_objects import PhaseFunction
+from amulor.optics.phase_functions.models import henyey_greenstein_function
+from amulor.optics.phase_functions.phase_function import PhaseFunction
 from amulor.survey import Survey, WaterProperties
 from amulor.survey.view import View, kernel_arguments
 

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.constants import speed_of_light
 
-from amulor.optics import mueller
+from amulor.optics.polarization import mueller
 from amulor.simulation.geometry import Geometry
 from amulor.simulation.models import DiffusionModel, SignalModel
 from amulor.survey import Survey, WaterProperties

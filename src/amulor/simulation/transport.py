@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from amulor.errors import SurveyError
 from amulor.optics import rays
-from amulor.optics.phase_function_models import henyey_greenstein_function
+from amulor.optics.phase_functions.models import henyey_greenstein_function
 from amulor.survey import Survey, water_properties
 from amulor.survey.view import medium as crossed_by
 from amulor.survey.view import seen_from_water

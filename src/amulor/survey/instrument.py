@@ -9,7 +9,7 @@ from typing import Annotated, Self
 
 from pydantic import Field, model_validator
 
-from amulor.optics import stokes
+from amulor.optics.polarization import stokes
 from amulor.survey.quantity import (
     Angle,
     Description,

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import AfterValidator
 
-from amulor.optics import depolarization
+from amulor.optics.polarization import depolarization
 
 Row = tuple[float, float, float, float]
 _Stated = tuple[float, float, float] | tuple[Row, Row, Row, Row]

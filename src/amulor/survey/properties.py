@@ -6,7 +6,8 @@ import math
 from dataclasses import dataclass
 
 from amulor.errors import SurveyError
-from amulor.optics import phase_functions, seawater
+from amulor.optics import phase_functions
+from amulor.optics.water import seawater
 from amulor.survey.survey import Survey
 
 

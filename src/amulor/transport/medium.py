@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Self
 
-from amulor.optics.phase_function_objects import PhaseFunction
+from amulor.optics.phase_functions.phase_function import PhaseFunction
 from amulor.transport.scattering import ScatteringMatrix
 
 __all__ = ["Layer", "Medium"]
@@ -71,7 +71,7 @@ class Medium:
 
     Examples
     --------
-    >>> from amulor.optics.phase_function_models import isotropic
+    >>> from amulor.optics.phase_functions.models import isotropic
     >>> medium = Medium.homogeneous(
     ...     absorption=0.2, scattering=0.8, phase_function=isotropic(), group_index=1.38
     ... )

@@ -11,13 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-from amulor.transport._mesh_kernels import (
-    EDGE_ONE,
-    EDGE_TWO,
-    ESCAPE,
-    NORMAL,
-    TRIANGLES,
-)
+from amulor.transport._kernels.mesh import EDGE_ONE, EDGE_TWO, ESCAPE, NORMAL, TRIANGLES
 from amulor.transport.receiver import reflection_matrix
 
 __all__ = ["MeshTarget", "hierarchy"]

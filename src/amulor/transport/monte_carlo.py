@@ -9,17 +9,17 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from amulor.transport import _batch_kernels
-from amulor.transport._batches import Batch
-from amulor.transport._conduct import (
+from amulor.transport._kernels import batch as _batch_kernels
+from amulor.transport._run.batches import Batch
+from amulor.transport._run.conduct import (
     Limits,
     Progress,
     checked_seed,
     conduct,
     frequencies,
 )
-from amulor.transport._problem import Problem
-from amulor.transport._record import Record, random_state
+from amulor.transport._run.problem import Problem
+from amulor.transport._run.record import Record, random_state
 from amulor.transport.medium import Medium
 from amulor.transport.mesh import MeshTarget
 from amulor.transport.receiver import PlaneTarget, Receiver, Source
@@ -147,7 +147,7 @@ def simulate(
 
     Examples
     --------
-    >>> from amulor.optics.phase_function_models import henyey_greenstein_function
+    >>> from amulor.optics.phase_functions.models import henyey_greenstein_function
     >>> from amulor.transport import DiscReceiver
     >>> water = Medium.homogeneous(
     ...     absorption=0.2,

@@ -7,8 +7,8 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from amulor.optics import stokes as _stokes
-from amulor.optics.depolarization import realizability_defect
+from amulor.optics.polarization import stokes as _stokes
+from amulor.optics.polarization.depolarization import realizability_defect
 from amulor.transport._checks import (
     above,
     at_least,
@@ -41,9 +41,9 @@ class Source:
     direction: ArrayLike = _FORWARD
     """Where it goes, any length."""
     polarization: str | ArrayLike = "none"
-    """Name of a state of `amulor.optics.stokes.state`, or a Stokes vector with an
-    intensity of 1. Its parallel axis is the part of "right" perpendicular to the
-    direction."""
+    """Name of a state of `amulor.optics.polarization.stokes.state`, or a Stokes vector
+    with an intensity of 1. Its parallel axis is the part of "right" perpendicular to
+    the direction."""
     radius: float = 0.0
     """Radius at which the irradiance falls to 1/e; 0 for a pencil [m]."""
     divergence: float = 0.0

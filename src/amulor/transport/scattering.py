@@ -13,14 +13,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from amulor.optics.depolarization import realizability_defect
-from amulor.optics.mueller import rayleigh
-from amulor.optics.phase_function_models import rayleigh_phase
-from amulor.optics.phase_function_objects import PhaseFunction
-from amulor.transport import _angle_kernels as _cells
+from amulor.optics.phase_functions.models import rayleigh_phase
+from amulor.optics.phase_functions.phase_function import PhaseFunction
+from amulor.optics.polarization.depolarization import realizability_defect
+from amulor.optics.polarization.mueller import rayleigh
+from amulor.transport._kernels import angle as _cells
 
 if TYPE_CHECKING:
-    from amulor.optics.mie import Suspension
+    from amulor.optics.phase_functions.mie import Suspension
 
 __all__ = ["ScatteringMatrix"]
 
@@ -44,7 +44,7 @@ class ScatteringMatrix:
 
     eqs. (63) and (66), the form of randomly oriented particles with a plane of
     symmetry. The parallel axis lies in the scattering plane, and the convention is
-    that of `amulor.optics.stokes`.
+    that of `amulor.optics.polarization.stokes`.
 
     Parameters
     ----------
@@ -126,7 +126,7 @@ class ScatteringMatrix:
         Parameters
         ----------
         suspension : Suspension
-            As `amulor.optics.mie.size_distribution` returns it.
+            As `amulor.optics.phase_functions.mie.size_distribution` returns it.
 
         Returns
         -------

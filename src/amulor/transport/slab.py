@@ -10,17 +10,17 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from amulor.transport import _slab_kernels
-from amulor.transport._batches import Batch
-from amulor.transport._conduct import (
+from amulor.transport._kernels import slab as _slab_kernels
+from amulor.transport._run.batches import Batch
+from amulor.transport._run.conduct import (
     Limits,
     Progress,
     checked_seed,
     conduct,
     frequencies,
 )
-from amulor.transport._problem import digest_of, water_tables
-from amulor.transport._record import Record, random_state
+from amulor.transport._run.problem import digest_of, water_tables
+from amulor.transport._run.record import Record, random_state
 from amulor.transport.medium import Medium
 from amulor.transport.receiver import Source
 from amulor.transport.tally import Tally
@@ -91,7 +91,7 @@ def reflection_and_transmission(
 
     Examples
     --------
-    >>> from amulor.optics.phase_function_models import isotropic
+    >>> from amulor.optics.phase_functions.models import isotropic
     >>> from amulor.transport import Layer
     >>> water = Layer(
     ...     absorption=0.1, scattering=0.9, phase_function=isotropic(), thickness=2.0

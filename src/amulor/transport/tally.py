@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.constants import speed_of_light
 
-from amulor.optics import stokes as _stokes
+from amulor.optics.polarization import stokes as _stokes
 from amulor.transport.path_record import PathRecord
 
 __all__ = ["Tally"]
@@ -209,8 +209,8 @@ class Tally:
         Parameters
         ----------
         analyser : str
-            Name of a state of `amulor.optics.stokes.state`. The parallel axis is that
-            to the right of the receiver.
+            Name of a state of `amulor.optics.polarization.stokes.state`. The parallel
+            axis is that to the right of the receiver.
 
         Returns
         -------

@@ -19,8 +19,8 @@ import xarray as xr
 
 from amulor import acquisition, io
 from amulor.acquisition import plan
-from amulor.acquisition.journal import Journal
-from amulor.acquisition.journal_file import FILE_NAME
+from amulor.acquisition.journal.file import FILE_NAME
+from amulor.acquisition.journal.journal import Journal
 from amulor.acquisition.plan import SCAN
 from amulor.acquisition.rehearsal import rehearse
 from amulor.acquisition.sampler import SampleFlag

@@ -22,10 +22,10 @@ import pytest
 
 from amulor import acquisition
 from amulor.acquisition import plan
-from amulor.acquisition.journal import Journal
-from amulor.acquisition.journal_file import FILE_NAME
+from amulor.acquisition.journal.file import FILE_NAME
+from amulor.acquisition.journal.journal import Journal
+from amulor.acquisition.journal.record import Record
 from amulor.acquisition.plan import SCAN, Key
-from amulor.acquisition.record import Record
 from amulor.acquisition.settings import Settings
 from amulor.errors import AmulorError
 from amulor.survey import Survey

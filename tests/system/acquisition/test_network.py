@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from amulor import acquisition, imaging, io, rejection
-from amulor.acquisition.journal import Journal
+from amulor.acquisition.journal.journal import Journal
 from amulor.acquisition.rehearsal import rehearse
 from amulor.acquisition.sampler import SampleFlag
 from amulor.acquisition.settings import Settings

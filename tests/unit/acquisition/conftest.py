@@ -13,7 +13,7 @@ import xarray as xr
 from amulor import acquisition
 from amulor.acquisition.clock import VirtualClock
 from amulor.acquisition.devices import Devices
-from amulor.acquisition.journal import Journal
+from amulor.acquisition.journal.journal import Journal
 from amulor.acquisition.settings import Settings
 from amulor.survey import Survey
 

@@ -20,10 +20,10 @@ from pathlib import Path
 
 import pytest
 
-from amulor.acquisition.journal import Journal
-from amulor.acquisition.journal_file import FILE_NAME
+from amulor.acquisition.journal.file import FILE_NAME
+from amulor.acquisition.journal.journal import Journal
+from amulor.acquisition.journal.record import Record
 from amulor.acquisition.plan import SCAN, Key
-from amulor.acquisition.record import Record
 
 META = {"survey_digest": "1", "instrument_digest": "2", "identities": "{}"}
 RECORD = Record(

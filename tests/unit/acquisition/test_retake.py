@@ -7,7 +7,7 @@ import pytest
 
 from amulor import acquisition
 from amulor.acquisition import plan
-from amulor.acquisition.journal import Journal
+from amulor.acquisition.journal.journal import Journal
 from amulor.acquisition.plan import SCAN
 from amulor.acquisition.sampler import SampleFlag
 

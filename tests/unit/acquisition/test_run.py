@@ -12,7 +12,7 @@ from amulor import acquisition
 from amulor.acquisition import plan, run
 from amulor.acquisition.clock import VirtualClock
 from amulor.acquisition.connect import connect
-from amulor.acquisition.journal import Journal
+from amulor.acquisition.journal.journal import Journal
 from amulor.acquisition.plan import SCAN
 from amulor.acquisition.sampler import SampleFlag
 from amulor.acquisition.settings import Settings
@@ -295,7 +295,7 @@ def test_a_cube_that_a_disk_has_changed_is_told(
 ) -> None:
     acquisition.acquire(small, folder, settings=settings)
     # The function of this name hides the module in its package.
-    module = importlib.import_module("amulor.acquisition.build")
+    module = importlib.import_module("amulor.acquisition.cube.build")
     write = module.write_cube
 
     def write_badly(cube, path, **options) -> None:

@@ -7,7 +7,7 @@ import json
 import pytest
 
 from amulor import cli
-from amulor.optics import seawater
+from amulor.optics.water import seawater
 
 WORDS = ["water", "--wavelength", "405nm", "--temperature", "20", "--salinity", "35"]
 

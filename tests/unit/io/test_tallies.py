@@ -14,7 +14,7 @@ from hypothesis.extra import numpy as drawn
 
 from amulor.errors import AmulorError, FormatError
 from amulor.io import read_cube, read_tally, write_cube, write_tally
-from amulor.optics.phase_function_models import henyey_greenstein_function
+from amulor.optics.phase_functions.models import henyey_greenstein_function
 from amulor.transport import (
     DiscReceiver,
     Medium,

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from amulor.optics import stokes
+from amulor.optics.polarization import stokes
 
 
 @pytest.fixture(scope="session")

@@ -9,7 +9,8 @@ from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 from scipy.constants import speed_of_light
 
-from amulor.optics import ranging, seawater
+from amulor.optics import ranging
+from amulor.optics.water import seawater
 
 TABLE = Path(__file__).parents[2] / "reference" / "phase_of_a_step.csv"
 

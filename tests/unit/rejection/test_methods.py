@@ -248,7 +248,7 @@ def test_input_is_not_changed(samples: xr.Dataset) -> None:
 
 
 def test_channels_are_sorted_by_what_an_ideal_mirror_does() -> None:
-    from amulor.optics import mueller
+    from amulor.optics.polarization import mueller
     from amulor.rejection import polarization
 
     mirror = mueller.ideal_backscatter()

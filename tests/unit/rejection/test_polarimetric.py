@@ -15,8 +15,8 @@ from amulor import cube as cubes
 from amulor import rejection
 from amulor.cube import QualityFlag
 from amulor.errors import CubeError
-from amulor.optics import mueller
-from amulor.rejection import channels
+from amulor.optics.polarization import mueller
+from amulor.rejection.channels import names as channels
 from amulor.simulation import simulate
 from amulor.survey import Survey
 
@@ -149,7 +149,7 @@ def test_no_target_no_choice(by_hand: Make) -> None:
 def test_four_analysers_tell_the_stokes_vector(
     by_hand: Make, q: float, u: float, v: float, more: bool
 ) -> None:
-    from amulor.optics import stokes
+    from amulor.optics.polarization import stokes
 
     vector = np.array([1.0, q, u, v])
     pairs = ["VV", "VH", "VP", "VR"] + (["VM", "VL"] if more else [])

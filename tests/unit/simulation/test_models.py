@@ -11,7 +11,7 @@ from amulor import transport
 from amulor.cli import main
 from amulor.errors import SurveyError
 from amulor.io import read_cube
-from amulor.optics.phase_function_models import henyey_greenstein_function
+from amulor.optics.phase_functions.models import henyey_greenstein_function
 from amulor.simulation import DiffusionModel, SmallAngleModel, simulate
 from amulor.survey import Survey
 

@@ -12,8 +12,9 @@ import pytest
 
 from amulor.cli import main
 from amulor.errors import SurveyError
-from amulor.studies.ricci2010 import figure_01, parameters, reproduce, tables
+from amulor.studies.ricci2010 import parameters, reproduce, tables
 from amulor.studies.ricci2010.checks import Check, holds, within
+from amulor.studies.ricci2010.figures import figure_01
 from amulor.studies.ricci2010.sensitivity import sensitivity
 from amulor.studies.ricci2010.study import Study
 

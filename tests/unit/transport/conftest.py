@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from amulor.optics.phase_function_models import henyey_greenstein_function
+from amulor.optics.phase_functions.models import henyey_greenstein_function
 from amulor.transport import Medium
 
 

@@ -8,15 +8,15 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy import stats
 
-from amulor.optics.phase_function_models import (
+from amulor.optics.phase_functions.models import (
     fournier_forand,
     henyey_greenstein_function,
     isotropic,
     rayleigh_phase,
 )
-from amulor.optics.phase_function_tables import petzold
-from amulor.transport import _angle_kernels as kernels
-from amulor.transport._record import random_state
+from amulor.optics.phase_functions.tables import petzold
+from amulor.transport._kernels import angle as kernels
+from amulor.transport._run.record import random_state
 from amulor.transport.scattering import AngleCells, alias_table, cell_edges
 
 EDGES = cell_edges()

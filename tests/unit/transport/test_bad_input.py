@@ -7,8 +7,8 @@ import math
 import numpy as np
 import pytest
 
-from amulor.optics.phase_function_models import isotropic
-from amulor.optics.phase_function_objects import PhaseFunction
+from amulor.optics.phase_functions.models import isotropic
+from amulor.optics.phase_functions.phase_function import PhaseFunction
 from amulor.transport import (
     DiscReceiver,
     GaussianReceiver,

@@ -7,9 +7,17 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from amulor.transport import _direct_kernels, _slab_kernels, _trace_kernels
-from amulor.transport._record import random_state
-from amulor.transport._record_kernels import cone_window, transmission_depth
+from amulor.transport._kernels import (
+    direct as _direct_kernels,
+)
+from amulor.transport._kernels import (
+    slab as _slab_kernels,
+)
+from amulor.transport._kernels import (
+    trace as _trace_kernels,
+)
+from amulor.transport._kernels.record import cone_window, transmission_depth
+from amulor.transport._run.record import random_state
 
 EDGE = np.array([-1.0, 0.5, 2.0, 7.0])
 ATTENUATION = np.array([0.3, 2.0, 0.7])

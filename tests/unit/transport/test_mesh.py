@@ -7,16 +7,16 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from amulor.optics.phase_function_models import isotropic
+from amulor.optics.phase_functions.models import isotropic
 from amulor.transport import (
     DiscReceiver,
     Medium,
     MeshTarget,
     PlaneTarget,
     Source,
-    _mesh_kernels,
     simulate,
 )
+from amulor.transport._kernels import mesh as _mesh_kernels
 from amulor.transport.mesh import distance_to_triangles, hierarchy
 
 CUBE = np.array(

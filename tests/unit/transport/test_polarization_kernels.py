@@ -8,9 +8,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from amulor.optics import mueller, stokes
-from amulor.transport import _polarization_kernels as kernels
-from amulor.transport._slab_kernels import meridian
+from amulor.optics.polarization import mueller, stokes
+from amulor.transport._kernels import polarization as kernels
+from amulor.transport._kernels.slab import meridian
 
 #: Vectors of several drawn numbers take long to draw.
 FEW = settings(max_examples=40)

@@ -8,8 +8,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.constants import speed_of_light
 
-from amulor.transport import _record_kernels as kernels
-from amulor.transport._record import Record
+from amulor.transport._kernels import record as kernels
+from amulor.transport._run.record import Record
 from amulor.transport.tally import Tally
 
 NODES, SPACING = 64, 0.1

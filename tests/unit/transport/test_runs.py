@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from scipy.constants import speed_of_light
 
-from amulor.optics.phase_function_models import henyey_greenstein_function
+from amulor.optics.phase_functions.models import henyey_greenstein_function
 from amulor.transport import (
     DiscReceiver,
     GaussianReceiver,
@@ -21,15 +21,15 @@ from amulor.transport import (
     Source,
     Tally,
     Technique,
-    _batch_kernels,
-    _slab_kernels,
     reflection_and_transmission,
     simulate,
 )
-from amulor.transport._batches import Batch
-from amulor.transport._conduct import Limits, conduct
-from amulor.transport._problem import Problem
-from amulor.transport._record import random_state
+from amulor.transport._kernels import batch as _batch_kernels
+from amulor.transport._kernels import slab as _slab_kernels
+from amulor.transport._run.batches import Batch
+from amulor.transport._run.conduct import Limits, conduct
+from amulor.transport._run.problem import Problem
+from amulor.transport._run.record import random_state
 from amulor.transport.tally import MOST_BATCHES
 
 FREQUENCY = np.array([0.0, 30e6, 90e6])
@@ -386,7 +386,7 @@ def test_the_uncompiled_batch_gives_the_same_record(milk, monkeypatch):
 
 
 def test_the_uncompiled_slab_gives_the_same_record():
-    from amulor.transport._problem import water_tables
+    from amulor.transport._run.problem import water_tables
 
     layers = tuple(
         Layer(

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from amulor.optics import mueller, stokes
+from amulor.optics.polarization import mueller, stokes
 from amulor.transport import Tally
 from amulor.transport.tally import MOST_BATCHES, paired, variance_weight
 

@@ -250,4 +250,4 @@ def _redrawn(study: Study, number: int) -> Redrawn:
 
 
 def _module(number: int) -> Any:
-    return import_module(f"amulor.studies.ricci2010.{stem_of(number)}")
+    return import_module(f"amulor.studies.ricci2010.figures.{stem_of(number)}")

@@ -1,0 +1,1 @@
+"""From the journal of a scan to its measurement cube."""

@@ -1,0 +1,304 @@
+"""From the journal of a scan to its measurement cube."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+
+from amulor import cube as cubes
+from amulor.acquisition import plan
+from amulor.acquisition.cube.calibration import Calibration
+from amulor.acquisition.cube.samples import (
+    Floats,
+    Samples,
+    correct,
+    counting_variance,
+    dark_output,
+)
+from amulor.acquisition.devices import is_simulated
+from amulor.acquisition.journal.journal import Journal
+from amulor.acquisition.sampler import SampleFlag
+from amulor.errors import CubeError, FormatError
+from amulor.io import read_cube, write_cube
+from amulor.simulation.geometry import scan_directions
+from amulor.simulation.measurement import geometry_attributes, photon_noise_volt
+from amulor.survey import Survey, water_properties
+from amulor.survey.view import medium as medium_of
+
+#: The cube in the folder of its scan.
+CUBE_NAME = "cube.nc"
+#: Behind the bits of `SampleFlag`: the amplitude is outside of the calibration.
+UNCALIBRATED = 32
+_SAMPLE = ("modulation_frequency", "polarization", "row", "column")
+_PIXEL = ("row", "column")
+
+
+def recover(
+    folder: Path,
+    *,
+    output: Path | None = None,
+    calibration: Calibration | None = None,
+    overwrite: bool = False,
+) -> Path:
+    """Make the cube of a scan from its journal, finished or not.
+
+    Parameters
+    ----------
+    folder : pathlib.Path
+        Folder of the scan.
+    output : pathlib.Path, optional
+        File to write; `cube.nc` in the folder by default.
+    calibration : Calibration, optional
+        Delays of the instrument, which are taken off the phases.
+    overwrite : bool
+        Whether an existing file is replaced.
+
+    Returns
+    -------
+    pathlib.Path
+        The file, read back and found equal to what the journal says. The journal
+        stays where it is.
+
+    Raises
+    ------
+    FormatError
+        If there is no journal, or the file cannot be written or read back.
+    CubeError
+        If the journal holds no sample of the scan.
+    """
+    path = folder / CUBE_NAME if output is None else output
+    with Journal.read(folder) as journal:
+        cube = build(journal, calibration=calibration)
+    write_cube(cube, path, overwrite=overwrite)
+    found = read_cube(path)
+    for name, variable in cube.variables.items():
+        if not _same(np.asarray(found[name].values), np.asarray(variable.values)):
+            raise FormatError(
+                f"{path} does not hold what was written to it ({name}); check the "
+                f"disk, and make the cube again with: amulor recover {folder} "
+                "--overwrite"
+            )
+    return path
+
+
+def _same(first: NDArray[Any], second: NDArray[Any]) -> bool:
+    number = second.dtype.kind in "fc"
+    return bool(np.array_equal(first, second, equal_nan=number))
+
+
+def build(journal: Journal, *, calibration: Calibration | None = None) -> xr.Dataset:
+    """Return the cube of the samples in a journal.
+
+    Parameters
+    ----------
+    journal : Journal
+        Of a scan, finished or not; samples that it lacks are not numbers.
+    calibration : Calibration, optional
+        Delays of the instrument, which are taken off the phases.
+
+    Returns
+    -------
+    xarray.Dataset
+        Cube of level `samples`, with the group `open_water` if there were shots.
+
+    Raises
+    ------
+    CubeError
+        If there is no sample of the scan.
+    FormatError
+        If a frequency was not calibrated.
+
+    Notes
+    -----
+    The mean of the dark readings of a channel is taken off its samples. The stated
+    variance is that of counting, of the phase floor of the survey and of that mean;
+    counting follows from the mean output of the detector, or, where that is not wired,
+    from the amplitude, which is a lower limit.
+    """
+    meta = journal.meta()
+    survey = Survey.from_text(meta["survey"], name="the survey of the journal")
+    scan = Samples(survey, survey.scan.rows, survey.scan.columns)
+    scan.fill(journal, plan.SCAN)
+    if not np.isfinite(scan.signal).any():
+        raise CubeError(
+            f"{journal.folder} holds no sample of the scan yet; go on with it by "
+            "amulor acquire --resume"
+        )
+    dark = dark_output(survey, journal)
+    uncalibrated = correct(scan, dark, survey, calibration)
+    measured = cubes.build(
+        "samples",
+        {
+            **_outputs(scan, dark, survey),
+            "saturated": (scan.flags & SampleFlag.OVERLOAD != 0).astype(np.int8),
+        },
+        {
+            "modulation_frequency": np.array(survey.instrument.modulation_frequencies),
+            "polarization": list(survey.instrument.polarizations),
+            **_directions(scan, survey),
+            "time": _first(scan.elapsed),
+        },
+        geometry=geometry_attributes(
+            survey, medium_of(survey, water_properties(survey))
+        ),
+        attributes=_attributes(journal, meta, survey, dark, calibration),
+    )
+    shots = _open_water(survey, journal, dark, calibration)
+    if shots is not None:
+        measured = cubes.attach(measured, shots, "open_water")
+    measured = measured.assign(_user_variables(scan, uncalibrated))
+    return cubes.note(measured, "acquire")
+
+
+def _outputs(
+    samples: Samples,
+    dark: tuple[NDArray[np.complex128], Floats],
+    survey: Survey,
+) -> dict[str, NDArray[Any]]:
+    signal = samples.signal
+    counting = counting_variance(samples, survey) + dark[1][:, :, None, None]
+    along = survey.instrument.lock_in.phase_floor**2
+    return {
+        "in_phase": signal.real,
+        "quadrature": signal.imag,
+        "in_phase_uncertainty": np.sqrt(counting + along * signal.imag**2),
+        "quadrature_uncertainty": np.sqrt(counting + along * signal.real**2),
+        "in_phase_quadrature_covariance": -along * signal.real * signal.imag,
+    }
+
+
+def _directions(samples: Samples, survey: Survey) -> dict[str, Floats]:
+    """Return where the beam stood; where nothing was measured, where it was to go."""
+    azimuth, elevation, _ = scan_directions(survey)
+    return {
+        "azimuth": _mean(samples.azimuth, otherwise=azimuth),
+        "elevation": _mean(samples.elevation, otherwise=elevation),
+    }
+
+
+def _mean(values: Floats, *, otherwise: Floats) -> Floats:
+    there = np.isfinite(values)
+    count = there.sum(axis=(0, 1))
+    total = np.where(there, values, 0.0).sum(axis=(0, 1))
+    return np.where(count > 0, total / np.maximum(count, 1), otherwise)
+
+
+def _first(values: Floats) -> Floats:
+    filled = np.where(np.isfinite(values), values, np.inf).min(axis=(0, 1))
+    return np.where(np.isfinite(filled), filled, np.nan)
+
+
+def _open_water(
+    survey: Survey,
+    journal: Journal,
+    dark: tuple[NDArray[np.complex128], Floats],
+    calibration: Calibration | None,
+) -> xr.Dataset | None:
+    taken = [*journal.samples(plan.OPEN_WATER)]
+    if not taken:
+        return None
+    shots = {
+        shot: number
+        for number, shot in enumerate(
+            dict.fromkeys((key.repeat, key.row, key.column) for key, _ in taken)
+        )
+    }
+    samples = Samples(survey, 1, len(shots))
+    for key, record in taken:
+        samples.put(key, record, 0, shots[key.repeat, key.row, key.column])
+    correct(samples, dark, survey, calibration)
+    # A shot that overloaded says nothing about the water.
+    samples.signal[samples.flags & SampleFlag.OVERLOAD != 0] = np.nan
+    outputs = {
+        name: values[:, :, 0, :]
+        for name, values in _outputs(samples, dark, survey).items()
+    }
+    where = {
+        "azimuth": _mean(samples.azimuth, otherwise=np.zeros((1, len(shots))))[0],
+        "elevation": _mean(samples.elevation, otherwise=np.zeros((1, len(shots))))[0],
+    }
+    return cubes.open_water({**outputs, **where})
+
+
+def _user_variables(
+    samples: Samples, uncalibrated: NDArray[np.bool_]
+) -> dict[str, xr.Variable]:
+    flags = [flag for flag in SampleFlag if flag]
+    masks = np.array([*map(int, flags), UNCALIBRATED], dtype=np.int16)
+    words = " ".join([*(str(flag.name).lower() for flag in flags), "uncalibrated"])
+    flag = (samples.flags + UNCALIBRATED * uncalibrated).astype(np.int16)
+
+    def variable(
+        name: str, dims: tuple[str, ...], values: NDArray[Any], units: str, **more: Any
+    ) -> xr.Variable:
+        return xr.Variable(dims, values, {"long_name": name, "units": units, **more})
+
+    commanded = {
+        name: _mean(getattr(samples, name), otherwise=np.full((1, 1), np.nan))
+        for name in ("commanded_azimuth", "commanded_elevation")
+    }
+    return {
+        "user_sample_flag": variable(
+            "what stood in the way of a sample, 0 if nothing did", _SAMPLE, flag, "1",
+            flag_masks=masks, flag_values=masks, flag_meanings=words,
+        ),
+        "user_commanded_azimuth": variable(
+            "direction asked for, to the right", _PIXEL, commanded["commanded_azimuth"],
+            "rad",
+        ),
+        "user_commanded_elevation": variable(
+            "direction asked for, upwards", _PIXEL, commanded["commanded_elevation"],
+            "rad",
+        ),
+        "user_takes": variable(
+            "how often a sample was taken; the last take stands", _SAMPLE,
+            samples.takes, "1",
+        ),
+        "user_modulation_frequency": variable(
+            "frequency read back", _SAMPLE, samples.modulation_frequency, "Hz"
+        ),
+        "user_mean_output": variable(
+            "mean output of the detector", _SAMPLE, samples.mean, "V"
+        ),
+        "user_full_scale": variable(
+            "largest peak amplitude of the setting", _SAMPLE, samples.full_scale, "V"
+        ),
+        "user_segment": variable(
+            "uninterrupted part of the scan, 0 where not measured", _SAMPLE,
+            samples.segment, "1",
+        ),
+    }  # fmt: skip
+
+
+def _attributes(
+    journal: Journal,
+    meta: Mapping[str, str],
+    survey: Survey,
+    dark: tuple[NDArray[np.complex128], Floats],
+    calibration: Calibration | None,
+) -> dict[str, Any]:
+    identities = json.loads(meta["identities"])
+    return cubes.attributes(
+        "samples",
+        title=survey.name,
+        source=f"acquisition by amulor with {identities['lock_in']}",
+        simulated=np.int32(is_simulated(identities)),
+        survey=meta["survey"],
+        devices=meta["devices"],
+        identities=meta["identities"],
+        segments=json.dumps(journal.segments()),
+        input_digests=(
+            f"survey {meta['survey_digest']} instrument {meta['instrument_digest']}"
+        ),
+        calibration=None if calibration is None else calibration.to_toml(),
+        dark_in_phase=dark[0].real.ravel(),
+        dark_quadrature=dark[0].imag.ravel(),
+        modulation_depth=survey.instrument.modulation_depth,
+        photon_noise_volt=photon_noise_volt(survey),
+    )

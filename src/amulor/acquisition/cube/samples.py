@@ -1,0 +1,189 @@
+"""Samples of a journal as arrays, dark output and the instrument's delay taken off."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from amulor.acquisition import plan
+from amulor.acquisition.cube.calibration import Calibration, phase_correction
+from amulor.acquisition.journal.journal import Journal
+from amulor.acquisition.journal.record import Record
+from amulor.acquisition.plan import Key
+from amulor.acquisition.sampler import SampleFlag
+from amulor.acquisition.uncertainty import reading_variance, variance_share
+from amulor.survey import Survey
+
+Floats = NDArray[np.float64]
+
+
+class Samples:
+    """Samples of one kind as arrays over frequency, polarization and two places.
+
+    Parameters
+    ----------
+    survey : Survey
+        Its frequencies and channels are the first two axes.
+    first, second : int
+        Sizes of the other two [1].
+    """
+
+    def __init__(self, survey: Survey, first: int, second: int) -> None:
+        instrument = survey.instrument
+        self._frequency = {
+            value: number
+            for number, value in enumerate(instrument.modulation_frequencies)
+        }
+        self._pair = {
+            pair: number for number, pair in enumerate(instrument.polarizations)
+        }
+        shape = (len(self._frequency), len(self._pair), first, second)
+
+        def empty() -> Floats:
+            return np.full(shape, np.nan)
+
+        self.signal = np.full(shape, np.nan + 0j)
+        self.raw_amplitude = empty()
+        self.mean, self.readings = empty(), np.ones(shape)
+        self.full_scale, self.elapsed = empty(), empty()
+        self.azimuth, self.elevation = empty(), empty()
+        self.commanded_azimuth, self.commanded_elevation = empty(), empty()
+        self.modulation_frequency = empty()
+        self.flags = np.zeros(shape, dtype=np.int16)
+        self.segment = np.zeros(shape, dtype=np.int32)
+        self.takes = np.zeros(shape, dtype=np.int32)
+
+    def fill(self, journal: Journal, kind: str) -> None:
+        """Take over all samples of one kind, each at its row and column."""
+        for key, record in journal.samples(kind):
+            self.put(key, record, key.row, key.column)
+
+    def put(self, key: Key, record: Record, first: int, second: int) -> None:
+        """Take over one sample; a later take of the same place replaces it."""
+        at = (
+            self._frequency[key.frequency],
+            self._pair[key.polarization],
+            first,
+            second,
+        )
+        self.signal[at] = complex(record.in_phase, record.quadrature)
+        self.raw_amplitude[at] = abs(self.signal[at])
+        self.mean[at] = np.nan if record.mean is None else record.mean
+        for name in (
+            "readings", "full_scale", "elapsed", "azimuth", "elevation",
+            "commanded_azimuth", "commanded_elevation", "modulation_frequency",
+            "flags", "segment",
+        ):  # fmt: skip
+            getattr(self, name)[at] = getattr(record, name)
+        self.takes[at] += 1
+
+
+def dark_output(
+    survey: Survey, journal: Journal
+) -> tuple[NDArray[np.complex128], Floats]:
+    """Return what the instrument puts out without light, channel by channel.
+
+    Parameters
+    ----------
+    survey : Survey
+        Frequencies and channels.
+    journal : Journal
+        Its dark readings count, but for those that overloaded.
+
+    Returns
+    -------
+    mean : ndarray
+        Of shape (frequency, polarization), 0 without a reading [V].
+    variance : ndarray
+        Of that mean, of the same shape [V^2].
+    """
+    number = 1 + max((key.repeat for key, _ in journal.samples(plan.DARK)), default=-1)
+    channels = (
+        len(survey.instrument.modulation_frequencies),
+        len(survey.instrument.polarizations),
+    )
+    if number == 0:
+        return np.zeros(channels, dtype=complex), np.zeros(channels)
+    samples = Samples(survey, 1, number)
+    for key, record in journal.samples(plan.DARK):
+        if not record.flags & SampleFlag.OVERLOAD:
+            samples.put(key, record, 0, key.repeat)
+    there = np.isfinite(samples.signal).sum(axis=(2, 3))
+    some = np.maximum(there, 1)
+    mean = np.nansum(samples.signal, axis=(2, 3)) / some
+    one = np.nanmean(counting_variance(samples, survey)) if there.any() else 0.0
+    return mean, np.where(there > 0, one / some, 0.0)
+
+
+def correct(
+    samples: Samples,
+    dark: tuple[NDArray[np.complex128], Floats],
+    survey: Survey,
+    calibration: Calibration | None,
+) -> NDArray[np.bool_]:
+    """Take off dark output and delay of the instrument.
+
+    Parameters
+    ----------
+    samples : Samples
+        Their signal is changed.
+    dark : tuple of ndarray
+        What `dark_output` returned [V], [V^2].
+    survey : Survey
+        Its modulation frequencies count.
+    calibration : Calibration or None
+        Delay against frequency and amplitude.
+
+    Returns
+    -------
+    ndarray of bool
+        Where the calibration does not reach.
+
+    Raises
+    ------
+    FormatError
+        If a frequency was not calibrated.
+    """
+    samples.signal -= dark[0][:, :, None, None]
+    outside = np.zeros(samples.signal.shape, dtype=bool)
+    if calibration is None:
+        return outside
+    for number, frequency in enumerate(survey.instrument.modulation_frequencies):
+        amplitude = np.abs(samples.signal[number])
+        delay, known = phase_correction(
+            calibration, amplitude, modulation_frequency=frequency
+        )
+        there = np.isfinite(amplitude)
+        samples.signal[number][there] *= np.exp(-1j * delay[there])
+        outside[number] = there & ~known
+    return outside
+
+
+def counting_variance(samples: Samples, survey: Survey) -> Floats:
+    """Return the variance of each sample by counting photoelectrons.
+
+    Parameters
+    ----------
+    samples : Samples
+        Mean output, or, where that is not wired, the amplitude, which is a lower
+        limit.
+    survey : Survey
+        Its detector and its lock-in count.
+
+    Returns
+    -------
+    ndarray
+        Of either output [V^2].
+    """
+    detector = survey.instrument.detector
+    volt = detector.volt_per_photoelectron_rate
+    lower = samples.raw_amplitude / (survey.instrument.modulation_depth * volt)
+    # A mean output below that of dark counts is noise about no light at all.
+    seen = np.maximum(samples.mean / volt - detector.dark_rate, 0.0)
+    rate = np.where(np.isfinite(samples.mean), seen, lower)
+    one = reading_variance(
+        survey,
+        rate=np.nan_to_num(rate),
+        time_constant=survey.instrument.lock_in.time_constant,
+    )
+    return np.asarray(one * variance_share(samples.readings, spacing=1.0))

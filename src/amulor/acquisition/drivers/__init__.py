@@ -1,0 +1,1 @@
+"""Instruments that scans drive: one maker or model a file."""

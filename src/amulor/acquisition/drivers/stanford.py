@@ -1,0 +1,113 @@
+"""What the lock-in amplifiers of Stanford Research have in common."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+from amulor.acquisition.clock import Clock
+from amulor.acquisition.links.visa import Conversation
+from amulor.errors import InstrumentError
+
+#: Bits of the standard event register: execution error and command error.
+_ERROR_BITS = 0b0011_0000
+
+
+class Stanford:
+    """A conversation with a Stanford lock-in, from identity to auxiliary outputs.
+
+    Parameters
+    ----------
+    link : Conversation
+        An open link.
+    mean_output_input : int or None
+        Auxiliary input that the mean output of the detector is wired to [1].
+    clock : Clock
+        What waits go by.
+    """
+
+    model = ""
+    _set_output = ""
+
+    def __init__(
+        self, link: Conversation, *, mean_output_input: int | None, clock: Clock
+    ) -> None:
+        self._link = link
+        self._clock = clock
+        self._mean_input = mean_output_input
+        self._identity = self._identify()
+
+    def identity(self) -> str:
+        """Return maker, model, serial number and firmware."""
+        return self._identity
+
+    def set_output(self, number: int, voltage: float) -> float:
+        """Set an auxiliary output [V] and return what is read back [V]."""
+        word = self._set_output
+        return self.number(f"{word} {number},{voltage:.3f};{word}? {number}")
+
+    def reconnect(self) -> None:
+        """Open the link again after it was lost."""
+        self._link.reopen()
+
+    def make_safe(self) -> None:
+        """Do nothing: a lock-in without light is safe; the laser's gate is its own."""
+
+    def close(self) -> None:
+        """Close the link."""
+        self._link.close()
+
+    def number(self, line: str) -> float:
+        """Return the number that a query is answered with."""
+        return self.numbers(line, count=1)[0]
+
+    def numbers(self, line: str, *, count: int) -> list[float]:
+        """Return the numbers, separated by commas, that a query is answered with."""
+        (answer,) = self._link.ask(line)
+        return self.parsed(answer, line, count=count)
+
+    def parsed(self, answer: str, line: str, *, count: int) -> list[float]:
+        """Return the numbers of an answer, or say what is wrong with it."""
+        try:
+            found = [float(part) for part in answer.split(",")]
+        except ValueError:
+            found = []
+        if len(found) != count or not all(map(math.isfinite, found)):
+            raise InstrumentError(
+                f"{self.model} at {self._link.address} has answered {line!r} by "
+                f"{answer!r}, needed are {count} numbers; switch it off and on"
+            )
+        return found
+
+    def configure(self, lines: Sequence[str]) -> None:
+        """Send settings and make sure that the instrument took all of them."""
+        for line in lines:
+            self._link.send(line)
+        status = int(self.number("*ESR?"))
+        if status & _ERROR_BITS:
+            raise InstrumentError(
+                f"{self.model} at {self._link.address} refused one of "
+                f"{'; '.join(lines)} (event status {status}); check its firmware"
+            )
+
+    def index_of(self, wanted: float, offered: Sequence[float], what: str) -> int:
+        """Return the code of a value that the instrument offers."""
+        for code, value in enumerate(offered):
+            if math.isclose(value, wanted, rel_tol=1e-6):
+                return code
+        near = sorted(offered, key=lambda value: abs(math.log(value / wanted)))[:2]
+        raise InstrumentError(
+            f"{self.model} has no {what} of {wanted:g} s; it has "
+            f"{min(near):g} s and {max(near):g} s: change instrument.lock_in of the "
+            "survey"
+        )
+
+    def _identify(self) -> str:
+        (found,) = self._link.ask("*IDN?")
+        parts = [part.strip() for part in found.split(",")]
+        if len(parts) < 2 or parts[1] != self.model:
+            raise InstrumentError(
+                f"at {self._link.address} is {found!r}, needed is {self.model}; check "
+                "the address"
+            )
+        return found

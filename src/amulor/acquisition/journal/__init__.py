@@ -1,0 +1,1 @@
+"""The journal of a scan: nothing that was measured is lost."""

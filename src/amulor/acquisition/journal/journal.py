@@ -1,0 +1,389 @@
+"""The journal of a scan: what has been committed to it survives a loss of power."""
+
+from __future__ import annotations
+
+import contextlib
+import datetime
+import json
+import operator
+import sqlite3
+from collections.abc import Iterator, Mapping
+from dataclasses import fields
+from pathlib import Path
+from typing import Any
+
+from amulor.acquisition.journal import file as journal_file
+from amulor.acquisition.journal.file import FILE_NAME, explained
+from amulor.acquisition.journal.record import Record
+from amulor.acquisition.plan import Key
+from amulor.errors import FormatError, InstrumentError, SurveyError
+
+#: Raised when a journal of an older amulor can no longer be gone on with.
+SCHEMA_VERSION = "1"
+
+_KEY_COLUMNS = (
+    "kind TEXT NOT NULL, row INTEGER NOT NULL, column INTEGER NOT NULL, "
+    "frequency REAL NOT NULL, polarization TEXT NOT NULL, repeat INTEGER NOT NULL"
+)
+_KEY_NAMES = ", ".join(Key._fields)
+_RECORD_NAMES = ", ".join(field.name for field in fields(Record))
+_RECORD_COLUMNS = ", ".join(
+    f"{field.name} "
+    + ("INTEGER" if field.type == "int" else "REAL")
+    + ("" if "None" in str(field.type) else " NOT NULL")
+    for field in fields(Record)
+)
+_VALUES = operator.attrgetter(*(field.name for field in fields(Record)))
+_PLACES = ", ".join("?" * (len(Key._fields) + len(fields(Record))))
+_INSERT = f"INSERT INTO samples ({_KEY_NAMES}, {_RECORD_NAMES}) VALUES ({_PLACES})"
+#: A journal is append-only: samples are inserted, never changed, never deleted.
+_TABLES = (
+    "CREATE TABLE meta (key TEXT PRIMARY KEY, value TEXT)",
+    f"CREATE TABLE samples (number INTEGER PRIMARY KEY, {_KEY_COLUMNS}, "
+    f"{_RECORD_COLUMNS}, UNIQUE ({_KEY_NAMES}))",
+    "CREATE TABLE segments (number INTEGER PRIMARY KEY, started TEXT, ended TEXT, "
+    "reason TEXT)",
+)
+
+
+class Journal:
+    """An open journal; one writer at a time, any number of readers.
+
+    Use `create`, `resume` or `read`; close it, or use it in a `with` statement.
+    """
+
+    def __init__(
+        self,
+        folder: Path,
+        connection: sqlite3.Connection,
+        claim: sqlite3.Connection | None = None,
+    ) -> None:
+        self.folder = folder
+        self._connection = connection
+        self._claim = claim
+
+    @staticmethod
+    def claim(folder: Path) -> sqlite3.Connection:
+        """Make sure, before any device is touched, that a scan can begin here.
+
+        Parameters
+        ----------
+        folder : pathlib.Path
+            An existing folder without a journal.
+
+        Returns
+        -------
+        sqlite3.Connection
+            The right to write, for `create`; closed, others may write.
+
+        Raises
+        ------
+        FormatError
+            If there is a journal, or a part of one, or if another program is about to
+            write one.
+        """
+        claim = journal_file.claimed(folder)
+        # Asked for under the claim: nobody else can make one in between.
+        path = folder / FILE_NAME
+        if path.exists():
+            claim.close()
+            raise FormatError(
+                f"{folder} holds a scan already; go on with it by --resume, make its "
+                f"cube with 'amulor recover {folder}', or name another folder"
+            )
+        left = path.with_name(f"{FILE_NAME}-wal")
+        if left.exists():
+            claim.close()
+            raise FormatError(
+                f"{folder} holds {left.name}, the newest samples of a journal, and no "
+                f"{FILE_NAME}; put that back beside it, or name another folder"
+            )
+        return claim
+
+    @classmethod
+    def create(
+        cls,
+        folder: Path,
+        *,
+        meta: Mapping[str, str],
+        claim: sqlite3.Connection | None = None,
+    ) -> Journal:
+        """Start the journal of a new scan.
+
+        Parameters
+        ----------
+        folder : pathlib.Path
+            An existing folder without a journal.
+        meta : mapping
+            What the scan is of; see `refuse_another` for the keys that are compared.
+        claim : sqlite3.Connection, optional
+            What `claim` returned; asked for if left out.
+
+        Returns
+        -------
+        Journal
+            Empty, on disk, and locked against other writers.
+
+        Raises
+        ------
+        FormatError
+            If there is a journal, or if it cannot be made.
+        """
+        claim = claim or cls.claim(folder)
+        path = folder / FILE_NAME
+        try:
+            journal_file.make(
+                path, tables=_TABLES, meta={"journal_schema": SCHEMA_VERSION, **meta}
+            )
+            return cls(folder, journal_file.writer(path), claim)
+        except BaseException:
+            claim.close()
+            raise
+
+    @classmethod
+    def resume(cls, folder: Path, *, meta: Mapping[str, str]) -> Journal:
+        """Open the journal of a scan that was broken off.
+
+        Parameters
+        ----------
+        folder : pathlib.Path
+            Folder of the scan.
+        meta : mapping
+            What is known of the scan now, as for `refuse_another`.
+
+        Returns
+        -------
+        Journal
+            Locked against other writers.
+
+        Raises
+        ------
+        FormatError
+            If there is no journal, if another program writes to it, if it is damaged
+            or of another schema.
+        SurveyError, InstrumentError
+            If the survey or the instrument is another one than before.
+        """
+        path = folder / FILE_NAME
+        if not path.is_file():
+            raise FormatError(
+                f"{folder} holds no scan to go on with; leave out --resume to begin one"
+            )
+        claim = journal_file.claimed(folder)
+        try:
+            journal = cls(folder, journal_file.writer(path), claim)
+        except BaseException:
+            claim.close()
+            raise
+        try:
+            journal.refuse_another(meta)
+        except BaseException:
+            journal.close()
+            raise
+        return journal
+
+    @classmethod
+    def read(cls, folder: Path) -> Journal:
+        """Open a journal for reading, also while it is written to.
+
+        Parameters
+        ----------
+        folder : pathlib.Path
+            Folder of the scan.
+
+        Returns
+        -------
+        Journal
+            Every method that writes raises.
+
+        Raises
+        ------
+        FormatError
+            If there is no journal, or if it is damaged or of another schema.
+        """
+        path = folder / FILE_NAME
+        if not path.is_file():
+            raise FormatError(
+                f"{folder} holds no journal of a scan ({FILE_NAME}); name the folder "
+                "that 'amulor acquire' was given"
+            )
+        journal = cls(folder, journal_file.reader(path))
+        try:
+            journal.refuse_another({})
+        except BaseException:
+            journal.close()
+            raise
+        return journal
+
+    def __enter__(self) -> Journal:
+        """Return the journal."""
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        """Close it."""
+        self.close()
+
+    def close(self) -> None:
+        """Close the journal and let other writers in; it may be called twice."""
+        with contextlib.suppress(sqlite3.Error):
+            self._connection.close()
+        if self._claim is not None:
+            self._claim.close()
+            self._claim = None
+
+    def meta(self) -> dict[str, str]:
+        """Return what the scan is of."""
+        with explained(self._path):
+            return dict(self._connection.execute("SELECT key, value FROM meta"))
+
+    def note(self, key: str, value: str) -> None:
+        """Write one more thing about the scan, or change one."""
+        with explained(self._path):
+            self._connection.execute(
+                "INSERT INTO meta VALUES (?, ?) "
+                "ON CONFLICT (key) DO UPDATE SET value = excluded.value",
+                (key, value),
+            )
+
+    def commit(self, key: Key, record: Record) -> None:
+        """Write one sample; when this returns, it survives a loss of power.
+
+        Parameters
+        ----------
+        key : Key
+            Must be new.
+        record : Record
+            What was measured.
+
+        Raises
+        ------
+        FormatError
+            If it could not be written, for example on a full disk; then it is not
+            in the journal. Also if the key is there already.
+        """
+        with explained(self._path):
+            # Without an open transaction the statement is one of its own.
+            self._connection.execute(_INSERT, (*key, *_VALUES(record)))
+
+    def keys(self) -> set[Key]:
+        """Return the keys of all samples."""
+        with explained(self._path):
+            rows = self._connection.execute(f"SELECT {_KEY_NAMES} FROM samples")
+            return {Key(*row) for row in rows}
+
+    def samples(self, kind: str) -> Iterator[tuple[Key, Record]]:
+        """Yield the samples of one kind in the order in which they were taken."""
+        names = f"{_KEY_NAMES}, {_RECORD_NAMES}"
+        split = len(Key._fields)
+        with explained(self._path):
+            for row in self._connection.execute(
+                f"SELECT {names} FROM samples WHERE kind = ? ORDER BY number", (kind,)
+            ):
+                yield Key(*row[:split]), Record(*row[split:])
+
+    def count(self) -> int:
+        """Return the number of samples [1]."""
+        with explained(self._path):
+            (found,) = self._connection.execute("SELECT COUNT(*) FROM samples")
+        return int(found[0])
+
+    def last_elapsed(self) -> float:
+        """Return the time of the last sample, 0 without one [s]."""
+        with explained(self._path):
+            (found,) = self._connection.execute("SELECT MAX(elapsed) FROM samples")
+        return float(found[0] or 0.0)
+
+    def begin_segment(self) -> int:
+        """Note that the scan goes on, and that a part without an end was broken off."""
+        now = _now()
+        with explained(self._path):
+            self._connection.execute("BEGIN IMMEDIATE")
+            try:
+                self._connection.execute(
+                    "UPDATE segments SET ended = ?, reason = ? WHERE ended IS NULL",
+                    (now, "broken off without notice"),
+                )
+                cursor = self._connection.execute(
+                    "INSERT INTO segments (started) VALUES (?)", (now,)
+                )
+                self._connection.execute("COMMIT")
+            except BaseException:
+                self._connection.execute("ROLLBACK")
+                raise
+        assert cursor.lastrowid is not None
+        return cursor.lastrowid
+
+    def end_segment(self, number: int, reason: str) -> None:
+        """Note when and why a part of the scan ended."""
+        with explained(self._path):
+            self._connection.execute(
+                "UPDATE segments SET ended = ?, reason = ? WHERE number = ?",
+                (_now(), reason, number),
+            )
+
+    def segments(self) -> list[dict[str, Any]]:
+        """Return number, started, ended and reason of every part of the scan."""
+        with explained(self._path):
+            rows = self._connection.execute(
+                "SELECT number, started, ended, reason FROM segments ORDER BY number"
+            )
+            names = ("number", "started", "ended", "reason")
+            return [dict(zip(names, row, strict=True)) for row in rows]
+
+    @property
+    def _path(self) -> Path:
+        return self.folder / FILE_NAME
+
+    def refuse_another(self, meta: Mapping[str, str]) -> None:
+        """Raise unless the journal is of this schema, and of the scan that is meant.
+
+        Parameters
+        ----------
+        meta : mapping
+            `survey_digest`, and `instrument_digest` with `identities`; what is left
+            out is not compared.
+
+        Raises
+        ------
+        FormatError
+            If the schema is another one.
+        SurveyError, InstrumentError
+            If the survey or the instrument is.
+        """
+        found = self.meta()
+        version = found.get("journal_schema")
+        if version != SCHEMA_VERSION:
+            raise FormatError(
+                f"{self._path}: the journal has schema {version!r}, this amulor knows "
+                f"{SCHEMA_VERSION!r}; use the amulor that began the scan"
+            )
+        same = {"survey_digest": "", "instrument_digest": "", **found, **meta}
+        if found.get("survey_digest", "") != same["survey_digest"]:
+            raise SurveyError(
+                f"{self.folder} holds a scan of another survey "
+                f"({found['survey_digest'][:15]}..., now "
+                f"{meta['survey_digest'][:15]}...); go on with the survey.toml in that "
+                "folder, or name a new folder"
+            )
+        if found.get("instrument_digest", "") != same["instrument_digest"]:
+            other = _differences(found["identities"], meta["identities"])
+            raise InstrumentError(
+                f"{self.folder} holds a scan by other devices or another procedure: "
+                f"{other}; go on with the devices.toml in that folder, or name a new "
+                "folder"
+            )
+
+
+def _differences(before: str, now: str) -> str:
+    """Say which device of a scan is another one than before."""
+    old, new = json.loads(before), json.loads(now)
+    changed = [
+        f"{name} was {old.get(name, 'not there')}, is {new.get(name, 'not there')}"
+        for name in dict.fromkeys([*old, *new])
+        if old.get(name) != new.get(name)
+    ]
+    return "; ".join(changed) or "each device is the same, what it is told is not"
+
+
+def _now() -> str:
+    return datetime.datetime.now(datetime.UTC).strftime("%Y-%m-%dT%H:%M:%S.%fZ")

@@ -1,0 +1,383 @@
+"""A simulated instrument in front of a scene, and how its output moves with time."""
+
+from __future__ import annotations
+
+import cmath
+import math
+import threading
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from amulor.acquisition.clock import Clock
+from amulor.acquisition.settings import SimulationSettings
+from amulor.acquisition.simulated.faults import Faults
+from amulor.acquisition.uncertainty import reading_variance
+from amulor.optics.polarization import stokes
+from amulor.simulation import geometry, lock_in, signal
+from amulor.survey import Survey, water_properties
+from amulor.survey.view import medium, view
+
+#: How fast the beam turns [rad/s].
+SCAN_SPEED = 5.0
+#: How fast mounts turn [rad/s].
+MOUNT_SPEED = 10.0
+#: How fast the target moves [m/s].
+TARGET_SPEED = 0.2
+#: How long the oscillator takes to lock to a new frequency [s].
+LOCK_TIME = 0.05
+#: Directions nearer to each other than this count as one [rad].
+_SAME = 1e-5
+
+#: The arrival of what does not move.
+_STANDS = -math.inf
+
+
+def _or_never(arrival: float) -> float:
+    return math.inf if arrival == _STANDS else arrival
+
+
+@dataclass(frozen=True)
+class _Table:
+    """Noiseless light of known directions, arrays (frequency, polarization, place)."""
+
+    direction: NDArray[np.complex128]
+    """Azimuth + 1j * elevation of each place [rad]."""
+    target: NDArray[np.complex128]
+    """Signal of the target [V]."""
+    water: NDArray[np.complex128]
+    """Signal of the water [V]."""
+    target_rate: NDArray[np.float64]
+    """Photoelectrons by the target's light [1/s]."""
+    water_rate: NDArray[np.float64]
+    """Photoelectrons by the water's light [1/s]."""
+
+    known: dict[tuple[int, int], int]
+    """Places found before, by the direction in steps of `_SAME`."""
+
+    def nearest(self, azimuth: float, elevation: float) -> int:
+        """Return the number of the place nearest to a direction [rad]."""
+        key = (round(azimuth / _SAME), round(elevation / _SAME))
+        found = self.known.get(key)
+        if found is None:
+            away = np.abs(self.direction - complex(azimuth, elevation))
+            found = self.known[key] = int(np.argmin(away))
+        return found
+
+
+class Bench:
+    """Laser, water, target, detector and lock-in filter of a survey, run by a clock.
+
+    Simulated devices and device simulators turn its knobs and read its output. A
+    direction between the pixels sees what the nearest pixel or shot sees. Safe to
+    use from several threads.
+
+    Parameters
+    ----------
+    survey : Survey
+        What stands in front of the instrument, and the instrument.
+    settings : SimulationSettings
+        Seed, imperfections and faults.
+    clock : Clock
+        What the devices go by.
+    launch, analyser : mapping
+        Angle of each mount for each state of polarization [rad].
+    """
+
+    def __init__(
+        self,
+        survey: Survey,
+        settings: SimulationSettings,
+        *,
+        clock: Clock,
+        launch: Mapping[str, float],
+        analyser: Mapping[str, float],
+    ) -> None:
+        self.survey = survey
+        self.clock = clock
+        self.faults = Faults.parse(settings.faults)
+        self.readings = 0
+        self.laser_on = False
+        self._settings = settings
+        self._rng = np.random.default_rng(settings.seed)
+        self._lock = threading.RLock()
+        self._scan, self._open = _tables(survey)
+        frequencies = survey.instrument.modulation_frequencies
+        self._frequency, self._channel = frequencies[0], 0
+        self._pairs = _mount_angles(survey, launch, analyser)
+        self._locked_at = -math.inf
+        self._filter(survey.instrument.lock_in.time_constant)
+        # Where each thing stands, where it goes, and when it arrives.
+        self._place = {"azimuth": 0.0, "elevation": 0.0, "target": 0.0}
+        self._place |= {"launch": 0.0, "analyser": 0.0}
+        self._goal = dict(self._place)
+        self._arrival = dict.fromkeys(self._place, _STANDS)
+        self._next_arrival = math.inf
+        self._time = clock.now()
+        self._level = 0j
+        self._noise = 0j
+        self._spread = 0.0
+        self._input = 0j
+        self._mean = 0.0
+        self._renew()
+
+    # -- knobs ---------------------------------------------------------------------
+
+    def set_laser(self, on: bool) -> None:
+        """Let light out, or none."""
+        with self._lock:
+            self._advance()
+            self.laser_on = on
+            self._renew()
+
+    def set_time_constant(self, time_constant: float) -> None:
+        """Set the time constant of the output filter [s]."""
+        with self._lock:
+            self._advance()
+            self._filter(time_constant)
+            self._renew()
+
+    def set_frequency(self, frequency: float) -> None:
+        """Set the modulation frequency [Hz]; the reference is lost for a moment."""
+        with self._lock:
+            self._advance()
+            known = np.asarray(self.survey.instrument.modulation_frequencies)
+            self._frequency = frequency
+            self._channel = int(np.argmin(np.abs(known - frequency)))
+            self._locked_at = self.clock.now() + LOCK_TIME
+            self._renew()
+
+    def send(self, goals: Mapping[str, float], *, speed: float) -> None:
+        """Start to move things to places at a speed, in SI units; they arrive together.
+
+        The names are azimuth, elevation, launch, analyser and target.
+        """
+        with self._lock:
+            now = self._arrive()
+            stuck = self.faults.active("stuck", self.readings)
+            way = max(abs(goal - self._place[name]) for name, goal in goals.items())
+            arrival = math.inf if stuck else now + way / speed
+            for name, goal in goals.items():
+                self._goal[name] = goal
+                self._arrival[name] = arrival
+            self._next_arrival = min(self._arrival.values(), key=_or_never)
+            self._arrive()
+
+    def stop(self) -> None:
+        """Stop all motion where it is."""
+        with self._lock:
+            self._advance()
+            for name in self._place:
+                self._goal[name] = self._place[name]
+                self._arrival[name] = _STANDS
+            self._next_arrival = math.inf
+
+    # -- what can be seen ----------------------------------------------------------
+
+    def arrived(self, name: str) -> bool:
+        """Return whether one thing has come to where it was sent."""
+        with self._lock:
+            return self._arrival[name] <= self._arrive()
+
+    def arrival(self, name: str) -> float:
+        """Return when one thing comes to where it was sent, by the clock [s]."""
+        with self._lock:
+            return self._arrival[name]
+
+    def place(self, name: str) -> float:
+        """Return where one thing stands."""
+        with self._lock:
+            self._arrive()
+            return self._place[name]
+
+    def goal(self, name: str) -> float:
+        """Return where one thing was sent."""
+        with self._lock:
+            return self._goal[name]
+
+    @property
+    def frequency(self) -> float:
+        """The modulation frequency [Hz]."""
+        return self._frequency
+
+    def locked(self) -> bool:
+        """Return whether the reference is locked."""
+        with self._lock:
+            return self.clock.now() >= self._locked_at
+
+    def output(self) -> tuple[complex, float]:
+        """Return the filtered peak signal [V] and the mean output of the detector [V].
+
+        Each call counts as a reading, by which faults are timed.
+        """
+        with self._lock:
+            self.readings += 1
+            self._advance()
+            output = self._level + self._noise
+            if self.faults.active("saturation", self.readings):
+                return output, 2 * self.survey.instrument.detector.saturation
+            return output, self._mean
+
+    # -- the inside ----------------------------------------------------------------
+
+    def _advance(self) -> None:
+        """Let everything happen that has happened by now."""
+        self._relax(self._arrive())
+
+    def _arrive(self) -> float:
+        """Let things come to where they were sent; return the time [s]."""
+        now = self.clock.now()
+        while self._next_arrival <= now:
+            moment = self._next_arrival
+            self._relax(moment)
+            for name in [*self._arrival]:
+                if self._arrival[name] == moment:
+                    self._place[name] = self._goal[name] + self._missed_by(name)
+                    self._arrival[name] = _STANDS
+            self._next_arrival = min(self._arrival.values(), key=_or_never)
+            if self._next_arrival == _STANDS:
+                self._next_arrival = math.inf
+            self._renew()
+        return now
+
+    def _missed_by(self, name: str) -> float:
+        if name not in ("azimuth", "elevation"):
+            return 0.0
+        return self._settings.position_error * float(self._rng.standard_normal())
+
+    def _relax(self, until: float) -> None:
+        """Let the one-pole filter and its noise run on to a time [s]."""
+        passed = until - self._time
+        if passed <= 0:
+            return
+        # Far beyond the filter's memory nothing is left of the past.
+        keep = math.exp(-min(passed / self._time_constant, 700.0))
+        drift = self._settings.phase_drift * until
+        aim = self._input * cmath.exp(1j * drift) + self._settings.pickup
+        self._level = aim + (self._level - aim) * keep
+        fresh = math.sqrt(max(1 - keep**2, 0.0)) * self._spread
+        self._noise = keep * self._noise + fresh * complex(
+            self._rng.standard_normal(), self._rng.standard_normal()
+        )
+        self._time = until
+
+    def _renew(self) -> None:
+        """Work out what enters the filter from how all knobs stand now."""
+        rate = 0.0
+        level = 0j
+        if self.laser_on:
+            out = abs(self._place["target"]) > 0.05
+            table = self._open if out else self._scan
+            index = (
+                self._channel,
+                self._polarization(),
+                table.nearest(self._place["azimuth"], self._place["elevation"]),
+            )
+            change = 1 + self._fluctuation()
+            level = complex(table.target[index] + change * table.water[index])
+            rate = float(
+                table.target_rate[index] + max(change, 0.0) * table.water_rate[index]
+            )
+            level *= cmath.exp(1j * self._phase_error(abs(level)))
+        detector = self.survey.instrument.detector
+        volt = detector.volt_per_photoelectron_rate
+        self._input = level
+        self._mean = volt * (rate + detector.dark_rate)
+        # A single reading of a settled one-pole filter counts for two time constants.
+        self._spread = math.sqrt(self._dark_variance + rate * self._variance_per_rate)
+
+    def _filter(self, time_constant: float) -> None:
+        self._time_constant = time_constant
+        dark, light = reading_variance(
+            self.survey, rate=np.array([0.0, 1.0]), time_constant=time_constant
+        )
+        self._dark_variance = float(dark)
+        self._variance_per_rate = float(light - dark)
+
+    def _polarization(self) -> int:
+        """Return the number of the pair that the mounts stand nearest to."""
+        now = complex(self._place["launch"], self._place["analyser"])
+        return min(
+            range(len(self._pairs)), key=lambda pair: abs(self._pairs[pair] - now)
+        )
+
+    def _fluctuation(self) -> float:
+        share = self.survey.water.signal_fluctuation
+        return share * float(self._rng.standard_normal())
+
+    def _phase_error(self, amplitude: float) -> float:
+        settings = self._settings
+        walk = 0.0
+        if settings.phase_walk and amplitude > 0:
+            walk = settings.phase_walk * math.log10(amplitude)
+        floor = self.survey.instrument.lock_in.phase_floor
+        return (
+            2 * math.pi * self._frequency * settings.cable_delay
+            + walk
+            + floor * float(self._rng.standard_normal())
+        )
+
+
+def _mount_angles(
+    survey: Survey, launch: Mapping[str, float], analyser: Mapping[str, float]
+) -> list[complex]:
+    """Return launch + 1j * analyser angle of each pair, far off if not stated [rad]."""
+    pairs = []
+    for pair in survey.instrument.polarizations:
+        launched, analysed = stokes.pair_states(pair)
+        pairs.append(complex(launch.get(launched, 1e3), analyser.get(analysed, 1e3)))
+    return pairs
+
+
+def _tables(survey: Survey) -> tuple[_Table, _Table]:
+    """Return what is seen with the target in the beam, and with open water there."""
+    water = water_properties(survey)
+    scanned = geometry.trace(survey, water)
+    with_target = _table(
+        survey,
+        scanned.azimuth,
+        scanned.elevation,
+        signal.target_light(survey, water, scanned),
+        signal.water_light(survey, water, scanned.view, end=scanned.depth),
+    )
+    azimuth, elevation = scanned.azimuth.ravel(), scanned.elevation.ravel()
+    if survey.scan.open_water is not None:
+        shots = geometry.open_water_directions(survey)
+        grid = np.unique(np.stack(shots), axis=1)
+        azimuth = np.concatenate([grid[0], azimuth])
+        elevation = np.concatenate([grid[1], elevation])
+    seen = view(survey, azimuth, elevation, medium=medium(survey, water))
+    light = signal.water_light(survey, water, seen)
+    none = signal.Light(np.zeros_like(light.modulated), np.zeros_like(light.mean))
+    return with_target, _table(survey, azimuth, elevation, none, light)
+
+
+def _table(
+    survey: Survey,
+    azimuth: NDArray[np.float64],
+    elevation: NDArray[np.float64],
+    target: signal.Light,
+    water: signal.Light,
+) -> _Table:
+    def flat(values: NDArray[Any]) -> NDArray[Any]:
+        return values.reshape(*values.shape[:2], -1)
+
+    def rate(light: signal.Light) -> NDArray[np.float64]:
+        # Light that is modulated wholly gives the depth times the mean output.
+        instrument = survey.instrument
+        wholly = signal.Light(light.mean.astype(complex), light.mean)
+        volts = lock_in.expected_signal(survey, wholly).real
+        volt = instrument.detector.volt_per_photoelectron_rate
+        return flat(volts / (instrument.modulation_depth * volt))
+
+    return _Table(
+        known={},
+        direction=(azimuth + 1j * elevation).ravel(),
+        target=flat(lock_in.expected_signal(survey, target)),
+        water=flat(lock_in.expected_signal(survey, water)),
+        target_rate=rate(target),
+        water_rate=rate(water),
+    )

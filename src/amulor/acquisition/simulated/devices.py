@@ -1,0 +1,216 @@
+"""Simulated devices behind the protocols, all of them in front of one scene."""
+
+from __future__ import annotations
+
+from amulor.acquisition.protocols import Overload, Reading
+from amulor.acquisition.simulated.bench import (
+    MOUNT_SPEED,
+    SCAN_SPEED,
+    TARGET_SPEED,
+    Bench,
+)
+from amulor.errors import InstrumentError
+
+#: What the identity of every simulated device holds, wherever it runs.
+SIMULATOR = "amulor simulator"
+#: Full scales of the lock-in, as peak amplitudes [V].
+FULL_SCALES = tuple(10.0**exponent for exponent in range(-7, 1))
+#: Share of the full scale below which a finer one is taken.
+_FINER_BELOW = 0.05
+
+
+class _Simulated:
+    _kind = "device"
+
+    def __init__(self, bench: Bench) -> None:
+        self.bench = bench
+        self.log: list[str] = []
+
+    def identity(self) -> str:
+        """Return that it is no device of this world."""
+        return f"amulor,{self._kind},0,{SIMULATOR}"
+
+    def make_safe(self) -> None:
+        """Note that the device was made safe."""
+        self.log.append("safe")
+
+    def close(self) -> None:
+        """Note that the device was let go."""
+        self.log.append("close")
+
+
+class SimulatedLockIn(_Simulated):
+    """The lock-in amplifier of a bench."""
+
+    _kind = "lock-in"
+
+    def __init__(self, bench: Bench) -> None:
+        super().__init__(bench)
+        self._scale = len(FULL_SCALES) - 1
+
+    def prepare(self, *, time_constant: float) -> None:
+        """Set the time constant of the output filter [s]."""
+        self.bench.set_time_constant(time_constant)
+
+    def set_frequency(self, frequency: float, *, timeout: float) -> float:
+        """Set the modulation frequency [Hz], wait for lock, return it [Hz]."""
+        self.bench.set_frequency(frequency)
+        end = self.bench.clock.now() + timeout
+        while not self.bench.locked():
+            if self.bench.clock.now() > end:
+                raise InstrumentError(
+                    f"the simulated lock-in has not locked within {timeout:g} s"
+                )
+            self.bench.clock.sleep(0.01)
+        return frequency
+
+    def read(self) -> Reading:
+        """Return the outputs and the state of this instant."""
+        signal, mean = self.bench.output()
+        number = self.bench.readings
+        faults = self.bench.faults
+        if faults.active("lost-link", number):
+            raise InstrumentError("the simulated lock-in: the link is lost")
+        if faults.active("timeout", number):
+            raise InstrumentError("the simulated lock-in does not answer in time")
+        overload = Overload.NONE
+        scale = self.full_scale()
+        if abs(signal) > scale:
+            overload |= Overload.OUTPUT
+            signal *= scale / abs(signal)
+        if faults.active("overload", number):
+            overload |= Overload.INPUT
+        unlocked = faults.active("unlock", number) or not self.bench.locked()
+        return Reading(signal, mean, self.bench.frequency, overload, unlocked)
+
+    def relieve(self, overload: Overload) -> bool:
+        """Take a coarser scale, if there is one."""
+        if self._scale == len(FULL_SCALES) - 1:
+            return False
+        self._scale += 1
+        return True
+
+    def sharpen(self, amplitude: float) -> bool:
+        """Take a finer scale if this peak amplitude [V] leaves room."""
+        finer = max(self._scale - 1, 0)
+        if finer == self._scale or amplitude > _FINER_BELOW * self.full_scale():
+            return False
+        self._scale = finer
+        return True
+
+    def full_scale(self) -> float:
+        """Return the largest peak amplitude of the present setting [V]."""
+        return FULL_SCALES[self._scale]
+
+
+class SimulatedScanner(_Simulated):
+    """What turns the beam of a bench."""
+
+    _kind = "scanner"
+
+    def move(
+        self, azimuth: float, elevation: float, *, timeout: float
+    ) -> tuple[float, float]:
+        """Turn to a direction [rad]; return where it stands [rad]."""
+        self.log.append("move")
+        goals = {"azimuth": azimuth, "elevation": elevation}
+        self.bench.send(goals, speed=SCAN_SPEED)
+        wait_for(self.bench, "azimuth", what="the simulated scanner", timeout=timeout)
+        return self.bench.place("azimuth"), self.bench.place("elevation")
+
+    def make_safe(self) -> None:
+        """Stop."""
+        self.bench.stop()
+        super().make_safe()
+
+
+class SimulatedMount(_Simulated):
+    """A rotation mount of a bench.
+
+    Parameters
+    ----------
+    bench : Bench
+        Whose light it changes.
+    name : str
+        "launch" or "analyser".
+    """
+
+    _kind = "rotation mount"
+
+    def __init__(self, bench: Bench, name: str) -> None:
+        super().__init__(bench)
+        self._name = name
+
+    def rotate(self, angle: float, *, timeout: float) -> float:
+        """Turn to an angle [rad]; return where it stands [rad]."""
+        self.bench.send({self._name: angle}, speed=MOUNT_SPEED)
+        wait_for(self.bench, self._name, what="the simulated mount", timeout=timeout)
+        return self.bench.place(self._name)
+
+
+class SimulatedLaser(_Simulated):
+    """The laser of a bench."""
+
+    _kind = "laser"
+
+    def on(self) -> None:
+        """Let light out."""
+        self.log.append("on")
+        self.bench.set_laser(True)
+
+    def off(self) -> None:
+        """Let no light out."""
+        self.log.append("off")
+        self.bench.set_laser(False)
+
+    def make_safe(self) -> None:
+        """Let no light out."""
+        self.off()
+
+
+class SimulatedTargetStage(_Simulated):
+    """What takes the target of a bench out of the beam."""
+
+    _kind = "target stage"
+
+    def bring_in(self, *, timeout: float) -> None:
+        """Put the target where it is scanned."""
+        self._go(0.0, timeout=timeout)
+
+    def take_out(self, *, timeout: float) -> None:
+        """Leave open water in every beam."""
+        self._go(0.2, timeout=timeout)
+
+    def _go(self, place: float, *, timeout: float) -> None:
+        self.bench.send({"target": place}, speed=TARGET_SPEED)
+        wait_for(self.bench, "target", what="the simulated target", timeout=timeout)
+
+
+def wait_for(bench: Bench, name: str, *, what: str, timeout: float) -> None:
+    """Wait until one thing of a bench has arrived.
+
+    Parameters
+    ----------
+    bench : Bench
+        Where it moves.
+    name : str
+        What moves.
+    what : str
+        How a message calls it.
+    timeout : float
+        How long it may take [s].
+
+    Raises
+    ------
+    InstrumentError
+        If it has not arrived by then.
+    """
+    start = bench.clock.now()
+    bench.clock.sleep(min(bench.arrival(name) - start, timeout))
+    while not bench.arrived(name):
+        if bench.clock.now() - start > timeout:
+            raise InstrumentError(
+                f"{what} has not come to where it was sent within {timeout:g} s; see "
+                "what holds it"
+            )
+        bench.clock.sleep(timeout / 100)

@@ -1,0 +1,229 @@
+"""Simulated Stanford lock-ins that speak as the real ones do, in front of a bench."""
+
+from __future__ import annotations
+
+import math
+import threading
+from collections.abc import Callable
+
+from amulor.acquisition.drivers import stanford_sr844, stanford_sr865a
+from amulor.acquisition.links.tcp import LinkLostError
+from amulor.acquisition.simulated.bench import Bench
+from amulor.acquisition.simulated.devices import SIMULATOR
+
+#: Voltage of the laser's gate from which on light is let out [V].
+_GATE = 2.0
+#: Bits of *ESR?: a command that is not known, a value that is not allowed.
+_COMMAND_ERROR, _EXECUTION_ERROR = 32, 16
+
+
+class SimulatedStanford:
+    """What both models share: settings by code, the status that latches, the gate.
+
+    Parameters
+    ----------
+    bench : Bench
+        What the lock-in measures.
+    """
+
+    model = ""
+    unlocked_bit = 0
+    #: Highest code of each setting.
+    codes: dict[str, int] = {}  # noqa: RUF012  replaced as a whole by each model
+
+    def __init__(self, bench: Bench) -> None:
+        self.bench = bench
+        self.lines: list[str] = []
+        self._lock = threading.Lock()
+        self._handlers: dict[str, Callable[[str], list[str]]] = {
+            "*IDN?": lambda _: [
+                f"Stanford_Research_Systems,{self.model},s/n00000,{SIMULATOR}"
+            ],
+            "*RST": self._reset,
+            "*CLS": lambda _: self._clear(),
+            "*ESR?": lambda _: [str(self._taken_error())],
+            "LIAS?": lambda _: [str(self._taken_status())],
+            "FREQ": self._set_frequency,
+            "FREQ?": lambda _: [f"{self.bench.frequency:.6E}"],
+            "PHAS": lambda _: [],
+            "SNAP?": self._snapshot,
+            "AUXO": self._set_output,
+            "AUXO?": self._output,
+        }
+        self._reset("")
+
+    def answer(self, line: str) -> list[str]:
+        """Return the answers to one line, which may hold several commands."""
+        with self._lock:
+            self.lines.append(line)
+            del self.lines[:-1000]
+            found: list[str] = []
+            for command in line.split(";"):
+                answers = self._one(command.strip())
+                if answers is None:  # silent from here on: it "does not answer"
+                    return []
+                found += answers
+            return found
+
+    def _one(self, command: str) -> list[str] | None:
+        for end in (5, 4):
+            word = command[:end].upper()
+            if word in self._handlers:
+                argument = command[end:].strip()
+                break
+            if word.rstrip("?") in self.codes and len(word.rstrip("?")) == 4:
+                return self._code(word, command[end:].strip())
+        else:
+            self._error |= _COMMAND_ERROR
+            return []
+        number = self.bench.readings + 1
+        if word == "SNAP?" and self.bench.faults.active("lost-link", number):
+            self.bench.readings += 1
+            raise LinkLostError
+        if word == "SNAP?" and self.bench.faults.active("timeout", number):
+            self.bench.readings += 1
+            return None
+        try:
+            return self._handlers[word](argument)
+        except (ValueError, LookupError):
+            self._error |= _EXECUTION_ERROR
+            return []
+
+    def _code(self, word: str, argument: str) -> list[str]:
+        name = word.rstrip("?")
+        if word.endswith("?"):
+            return [str(self._set[name])]
+        if not argument.isdigit() or int(argument) > self.codes[name]:
+            self._error |= _EXECUTION_ERROR
+            return []
+        self._set[name] = int(argument)
+        if name == "OFLT":
+            self.bench.set_time_constant(self._time_constant(int(argument)))
+        return []
+
+    def _reset(self, _: str) -> list[str]:
+        self._set = dict.fromkeys(self.codes, 0)
+        self._outputs = dict.fromkeys(range(1, 5), 0.0)
+        self._status = self._error = 0
+        self.bench.set_laser(False)
+        return []
+
+    def _clear(self) -> list[str]:
+        self._status = self._error = 0
+        return []
+
+    def _taken_error(self) -> int:
+        found, self._error = self._error, 0
+        return found
+
+    def _taken_status(self) -> int:
+        found, self._status = self._status, 0
+        if not self.bench.locked():
+            found |= self.unlocked_bit
+        return found
+
+    def _set_frequency(self, argument: str) -> list[str]:
+        self.bench.set_frequency(self._rounded(float(argument)))
+        self._status |= self.unlocked_bit
+        return []
+
+    def _set_output(self, argument: str) -> list[str]:
+        number, voltage = argument.split(",")
+        self._outputs[int(number)] = float(voltage)
+        if int(number) == 1:
+            self.bench.set_laser(float(voltage) > _GATE)
+        return []
+
+    def _output(self, argument: str) -> list[str]:
+        return [f"{self._outputs[int(argument)]:.3f}"]
+
+    def _measured(self) -> tuple[float, float, float]:
+        """Return X and Y [V rms] and the mean output [V], and latch what is wrong."""
+        signal, mean = self.bench.output()
+        faults, number = self.bench.faults, self.bench.readings
+        if faults.active("unlock", number):
+            self._status |= self.unlocked_bit
+        x, y = signal.real / math.sqrt(2), -signal.imag / math.sqrt(2)
+        self._latch(math.hypot(x, y), faults.active("overload", number))
+        return x, y, mean
+
+    def _snapshot(self, argument: str) -> list[str]:
+        raise NotImplementedError
+
+    def _latch(self, amplitude: float, overloaded: bool) -> None:
+        raise NotImplementedError
+
+    def _rounded(self, frequency: float) -> float:
+        raise NotImplementedError
+
+    def _time_constant(self, code: int) -> float:
+        raise NotImplementedError
+
+
+class SimulatedSr844(SimulatedStanford):
+    """An SR844: its oscillator has three digits, its outputs end at the full scale."""
+
+    model = "SR844"
+    unlocked_bit = stanford_sr844.UNLOCKED
+    codes = {  # noqa: RUF012
+        "FMOD": 1, "HARM": 1, "OFSL": 4, "OFLT": 17, "WRSV": 2, "CRSV": 2, "SENS": 14,
+    }  # fmt: skip
+
+    def _snapshot(self, argument: str) -> list[str]:
+        x, y, mean = self._measured()
+        scale = stanford_sr844.SENSITIVITIES[self._set["SENS"]]
+        over = max(math.hypot(x, y) / scale, 1.0)
+        values = {
+            1: x / over,
+            2: y / over,
+            6: mean,
+            7: 0.0,
+            8: self.bench.frequency,
+        }
+        return [",".join(f"{values[int(code)]:.6E}" for code in argument.split(","))]
+
+    def _latch(self, amplitude: float, overloaded: bool) -> None:
+        if amplitude > stanford_sr844.SENSITIVITIES[self._set["SENS"]]:
+            self._status |= stanford_sr844.FILTER
+        if overloaded:
+            self._status |= stanford_sr844.INPUT
+
+    def _rounded(self, frequency: float) -> float:
+        return float(f"{frequency:.3g}")
+
+    def _time_constant(self, code: int) -> float:
+        return stanford_sr844.TIME_CONSTANTS[code]
+
+
+class SimulatedSr865a(SimulatedStanford):
+    """An SR865A: its outputs in numbers do not end at the scale, its input does."""
+
+    model = "SR865A"
+    unlocked_bit = stanford_sr865a.UNLOCKED
+    codes = {  # noqa: RUF012
+        "RSRC": 3, "HARM": 99, "OFSL": 3, "OFLT": 21, "SYNC": 1, "IRNG": 4, "SCAL": 27,
+    }  # fmt: skip
+
+    def __init__(self, bench: Bench) -> None:
+        super().__init__(bench)
+        self._handlers["ADVFI"] = lambda _: []  # ADVFILT, by its first letters
+        self._handlers["AUXV"] = self._handlers.pop("AUXO")
+        self._handlers["AUXV?"] = self._handlers.pop("AUXO?")
+
+    def _snapshot(self, argument: str) -> list[str]:
+        x, y, mean = self._measured()
+        values = {0: x, 1: y, 4: mean, 5: 0.0, 6: 0.0, 7: 0.0}
+        return [",".join(f"{values[int(code)]:.9e}" for code in argument.split(","))]
+
+    def _latch(self, amplitude: float, overloaded: bool) -> None:
+        if amplitude > stanford_sr865a.SCALES[self._set["SCAL"]]:
+            self._status |= stanford_sr865a.OUTPUT & 1
+        limit = stanford_sr865a.INPUT_RANGES[self._set["IRNG"]]
+        if overloaded or amplitude * math.sqrt(2) > limit:
+            self._status |= stanford_sr865a.INPUT
+
+    def _rounded(self, frequency: float) -> float:
+        return float(f"{frequency:.6g}")
+
+    def _time_constant(self, code: int) -> float:
+        return stanford_sr865a.TIME_CONSTANTS[code]

@@ -1,0 +1,1 @@
+"""Integrals of an oscillating function over the depth, panel by panel."""

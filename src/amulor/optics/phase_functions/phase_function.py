@@ -1,0 +1,329 @@
+"""Phase functions as objects: one set of questions, whatever is behind them.
+
+They are made by `amulor.optics.phase_functions.models` from formulas and by
+`amulor.optics.phase_functions.tables` from tables.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from amulor.optics.phase_functions.integrals import (
+    INNERMOST_ANGLE,
+    LARGEST_WAVENUMBER,
+    Panels,
+    checked_angle,
+    checked_split_angle,
+)
+
+__all__ = ["PhaseFunction", "SamplingTable"]
+
+
+@dataclass(frozen=True, eq=False)
+class SamplingTable:
+    """Inverse of a cumulative phase function, to draw angles from.
+
+    Both arrays rise, so the inverse is monotone. Between two nodes the phase function
+    is taken as constant, which keeps the share of each cell exact.
+    """
+
+    cumulative: NDArray[np.float64]
+    """Share of the scattering below each node, from 0 to 1 [1]."""
+    half_chord_squared: NDArray[np.float64]
+    """sin^2(angle / 2) of each node, from 0 to 1 [1]."""
+    error: float
+    """Largest distance between the cumulative of what is drawn and the true one, as
+    found at 15 points inside of each cell [1]."""
+
+    def angle(self, share: ArrayLike) -> NDArray[np.float64]:
+        r"""Return the angle below which a share of the scattering lies.
+
+        Parameters
+        ----------
+        share : array_like
+            Share, 0 to 1; uniform random numbers give random scattering angles [1].
+
+        Returns
+        -------
+        ndarray
+            Scattering angle, shape of `share` [rad].
+
+        Raises
+        ------
+        ValueError
+            If a share is outside of 0 to 1.
+
+        Notes
+        -----
+        :math:`\sin^2(\theta/2)` is interpolated linearly in the share.
+
+        Examples
+        --------
+        >>> ends = np.array([0.0, 1.0])  # that of isotropic scattering
+        >>> print(f"{SamplingTable(ends, ends, error=0.0).angle(0.5):.4f} rad")
+        1.5708 rad
+        """
+        share = np.asarray(share, dtype=np.float64)
+        if not np.all((share >= 0) & (share <= 1)):
+            raise ValueError(
+                "share must be from 0 to 1, got values from "
+                f"{np.min(share):g} to {np.max(share):g}"
+            )
+        height = np.interp(share, self.cumulative, self.half_chord_squared)
+        angle: NDArray[np.float64] = 2 * np.arcsin(np.sqrt(height))
+        return angle
+
+
+@dataclass(frozen=True, eq=False)
+class PhaseFunction:
+    r"""Scattered power per solid angle, with an integral of 1 over the sphere.
+
+    Calling it gives its value. Closed forms are
+    used where there are any; the rest are integrals by
+    `amulor.optics.phase_functions.integrals.Panels`.
+    """
+
+    name: str
+    """What it is, with its parameters."""
+    panels: Panels = field(repr=False)
+    """Value and the panels of the angle over which it is smooth."""
+    head_angle: float = 0.0
+    """Angle below which the function is a power law for want of data; 0 if none
+    [rad]."""
+    integral: float = 1.0
+    """Integral over the sphere of the values it was made from: 1, or for a volume
+    scattering function the scattering coefficient [1/m]."""
+    closed_cumulative: Callable[[NDArray[np.float64]], NDArray[np.float64]] | None = (
+        field(default=None, repr=False)
+    )
+    """Closed form of `cumulative`, if there is one."""
+    closed_asymmetry: float | None = field(default=None, repr=False)
+    """Closed form of `asymmetry`, if there is one [1]."""
+
+    def __call__(self, angle: ArrayLike) -> NDArray[np.float64]:
+        """Return the phase function at angles.
+
+        Parameters
+        ----------
+        angle : array_like
+            Scattering angle, 0 to pi; above 0 where the head is a power law that is
+            infinite at 0 [rad].
+
+        Returns
+        -------
+        ndarray
+            Phase function, shape of `angle` [1/sr].
+
+        Raises
+        ------
+        ValueError
+            If an angle is outside of its range.
+        """
+        theta = checked_angle(angle, name="angle")
+        if self.head_exponent > 0 and np.any(theta == 0):
+            raise ValueError(
+                f"angle must be above 0 rad, got 0 rad: {self.name} is infinite there"
+            )
+        return self.panels.value(theta)
+
+    @property
+    def head_exponent(self) -> float:
+        r"""Exponent s of the power law :math:`\theta^{-s}` near 0, 0 if finite [1]."""
+        return self.panels.head_exponent
+
+    @property
+    def description(self) -> str:
+        """Name, and how much of the scattering lies in a head without data."""
+        if self.head_angle == 0:
+            return self.name
+        share = float(self.cumulative(self.head_angle))
+        return (
+            f"{self.name}; below {np.degrees(self.head_angle):.3g} deg, where "
+            f"{100 * share:.2g} % of the scattering lies, a power law with the "
+            f"exponent {-self.head_exponent:.4g}, without data"
+        )
+
+    def cumulative(self, angle: ArrayLike) -> NDArray[np.float64]:
+        """Return the share of the scattering below angles.
+
+        Parameters
+        ----------
+        angle : array_like
+            Scattering angle, 0 to pi [rad].
+
+        Returns
+        -------
+        ndarray
+            Share between 0 and 1, shape of `angle` [1]. Error 1e-10 if there is no
+            closed form.
+
+        Raises
+        ------
+        ValueError
+            If an angle is outside of its range.
+        """
+        theta = checked_angle(angle, name="angle")
+        if self.closed_cumulative is not None:
+            return self.closed_cumulative(theta)
+        return self.panels.cumulative(theta)
+
+    @cached_property
+    def asymmetry(self) -> float:
+        """Mean cosine of the scattering angle [1]."""
+        if self.closed_asymmetry is not None:
+            return self.closed_asymmetry
+        return 1 - 2 * self.panels.mean(lambda angle: np.sin(angle / 2) ** 2)
+
+    @cached_property
+    def backscatter_fraction(self) -> float:
+        """Share of the scattering beyond 90 degrees [1]."""
+        return float(1 - self.cumulative(np.pi / 2))
+
+    @cached_property
+    def at_180(self) -> float:
+        """Value straight back [1/sr]."""
+        return float(self(np.pi))
+
+    def forward_split(self, split_angle: float) -> tuple[float, float]:
+        r"""Return share and second moment of the forward part.
+
+        Parameters
+        ----------
+        split_angle : float
+            Angle between the forward and the diffuse part, above 1e-12 to pi [rad].
+
+        Returns
+        -------
+        forward_fraction : float
+            Share of the scattering below the split angle [1].
+        second_moment : float
+            Mean square scattering angle below the split angle, sin-weighted and
+            renormalised [rad^2].
+
+        Raises
+        ------
+        ValueError
+            If the split angle is outside of its range, or nothing lies below it.
+
+        Notes
+        -----
+        Eqs. (10) and (33) of Ricci et al. 2010 (:doi:`10.1155/2010/958360`), as
+        rebuilt.
+        """
+        split = _split(split_angle)
+        share = self.panels.mean(np.ones_like, high=split)
+        if not share > 0:
+            raise ValueError(
+                f"{self.name} must scatter something below {split:g} rad, got nothing"
+            )
+        moment = self.panels.mean(np.square, high=split)
+        return float(self.cumulative(split)), moment / share
+
+    def hankel(
+        self, wavenumber: ArrayLike, *, split_angle: float
+    ) -> NDArray[np.float64]:
+        r"""Return the transform of the forward part, for the small-angle form.
+
+        Parameters
+        ----------
+        wavenumber : array_like
+            Angular wavenumber k, from 0 to 1e9 [1/rad].
+        split_angle : float
+            Angle between the forward and the diffuse part, above 1e-12 to pi [rad].
+
+        Returns
+        -------
+        ndarray
+            Transform, 1 at k = 0, shape of `wavenumber` [1]. Error 1e-10.
+
+        Raises
+        ------
+        ValueError
+            If an argument is outside of its range, or nothing lies below the split.
+
+        Notes
+        -----
+        The forward part is renormalised on the sphere, and its weight in the plane of
+        small angles is that on the sphere, :math:`\sin\theta \, d\theta` in place of
+        :math:`\theta \, d\theta`,
+
+        .. math::
+
+           \hat p(k) = \int_0^{\theta_s} p \, J_0(k\theta) \sin\theta \, d\theta
+               \Big/ \int_0^{\theta_s} p \sin\theta \, d\theta,
+
+        so that :math:`\hat p = 1 - k^2 \langle\theta^2\rangle / 4` for small k with
+        the second moment of `forward_split`.
+        """
+        split = _split(split_angle)
+        k = np.asarray(wavenumber, dtype=np.float64)
+        if not np.all((k >= 0) & (k <= LARGEST_WAVENUMBER)):
+            raise ValueError(
+                f"wavenumber must be from 0 to {LARGEST_WAVENUMBER:g} 1/rad, got "
+                f"values from {np.min(k):g} to {np.max(k):g} 1/rad"
+            )
+        share = self.panels.mean(np.ones_like, high=split)
+        if not share > 0:
+            raise ValueError(
+                f"{self.name} must scatter something below {split:g} rad, got nothing"
+            )
+        return self.panels.hankel(k, split_angle=split) / share
+
+    def sampling_table(self, size: int) -> SamplingTable:
+        """Return a table to draw scattering angles from.
+
+        Parameters
+        ----------
+        size : int
+            Number of cells, at least 16.
+
+        Returns
+        -------
+        SamplingTable
+            Nodes closer together where the scattering is, and evenly over the decades
+            of the angle; none lies between 0 and 1e-12 rad, which shows in the
+            error of a phase function with a very steep head.
+
+        Raises
+        ------
+        ValueError
+            If the size is below 16.
+        """
+        if size < 16:
+            raise ValueError(f"size must be at least 16 cells, got {size}")
+        # Half of the nodes by share, half by decades from where 1e-6 lies below.
+        dense = np.geomspace(INNERMOST_ANGLE, np.pi, 4096)
+        dense[-1] = np.pi
+        share = np.maximum.accumulate(self.cumulative(dense))
+        start = min(int(np.searchsorted(share, 1e-6)), dense.size // 2)
+        decades = np.log(dense[start:] / dense[start])
+        measure = (share[start:] - share[start]) / (share[-1] - share[start])
+        measure = (measure + decades / decades[-1]) / 2
+        logs = np.interp(np.linspace(0, 1, size), measure, np.log(dense[start:]))
+        angle = np.concatenate([[0.0], np.minimum(np.exp(logs), np.pi)])
+        angle[-1] = np.pi
+        height = np.sin(angle / 2) ** 2
+        cumulative = np.maximum.accumulate(self.cumulative(angle))
+        cumulative[0], cumulative[-1] = 0.0, 1.0
+        np.minimum(cumulative, 1.0, out=cumulative)
+        part = np.arange(1, 16)[:, np.newaxis] / 16
+        # Squares of the parts, as the peak lies at the lower end of a cell.
+        inside = height[:-1] + part**2 * np.diff(height)
+        drawn = cumulative[:-1] + part**2 * np.diff(cumulative)
+        true = self.cumulative(2 * np.arcsin(np.sqrt(inside)))
+        return SamplingTable(cumulative, height, float(np.abs(drawn - true).max()))
+
+
+def _split(value: float) -> float:
+    """Return a split angle, refused in the innermost panel as well."""
+    split = float(checked_split_angle(value))
+    if split <= INNERMOST_ANGLE:
+        raise ValueError(
+            f"split_angle must be above {INNERMOST_ANGLE:g} rad, got {split:g} rad"
+        )
+    return split

@@ -1,0 +1,1 @@
+"""Stokes vectors and Mueller matrices: light, optical parts, targets, channels."""

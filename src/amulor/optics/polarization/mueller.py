@@ -1,0 +1,416 @@
+r"""Mueller matrices: algebra, targets, particles, and what an ideal analyser passes.
+
+Real polarizers and retarders are in `amulor.optics.polarization.components`, pairs of
+states made with them in `amulor.optics.polarization.schemes`.
+
+The last two axes are (4, 4), rows out, columns in. Stokes convention: that of
+`amulor.optics.polarization.stokes`. The matrix of a scatterer or target leads from the
+axes of the light that falls in to those of the light that comes out, so one that sends
+light back without depolarizing it is diag(1, 1, -1, -1). Equation numbers are those of
+R. Ricci et al., EURASIP J. Adv. Signal Process. 2010, 958360, doi:10.1155/2010/958360,
+as rebuilt.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from amulor.optics._bounds import within
+from amulor.optics.phase_functions.integrals import checked_angle
+from amulor.optics.polarization import stokes as _stokes
+
+__all__ = [
+    "apply",
+    "as_matrices",
+    "detected_fraction",
+    "diagonal",
+    "ideal_backscatter",
+    "ideal_depolarizer",
+    "painted_metal",
+    "particles",
+    "rayleigh",
+    "rotated",
+]
+
+
+def diagonal(m22: ArrayLike, m33: ArrayLike, m44: ArrayLike) -> NDArray[np.float64]:
+    """Return the reduced matrix diag(1, m22, m33, m44).
+
+    Parameters
+    ----------
+    m22, m33, m44 : array_like
+        Diagonal elements, each from -1 to 1 [1].
+
+    Returns
+    -------
+    ndarray
+        Mueller matrix, broadcast shape with last axes (4, 4) [1].
+
+    Raises
+    ------
+    ValueError
+        If an element is outside of -1 to 1.
+
+    Notes
+    -----
+    The form of eqs. (65) and (67). Not each such matrix can exist: see
+    `amulor.optics.polarization.depolarization.realizability_defect`.
+
+    Examples
+    --------
+    >>> print(np.diag(diagonal(0.61, -0.61, -0.46)))
+    [ 1.    0.61 -0.61 -0.46]
+    """
+    elements = np.broadcast_arrays(
+        1.0,
+        *(
+            within(value, -1, 1, name=name)
+            for name, value in (("m22", m22), ("m33", m33), ("m44", m44))
+        ),
+    )
+    return np.stack(elements, axis=-1)[..., np.newaxis] * np.eye(4)
+
+
+def ideal_backscatter() -> NDArray[np.float64]:
+    """Return the matrix of light sent straight back without depolarization.
+
+    Returns
+    -------
+    ndarray
+        diag(1, 1, -1, -1), shape (4, 4) [1]: a mirror, or Rayleigh scatterers and
+        spheres at 180 degrees.
+
+    Notes
+    -----
+    Eq. (65). The negative m44 means that a helicity comes back as the other one.
+
+    Examples
+    --------
+    >>> print(np.diag(ideal_backscatter()))
+    [ 1.  1. -1. -1.]
+    """
+    return np.diag([1.0, 1.0, -1.0, -1.0])
+
+
+def ideal_depolarizer() -> NDArray[np.float64]:
+    """Return the matrix of a target that keeps no polarization.
+
+    Returns
+    -------
+    ndarray
+        diag(1, 0, 0, 0), shape (4, 4) [1]: an ideal white Lambertian surface.
+
+    Notes
+    -----
+    The limit of eq. (61) in which the depolarization index is zero.
+
+    Examples
+    --------
+    >>> print(np.diag(ideal_depolarizer()))
+    [1. 0. 0. 0.]
+    """
+    return np.diag([1.0, 0.0, 0.0, 0.0])
+
+
+def painted_metal(*, m44: float = -0.46) -> NDArray[np.float64]:
+    """Return the matrix of the painted metal target of Ricci et al.
+
+    Parameters
+    ----------
+    m44 : float
+        Circular element, from -1 to -0.22, where the matrix can exist [1]. Its
+        default is ASSUMED: only m22 = 0.61 was published.
+
+    Returns
+    -------
+    ndarray
+        diag(1, 0.61, -0.61, m44), shape (4, 4) [1].
+
+    Raises
+    ------
+    ValueError
+        If m44 is outside of its range.
+
+    Notes
+    -----
+    Eq. (67). m33 = -m22 follows from rotational symmetry. m44 would be -0.22 by
+    reciprocity at exactly 180 degrees and -0.61 for a mirror-like part with an ideal
+    depolarizer; -0.46 puts circular below linear polarization by 0.15, the largest
+    difference that DeBoo et al. [1]_ found on painted and similar samples.
+
+    References
+    ----------
+    .. [1] B. J. DeBoo, J. M. Sasian and R. A. Chipman, Appl. Opt. 44, 5434 (2005),
+       :doi:`10.1364/AO.44.005434`.
+
+    Examples
+    --------
+    >>> print(np.diag(painted_metal()))
+    [ 1.    0.61 -0.61 -0.46]
+    """
+    if not -1 <= m44 <= -0.22:
+        raise ValueError(
+            "m44 must be from -1 to -0.22, where diag(1, 0.61, -0.61, m44) is "
+            f"realizable, got {m44:g}"
+        )
+    return np.diag([1.0, 0.61, -0.61, float(m44)])
+
+
+def rayleigh(angle: ArrayLike) -> NDArray[np.float64]:
+    r"""Return the reduced matrix of scatterers much smaller than the wavelength.
+
+    Parameters
+    ----------
+    angle : array_like
+        Scattering angle, 0 to pi [rad].
+
+    Returns
+    -------
+    ndarray
+        Mueller matrix over its first element, shape of `angle` with last axes
+        (4, 4) [1]. The parallel axis lies in the scattering plane.
+
+    Raises
+    ------
+    ValueError
+        If an angle is outside of its range.
+
+    Notes
+    -----
+    Eqs. (63)-(64), without the molecular depolarization:
+
+    .. math::
+
+       m_{12} = m_{21} = -\frac{1 - \cos^2\theta}{1 + \cos^2\theta}, \quad
+       m_{22} = 1, \quad
+       m_{33} = m_{44} = \frac{2 \cos\theta}{1 + \cos^2\theta}.
+
+    The first element itself goes as :math:`\tfrac34 (1 + \cos^2\theta) / 4\pi`.
+
+    Examples
+    --------
+    >>> print(np.round(rayleigh(np.pi / 2)[0] + 0.0, 3))
+    [ 1. -1.  0.  0.]
+    """
+    cosine = np.cos(checked_angle(angle, name="angle"))
+    whole = 1 + cosine**2
+    along = 2 * cosine / whole
+    return particles(
+        m12=-(1 - cosine**2) / whole, m22=1.0, m33=along, m34=0.0, m44=along
+    )
+
+
+def particles(
+    *, m12: ArrayLike, m22: ArrayLike, m33: ArrayLike, m34: ArrayLike, m44: ArrayLike
+) -> NDArray[np.float64]:
+    r"""Return the reduced matrix of particles without a preferred direction.
+
+    Parameters
+    ----------
+    m12 : array_like
+        Element m12 = m21, from -1 to 1 [1].
+    m22 : array_like
+        Element m22, 1 for spheres and less for other shapes [1].
+    m33, m44 : array_like
+        Elements m33 and m44, from -1 to 1 and equal for spheres [1].
+    m34 : array_like
+        Element m34 = -m43, from -1 to 1 [1].
+
+    Returns
+    -------
+    ndarray
+        Mueller matrix over its first element, of the broadcast shape with last axes
+        (4, 4) [1]. The parallel axis lies in the scattering plane.
+
+    Raises
+    ------
+    ValueError
+        If an element is outside of -1 to 1.
+
+    Notes
+    -----
+    Eq. (66), and with m34 = 0 eq. (63): what symmetry leaves of the sixteen elements
+    for particles in random orientation, as many as their mirror images. Not each such
+    matrix can exist: see
+    `amulor.optics.polarization.depolarization.realizability_defect`.
+
+    Examples
+    --------
+    >>> milk = particles(m12=-0.1, m22=0.97, m33=-0.9, m34=0.1, m44=-0.88)
+    >>> print(milk[2])
+    [ 0.   0.  -0.9  0.1]
+    """
+    named = {"m12": m12, "m22": m22, "m33": m33, "m34": m34, "m44": m44}
+    first, second, third, across, fourth = np.broadcast_arrays(
+        *(within(value, -1, 1, name=name) for name, value in named.items())
+    )
+    matrix = np.zeros((*first.shape, 4, 4))
+    matrix[..., 0, 0] = 1
+    matrix[..., 0, 1] = matrix[..., 1, 0] = first
+    matrix[..., 1, 1] = second
+    matrix[..., 2, 2] = third
+    matrix[..., 2, 3] = across
+    matrix[..., 3, 2] = -across
+    matrix[..., 3, 3] = fourth
+    return matrix
+
+
+def rotated(mueller: ArrayLike, *, angle: ArrayLike) -> NDArray[np.float64]:
+    r"""Return the matrix of an element that is turned about the beam.
+
+    Parameters
+    ----------
+    mueller : array_like
+        Mueller matrices of an element that light passes, last axes (4, 4) [1].
+    angle : array_like
+        Angle of the turn, from the parallel to the perpendicular axis [rad].
+
+    Returns
+    -------
+    ndarray
+        Mueller matrix, broadcast shape with last axes (4, 4) [1].
+
+    Raises
+    ------
+    ValueError
+        If the last axes are not (4, 4).
+
+    Notes
+    -----
+    :math:`R(-\alpha) M R(\alpha)` with
+    :math:`Q' = Q \cos 2\alpha + U \sin 2\alpha`,
+    :math:`U' = -Q \sin 2\alpha + U \cos 2\alpha` for axes turned by
+    :math:`\alpha`. For elements in transmission; a target that is turned about the
+    line of sight has its axes out reversed.
+
+    Examples
+    --------
+    >>> polarizer = 0.5 * particles(m12=1.0, m22=1.0, m33=0.0, m34=0.0, m44=0.0)
+    >>> print(np.round(rotated(polarizer, angle=np.pi / 2)[0], 12))
+    [ 0.5 -0.5  0.   0. ]
+    """
+    turn = np.asarray(angle, dtype=np.float64)
+    there, back = _axes_turned(turn), _axes_turned(-turn)
+    return back @ as_matrices(mueller) @ there
+
+
+def apply(mueller: ArrayLike, stokes: ArrayLike) -> NDArray[np.float64]:
+    """Return the light that comes out of an element or a target.
+
+    Parameters
+    ----------
+    mueller : array_like
+        Mueller matrices, last axes (4, 4) [1].
+    stokes : array_like
+        Stokes vectors that fall in, last axis (4,), any unit.
+
+    Returns
+    -------
+    ndarray
+        Stokes vectors, broadcast shape with a last axis (4,), same unit.
+
+    Raises
+    ------
+    ValueError
+        If the last axes are not (4, 4) and (4,).
+
+    Notes
+    -----
+    Eq. (60) without the distance factor.
+
+    Examples
+    --------
+    >>> print(apply(painted_metal(), [1.0, 1.0, 0.0, 0.0]))
+    [1.   0.61 0.   0.  ]
+    """
+    vector = np.asarray(stokes, dtype=np.float64)
+    if vector.ndim == 0 or vector.shape[-1] != 4:
+        raise ValueError(
+            f"stokes must have a last axis of 4 (I, Q, U, V), got shape {vector.shape}"
+        )
+    out: NDArray[np.float64] = np.einsum(
+        "...ij,...j->...i", as_matrices(mueller), vector
+    )
+    return out
+
+
+def detected_fraction(mueller: ArrayLike, *, pair: str) -> NDArray[np.float64]:
+    r"""Return the share of the light that passes a polarizer pair.
+
+    Parameters
+    ----------
+    mueller : array_like
+        Mueller matrices of target or water, last axes (4, 4) [1].
+    pair : str
+        State that is launched and state that the ideal analyser passes, such as "VV",
+        "VH", "RR", "RL"; letters as in `amulor.optics.polarization.stokes.state`.
+        "none" is no polarizer anywhere: unpolarized light, all of it detected.
+
+    Returns
+    -------
+    ndarray
+        Detected over launched power, shape of `mueller` without the last two axes
+        [1].
+
+    Raises
+    ------
+    ValueError
+        If the last axes are not (4, 4) or the pair is not known.
+
+    Notes
+    -----
+    :math:`\tfrac12 \mathbf a \cdot M \mathbf s` with the Stokes vectors of launched
+    state and analyser, both of intensity 1; :math:`m_{11}` for "none". Eqs. (68) and
+    (69). The analyser's letter is read in the axes of the light that comes back:
+    a mirror returns V as V but R as L and P as M.
+
+    Examples
+    --------
+    >>> for pair in ("VV", "VH", "RR", "RL"):
+    ...     print(pair, f"{detected_fraction(painted_metal(), pair=pair):.3f}")
+    VV 0.805
+    VH 0.195
+    RR 0.270
+    RL 0.730
+    """
+    matrix = as_matrices(mueller)
+    if pair == "none":
+        return matrix[..., 0, 0].copy()
+    first, second = _stokes.pair_states(pair)
+    return apply(matrix, _stokes.state(first)) @ _stokes.state(second) / 2
+
+
+def _axes_turned(angle: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the matrix that refers Stokes vectors to axes turned by an angle."""
+    cosine, sine = np.cos(2 * angle), np.sin(2 * angle)
+    matrix = np.zeros((*angle.shape, 4, 4))
+    matrix[..., 0, 0] = matrix[..., 3, 3] = 1
+    matrix[..., 1, 1] = matrix[..., 2, 2] = cosine
+    matrix[..., 1, 2] = sine
+    matrix[..., 2, 1] = -sine
+    return matrix
+
+
+def as_matrices(mueller: ArrayLike) -> NDArray[np.float64]:
+    """Return Mueller matrices as an array, refused if the last axes are not (4, 4).
+
+    Parameters
+    ----------
+    mueller : array_like
+        Mueller matrices [1].
+
+    Returns
+    -------
+    ndarray
+        The same as floats [1].
+
+    Raises
+    ------
+    ValueError
+        If the last axes are not (4, 4).
+    """
+    matrix = np.asarray(mueller, dtype=np.float64)
+    if matrix.shape[-2:] != (4, 4):
+        raise ValueError(f"mueller must have last axes (4, 4), got {matrix.shape}")
+    return matrix

@@ -1,0 +1,347 @@
+r"""Water signal in the small-angle model, for any phase function.
+
+Unlike the diffusion form, this keeps the light that was not scattered, and the shape
+of the forward peak.
+"""
+
+from __future__ import annotations
+
+from functools import cache, partial
+
+import numpy as np
+from numpy.polynomial import legendre
+from numpy.typing import ArrayLike, NDArray
+from scipy.constants import speed_of_light
+
+from amulor.optics import small_angle_diffusion
+from amulor.optics.small_angle import _kernels
+from amulor.optics.small_angle._columns import Column, overlap_of, response_of
+from amulor.optics.small_angle._depths import integral, panels
+from amulor.optics.small_angle._tables import PhaseFunction, Table, bessel
+
+__all__ = ["overlap", "water_response"]
+
+Array = NDArray[np.float64]
+
+
+def water_response(
+    modulation_frequency: ArrayLike,
+    *,
+    absorption: ArrayLike,
+    scattering: ArrayLike,
+    phase_function: PhaseFunction,
+    split_angle: float,
+    backscatter_vsf: ArrayLike | None = None,
+    group_index: ArrayLike,
+    baseline: ArrayLike,
+    receiver_radius: ArrayLike,
+    acceptance_angle: ArrayLike,
+    beam_radius: ArrayLike = 0.0,
+    beam_divergence: ArrayLike = 0.0,
+    tilt: ArrayLike = 0.0,
+    cross_tilt: ArrayLike = 0.0,
+    standoff: ArrayLike = 0.0,
+    end: ArrayLike = np.inf,
+) -> NDArray[np.complex128]:
+    r"""Return the signal that the water sends back to a Gaussian receiver.
+
+    All arguments but the phase function and its split angle are broadcast against
+    each other; axes along which only the frequency changes cost little.
+
+    Parameters
+    ----------
+    modulation_frequency : array_like
+        Frequency of the intensity modulation, not negative [Hz].
+    absorption : array_like
+        Absorption coefficient a [1/m].
+    scattering : array_like
+        Scattering coefficient b, forward and diffuse [1/m].
+    phase_function : callable
+        Phase function [1/sr] of an array of angles from 0 to pi [rad], with an
+        integral of 1 over the sphere. If it has a method
+        ``hankel(wavenumber, *, split_angle)``, this gives the transform of the
+        forward part, 1 at zero. What was worked out for it is kept for later
+        calls, so it must not change.
+    split_angle : float
+        Angle between the forward and the diffuse part, above 0 to pi [rad]. Light
+        scattered by more is lost, but for what the backscatter sends back.
+    backscatter_vsf : array_like, optional
+        Volume scattering function beta_pi at 180 degrees [1/(m sr)]; scattering
+        times the phase function there if not given.
+    group_index : array_like
+        Group index of the water at the laser wavelength, at least 1 [1].
+    baseline : array_like
+        Distance rho_0 of laser beam and receiver axis at the instrument [m].
+    receiver_radius : array_like
+        1/e radius R of the receiver aperture [m].
+    acceptance_angle : array_like
+        1/e semi-angle gamma of the receiver, in water [rad].
+    beam_radius : array_like, optional
+        1/e radius of the intensity of the Gaussian beam at the instrument [m].
+    beam_divergence : array_like, optional
+        1/e semi-angle of the beam, in water [rad].
+    tilt : array_like, optional
+        Inclination of the beam against the receiver axis in the plane of the
+        baseline, in water, positive towards the receiver [rad].
+    cross_tilt : array_like, optional
+        Inclination across the plane of the baseline, in water [rad].
+    standoff : array_like, optional
+        Path in front of the water that spreads light like this depth of water but
+        neither takes nor delays any [m].
+    end : array_like, optional
+        Depth at which the water ends, or a target stands [m]; open water if
+        infinite.
+
+    Returns
+    -------
+    ndarray of complex
+        Received per launched power, of the broadcast shape [1]. The phase is the
+        delay of the echo behind light that turns back where the water begins.
+
+    Raises
+    ------
+    ValueError
+        If an argument is outside its range or, `end` apart, not finite, or if the
+        phase function cannot be used.
+    ArithmeticError
+        If the integral over the depth does not settle.
+
+    See Also
+    --------
+    overlap : The integrand.
+    amulor.optics.small_angle_diffusion.water_response : Faster, for many scatterings.
+
+    Notes
+    -----
+    Eqs. (26) and (29) of Ricci et al. 2010 [1]_, as rebuilt and conjugated so that
+    a later echo has the larger phase, with the receiver (38). The transform is
+    :math:`W = \exp[-(R^2 + w^2) \kappa^2 / 4 - (\gamma^2 + \delta^2) \kappa^2
+    \zeta^2 / 4]` with the radius w and the divergence :math:`\delta` of a Gaussian
+    beam, which the paper leaves out.
+
+    The unscattered part is the closed form of the diffusion model without forward
+    scattering. For the rest :math:`I = z P(\kappa z) / \kappa z`, so one table of
+    the integral P of the transformed phase function serves all depths. The error
+    is below 1e-7 of the response at zero frequency for apertures from 5 mm and
+    acceptances from 20 mrad, and a little more where the receiver never meets the
+    beam. Small angles only.
+
+    References
+    ----------
+    .. [1] R. Ricci et al., EURASIP J. Adv. Signal Process. 2010, 958360,
+       :doi:`10.1155/2010/958360`.
+
+    Examples
+    --------
+    >>> from functools import partial
+    >>> from amulor.optics.phase_functions import henyey_greenstein
+    >>> response = water_response(
+    ...     [0.0, 20e6], absorption=0.15, scattering=0.35,
+    ...     phase_function=partial(henyey_greenstein, asymmetry=0.97),
+    ...     split_angle=np.pi / 2, group_index=1.34, baseline=0.2,
+    ...     receiver_radius=0.02, acceptance_angle=0.08,
+    ... )
+    >>> print(f"{abs(response[1] / response[0]):.3f}")
+    0.492
+    """
+    return response_of(
+        _response,
+        modulation_frequency,
+        phase_function=phase_function,
+        split_angle=split_angle,
+        backscatter_vsf=backscatter_vsf,
+        group_index=group_index,
+        absorption=absorption,
+        scattering=scattering,
+        baseline=baseline,
+        receiver_radius=receiver_radius,
+        acceptance_angle=acceptance_angle,
+        beam_radius=beam_radius,
+        beam_divergence=beam_divergence,
+        tilt=tilt,
+        cross_tilt=cross_tilt,
+        standoff=standoff,
+        end=end,
+    )
+
+
+def overlap(
+    depth: ArrayLike,
+    *,
+    absorption: ArrayLike,
+    scattering: ArrayLike,
+    phase_function: PhaseFunction,
+    split_angle: float,
+    baseline: ArrayLike,
+    receiver_radius: ArrayLike,
+    acceptance_angle: ArrayLike,
+    beam_radius: ArrayLike = 0.0,
+    beam_divergence: ArrayLike = 0.0,
+    tilt: ArrayLike = 0.0,
+    cross_tilt: ArrayLike = 0.0,
+    standoff: ArrayLike = 0.0,
+) -> Array:
+    r"""Return how much of the light of one depth a Gaussian receiver would take in.
+
+    Parameters
+    ----------
+    depth : array_like
+        Depth z in the water along the receiver axis, not negative [m].
+    absorption, scattering, phase_function, split_angle, baseline, \
+    receiver_radius, acceptance_angle, beam_radius, beam_divergence, tilt, \
+    cross_tilt, standoff : array_like
+        As in `water_response`.
+
+    Returns
+    -------
+    ndarray
+        F(z), of the broadcast shape; times the volume scattering function at 180
+        degrees and a step of depth it is received over launched power, and times
+        reflectance over pi it is the echo of a diffuse plane [sr].
+
+    Raises
+    ------
+    ValueError
+        If an argument is not finite or outside its range, or if the phase function
+        cannot be used.
+
+    Notes
+    -----
+    Eq. (29) of Ricci et al. 2010 [1]_, as rebuilt, with the receiver (38).
+
+    References
+    ----------
+    .. [1] R. Ricci et al., EURASIP J. Adv. Signal Process. 2010, 958360,
+       :doi:`10.1155/2010/958360`.
+
+    Examples
+    --------
+    >>> from functools import partial
+    >>> from amulor.optics.phase_functions import henyey_greenstein
+    >>> taken = overlap(
+    ...     1.5, absorption=0.15, scattering=0.35,
+    ...     phase_function=partial(henyey_greenstein, asymmetry=0.97),
+    ...     split_angle=np.pi / 2, baseline=0.2, receiver_radius=0.02,
+    ...     acceptance_angle=0.08,
+    ... )
+    >>> print(f"{taken:.2e} sr")
+    2.82e-05 sr
+    """
+    return overlap_of(
+        _light,
+        depth,
+        phase_function=phase_function,
+        split_angle=split_angle,
+        absorption=absorption,
+        scattering=scattering,
+        baseline=baseline,
+        receiver_radius=receiver_radius,
+        acceptance_angle=acceptance_angle,
+        beam_radius=beam_radius,
+        beam_divergence=beam_divergence,
+        tilt=tilt,
+        cross_tilt=cross_tilt,
+        standoff=standoff,
+    )
+
+
+# ------------------------------------------------------------- one column of water
+
+
+def _widths(column: Column) -> tuple[float, float]:
+    """Return the radius and the semi-angle of receiver and beam together."""
+    radius = np.hypot(column.receiver_radius, column.beam_radius)
+    angle = np.hypot(column.acceptance_angle, column.beam_divergence)
+    return float(radius), float(angle)
+
+
+def _without_forward_scattering(column: Column) -> dict[str, float]:
+    """Return the arguments of the diffusion form for unscattered light."""
+    radius, angle = _widths(column)
+    return {
+        "absorption": column.absorption,
+        "forward_scattering": 0.0,
+        "diffuse_scattering": column.scattering,
+        "second_moment": 0.0,
+        "baseline": column.baseline,
+        "receiver_radius": radius,
+        "acceptance_angle": angle,
+        "tilt": column.tilt,
+        "cross_tilt": column.cross_tilt,
+        "standoff": column.standoff,
+    }
+
+
+def _beam_loss(column: Column) -> float:
+    """Return the part of the peak that the width of the beam leaves."""
+    radius, angle = _widths(column)
+    own = column.receiver_radius * column.acceptance_angle
+    return (own / (radius * angle)) ** 2
+
+
+def _light(depth: Array, column: Column, spread: Table) -> Array:
+    """Return F(z) [sr]."""
+    closed = small_angle_diffusion.overlap(depth, **_without_forward_scattering(column))
+    found = closed * _beam_loss(column)
+    lit = depth > 0  # nothing is scattered before the water begins
+    found[lit] += _scattered(depth[lit], column, spread)
+    return found
+
+
+def _scattered(depth: Array, column: Column, spread: Table) -> Array:
+    """Return F(z) of light that was scattered forward at least once [sr]."""
+    radius, angle = _widths(column)
+    row = np.array(
+        [
+            column.loss(spread),
+            2 * column.scattering * spread.fraction,
+            radius**2,
+            angle**2,
+            column.baseline,
+            column.tilt,
+            column.cross_tilt,
+            column.standoff,
+            spread.split,
+        ]
+    )
+    out = np.zeros(depth.size)
+    _kernels.scattered(depth, row, spread.cells, bessel(), _wave_rule(), out)
+    peak = np.pi * (column.receiver_radius * column.acceptance_angle) ** 2
+    return peak * out
+
+
+def _response(
+    wavenumber: Array, column: Column, spread: Table
+) -> NDArray[np.complex128]:
+    """Return the integral of exp(i w z) F(z) over the column [m sr]."""
+    # Of frequency f comes w = 4 pi f n / c; group index 1 stands for n here.
+    plain = _beam_loss(column) * small_angle_diffusion.water_response(
+        np.append(0.0, wavenumber * (speed_of_light / (4 * np.pi))),
+        **_without_forward_scattering(column),
+        backscatter_vsf=1.0,
+        group_index=1.0,
+        end=column.end,
+    )
+    if column.end == 0 or column.scattering == 0:
+        return plain[1:]
+    radius, angle = _widths(column)
+    loss = column.loss(spread)
+    peak = np.pi * (column.receiver_radius * column.acceptance_angle) ** 2
+    step = min(0.3 * (radius / angle + column.baseline), 1 / (loss + column.scattering))
+    edges, values, _ = panels(
+        partial(_scattered, column=column, spread=spread),
+        lambda depth: peak / (radius**2 + (angle * (depth + column.standoff)) ** 2),
+        loss=loss,
+        length=radius / angle + column.standoff,
+        step=step,
+        end=column.end,
+        known=float(plain[0].real),
+    )
+    return plain[1:] + integral(wavenumber, edges, values)
+
+
+@cache
+def _wave_rule() -> Array:
+    """Return nodes from 0 to 1 and weights of a panel of wavenumbers."""
+    node, weight = legendre.leggauss(16)
+    return np.stack([(node + 1) / 2, weight / 2])

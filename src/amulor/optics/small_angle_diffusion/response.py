@@ -1,0 +1,386 @@
+"""Water signal of a Gaussian receiver in the small-angle diffusion model."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.constants import speed_of_light
+
+from amulor.optics._small_angle_arguments import checked
+from amulor.optics.small_angle_diffusion._columns import integral
+
+__all__ = ["narrow_receiver_response", "overlap", "water_response", "water_tail"]
+
+
+def water_response(
+    modulation_frequency: ArrayLike,
+    *,
+    absorption: ArrayLike,
+    forward_scattering: ArrayLike,
+    diffuse_scattering: ArrayLike,
+    second_moment: ArrayLike,
+    backscatter_vsf: ArrayLike,
+    group_index: ArrayLike,
+    baseline: ArrayLike,
+    receiver_radius: ArrayLike,
+    acceptance_angle: ArrayLike,
+    tilt: ArrayLike = 0.0,
+    cross_tilt: ArrayLike = 0.0,
+    standoff: ArrayLike = 0.0,
+    end: ArrayLike = np.inf,
+) -> NDArray[np.complex128]:
+    r"""Return the signal that the water between instrument and end sends back.
+
+    All arguments are broadcast against each other.
+
+    Parameters
+    ----------
+    modulation_frequency : array_like
+        Frequency of the intensity modulation, not negative [Hz].
+    absorption : array_like
+        Absorption coefficient a [1/m].
+    forward_scattering : array_like
+        Forward part b_f of the scattering coefficient [1/m].
+    diffuse_scattering : array_like
+        Other part b_d of the scattering coefficient, of the same split [1/m].
+    second_moment : array_like
+        Second moment <theta^2> of the forward part of the phase function [rad^2].
+    backscatter_vsf : array_like
+        Volume scattering function beta_pi at 180 degrees [1/(m sr)].
+    group_index : array_like
+        Group index of the water at the laser wavelength, at least 1 [1].
+    baseline : array_like
+        Distance rho_0 of laser beam and receiver axis at the instrument [m].
+    receiver_radius : array_like
+        1/e radius R of the receiver aperture [m].
+    acceptance_angle : array_like
+        1/e semi-angle gamma of the receiver, in water [rad].
+    tilt : array_like, optional
+        Inclination of the beam against the receiver axis in the plane of the
+        baseline, in water, positive towards the receiver [rad].
+    cross_tilt : array_like, optional
+        Inclination across the plane of the baseline, in water [rad].
+    standoff : array_like, optional
+        Path in front of the water that spreads light like this depth of water but
+        neither takes nor delays any: air behind a flat window counts with its
+        length times the phase index of the water [m].
+    end : array_like, optional
+        Depth at which the water ends, or a target stands [m]; open water if
+        infinite.
+
+    Returns
+    -------
+    ndarray of complex
+        Received per launched power, of the broadcast shape [1]. The phase is the
+        delay of the echo behind light that turns back where the water begins.
+
+    Raises
+    ------
+    ValueError
+        If an argument is outside its range or, `end` apart, not finite.
+    ArithmeticError
+        If the integral cannot be resolved in double precision.
+
+    See Also
+    --------
+    water_tail : What lies behind the end.
+    overlap : The integrand.
+    amulor.optics.phase_functions.integrals.forward_split : Arguments for a split angle.
+    amulor.optics.small_angle.water_response : Slower, keeps unscattered light.
+
+    Notes
+    -----
+    Eq. (46) of Ricci et al. 2010 [1]_, as rebuilt, conjugated so that a later echo
+    has the larger phase, :math:`\beta_\pi \int_0^{end} F(z) \exp(2 i \omega z n_g /
+    c)\, dz`. The integral exists for every allowed water, also without losses,
+    because F(z) falls at least with the square of the depth.
+
+    The split between forward and diffuse scattering decides how good the model is,
+    as it spreads all light by the second moment, what was never scattered included.
+    Against the small-angle form with 90 degrees, for attenuations from 0.1 to 2 1/m
+    and phase functions of natural water, a split of 90 degrees makes the cut-off 57
+    to 83 % too high and leaves a quarter of the echo of a plane at 3.9 m. With 10 to
+    20 degrees the cut-off is 5 to 26 % too high up to 0.5 1/m.
+
+    F(z) is written as Legendre series over a few panels laid out about its
+    maxima, and each term is integrated in closed form, so the cost hardly depends
+    on the frequency. The error is below 1e-12 of the response at zero frequency
+    for baselines up to 0.5 m, apertures from 1 mm and acceptances from 1 mrad.
+    Where the receiver meets the beam so far out that less than exp(-700) is left
+    of the light, the response is exactly zero.
+
+    References
+    ----------
+    .. [1] R. Ricci et al., EURASIP J. Adv. Signal Process. 2010, 958360,
+       :doi:`10.1155/2010/958360`.
+
+    Examples
+    --------
+    >>> response = water_response(
+    ...     [0.0, 18.85e6], absorption=0.0, forward_scattering=0.0,
+    ...     diffuse_scattering=0.5, second_moment=0.0, backscatter_vsf=1e-3,
+    ...     group_index=1.34, baseline=0.2, receiver_radius=0.02,
+    ...     acceptance_angle=0.08,
+    ... )
+    >>> print(f"{abs(response[1] / response[0]):.3f}")
+    0.707
+    """
+    return integral(
+        modulation_frequency=modulation_frequency,
+        absorption=absorption,
+        forward_scattering=forward_scattering,
+        diffuse_scattering=diffuse_scattering,
+        second_moment=second_moment,
+        backscatter_vsf=backscatter_vsf,
+        group_index=group_index,
+        baseline=baseline,
+        receiver_radius=receiver_radius,
+        acceptance_angle=acceptance_angle,
+        tilt=tilt,
+        cross_tilt=cross_tilt,
+        standoff=standoff,
+        start=0.0,
+        end=end,
+    )
+
+
+def overlap(
+    depth: ArrayLike,
+    *,
+    absorption: ArrayLike,
+    forward_scattering: ArrayLike,
+    diffuse_scattering: ArrayLike,
+    second_moment: ArrayLike,
+    baseline: ArrayLike,
+    receiver_radius: ArrayLike,
+    acceptance_angle: ArrayLike,
+    tilt: ArrayLike = 0.0,
+    cross_tilt: ArrayLike = 0.0,
+    standoff: ArrayLike = 0.0,
+) -> NDArray[np.float64]:
+    r"""Return how much of the light of one depth the receiver would take in.
+
+    Parameters
+    ----------
+    depth : array_like
+        Depth z in the water along the receiver axis, not negative [m].
+    absorption, forward_scattering, diffuse_scattering, second_moment, baseline, \
+    receiver_radius, acceptance_angle, tilt, cross_tilt, standoff : array_like
+        As in `water_response`.
+
+    Returns
+    -------
+    ndarray
+        F(z), of the broadcast shape; times the volume scattering function at 180
+        degrees and a step of depth it is received over launched power [sr].
+
+    Raises
+    ------
+    ValueError
+        If an argument is not finite or outside its range.
+
+    Notes
+    -----
+    Eq. (43) of Ricci et al. 2010 [1]_, as rebuilt, with the beam tilted by
+    :math:`\mathbf n_0` and with :math:`\zeta = z +` standoff,
+
+    .. math:: F(z) = \frac{\pi R^2 \gamma^2}{S(z)} \exp\Bigl[-2 (a + b_d) z
+       - \frac{|\boldsymbol\rho_0 - \mathbf n_0 \zeta|^2}{S(z)}\Bigr], \quad
+       S(z) = R^2 + \gamma^2 \zeta^2 + \tfrac23 b_f \langle\theta^2\rangle z^3 .
+
+    Small angles only; light that was not scattered is spread with the rest.
+
+    References
+    ----------
+    .. [1] R. Ricci et al., EURASIP J. Adv. Signal Process. 2010, 958360,
+       :doi:`10.1155/2010/958360`.
+
+    Examples
+    --------
+    >>> taken = overlap(
+    ...     1.5, absorption=0.15, forward_scattering=0.35, diffuse_scattering=0.0,
+    ...     second_moment=0.05, baseline=0.2, receiver_radius=0.02,
+    ...     acceptance_angle=0.08,
+    ... )
+    >>> print(f"{taken:.2e} sr")
+    4.52e-05 sr
+    """
+    z, a, b_f, b_d, moment, rho, radius, acceptance, along, across, front = checked(
+        depth=depth,
+        absorption=absorption,
+        forward_scattering=forward_scattering,
+        diffuse_scattering=diffuse_scattering,
+        second_moment=second_moment,
+        baseline=baseline,
+        receiver_radius=receiver_radius,
+        acceptance_angle=acceptance_angle,
+        tilt=tilt,
+        cross_tilt=cross_tilt,
+        standoff=standoff,
+    )
+    path = z + front
+    area = radius**2 + (acceptance * path) ** 2 + 2 / 3 * b_f * moment * z**3
+    offset = (rho - along * path) ** 2 + (across * path) ** 2
+    loss = 2 * (a + b_d) * z + offset / area
+    return np.asarray(np.pi * (radius * acceptance) ** 2 / area * np.exp(-loss))
+
+
+def water_tail(
+    modulation_frequency: ArrayLike,
+    *,
+    absorption: ArrayLike,
+    forward_scattering: ArrayLike,
+    diffuse_scattering: ArrayLike,
+    second_moment: ArrayLike,
+    backscatter_vsf: ArrayLike,
+    group_index: ArrayLike,
+    baseline: ArrayLike,
+    receiver_radius: ArrayLike,
+    acceptance_angle: ArrayLike,
+    tilt: ArrayLike = 0.0,
+    cross_tilt: ArrayLike = 0.0,
+    standoff: ArrayLike = 0.0,
+    end: ArrayLike = np.inf,
+) -> NDArray[np.complex128]:
+    r"""Return the signal that open water sends back from behind a depth.
+
+    This is what is left over when the signal of open water is subtracted from
+    that of a scene in which a target ends the water.
+
+    Parameters
+    ----------
+    modulation_frequency, absorption, forward_scattering, diffuse_scattering, \
+    second_moment, backscatter_vsf, group_index, baseline, receiver_radius, \
+    acceptance_angle, tilt, cross_tilt, standoff : array_like
+        As in `water_response`.
+    end : array_like, optional
+        Depth from which on the water counts [m].
+
+    Returns
+    -------
+    ndarray of complex
+        Received per launched power, of the broadcast shape [1], with the phase of
+        `water_response`. It is integrated from `end` on, not subtracted: its
+        error is below 1e-12 of its own value at zero frequency.
+
+    Raises
+    ------
+    ValueError
+        If an argument is outside its range or, `end` apart, not finite.
+    ArithmeticError
+        If the integral cannot be resolved in double precision.
+
+    Notes
+    -----
+    Eq. (46) of Ricci et al. 2010 [1]_, as rebuilt and conjugated, from `end` to
+    infinity.
+
+    References
+    ----------
+    .. [1] R. Ricci et al., EURASIP J. Adv. Signal Process. 2010, 958360,
+       :doi:`10.1155/2010/958360`.
+
+    Examples
+    --------
+    >>> water = dict(
+    ...     absorption=0.0, forward_scattering=0.0, diffuse_scattering=0.5,
+    ...     second_moment=0.0, backscatter_vsf=1e-3, group_index=1.34,
+    ...     baseline=0.2, receiver_radius=0.02, acceptance_angle=0.08,
+    ... )
+    >>> share = water_tail(0.0, end=3.7, **water) / water_response(0.0, **water)
+    >>> print(f"{share.real:.3f}")
+    0.069
+    """
+    return integral(
+        modulation_frequency=modulation_frequency,
+        absorption=absorption,
+        forward_scattering=forward_scattering,
+        diffuse_scattering=diffuse_scattering,
+        second_moment=second_moment,
+        backscatter_vsf=backscatter_vsf,
+        group_index=group_index,
+        baseline=baseline,
+        receiver_radius=receiver_radius,
+        acceptance_angle=acceptance_angle,
+        tilt=tilt,
+        cross_tilt=cross_tilt,
+        standoff=standoff,
+        start=end,
+        end=np.inf,
+    )
+
+
+def narrow_receiver_response(
+    modulation_frequency: ArrayLike,
+    *,
+    absorption: ArrayLike,
+    diffuse_scattering: ArrayLike,
+    backscatter_vsf: ArrayLike,
+    group_index: ArrayLike,
+    acceptance_angle: ArrayLike,
+) -> NDArray[np.complex128]:
+    r"""Return the open-water signal of a coaxial receiver of very small acceptance.
+
+    Parameters
+    ----------
+    modulation_frequency : array_like
+        Frequency of the intensity modulation, not negative [Hz].
+    absorption : array_like
+        Absorption coefficient a [1/m].
+    diffuse_scattering : array_like
+        Scattering coefficient b_d beyond the forward part [1/m].
+    backscatter_vsf : array_like
+        Volume scattering function beta_pi at 180 degrees [1/(m sr)].
+    group_index : array_like
+        Group index of the water at the laser wavelength, at least 1 [1].
+    acceptance_angle : array_like
+        1/e semi-angle gamma of the receiver, in water [rad].
+
+    Returns
+    -------
+    ndarray of complex
+        Received per launched power, of the broadcast shape [1].
+
+    Raises
+    ------
+    ValueError
+        If an argument is not finite or outside its range, or if absorption and
+        diffuse scattering are both zero.
+
+    Notes
+    -----
+    Eq. (49) of Ricci et al. 2010 [1]_, as rebuilt and conjugated,
+    :math:`\beta_\pi \pi \gamma^2 / 2 (k' - i \omega n_g / c)` with
+    :math:`k' = a + b_d`: the limit of `water_response` for baseline 0, no forward
+    scattering and :math:`\gamma \ll 2 k' R`. The aperture drops out of it.
+
+    References
+    ----------
+    .. [1] R. Ricci et al., EURASIP J. Adv. Signal Process. 2010, 958360,
+       :doi:`10.1155/2010/958360`.
+
+    Examples
+    --------
+    >>> response = narrow_receiver_response(
+    ...     [0.0, 17.8e6], absorption=0.15, diffuse_scattering=0.35,
+    ...     backscatter_vsf=1e-3, group_index=1.34, acceptance_angle=1e-3,
+    ... )
+    >>> print(f"{abs(response[1] / response[0]):.3f}")
+    0.707
+    """
+    f, a, b_d, vsf, n_g, acceptance = checked(
+        modulation_frequency=modulation_frequency,
+        absorption=absorption,
+        diffuse_scattering=diffuse_scattering,
+        backscatter_vsf=backscatter_vsf,
+        group_index=group_index,
+        acceptance_angle=acceptance_angle,
+    )
+    loss = np.asarray(a + b_d)
+    if not np.all(loss > 0):
+        raise ValueError(
+            "absorption + diffuse_scattering must be above 0 1/m for this limit, "
+            f"got {loss.min():g} 1/m"
+        )
+    rate = loss - 2j * np.pi / speed_of_light * f * n_g
+    return np.asarray(np.pi / 2 * vsf * acceptance**2 / rate)

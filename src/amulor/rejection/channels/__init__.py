@@ -1,0 +1,1 @@
+"""Polarization channels: which there are, how they mix target and water."""

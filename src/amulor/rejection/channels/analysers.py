@@ -1,0 +1,189 @@
+"""Unmixes target and water from any analyser states, in the form of Stokes vectors."""
+
+from __future__ import annotations
+
+import numpy as np
+import xarray as xr
+from numpy.typing import ArrayLike, NDArray
+
+from amulor import cube as cubes
+from amulor.errors import CubeError
+from amulor.optics.polarization import mueller, stokes
+from amulor.rejection.build import covariance_of, target_cube
+from amulor.rejection.channels import mixing
+from amulor.rejection.channels.names import names_of
+from amulor.rejection.open_water import fit_shots
+from amulor.rejection.reference.fit import Covariance, fluctuation, stacked
+
+Floats = NDArray[np.float64]
+
+#: Analyser states tell the Stokes vector if their matrix is no worse than that [1].
+_WORST_CONDITION = 100.0
+#: Target and water differ if their Stokes vectors span an angle of that sine [1].
+_SMALLEST_ANGLE = 1e-3
+
+
+def stokes_vectors(cube: xr.Dataset, *, launched: str) -> xr.DataArray:
+    r"""Return the Stokes vector of the modulated light of every sample.
+
+    Parameters
+    ----------
+    cube : xarray.Dataset
+        Level `samples` or `target_signal`, with at least four analyser states that
+        tell a Stokes vector, such as V, H, P and R.
+    launched : str
+        State that was launched: the first letter of the channels to take.
+
+    Returns
+    -------
+    xarray.DataArray
+        Complex, dimensions (stokes, modulation_frequency, row, column), the first
+        component the signal without an analyser [V].
+
+    Raises
+    ------
+    CubeError
+        If the analyser states do not tell a Stokes vector.
+
+    Notes
+    -----
+    Each component of (59) of Ricci et al. 2010, as rebuilt, is a power and so has a
+    modulation of its own, amplitude and phase. An ideal analyser with the Stokes
+    vector a passes :math:`\\tfrac12 \\mathbf a \\cdot \\mathbf S`; least squares.
+    """
+    cubes.check(cube)
+    chosen = _launched_as(cube, launched)
+    matrix = np.array([stokes.state(name[1]) / 2 for name in chosen])
+    if len(chosen) < 4 or np.linalg.cond(matrix) > _WORST_CONDITION:
+        raise CubeError(
+            f"the channels {', '.join(chosen)} do not tell a Stokes vector; needed are "
+            f"four analyser states with {launched} launched, such as "
+            f"{', '.join(launched + letter for letter in 'VHPR')}"
+        )
+    signal = cube.sel(polarization=chosen).amulor.signal.values
+    vectors = np.einsum("sc,fcij->sfij", np.linalg.pinv(matrix), signal)
+    return xr.DataArray(
+        vectors,
+        dims=("stokes", "modulation_frequency", "row", "column"),
+        coords={
+            "stokes": list("IQUV"),
+            "modulation_frequency": cube["modulation_frequency"].values,
+        },
+        attrs={"units": "V", "long_name": "Stokes vector of the modulated light"},
+    )
+
+
+def unmix_stokes(
+    cube: xr.Dataset,
+    *,
+    launched: str,
+    target_mueller: ArrayLike,
+    water_mueller: ArrayLike,
+) -> xr.Dataset:
+    r"""Separate target and water by their Mueller matrices, from all analyser states.
+
+    Parameters
+    ----------
+    cube : xarray.Dataset
+        Level `samples`, with two analyser states or more of one launched state.
+    launched : str
+        State that was launched: the first letter of the channels to take.
+    target_mueller, water_mueller : array_like, shape (4, 4)
+        Reduced Mueller matrices straight backwards [1].
+
+    Returns
+    -------
+    xarray.Dataset
+        Level `target_signal` with one channel, the first one, in which the target
+        signal is given.
+
+    Raises
+    ------
+    CubeError
+        If there are fewer than two analyser states, or both matrices make the same
+        light of what is launched.
+    ValueError
+        If a matrix is not (4, 4).
+
+    Notes
+    -----
+    Generalised least squares of :math:`y_c = t_c T + w_c W` with the shares t and w
+    that the analysers pass, (60) and (69) of Ricci et al. 2010, as rebuilt; with four
+    states it is the fit of the Stokes vector by those of target and water. The
+    fluctuation of the water is taken from the open-water shots, if there are any.
+    """
+    cubes.check(cube, "samples")
+    chosen = _launched_as(cube, launched)
+    if len(chosen) < 2:
+        raise CubeError(
+            f"the cube has the channels {', '.join(names_of(cube))}; unmixing needs "
+            f"two or more with {launched} launched"
+        )
+    shares = [
+        np.array([float(mueller.detected_fraction(matrix, pair=c)) for c in chosen])
+        for matrix in (target_mueller, water_mueller)
+    ]
+    lengths = [np.linalg.norm(share) for share in shares]
+    across = lengths[0] * lengths[1] - abs(shares[0] @ shares[1])
+    if shares[0][0] <= 0 or across < _SMALLEST_ANGLE**2 / 2 * lengths[0] * lengths[1]:
+        raise CubeError(
+            f"target and water pass the analysers {', '.join(chosen)} in the same "
+            "proportions, or the first one shows no target; other channels or other "
+            "Mueller matrices are needed to tell them apart"
+        )
+    # In units of what the first channel sees of the target.
+    weights = [list(share / shares[0][0]) for share in shares]
+    part = cube.sel(polarization=chosen)
+    signal = part.amulor.signal.values
+    errors = covariance_of(part)
+    signals = [signal[:, c] for c in range(len(chosen))]
+
+    def solve(total: Covariance) -> mixing.Unmixed:
+        return mixing.unmix(
+            signals,
+            [total.part((slice(None), c)) for c in range(len(chosen))],
+            target_weights=weights[0],
+            water_weights=weights[1],
+            water_prior=None,
+        )
+
+    found = solve(errors)
+    shots = part.amulor.open_water
+    if shots is not None:
+        # Each channel's water follows from what is left of it.
+        water = signal - np.stack([w * found.target for w in weights[0]], axis=1)
+        fits = fit_shots(part, shots)
+        stray = stacked(
+            [
+                fluctuation(fit.relative, level.ravel())
+                for fit, level in zip(
+                    fits, water.reshape(-1, *signal.shape[2:]), strict=True
+                )
+            ],
+            signal.shape,
+        )
+        found = solve(errors + stray)
+    first = cube.sel(polarization=[chosen[0]])
+    if "saturated" in cube:
+        any_of = part["saturated"].values.max(axis=1, keepdims=True)
+        first = first.assign(saturated=first["saturated"].copy(data=any_of))
+    target = found.target[:, None]
+    return target_cube(
+        first,
+        target,
+        Covariance(
+            found.independent.in_phase[:, None],
+            found.independent.quadrature[:, None],
+            found.independent.cross[:, None],
+        ),
+        water_signal=first.amulor.signal.values - target,
+        step=f"reject, unmix {', '.join(chosen)} by Mueller matrices",
+    )
+
+
+def _launched_as(cube: xr.Dataset, launched: str) -> list[str]:
+    try:
+        stokes.state(launched)
+    except ValueError as error:
+        raise CubeError(str(error)) from None
+    return [name for name in names_of(cube) if name != "none" and name[0] == launched]

@@ -1,0 +1,205 @@
+"""Depolarization ratios of water and target, estimated from the measurement itself."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import xarray as xr
+from numpy.typing import ArrayLike, NDArray
+
+from amulor import cube as cubes
+from amulor.errors import CubeError
+from amulor.rejection.build import covariance_of
+from amulor.rejection.channels.names import pair_of
+from amulor.rejection.open_water import open_water
+from amulor.rejection.reference.fit import FEWEST_SHOTS
+
+Floats = NDArray[np.float64]
+Complex = NDArray[np.complex128]
+
+
+@dataclass(frozen=True)
+class Ratio:
+    """A depolarization ratio: cross-polarized over co-polarized signal."""
+
+    value: float
+    """The ratio [1]."""
+    uncertainty: float
+    """Its standard uncertainty; for a target, the spread over the scan included [1]."""
+    source: str
+    """What it was estimated from."""
+
+
+def water_ratio(cube: xr.Dataset, *, water_only: ArrayLike | None = None) -> Ratio:
+    r"""Estimate the depolarization ratio of the water.
+
+    Parameters
+    ----------
+    cube : xarray.Dataset
+        Level `samples`, with a co-polarized channel and its partner.
+    water_only : array_like of bool, shape (row, column), optional
+        Pixels in which the beam meets no target. The open-water shots are used by
+        default.
+
+    Returns
+    -------
+    Ratio
+        One for all frequencies.
+
+    Raises
+    ------
+    CubeError
+        If there are neither shots nor pixels of water alone, or too few.
+
+    Notes
+    -----
+    Least squares of the cross-polarized on the mean co-polarized signal, frequency by
+    frequency, and their mean weighted by the scatter that the samples show: it holds
+    the noise of the instrument and the fluctuation of the water in both channels.
+    """
+    co, cross = pair_of(cube)
+    if water_only is not None:
+        mask = np.asarray(water_only, dtype=bool)
+        if mask.shape != cube["azimuth"].shape:
+            raise CubeError(
+                f"water_only has the shape {mask.shape}, the scan "
+                f"{cube['azimuth'].shape}; they must agree"
+            )
+        signal = cube.amulor.signal.values[..., mask]
+        source = f"{int(mask.sum())} pixels of water alone"
+        needed = "pixels of water alone"
+    else:
+        shots = cube.amulor.open_water
+        if shots is None:
+            raise CubeError(
+                "nothing tells the depolarization ratio of the water: the cube has no "
+                "open-water shots; name pixels without a target (water_only), or state "
+                "water_ratio (command line: --water-ratio)"
+            )
+        signal = shots["in_phase"].values + 1j * shots["quadrature"].values
+        source = f"{signal.shape[-1]} open-water shots"
+        needed = "open-water shots"
+    order = [str(value) for value in cube["polarization"].values]
+    first, second = signal[:, order.index(co)], signal[:, order.index(cross)]
+    both = np.isfinite(first) & np.isfinite(second)
+    if both.sum(axis=1).min() < FEWEST_SHOTS:
+        raise CubeError(
+            f"the depolarization ratio of the water needs {FEWEST_SHOTS} {needed} with "
+            f"numbers in {co} and {cross}, found {int(both.sum(axis=1).min())}; record "
+            "more"
+        )
+    values, errors = np.transpose(
+        [_line(a[use], b[use]) for a, b, use in zip(first, second, both, strict=True)]
+    )
+    return Ratio(*_weighted_mean(values, errors), source)
+
+
+def target_ratio(
+    cube: xr.Dataset, *, interval: tuple[float, float] | None = None
+) -> Ratio:
+    r"""Estimate the depolarization ratio of the targets.
+
+    Parameters
+    ----------
+    cube : xarray.Dataset
+        Level `samples`, with a co-polarized channel, its partner and open-water shots.
+    interval : tuple of float, optional
+        Nearest and farthest slant range that are possible [m].
+
+    Returns
+    -------
+    Ratio
+        One for all pixels; where they differ by more than their errors, the spread is
+        part of the uncertainty.
+
+    Raises
+    ------
+    CubeError
+        If there are no open-water shots, or no pixel shows a target in both channels.
+
+    Notes
+    -----
+    Open water is subtracted in each channel. With what is left,
+    :math:`r = \sum w\, \mathrm{Re}(T_a^* T_b) / \sum w (|T_a|^2 - \sigma_a^2)`: taking
+    the variance off removes the bias by noise in the denominator. The error of the
+    reference, which all pixels share, is carried through with its sign unknown.
+    """
+    co, cross = pair_of(cube)
+    # Where the survey describes the water, so much of it was never there.
+    put_back = 0.0 if cube.attrs.get("survey") else None
+    left = open_water(cube, interval=interval, column_uncertainty=put_back)
+    first, second = left.sel(polarization=co), left.sel(polarization=cross)
+    flags = first["quality_flag"].values | second["quality_flag"].values
+    usable = (flags & cubes.UNUSABLE) == 0
+    if usable.sum() < FEWEST_SHOTS:
+        raise CubeError(
+            f"{int(usable.sum())} samples show a target in both {co} and {cross} after "
+            f"open-water subtraction, needed are {FEWEST_SHOTS} to estimate its "
+            "depolarization ratio; state target_ratio (command line: --target-ratio)"
+        )
+    a, b = (part.amulor.signal.values[usable] for part in (first, second))
+    noise = [_mean_variance(part, usable) for part in (first, second)]
+    value = 0.0
+    for _ in range(3):
+        weight = 1 / np.maximum(noise[1] + value**2 * noise[0], np.finfo(float).tiny)
+        bottom = float(np.sum(weight * (np.abs(a) ** 2 - 2 * noise[0])))
+        value = float(np.sum(weight * (a.conj() * b).real)) / bottom
+    own = (a.conj() * (b - value * a)).real
+    random = np.sqrt(float(np.sum((weight * own) ** 2))) / bottom
+    each = own / np.abs(a) ** 2
+    expected = (noise[1] + value**2 * noise[0]) / np.abs(a) ** 2
+    strength = weight * np.abs(a) ** 2 / np.sum(weight * np.abs(a) ** 2)
+    spread = np.sqrt(max(float(np.sum(strength * (each**2 - expected))), 0.0))
+    # Chance makes a spread too; only what stands out of it belongs to the targets.
+    chance = float(np.sum(strength**2 * 2 * expected**2)) ** 0.25
+    spread = spread if spread > 2 * chance else 0.0
+    shared = [
+        np.sqrt(_common_variance(part, usable) / np.abs(a) ** 2)
+        for part in (first, second)
+    ]
+    common = np.hypot(
+        float(np.sum(strength * shared[1])), value * float(np.sum(strength * shared[0]))
+    )
+    count = int(usable.any(axis=0).sum())
+    return Ratio(
+        value,
+        float(np.sqrt(random**2 + spread**2 + common**2)),
+        f"{count} pixels that show a target",
+    )
+
+
+def _line(first: Complex, second: Complex) -> tuple[float, float]:
+    """Return the slope of one channel against the other, and its standard error."""
+    mean = first.mean()
+    turn = mean / abs(mean)
+    a, b = (first / turn).real, (second / turn).real
+    value = b.mean() / a.mean()
+    # Both channels follow the directions alike, so their difference does not.
+    rest = b - value * a
+    return float(value), float(rest.std(ddof=1) / np.sqrt(len(rest)) / abs(mean))
+
+
+def _weighted_mean(values: Floats, errors: Floats) -> tuple[float, float]:
+    """Return mean and uncertainty, enlarged where the values disagree."""
+    if not np.all(errors > 0):
+        return float(values.mean()), float(errors.max())
+    weight = errors**-2.0
+    mean = float(np.sum(weight * values) / weight.sum())
+    scatter = float(np.sum(weight * (values - mean) ** 2)) / max(len(values) - 1, 1)
+    return mean, float(np.sqrt(max(scatter, 1.0) / weight.sum()))
+
+
+def _mean_variance(part: xr.Dataset, usable: NDArray[np.bool_]) -> Floats:
+    """Return the mean variance of the two outputs, without what pixels share."""
+    own = covariance_of(part)
+    mean = (own.in_phase + own.quadrature)[usable] / 2
+    noise: Floats = np.maximum(mean - _common_variance(part, usable), 0.0)
+    return noise
+
+
+def _common_variance(part: xr.Dataset, usable: NDArray[np.bool_]) -> Floats:
+    in_phase = part["common_in_phase_uncertainty"].values[usable]
+    quadrature = part["common_quadrature_uncertainty"].values[usable]
+    mean: Floats = (in_phase**2 + quadrature**2) / 2
+    return mean

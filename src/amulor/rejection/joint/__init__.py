@@ -1,0 +1,1 @@
+"""Target and water estimated together, by maximum likelihood."""

@@ -1,0 +1,191 @@
+"""The target-signal cube that holds the results of the joint estimation."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+
+from amulor.cube import QualityFlag
+from amulor.optics import rays
+from amulor.rejection.build import covariance_of, target_cube
+from amulor.rejection.joint.frame import Frame
+from amulor.rejection.joint.priors import Shared
+from amulor.rejection.joint.solve import Result
+from amulor.rejection.reference.fit import Covariance
+
+Floats = NDArray[np.float64]
+
+#: A path is settled when another interval is less likely than this [1].
+_WRONG = 3e-4
+#: Samples that disagree by more than this chance say that the model is wrong [1].
+_DISAGREEMENT = 1e-4
+#: Twice the logarithm of odds beyond which the model's departures are real [1].
+_DECISIVE = 10.0
+#: Departures matter when they move a path by this much of its uncertainty [1].
+_MATTERS = 0.3
+#: Step of the optical path for the derivative of the slant range [m].
+_DIFFERENCE = 1e-5
+
+
+def cube_of(
+    cube: xr.Dataset,
+    frame: Frame,
+    parts: list[Result],
+    shared: Shared,
+    enough: NDArray[np.bool_],
+    azimuth: Floats,
+    elevation: Floats,
+) -> xr.Dataset:
+    """Return the target-signal cube of all results."""
+    rows_columns = cube["azimuth"].shape
+    shape = cube["in_phase"].shape
+
+    def over_pixels(values: list[NDArray[Any]]) -> NDArray[Any]:
+        return np.concatenate(values).reshape(rows_columns)
+
+    def over_samples(values: list[NDArray[Any]]) -> NDArray[Any]:
+        flat = np.concatenate(values)
+        return np.ascontiguousarray(flat.transpose(2, 1, 0)).reshape(shape)
+
+    def covariances(values: list[Covariance]) -> Covariance:
+        return Covariance(
+            *(
+                over_samples([getattr(part, name) for part in values])
+                for name in ("in_phase", "quadrature", "cross")
+            )
+        )
+
+    signal = cube.amulor.signal.values
+    water = over_samples([part.water for part in parts])
+    common = covariances([part.common for part in parts])
+    total = covariance_of(cube) + common
+    if shared.fluctuation > 0:
+        stray = over_samples([part.stray for part in parts if part.stray is not None])
+        total = total + Covariance(
+            stray.real**2, stray.imag**2, stray.real * stray.imag
+        )
+    path = over_pixels([part.estimates.path for part in parts])
+    seen = over_pixels([part.seen for part in parts])
+    beam = frame.beam(azimuth.reshape(rows_columns), elevation.reshape(rows_columns))
+
+    def to_range(length: Floats) -> Floats:
+        return rays.slant_range_of_path(
+            length, beam, frame.receiver, medium=frame.medium
+        )
+
+    slant_range = np.where(seen, to_range(path), np.nan)
+    slope = (to_range(path + _DIFFERENCE) - to_range(path)) / _DIFFERENCE
+    shared_variance = over_pixels([part.shared_variance for part in parts])
+    information = over_pixels([part.estimates.information for part in parts])
+    with np.errstate(divide="ignore", invalid="ignore"):
+        sigma = np.sqrt(1 / information + shared_variance)
+        departure = over_pixels([part.departure for part in parts])
+        matters = departure > _MATTERS * sigma
+    freedom, cost, chance = _misfit(parts, seen, rows_columns)
+    flag = np.zeros(rows_columns, dtype=np.int16)
+    wrong = over_pixels([part.estimates.wrong for part in parts])
+    flag[seen & (wrong > _WRONG)] |= QualityFlag.AMBIGUOUS
+    contradicted = chance < _DISAGREEMENT
+    flag[contradicted] |= QualityFlag.WATER_RESIDUAL
+    if shared.evidence > _DECISIVE:
+        flag[seen & matters] |= QualityFlag.WATER_RESIDUAL
+    flag[~seen] |= QualityFlag.NO_TARGET
+    flag[~enough.reshape(rows_columns)] |= QualityFlag.NO_TARGET
+    target = target_cube(
+        cube,
+        signal - water,
+        total,
+        water_signal=water,
+        common=common,
+        step="reject, joint estimation",
+        **_attributes(shared, frame),
+    )
+    missing = ~np.isfinite(signal)
+    flags = np.broadcast_to(flag, shape).copy()
+    if "saturated" in cube:
+        flags[cube["saturated"].values != 0] |= QualityFlag.SATURATED
+    flags[missing] = QualityFlag.MISSING
+    target["quality_flag"].values[...] = flags
+    half = [
+        np.hypot(
+            over_pixels([getattr(part.estimates, side) for part in parts]),
+            np.sqrt(shared_variance),
+        )
+        * slope
+        for side in ("lower", "upper")
+    ]
+    usable = seen & np.isfinite(slant_range)
+    maps = {
+        "slant_range": (slant_range, "m", "distance from the emitter along the beam"),
+        "uncertainty": (slope * sigma, "m", "standard uncertainty of the slant range"),
+        "common_uncertainty": (
+            slope * np.sqrt(shared_variance),
+            "m",
+            "part of the uncertainty that all pixels share",
+        ),
+        "bound": (
+            slope * np.sqrt(over_pixels([part.bound for part in parts])),
+            "m",
+            "Cramer-Rao bound of the slant range",
+        ),
+        "lower": (slant_range - half[0], "m", "lower end of the 68 % interval"),
+        "upper": (slant_range + half[1], "m", "upper end of the 68 % interval"),
+        "wrong_interval": (wrong, "1", "probability of another ambiguity interval"),
+    }
+    found = {
+        f"user_joint_{name}": _map(np.where(usable, values, np.nan), units, long_name)
+        for name, (values, units, long_name) in maps.items()
+    }
+    found["user_joint_misfit"] = _map(
+        cost / np.maximum(freedom, 1), "1", "chi-square over its degrees of freedom"
+    )
+    return target.assign(found)
+
+
+def _map(values: Floats, units: str, long_name: str) -> xr.Variable:
+    return xr.Variable(
+        ("row", "column"), values, {"long_name": long_name, "units": units}
+    )
+
+
+def _misfit(
+    parts: list[Result], seen: NDArray[np.bool_], shape: tuple[int, ...]
+) -> tuple[Floats, Floats, Floats]:
+    """Return degrees of freedom, chi-square and its chance, pixel by pixel."""
+    from scipy.stats import chi2
+
+    channels = parts[0].estimates.amplitude.shape[1]
+    used = np.concatenate([part.estimates.used for part in parts]).reshape(shape)
+    own = np.concatenate([part.estimates.cost for part in parts]).reshape(shape)
+    empty = np.concatenate([part.estimates.empty_cost for part in parts]).reshape(shape)
+    cost = np.where(seen, own, empty)
+    freedom = np.where(seen, used - channels - 1, used).astype(float)
+    chance = np.ones(shape)
+    some = freedom > 0
+    chance[some] = chi2.sf(cost[some], freedom[some])
+    return freedom, cost, chance
+
+
+def _attributes(shared: Shared, frame: Frame) -> dict[str, Any]:
+    """Return what the pixels share as attributes of a cube."""
+    channels = len(shared.strength)
+    errors = np.sqrt(np.diag(shared.covariance)[: channels + 3])
+    loss, spread = shared.shape.reduced_attenuation, shared.shape.spread
+    forward = shared.shape.forward_scattering
+    return {
+        "joint_water_strength_volt": shared.strength,
+        "joint_water_strength_uncertainty_volt": errors[:channels],
+        "joint_reduced_attenuation_per_m": loss,
+        "joint_reduced_attenuation_uncertainty_per_m": loss * errors[channels],
+        "joint_spread_rad2_per_m": spread,
+        "joint_spread_uncertainty_rad2_per_m": spread * errors[channels + 1],
+        "joint_forward_scattering_per_m": forward,
+        "joint_forward_scattering_uncertainty_per_m": forward * errors[channels + 2],
+        "joint_fluctuation": shared.fluctuation,
+        "joint_departure_widths": np.array(shared.tried),
+        "joint_departure_evidence": shared.evidence,
+        "joint_misfit": shared.misfit,
+    }

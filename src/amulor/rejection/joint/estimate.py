@@ -1,0 +1,170 @@
+"""Estimates target and water together from samples at several frequencies."""
+
+from __future__ import annotations
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+
+from amulor import cube as cubes
+from amulor.errors import CubeError
+from amulor.rejection.joint import pixels as joint_pixels
+from amulor.rejection.joint import shared as joint_shared
+from amulor.rejection.joint.cube import cube_of
+from amulor.rejection.joint.frame import frame_of
+from amulor.rejection.joint.pixels import Pixels
+from amulor.rejection.joint.samples import (
+    FEWEST_FREQUENCIES,
+    SHARING,
+    flat,
+    refuse_errors_of_zero,
+    refuse_other_windows,
+    refuse_what_cannot_be_told_apart,
+    shot_directions,
+    shot_pixels,
+)
+from amulor.rejection.joint.solve import solve
+from amulor.rejection.reference.fit import Covariance
+
+Floats = NDArray[np.float64]
+Complex = NDArray[np.complex128]
+
+#: Pixels worked on at once: this bounds the memory beyond the cube itself.
+_AT_ONCE = 16_384
+
+
+def joint(
+    cube: xr.Dataset,
+    *,
+    interval: tuple[float, float] | None = None,
+    echo_transfer: NDArray[np.complex128] | None = None,
+) -> xr.Dataset:
+    r"""Estimate target and water signal together, by maximum likelihood.
+
+    Parameters
+    ----------
+    cube : xarray.Dataset
+        Level `samples` with at least two modulation frequencies and the attribute
+        `survey`, of which the instrument and the scan are used and the optical
+        properties of the water are not. Open-water shots are used if there are any.
+    interval : tuple of float, optional
+        Nearest and farthest slant range that are possible [m]. From 0 to the
+        unambiguous range of the frequencies by default.
+    echo_transfer : ndarray of complex, optional
+        What the echo of the target has beyond its delay at each frequency, such as
+        the spread of its arrival times, if it is known [1]; 1 by default.
+
+    Returns
+    -------
+    xarray.Dataset
+        Level `target_signal`: the samples less the water signal that ends at the
+        target. Variables that begin with `user_joint_` hold, over (row, column), the
+        `slant_range` [m], its `uncertainty`, the part of it that all pixels share
+        (`common_uncertainty`), the Cramer-Rao `bound`, `lower` and `upper` ends of
+        the 68 % interval from the profile of the likelihood, the probability
+        `wrong_interval` and the `misfit` (chi-square over its degrees of freedom).
+        Attributes that begin with `joint_` hold what the pixels share.
+
+    Raises
+    ------
+    CubeError
+        If the cube has a single frequency, no survey, errors that are zero, a
+        receiver that does not see the beam, or a scan that moves towards a window.
+    ValueError
+        If the interval is empty or holds far too many ambiguity intervals, or the
+        transfer is not one number above zero for each frequency.
+
+    Notes
+    -----
+    In channel c and at frequency f a pixel shows
+    :math:`A_c H(f) e^{2 \pi i f p / c_0} + s_c W(f; k', b_f \langle\theta^2\rangle,
+    z)`, with the optical path p and the depth z of the target, and W the water signal
+    (46) of [1]_, as rebuilt, that ends there. Strengths and shape of W belong to the
+    whole scan. A smooth factor on its overlap, light from in front of all targets and
+    departures of the echo at each frequency, with priors whose widths the data choose,
+    stand for what the model does not know; their uncertainty is part of that of the
+    result. A random change of the water signal from sample to sample is estimated from
+    the scatter. Light that is scattered on its way to the target arrives late; what
+    `echo_transfer` does not hold of that is in the slant range.
+
+    Flags: `NO_TARGET` where open water explains the samples about as well;
+    `AMBIGUOUS` where another interval is likelier than 3e-4; `WATER_RESIDUAL` where
+    the samples contradict the model (chi-square beyond chance 1e-4) or the departures
+    that the scan shows move the path by 0.3 of its uncertainty or more.
+
+    References
+    ----------
+    .. [1] R. Ricci et al., EURASIP J. Adv. Signal Process. 2010, 958360,
+       :doi:`10.1155/2010/958360`.
+    """
+    cubes.check(cube, "samples")
+    frequency = cube["modulation_frequency"].values
+    refuse_what_cannot_be_told_apart(cube)
+    transfer = _checked_transfer(echo_transfer, frequency)
+    signal, errors, usable = flat(cube)
+    refuse_errors_of_zero(errors, usable)
+    azimuth = cube["azimuth"].values.ravel().astype(float)
+    elevation = cube["elevation"].values.ravel().astype(float)
+    shots = cube.amulor.open_water
+    places = shot_directions(cube, shots)
+    frame = frame_of(
+        cube,
+        np.concatenate([azimuth, places[0]]),
+        np.concatenate([elevation, places[1]]),
+    )
+    refuse_other_windows(cube, frame)
+
+    def pixels(which: NDArray[np.intp] | slice) -> Pixels:
+        return joint_pixels.pixels_of(
+            frame,
+            signal[which],
+            Covariance(
+                errors.in_phase[which], errors.quadrature[which], errors.cross[which]
+            ),
+            usable[which],
+            azimuth[which],
+            elevation[which],
+            interval=interval,
+            modulation_frequency=frequency,
+        )
+
+    enough = usable.any(axis=1).sum(axis=1) >= FEWEST_FREQUENCIES
+    if not enough.any():
+        raise CubeError(
+            "no pixel has usable samples at two frequencies or more; look at the "
+            "flags of the samples (missing, saturated) and measure again"
+        )
+    chosen = np.flatnonzero(enough)
+    chosen = chosen[
+        np.linspace(0, len(chosen) - 1, min(SHARING, len(chosen))).astype(int)
+    ]
+    some = pixels(chosen)
+    longest = float(some.depths.max())
+    shared = joint_shared.fit(
+        frame,
+        some,
+        shot_pixels(frame, shots, places, frequency),
+        transfer=transfer,
+        longest=longest,
+    )
+    parts = [
+        solve(frame, pixels(slice(first, first + _AT_ONCE)), shared, transfer)
+        for first in range(0, len(signal), _AT_ONCE)
+    ]
+    return cube_of(cube, frame, parts, shared, enough, azimuth, elevation)
+
+
+def _checked_transfer(
+    transfer: NDArray[np.complex128] | None, frequency: Floats
+) -> Complex:
+    if transfer is None:
+        return np.ones(frequency.size, dtype=complex)
+    given = np.asarray(transfer, dtype=complex)
+    if given.shape != frequency.shape or not np.all(
+        np.isfinite(given) & (np.abs(given) > 0)
+    ):
+        raise ValueError(
+            f"echo_transfer must be one finite number other than 0 for each of the "
+            f"{frequency.size} modulation frequencies, got shape {given.shape}"
+        )
+    return given

@@ -1,0 +1,396 @@
+"""Tables of the water signal against its end, for every direction of a scan."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import xarray as xr
+from numpy.polynomial import legendre
+from numpy.typing import NDArray
+from scipy.constants import speed_of_light
+
+from amulor.errors import CubeError
+from amulor.optics import rays, small_angle_diffusion
+from amulor.rejection.joint._kernels import model as _joint_kernels
+from amulor.rejection.joint.shape import COEFFICIENTS, Shape, hats
+from amulor.survey import Survey, water_properties
+from amulor.survey.view import kernel_arguments, medium, view
+
+Floats = NDArray[np.float64]
+Complex = NDArray[np.complex128]
+
+#: Nodes of depth within one period of the highest frequency, out and back.
+_NODES_PER_PERIOD = 20
+#: More would not be a scan but a mistake in the interval.
+_MOST_NODES = 6000
+#: What the interpolation over the scan may miss, of the largest overlap [1].
+_INTERPOLATION = 1e-4
+_DEGREES = (2, 4, 6, 8, 10)
+#: Components of the dependence on the direction are left out below this [1].
+_SMALLEST_COMPONENT = 1e-5
+#: Depths behind which less than this share of the water signal is left [1].
+_NOTHING_LEFT = 1e-7
+_ORDER = 4
+#: Length of a cell behind the last target, in periods of the highest frequency [1].
+_BEHIND = 0.3
+
+
+@dataclass(frozen=True)
+class Table:
+    """Water signal of unit strength against the depth where the water ends.
+
+    Strength 1 is 1 V of open water at frequency 0 in the middle of the scan.
+    """
+
+    step: float
+    """Distance of the nodes of depth [m]."""
+    value: Complex
+    """Water signal, axes (component, node, frequency) [1]."""
+    slope: Complex
+    """Its derivative with respect to the depth [1/m]."""
+    change: Complex
+    """Derivative with respect to the parameters of the shape, one axis more [1]."""
+    basis: Floats
+    """How much of each component a direction of `Frame` has, (direction, component)."""
+    level: Floats
+    """Open water at frequency 0, by component; 1 in the middle of the scan [1]."""
+    strength: float
+    """Received per launched power behind strength 1, per backscatter [sr m]."""
+
+
+class Frame:
+    """How the receiver looks at a scan: what tables of the water signal need.
+
+    Parameters
+    ----------
+    survey : Survey
+        Receiver and scan count, and the end of the water; the optical properties of
+        the water do not, but for its indices.
+    azimuth, elevation : ndarray
+        Directions that will be asked for, of any shape [rad].
+    modulation_frequency : ndarray
+        Modulation frequencies [Hz].
+    """
+
+    def __init__(
+        self,
+        survey: Survey,
+        azimuth: Floats,
+        elevation: Floats,
+        *,
+        modulation_frequency: Floats,
+    ) -> None:
+        properties = water_properties(survey)
+        self.survey = survey
+        self.medium = medium(survey, properties)
+        self.wavenumber = 2 * np.pi * modulation_frequency / speed_of_light
+        end = survey.water.column_end
+        self.end = np.inf if end is None else end
+        self._properties = properties
+        self._frequency = modulation_frequency
+        self._box = [
+            (float(np.min(values)), float(np.max(values)))
+            for values in (azimuth, elevation)
+        ]
+        self._choose_degree()
+
+    def _choose_degree(self) -> None:
+        """Take the lowest degree over the scan that follows the overlap."""
+        shape = Shape(0.3, 0.02, 0.4, np.zeros(0), np.zeros(0))
+        depth = np.linspace(0.02, 12.0, 240)
+        inner = np.array([-0.83, -0.31, 0.12, 0.57, 0.94])
+        at = np.stack(np.meshgrid(inner, inner), axis=-1).reshape(-1, 2)
+        test = [
+            0.5 * (low + high) + 0.5 * (high - low) * at[:, axis]
+            for axis, (low, high) in enumerate(self._box)
+        ]
+        exact = self._overlap(depth, shape, self._arguments(*test))
+        for degree in _DEGREES:
+            axes = []
+            for low, high in self._box:
+                count = degree + 1 if high - low > 1e-9 else 1
+                node = np.cos(np.pi * (np.arange(count) + 0.5) / count)
+                axes.append(0.5 * (low + high) + 0.5 * (high - low) * node)
+            self._axes = axes
+            both = np.meshgrid(*axes, indexing="ij")
+            self._nodes = self._arguments(both[0].ravel(), both[1].ravel())
+            near = self.weights(*test) @ self._overlap(depth, shape, self._nodes)
+            if np.max(np.abs(near - exact)) <= _INTERPOLATION * np.max(exact):
+                return
+        raise CubeError(
+            "the water signal changes too quickly over the scan to be tabulated; "
+            "split the scan into smaller ones"
+        )
+
+    def _arguments(self, azimuth: Floats, elevation: Floats) -> dict[str, Any]:
+        """Return the arguments of the overlap, without those of the water."""
+        where = view(self.survey, azimuth, elevation, medium=self.medium)
+        found = kernel_arguments(self.survey, self._properties, where)
+        for name in (
+            "absorption",
+            "forward_scattering",
+            "diffuse_scattering",
+            "second_moment",
+        ):
+            del found[name]
+        return found
+
+    def weights(self, azimuth: Floats, elevation: Floats) -> Floats:
+        """Return how the nodes of the scan make up given directions.
+
+        Parameters
+        ----------
+        azimuth, elevation : ndarray, shape (n,)
+            Directions [rad].
+
+        Returns
+        -------
+        ndarray, shape (n, nodes)
+            Lagrange polynomials over azimuth and elevation [1].
+        """
+        parts = []
+        for node, place in zip(self._axes, (azimuth, elevation), strict=True):
+            part = np.ones((len(place), len(node)))
+            for j in range(len(node)):
+                for k in range(len(node)):
+                    if k != j:
+                        part[:, j] *= (place - node[k]) / (node[j] - node[k])
+            parts.append(part)
+        product: Floats = np.einsum("ni,nj->nij", *parts).reshape(len(azimuth), -1)
+        return product
+
+    def optical_offset(self, azimuth: Floats, elevation: Floats) -> Floats:
+        """Return the optical path before the water, out and back [m]."""
+        where = view(self.survey, azimuth, elevation, medium=self.medium)
+        return np.broadcast_to(where.optical_offset, azimuth.shape)
+
+    def beam(self, azimuth: Floats, elevation: Floats) -> rays.Beam:
+        """Return the beams of given directions."""
+        return rays.enter_water(
+            self.survey.instrument.emitter.position,
+            rays.direction(azimuth, elevation),
+            medium=self.medium,
+        )
+
+    @property
+    def receiver(self) -> Floats:
+        """Where the light is collected [m]."""
+        return np.asarray(self.survey.instrument.receiver.position, dtype=float)
+
+    def _overlap(self, depth: Floats, shape: Shape, where: dict[str, Any]) -> Floats:
+        """Return the overlap of (direction, depth), without the correction.
+
+        (43) of Ricci et al. 2010, as rebuilt, for the light that was scattered and
+        again, without spread, for the light that was not; together they have the
+        spread of the model. Scattering without bounds leaves (43) itself.
+        """
+        straight = np.exp(-2 * shape.forward_scattering * depth)
+        # The smallest number keeps the start of the water in range.
+        bent = np.maximum(1 - straight, np.finfo(float).tiny)
+        geometry = {name: np.asarray(v)[..., None] for name, v in where.items()}
+        common = {"absorption": shape.reduced_attenuation, "diffuse_scattering": 0.0}
+
+        def overlap(spread: Floats | float) -> Floats:
+            return small_angle_diffusion.overlap(
+                depth[None, :],
+                forward_scattering=spread,
+                second_moment=1.0,
+                **common,
+                **geometry,
+            )
+
+        spread = np.where(depth > 0, shape.spread / bent, 0.0)
+        light: Floats = straight * overlap(0.0) + bent * overlap(spread)
+        return light
+
+    def nothing_left(self, shape: Shape) -> float:
+        """Return the depth that all but a trace of the water signal comes from [m]."""
+        depth = np.geomspace(1e-2, 2e3, 1500)
+        light = self._overlap(depth, shape, self._nodes).max(axis=0)
+        left = np.cumsum((light * depth)[::-1])[::-1]
+        if left[0] < _SMALLEST_STRENGTH:
+            raise _unseen()
+        return float(depth[np.argmax(left <= _NOTHING_LEFT * left[0])])
+
+    def quantiles(self, shape: Shape, share: Floats) -> Floats:
+        """Return the depths from in front of which given shares of the light come."""
+        depth = np.linspace(0, min(self.nothing_left(shape), self.end), 4000)
+        light = self._overlap(depth, shape, self._nodes).mean(axis=0)
+        total = np.cumsum(light)
+        return np.asarray(np.interp(share, total / total[-1], depth))
+
+    def middle(self, depth: Floats, shape: Shape) -> Floats:
+        """Return the overlap in the middle of the scan, with the correction [sr]."""
+        centre = self.weights(*(np.array([0.5 * sum(box)]) for box in self._box))[0]
+        factor = np.exp(shape.correction @ hats(depth, shape.knots))
+        found: Floats = centre @ self._overlap(depth, shape, self._nodes) * factor
+        return found
+
+    def table(self, shape: Shape, *, longest: float, derivatives: bool = True) -> Table:
+        """Integrate the water signal up to every depth.
+
+        Parameters
+        ----------
+        shape : Shape
+            Shape of the water signal.
+        longest : float
+            Depth beyond which no target stands [m].
+        derivatives : bool
+            Whether to add those with respect to the shape.
+
+        Returns
+        -------
+        Table
+            The last node stands for open water.
+
+        Notes
+        -----
+        (46) of Ricci et al. 2010, as rebuilt and conjugated, by Gauss's rule with
+        four points between neighbouring nodes.
+        """
+        period = 2 * np.pi / self.wavenumber.max() / (2 * self.medium.group_index)
+        far = min(self.nothing_left(shape), self.end)
+        inner = min(longest, far)
+        step = period / _NODES_PER_PERIOD
+        count = max(int(np.ceil(inner / step)), 8)
+        if count > _MOST_NODES:
+            raise CubeError(
+                f"the water signal reaches {inner:.3g} m, which is {count} steps of "
+                f"{step * 1e3:.2g} mm at the highest frequency; narrow the interval of "
+                "slant ranges, or leave the highest frequencies out"
+            )
+        edges = np.arange(count + 1) * step
+        if far > edges[-1]:
+            # Behind the last target only the sum counts: longer cells.
+            more = int(np.ceil((far - edges[-1]) / (_BEHIND * period)))
+            edges = np.append(edges, np.linspace(edges[-1], far, more + 1)[1:])
+        point, weight = legendre.leggauss(_ORDER)
+        width = np.diff(edges)
+        middle = 0.5 * (edges[1:] + edges[:-1])
+        z = (middle[:, None] + 0.5 * width[:, None] * point).ravel()
+        share = (0.5 * width[:, None] * weight).ravel()
+        profile = self._profiles(z, shape, derivatives=derivatives)
+        at_edge = self._profiles(edges, shape, derivatives=False)[0]
+        component = _components(profile[0], profile[1:])
+        rate = 2 * self.medium.group_index * self.wavenumber
+        phasor = np.exp(1j * rate * z[:, None])
+        parameters, size = len(profile), component.shape[1]
+        total = np.empty((parameters, size, count + 2, rate.size), dtype=complex)
+        reduced = np.ascontiguousarray(component.T @ profile * share)
+        _joint_kernels.integrate(reduced, phasor, _ORDER, count, total)
+        slope = np.zeros_like(total[0])
+        slope[:, : count + 1] = (component.T @ at_edge)[:, : count + 1, None] * np.exp(
+            1j * rate * edges[: count + 1, None]
+        )
+        # Strength: open water at frequency 0 in the middle of the scan.
+        centre = self.weights(*(np.array([0.5 * sum(box)]) for box in self._box))[0]
+        at_zero = (centre @ profile) @ share
+        strength = float(at_zero[0])
+        if strength < _SMALLEST_STRENGTH:
+            raise _unseen()
+        change = total[1:] / strength - (
+            total[0] * (at_zero[1:] / strength**2)[:, None, None, None]
+        )
+        level = component.T @ (profile[0] @ share) / strength
+        return Table(
+            step,
+            total[0] / strength,
+            slope / strength,
+            change,
+            component,
+            level,
+            strength,
+        )
+
+    def _profiles(self, depth: Floats, shape: Shape, *, derivatives: bool) -> Floats:
+        """Return the overlap and its derivatives, (parameter, direction, depth)."""
+        hat = hats(depth, shape.knots)
+        factor = np.exp(shape.correction @ hat)
+
+        def light(of: Shape) -> Floats:
+            found: Floats = self._overlap(depth, of, self._nodes) * factor
+            # Numbers next to nothing make every product below slow.
+            found[found < _NEXT_TO_NOTHING * found.max()] = 0.0
+            return found
+
+        base = light(shape)
+        if not derivatives:
+            return base[None]
+        changes = [-2 * shape.reduced_attenuation * depth * base]
+        for parameter in range(1, COEFFICIENTS):
+            step = np.zeros(COEFFICIENTS + len(shape.knots))
+            step[parameter] = _SMALL
+            changes.append((light(shape.moved(step)) - base) / _SMALL)
+        return np.stack([base, *changes, *(base * row for row in hat)])
+
+
+#: A receiver that takes in less than this sees no beam [sr m].
+_SMALLEST_STRENGTH = 1e-100
+
+
+def _unseen() -> CubeError:
+    return CubeError(
+        "the receiver does not see the beam at any depth, so there is no water "
+        "signal to estimate; check position and axis of the receiver in the survey of "
+        "the cube, or reject nothing (keep_water)"
+    )
+
+
+#: Share of the largest overlap that counts as zero [1].
+_NEXT_TO_NOTHING = 1e-30
+#: Step of the logarithm of a coefficient for a derivative: what a one-sided one errs
+#: by and what rounding leaves of it are both far below what a step of the fit needs.
+_SMALL = 1e-5
+
+
+def _components(light: Floats, derivatives: Floats) -> Floats:
+    """Return the directions in the space of the nodes that the profiles fill."""
+    blocks = [light, *derivatives]
+    gram = np.zeros((light.shape[0], light.shape[0]))
+    for block in blocks:
+        size = np.max(np.abs(block))
+        if size > 0:
+            part = block[:, ::_ORDER] / size
+            gram += part @ part.T
+    values, vectors = np.linalg.eigh(gram)
+    kept = values > _SMALLEST_COMPONENT**2 * values[-1]
+    found: Floats = np.ascontiguousarray(vectors[:, kept])
+    return found
+
+
+def frame_of(cube: xr.Dataset, azimuth: Floats, elevation: Floats) -> Frame:
+    """Return the frame of a cube whose survey describes the receiver.
+
+    Parameters
+    ----------
+    cube : xarray.Dataset
+        With the attribute `survey`.
+    azimuth, elevation : ndarray
+        Directions that will be asked for [rad].
+
+    Returns
+    -------
+    Frame
+        What tables of the water signal need.
+
+    Raises
+    ------
+    CubeError
+        If the cube has no survey.
+    """
+    text = cube.attrs.get("survey")
+    if not text:
+        raise CubeError(
+            "the cube has no attribute 'survey', from which the geometry of the "
+            "receiver is taken; add the text of a survey file that describes the "
+            "instrument, or use the open-water method"
+        )
+    survey = Survey.from_text(text, name="survey in the cube")
+    return Frame(
+        survey,
+        azimuth,
+        elevation,
+        modulation_frequency=cube["modulation_frequency"].values,
+    )

@@ -1,0 +1,240 @@
+"""Shared parameters, what is known of them beforehand, and their normal equations."""
+
+from __future__ import annotations
+
+import itertools
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import solve_triangular
+
+from amulor.rejection.joint.frame import Table
+from amulor.rejection.joint.shape import COEFFICIENTS, Shape
+
+Floats = NDArray[np.float64]
+Complex = NDArray[np.complex128]
+#: Standard deviations of correction, departure and echo [1].
+Widths = tuple[float, float, float]
+
+#: Weak knowledge of natural waters: centre and standard deviation of the logarithms of
+#: k' [1/m], b_f <theta^2> [rad^2/m] and b_f [1/m]; a factor of 7 either way.
+_CENTRE = np.log([0.4, 0.02, 1.0])
+_PRIOR = 2.0
+#: Standard deviations tried for what the model does not know: the logarithm of the
+#: overlap at the knots, departures of the water signal over its strength, and those of
+#: the echo [1].
+_TRIED = (
+    (1e-3, 0.01, 0.03, 0.1, 0.3, 1.0),
+    (1e-6, 3e-4, 1e-3, 3e-3, 0.01, 0.03, 0.1),
+    (1e-6, 3e-4, 1e-3, 3e-3, 0.01, 0.03),
+)
+
+#: No widths yet.
+NONE: Widths = (0.0, 0.0, 0.0)
+
+
+@dataclass(frozen=True)
+class Shared:
+    """Estimate of everything that the pixels share."""
+
+    shape: Shape
+    """Shape of the water signal."""
+    table: Table
+    """Water signal of that shape against its end."""
+    strength: Floats
+    """Strength of the water signal in each channel, see `Table` [V]."""
+    departure: Complex
+    """Departure of the water signal from the model, over the strength, which depends
+    on the frequency only: light from in front of all targets, (channel, frequency)
+    [1]."""
+    echo: Complex
+    """Relative departure of the target's echo from a delay, (frequency,) [1]."""
+    fluctuation: float
+    """Relative random change of the water signal from sample to sample [1]."""
+    covariance: Floats
+    """Covariance of all parameters, in the order of `Layout`."""
+    parametric: Floats
+    """Covariance of the strengths and the logarithms of k' and spread, if the model
+    were right and nothing else known."""
+    tried: Widths
+    """Standard deviations that the data prefer for correction, departure, echo [1]."""
+    evidence: float
+    """Twice the logarithm of how much the data prefer departures over none [1]."""
+    misfit: float
+    """Sum of squared errors over its degrees of freedom [1]."""
+
+    @property
+    def gain(self) -> Complex:
+        """Strength at each frequency, (channel, frequency) [V]."""
+        gain = np.repeat(self.strength[:, None], self.echo.size, axis=1)
+        return gain.astype(complex)
+
+    def light(self, water: Complex, near: Complex) -> Complex:
+        """Return the water signal of pixels, (pixel, channel, frequency) [V].
+
+        Parameters
+        ----------
+        water, near : ndarray of complex, shape (pixel, frequency)
+            Water signal of unit strength, of the model and from the start [1].
+
+        Returns
+        -------
+        ndarray of complex
+            With its departure.
+        """
+        return self.strength[:, None] * water[:, None] + self.offset * near[:, None]
+
+    @property
+    def offset(self) -> Complex:
+        """Departure in the middle of the scan, (channel, frequency) [V]."""
+        return self.strength[:, None] * self.departure
+
+
+@dataclass(frozen=True)
+class Layout:
+    """Where each group of parameters stands in a vector of all of them."""
+
+    channels: int
+    frequencies: int
+    knots: int
+
+    @property
+    def strength(self) -> slice:
+        """Strengths of the channels."""
+        return slice(0, self.channels)
+
+    @property
+    def shape(self) -> slice:
+        """Logarithms of k' and spread, then the correction."""
+        return slice(self.channels, self.channels + COEFFICIENTS + self.knots)
+
+    @property
+    def parametric(self) -> slice:
+        """Strengths, k' and spread."""
+        return slice(0, self.channels + COEFFICIENTS)
+
+    @property
+    def blocks(self) -> tuple[slice, slice, slice]:
+        """Correction, departure of the water, departure of the echo."""
+        a = self.channels + COEFFICIENTS
+        b = a + self.knots
+        c = b + 2 * self.channels * self.frequencies
+        return slice(a, b), slice(b, c), slice(c, c + 2 * self.frequencies)
+
+    @property
+    def size(self) -> int:
+        """Number of parameters."""
+        return int(self.blocks[2].stop)
+
+
+def whitened(weights: Floats, values: Complex) -> Floats:
+    """Return values in units of their errors, (pixel, channel, outputs)."""
+    return whitened_columns(weights, values[..., None]).reshape(*values.shape[:2], -1)
+
+
+def whitened_columns(weights: Floats, values: Complex) -> Floats:
+    """Return columns in units of the errors, (pixel, outputs, column)."""
+    xx, xy, yy = (weights[..., k, :, None] for k in range(3))
+    root = np.sqrt(xx)
+    slant = np.divide(xy, root, out=np.zeros_like(root), where=root > 0)
+    rest = np.sqrt(np.maximum(yy - slant**2, 0.0))
+    out = np.stack(
+        [root * values.real + slant * values.imag, rest * values.imag], axis=-2
+    )
+    return out.reshape(len(values), -1, values.shape[-1])
+
+
+def inverse_of(matrix: Floats) -> Floats:
+    """Return the inverse of normal equations, rows and columns scaled first."""
+    scale = np.sqrt(np.maximum(np.diag(matrix), np.finfo(float).tiny))
+    scaled = matrix / np.outer(scale, scale)
+    values, vectors = np.linalg.eigh(scaled)
+    values = np.maximum(values, 1e-13 * values[-1])
+    found: Floats = (vectors / values) @ vectors.T / np.outer(scale, scale)
+    return found
+
+
+def prior_of(state: Shared, layout: Layout, tried: Widths) -> tuple[Floats, Floats]:
+    """Return the precision of the priors, and how far off their centres a state is."""
+    precision, origin = np.zeros(layout.size), np.zeros(layout.size)
+    at = layout.shape.start
+    shape = state.shape
+    precision[at : at + COEFFICIENTS] = _PRIOR**-2
+    origin[at : at + COEFFICIENTS] = (
+        np.log([shape.reduced_attenuation, shape.spread, shape.forward_scattering])
+        - _CENTRE
+    )
+    current = (
+        state.shape.correction,
+        np.concatenate([state.departure.real.ravel(), state.departure.imag.ravel()]),
+        np.concatenate([state.echo.real, state.echo.imag]),
+    )
+    for block, width, values in zip(layout.blocks, tried, current, strict=True):
+        if width > 0:
+            precision[block] = width**-2
+        origin[block] = values
+    return precision, origin
+
+
+def widths_of(
+    matrix: Floats, vector: Floats, state: Shared, layout: Layout
+) -> tuple[Widths, float]:
+    """Return the widths of the priors with the highest evidence, and its gain.
+
+    Parameters
+    ----------
+    matrix, vector : ndarray
+        Normal equations of all parameters about the state.
+    state : Shared
+        Its widths are where the search starts; all are tried if there are none yet.
+    layout : Layout
+        Where the parameters stand.
+
+    Returns
+    -------
+    tuple of tuple and float
+        Widths, and twice the logarithm of how much the data prefer departures [1].
+    """
+    known: dict[Widths, float] = {}
+
+    def value(tried: Widths) -> float:
+        if tried not in known:
+            known[tried] = _cost_of(matrix, vector, state, layout, tried)
+        return known[tried]
+
+    if state.tried == NONE:
+        chosen = min(((a, b, c) for a, b, c in itertools.product(*_TRIED)), key=value)
+    else:
+        chosen, before = state.tried, NONE
+        while chosen != before:
+            before = chosen
+            a, b, c = chosen
+            a = min(_TRIED[0], key=lambda width: value((width, b, c)))
+            b = min(_TRIED[1], key=lambda width: value((a, width, c)))
+            c = min(_TRIED[2], key=lambda width: value((a, b, width)))
+            chosen = (a, b, c)
+    plain = min(value((width, _TRIED[1][0], _TRIED[2][0])) for width in _TRIED[0])
+    return chosen, plain - value(chosen)
+
+
+def _cost_of(
+    matrix: Floats, vector: Floats, state: Shared, layout: Layout, tried: Widths
+) -> float:
+    """Return minus twice the logarithm of the evidence, but for a constant."""
+    prior, origin = prior_of(state, layout, tried)
+    root = np.sqrt(1 / np.where(prior > 0, prior, 1.0))
+    # In units of the priors' widths the determinant is that of the evidence.
+    scaled = matrix * np.outer(root, root)
+    scaled[np.diag_indices(layout.size)] += prior > 0
+    downhill = root * (vector - prior * origin)
+    scale = np.sqrt(np.diag(scaled))
+    scaled /= np.outer(scale, scale)
+    scaled[np.diag_indices(layout.size)] += 1e-12
+    factor = np.linalg.cholesky(scaled)
+    solved = solve_triangular(factor, downhill / scale, lower=True, check_finite=False)
+    return (
+        float(prior @ origin**2)
+        - float(solved @ solved)
+        + 2 * float(np.sum(np.log(np.diag(factor))) + np.sum(np.log(scale)))
+    )

@@ -1,0 +1,292 @@
+"""What the pixels of a scan share: strength and shape of the water signal."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from amulor.rejection.joint.frame import Frame
+from amulor.rejection.joint.model import near, water_at
+from amulor.rejection.joint.normal import Normal, Seen, normal_equations
+from amulor.rejection.joint.pixels import Pixels, weight
+from amulor.rejection.joint.priors import (
+    NONE,
+    Layout,
+    Shared,
+    Widths,
+    inverse_of,
+    prior_of,
+    widths_of,
+)
+from amulor.rejection.joint.scatter import are_ordinary, fluctuation_of, is_seen
+from amulor.rejection.joint.search import Estimates, estimate, without_offset
+from amulor.rejection.joint.shape import COEFFICIENTS
+from amulor.rejection.joint.start import start
+
+Floats = NDArray[np.float64]
+Complex = NDArray[np.complex128]
+
+#: Shares of the water signal that come from in front of the knots of the correction.
+_KNOTS = np.array([0.002, 0.01, 0.03, 0.08, 0.18, 0.32, 0.5, 0.68, 0.82, 0.92, 0.975])
+_PARAMETRIC_STEPS, _FREE_STEPS = 14, 10
+#: Dampings tried for a step, each ten times the one before, and the least of them [1].
+_TRIALS, _LEAST_DAMPING = 6, 1e-3
+#: A step that promises or brings less than this in chi-square is the last one, and
+#: one that promises less than 1 is worth a few trials only.
+_SETTLED = 0.02
+_FEW_TRIALS = 3
+#: How often the fluctuation is estimated anew, unless it changes by less than this [1].
+_ROUNDS, _STEADY = 4, 0.02
+#: Pixels that settle the coefficients before the departures are looked for.
+_FIRST = 256
+
+
+def fit(
+    frame: Frame,
+    targets: Pixels,
+    shots: Pixels | None,
+    *,
+    transfer: Complex,
+    longest: float,
+) -> Shared:
+    """Estimate what the pixels share, by maximum likelihood over all of them.
+
+    Parameters
+    ----------
+    frame : Frame
+        How the receiver looks at the scan.
+    targets : Pixels
+        Samples with or without a target; a thousand or two say all there is to say.
+    shots : Pixels, optional
+        Samples that are known to be open water.
+    transfer : ndarray of complex
+        What the echo has beyond its delay, as known [1].
+    longest : float
+        Depth beyond which no target stands [m].
+
+    Returns
+    -------
+    Shared
+        Estimate with its covariance.
+
+    Notes
+    -----
+    Damped Gauss-Newton on the strengths, k', b_f <theta^2> and b_f and then, with
+    normal priors, on what the model does not know: a smooth factor on the overlap,
+    light from in front of all targets at each frequency, and departures of the echo,
+    which are the same in all pixels. The paths and amplitudes of the pixels
+    are eliminated at every step (Schur complement). The widths of the priors maximise
+    the evidence in Laplace's approximation, so they vanish where the model is right.
+    """
+    shape, strength = start(frame, targets, shots, transfer=transfer, longest=longest)
+    channels, frequencies = targets.signal.shape[1:]
+    state = Shared(
+        shape,
+        frame.table(shape, longest=longest),
+        strength,
+        np.zeros((channels, frequencies), dtype=complex),
+        np.zeros(frequencies, dtype=complex),
+        0.0,
+        np.zeros((0, 0)),
+        np.zeros((0, 0)),
+        NONE,
+        0.0,
+        np.nan,
+    )
+    few = np.linspace(0, len(targets) - 1, min(_FIRST, len(targets))).astype(np.intp)
+    problem = _Problem(frame, targets.part(few), shots, transfer, longest)
+    state, _ = problem.descend(state, _PARAMETRIC_STEPS, free=False)
+    problem = _Problem(frame, targets, shots, transfer, longest)
+    kept, paths = problem.ordinary(state)
+    if not kept.all():
+        some = targets.part(np.flatnonzero(kept))
+        problem = _Problem(frame, some, shots, transfer, longest)
+        paths = paths[kept]
+    state, paths = problem.descend(state, _PARAMETRIC_STEPS, free=False, paths=paths)
+    knots = frame.quantiles(state.shape, _KNOTS)
+    free_shape = replace(state.shape, knots=knots, correction=np.zeros(len(knots)))
+    state = replace(
+        state, shape=free_shape, table=frame.table(free_shape, longest=longest)
+    )
+    state, paths = problem.descend(state, _FREE_STEPS, free=True, paths=paths)
+    # Only what no departure explains is a fluctuation; looked at before, a model that
+    # is wrong would pass for one.
+    for _ in range(_ROUNDS):
+        level = problem.fluctuation(state, problem.local(state, paths))
+        if abs(level - state.fluctuation) <= _STEADY * level:
+            break
+        state = replace(state, fluctuation=level)
+        state, paths = problem.descend(state, _FREE_STEPS, free=True, paths=paths)
+    return state
+
+
+class _Problem:
+    """The samples of a fit, and its steps."""
+
+    def __init__(
+        self,
+        frame: Frame,
+        targets: Pixels,
+        shots: Pixels | None,
+        transfer: Complex,
+        longest: float,
+    ) -> None:
+        self.frame = frame
+        self.targets = targets
+        self.shots = shots
+        self.transfer = transfer
+        self.longest = longest
+
+    def descend(
+        self, state: Shared, steps: int, *, free: bool, paths: Floats | None = None
+    ) -> tuple[Shared, Floats]:
+        """Take Gauss-Newton steps until they are small against their own errors."""
+        channels, frequencies = state.departure.shape
+        layout = Layout(channels, frequencies, len(state.shape.knots))
+        used = layout.size if free else layout.parametric.stop
+        estimates = self.local(state, paths)
+        normal = self.normal(state, estimates, layout, used)
+        damping = 0.0
+        for _ in range(steps):
+            tried, evidence = NONE, 0.0
+            if free:
+                tried, evidence = widths_of(normal.matrix, normal.vector, state, layout)
+            prior, origin = prior_of(state, layout, tried)
+            matrix = normal.matrix + np.diag(prior[:used])
+            vector = normal.vector - (prior * origin)[:used]
+            level = _objective(normal, state, layout, tried)
+            state = replace(
+                state, tried=tried, evidence=evidence, covariance=inverse_of(matrix)
+            )
+            expected = float(vector @ state.covariance @ vector)
+            best = (state, estimates, normal)
+            for _ in range(_TRIALS if expected > 1 else _FEW_TRIALS):
+                # Levenberg's and Marquardt's way between Newton and steepest descent.
+                damped = matrix + damping * np.diag(np.diag(matrix))
+                step = inverse_of(damped) @ vector
+                moved = self.moved(state, step, layout)
+                new_estimates = self.local(moved, estimates.path)
+                new = self.normal(moved, new_estimates, layout, used)
+                if _objective(new, moved, layout, tried) < level:
+                    best = (moved, new_estimates, new)
+                    damping = damping / 10 if damping > _LEAST_DAMPING else 0.0
+                    break
+                damping = max(10 * damping, _LEAST_DAMPING)
+            gained = level - _objective(best[2], best[0], layout, tried)
+            state, estimates, normal = best
+            if min(gained, expected) < _SETTLED:
+                break
+        basic = layout.parametric
+        return (
+            replace(
+                state,
+                parametric=inverse_of(normal.matrix[basic, basic]),
+                misfit=normal.square / max(normal.freedom, 1),
+            ),
+            estimates.path,
+        )
+
+    def moved(self, state: Shared, step: Floats, layout: Layout) -> Shared:
+        """Return the state after a step, its table made anew."""
+        full = np.zeros(layout.size)
+        full[: len(step)] = step
+        bounded = full[layout.shape].copy()
+        # Logarithms of coefficients: no more than a factor of e at once.
+        bounded[:COEFFICIENTS] = np.clip(bounded[:COEFFICIENTS], -1, 1)
+        shape = state.shape.moved(bounded)
+        channels, frequencies = state.departure.shape
+        _, water, echo = layout.blocks
+        water_step = full[water].reshape(2, channels, frequencies)
+        echo_step = full[echo].reshape(2, frequencies)
+        return replace(
+            state,
+            shape=shape,
+            table=self.frame.table(shape, longest=self.longest),
+            strength=np.maximum(state.strength + full[layout.strength], 0.0),
+            departure=state.departure + water_step[0] + 1j * water_step[1],
+            echo=state.echo + echo_step[0] + 1j * echo_step[1],
+        )
+
+    def local(self, state: Shared, paths: Floats | None) -> Estimates:
+        """Return the pixels' own best paths and amplitudes."""
+        start = None if paths is None else np.nan_to_num(paths, nan=0.0)
+        return estimate(
+            without_offset(
+                self.targets,
+                state.table,
+                offset=state.offset,
+                wavenumber=self.frame.wavenumber,
+            ),
+            weight(self.targets, self.stray(state, self.targets, paths)),
+            state.table,
+            gain=state.gain,
+            transfer=self.transfer * (1 + state.echo),
+            wavenumber=self.frame.wavenumber,
+            known=start,
+        )
+
+    def stray(
+        self, state: Shared, pixels: Pixels, paths: Floats | None
+    ) -> Complex | None:
+        """Return one standard deviation of the water signal's random change [V]."""
+        if state.fluctuation == 0:
+            return None
+        at = np.full(len(pixels), np.inf) if paths is None else paths
+        at = np.where(np.isfinite(at), at, np.inf)
+        _, water, _ = water_at(pixels, at, state.table, self.frame.wavenumber)
+        start = near(pixels, state.table, self.frame.wavenumber)
+        return state.fluctuation * state.light(water, start)
+
+    def groups(self, estimates: Estimates) -> list[Seen]:
+        """Return pixels and shots with their paths and amplitudes."""
+        seen = is_seen(estimates)
+        amplitude = np.where(seen[:, None], estimates.amplitude, 0.0)
+        found = [Seen(self.targets, np.where(seen, estimates.path, np.inf), amplitude)]
+        if self.shots is not None:
+            count = len(self.shots)
+            none = np.zeros((count, amplitude.shape[1]))
+            found.append(Seen(self.shots, np.full(count, np.inf), none))
+        return [group for group in found if len(group.pixels)]
+
+    def normal(
+        self, state: Shared, estimates: Estimates, layout: Layout, used: int
+    ) -> Normal:
+        """Return the normal equations of the first parameters about a state."""
+        total = Normal(np.zeros((used, used)), np.zeros(used), 0.0, 0)
+        for group in self.groups(estimates):
+            total = total + normal_equations(
+                state,
+                group,
+                layout,
+                used,
+                transfer=self.transfer,
+                wavenumber=self.frame.wavenumber,
+            )
+        return total
+
+    def fluctuation(self, state: Shared, estimates: Estimates) -> float:
+        """Return the relative change of the water signal that explains the scatter."""
+        return fluctuation_of(
+            state,
+            self.groups(estimates),
+            transfer=self.transfer,
+            wavenumber=self.frame.wavenumber,
+        )
+
+    def ordinary(self, state: Shared) -> tuple[NDArray[np.bool_], Floats]:
+        """Return which pixels are no odd ones, and the paths of all.
+
+        The fluctuation of the water is allowed for.
+        """
+        estimates = self.local(state, None)
+        level = self.fluctuation(state, estimates)
+        estimates = self.local(replace(state, fluctuation=level), estimates.path)
+        return are_ordinary(estimates), estimates.path
+
+
+def _objective(normal: Normal, state: Shared, layout: Layout, tried: Widths) -> float:
+    """Return minus twice the logarithm of the posterior, but for a constant."""
+    prior, origin = prior_of(state, layout, tried)
+    return normal.square + float(prior @ origin**2)

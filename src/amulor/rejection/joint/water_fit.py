@@ -1,0 +1,301 @@
+"""Optical properties of the water from an open-water sweep, and which are known."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+from scipy.constants import speed_of_light
+
+from amulor import cube as cubes
+from amulor.errors import CubeError
+from amulor.optics import low_pass
+from amulor.rejection.joint import shared as joint_shared
+from amulor.rejection.joint.frame import Frame
+from amulor.rejection.joint.priors import Shared
+from amulor.rejection.joint.samples import open_water_samples
+from amulor.rejection.joint.shape import COEFFICIENTS, Shape
+
+Floats = NDArray[np.float64]
+
+#: A coefficient is known when the error of its logarithm is below this [1].
+_KNOWN = 0.5
+#: With less unscattered light from z_max the data say only that b_f is large [1].
+_UNSCATTERED = 0.01
+#: Step of a parameter for the derivative of what follows from it [1].
+_STEP = 1e-3
+_DEPTHS = 2000
+_HIGHEST_FREQUENCY = 2e9
+_FEWEST_FREQUENCIES = 3
+
+
+@dataclass(frozen=True)
+class WaterFit:
+    """What an open-water sweep says about the water, with standard uncertainties."""
+
+    reduced_attenuation: float
+    """Reduced attenuation coefficient k' = a + b_d [1/m]."""
+    reduced_attenuation_uncertainty: float
+    """Its standard uncertainty [1/m]."""
+    spread: float
+    """Growth b_f <theta^2> of the mean square angle of the light [rad^2/m]."""
+    spread_uncertainty: float
+    """Its standard uncertainty [rad^2/m]."""
+    forward_scattering: float
+    """Forward scattering b_f, from the light that was not scattered [1/m]."""
+    forward_scattering_uncertainty: float
+    """Its standard uncertainty [1/m]."""
+    strength: tuple[float, ...]
+    """Open-water signal at frequency 0 in the middle of the scan, by channel [V]."""
+    strength_uncertainty: tuple[float, ...]
+    """Its standard uncertainty [V]."""
+    depth_of_maximum: float
+    """Depth z_max that sends back most [m]."""
+    depth_of_maximum_uncertainty: float
+    """Its standard uncertainty [m]."""
+    cut_off: float
+    """Frequency at which the water signal is down to half its power [Hz]."""
+    cut_off_uncertainty: float
+    """Its standard uncertainty [Hz]."""
+    fluctuation: float
+    """Relative random change of the water signal from sample to sample [1]."""
+    misfit: float
+    """Chi-square over its degrees of freedom, after the fluctuation [1]."""
+    departure_evidence: float
+    """Twice the logarithm of odds that the water departs from the model [1]."""
+    names: tuple[str, ...]
+    """Parameters of `covariance` and of the directions."""
+    covariance: Floats
+    """Covariance of the relative errors of these parameters [1]."""
+    identified: tuple[bool, ...]
+    """Which of them the data settle to better than a factor of 1.6."""
+    direction: Floats
+    """Eigenvectors of the Fisher information of their logarithms, best known first,
+    one to a column [1]."""
+    direction_uncertainty: Floats
+    """Standard uncertainty of these combinations, from the data alone [1]."""
+
+
+@dataclass(frozen=True)
+class ScatteringSplit:
+    """Absorption and scattering of the water, for a known phase function."""
+
+    absorption: float
+    """Absorption coefficient a; below zero the phase function does not fit [1/m]."""
+    absorption_uncertainty: float
+    """Its standard uncertainty [1/m]."""
+    scattering: float
+    """Scattering coefficient b [1/m]."""
+    scattering_uncertainty: float
+    """Its standard uncertainty [1/m]."""
+
+
+def water_fit(cube: xr.Dataset, *, no_target: bool = False) -> WaterFit:
+    r"""Fit the shape of the open-water signal against frequency and direction.
+
+    Parameters
+    ----------
+    cube : xarray.Dataset
+        Level `samples`, with open-water shots at three modulation frequencies or more
+        and the attribute `survey`, of which the instrument is used.
+    no_target : bool, optional
+        True if nothing stood in the beam: then the samples themselves are open water,
+        and shots are not needed.
+
+    Returns
+    -------
+    WaterFit
+        Coefficients, what follows from them, and what of it the data settle.
+
+    Raises
+    ------
+    CubeError
+        If there is no open water, no survey, or fewer than three frequencies.
+
+    Notes
+    -----
+    Maximum likelihood with the model and the weak priors of `joint`. The signal knows
+    the scattering only by :math:`k' = a + b_d`, by :math:`b_f \langle\theta^2\rangle`
+    and, while some light is not scattered, by :math:`b_f`; `split` goes on from there
+    where the phase function is known. The strength holds the calibration of the
+    instrument and cannot be told apart from the backscatter without it.
+    """
+    cubes.check(cube, "samples")
+    count = cube.sizes["modulation_frequency"]
+    if count < _FEWEST_FREQUENCIES:
+        raise CubeError(
+            f"the cube has {count} modulation frequencies; the shape of the water "
+            f"signal takes {_FEWEST_FREQUENCIES} or more: record a sweep"
+        )
+    if cube.amulor.open_water is None and not no_target:
+        raise CubeError(
+            "the cube has no open-water shots (group open_water); record them with the "
+            "target out of the beam, or say that there was no target (no_target)"
+        )
+    frame, pixels = open_water_samples(cube, no_target=no_target)
+    shared = joint_shared.fit(
+        frame,
+        pixels.part(slice(0, 0)),
+        pixels,
+        transfer=np.ones(count, dtype=complex),
+        longest=_SHORT,
+    )
+    return _result(frame, shared, [str(p) for p in cube["polarization"].values])
+
+
+#: The table of depths is not used: all samples see the water to its end [m].
+_SHORT = 1.0
+
+
+def split(
+    fit: WaterFit, *, second_moment: float, forward_fraction: float
+) -> ScatteringSplit:
+    r"""Return absorption and scattering for a known phase function.
+
+    Parameters
+    ----------
+    fit : WaterFit
+        From `water_fit`.
+    second_moment : float
+        Mean square angle of the forward part, above zero [rad^2].
+    forward_fraction : float
+        Share of the scattering in the forward part, above 0 to 1 [1].
+
+    Returns
+    -------
+    ScatteringSplit
+        :math:`b = b_f \langle\theta^2\rangle / \eta \langle\theta^2\rangle` and
+        :math:`a = k' - (1 - \eta) b`.
+
+    Raises
+    ------
+    ValueError
+        If the moment or the share is out of range.
+    """
+    if not second_moment > 0:
+        raise ValueError(f"second_moment must be above 0 rad^2, got {second_moment:g}")
+    if not 0 < forward_fraction <= 1:
+        raise ValueError(
+            f"forward_fraction must be above 0 and at most 1, got {forward_fraction:g}"
+        )
+    scattering = fit.spread / (second_moment * forward_fraction)
+    diffuse = (1 - forward_fraction) * scattering
+    first = fit.names.index("reduced_attenuation")
+    second = fit.names.index("spread")
+    slope = np.array([fit.reduced_attenuation, -diffuse])
+    block = fit.covariance[np.ix_([first, second], [first, second])]
+    return ScatteringSplit(
+        fit.reduced_attenuation - diffuse,
+        float(np.sqrt(slope @ block @ slope)),
+        scattering,
+        scattering * float(np.sqrt(block[1, 1])),
+    )
+
+
+def _result(frame: Frame, shared: Shared, channels: list[str]) -> WaterFit:
+    """Return a fit with what follows from it."""
+    count = len(channels)
+    size = count + COEFFICIENTS
+    relative = np.ones(len(shared.covariance))
+    relative[:count] = np.where(shared.strength > 0, shared.strength, 1.0)
+    scaled = shared.covariance / np.outer(relative, relative)
+    errors = np.sqrt(np.diag(scaled))
+    names = (
+        *(f"strength {name}" for name in channels),
+        "reduced_attenuation",
+        "spread",
+        "forward_scattering",
+    )
+    shape = shared.shape
+    deepest, deepest_error = _propagated(shared, lambda s: _deepest(frame, s))
+    corner = _cut_off(frame, shape)
+    # The level at a fixed frequency moves, and along the response so does the corner.
+    _, level_error = _propagated(shared, lambda s: _level(frame, s, corner))
+    further = corner * (1 + _STEP)
+    fall = (_level(frame, shape, further) - _level(frame, shape, corner)) / (
+        further - corner
+    )
+    corner_error = level_error / abs(fall)
+    straight = np.exp(-2 * shape.forward_scattering * deepest)
+    unscattered_known = bool(errors[size - 1] < _KNOWN and straight > _UNSCATTERED)
+    data = shared.parametric / np.outer(relative[:size], relative[:size])
+    values, vectors = np.linalg.eigh(data)
+    return WaterFit(
+        shape.reduced_attenuation,
+        float(shape.reduced_attenuation * errors[count]),
+        shape.spread,
+        float(shape.spread * errors[count + 1]),
+        shape.forward_scattering,
+        float(shape.forward_scattering * errors[count + 2]),
+        tuple(float(value) for value in shared.strength),
+        tuple(float(value) for value in shared.strength * errors[:count]),
+        deepest,
+        deepest_error,
+        corner,
+        corner_error,
+        shared.fluctuation,
+        shared.misfit,
+        shared.evidence,
+        names,
+        scaled[:size, :size],
+        (*(bool(error < _KNOWN) for error in errors[: size - 1]), unscattered_known),
+        vectors,
+        np.sqrt(np.maximum(values, 0.0)),
+    )
+
+
+def _propagated(
+    shared: Shared, function: Callable[[Shape], float]
+) -> tuple[float, float]:
+    """Return a function of the shape, and its uncertainty to first order."""
+    first = len(shared.strength)
+    count = COEFFICIENTS + len(shared.shape.knots)
+    slope = np.empty(count)
+    for k in range(count):
+        step = np.zeros(count)
+        step[k] = _STEP
+        rise = function(shared.shape.moved(step)) - function(shared.shape.moved(-step))
+        slope[k] = rise / (2 * _STEP)
+    block = shared.covariance[first : first + count, first : first + count]
+    return function(shared.shape), float(np.sqrt(slope @ block @ slope))
+
+
+def _deepest(frame: Frame, shape: Shape) -> float:
+    """Return the depth of the largest overlap, between nodes by a parabola [m]."""
+    depth = np.linspace(0, min(frame.nothing_left(shape), frame.end), _DEPTHS)
+    light = frame.middle(depth, shape)
+    k = int(np.clip(np.argmax(light), 1, _DEPTHS - 2))
+    before, level, after = light[k - 1 : k + 2]
+    bend = before - 2 * level + after
+    shift = 0.5 * (before - after) / bend if bend < 0 else 0.0
+    return float(depth[k] + shift * (depth[1] - depth[0]))
+
+
+def _responses(frame: Frame, shape: Shape, frequency: Floats) -> Floats:
+    """Return the modulus of the water signal in the middle of the scan."""
+    depth = np.linspace(0, min(frame.nothing_left(shape), frame.end), _DEPTHS)
+    light = frame.middle(depth, shape)
+    light[[0, -1]] /= 2
+    delay = 4 * np.pi * frame.medium.group_index / speed_of_light * depth
+    found = [abs(np.sum(light * np.exp(1j * f * delay))) for f in frequency]
+    return np.array(found)
+
+
+def _level(frame: Frame, shape: Shape, frequency: float) -> float:
+    """Return the response at a frequency over that at zero [1]."""
+    at_zero, there = _responses(frame, shape, np.array([0.0, frequency]))
+    return float(there / at_zero)
+
+
+def _cut_off(frame: Frame, shape: Shape) -> float:
+    """Return where the response falls to half its power [Hz]."""
+    far = min(frame.nothing_left(shape), frame.end)
+    # Not beyond what the steps of depth resolve.
+    highest = speed_of_light / frame.medium.group_index / (16 * far / _DEPTHS)
+    return low_pass.cut_off(
+        lambda frequency: _responses(frame, shape, np.atleast_1d(frequency)),
+        maximum_frequency=float(min(_HIGHEST_FREQUENCY, highest)),
+    )

@@ -1,0 +1,335 @@
+"""Figure 3 of Ricci et al. 2010: water signal against frequency, lower turbidity."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
+
+from amulor.studies.ricci2010.checks import Check, Role, within
+from amulor.studies.ricci2010.figures.drawing import (
+    SYNTHETIC,
+    WIDE,
+    letter,
+    mark_synthetic,
+)
+from amulor.studies.ricci2010.scenes.water_sweeps import Curve, Squares, Sweep, sweep
+from amulor.studies.ricci2010.study import Study
+from amulor.view.style import COLOURS, new_figure, style
+
+TITLE = "The water as a low-pass, lower turbidity"
+CAPTION = (
+    "Water signal of the long tank at the lower turbidity. (a) Amplitude over that at "
+    "0 MHz against modulation frequency. Dashed: simple water, in which all "
+    "attenuation is diffuse scattering. Solid: realistic water with absorption and "
+    "forward scattering, in the diffusion form (46). The small-angle form (29), which "
+    "keeps light that was not scattered, and Monte Carlo with all orders of scattering "
+    "(band: two standard errors) are of the same realistic water, with the "
+    "Henyey-Greenstein phase function that has its second moment. Squares: SYNTHETIC "
+    "measurement, the realistic diffusion form with noise. Dots mark half power. (b) "
+    "Cut-off of each by half power (filled) and by a free fit of the first-order "
+    "low-pass (71) (open), with standard errors where they show. The lowest row is a "
+    "synthetic measurement made with (71) itself. Attenuation, absorption, second "
+    "moment, acceptance and noise are deduced or assumed."
+)
+_Dashes = str | tuple[float, tuple[float, ...]]
+
+#: What "in good accordance" is taken to mean: departure of a ratio from 1.
+ACCORDANCE = 0.15
+#: How near a fit of (71) has to come to the half-power frequency.
+RECOVERY = 0.05
+
+
+def checks(study: Study) -> list[Check]:
+    """Compare with what the text says of the figure.
+
+    Parameters
+    ----------
+    study : Study
+        Its numbers.
+
+    Returns
+    -------
+    list of Check
+        Statements.
+    """
+    return sweep_checks(sweep(study, "low"))
+
+
+def draw(study: Study) -> Figure:
+    """Draw curves and cut-offs.
+
+    Parameters
+    ----------
+    study : Study
+        Its numbers.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+        Two panels.
+    """
+    return sweep_figure(sweep(study, "low"))
+
+
+def sweep_checks(found: Sweep) -> list[Check]:
+    """Compare a sweep with what the text says of figures 3 and 4.
+
+    Parameters
+    ----------
+    found : Sweep
+        Either of both.
+
+    Returns
+    -------
+    list of Check
+        Statements.
+    """
+    closed = (found.simple, found.realistic, found.small_angle)
+    simple, realistic, photons = found.simple, found.realistic, found.monte_carlo
+    starts = [float(curve.amplitude[0]) for curve in found.curves]
+    levels = [curve.at_cut_off * np.sqrt(2) for curve in closed]
+    return [
+        within(
+            "all curves begin at 1: lowest amplitude at the first frequency",
+            min(starts),
+            0.995,
+            1.005,
+            digits=4,
+        ),
+        within(
+            "no curve exceeds 1: largest amplitude",
+            max(float(curve.amplitude.max()) for curve in found.curves),
+            0.0,
+            1.0,
+            digits=4,
+        ),
+        within(
+            "closed forms are at half power at the cut-off that is reported, to "
+            "10 kHz: amplitude times √2, the one farthest off",
+            max(levels, key=lambda level: abs(level - 1)),
+            0.999,
+            1.001,
+            digits=5,
+        ),
+        # The share of absorption was chosen so that these two agree.
+        _accordance(
+            "cut-offs of simple and realistic water agree, both by the diffusion form",
+            realistic,
+            simple,
+            role="set",
+        ),
+        _accordance(
+            "cut-offs of simple and realistic water agree where the realistic one is "
+            "followed by photons",
+            photons,
+            simple,
+        ),
+        _ratio(
+            "cut-offs of simple and realistic water agree, both by the diffusion form "
+            "and by fits of (71)",
+            realistic.fitted,
+            simple.fitted,
+            ACCORDANCE,
+        ),
+        _accordance(
+            "the realistic diffusion form agrees with transport of all orders within "
+            "15 %",
+            realistic,
+            photons,
+        ),
+        _accordance(
+            "the small-angle form agrees with transport of all orders within 15 %",
+            found.small_angle,
+            photons,
+        ),
+        *(
+            _ratio(
+                f"a fit of (71) finds the half-power frequency: {curve.name}",
+                curve.fitted,
+                curve.cut_off,
+                RECOVERY,
+                error=curve.ratio_error,
+            )
+            for curve in found.curves
+        ),
+        _recovery(
+            "a fit of (71) finds the half-power frequency: squares, made with the "
+            "realistic diffusion form",
+            found.squares,
+        ),
+        _recovery(
+            "a fit of (71) finds the half-power frequency: squares made with (71)",
+            found.first_order,
+        ),
+    ]
+
+
+def sweep_figure(found: Sweep) -> Figure:
+    """Draw figure 3 or 4.
+
+    Parameters
+    ----------
+    found : Sweep
+        Either of both.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+        Curves, and their cut-offs.
+    """
+    with style():
+        figure = new_figure(WIDE, 3.3)
+        left, right = figure.subplots(1, 2, width_ratios=(1.25, 1))
+        _draw_curves(left, found)
+        _draw_cut_offs(right, found)
+        letter(
+            (left, right),
+            (f"water signal, attenuation {found.attenuation:.1f} m⁻¹", "cut-offs"),
+        )
+        mark_synthetic(figure)
+    return figure
+
+
+def _accordance(
+    statement: str, first: Curve, second: Curve, *, role: Role = "test"
+) -> Check:
+    """Return whether two half-power frequencies agree."""
+    ratio = first.cut_off / second.cut_off
+    error = ratio * np.hypot(
+        first.cut_off_error / first.cut_off, second.cut_off_error / second.cut_off
+    )
+    check = _ratio(
+        statement, first.cut_off, second.cut_off, ACCORDANCE, error=float(error)
+    )
+    return replace(check, role=role)
+
+
+def _recovery(statement: str, squares: Squares) -> Check:
+    """Return whether the fit to a synthetic measurement finds what made it."""
+    fit = squares.fit
+    return _ratio(
+        statement,
+        fit.cut_off,
+        squares.made_with,
+        RECOVERY,
+        error=fit.cut_off_standard_error / squares.made_with,
+    )
+
+
+def _ratio(
+    statement: str, first: float, second: float, tolerance: float, *, error: float = 0.0
+) -> Check:
+    """Return whether the ratio of two frequencies is 1, and show both."""
+    check = within(
+        statement,
+        first / second,
+        1 - tolerance,
+        1 + tolerance,
+        uncertainty=error or None,
+    )
+    shown = f"{check.found} ({first / 1e6:.2f} over {second / 1e6:.2f} MHz)"
+    return replace(check, found=shown)
+
+
+#: Colour, dashes and size of the dot of each curve, in their order; neighbours lie on
+#: each other, so the second one's dot is smaller.
+_LOOKS: tuple[tuple[str, _Dashes, float], ...] = (
+    (COLOURS[6], (0, (5, 2)), 5.5),
+    (COLOURS[0], "-", 3.5),
+    (COLOURS[2], "-", 5.5),
+    (COLOURS[1], (0, (1, 1.2)), 3.5),
+)
+
+
+def _draw_curves(axis: Axes, found: Sweep) -> None:
+    """Draw amplitudes against frequency."""
+    frequency = found.frequency / 1e6
+    axis.axhline(np.sqrt(0.5), color="#999999", lw=0.6, zorder=0)
+    for curve, (colour, dashes, size) in zip(found.curves, _LOOKS, strict=True):
+        if curve.band is not None:
+            axis.fill_between(
+                frequency,
+                curve.amplitude - 2 * curve.band,
+                curve.amplitude + 2 * curve.band,
+                color=colour,
+                alpha=0.3,
+                lw=0,
+            )
+        axis.plot(frequency, curve.amplitude, label=curve.name, color=colour, ls=dashes)
+        axis.plot(curve.cut_off / 1e6, np.sqrt(0.5), "o", ms=size, color=colour)
+    axis.plot(
+        found.squares.frequency / 1e6,
+        found.squares.amplitude,
+        "s",
+        ms=3,
+        mfc="none",
+        mec="#777777",
+        mew=0.6,
+        zorder=1.5,
+        label=f"{SYNTHETIC} (diffusion form)",
+    )
+    axis.set_xlim(0, 1.015 * frequency[-1])
+    axis.set_ylim(0, 1.04)
+    axis.set_xlabel("modulation frequency [MHz]")
+    axis.set_ylabel("amplitude over that at 0 MHz")
+    axis.legend()
+    axis.grid(True)
+
+
+def _draw_cut_offs(axis: Axes, found: Sweep) -> None:
+    """Draw half-power and fitted cut-offs, a row for each series."""
+    names = ["simple,\ndiffusion", "realistic,\ndiffusion"]
+    names += ["realistic,\nsmall-angle", "realistic,\nMonte Carlo"]
+    names += ["synthetic\n(diffusion)", "synthetic\n(71)"]
+    for row, (curve, (colour, _, _)) in enumerate(
+        zip(found.curves, _LOOKS, strict=True)
+    ):
+        _mark(axis, row, curve.cut_off, curve.cut_off_error, colour, filled=True)
+        _mark(axis, row, curve.fitted, curve.fitted_error, colour, filled=False)
+    for row, squares in enumerate((found.squares, found.first_order), len(_LOOKS)):
+        fit = squares.fit
+        _mark(
+            axis, row, fit.cut_off, fit.cut_off_standard_error, "#777777", filled=False
+        )
+    axis.plot([], [], "o", color="#777777", ms=5, label="half power")
+    axis.plot([], [], "o", color="#777777", ms=5, mfc="white", label="fit of (71)")
+    axis.set_yticks(range(len(names)), names)
+    axis.set_ylim(len(names) - 0.4, -0.6)
+    largest = max(
+        *(max(curve.cut_off, curve.fitted) for curve in found.curves),
+        found.squares.fit.cut_off,
+        found.first_order.fit.cut_off,
+    )
+    axis.set_xlim(0, 1.1 * largest / 1e6)
+    axis.xaxis.set_major_locator(MaxNLocator(6, steps=[1, 2, 5, 10]))
+    axis.set_xlabel("cut-off [MHz]")
+    axis.grid(True, axis="x")
+    axis.legend(loc="upper left")
+
+
+def _mark(
+    axis: Axes, row: int, corner: float, error: float, colour: str, *, filled: bool
+) -> None:
+    """Draw one cut-off with its value."""
+    axis.errorbar(
+        corner / 1e6,
+        row,
+        xerr=error / 1e6 if error else None,
+        fmt="o",
+        ms=5,
+        color=colour,
+        mfc=colour if filled else "white",
+        capsize=2,
+    )
+    axis.annotate(
+        f"{corner / 1e6:.1f}",
+        (corner / 1e6, row),
+        xytext=(0, 5),
+        textcoords="offset points",
+        ha="center",
+        fontsize=6,
+    )

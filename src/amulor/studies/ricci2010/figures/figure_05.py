@@ -1,0 +1,116 @@
+"""Figure 5 of Ricci et al. 2010: the ladder in clear water, from several sides."""
+
+from __future__ import annotations
+
+from matplotlib.figure import Figure
+
+from amulor.studies.ricci2010.checks import Check, within
+from amulor.studies.ricci2010.figures.drawing import (
+    WIDE,
+    letter,
+    mark_synthetic,
+    styled,
+)
+from amulor.studies.ricci2010.figures.surfaces import LADDER_SHADES, canvas, relief
+from amulor.studies.ricci2010.figures.surfaces import draw as draw_surface
+from amulor.studies.ricci2010.scenes.ladder_scans import (
+    cut_off,
+    steps_agree,
+    unpolarized_clear,
+)
+from amulor.studies.ricci2010.study import Study
+
+TITLE = "The ladder in clear water"
+CAPTION = (
+    "The ladder in clear water at the far end of the short tank, from the phase of the "
+    "modulation alone: (a) to (c) one synthetic scan seen from three sides, true to "
+    "scale. Nothing was subtracted; the modulation frequency is above the cut-off of "
+    "the model's water, which has no end. Gaps: no range, hidden from the receiver by "
+    "a step. The colour gives the height above the farthest tread."
+)
+#: Heights that are drawn [mm], and the directions from which [degree].
+_LIMITS = (-5.0, 75.0)
+_SIDES = {
+    "from the left": (30, -120),
+    "from the right": (30, -60),
+    "along the treads": (6, -90),
+}
+
+
+def checks(study: Study) -> list[Check]:
+    """Return what the paper says of the figure, beside what was found.
+
+    Parameters
+    ----------
+    study : Study
+        Its numbers.
+
+    Returns
+    -------
+    list of Check
+        Cut-off and steps.
+    """
+    scan = study.once(unpolarized_clear)
+    megahertz = study["frequency"] / 1e6
+    image = scan.stated["none"]
+    return [
+        within(
+            "the modulation frequency is above the cut-off of the model's water",
+            cut_off(scan.survey) / 1e6,
+            0.0,
+            megahertz,
+            unit="MHz",
+        ),
+        within(
+            "the same, for a column of water that ends with the tank",
+            cut_off(scan.survey, end=study["short_length"]) / 1e6,
+            0.0,
+            megahertz,
+            unit="MHz",
+        ),
+        steps_agree(
+            study,
+            "the frequency alone, nothing subtracted, gives the steps",
+            scan.steps(image),
+        ),
+        steps_agree(
+            study,
+            "subtraction of open water gives the steps",
+            scan.steps(scan.subtracted["none"]),
+        ),
+    ]
+
+
+@styled
+def draw(study: Study) -> Figure:
+    """Draw the figure.
+
+    Parameters
+    ----------
+    study : Study
+        Its numbers.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+        Three panels.
+    """
+    scan = study.once(unpolarized_clear)
+    surface = relief(scan.stated["none"], origin=study["short_distance"])
+    figure, cells = canvas(WIDE, 2.7, rows=1, columns=len(_SIDES))
+    axes = [
+        draw_surface(
+            figure,
+            cell,
+            surface,
+            limits=_LIMITS,
+            shades=LADDER_SHADES,
+            elevation=high,
+            azimuth=around,
+            zoom=1.1,
+        )
+        for cell, (high, around) in zip(cells, _SIDES.values(), strict=True)
+    ]
+    letter(axes, _SIDES)
+    mark_synthetic(figure)
+    return figure

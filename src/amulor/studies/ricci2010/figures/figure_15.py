@@ -1,0 +1,169 @@
+"""Figure 15 of Ricci et al. 2010: a bent disc with holes, crossed and parallel."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from amulor.studies.ricci2010.checks import Check, holds, within
+from amulor.studies.ricci2010.figures.drawing import (
+    WIDE,
+    letter,
+    mark_synthetic,
+    styled,
+)
+from amulor.studies.ricci2010.figures.surfaces import canvas, relief
+from amulor.studies.ricci2010.figures.surfaces import draw as draw_surface
+from amulor.studies.ricci2010.scenes.disc_scans import (
+    DiscScan,
+    Outline,
+    Outlines,
+    bent_disc,
+    outlines,
+)
+from amulor.studies.ricci2010.study import Study
+
+TITLE = "A bent disc with holes"
+CAPTION = (
+    "A bent disc with a central hole and four small holes in water with Maalox, one "
+    "synthetic scan, open water subtracted, true to scale: (a) and (b) crossed, (c) "
+    "and (d) parallel polarizers, each seen from the front and along the disc. Heights "
+    "are counted from the rim. Gaps: no range. How this water scatters is not known, "
+    "so that its turbidity is assumed within a wide range; the bend and the circle of "
+    "the small holes are assumed as well."
+)
+#: Heights that are drawn [mm], and the directions from which [degree].
+_LIMITS = (-19.0, 34.0)
+_SIDES = {"from the front": (58, -62), "along the disc": (16, -90)}
+#: Heights of the darkest and the lightest colour [mm].
+_SHADES = (-9.0, 17.0)
+
+
+def checks(study: Study) -> list[Check]:
+    """Return what the paper says of the figure, beside what was found.
+
+    Parameters
+    ----------
+    study : Study
+        Its numbers.
+
+    Returns
+    -------
+    list of Check
+        Outlines, contrast and range errors.
+    """
+    scan = study.once(bent_disc)
+    found: list[Check] = []
+    for channel, image in scan.subtracted.items():
+        seen = outlines(image, distance=study["short_distance"])
+        found += _outlines(study, scan, channel, seen)
+    for stage, images in (
+        ("the polarizers alone", scan.raw),
+        ("open water subtracted", scan.subtracted),
+    ):
+        crossed, parallel = (scan.contrast(images[name]) for name in ("VH", "VV"))
+        difference = crossed.value - parallel.value
+        error = math.hypot(crossed.uncertainty, parallel.uncertainty)
+        found.append(
+            holds(
+                f"contrast of disc and surround better in VH, {stage}",
+                difference > 2 * error,
+                found=f"{crossed.value:.4f} against {parallel.value:.4f}, "
+                f"± {error:.2g}",
+                wanted="larger by 2 standard errors",
+            )
+        )
+        rms = {name: scan.error(image)[0] * 1e3 for name, image in images.items()}
+        found.append(
+            holds(
+                f"range error (rms) on the disc better in VH, {stage}",
+                rms["VH"] < rms["VV"],
+                found=f"{rms['VH']:.2g} against {rms['VV']:.2g} mm",
+                wanted="smaller",
+            )
+        )
+    return found
+
+
+def _outlines(
+    study: Study, scan: DiscScan, channel: str, seen: Outlines
+) -> list[Check]:
+    """Return the checks of three diameters, one pixel either way."""
+    small = seen.small_holes[:4]
+    mean = None
+    if len(small) == 4:
+        mean = Outline(
+            float(np.mean([hole.diameter for hole in small])),
+            math.sqrt(sum(hole.uncertainty**2 for hole in small)) / 4,
+        )
+    return [
+        within(
+            f"{channel}: {name}",
+            math.nan if outline is None else outline.diameter * 1e3,
+            (true - scan.pitch) * 1e3,
+            (true + scan.pitch) * 1e3,
+            unit="mm",
+            uncertainty=None if outline is None else outline.uncertainty * 1e3,
+        )
+        for name, outline, true in (
+            ("diameter of the disc", seen.rim, study["disc_diameter"]),
+            ("central hole", seen.central_hole, study["disc_central_hole"]),
+            ("small holes, mean of four", mean, study["disc_holes"]),
+        )
+    ] + [
+        holds(
+            f"{channel}: all four small holes are seen, and no other",
+            len(seen.small_holes) == 4,
+            found=str(len(seen.small_holes)),
+            wanted="4",
+        )
+    ]
+
+
+@styled
+def draw(study: Study) -> Figure:
+    """Draw the figure.
+
+    Parameters
+    ----------
+    study : Study
+        Its numbers.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+        Four panels.
+    """
+    scan = study.once(bent_disc)
+    figure, cells = canvas(WIDE, 5.6, rows=2, columns=len(_SIDES))
+    rim = study["short_distance"] + _sag(study)
+    axes: list[Axes] = []
+    titles: list[str] = []
+    for channel, image in scan.subtracted.items():
+        surface = relief(image, origin=rim)
+        for side, (high, around) in _SIDES.items():
+            axes.append(
+                draw_surface(
+                    figure,
+                    cells[len(axes)],
+                    surface,
+                    limits=_LIMITS,
+                    shades=_SHADES,
+                    elevation=high,
+                    azimuth=around,
+                    zoom=1.15,
+                )
+            )
+            titles.append(f"{channel}, {side}")
+    letter(axes, titles)
+    mark_synthetic(figure)
+    return figure
+
+
+def _sag(study: Study) -> float:
+    """Return how far the middle stands before the rim [m]."""
+    bend, half = study["disc_bend"], study["disc_diameter"] / 2
+    return bend - math.sqrt(bend**2 - half**2)

@@ -1,0 +1,265 @@
+"""The scan of the bent disc in Maalox water, and the outlines measured in it."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from amulor import imaging, rejection
+from amulor.imaging import metrics
+from amulor.simulation import simulate
+from amulor.studies.ricci2010.scenes.scan_surveys import (
+    ScanField,
+    ScanWater,
+    around,
+    images,
+    survey_of,
+)
+from amulor.studies.ricci2010.study import Study
+from amulor.survey import Survey
+from amulor.units import write
+
+Floats = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+#: Width of the scan over the diameter of the disc [1].
+_ROOM = 1.2
+#: Variance of the number of points of a square lattice within a smooth outline, over
+#: the outline's length in units of the lattice, for lattices placed by chance.
+_LATTICE = 0.0728
+#: The middle of the scan is that of the disc: eight equal sectors err alike.
+_SECTORS = 8
+
+
+@dataclass(frozen=True)
+class Outline:
+    """An outline measured by the area within it."""
+
+    diameter: float
+    """Diameter of the circle of the same area [m]."""
+    uncertainty: float
+    """Standard uncertainty, from the pixels that the outline cuts [m]."""
+
+
+@dataclass(frozen=True)
+class Outlines:
+    """What a picture of the disc shows."""
+
+    rim: Outline | None
+    """Outer rim; None if nothing was found."""
+    central_hole: Outline | None
+    """The largest hole."""
+    small_holes: tuple[Outline, ...]
+    """All others, largest first."""
+
+
+@dataclass(frozen=True)
+class DiscScan:
+    """One scan of the disc, with and without its water signal."""
+
+    survey: Survey
+    """What was simulated."""
+    pitch: float
+    """Distance of neighbouring pixels on the disc [m]."""
+    truth: Floats
+    """True slant range, not a number beside the disc, shape (row, column) [m]."""
+    inside: Mask
+    """Pixels on the disc, off all edges."""
+    outside: Mask
+    """Pixels beside the disc and in its holes, off all edges."""
+    raw: dict[str, xr.Dataset]
+    """Channel to range image with the water left in."""
+    subtracted: dict[str, xr.Dataset]
+    """Channel to range image with open water subtracted."""
+
+    def contrast(self, image: xr.Dataset) -> metrics.Contrast:
+        """Compare the brightness of the disc with what is around it.
+
+        Parameters
+        ----------
+        image : xarray.Dataset
+            One of `raw` or `subtracted`.
+
+        Returns
+        -------
+        amulor.imaging.metrics.Contrast
+            1 if the surroundings are dark.
+        """
+        return metrics.contrast(image, self.inside, self.outside)
+
+    def error(self, image: xr.Dataset) -> tuple[float, float]:
+        """Return how far the ranges of the disc are off, and their mean.
+
+        Parameters
+        ----------
+        image : xarray.Dataset
+            One of `raw` or `subtracted`.
+
+        Returns
+        -------
+        rms, scatter : float
+            Root mean square of slant range less truth, and its standard deviation;
+            not numbers where no pixel has a range [m].
+        """
+        error = (image["slant_range"].values - self.truth)[self.inside]
+        error = error[np.isfinite(error)]
+        if error.size < 2:
+            return math.nan, math.nan
+        return float(np.sqrt(np.mean(error**2))), float(error.std(ddof=1))
+
+
+def bent_disc(study: Study) -> DiscScan:
+    """Scan the bent disc with holes, crossed and parallel.
+
+    Parameters
+    ----------
+    study : Study
+        Its numbers.
+
+    Returns
+    -------
+    DiscScan
+        Channels VH and VV.
+    """
+    distance = study["short_distance"]
+    # As fine as the scan of the ladder.
+    ladder = 2 * distance * math.tan(study["scan_width"] / 2)
+    pitch = ladder / round(study["scan_columns"])
+    width = _ROOM * study["disc_diameter"]
+    count = math.ceil(width / pitch) + 1
+    span = 2 * math.atan((count - 1) * pitch / 2 / distance)
+    survey = survey_of(
+        study,
+        name="Bent disc in Maalox water",
+        water=ScanWater(
+            attenuation=study["maalox_attenuation"],
+            second_moment=study["second_moment_high"],
+            backscatter=study["maalox_backscatter"],
+            m22=study["maalox_m22"],
+            fluctuation=study["milk_fluctuation"],
+        ),
+        field=ScanField(
+            distance=distance,
+            baseline=study["short_baseline"],
+            columns=count,
+            rows=count,
+            width=span,
+            height=span,
+        ),
+        target=f"""
+kind = "disc"
+diameter = "{write(study["disc_diameter"], "length")}"
+central_hole = "{write(study["disc_central_hole"], "length")}"
+hole_count = 4
+hole_diameter = "{write(study["disc_holes"], "length")}"
+hole_circle = "{write(study["disc_hole_circle"], "length")}"
+curvature_radius = "{write(study["disc_bend"], "length")}"
+""",
+        polarizations=["VH", "VV"],
+    )
+    interval = around(distance)
+    cube = simulate(survey, rng=study.rng("disc"))
+    truth = cube.amulor.truth["slant_range"].values
+    met = np.isfinite(truth)
+
+    return DiscScan(
+        survey=survey,
+        pitch=pitch,
+        truth=truth,
+        inside=ndimage.binary_erosion(met),
+        outside=ndimage.binary_erosion(~met, border_value=1),
+        raw=images(rejection.keep_water(cube), interval=interval),
+        subtracted=images(
+            rejection.open_water(cube, interval=interval), interval=interval
+        ),
+    )
+
+
+def outlines(image: xr.Dataset, *, distance: float) -> Outlines:
+    """Measure the outlines of the disc in the brightness of a picture.
+
+    Parameters
+    ----------
+    image : xarray.Dataset
+        Level `range_image`; the picture knows nothing of the disc but its distance.
+    distance : float
+        Forward distance of the middle of the disc [m].
+
+    Returns
+    -------
+    Outlines
+        Diameters of circles of the same area. The disc is the largest patch that is
+        brighter than halfway between bright and dark, its holes are the dark patches
+        that it surrounds.
+    """
+    bright = image["intensity"].values > _halfway(image["intensity"].values)
+    patches, count = ndimage.label(bright)
+    if count == 0:
+        return Outlines(None, None, ())
+    sizes = ndimage.sum_labels(bright, patches, np.arange(1, count + 1))
+    disc = patches == 1 + int(np.argmax(sizes))
+    filled = ndimage.binary_fill_holes(disc)
+    area = _pixel_areas(image, disc, distance=distance)
+    step = math.sqrt(float(np.mean(area[filled])))
+    # A hole has no corners in common with what is around the disc.
+    holes, number = ndimage.label(filled & ~disc)
+    areas = [float(area[holes == i].sum()) for i in range(1, number + 1)]
+    found = [_circle(size, step) for size in sorted(areas, reverse=True)]
+    return Outlines(
+        rim=_circle(float(area[filled].sum()), step),
+        central_hole=found[0] if found else None,
+        small_holes=tuple(found[1:]),
+    )
+
+
+def _circle(area: float, step: float) -> Outline:
+    """Return the circle of an area that was counted on a lattice of this step."""
+    diameter = math.sqrt(4 * area / math.pi)
+    count = math.sqrt(_SECTORS * _LATTICE * math.pi * diameter / step)
+    return Outline(diameter, 2 * count * step**2 / (math.pi * diameter))
+
+
+def _halfway(values: Floats) -> float:
+    """Return the level halfway between the means of bright and dark pixels."""
+    level = float(values.mean())
+    for _ in range(_ROUNDS):
+        dark, light = values[values <= level], values[values > level]
+        if dark.size == 0 or light.size == 0:
+            break
+        level = float(dark.mean() + light.mean()) / 2
+    return level
+
+
+#: Rounds after which the level halfway stands still, in practice after five.
+_ROUNDS = 30
+
+
+def _pixel_areas(image: xr.Dataset, disc: Mask, *, distance: float) -> Floats:
+    """Return the area that each pixel covers of the plane across the middle beam.
+
+    A smooth surface through the ranges of the disc, of the second degree in the
+    direction, gives its holes a distance, too.
+    """
+    across, upwards = np.tan(image["azimuth"].values), np.tan(image["elevation"].values)
+    ones = np.ones_like(across)
+    terms = np.stack(
+        [ones, across, upwards, across**2, across * upwards, upwards**2], axis=-1
+    )
+    cloud = imaging.point_cloud(image)
+    row, column = cloud["row"].values, cloud["column"].values
+    on = disc[row, column]
+    forward = distance * ones
+    if on.sum() > terms.shape[-1]:
+        design = terms[row[on], column[on]]
+        fitted, *_ = np.linalg.lstsq(design, cloud["z"].values[on], rcond=None)
+        forward = terms @ fitted
+    right, up = forward * across, forward * upwards
+    right_by_row, right_by_column = np.gradient(right)
+    up_by_row, up_by_column = np.gradient(up)
+    areas: Floats = np.abs(right_by_row * up_by_column - right_by_column * up_by_row)
+    return areas

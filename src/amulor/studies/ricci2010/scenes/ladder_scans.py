@@ -1,0 +1,411 @@
+"""Scans of the ladder through the whole chain, for figures 5, 6, 13 and 14."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+
+from amulor import imaging, rejection
+from amulor.errors import CubeError
+from amulor.imaging import metrics
+from amulor.optics import low_pass, ranging
+from amulor.simulation import backscatter, simulate
+from amulor.studies.ladder import treads
+from amulor.studies.ricci2010.checks import Check, holds
+from amulor.studies.ricci2010.scenes.scan_surveys import (
+    ScanField,
+    ScanWater,
+    around,
+    images,
+    survey_of,
+)
+from amulor.studies.ricci2010.study import Study
+from amulor.survey import Survey
+from amulor.units import write
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Steps:
+    """What a range image says about the ladder."""
+
+    heights: Floats
+    """Heights of the steps; not numbers where too few pixels have a range [m]."""
+    uncertainties: Floats
+    """Their standard uncertainties [m]."""
+    noise: float
+    """Scatter of the slant range among the lines, on the treads [m]."""
+    error: float
+    """Root mean square of slant range less truth, on the treads [m]."""
+    pixels: int
+    """Pixels on the treads that have a range [1]."""
+    wanted: int
+    """Pixels on the treads [1]."""
+
+
+@dataclass(frozen=True)
+class LadderScan:
+    """One scan of the ladder, with and without its water signal."""
+
+    survey: Survey
+    """What was simulated."""
+    truth: Floats
+    """True slant range, shape (row, column) [m]."""
+    treads: NDArray[np.intp]
+    """Tread of each pixel, counted from 1; 0 near edges."""
+    water_ratio: dict[str, float]
+    """Channel to mean of the water signal over that of the ladder [1]."""
+    raw: dict[str, xr.Dataset]
+    """Channel to range image with the water left in."""
+    subtracted: dict[str, xr.Dataset]
+    """Channel to range image with open water subtracted."""
+    stated: dict[str, xr.Dataset]
+    """Channel to the raw range image that knows about its water: the shift stands as
+    a bias, and pixels with too much water have no range. Without polarizers only."""
+
+    def farthest(self, image: xr.Dataset) -> float:
+        """Return where the farthest tread stands in one of the images.
+
+        Parameters
+        ----------
+        image : xarray.Dataset
+            One of `raw`, `subtracted` or `stated`.
+
+        Returns
+        -------
+        float
+            Mean forward place of its points [m].
+        """
+        cloud = imaging.point_cloud(image)
+        tread = self.treads[cloud["row"].values, cloud["column"].values]
+        return float(cloud["z"].values[tread == 1].mean())
+
+    def steps(self, image: xr.Dataset) -> Steps:
+        """Compare one of the images with the ladder.
+
+        Parameters
+        ----------
+        image : xarray.Dataset
+            One of `raw`, `subtracted` or `stated`.
+
+        Returns
+        -------
+        Steps
+            Not numbers where nothing can be said.
+        """
+        on = self.treads > 0
+        error = np.where(on, image["slant_range"].values - self.truth, np.nan)
+        known = np.isfinite(error)
+        lines = known.sum(axis=0)
+        several = lines > 1
+        values = error[:, several]
+        count = self.treads.max()
+        try:
+            found = metrics.step_heights(image, self.treads)
+        except CubeError:
+            heights = uncertainties = np.full(count - 1, np.nan)
+        else:
+            heights = np.array([step.height for step in found])
+            uncertainties = np.array([step.uncertainty for step in found])
+        return Steps(
+            heights=heights,
+            uncertainties=uncertainties,
+            noise=_root_mean(np.nanvar(values, axis=0, ddof=1)),
+            error=_root_mean(error[known] ** 2),
+            pixels=int(known.sum()),
+            wanted=int(on.sum()),
+        )
+
+
+def _root_mean(squares: Floats) -> float:
+    return float(np.sqrt(squares.mean())) if squares.size else math.nan
+
+
+def _scan(study: Study, survey: Survey, *, label: str) -> LadderScan:
+    interval = around(survey.targets[0].position[2])
+    cube = simulate(survey, rng=study.rng(label))
+    truth = cube.amulor.truth
+    on = treads(survey)
+    water = np.hypot(truth["water_in_phase"], truth["water_quadrature"]).values[0]
+    echo = np.hypot(truth["target_in_phase"], truth["target_quadrature"]).values[0]
+    channels = survey.instrument.polarizations
+    stated: dict[str, xr.Dataset] = {}
+    if len(channels) == 1:
+        frequency = study["frequency"]
+        one = rejection.frequency(
+            cube, modulation_frequency=frequency, interval=interval
+        )
+        stated = images(one, interval=interval)
+    return LadderScan(
+        survey=survey,
+        truth=truth["slant_range"].values,
+        treads=on,
+        water_ratio={
+            channel: float(w[on > 0].mean() / e[on > 0].mean())
+            for channel, w, e in zip(channels, water, echo, strict=True)
+        },
+        raw=images(rejection.keep_water(cube), interval=interval),
+        subtracted=images(
+            rejection.open_water(cube, interval=interval), interval=interval
+        ),
+        stated=stated,
+    )
+
+
+def _ladder(study: Study) -> str:
+    steps = [study["first_step"], *[study["other_steps"]] * 3]
+    heights = ", ".join(f'"{write(step, "length")}"' for step in steps)
+    return f"""
+kind = "staircase"
+tread_width = "{write(study["tread_width"], "length")}"
+step_heights = [{heights}]
+height = "6 cm"
+"""
+
+
+def _field(
+    study: Study, *, distance: float, baseline: float, coarser: int = 1
+) -> ScanField:
+    """Return the 10 cm x 4 cm of the ladder as seen from a distance."""
+    closer = study["short_distance"] / distance
+    return ScanField(
+        distance=distance,
+        baseline=baseline,
+        columns=round(study["scan_columns"] / coarser),
+        rows=round(study["scan_rows"] / coarser),
+        width=2 * math.atan(math.tan(study["scan_width"] / 2) * closer),
+        height=2 * math.atan(math.tan(study["scan_height"] / 2) * closer),
+    )
+
+
+def _coarser(study: Study) -> int:
+    """Return how much coarser a quick scan is; no noise is measured in these."""
+    return 2 if study.quick else 1
+
+
+def _clear_water(study: Study) -> ScanWater:
+    """Return the tap water of the short tank."""
+    return ScanWater(
+        attenuation=study["attenuation_tap"],
+        second_moment=study["second_moment_low"],
+        backscatter=study["scan_backscatter"],
+        m22=study["clear_m22"],
+        fluctuation=study["clear_fluctuation"],
+    )
+
+
+def _milk(study: Study) -> ScanWater:
+    """Return the short tank's water with the most milk."""
+    return ScanWater(
+        attenuation=study["milk_attenuation"],
+        second_moment=study["second_moment_high"],
+        backscatter=study["scan_backscatter"],
+        m22=study["milk_m22"],
+        fluctuation=study["milk_fluctuation"],
+    )
+
+
+def unpolarized_clear(study: Study) -> LadderScan:
+    """Scan the ladder in clear water at 1.5 m without polarizers.
+
+    Parameters
+    ----------
+    study : Study
+        Its numbers.
+
+    Returns
+    -------
+    LadderScan
+        Channel "none".
+    """
+    survey = survey_of(
+        study,
+        name="Ladder in clear water, no polarizers",
+        water=_clear_water(study),
+        field=_field(
+            study,
+            distance=study["short_distance"],
+            baseline=study["short_baseline"],
+            coarser=_coarser(study),
+        ),
+        target=_ladder(study),
+        polarizations=["none"],
+    )
+    return _scan(study, survey, label="ladder, clear, no polarizers")
+
+
+def unpolarized_turbid(study: Study) -> LadderScan:
+    """Scan the ladder in the turbid long tank at 3.7 m without polarizers.
+
+    Parameters
+    ----------
+    study : Study
+        Its numbers.
+
+    Returns
+    -------
+    LadderScan
+        Channel "none".
+    """
+    water = ScanWater(
+        attenuation=study["attenuation_high"],
+        second_moment=study["second_moment_high"],
+        backscatter=study["long_backscatter"],
+        m22=study["milk_m22"],
+        # The water signal of the long tank is as steady as in its sweeps.
+        fluctuation=study["amplitude_noise"],
+    )
+    survey = survey_of(
+        study,
+        name="Ladder in turbid water, no polarizers",
+        water=water,
+        field=_field(
+            study,
+            distance=study["turbid_distance"],
+            baseline=study["long_baseline"],
+            coarser=_coarser(study),
+        ),
+        target=_ladder(study),
+        polarizations=["none"],
+    )
+    return _scan(study, survey, label="ladder, turbid, no polarizers")
+
+
+def polarized_clear(study: Study) -> LadderScan:
+    """Scan the ladder in clear water, crossed and parallel.
+
+    Parameters
+    ----------
+    study : Study
+        Its numbers.
+
+    Returns
+    -------
+    LadderScan
+        Channels VH and VV.
+    """
+    return _polarized(study, _clear_water(study), name="clear water")
+
+
+def polarized_milk(study: Study) -> LadderScan:
+    """Scan the ladder in milk, crossed and parallel.
+
+    Parameters
+    ----------
+    study : Study
+        Its numbers.
+
+    Returns
+    -------
+    LadderScan
+        Channels VH and VV.
+    """
+    return _polarized(study, _milk(study), name="milk")
+
+
+def _polarized(study: Study, water: ScanWater, *, name: str) -> LadderScan:
+    survey = survey_of(
+        study,
+        name=f"Ladder in {name}",
+        water=water,
+        field=_field(
+            study, distance=study["short_distance"], baseline=study["short_baseline"]
+        ),
+        target=_ladder(study),
+        polarizations=["VH", "VV"],
+    )
+    return _scan(study, survey, label=f"ladder, {name}")
+
+
+#: Panels of figures 13 and 14: title, scan, channel.
+PANELS = (
+    ("VH, clear water", polarized_clear, "VH"),
+    ("VV, clear water", polarized_clear, "VV"),
+    ("VH, milk", polarized_milk, "VH"),
+    ("VV, milk", polarized_milk, "VV"),
+)
+
+
+def cut_off(survey: Survey, *, end: float | None = None) -> float:
+    """Return the cut-off of the water signal in the middle of a scan.
+
+    Parameters
+    ----------
+    survey : Survey
+        Water and instrument.
+    end : float, optional
+        Where the water ends; nowhere by default, as in the paper's model [m].
+
+    Returns
+    -------
+    float
+        Half-power point of (46) of Ricci et al. 2010, as rebuilt [Hz].
+    """
+    ended = survey.water.model_copy(update={"column_end": end})
+    shown = survey.model_copy(update={"water": ended})
+    return low_pass.cut_off(lambda f: backscatter.diffusion_response(shown, f))
+
+
+def phase_step(study: Study, height: float) -> float:
+    """Return the change of phase that a height stands for.
+
+    Parameters
+    ----------
+    study : Study
+        Frequency and index.
+    height : float
+        Height along the beam [m].
+
+    Returns
+    -------
+    float
+        (72) of Ricci et al. 2010, as rebuilt [rad].
+    """
+    interval = ranging.ambiguity_interval(
+        study["frequency"], group_index=study["index"]
+    )
+    return float(2 * np.pi * height / interval)
+
+
+def steps_agree(
+    study: Study, statement: str, steps: Steps, *, significance: float = 3.0
+) -> Check:
+    """Return the check that the steps of the ladder are right.
+
+    Parameters
+    ----------
+    study : Study
+        Its ladder.
+    statement : str
+        What is stated.
+    steps : Steps
+        What was found.
+    significance : float
+        How many of its standard uncertainties each may be off.
+
+    Returns
+    -------
+    Check
+        Its value is the largest deviation in standard uncertainties.
+    """
+    true = np.array([study["first_step"], *[study["other_steps"]] * 3])
+    off = np.abs(steps.heights - true) / steps.uncertainties
+    found = ", ".join(
+        f"{height * 1e3:.1f} ± {error * 1e3:.1f}"
+        for height, error in zip(steps.heights, steps.uncertainties, strict=True)
+    )
+    if not np.isfinite(off).all():
+        found = f"no range on {steps.wanted - steps.pixels} of {steps.wanted} pixels"
+    wanted = ", ".join(f"{height * 1e3:.0f}" for height in true)
+    check = holds(
+        statement,
+        bool((off <= significance).all()),
+        found=found if "no range" in found else f"{found} mm",
+        wanted=f"{wanted} mm, each within {significance:g} standard errors",
+    )
+    return replace(check, value=float(np.max(off)))

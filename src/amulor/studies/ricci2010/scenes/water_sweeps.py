@@ -1,0 +1,399 @@
+"""The water signal of the long tank against modulation frequency, in four models."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import brentq
+
+from amulor.optics import low_pass, phase_functions, small_angle, small_angle_diffusion
+from amulor.optics.phase_functions.models import henyey_greenstein_function
+from amulor.optics.phase_functions.phase_function import PhaseFunction
+from amulor.simulation.transport import half_power, relative_amplitude_uncertainty
+from amulor.studies.ricci2010.study import Study
+from amulor.transport import GaussianReceiver, Medium, Source, Tally, simulate
+
+Floats = NDArray[np.float64]
+Complex = NDArray[np.complex128]
+Turbidity = Literal["low", "high"]
+Response = Callable[[Floats], Complex]
+
+TURBIDITIES: tuple[Turbidity, Turbidity] = ("low", "high")
+#: Names of the models, as legends and checks call them.
+SIMPLE, REALISTIC = "simple water, diffusion form", "realistic water, diffusion form"
+SMALL_ANGLE = "realistic water, small-angle form"
+MONTE_CARLO = "realistic water, Monte Carlo"
+#: Points of a curve, relative error of the photons at 0 Hz, and most of them: of a
+#: quick study, and of a full one.
+_POINTS = {True: 56, False: 221}
+_ERROR = {True: 0.04, False: 0.003}
+_HISTORIES = {True: 96_000, False: 16_000_000}
+#: Parts of the photons that are left out in turn to find the error of a fit.
+_PARTS = 16
+
+
+@dataclass(frozen=True)
+class Water:
+    """Water of one turbidity, with a phase function that has its second moment."""
+
+    absorption: float
+    """Absorption coefficient a [1/m]."""
+    scattering: float
+    """Scattering coefficient b [1/m]."""
+    second_moment: float
+    """Second moment <theta^2> of the forward part [rad^2]."""
+    split_angle: float
+    """Angle between the forward and the diffuse part [rad]."""
+    phase_function: PhaseFunction
+    """Henyey-Greenstein."""
+
+    @property
+    def realistic(self) -> dict[str, float]:
+        """Arguments of the diffusion form."""
+        share, _ = self.phase_function.forward_split(self.split_angle)
+        return {
+            "absorption": self.absorption,
+            "forward_scattering": share * self.scattering,
+            "diffuse_scattering": (1 - share) * self.scattering,
+            "second_moment": self.second_moment,
+        }
+
+    @property
+    def simple(self) -> dict[str, float]:
+        """The same where all attenuation is diffuse scattering."""
+        return {
+            "absorption": 0.0,
+            "forward_scattering": 0.0,
+            "diffuse_scattering": self.absorption + self.scattering,
+            "second_moment": 0.0,
+        }
+
+
+@dataclass(frozen=True)
+class Curve:
+    """Normalised amplitude in one model, and its cut-offs."""
+
+    name: str
+    """Model."""
+    amplitude: Floats
+    """Amplitude over that at 0 Hz, at the frequencies of the sweep [1]."""
+    cut_off: float
+    """Half-power frequency [Hz]."""
+    fitted: float
+    """Cut-off by a free fit of (71) [Hz]."""
+    at_cut_off: float
+    """Amplitude at the cut-off as it is reported, to 10 kHz [1]."""
+    cut_off_error: float = 0.0
+    """Standard error of the half-power frequency [Hz]."""
+    fitted_error: float = 0.0
+    """Standard error of the fitted cut-off [Hz]."""
+    ratio_error: float = 0.0
+    """Standard error of fitted over half-power cut-off [1]."""
+    band: Floats | None = None
+    """Standard errors of the amplitudes [1]."""
+
+
+@dataclass(frozen=True)
+class Squares:
+    """A synthetic measurement of the sweep, and a fit of (71) to it."""
+
+    frequency: Floats
+    """Modulation frequencies [Hz]."""
+    amplitude: Floats
+    """Amplitudes over the true one at 0 Hz [1]."""
+    made_with: float
+    """Half-power frequency of what they were made with [Hz]."""
+    fit: low_pass.LowPassFit
+    """Free fit of (71)."""
+
+
+@dataclass(frozen=True)
+class Sweep:
+    """All that figure 3 or 4 shows."""
+
+    turbidity: Turbidity
+    """Which of both."""
+    attenuation: float
+    """Attenuation coefficient k [1/m]."""
+    water: Water
+    """Its water."""
+    frequency: Floats
+    """Modulation frequencies of the curves [Hz]."""
+    simple: Curve
+    """Dashed: all attenuation is diffuse scattering."""
+    realistic: Curve
+    """Solid: the diffusion form of the realistic water."""
+    small_angle: Curve
+    """The small-angle form of the same water, which keeps unscattered light."""
+    monte_carlo: Curve
+    """Transport of all orders of scattering in the same water."""
+    squares: Squares
+    """Synthetic measurement of the realistic diffusion form."""
+    first_order: Squares
+    """The same of a low-pass of first order with the same half-power frequency."""
+
+    @property
+    def curves(self) -> tuple[Curve, ...]:
+        """All four models."""
+        return self.simple, self.realistic, self.small_angle, self.monte_carlo
+
+
+def water(study: Study, turbidity: Turbidity) -> Water:
+    """Return the water of one turbidity.
+
+    Parameters
+    ----------
+    study : Study
+        Its numbers.
+    turbidity : {"low", "high"}
+        Which of both.
+
+    Returns
+    -------
+    Water
+        With its phase function.
+    """
+    return study.once(_WATER[turbidity])
+
+
+def sweep(study: Study, turbidity: Turbidity) -> Sweep:
+    """Return what figure 3 (low) or 4 (high) shows.
+
+    Parameters
+    ----------
+    study : Study
+        Its numbers.
+    turbidity : {"low", "high"}
+        Which of both.
+
+    Returns
+    -------
+    Sweep
+        Curves, cut-offs and synthetic measurement.
+    """
+    return study.once(_SWEEP[turbidity])
+
+
+def receiver(study: Study) -> dict[str, float]:
+    """Return the receiver of the long tank, as the formulas take it.
+
+    Parameters
+    ----------
+    study : Study
+        Its numbers.
+
+    Returns
+    -------
+    dict of str to float
+        Baseline and radius [m] and acceptance [rad].
+    """
+    return {
+        "baseline": study["long_baseline"],
+        "receiver_radius": study["receiver_radius"],
+        "acceptance_angle": study["acceptance"],
+    }
+
+
+def asymmetry(second_moment: float, *, split_angle: float) -> float:
+    """Return the asymmetry of Henyey-Greenstein for a second moment.
+
+    Parameters
+    ----------
+    second_moment : float
+        Second moment of the forward part, sin-weighted and renormalised [rad^2].
+    split_angle : float
+        Where the forward part ends [rad].
+
+    Returns
+    -------
+    float
+        Mean cosine g of all scattering [1].
+
+    Raises
+    ------
+    ValueError
+        If no asymmetry from 0 to 0.9999 has this moment.
+    """
+
+    def excess(g: float) -> float:
+        found = phase_functions.henyey_greenstein_second_moment(
+            asymmetry=g, split_angle=split_angle
+        )
+        return float(found) - second_moment
+
+    return float(brentq(excess, 0.0, 0.9999, xtol=1e-13))
+
+
+def _phase_function(study: Study, *, turbidity: Turbidity) -> PhaseFunction:
+    g = asymmetry(study[f"second_moment_{turbidity}"], split_angle=study["split_angle"])
+    return henyey_greenstein_function(asymmetry=g)
+
+
+def _water(study: Study, *, turbidity: Turbidity) -> Water:
+    attenuation, share = study[f"attenuation_{turbidity}"], study["absorption_share"]
+    return Water(
+        absorption=share * attenuation,
+        scattering=(1 - share) * attenuation,
+        second_moment=study[f"second_moment_{turbidity}"],
+        split_angle=study["split_angle"],
+        # Remembered, since the small-angle form keeps a table for each one.
+        phase_function=study.once(_PHASE_FUNCTION[turbidity]),
+    )
+
+
+def _photons(study: Study, *, turbidity: Turbidity) -> Tally:
+    medium, place = water(study, turbidity), receiver(study)
+    return simulate(
+        Medium.homogeneous(
+            absorption=medium.absorption,
+            scattering=medium.scattering,
+            phase_function=medium.phase_function,
+            group_index=study["index"],
+        ),
+        Source(),
+        GaussianReceiver(
+            position=(place["baseline"], 0.0, 0.0),
+            radius=place["receiver_radius"],
+            acceptance_angle=place["acceptance_angle"],
+        ),
+        np.concatenate([[0.0], _frequencies(study)]),
+        histories=_HISTORIES[study.quick],
+        seed=int(study.rng(f"photons, {turbidity} turbidity").integers(2**31)),
+        relative_error=_ERROR[study.quick],
+    )
+
+
+def _sweep(study: Study, *, turbidity: Turbidity) -> Sweep:
+    medium, frequency = water(study, turbidity), _frequencies(study)
+    place = receiver(study) | {"group_index": study["index"]}
+
+    def simple(f: Floats) -> Complex:
+        return small_angle_diffusion.water_response(
+            f, **medium.simple, backscatter_vsf=1.0, **place
+        )
+
+    def realistic(f: Floats) -> Complex:
+        return small_angle_diffusion.water_response(
+            f, **medium.realistic, backscatter_vsf=1.0, **place
+        )
+
+    def whole(f: Floats) -> Complex:
+        return small_angle.water_response(
+            f,
+            absorption=medium.absorption,
+            scattering=medium.scattering,
+            phase_function=medium.phase_function,
+            split_angle=medium.split_angle,
+            **place,
+        )
+
+    diffusion = _curve(REALISTIC, realistic, frequency)
+
+    def first_order(f: Floats) -> Complex:
+        return low_pass.first_order_response(f, cut_off=diffusion.cut_off)
+
+    return Sweep(
+        turbidity=turbidity,
+        attenuation=medium.absorption + medium.scattering,
+        water=medium,
+        frequency=frequency,
+        simple=_curve(SIMPLE, simple, frequency),
+        realistic=diffusion,
+        small_angle=_curve(SMALL_ANGLE, whole, frequency),
+        monte_carlo=_traced(study.once(_PHOTONS[turbidity])),
+        squares=_measured(
+            study, f"water sweep, {turbidity} turbidity", realistic, diffusion.cut_off
+        ),
+        first_order=_measured(
+            study, f"(71), {turbidity} turbidity", first_order, diffusion.cut_off
+        ),
+    )
+
+
+def _frequencies(study: Study) -> Floats:
+    """Return the frequencies of the curves, as evenly spaced as the measured ones."""
+    return np.linspace(study["sweep_first"], study["sweep_last"], _POINTS[study.quick])
+
+
+def _curve(name: str, response: Response, frequency: Floats) -> Curve:
+    """Return the curve of a closed form."""
+    corner = low_pass.cut_off(response)
+    reported = round(corner, -4)
+    still, there = np.abs(response(np.array([0.0, reported])))
+    amplitude = np.abs(response(frequency)) / still
+    return Curve(
+        name=name,
+        amplitude=amplitude,
+        cut_off=corner,
+        fitted=low_pass.fit(frequency, amplitude).cut_off,
+        at_cut_off=float(there / still),
+    )
+
+
+def _traced(tally: Tally) -> Curve:
+    """Return the curve of a run, whose first frequency is 0."""
+    frequency = tally.modulation_frequency
+    corner, error = half_power(tally)
+    amplitude = np.abs(tally.signal) / abs(tally.signal[0])
+    fitted = low_pass.fit(frequency[1:], amplitude[1:]).cut_off
+    corners = []
+    for kept in _left_out(tally):
+        part = np.abs(kept) / abs(kept[0])
+        half = float(np.interp(-math.sqrt(0.5), -part, frequency))
+        corners.append((low_pass.fit(frequency[1:], part[1:]).cut_off, half))
+    fits, halves = np.transpose(corners)
+    return Curve(
+        name=MONTE_CARLO,
+        amplitude=amplitude[1:],
+        cut_off=corner,
+        fitted=fitted,
+        at_cut_off=float(np.interp(round(corner, -4), frequency, amplitude)),
+        cut_off_error=error,
+        fitted_error=_jackknife(fits),
+        ratio_error=_jackknife(fits / halves),
+        band=relative_amplitude_uncertainty(tally)[1:],
+    )
+
+
+def _left_out(tally: Tally) -> list[Complex]:
+    """Return the signal without one part of the batches, for each part in turn."""
+    values = tally.batches.sum(axis=1)[:, 0]
+    number = np.arange(values.shape[0])
+    signals: list[Complex] = []
+    for part in range(min(_PARTS, number.size)):
+        kept = number % _PARTS != part
+        signals.append(
+            np.average(values[kept], axis=0, weights=tally.histories_of[kept])
+        )
+    return signals
+
+
+def _jackknife(left_out: Floats) -> float:
+    """Return the standard error of what was found with one part left out in turn."""
+    return math.sqrt((left_out.size - 1) * float(np.var(left_out)))
+
+
+def _measured(study: Study, label: str, response: Response, corner: float) -> Squares:
+    """Return a sweep with noise in phase and in quadrature."""
+    span = study["sweep_last"] - study["sweep_first"]
+    count = round(span / study["sweep_step"]) + 1
+    frequency = np.linspace(study["sweep_first"], study["sweep_last"], count)
+    still = abs(response(np.zeros(1))[0])
+    rng = study.rng(label)
+    noise = rng.normal(size=count) + 1j * rng.normal(size=count)
+    signal = response(frequency) / still + study["amplitude_noise"] * noise
+    amplitude = np.abs(signal)
+    return Squares(frequency, amplitude, corner, low_pass.fit(frequency, amplitude))
+
+
+# The study remembers results by function, so each turbidity has its own.
+_PHASE_FUNCTION = {t: partial(_phase_function, turbidity=t) for t in TURBIDITIES}
+_WATER = {t: partial(_water, turbidity=t) for t in TURBIDITIES}
+_PHOTONS = {t: partial(_photons, turbidity=t) for t in TURBIDITIES}
+_SWEEP = {t: partial(_sweep, turbidity=t) for t in TURBIDITIES}

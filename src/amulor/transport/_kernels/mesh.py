@@ -1,0 +1,130 @@
+"""Rays and triangles in compiled loops: the nearest hit, and whether a way is free.
+
+Triangles lie in a hierarchy of boxes, in the order of a walk that takes a box before
+what is in it. Each box knows where the walk goes on if the ray misses it, so there is
+no stack. mesh holds the boxes, their links, the triangles and the least distance of a
+hit to a ray that starts on a triangle. Möller and Trumbore, J. Graphics Tools 2, 21
+(1997), doi:10.1080/10867651.1997.10487468.
+"""
+
+from __future__ import annotations
+
+import math
+
+from numba import njit
+
+from amulor.transport._kernels.types import Packed, Vector
+
+# Columns of a box (its corners), of its link and of a triangle.
+LOW_X, LOW_Y, LOW_Z, HIGH_X, HIGH_Y, HIGH_Z = range(6)
+ESCAPE, FIRST_TRIANGLE, TRIANGLES = range(3)
+CORNER, EDGE_ONE, EDGE_TWO, NORMAL = 0, 3, 6, 9
+
+#: What a triangle is larger by, as a share of its edges, so that no ray slips between
+#: two that share an edge. Rounding moves a hit by some 1e-15 of the distances.
+MARGIN = 1e-9
+
+_STEEP = 1e300  # stands for 1/0, so that 0 times it is not "not a number"
+
+
+@njit(cache=True, error_model="numpy")
+def inverse(component: float) -> float:
+    """Return one over a component of a direction, finite for 0."""
+    if abs(component) * _STEEP > 1.0:
+        return 1.0 / component
+    return math.copysign(_STEEP, component)
+
+
+@njit(cache=True, error_model="numpy")
+def first_hit(
+    x: float,
+    y: float,
+    z: float,
+    dx: float,
+    dy: float,
+    dz: float,
+    limit: float,
+    enough: float,
+    start: float,
+    mesh: Packed,
+) -> tuple[float, float]:
+    """Return distance and number of the nearest triangle that a ray meets.
+
+    Distances are in lengths of (dx, dy, dz). limit bounds them, and is returned with
+    a number of -1 if nothing is met. The search ends at any hit nearer than enough.
+    start is the number of the triangle on which the ray starts, which it cannot meet,
+    or -1.
+    """
+    box, link, triangle, least = mesh
+    own = int(start)
+    near = 0.0
+    if own >= 0:
+        near = least / math.sqrt(dx * dx + dy * dy + dz * dz)
+    ix, iy, iz = inverse(dx), inverse(dy), inverse(dz)
+    best = limit
+    found = -1
+    node = 0
+    while node < box.shape[0]:
+        x1, x2 = (box[node, LOW_X] - x) * ix, (box[node, HIGH_X] - x) * ix
+        y1, y2 = (box[node, LOW_Y] - y) * iy, (box[node, HIGH_Y] - y) * iy
+        z1, z2 = (box[node, LOW_Z] - z) * iz, (box[node, HIGH_Z] - z) * iz
+        enter = max(max(min(x1, x2), min(y1, y2)), min(z1, z2))
+        leave = min(min(max(x1, x2), max(y1, y2)), max(z1, z2))
+        if enter > leave or leave < 0.0 or enter > best:
+            node = link[node, ESCAPE]
+            continue
+        first = link[node, FIRST_TRIANGLE]
+        for k in range(first, first + link[node, TRIANGLES]):
+            ax, ay, az = triangle[k, 3], triangle[k, 4], triangle[k, 5]
+            bx, by, bz = triangle[k, 6], triangle[k, 7], triangle[k, 8]
+            px, py, pz = dy * bz - dz * by, dz * bx - dx * bz, dx * by - dy * bx
+            determinant = ax * px + ay * py + az * pz
+            if determinant == 0.0 or k == own:
+                continue
+            sx, sy, sz = x - triangle[k, 0], y - triangle[k, 1], z - triangle[k, 2]
+            along = (sx * px + sy * py + sz * pz) / determinant
+            if along < -MARGIN or along > 1.0 + MARGIN:
+                continue
+            qx, qy, qz = sy * az - sz * ay, sz * ax - sx * az, sx * ay - sy * ax
+            across = (dx * qx + dy * qy + dz * qz) / determinant
+            if across < -MARGIN or along + across > 1.0 + MARGIN:
+                continue
+            distance = (bx * qx + by * qy + bz * qz) / determinant
+            if near < distance < best:
+                best = distance
+                found = k
+        if best < enough:
+            break
+        node += 1
+    return best, float(found)
+
+
+@njit(cache=True, error_model="numpy")
+def facing_normal(
+    number: float, dx: float, dy: float, dz: float, mesh: Packed
+) -> Vector:
+    """Return the normal of a triangle on the side from which (dx, dy, dz) comes."""
+    triangle = mesh[2]
+    k = int(number)
+    nx, ny, nz = triangle[k, 9], triangle[k, 10], triangle[k, 11]
+    if nx * dx + ny * dy + nz * dz > 0.0:
+        return -nx, -ny, -nz
+    return nx, ny, nz
+
+
+@njit(cache=True, error_model="numpy")
+def blocked(
+    x: float,
+    y: float,
+    z: float,
+    to_x: float,
+    to_y: float,
+    to_z: float,
+    start: float,
+    mesh: Packed,
+) -> bool:
+    """Return whether a triangle lies between two points, the first one's left out."""
+    distance, _ = first_hit(
+        x, y, z, to_x - x, to_y - y, to_z - z, 1.0, 1.0, start, mesh
+    )
+    return distance < 1.0

@@ -1,0 +1,193 @@
+"""Record of path lengths in compiled loops: deposits, and their transform.
+
+Light that arrives is kept by the length of its path, in even bins, so that all
+frequencies and absorptions are evaluated afterwards. Two arrays share the nodes: mass,
+for light of one length, and edge, the derivative of light spread evenly over a range
+of lengths. Both are split among four nodes by Lagrange's cubic, so a phasor comes out
+with an error of 3/128 of the fourth power of its phase per node. Paths beyond the last
+node go into exact sums, one per frequency.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit
+
+from amulor.transport._kernels.types import Array, Complex
+
+
+@njit(cache=True, error_model="numpy")
+def add_at(
+    array: Array, part: int, scaled: float, component: int, light: float
+) -> None:
+    """Split light among four nodes around a place, with the weights of a cubic."""
+    node = max(int(scaled) - 1, 0)
+    a = scaled - node
+    b, c, d = a - 1.0, a - 2.0, a - 3.0
+    inner, outer = 0.5 * light * b * c, 0.5 * light * a * d
+    array[part, component, node] -= inner * d * (1.0 / 3.0)
+    array[part, component, node + 1] += outer * c
+    array[part, component, node + 2] -= outer * b
+    array[part, component, node + 3] += inner * a * (1.0 / 3.0)
+
+
+@njit(cache=True, error_model="numpy")
+def add_beyond(
+    beyond: Complex,
+    wavenumber: Complex,
+    part: int,
+    low: float,
+    high: float,
+    light: Array,
+) -> None:
+    """Add light spread over path lengths that are not in the record, exactly."""
+    for f in range(wavenumber.size):
+        q = wavenumber[f]
+        span = q * (high - low)
+        factor = np.exp(0.5 * q * (low + high))
+        if abs(span) > 1e-6:
+            factor *= 2.0 * np.sinh(0.5 * span) / span
+        for k in range(beyond.shape[1]):
+            beyond[part, k, f] += light[k] * factor
+
+
+@njit(cache=True, error_model="numpy")
+def add_point(
+    mass: Array,
+    beyond: Complex,
+    wavenumber: Complex,
+    spacing: float,
+    part: int,
+    length: float,
+    light: Array,
+) -> None:
+    """Add light of one path length; the light has as many components as mass."""
+    scaled = length / spacing
+    if scaled < mass.shape[2] - 3:
+        for k in range(mass.shape[1]):
+            add_at(mass, part, scaled, k, light[k])
+    else:
+        add_beyond(beyond, wavenumber, part, length, length, light)
+
+
+@njit(cache=True, error_model="numpy")
+def add_range(
+    mass: Array,
+    edge: Array,
+    beyond: Complex,
+    wavenumber: Complex,
+    spacing: float,
+    part: int,
+    low: float,
+    high: float,
+    light: Array,
+) -> None:
+    """Add light spread evenly over path lengths from low to high."""
+    if high - low < 0.05 * spacing:
+        add_point(mass, beyond, wavenumber, spacing, part, 0.5 * (low + high), light)
+        return
+    scaled_low, scaled_high = low / spacing, high / spacing
+    if scaled_high < edge.shape[2] - 3:
+        per_length = 1.0 / (high - low)
+        for k in range(edge.shape[1]):
+            add_at(edge, part, scaled_low, k, light[k] * per_length)
+            add_at(edge, part, scaled_high, k, -light[k] * per_length)
+    else:
+        add_beyond(beyond, wavenumber, part, low, high, light)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def transform(
+    mass: Array, edge: Array, wavenumber: Complex, spacing: float, out: Complex
+) -> None:
+    """Add to out the integral of the record times exp(wavenumber x path length)."""
+    parts, components, nodes = mass.shape
+    last = np.zeros((parts, components), dtype=np.int64)
+    used = 0
+    for p in range(parts):
+        for k in range(components):
+            for n in range(nodes):
+                if mass[p, k, n] != 0.0 or edge[p, k, n] != 0.0:
+                    last[p, k] = n + 1
+            used = max(used, last[p, k])
+    point = np.empty(used, dtype=np.complex128)
+    ramp = np.empty(used, dtype=np.complex128)
+    for f in range(wavenumber.size):
+        q = wavenumber[f]
+        per_node = np.exp(q * spacing)
+        inverse = 0.0j if q == 0.0 else 1.0 / q
+        phasor = 1.0 + 0.0j
+        for n in range(used):
+            length = n * spacing
+            if n % 32 == 0:  # so that errors of the products do not grow
+                phasor = np.exp(q * length)
+            point[n] = phasor
+            # -(exp(q L) - 1) / q, for the edges of which the sum is zero.
+            if abs(q) * length < 1e-4:
+                ramp[n] = -length * (1.0 + 0.5 * q * length)
+            else:
+                ramp[n] = (1.0 - phasor) * inverse
+            phasor *= per_node
+        for p in range(parts):
+            for k in range(components):
+                total = 0.0 + 0.0j
+                for n in range(last[p, k]):
+                    total += mass[p, k, n] * point[n] + edge[p, k, n] * ramp[n]
+                out[p, k, f] += total
+
+
+@njit(cache=True, error_model="numpy")
+def transmission_depth(
+    z_start: float, z_end: float, length: float, edge: Array, attenuation: Array
+) -> float:
+    """Return the optical thickness of a straight way between two depths."""
+    low, high = min(z_start, z_end), max(z_start, z_end)
+    if high - low < 1e-9 * length or attenuation.size == 1:
+        for k in range(attenuation.size):
+            if low < edge[k + 1] or k == attenuation.size - 1:
+                return float(attenuation[k] * length)
+    total = 0.0
+    for k in range(attenuation.size):
+        share = min(high, edge[k + 1]) - max(low, edge[k])
+        if share > 0.0:
+            total += attenuation[k] * share
+    return total * length / (high - low)
+
+
+@njit(cache=True, error_model="numpy")
+def cone_window(
+    x: float,
+    y: float,
+    slope_x: float,
+    slope_y: float,
+    radius: float,
+    slope: float,
+    z_low: float,
+    z_high: float,
+) -> tuple[float, float]:
+    """Return the part of a line that lies in a cone which widens with z from z = 0.
+
+    The line is (x + slope_x z, y + slope_y z), the cone has the radius radius +
+    slope z. The part is empty if the second number is not above the first.
+    """
+    low, high = max(z_low, 0.0), z_high
+    a = slope_x * slope_x + slope_y * slope_y - slope * slope
+    b = x * slope_x + y * slope_y - radius * slope
+    c = x * x + y * y - radius * radius
+    inside = b * b - a * c
+    if abs(a) < 1e-14:
+        if abs(b) < 1e-300:
+            return (low, high) if c < 0 else (1.0, 0.0)
+        root = -0.5 * c / b
+        return (low, min(high, root)) if b > 0 else (max(low, root), high)
+    if inside <= 0.0:
+        return (1.0, 0.0) if a > 0 else (low, high)
+    # Roots without cancellation.
+    q = -(b + math.copysign(math.sqrt(inside), b))
+    first, second = q / a, c / q if q != 0.0 else q / a
+    smaller, larger = min(first, second), max(first, second)
+    if a > 0:
+        return max(low, smaller), min(high, larger)
+    return max(low, larger), high

@@ -1,0 +1,1 @@
+"""A transport run: the problem, its batches, what they leave."""

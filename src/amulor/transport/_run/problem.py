@@ -1,0 +1,266 @@
+"""A transport problem as the compiled loops take it, in the axes of the receiver."""
+
+from __future__ import annotations
+
+import hashlib
+import math
+from dataclasses import dataclass
+from functools import cached_property, lru_cache
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from amulor.transport._checks import axes_of, place, unit_vector
+from amulor.transport._kernels import angle as _cells
+from amulor.transport.medium import Layer, Medium
+from amulor.transport.mesh import (
+    RELATIVE_GAP,
+    MeshTarget,
+    distance_to_triangles,
+    hierarchy,
+)
+from amulor.transport.receiver import (
+    GaussianReceiver,
+    PlaneTarget,
+    Receiver,
+    Source,
+)
+from amulor.transport.scattering import AngleCells, ScatteringMatrix
+
+__all__ = ["Problem", "digest_of", "water_tables"]
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Problem:
+    """Medium, source, receiver and target, checked against each other.
+
+    Raises
+    ------
+    ValueError
+        If they do not fit together.
+    """
+
+    medium: Medium
+    source: Source
+    receiver: Receiver
+    target: PlaneTarget | MeshTarget | None
+
+    def __post_init__(self) -> None:
+        """Refuse what does not fit together."""
+        axis = self.axes[2]
+        if not self.medium.unbounded and abs(abs(axis[2]) - 1) > 1e-9:
+            tilt = math.degrees(math.acos(min(1.0, abs(axis[2]))))
+            raise ValueError(
+                "in layered or bounded water the receiver must look along the forward "
+                f"axis, across the layers; got a tilt of {tilt:.4g} deg"
+            )
+        edges = self.medium.edges
+        for name, part in (("source", self.source), ("receiver", self.receiver)):
+            depth = float(place(part.position, name="position")[2])
+            if not edges[0] <= depth <= edges[-1]:
+                raise ValueError(
+                    f"the {name} must be in the water, from {edges[0]:g} to "
+                    f"{edges[-1]:g} m forward, got {depth:g} m"
+                )
+        if not self.medium.polarized and np.any(self.source.stokes[1:] != 0):
+            raise ValueError(
+                "polarized light needs a medium with a ScatteringMatrix, got one with "
+                "a phase function only"
+            )
+        if isinstance(self.target, PlaneTarget):
+            self._refuse_behind(self.target)
+        elif self.target is not None:
+            self._refuse_inside(self.target)
+
+    def _refuse_behind(self, target: PlaneTarget) -> None:
+        """Refuse a receiver or source that is not in front of the target."""
+        normal = unit_vector(target.normal, name="normal")
+        point = place(target.position, name="position")
+        source = float((place(self.source.position, name="position") - point) @ normal)
+        centre = float(
+            (place(self.receiver.position, name="position") - point) @ normal
+        )
+        tilt = float(np.linalg.norm(np.cross(normal, self.axes[2])))
+        for name, distance in (("source", source), ("centre of the receiver", centre)):
+            if distance <= 0:
+                raise ValueError(
+                    f"the {name} must be in front of the target, on the side of its "
+                    f"normal, got {distance:.4g} m"
+                )
+        if centre - self.receiver.radius * tilt < 0:
+            raise ValueError(
+                "the receiver's face must not reach into the target: its centre is "
+                f"{centre:.4g} m in front, its edge {self.receiver.radius * tilt:.4g} "
+                "m behind that"
+            )
+
+    def _refuse_inside(self, target: MeshTarget) -> None:
+        """Refuse a receiver or source that is inside of a mesh, or touches it."""
+        source = place(self.source.position, name="position")
+        centre = place(self.receiver.position, name="position")
+        parts = (("source", source), ("centre of the receiver", centre))
+        for name, point in parts:
+            depth = target.depth_inside(point)
+            if depth > 0:
+                raise ValueError(
+                    f"the {name} must be outside of the target, which is closed there, "
+                    f"got one {depth:.4g} m under its surface"
+                )
+            distance = distance_to_triangles(point, target.corners)
+            if distance <= RELATIVE_GAP * np.abs(target.corners - centre).max():
+                raise ValueError(
+                    f"the {name} must not lie on the target, got a distance of "
+                    f"{distance:.3g} m"
+                )
+        reach = target.reach_into(centre, self.axes[2], self.receiver.radius)
+        if reach > 0:
+            raise ValueError(
+                "the receiver's face must not reach into the target, got a triangle "
+                f"{reach:.4g} m inside of its rim"
+            )
+
+    @cached_property
+    def axes(self) -> Array:
+        """Right, down and forward axes of the receiver, as rows."""
+        direction = unit_vector(self.receiver.direction, name="direction")
+        return axes_of(direction, name="direction of the receiver")
+
+    @cached_property
+    def layers(self) -> tuple[Layer, ...]:
+        """Layers in the order in which the receiver sees them."""
+        return self.medium.layers if self.axes[2, 2] >= 0 else self.medium.layers[::-1]
+
+    @cached_property
+    def edges(self) -> Array:
+        """Planes between the layers on the receiver's axis [m]."""
+        edges = np.array(self.medium.edges)
+        if self.medium.unbounded:
+            return edges
+        depth = place(self.receiver.position, name="position")[2]
+        sign = 1.0 if self.axes[2, 2] >= 0 else -1.0
+        return np.sort(sign * (edges - depth))
+
+    def _turned(self, position: Array) -> Array:
+        """Return places in the axes of the receiver."""
+        offset = position - place(self.receiver.position, name="position")
+        result: Array = offset @ self.axes.T
+        return result
+
+    @cached_property
+    def water(self) -> tuple[Any, ...]:
+        """Edges, coefficients and angle tables for the kernels."""
+        return water_tables(self.layers, self.edges)
+
+    @cached_property
+    def beam(self) -> tuple[Array, Array, Array, float, float]:
+        """Centre, axis, parallel axis, radius and divergence of the source."""
+        direction = unit_vector(self.source.direction, name="direction")
+        own = axes_of(direction, name="direction of the source")
+        return (
+            self._turned(place(self.source.position, name="position")),
+            np.ascontiguousarray(self.axes @ direction),
+            np.ascontiguousarray(self.axes @ own[0]),
+            float(self.source.radius),
+            float(self.source.divergence),
+        )
+
+    @cached_property
+    def face(self) -> tuple[float, float, bool]:
+        """Radius and acceptance of the receiver, and whether it is Gaussian."""
+        return (
+            float(self.receiver.radius),
+            float(self.receiver.acceptance_angle),
+            isinstance(self.receiver, GaussianReceiver),
+        )
+
+    @cached_property
+    def surface(self) -> tuple[Any, ...]:
+        """The target for the kernels, also if there is none.
+
+        Whether it is a plane, the normal and height of that, reflectance and matrix,
+        and the mesh: boxes, links, triangles and least distance, without boxes if the
+        target is not a mesh.
+        """
+        target = self.target
+        empty = (np.empty((0, 6)), np.empty((0, 3), np.int64), np.empty((0, 12)), 0.0)
+        normal, height = np.array([0.0, 0.0, -1.0]), 0.0
+        if target is None:
+            return False, normal, height, 0.0, np.zeros((4, 4)), empty
+        reflection = (float(target.reflectance), target.matrix)
+        if isinstance(target, MeshTarget):
+            corners = self._turned(target.corners)
+            return False, normal, height, *reflection, hierarchy(corners)
+        normal = self.axes @ unit_vector(target.normal, name="normal")
+        height = float(normal @ self._turned(place(target.position, name="position")))
+        return True, np.ascontiguousarray(normal), height, *reflection, empty
+
+    @cached_property
+    def digest(self) -> str:
+        """SHA-256 of all numbers that enter, to tell problems apart."""
+        return digest_of(
+            *self.water,
+            *self.beam,
+            *self.face,
+            *self.surface[:5],
+            *self.surface[5][:3],
+            self.source.stokes,
+            self.medium.group_index,
+            self.medium.polarized,
+        )
+
+
+def digest_of(*parts: Any) -> str:
+    """Return the SHA-256 of numbers and arrays."""
+    digest = hashlib.sha256()
+    for part in parts:
+        digest.update(np.ascontiguousarray(part).tobytes())
+    return digest.hexdigest()
+
+
+def water_tables(layers: tuple[Layer, ...], edges: Array) -> tuple[Any, ...]:
+    """Return edges, coefficients and angle tables for the kernels."""
+    functions: list[Any] = []
+    table = []
+    for layer in layers:
+        if not any(layer.phase_function is known for known in functions):
+            functions.append(layer.phase_function)
+        table.append(
+            next(
+                k for k, known in enumerate(functions) if known is layer.phase_function
+            )
+        )
+    shape = (len(functions), _cells.SIZE)
+    urn, value = np.empty((*shape, 8)), np.empty(shape)
+    element = np.zeros((*shape, 5))
+    for k, function in enumerate(functions):
+        urn[k], value[k], element[k] = _angle_tables(function)
+    attenuation = np.array([layer.attenuation for layer in layers])
+    scattering = np.array([layer.scattering for layer in layers])
+    return (
+        edges,
+        attenuation,
+        np.divide(
+            scattering,
+            attenuation,
+            out=np.zeros_like(scattering),
+            where=attenuation > 0,
+        ),
+        np.array(table, dtype=np.int64),
+        urn,
+        value,
+        element,
+    )
+
+
+@lru_cache(maxsize=8)
+def _angle_tables(function: Any) -> tuple[Array, Array, Array]:
+    """Return what angles are drawn from and looked up in; runs often share a water."""
+    matrix = function if isinstance(function, ScatteringMatrix) else None
+    cells = AngleCells(function.phase_function if matrix else function)
+    element = np.zeros((_cells.SIZE, 5))
+    if matrix is not None:
+        element[:] = matrix.elements_at(cells.middle)
+    return cells.urn, cells.value, element

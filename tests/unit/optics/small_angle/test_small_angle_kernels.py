@@ -1,0 +1,99 @@
+"""Compiled loops of the small-angle models against the same loops as written."""
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+from amulor.optics._quadrature import kernels as _panel_kernels
+from amulor.optics._quadrature.rule import RULE
+from amulor.optics.small_angle_diffusion import _kernels
+
+
+def _kernel_arguments(name):
+    rng = np.random.default_rng(46)
+    n = _panel_kernels.ORDER
+    row = np.array([0.4, 0.012, 4e-4, 6.4e-3, 0.01, 2.0, 0.0, 0.0, 0.0, 40.0])
+    work = rng.uniform(0.1, 1.0, (6, n))
+    wavenumber = np.linspace(0.1, 7.0, 9)
+    series = [rng.normal(size=n), rng.normal(size=n)]
+    turns = [rng.uniform(0, 100, 9) for _ in range(2)]
+    sums = [np.zeros(9), np.zeros(9)]
+    rule = RULE
+    table = np.array([[0.2, 0.01, 0.2, 0.02, 0.08, 0.1, 0.01, 0.1, 0.0, np.inf]])
+    return {
+        "sine_cosine": (123.4,),
+        "_exponential": (-45.6,),
+        "_area": (1.5, row),
+        "_offset": (1.5, row),
+        "_level": (1.5, row),
+        "_slope": (1.5, row),
+        "_scale": (0.01, row),
+        "_bound": (1.5, 2.5, row),
+        "_prepare": (table[0], np.zeros(10)),
+        "_break_points": (row, np.zeros(64)),
+        "_sample": (2.0, 0.5, 1.8, row, rule, work, work.view(np.int64)),
+        "expand": (work[0], rule[0], np.zeros(n)),
+        "_unresolved": (1.5, 2.5, 1.8, row, rule, work),
+        "_add_slow": (0.9, wavenumber, *series, turns[0], *sums),
+        "_add_fast": (90.0, wavenumber, *series, *turns, *sums),
+        "add_panel": (
+            0.9,
+            2.1,
+            *series,
+            wavenumber,
+            rule,
+            np.zeros((2, n)),
+            np.zeros((2, 9)),
+            np.zeros((2, 9)),
+        ),
+        "_turns": (wavenumber, 2e6, np.zeros(9)),
+        "_add_column": (
+            row,
+            wavenumber,
+            rule,
+            work,
+            np.zeros((2, 9)),
+            np.zeros((2, 9)),
+        ),
+        "water_column": (
+            table,
+            wavenumber[None],
+            rule,
+            np.zeros((1, 9), dtype=complex),
+        ),
+    }[name]
+
+
+def _named_kernels():
+    """Return all compiled functions of the modules by name."""
+    return {
+        name: function
+        for module in (_kernels, _panel_kernels)
+        for name, function in vars(module).items()
+        if hasattr(function, "py_func")
+    }
+
+
+@pytest.mark.parametrize("name", sorted(_named_kernels()))
+def test_compiled_and_plain_kernel_agree(name):
+    compiled, plain = _kernel_arguments(name), _kernel_arguments(name)
+    kernel = _named_kernels()[name]
+    answers = kernel(*compiled), kernel.py_func(*plain)
+    # Fused multiply-add rounds once where plain Python rounds twice.
+    tolerance = {"rtol": 1e-12, "atol": 1e-12}
+    if answers[0] is not None:
+        assert_allclose(answers[0], answers[1], **tolerance)
+    for one, other in zip(compiled, plain, strict=True):
+        if isinstance(one, np.ndarray) and one.dtype != np.int64:
+            used = np.abs(one) < 1e15  # the rest are numbers taken apart in bits
+            assert_allclose(one[used], other[used], **tolerance)
+
+
+def test_inline_functions_keep_all_digits():
+    x = np.random.default_rng(3).uniform(-1e7, 1e7, 2000)
+    both = np.array([_panel_kernels.sine_cosine(value) for value in x])
+    # Absolute, as the sums need it: two roundings of a number below one.
+    assert_allclose(both, np.stack([np.sin(x), np.cos(x)], axis=1), atol=5e-16, rtol=0)
+    x = np.random.default_rng(4).uniform(-700, 700, 2000)
+    parts = np.array([_kernels._exponential(value) for value in x])
+    assert_allclose(parts[:, 0] * 2.0 ** parts[:, 1], np.exp(x), rtol=5e-16)
