@@ -1,13 +1,25 @@
-"""Digests of results of a fixed seed: what a change of structure must not move.
+"""Results of a fixed seed, and how far a change of structure has moved them.
 
-Run with ``python benchmarks/digest_results.py`` before and after a change on one
-machine, and compare the lines. The demo and the quick study of Ricci et al. 2010 are
-run as commands; joint estimate and transport runs as functions.
+Run ``python benchmarks/digest_results.py before.npz`` before a change and
+``python benchmarks/digest_results.py after.npz before.npz`` after it, on one machine.
+Each line is the digest of one result, and how many of its numbers differ, by how much
+of the largest one. The demo and the quick study of Ricci et al. 2010 are run as
+commands; joint estimate and transport runs as functions.
+
+What has just been compiled and what comes from the compile cache can differ in the last
+bit, where sums may be taken in any order. So both runs need a cache of their own that
+is filled: set NUMBA_CACHE_DIR, run twice, and keep the second.
 """
 
 from __future__ import annotations
 
+import os
+
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
+import contextlib
 import hashlib
+import io
 import json
 import sys
 import tempfile
@@ -25,55 +37,61 @@ TARGET = ("in_phase", "quadrature", "in_phase_uncertainty", "quadrature_uncertai
 IMAGE = ("slant_range", "slant_range_uncertainty", "intensity", "quality_flag")
 
 
-def digest(*arrays):
-    """Return the first 16 digits of the SHA-256 of arrays, bit for bit."""
-    total = hashlib.sha256()
-    for array in arrays:
-        total.update(np.ascontiguousarray(array).tobytes())
-    return total.hexdigest()[:16]
+def together(*arrays):
+    """Return the numbers of some arrays, one after the other."""
+    return np.concatenate(
+        [np.ravel(np.asarray(array, dtype=float)) for array in arrays]
+    )
 
 
 def run(*words):
     """Run a command, its printing kept back; stop if it fails."""
-    stdout, sys.stdout = sys.stdout, open("printed.txt", "a")  # noqa: SIM115
-    try:
+    with contextlib.redirect_stdout(io.StringIO()):
         code = cli.main(list(words))
-    finally:
-        sys.stdout = stdout
     if code != 0:
         raise SystemExit(f"amulor {' '.join(words)} ended with {code}")
 
 
 def demo(folder):
-    """Print a digest of each file of arrays that the demo writes."""
+    """Return the numbers of each file that the demo writes."""
     run("demo", "--output", str(folder), "--json")
+    found = {}
     for path in sorted(folder.glob("**/*.nc")):
         cube = amulor.read_cube(path)
         names = [name for name in (*TARGET, *IMAGE) if name in cube]
-        print(f"demo {path.name:24}", digest(*(cube[name].values for name in names)))
+        found[f"demo, {path.name}"] = together(*(cube[name] for name in names))
     for path in sorted(folder.glob("**/*.ply")):
-        print(f"demo {path.name:24}", digest(np.fromfile(path, dtype=np.uint8)))
+        points = path.read_bytes().partition(b"end_header\n")[2]
+        found[f"demo, {path.name}"] = together(np.frombuffer(points, dtype=np.uint8))
+    return found
 
 
 def study(folder):
-    """Print a digest of the checks of the quick study, and of each figure's numbers."""
+    """Return the numbers that the checks of the quick study compare, figure by figure."""
     run("reproduce", "ricci2010", "--quick", "--output", str(folder), "--json")
-    checks = json.loads((folder / "checks.json").read_text(encoding="utf-8"))
-    for figure in checks["figures"]:
-        values = np.array([float(check["value"] or 0.0) for check in figure["checks"]])
-        print(f"quick study, figure {figure['number']:<9}", digest(values))
+    figures = json.loads((folder / "checks.json").read_text(encoding="utf-8"))[
+        "figures"
+    ]
+    return {
+        f"quick study, figure {figure['number']}": together(
+            [check["value"] for check in figure["checks"]]
+        )
+        for figure in figures
+    }
 
 
 def joint_estimate():
-    """Print digests of a joint estimate and of its range image."""
+    """Return a joint estimate and its range image."""
     target = amulor.rejection.joint(scene(40, 30), interval=INTERVAL)
     image = amulor.imaging.range_image(target)
-    print("joint estimate               ", digest(*(target[n].values for n in TARGET)))
-    print("joint estimate, range image  ", digest(*(image[n].values for n in IMAGE)))
+    return {
+        "joint estimate": together(*(target[name] for name in TARGET)),
+        "joint estimate, range image": together(*(image[name] for name in IMAGE)),
+    }
 
 
-def transport_run():
-    """Print digests of transport runs: scalar, polarised with a plane, with a mesh."""
+def transport_runs():
+    """Return transport runs: scalar, polarised with a plane, with a mesh."""
     peak = henyey_greenstein_function(asymmetry=0.95)
     receiver = transport.DiscReceiver(
         radius=0.05, acceptance_angle=0.04, position=(0.07, 0, 0)
@@ -86,9 +104,10 @@ def transport_run():
     )
     cases = {
         "scalar": (peak, None),
-        "polarised": (transport.ScatteringMatrix.rayleigh(), plane),
+        "polarised, plane": (transport.ScatteringMatrix.rayleigh(), plane),
         "mesh": (peak, square),
     }
+    found = {}
     for name, (phase_function, target) in cases.items():
         medium = transport.Medium.homogeneous(
             absorption=0.2,
@@ -106,20 +125,43 @@ def transport_run():
             seed=3,
             keep_record=True,
         )
-        record = tally.record
-        print(
-            f"transport run, {name:14}",
-            digest(tally.batches, tally.contribution, record.water, record.target),
+        batches = np.asarray(tally.batches)
+        found[f"transport, {name}"] = together(batches.real, batches.imag)
+        found[f"transport, {name}, record"] = together(
+            tally.contribution, tally.record.water, tally.record.target
         )
+    return found
+
+
+def compared(new, old):
+    """Return in words how far numbers have moved."""
+    if new.shape != old.shape:
+        return f"{old.size} numbers became {new.size}"
+    same = (new == old) | (np.isnan(new) & np.isnan(old))
+    if same.all():
+        return "same"
+    if not np.array_equal(np.isfinite(new), np.isfinite(old)):
+        return "other numbers are finite"
+    finite = np.isfinite(old)
+    step = np.abs(new - old)[finite].max() / np.abs(old)[finite].max()
+    return f"{np.mean(~same):.1%} differ, by up to {step:.1e} of the largest"
 
 
 def main():
     """Print all digests."""
+    name, *before = sys.argv[1:]
+    old = np.load(before[0]) if before else {}
     with tempfile.TemporaryDirectory() as folder:
-        transport_run()
-        joint_estimate()
-        demo(Path(folder) / "demo")
-        study(Path(folder) / "study")
+        found = {
+            **transport_runs(),
+            **joint_estimate(),
+            **demo(Path(folder) / "demo"),
+            **study(Path(folder) / "study"),
+        }
+    for key, numbers in found.items():
+        text = hashlib.sha256(numbers.tobytes()).hexdigest()[:16]
+        print(f"{key:36}{text}  {compared(numbers, old[key]) if key in old else ''}")
+    np.savez_compressed(name, **found)
 
 
 if __name__ == "__main__":
