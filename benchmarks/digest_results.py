@@ -67,7 +67,7 @@ def demo(folder):
 
 
 def study(folder):
-    """Return the numbers that the checks of the quick study compare, figure by figure."""
+    """Return the numbers that the checks of the quick study compare."""
     run("reproduce", "ricci2010", "--quick", "--output", str(folder), "--json")
     figures = json.loads((folder / "checks.json").read_text(encoding="utf-8"))[
         "figures"
