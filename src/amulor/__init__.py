@@ -15,11 +15,26 @@
 
 from __future__ import annotations
 
-import importlib
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
+
+from amulor import _lazy
 
 if TYPE_CHECKING:
-    from amulor import cube, imaging, optics, rejection, transport, view
+    from amulor import (
+        acquisition,
+        cube,
+        errors,
+        imaging,
+        io,
+        optics,
+        rejection,
+        simulation,
+        studies,
+        survey,
+        transport,
+        units,
+        view,
+    )
     from amulor.io import read_cube, write_cube
     from amulor.simulation import simulate
     from amulor.survey import Survey
@@ -28,36 +43,33 @@ __version__ = "0.1.0"
 
 __all__ = [
     "Survey",
+    "acquisition",
     "cube",
+    "errors",
     "imaging",
     "io",
     "optics",
     "read_cube",
     "rejection",
     "simulate",
+    "simulation",
+    "studies",
+    "survey",
     "transport",
+    "units",
     "view",
     "write_cube",
 ]
 
-_MODULES = ("cube", "imaging", "io", "optics", "rejection", "transport", "view")
-_NAMES = {
-    "Survey": "amulor.survey",
-    "read_cube": "amulor.io",
-    "simulate": "amulor.simulation",
-    "write_cube": "amulor.io",
-}
-
-
-def __getattr__(name: str) -> Any:
-    """Import a public name when it is first used, so that `amulor --help` is quick."""
-    if name in _MODULES:
-        return importlib.import_module(f"amulor.{name}")
-    if name in _NAMES:
-        return getattr(importlib.import_module(_NAMES[name]), name)
-    raise AttributeError(f"module 'amulor' has no attribute {name!r}")
-
-
-def __dir__() -> list[str]:
-    """List the public names, imported or not."""
-    return sorted([*globals(), *__all__])
+if not TYPE_CHECKING:
+    # Nothing is imported before it is used, so that `amulor --help` is quick.
+    __getattr__, __dir__ = _lazy.attach(
+        __name__,
+        __all__,
+        origin={
+            "Survey": "amulor.survey",
+            "read_cube": "amulor.io",
+            "simulate": "amulor.simulation",
+            "write_cube": "amulor.io",
+        },
+    )

@@ -1,0 +1,74 @@
+"""Public names of a package imported when they are first used (PEP 562)."""
+
+from __future__ import annotations
+
+import importlib
+import sys
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+
+def attach(
+    package: str, public: Sequence[str], *, origin: Mapping[str, str] | None = None
+) -> tuple[Callable[[str], Any], Callable[[], list[str]]]:
+    """Return the `__getattr__` and the `__dir__` of a package.
+
+    Type checkers and import-linter read the `TYPE_CHECKING` block, people and tab
+    completion see `__all__`, and nothing is imported before it is used::
+
+        if TYPE_CHECKING:
+            from amulor.optics import ranging, small_angle
+            from amulor.optics.low_pass import cut_off
+
+        __all__ = ["cut_off", "ranging", "small_angle"]
+
+        if not TYPE_CHECKING:
+            __getattr__, __dir__ = _lazy.attach(
+                __name__, __all__, origin={"cut_off": "amulor.optics.low_pass"}
+            )
+
+    Parameters
+    ----------
+    package : str
+        The package's `__name__`.
+    public : sequence of str
+        The package's `__all__`; a name that `origin` lacks is a module in the package,
+        or already there.
+    origin : mapping of str to str, optional
+        Module that each function, class or constant comes from.
+
+    Returns
+    -------
+    getter, lister : callable
+        For the package's `__getattr__` and `__dir__`.
+
+    Raises
+    ------
+    ValueError
+        If `origin` has a name that is not public, or one that is also the name of the
+        module it comes from: importing the module would hide it.
+    """
+    origin = dict(origin or {})
+    for name, module in origin.items():
+        if name not in public:
+            raise ValueError(f"{package}.{name} has an origin but is not in __all__")
+        if module == f"{package}.{name}":
+            raise ValueError(
+                f"{package}.{name} cannot be lazy: importing the module of the same "
+                "name would hide it; import it at the top of the package"
+            )
+
+    def getter(name: str) -> Any:
+        if name in origin:
+            value = getattr(importlib.import_module(origin[name]), name)
+            setattr(sys.modules[package], name, value)
+            return value
+        if name in public:
+            return importlib.import_module(f"{package}.{name}")
+        raise AttributeError(f"module {package!r} has no attribute {name!r}")
+
+    def lister() -> list[str]:
+        special = [name for name in vars(sys.modules[package]) if name[:2] == "__"]
+        return sorted({*special, *public})
+
+    return getter, lister
