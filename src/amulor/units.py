@@ -26,7 +26,7 @@ SI_UNITS = {
     "solid-angle density": "1/sr",
     "angle squared": "rad**2",
     "voltage": "V",
-    "share": "1",
+    "fraction": "1",
 }
 
 _EXAMPLES = {
@@ -40,7 +40,7 @@ _EXAMPLES = {
     "solid-angle density": "0.001 1/sr",
     "angle squared": "0.06 rad^2",
     "voltage": "10 mV",
-    "share": "25 %",
+    "fraction": "25 %",
 }
 
 
@@ -102,7 +102,7 @@ def parse(text: str, quantity: str) -> float:
     unit_text = (match["unit"] or "").strip()
     if unit_text.startswith("/"):
         unit_text = f"1{unit_text}"
-    if not unit_text and quantity != "share":
+    if not unit_text and quantity != "fraction":
         raise ValueError(f"found {text!r}, a number without a unit; {wanted}")
     return _convert(number, unit_text, quantity, text=text, wanted=wanted)
 
@@ -187,7 +187,7 @@ _ANGULAR_POWERS = {
     "angle": 1,
     "angle squared": 2,
     "solid-angle density": -2,
-    "share": 0,
+    "fraction": 0,
     "frequency": 0,
 }
 _ANGULAR_UNITS = {

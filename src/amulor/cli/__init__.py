@@ -118,6 +118,7 @@ def _run(words: list[str]) -> int:
 
     from cyclopts import App, CycloptsError
 
+    from amulor.cli._arguments import UsageError
     from amulor.errors import AmulorError
 
     app = App(
@@ -142,8 +143,17 @@ def _run(words: list[str]) -> int:
         place, own = (groups[first], rest) if rest else (app, first)
         place.command(f"amulor.cli.{target}", name=own)
     try:
-        app(words, exit_on_error=False, result_action="return_value")
-    except CycloptsError:
+        app(
+            words,
+            exit_on_error=False,
+            print_error=False,
+            result_action="return_value",
+        )
+    except CycloptsError as error:
+        _complain(" ".join(str(error).split()))
+        return 2
+    except UsageError as error:
+        _complain(str(error))
         return 2
     except AmulorError as error:
         return _complain(str(error))

@@ -1,11 +1,102 @@
-"""Options that several commands share."""
+"""Options that several commands share, and what is wrong use of them."""
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+
 from cyclopts import validators
+
+from amulor.errors import AmulorError
 
 #: Seeds that a generator takes and a file keeps.
 SEED = validators.Number(gte=0, lt=2**63)
+
+
+class UsageError(AmulorError):
+    """An option has a value that it cannot have, or goes without another: exit 2."""
+
+
+@contextmanager
+def refusing(what: str = "") -> Iterator[None]:
+    """Turn the `ValueError` of a public function into wrong use of an option.
+
+    Parameters
+    ----------
+    what : str
+        The option, such as "--distance"; the library's text says enough without it if
+        it names the argument.
+
+    Raises
+    ------
+    UsageError
+        If the block raises a `ValueError`.
+    """
+    try:
+        yield
+    except ValueError as error:
+        raise UsageError(f"{what}: {error}" if what else str(error)) from None
+
+
+def quantity_of(option: str, text: str, quantity: str) -> float:
+    """Return the number that an option states with a unit.
+
+    Parameters
+    ----------
+    option : str
+        Its name, such as "--distance".
+    text : str
+        What was given.
+    quantity : str
+        What it measures, a key of `amulor.units.SI_UNITS`.
+
+    Returns
+    -------
+    float
+        The value in SI units.
+
+    Raises
+    ------
+    UsageError
+        If the text is no number with a unit of this quantity.
+    """
+    from amulor import units
+
+    with refusing(option):
+        return units.parse(text, quantity)
+
+
+def frequencies_of(option: str, text: str) -> list[float]:
+    """Return the modulation frequencies that an option states.
+
+    Parameters
+    ----------
+    option : str
+        Its name.
+    text : str
+        A list, or first, last and number, as `amulor.units.parse_frequencies` takes it.
+
+    Returns
+    -------
+    list of float
+        Frequencies [Hz].
+
+    Raises
+    ------
+    UsageError
+        If the text is neither, or a frequency is below 0 Hz.
+    """
+    from amulor import units
+
+    with refusing(option):
+        frequencies = units.parse_frequencies(text)
+        if min(frequencies) < 0:
+            raise ValueError(
+                f"modulation_frequency must be at least 0 Hz, got {min(frequencies):g}"
+                " Hz"
+            )
+    return frequencies
 
 
 def interval_of(
@@ -25,17 +116,42 @@ def interval_of(
 
     Raises
     ------
-    CubeError
-        If only one is given, or one is no length.
+    UsageError
+        If only one is given, one is no length, or they do not rise from 0 m.
     """
-    from amulor import units
-    from amulor.errors import CubeError
-
     if (nearest is None) != (farthest is None):
-        raise CubeError("--nearest and --farthest must be given together")
+        raise UsageError("--nearest and --farthest must be given together")
     if nearest is None or farthest is None:
         return None
-    try:
-        return units.parse(nearest, "length"), units.parse(farthest, "length")
-    except ValueError as error:
-        raise CubeError(f"--nearest, --farthest: {error}") from None
+    near = quantity_of("--nearest", nearest, "length")
+    far = quantity_of("--farthest", farthest, "length")
+    if not 0 <= near < far:
+        raise UsageError(
+            "--nearest, --farthest: the interval must run from at least 0 m to a "
+            f"larger range, got {near:g} to {far:g} m"
+        )
+    return near, far
+
+
+def check_ending(option: str, path: Path, endings: Sequence[str]) -> None:
+    """Refuse a file name whose ending names none of some formats.
+
+    Parameters
+    ----------
+    option : str
+        The option that gives the name.
+    path : pathlib.Path
+        The name.
+    endings : sequence of str
+        Endings with their point, in lower case.
+
+    Raises
+    ------
+    UsageError
+        If the ending is another one.
+    """
+    if path.suffix.lower() not in endings:
+        raise UsageError(
+            f"{option} {path}: the ending says the format; use one of "
+            f"{', '.join(endings)}"
+        )

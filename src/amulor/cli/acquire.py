@@ -61,12 +61,13 @@ def acquire(
     from amulor.acquisition.cube.build import CUBE_NAME
     from amulor.acquisition.journal.file import FILE_NAME
     from amulor.acquisition.run import DEVICES_NAME, resume_command
+    from amulor.cli._arguments import UsageError
     from amulor.cli._output import print_json
     from amulor.errors import InstrumentError
     from amulor.survey import Survey
 
     if retake_flagged and not resume:
-        raise InstrumentError("--retake-flagged needs a scan to go on with: --resume")
+        raise UsageError("--retake-flagged needs a scan to go on with: --resume")
     # A scan that is resumed may have the cube of its first part beside it.
     replace = overwrite or resume
     if output.is_dir() and not (output / FILE_NAME).exists():

@@ -8,7 +8,13 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from cyclopts import Parameter
 
-from amulor.cli._arguments import SEED
+from amulor.cli._arguments import (
+    SEED,
+    UsageError,
+    check_ending,
+    frequencies_of,
+    quantity_of,
+)
 from amulor.cli._output import print_json, print_table, progress_bar
 
 if TYPE_CHECKING:
@@ -51,15 +57,20 @@ def backscatter(
     """
     import numpy as np
 
-    from amulor import units
+    from amulor import io
     from amulor.errors import SurveyError
     from amulor.survey import Survey
 
+    frequencies = np.array(frequencies_of("--frequency", frequency))
+    goal = quantity_of("--error", error, "fraction")
+    if not goal > 0:
+        raise UsageError(f"--error: needed is a relative error above 0, found {error}")
+    if plot is not None:
+        check_ending("--plot", plot, [".png", ".svg"])
+        io.check_output(plot, overwrite=overwrite, inputs=[survey])
     described = Survey.from_toml(survey)
     try:
-        frequencies = np.array(units.parse_frequencies(frequency))
         if model == "montecarlo":
-            goal = units.parse(error, "share")
             found = _followed(described, frequencies, error=goal, seed=seed, quiet=json)
         else:
             found = _formula(described, frequencies, model=model)

@@ -56,6 +56,7 @@ def simulate(
     from amulor import io
     from amulor.acquisition import Settings
     from amulor.acquisition.rehearsal import rehearse
+    from amulor.cli._arguments import UsageError, refusing
     from amulor.errors import InstrumentError
     from amulor.io.files import atomic_output
     from amulor.survey import Survey
@@ -70,16 +71,19 @@ def simulate(
         content["simulation"]["faults"] = (*base.simulation.faults, *fault)
         settings = Settings.model_validate(content)
     except ValidationError as error:
-        raise InstrumentError(
+        raise UsageError(
             f"--fault {error.errors()[0]['input']}: needed is kind@reading, or "
             "kind@reading and x and how many readings, such as unlock@500x3; kinds: "
             "overload, saturation, unlock, lost-link, timeout, stuck"
         ) from None
     ports = (lock_in_port, stage_port)
     try:
-        with rehearse(
-            described, settings, model=lock_in, speed=speed, host=host, ports=ports
-        ) as found:
+        with (
+            refusing(),
+            rehearse(
+                described, settings, model=lock_in, speed=speed, host=host, ports=ports
+            ) as found,
+        ):
             with atomic_output(output, overwrite=overwrite) as temporary:
                 temporary.write_text(found.settings.to_toml(), encoding="utf-8")
             print(f"{output}: {lock_in} at {found.settings.lock_in.address}")
@@ -87,8 +91,8 @@ def simulate(
             print("Ctrl-C ends it.")
             sys.stdout.flush()
             _wait_for_the_end()
-    except (OSError, ValueError) as error:
-        reason = getattr(error, "strerror", None) or error
+    except OSError as error:
+        reason = error.strerror or error
         raise InstrumentError(f"cannot serve at {host}: {reason}") from None
 
 
@@ -114,18 +118,15 @@ def calibrate(
     overwrite
         Replace a file that is there.
     """
-    from amulor import acquisition, io, units
-    from amulor.errors import CubeError
+    from amulor import acquisition, io
+    from amulor.cli._arguments import quantity_of, refusing
     from amulor.io.files import atomic_output
 
+    length = quantity_of("--distance", distance, "length")
     io.check_output(output, overwrite=overwrite, inputs=cubes)
-    try:
-        length = units.parse(distance, "length")
-        found = acquisition.from_plates(
-            [io.read_cube(path) for path in cubes], distance=length
-        )
-    except ValueError as error:
-        raise CubeError(str(error)) from None
+    plates = [io.read_cube(path) for path in cubes]
+    with refusing():
+        found = acquisition.from_plates(plates, distance=length)
     with atomic_output(output, overwrite=overwrite) as temporary:
         temporary.write_text(found.to_toml(), encoding="utf-8")
     for one in found.frequencies:

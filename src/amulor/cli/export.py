@@ -27,7 +27,9 @@ def export(
         Replace a file that is there.
     """
     from amulor import imaging, io
+    from amulor.cli._arguments import check_ending
 
+    check_ending("--output", output, [*io.CLOUD_SUFFIXES, ".nc"])
     io.check_output(output, overwrite=overwrite, inputs=[image])
     range_image = io.read_cube(image)
     cloud = imaging.point_cloud(range_image)

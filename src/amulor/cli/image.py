@@ -37,17 +37,11 @@ def image(
     """
     from amulor import imaging, io
     from amulor.cli._arguments import interval_of
-    from amulor.errors import CubeError
 
     interval = interval_of(nearest, farthest)
     io.check_output(output, overwrite=overwrite, inputs=[cube])
     target = io.read_cube(cube)
-    try:
-        result = imaging.range_image(
-            target, polarization=polarization, interval=interval
-        )
-    except ValueError as error:
-        raise CubeError(str(error)) from None
+    result = imaging.range_image(target, polarization=polarization, interval=interval)
     io.write_cube(result, output, overwrite=overwrite)
     usable = result["slant_range"].notnull()
     flags = result["quality_flag"]

@@ -83,23 +83,30 @@ def reject(
     overwrite
         Replace a file that is there.
     """
-    from amulor import io, rejection, units
-    from amulor.cli._arguments import interval_of
+    from amulor import io, rejection
+    from amulor.cli._arguments import UsageError, interval_of, quantity_of
     from amulor.cli._output import print_json, progress_bar
     from amulor.errors import CubeError
 
     interval = interval_of(nearest, farthest)
+    if method == "unmix" and (target_ratio is None or water_ratio is None):
+        raise UsageError(
+            "unmix needs --target-ratio and --water-ratio, the cross- over "
+            "co-polarized signal of target and water; --method polarization estimates "
+            "them"
+        )
+    kept = (
+        None
+        if frequency is None
+        else quantity_of("--frequency", frequency, "frequency")
+    )
+    fluctuation = _fraction("--water-fluctuation", water_fluctuation)
+    column = _fraction("--column-uncertainty", column_uncertainty)
     inputs = [cube] if open_water is None else [cube, open_water]
     io.check_output(output, overwrite=overwrite, inputs=inputs)
     samples = io.read_cube(cube)
     if open_water is not None:
         samples = rejection.with_open_water(samples, io.read_cube(open_water))
-    if method == "unmix" and (target_ratio is None or water_ratio is None):
-        raise CubeError(
-            "unmix needs --target-ratio and --water-ratio, the cross- over "
-            "co-polarized signal of target and water; --method polarization estimates "
-            "them"
-        )
     comparison: Comparison | None = None
     try:
         with progress_bar(quiet=json) as advance:
@@ -111,26 +118,18 @@ def reject(
                 )
             elif method == "open-water":
                 target = rejection.open_water(
-                    samples,
-                    interval=interval,
-                    column_uncertainty=_share(column_uncertainty),
+                    samples, interval=interval, column_uncertainty=column
                 )
             elif method in ("polarization", "unmix"):
                 target = rejection.unmix(
                     samples,
                     target_ratio=target_ratio,
                     water_ratio=water_ratio,
-                    water_fluctuation=_share(water_fluctuation),
+                    water_fluctuation=fluctuation,
                 )
             elif method == "frequency":
                 target = rejection.frequency(
-                    samples,
-                    modulation_frequency=(
-                        None
-                        if frequency is None
-                        else units.parse(frequency, "frequency")
-                    ),
-                    interval=interval,
+                    samples, modulation_frequency=kept, interval=interval
                 )
             elif method == "combined":
                 target = rejection.combined(
@@ -145,7 +144,10 @@ def reject(
                     "none": rejection.keep_water,
                 }[method](samples)
     except ValueError as error:
-        raise CubeError(str(error)) from None
+        stated = (target_ratio, water_ratio, fluctuation, column, kept, interval)
+        # The formulas refuse their arguments; without options these come from the cube.
+        kind = CubeError if all(value is None for value in stated) else UsageError
+        raise kind(str(error)) from None
     io.write_cube(target, output, overwrite=overwrite)
     if json:
         print_json(_figures(output, method, target, comparison))
@@ -160,10 +162,11 @@ def reject(
     print(f"{output}: target signal, {flagged:.1%} of the samples flagged")
 
 
-def _share(text: str | None) -> float | None:
-    from amulor import units
+def _fraction(option: str, text: str | None) -> float | None:
+    """Return the fraction that an option states, such as "5 %"."""
+    from amulor.cli._arguments import quantity_of
 
-    return None if text is None else units.parse(text, "share")
+    return None if text is None else quantity_of(option, text, "fraction")
 
 
 def _figures(

@@ -7,7 +7,7 @@ from typing import Annotated
 
 from cyclopts import Parameter
 
-from amulor.cli._arguments import SEED
+from amulor.cli._arguments import SEED, UsageError
 from amulor.cli._output import print_json, progress_bar
 
 
@@ -41,13 +41,12 @@ def ricci2010(
     json
         Print the checks for other programs.
     """
-    from amulor.errors import FormatError
     from amulor.studies.ricci2010 import reproduce, tables
 
     numbers = figure or reproduce.FIGURES
     wrong = [number for number in numbers if number not in reproduce.FIGURES]
     if wrong:
-        raise FormatError(
+        raise UsageError(
             f"--figure {wrong[0]}: figures 1 and 3 to 15 are redrawn; figure 2 is a "
             "drawing of the instrument"
         )

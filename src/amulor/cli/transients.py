@@ -41,20 +41,20 @@ def transients(
         Replace a file that is there.
     """
     from amulor import cube as cubes
-    from amulor import io, units
-    from amulor.errors import FormatError
+    from amulor import io
+    from amulor.cli._arguments import frequencies_of, quantity_of, refusing
     from amulor.io.transients import medium_from_minimum, read_transients
 
+    frequencies = frequencies_of("--frequency", frequency)
+    side = (
+        None if scan_side is None else quantity_of("--scan-side", scan_side, "length")
+    )
     io.check_output(output, overwrite=overwrite, inputs=[file])
-    try:
-        frequencies = units.parse_frequencies(frequency)
-        side = None if scan_side is None else units.parse(scan_side, "length")
+    with refusing():
         cube = read_transients(file, frequencies, scene=scene, scan_side=side)
         if medium:
             shots = medium_from_minimum(file, frequencies)
             cube = cubes.attach(cube, shots, "open_water")
-    except ValueError as error:
-        raise FormatError(str(error)) from None
     io.write_cube(cube, output, overwrite=overwrite)
     print(
         f"{output}: {cube.sizes['row']} x {cube.sizes['column']} pixels at "

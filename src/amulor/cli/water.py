@@ -33,15 +33,14 @@ def water(
     json
         Print it for other programs, in SI units.
     """
-    from amulor import units
-    from amulor.errors import AmulorError
+    from amulor.cli._arguments import quantity_of, refusing
     from amulor.optics import ranging
     from amulor.optics.water import seawater
 
     state = {"temperature": temperature, "salinity": salinity}
-    try:
-        length = units.parse(wavelength, "length")
-        modulation = units.parse(frequency, "frequency")
+    length = quantity_of("--wavelength", wavelength, "length")
+    modulation = quantity_of("--frequency", frequency, "frequency")
+    with refusing():
         group_index = float(seawater.group_index(length, **state))
         constants: dict[str, Any] = {
             "refractive_index_air": seawater.refractive_index(length, **state),
@@ -64,8 +63,6 @@ def water(
                 modulation, group_index=group_index
             ),
         }
-    except ValueError as error:
-        raise AmulorError(str(error)) from None
     if json:
         given = {
             "wavelength_m": length,

@@ -38,7 +38,7 @@ def _read(quantity: str) -> Any:
                 f"found {value!r}; needed is the {quantity} as text such as "
                 f'"{units.example(quantity)}"'
             )
-        if from_text and quantity != "share":
+        if from_text and quantity != "fraction":
             raise ValueError(
                 f"found {value!r}, a number without a unit; needed is the {quantity} "
                 f'as text such as "{units.example(quantity)}"'
@@ -54,7 +54,7 @@ def _schema(quantity: str) -> WithJsonSchema:
         "description": f"{quantity}, a number with a unit",
         "examples": [units.example(quantity)],
     }
-    if quantity == "share":
+    if quantity == "fraction":
         return WithJsonSchema({"anyOf": [text, {"type": "number"}]})
     return WithJsonSchema(text)
 
@@ -107,7 +107,7 @@ AngleSquared = Annotated[
     _write("angle squared"),
     _schema("angle squared"),
 ]
-Share = Annotated[float, _read("share"), _finite]
+Share = Annotated[float, _read("fraction"), _finite]
 
 Position = tuple[Length, Length, Length]
 Rotation = tuple[Angle, Angle, Angle]

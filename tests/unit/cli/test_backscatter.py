@@ -99,13 +99,14 @@ def test_a_picture_is_drawn(tank: Path, tmp_path: Path, capsys) -> None:
         (["--frequency", "39"], "without a unit"),
         (["--frequency", "1MHz:2MHz"], "first, last and how many"),
         (["--frequency=-1 MHz"], "modulation_frequency"),
-        (["--plot", "x.jpg"], "png or .svg"),
+        (["--plot", "x.jpg"], ".png, .svg"),
+        (["--error", "0%"], "above 0"),
     ],
 )
 def test_wrong_values_get_one_line(
     tank: Path, words: list[str], complaint: str, capsys
 ) -> None:
-    assert main(["backscatter", str(tank), *words]) == 1
+    assert main(["backscatter", str(tank), *words]) == 2
     message = capsys.readouterr().err
     assert complaint in message
     assert message.count("\n") == 1
@@ -161,5 +162,5 @@ def test_photons_need_the_whole_phase_function(tank: Path, capsys) -> None:
 @pytest.mark.parametrize("error", ["0%", "1 m", "little"])
 def test_an_error_that_is_none_is_refused(tank: Path, error: str, capsys) -> None:
     words = ["backscatter", str(_with_asymmetry(tank)), "--model", "montecarlo"]
-    assert main([*words, "--error", error]) == 1
+    assert main([*words, "--error", error]) == 2
     assert len(capsys.readouterr().err.strip().splitlines()) == 1

@@ -17,6 +17,11 @@ from amulor import io
 from amulor.cli import COMMANDS, main
 from amulor.studies.ladder import survey_text
 
+TRANSIENTS = ["import", "transients", "none.npz", "--frequency", "9MHz", "-o", "b.nc"]
+UNMIX = ["reject", "none.nc", "--method", "unmix", "-o", "b.nc"]
+COLUMN = ["reject", "none.nc", "--method", "open-water", "-o", "b.nc"]
+RATIOS = ["--target-ratio", "0.2", "--water-ratio", "0.1"]
+
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory, plate_text: str) -> Path:
@@ -144,19 +149,85 @@ def test_info_tells_what_a_file_holds(folder: Path, capsys) -> None:
         ["swim"],
         ["survey", "czech"],
         ["--verbose"],
+        ["info"],
+        ["info", "a.nc", "b.nc"],
+        ["report", "-o", "x.html"],
+        ["devices", "calibrate", "--distance", "1 m", "-o", "x.toml"],
+        ["devices", "simulate", "a.toml", "-o", "b.toml", "--lock-in", "mine"],
+        ["water", "--wavelength", "405nm", "--temperature", "warm", "--salinity", "0"],
+        ["reproduce", "ricci2010", "--figure", "one"],
+        ["reproduce", "ricci2010", "--figure", "2"],
+        ["acquire", "a.toml", "-o", "scan", "--retake-flagged"],
+        ["backscatter", "a.toml", "--frequency", "39"],
+        ["backscatter", "a.toml", "--plot", "x.jpg"],
+        ["import", "transients", "a.npz", "--frequency", "1 m", "-o", "b.nc"],
+        [*TRANSIENTS, "--scan-side", "60"],
+        ["export", "a.nc", "-o", "b.obj"],
+        ["image", "a.nc", "-o", "b.nc", "--nearest", "1 m"],
+        ["image", "a.nc", "-o", "b.nc", "--nearest", "2 m", "--farthest", "1 m"],
+        [*UNMIX, "--target-ratio", "0.2"],
+        [*UNMIX, *RATIOS, "--water-fluctuation", "5 m"],
+        ["reject", "a.nc", "--method", "frequency", "-o", "b.nc", "--frequency", "39"],
+        [*COLUMN, "--column-uncertainty", "much"],
     ],
+    ids=" ".join,
 )
-def test_wrong_use_ends_with_2(words: list[str], capsys) -> None:
-    assert main(words) == 2
-    assert "Traceback" not in capsys.readouterr().err
+def test_wrong_use_ends_with_2_and_one_line(words: list[str], capsys) -> None:
+    # The files do not exist: what the words alone say is looked at before.
+    _fails(words, capsys, code=2, lines=1)
 
 
-def _fails(words: list[str], capsys) -> str:
-    assert main(words) == 1
+@pytest.mark.parametrize(
+    "words",
+    [
+        ["survey", "check", "none.toml"],
+        ["simulate", "none.toml", "-o", "b.nc"],
+        ["backscatter", "none.toml"],
+        ["acquire", "none.toml", "-o", "scan"],
+        ["recover", "none"],
+        ["devices", "simulate", "none.toml", "-o", "b.toml"],
+        ["devices", "calibrate", "none.nc", "--distance", "1 m", "-o", "b.toml"],
+        TRANSIENTS,
+        ["info", "none.nc"],
+        ["water", "fit", "none.nc"],
+        [*UNMIX, *RATIOS],
+        COLUMN,
+        ["image", "none.nc", "-o", "b.nc"],
+        ["export", "none.nc", "-o", "b.ply"],
+        ["report", "none.nc", "-o", "b.html"],
+        ["demo", "-o", "no/where"],
+        ["reproduce", "ricci2010", "--quick", "--figure", "1", "-o", "no/where"],
+    ],
+    ids=" ".join,
+)
+def test_a_file_that_is_not_there_ends_with_1_and_one_line(
+    words: list[str], tmp_path: Path, monkeypatch, capsys
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    message = _fails(words, capsys, lines=1)
+    assert "none" in message or "no/where" in message
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_every_command_was_asked_wrongly() -> None:
+    """Compare the commands of the two tests above with all that there are."""
+    asked = set()
+    for test in (
+        test_wrong_use_ends_with_2_and_one_line,
+        test_a_file_that_is_not_there_ends_with_1_and_one_line,
+    ):
+        for words in test.pytestmark[0].args[1]:
+            asked |= {words[0], " ".join(words[:2])}
+    assert set(COMMANDS) - asked == {"survey schema"}  # takes nothing
+
+
+def _fails(words: list[str], capsys, *, code: int = 1, lines: int | None = None) -> str:
+    assert main(words) == code
     captured = capsys.readouterr()
     assert captured.out == ""
     assert captured.err.startswith("amulor: ")
     assert "Traceback" not in captured.err
+    assert lines is None or captured.err.count("\n") == lines
     return captured.err
 
 
@@ -193,19 +264,20 @@ def test_a_range_image_needs_a_channel_and_both_limits(folder: Path, capsys) -> 
     words = ["image", str(folder / "target.nc"), "-o", str(folder / "new.nc")]
     assert "--polarization" in _fails(words, capsys)
     limit = [*words, "--polarization", "VV", "--nearest", "1 m"]
-    assert "together" in _fails(limit, capsys)
+    assert "together" in _fails(limit, capsys, code=2)
     unit = [*limit, "--farthest", "2 s"]
-    assert "not one of length" in _fails(unit, capsys)
+    assert "not one of length" in _fails(unit, capsys, code=2)
     empty = [*limit, "--farthest", "0.5 m"]
-    assert "interval must run" in _fails(empty, capsys)
+    assert "interval must run" in _fails(empty, capsys, code=2)
 
 
 def test_unmixing_needs_both_ratios(folder: Path, capsys) -> None:
     words = ["reject", str(folder / "samples.nc"), "--method", "unmix"]
     words += ["-o", str(folder / "unmixed.nc")]
-    assert "--water-ratio" in _fails([*words, "--target-ratio", "0.2"], capsys)
-    ratios = ["--target-ratio", "0.2", "--water-ratio", "0.2"]
-    assert "cannot tell them apart" in _fails([*words, *ratios], capsys)
+    one = [*words, "--target-ratio", "0.2"]
+    assert "--water-ratio" in _fails(one, capsys, code=2)
+    both = [*one, "--water-ratio", "0.2"]
+    assert "cannot tell them apart" in _fails(both, capsys, code=2)
     assert main([*words, "--target-ratio", "0.242", "--water-ratio", "0.105"]) == 0
 
 

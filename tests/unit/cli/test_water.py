@@ -92,7 +92,7 @@ def test_the_state_that_is_asked_for_is_the_one_that_is_used(capsys) -> None:
     ],
 )
 def test_what_is_out_of_range_gets_one_line(name, value, text, capsys) -> None:
-    assert cli.main(changed(name, value)) == 1
+    assert cli.main(changed(name, value)) == 2
     captured = capsys.readouterr()
     assert captured.out == ""
     assert captured.err.startswith("amulor: ")
