@@ -26,6 +26,6 @@ class MissingExtraError(AmulorError, ImportError):
 
     def __init__(self, package: str, *, extra: str, purpose: str) -> None:
         super().__init__(
-            f"{purpose} needs the package {package}, which is not installed; "
-            f"install it with: pip install 'amulor[{extra}]'"
+            f"{purpose} needs {package}, not installed so far; install with: "
+            f"pip install 'amulor[{extra}]'"
         )

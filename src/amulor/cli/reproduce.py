@@ -10,6 +10,9 @@ from cyclopts import Parameter
 from amulor.cli._arguments import SEED, UsageError
 from amulor.cli._output import print_json, progress_bar
 
+#: Which figures need an extra: targets are seen by ray casting, milk is spheres.
+_EXTRAS = {"scene": {*range(5, 16)}, "mie": {10, 11, 12}}
+
 
 def ricci2010(
     *,
@@ -41,6 +44,7 @@ def ricci2010(
     json
         Print the checks for other programs.
     """
+    from amulor import _extras
     from amulor.studies.ricci2010 import reproduce, tables
 
     numbers = figure or reproduce.FIGURES
@@ -50,6 +54,8 @@ def ricci2010(
             f"--figure {wrong[0]}: figures 1 and 3 to 15 are redrawn; figure 2 is a "
             "drawing of the instrument"
         )
+    needed = [extra for extra, few in _EXTRAS.items() if few.intersection(numbers)]
+    _extras.require(*needed, purpose="redrawing these figures")
     reproduce.check_outputs(output, numbers, overwrite=overwrite)
     with progress_bar(quiet=json) as progress:
         results = reproduce.run(

@@ -12,7 +12,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from amulor import imaging, io, rejection
+from amulor import _extras, imaging, io, rejection
 from amulor.imaging import metrics
 from amulor.io.files import atomic_output
 from amulor.simulation import simulate
@@ -170,9 +170,12 @@ def run(
     ------
     FormatError
         If a file exists, or the folder cannot be written.
+    MissingExtraError
+        If the packages of the extras `scene` and `export` are not installed.
     """
     from amulor.studies import ladder_report
 
+    _extras.require("scene", "export", purpose="the ladder")
     io.make_folder(folder)
     for name in output_names():
         io.check_output(folder / name, overwrite=overwrite)

@@ -1,0 +1,47 @@
+"""Optional dependencies: what each extra brings, asked for before work begins."""
+
+from __future__ import annotations
+
+from importlib.util import find_spec
+
+from amulor.errors import MissingExtraError
+
+#: Modules that an extra of pyproject.toml installs, by the name of their package.
+MODULES = {
+    "scene": {"trimesh": "trimesh", "embreex": "embreex"},
+    "export": {"pye57": "pye57", "laspy[lazrs]": "lazrs"},
+    "mie": {"miepython": "miepython"},
+    "unwrap": {"scikit-image": "skimage"},
+}
+
+
+def require(*extras: str, purpose: str) -> None:
+    """Refuse work that would fail on its way for want of a package.
+
+    Parameters
+    ----------
+    *extras : str
+        Keys of `MODULES`.
+    purpose : str
+        What needs them, to begin a sentence with.
+
+    Raises
+    ------
+    MissingExtraError
+        If a package is not installed; names all of them and one line that installs all.
+    """
+    missing = {
+        extra: [
+            package
+            for package, module in MODULES[extra].items()
+            if find_spec(module) is None
+        ]
+        for extra in extras
+    }
+    lacking = [extra for extra in extras if missing[extra]]
+    if lacking:
+        raise MissingExtraError(
+            ", ".join(package for extra in lacking for package in missing[extra]),
+            extra=",".join(lacking),
+            purpose=purpose,
+        )

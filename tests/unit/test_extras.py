@@ -1,0 +1,67 @@
+import re
+import tomllib
+from importlib.util import find_spec
+from pathlib import Path
+
+import pytest
+
+from amulor import _extras
+from amulor.cli import main
+from amulor.errors import MissingExtraError
+
+PROJECT = Path(__file__).parents[2] / "pyproject.toml"
+
+
+@pytest.fixture
+def bare(monkeypatch):
+    """Take the packages of all extras away, as a base install would."""
+    away = {name for modules in _extras.MODULES.values() for name in modules.values()}
+    monkeypatch.setattr(
+        _extras, "find_spec", lambda name: None if name in away else find_spec(name)
+    )
+
+
+def test_the_packages_are_those_that_pyproject_installs():
+    stated = tomllib.loads(PROJECT.read_text())["project"]["optional-dependencies"]
+    for extra, modules in _extras.MODULES.items():
+        packages = {re.split(r"[<>=]", text)[0] for text in stated[extra]}
+        assert packages == set(modules)
+
+
+def test_what_is_installed_is_not_asked_for():
+    _extras.require(*_extras.MODULES, purpose="the tests")
+
+
+def test_all_that_is_missing_is_named_with_one_line_that_installs_it(bare):
+    with pytest.raises(MissingExtraError) as caught:
+        _extras.require("scene", "mie", purpose="drawing")
+    assert str(caught.value).startswith("drawing needs trimesh, embreex, miepython")
+    assert "pip install 'amulor[scene,mie]'" in str(caught.value)
+
+
+def test_only_what_is_missing_is_named(monkeypatch):
+    monkeypatch.setattr(
+        _extras, "find_spec", lambda name: None if name == "lazrs" else find_spec(name)
+    )
+    with pytest.raises(MissingExtraError, match=r"laspy.lazrs.,.*'amulor.export.'"):
+        _extras.require("scene", "export", purpose="the demo")
+
+
+@pytest.mark.parametrize(
+    ("words", "extras"),
+    [
+        ("demo -o out", "scene,export"),
+        ("reproduce ricci2010 --quick -o out", "scene,mie"),
+        ("reproduce ricci2010 --quick --figure 11 -o out", "scene,mie"),
+        ("reproduce ricci2010 --quick --figure 15 -o out", "scene"),
+    ],
+)
+def test_a_command_says_so_before_it_makes_a_folder(
+    bare, words, extras, tmp_path, monkeypatch, capsys
+):
+    monkeypatch.chdir(tmp_path)
+    assert main(words.split()) == 1
+    message = capsys.readouterr().err
+    assert f"pip install 'amulor[{extras}]'" in message
+    assert message.count("\n") == 1
+    assert list(tmp_path.iterdir()) == []
