@@ -18,6 +18,7 @@ from amulor.rejection.joint.estimate import joint
 from amulor.simulation import geometry as geometry_of
 from amulor.simulation import simulate
 from amulor.survey import Survey, water_properties
+from amulor.survey.directions import open_water_directions
 from amulor.survey.view import kernel_arguments, medium, view
 
 # An inclined plate in a long tank; A_w / A_t runs from 1.3 at 5 MHz to 0.05 at 146 MHz.
@@ -167,7 +168,7 @@ class OtherModel:
         water = water_properties(survey)
         traced = geometry_of.trace(survey, water)
         self.index = water.group_index
-        directions = geometry_of.open_water_directions(survey)
+        directions = open_water_directions(survey)
         looks = view(survey, *directions, medium=medium(survey, water))
         optics = {"phase_function": two_peaks, "split_angle": SPLIT}
         at_pixels = self._column(survey, water, traced.view)

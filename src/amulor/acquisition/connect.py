@@ -35,6 +35,8 @@ from amulor.acquisition.simulated.devices import (
     SimulatedScanner,
     SimulatedTargetStage,
 )
+from amulor.acquisition.simulated.scene import Scene
+from amulor.errors import InstrumentError
 from amulor.survey import Survey
 
 
@@ -42,6 +44,7 @@ def connect(
     survey: Survey,
     settings: Settings,
     *,
+    scene: Scene | None = None,
     part: int = 0,
     ask: Callable[[str], None] | None = None,
 ) -> Devices:
@@ -53,6 +56,9 @@ def connect(
         What embedded simulated devices stand in front of.
     settings : Settings
         Which devices, and where.
+    scene : callable, optional
+        Works out what embedded simulated devices see, such as
+        `amulor.simulation.scene_light`; they need it, others do not.
     part : int
         How many parts of the scan there were before; simulated noise is another one
         in each [1].
@@ -67,12 +73,13 @@ def connect(
     Raises
     ------
     InstrumentError
-        If one does not answer, or is another one than stated.
+        If one does not answer, or is another one than stated; if simulated devices
+        have no scene.
     MissingExtraError
         If the package that talks to one is not installed.
     """
     if settings.simulated:
-        devices = _simulated(survey, settings, part)
+        devices = _simulated(survey, settings, scene, part)
     else:
         devices = _real(settings, ask)
     try:
@@ -84,7 +91,7 @@ def connect(
 
 
 def simulated_bench(
-    survey: Survey, settings: Settings, *, clock: Clock, part: int = 0
+    survey: Survey, settings: Settings, *, scene: Scene, clock: Clock, part: int = 0
 ) -> Bench:
     """Return the simulated instrument of a survey.
 
@@ -94,6 +101,8 @@ def simulated_bench(
         What it stands in front of.
     settings : Settings
         Imperfections, and the angles of the mounts.
+    scene : callable
+        Works out the light of a survey, such as `amulor.simulation.scene_light`.
     clock : Clock
         What it goes by.
     part : int
@@ -108,6 +117,7 @@ def simulated_bench(
     return Bench(
         survey,
         simulation.model_copy(update={"seed": simulation.seed + part}),
+        scene=scene,
         clock=clock,
         launch=settings.launch.angles,
         analyser=settings.analyser.angles,
@@ -141,10 +151,17 @@ def open_link(address: str, *, timeout: float) -> Conversation:
     return Link.open(address, timeout=timeout)
 
 
-def _simulated(survey: Survey, settings: Settings, part: int) -> Devices:
+def _simulated(
+    survey: Survey, settings: Settings, scene: Scene | None, part: int
+) -> Devices:
+    if scene is None:
+        raise InstrumentError(
+            "simulated devices have no light to measure; hand over "
+            "scene=amulor.simulation.scene_light, or settings with real devices"
+        )
     speed = settings.simulation.speed
     clock: Clock = VirtualClock() if speed is None else RealClock(speed)
-    bench = simulated_bench(survey, settings, clock=clock, part=part)
+    bench = simulated_bench(survey, settings, scene=scene, clock=clock, part=part)
     return Devices(
         laser=SimulatedLaser(bench),
         lock_in=SimulatedLockIn(bench),

@@ -9,8 +9,8 @@ from typing import NamedTuple
 import numpy as np
 
 from amulor.acquisition.settings import Procedure
-from amulor.simulation.geometry import open_water_directions, scan_directions
 from amulor.survey import Survey
+from amulor.survey.directions import open_water_directions, scan_directions
 
 #: What a sample is of.
 SCAN, OPEN_WATER, DARK = "scan", "open_water", "dark"

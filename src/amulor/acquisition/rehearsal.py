@@ -13,6 +13,7 @@ from amulor.acquisition.links.tcp import DeviceServer
 from amulor.acquisition.settings import Settings
 from amulor.acquisition.simulated.bench import Bench
 from amulor.acquisition.simulated.pi import SimulatedPiController
+from amulor.acquisition.simulated.scene import Scene
 from amulor.acquisition.simulated.stanford import (
     SimulatedSr844,
     SimulatedSr865a,
@@ -44,6 +45,7 @@ def rehearse(
     survey: Survey,
     settings: Settings | None = None,
     *,
+    scene: Scene,
     model: Model = "sr844",
     speed: float = 1.0,
     host: str = "127.0.0.1",
@@ -58,6 +60,8 @@ def rehearse(
     settings : Settings, optional
         Its part `simulation` says what is not ideal; procedure, axes and angles are
         taken over.
+    scene : callable
+        Works out the light of a survey, such as `amulor.simulation.scene_light`.
     model : str
         Which lock-in.
     speed : float
@@ -85,7 +89,7 @@ def rehearse(
             f"{ports[0]} and {ports[1]}"
         )
     base = settings or Settings()
-    bench = simulated_bench(survey, base, clock=RealClock(speed))
+    bench = simulated_bench(survey, base, scene=scene, clock=RealClock(speed))
     lock_in = {"sr844": SimulatedSr844, "sr865a": SimulatedSr865a}[model](bench)
     stages = SimulatedPiController(bench, base)
     with (

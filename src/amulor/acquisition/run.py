@@ -20,6 +20,7 @@ from amulor.acquisition.journal.journal import Journal
 from amulor.acquisition.plan import Key, Step
 from amulor.acquisition.sampler import SPOILED, Sampler
 from amulor.acquisition.settings import Settings
+from amulor.acquisition.simulated.scene import Scene
 from amulor.errors import AmulorError
 from amulor.io.files import atomic_output, make_folder
 from amulor.survey import Survey
@@ -88,6 +89,7 @@ def acquire(
     resume: bool = False,
     retake_flagged: bool = False,
     devices: Devices | None = None,
+    scene: Scene | None = None,
     control: Control | None = None,
     progress: Callable[[Progress], None] = lambda now: None,
     acknowledged: Callable[[Key], None] = lambda key: None,
@@ -112,6 +114,9 @@ def acquire(
     devices : Devices, optional
         Connected devices, instead of those that the settings name. They are made safe
         but not closed.
+    scene : callable, optional
+        Works out what embedded simulated devices see; they need it, others do not.
+        `amulor.simulation.scene_light` does.
     control : Control, optional
         Who can interrupt; nobody by default.
     progress : callable
@@ -152,7 +157,7 @@ def acquire(
             stack.callback(claim.close)
             part = 0
         if devices is None:
-            devices = connect(survey, settings, part=part, ask=ask)
+            devices = connect(survey, settings, scene=scene, part=part, ask=ask)
             stack.callback(devices.close)
         with _left_safe(devices):
             identities = devices.identities()

@@ -7,6 +7,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from amulor.optics import detection
 from amulor.survey import Survey
+from amulor.survey.counting import counting_variance
 
 
 def reading_variance(
@@ -28,15 +29,8 @@ def reading_variance(
     ndarray
         Variance of the peak amplitude [V^2].
     """
-    detector = survey.instrument.detector
     time = detection.effective_integration_time(0.0, time_constant=time_constant)
-    counts = detection.quadrature_variance(
-        rate,
-        integration_time=time,
-        excess_noise_factor=detector.excess_noise_factor,
-        dark_rate=detector.dark_rate,
-    )
-    return detector.volt_per_photoelectron_rate**2 * counts
+    return counting_variance(survey, rate=rate, integration_time=float(time))
 
 
 def variance_share(readings: ArrayLike, *, spacing: float) -> NDArray[np.float64]:

@@ -57,7 +57,7 @@ def acquire(
     json
         Print the outcome for other programs.
     """
-    from amulor import acquisition, io
+    from amulor import acquisition, io, simulation
     from amulor.acquisition.cube.build import CUBE_NAME
     from amulor.acquisition.journal.file import FILE_NAME
     from amulor.acquisition.run import DEVICES_NAME, resume_command
@@ -87,6 +87,7 @@ def acquire(
                 settings=settings,
                 resume=resume,
                 retake_flagged=retake_flagged,
+                scene=simulation.scene_light,
                 control=control,
                 progress=screen.show,
                 ask=screen.request if sys.stdin.isatty() else None,

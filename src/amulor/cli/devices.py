@@ -59,6 +59,7 @@ def simulate(
     from amulor.cli._arguments import UsageError, refusing
     from amulor.errors import InstrumentError
     from amulor.io.files import atomic_output
+    from amulor.simulation import scene_light
     from amulor.survey import Survey
 
     inputs = [survey] if devices is None else [survey, devices]
@@ -81,7 +82,13 @@ def simulate(
         with (
             refusing(),
             rehearse(
-                described, settings, model=lock_in, speed=speed, host=host, ports=ports
+                described,
+                settings,
+                scene=scene_light,
+                model=lock_in,
+                speed=speed,
+                host=host,
+                ports=ports,
             ) as found,
         ):
             with atomic_output(output, overwrite=overwrite) as temporary:

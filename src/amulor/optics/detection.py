@@ -10,14 +10,17 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.constants import Planck, speed_of_light
 
-from amulor.optics._bounds import not_negative
+from amulor.optics._bounds import not_negative, positive
 
 __all__ = [
     "amplitude_uncertainty",
     "effective_integration_time",
+    "phase_floor_covariance",
     "phase_uncertainty",
     "photoelectron_rate",
+    "photon_noise",
     "quadrature_variance",
+    "settled_integration_time",
 ]
 
 
@@ -136,6 +139,47 @@ def effective_integration_time(
     return np.where(filtered, tau / ratio, mean)
 
 
+def settled_integration_time(
+    dwell: ArrayLike, *, time_constant: ArrayLike, settling: float = 5.0
+) -> NDArray[np.float64]:
+    r"""Return the white-noise integration time of a sample that first settles.
+
+    Parameters
+    ----------
+    dwell : array_like
+        Time spent on the sample, settling included, not negative [s].
+    time_constant : array_like
+        Time constant of the one-pole output filter, above zero [s].
+    settling : float
+        Wait before the average begins, in time constants, not negative [1].
+
+    Returns
+    -------
+    ndarray
+        Effective time of what the dwell leaves, of the broadcast shape [s]. A dwell
+        that leaves nothing still takes one reading.
+
+    Raises
+    ------
+    ValueError
+        If an argument is outside of its range.
+
+    Notes
+    -----
+    `effective_integration_time` of :math:`\max(T_d - s \tau, 0)`.
+
+    Examples
+    --------
+    >>> print(f"{settled_integration_time(0.125, time_constant=0.01):.4f} s")
+    0.0865 s
+    """
+    whole = not_negative(dwell, name="dwell", unit="s")
+    constant = positive(time_constant, name="time_constant", unit="s")
+    wait = not_negative(settling, name="settling", unit="time constants")
+    averaging = np.maximum(whole - wait * constant, 0.0)
+    return effective_integration_time(averaging, time_constant=constant)
+
+
 def quadrature_variance(
     photoelectron_rate: ArrayLike,
     *,
@@ -199,6 +243,100 @@ def quadrature_variance(
             f"excess_noise_factor must be at least 1, got {np.min(excess):g}"
         )
     return 2 * excess * (rate + dark) / time
+
+
+def photon_noise(
+    integration_time: ArrayLike, *, volt_per_photoelectron_rate: ArrayLike
+) -> NDArray[np.float64]:
+    r"""Return the counting noise of a detector's output per volt of mean output.
+
+    Parameters
+    ----------
+    integration_time : array_like
+        Integration time T of white noise, above zero [s].
+    volt_per_photoelectron_rate : array_like
+        Output k per rate of photoelectrons, above zero [V s].
+
+    Returns
+    -------
+    ndarray
+        Voltage V such that light of the peak amplitude A and the modulation depth m
+        has the counting variance :math:`V A / m` in either output, of the broadcast
+        shape [V].
+
+    Raises
+    ------
+    ValueError
+        If an argument is not above zero.
+
+    Notes
+    -----
+    :math:`V = 2 k / T`: the light that belongs to A releases :math:`r = A / (m k)`
+    photoelectrons per second, of which `quadrature_variance` makes
+    :math:`2 k^2 r / T` without excess noise and dark counts.
+
+    Examples
+    --------
+    >>> volt = photon_noise(0.1, volt_per_photoelectron_rate=8e-12)
+    >>> print(f"{volt:.1e} V")
+    1.6e-10 V
+    """
+    time = positive(integration_time, name="integration_time", unit="s")
+    volt = positive(
+        volt_per_photoelectron_rate, name="volt_per_photoelectron_rate", unit="V s"
+    )
+    return np.asarray(volt * quadrature_variance(1.0, integration_time=time))
+
+
+def phase_floor_covariance(
+    signal: ArrayLike, *, phase_floor: ArrayLike
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+    r"""Return what a random phase error adds to the covariance of a signal.
+
+    Parameters
+    ----------
+    signal : array_like
+        Complex signal, in phase + i quadrature, any unit.
+    phase_floor : array_like
+        Standard deviation of the phase error, finite and not negative [rad].
+
+    Returns
+    -------
+    in_phase_variance, quadrature_variance : ndarray
+        Variances of the two parts, of the broadcast shape [unit^2].
+    covariance : ndarray
+        Covariance of the two [unit^2].
+
+    Raises
+    ------
+    ValueError
+        If the phase floor is negative or not finite.
+
+    Notes
+    -----
+    First order in the error :math:`\sigma`, which moves the signal along its circle:
+
+    .. math::
+
+       \sigma_I^2 = \sigma^2 Q^2, \qquad \sigma_Q^2 = \sigma^2 I^2, \qquad
+       \sigma_{IQ} = -\sigma^2 I Q.
+
+    `phase_uncertainty` of these is :math:`\sigma`, `amplitude_uncertainty` zero.
+    Holds for :math:`\sigma` well below 1 rad.
+
+    Examples
+    --------
+    >>> in_phase, quadrature, shared = phase_floor_covariance(3 + 4j, phase_floor=0.1)
+    >>> print(f"{in_phase:.2f} {quadrature:.2f} {shared:.2f}")
+    0.16 0.09 -0.12
+    """
+    phasor = np.asarray(signal, dtype=np.complex128)
+    along = not_negative(phase_floor, name="phase_floor", unit="rad") ** 2
+    return (
+        np.asarray(along * phasor.imag**2),
+        np.asarray(along * phasor.real**2),
+        np.asarray(-along * phasor.real * phasor.imag),
+    )
 
 
 def phase_uncertainty(

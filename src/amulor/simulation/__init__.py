@@ -2,5 +2,13 @@
 
 from amulor.simulation.measurement import simulate
 from amulor.simulation.models import DiffusionModel, SignalModel, SmallAngleModel
+from amulor.simulation.scene_light import SceneLight, scene_light
 
-__all__ = ["DiffusionModel", "SignalModel", "SmallAngleModel", "simulate"]
+__all__ = [
+    "DiffusionModel",
+    "SceneLight",
+    "SignalModel",
+    "SmallAngleModel",
+    "scene_light",
+    "simulate",
+]

@@ -11,9 +11,8 @@ from amulor.errors import SurveyError
 from amulor.optics import rays
 from amulor.simulation.scene import Hits, Scene, aperture_points
 from amulor.survey import Survey, WaterProperties
+from amulor.survey.directions import Floats, scan_directions
 from amulor.survey.view import View, medium, view
-
-Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -38,64 +37,6 @@ class Geometry:
     """Group index times length, out and back; 0 without a target [m]."""
     cosine: Floats
     """Cosine of the surface's normal to the receiver, times the visible share [1]."""
-
-
-def scan_directions(survey: Survey) -> tuple[Floats, Floats, Floats]:
-    """Return azimuth, elevation [rad] and start time [s] of every pixel.
-
-    Parameters
-    ----------
-    survey : Survey
-        Its scan counts.
-
-    Returns
-    -------
-    tuple of three ndarrays, shape (rows, columns)
-        The first row is the upper one, the first column the left one.
-    """
-    scan = survey.scan
-    azimuth, elevation = _grid(survey, scan.rows, scan.columns)
-    number = np.arange(scan.rows * scan.columns).reshape(scan.rows, scan.columns)
-    if scan.order == "serpentine":
-        number[1::2] = number[1::2, ::-1].copy()
-    channels = len(survey.instrument.modulation_frequencies) * len(
-        survey.instrument.polarizations
-    )
-    return azimuth, elevation, (number * scan.dwell * channels).astype(float)
-
-
-def open_water_directions(survey: Survey) -> tuple[Floats, Floats]:
-    """Return azimuth and elevation [rad] of every open-water shot.
-
-    Parameters
-    ----------
-    survey : Survey
-        Its open-water plan must be there.
-
-    Returns
-    -------
-    tuple of two ndarrays, shape (shots,)
-        Directions, each as often as it is repeated.
-    """
-    plan = survey.scan.open_water
-    assert plan is not None
-    azimuth, elevation = _grid(survey, plan.rows, plan.columns)
-    return (
-        np.repeat(azimuth.ravel(), plan.repeats),
-        np.repeat(elevation.ravel(), plan.repeats),
-    )
-
-
-def _grid(survey: Survey, rows: int, columns: int) -> tuple[Floats, Floats]:
-    scan = survey.scan
-    # One row or column alone stands in the middle.
-    across = np.linspace(-0.5, 0.5, columns) if columns > 1 else np.zeros(1)
-    down = np.linspace(0.5, -0.5, rows) if rows > 1 else np.zeros(1)
-    azimuth, elevation = np.meshgrid(
-        scan.azimuth + across * scan.azimuth_span,
-        scan.elevation + down * scan.elevation_span,
-    )
-    return azimuth, elevation
 
 
 def trace(survey: Survey, water: WaterProperties) -> Geometry:

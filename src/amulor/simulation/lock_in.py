@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from amulor.optics import detection
 from amulor.simulation.signal import Light
-from amulor.survey import Survey
+from amulor.survey import Survey, counting
 
 
 @dataclass(frozen=True)
@@ -45,7 +45,12 @@ def expected_signal(survey: Survey, light: Light) -> NDArray[np.complex128]:
     """
     instrument = survey.instrument
     volt = instrument.detector.volt_per_photoelectron_rate
-    return instrument.modulation_depth * volt * _rate(survey) * light.modulated
+    return (
+        instrument.modulation_depth
+        * volt
+        * counting.full_rate(survey)
+        * light.modulated
+    )
 
 
 def sample(
@@ -85,58 +90,24 @@ def sample(
         water.modulated.shape
     )
     light = target + Light(water.modulated * change, water.mean * np.maximum(change, 0))
-    rate = _rate(survey) * light.mean
-    counting = volt**2 * detection.quadrature_variance(
-        rate,
-        integration_time=integration_time(survey),
-        excess_noise_factor=detector.excess_noise_factor,
-        dark_rate=detector.dark_rate,
+    rate = counting.full_rate(survey) * light.mean
+    variance = counting.counting_variance(
+        survey, rate=rate, integration_time=counting.integration_time(survey)
     )
-    noise = np.sqrt(counting) * (
-        rng.standard_normal(counting.shape) + 1j * rng.standard_normal(counting.shape)
+    noise = np.sqrt(variance) * (
+        rng.standard_normal(variance.shape) + 1j * rng.standard_normal(variance.shape)
     )
-    jitter = lock_in.phase_floor * rng.standard_normal(counting.shape)
+    jitter = lock_in.phase_floor * rng.standard_normal(variance.shape)
     signal = expected_signal(survey, light) * np.exp(1j * jitter) + noise
-    along = lock_in.phase_floor**2
+    in_phase, quadrature, covariance = detection.phase_floor_covariance(
+        signal, phase_floor=lock_in.phase_floor
+    )
     return Samples(
         signal=signal,
-        in_phase_variance=counting + along * signal.imag**2,
-        quadrature_variance=counting + along * signal.real**2,
-        covariance=-along * signal.real * signal.imag,
+        in_phase_variance=variance + in_phase,
+        quadrature_variance=variance + quadrature,
+        covariance=covariance,
         saturated=(volt * (rate + detector.dark_rate) > detector.saturation).astype(
             np.int8
         ),
-    )
-
-
-def integration_time(survey: Survey) -> float:
-    """Return over how long one sample counts photoelectrons, in effect [s].
-
-    Parameters
-    ----------
-    survey : Survey
-        Its dwell and its lock-in count.
-
-    Returns
-    -------
-    float
-        Noise-equivalent time. Whatever the dwell leaves after settling is averaged; a
-        dwell that leaves nothing still takes one reading.
-    """
-    constant = survey.instrument.lock_in.time_constant
-    averaging = max(survey.scan.dwell - 5 * constant, 0.0)
-    return float(
-        detection.effective_integration_time(averaging, time_constant=constant)
-    )
-
-
-def _rate(survey: Survey) -> float:
-    """Return photoelectrons per second if all launched light came back [1/s]."""
-    instrument, detector = survey.instrument, survey.instrument.detector
-    return float(
-        detection.photoelectron_rate(
-            instrument.power * detector.optical_transmission,
-            wavelength=instrument.wavelength,
-            quantum_efficiency=detector.quantum_efficiency,
-        )
     )

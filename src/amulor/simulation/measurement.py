@@ -10,12 +10,14 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from amulor import cube
-from amulor.optics import detection
 from amulor.optics.rays import Medium
 from amulor.simulation import geometry as geometry_of
 from amulor.simulation import lock_in, signal
 from amulor.simulation.models import DiffusionModel, SignalModel
 from amulor.survey import Survey, WaterProperties, water_properties
+from amulor.survey.counting import photon_noise_volt
+from amulor.survey.directions import open_water_directions
+from amulor.survey.view import geometry_attributes
 from amulor.survey.view import medium as medium_of
 from amulor.survey.view import view as view_of
 
@@ -115,7 +117,7 @@ def _open_water(
     rng: np.random.Generator,
     model: SignalModel,
 ) -> xr.Dataset:
-    azimuth, elevation = geometry_of.open_water_directions(survey)
+    azimuth, elevation = open_water_directions(survey)
     view = view_of(survey, azimuth, elevation, medium=medium)
     light = signal.water_light(survey, water, view, model=model)
     dark = signal.Light(np.zeros_like(light.modulated), np.zeros_like(light.mean))
@@ -123,45 +125,6 @@ def _open_water(
     return cube.open_water(
         {**_outputs(shots), "azimuth": azimuth, "elevation": elevation}
     )
-
-
-def geometry_attributes(survey: Survey, medium: Medium) -> dict[str, Any]:
-    """Return what a cube says about indices, window and places of the instrument.
-
-    Parameters
-    ----------
-    survey : Survey
-        Its instrument and scan count.
-    medium : amulor.optics.rays.Medium
-        Indices and window.
-
-    Returns
-    -------
-    dict
-        Attributes of a measurement cube.
-    """
-    found: dict[str, Any] = {
-        "group_index": medium.group_index,
-        "refractive_index": medium.refractive_index,
-        "emitter_position": np.array(survey.instrument.emitter.position),
-        "receiver_position": np.array(survey.instrument.receiver.position),
-    }
-    if medium.window_distance is not None:
-        found |= {
-            "window_distance": medium.window_distance,
-            "window_thickness": medium.window_thickness,
-            "window_refractive_index": medium.window_refractive_index,
-            "window_group_index": medium.window_group_index,
-        }
-    return found
-
-
-def photon_noise_volt(survey: Survey) -> float:
-    """Return V such that an amplitude A has the counting variance V * A / m [V]."""
-    volt = survey.instrument.detector.volt_per_photoelectron_rate
-    time = lock_in.integration_time(survey)
-    unit = detection.quadrature_variance(1.0, integration_time=time)
-    return float(volt * unit)
 
 
 def _truth(

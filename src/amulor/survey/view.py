@@ -196,3 +196,34 @@ def kernel_arguments(
         "cross_tilt": view.cross_tilt,
         "standoff": view.standoff,
     }
+
+
+def geometry_attributes(survey: Survey, medium: rays.Medium) -> dict[str, Any]:
+    """Return what a cube says about indices, window and places of the instrument.
+
+    Parameters
+    ----------
+    survey : Survey
+        Its instrument and scan count.
+    medium : amulor.optics.rays.Medium
+        Indices and window.
+
+    Returns
+    -------
+    dict
+        Attributes of a measurement cube.
+    """
+    attributes: dict[str, Any] = {
+        "group_index": medium.group_index,
+        "refractive_index": medium.refractive_index,
+        "emitter_position": np.array(survey.instrument.emitter.position),
+        "receiver_position": np.array(survey.instrument.receiver.position),
+    }
+    if medium.window_distance is not None:
+        attributes |= {
+            "window_distance": medium.window_distance,
+            "window_thickness": medium.window_thickness,
+            "window_refractive_index": medium.window_refractive_index,
+            "window_group_index": medium.window_group_index,
+        }
+    return attributes

@@ -26,6 +26,7 @@ from amulor.acquisition.rehearsal import rehearse
 from amulor.acquisition.sampler import SampleFlag
 from amulor.acquisition.settings import Settings
 from amulor.cli import acquire, main
+from amulor.simulation import scene_light
 from amulor.survey import Survey
 
 #: Embedded devices that take their time, so that a scan can be caught in the middle.
@@ -260,7 +261,7 @@ def test_a_termination_leaves_the_laser_off_and_a_folder_that_resumes(
 ) -> None:
     survey = Survey.from_text(text)
     base = Settings.model_validate({"procedure": {"dark_readings": 2}})
-    with rehearse(survey, base, speed=20) as rehearsal:
+    with rehearse(survey, base, speed=20, scene=scene_light) as rehearsal:
         Path("devices.toml").write_text(rehearsal.settings.to_toml())
         words = [
             "acquire",

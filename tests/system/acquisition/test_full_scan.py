@@ -23,7 +23,7 @@ from amulor.acquisition.journal.journal import Journal
 from amulor.acquisition.plan import SCAN
 from amulor.acquisition.settings import Settings
 from amulor.cli import main
-from amulor.simulation import simulate
+from amulor.simulation import scene_light, simulate
 from amulor.survey import Survey
 
 RUN = [sys.executable, "-m", "amulor"]
@@ -59,6 +59,7 @@ def test_a_full_scan_over_the_network_is_fast_and_survives_interruptions(
             outcome = acquisition.acquire(
                 survey, folder / str(number), settings=settings,
                 acknowledged=lambda _, times=times: times.append(time.monotonic()),
+                scene=scene_light,
             )  # fmt: skip
             rates.append(outcome.done / (time.monotonic() - times[0]))
             fastest.append(1000 / np.subtract(times[1000:], times[:-1000]).min())

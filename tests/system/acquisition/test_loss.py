@@ -28,6 +28,7 @@ from amulor.acquisition.journal.record import Record
 from amulor.acquisition.plan import SCAN, Key
 from amulor.acquisition.settings import Settings
 from amulor.errors import AmulorError
+from amulor.simulation import scene_light
 from amulor.survey import Survey
 
 RECORD = Record(
@@ -50,6 +51,7 @@ def _child(survey: Survey, folder: Path, told: int) -> None:
     acquisition.acquire(
         survey, folder, settings=FEW, resume=(folder / FILE_NAME).exists(),
         acknowledged=tell,
+        scene=scene_light,
     )  # fmt: skip
 
 
@@ -88,7 +90,7 @@ def _kill_loop(survey: Survey, home: Path, kills: int) -> dict[str, int]:
     planned = [step.key for step in plan.steps(survey, FEW.procedure)]
     for name in ("first", "whole"):  # the first one loads compiled code, too
         start = time.monotonic()
-        acquisition.acquire(survey, home / name, settings=FEW)
+        acquisition.acquire(survey, home / name, settings=FEW, scene=scene_light)
         whole = time.monotonic() - start
     counts = {"kills": 0, "acknowledged": 0, "folders": 0, "lost": 0, "twice": 0}
     while counts["kills"] < kills:
@@ -111,7 +113,9 @@ def _kill_loop(survey: Survey, home: Path, kills: int) -> dict[str, int]:
                 break
         counts["twice"] += len(acknowledged) - len({*acknowledged})
         resume = (folder / FILE_NAME).exists()
-        outcome = acquisition.acquire(survey, folder, settings=FEW, resume=resume)
+        outcome = acquisition.acquire(
+            survey, folder, settings=FEW, resume=resume, scene=scene_light
+        )
         assert outcome.finished
         with Journal.read(folder) as journal:
             keys = journal.keys()
@@ -154,7 +158,7 @@ def test_two_hundred_kills_lose_no_acknowledged_sample(tiny, folder) -> None:
 READER = """
 import sys
 from pathlib import Path
-from amulor.acquisition.journal import Journal
+from amulor.acquisition import Journal
 
 print("ready", flush=True)
 last = looks = 0
@@ -228,11 +232,15 @@ def test_a_full_disk_ends_a_scan_with_all_acknowledged_kept(survey, folder) -> N
         _largest_file(300_000),
         pytest.raises(AmulorError, match=r"free some space.*--resume"),
     ):
-        acquisition.acquire(survey, place, settings=FEW, acknowledged=told.append)
+        acquisition.acquire(
+            survey, place, settings=FEW, acknowledged=told.append, scene=scene_light
+        )
     assert len(told) > 10
     with Journal.read(place) as journal:
         assert journal.keys() == {*told}
-    assert acquisition.acquire(survey, place, settings=FEW, resume=True).finished
+    assert acquisition.acquire(
+        survey, place, settings=FEW, resume=True, scene=scene_light
+    ).finished
     acquisition.recover(place)
 
 
@@ -254,7 +262,9 @@ def test_a_small_file_system_fills_up_and_the_scan_goes_on_elsewhere(
     try:
         scan = place / "scan"
         with pytest.raises(AmulorError, match="free some space"):
-            acquisition.acquire(survey, scan, settings=FEW, acknowledged=told.append)
+            acquisition.acquire(
+                survey, scan, settings=FEW, acknowledged=told.append, scene=scene_light
+            )
         assert len(told) > 10
         # Somebody moves the folder to a disk with room.
         shutil.copytree(scan, folder / "moved")
@@ -262,5 +272,7 @@ def test_a_small_file_system_fills_up_and_the_scan_goes_on_elsewhere(
         subprocess.run(["umount", str(place)], check=True)
     with Journal.read(folder / "moved") as journal:
         assert journal.keys() >= {*told}
-    again = acquisition.acquire(survey, folder / "moved", settings=FEW, resume=True)
+    again = acquisition.acquire(
+        survey, folder / "moved", settings=FEW, resume=True, scene=scene_light
+    )
     assert again.finished

@@ -13,14 +13,14 @@ from amulor.acquisition.rehearsal import rehearse
 from amulor.acquisition.sampler import SampleFlag
 from amulor.acquisition.settings import Settings
 from amulor.errors import InstrumentError
-from amulor.simulation import simulate
+from amulor.simulation import scene_light, simulate
 from amulor.survey import Survey
 
 
 def test_an_acquired_cube_is_the_simulated_one_within_noise(
     plate, folder, ranges
 ) -> None:
-    acquisition.acquire(plate, folder)
+    acquisition.acquire(plate, folder, scene=scene_light)
     acquired = io.read_cube(acquisition.recover(folder))
     ideal = simulate(plate, rng=2)
     for name, coordinate in ideal.coords.items():
@@ -42,7 +42,7 @@ def test_a_scan_over_the_network_gives_the_same_ranges(
     if model == "sr865a":  # it ends at 4 MHz
         text = text.replace('"39 MHz"', '"3.9 MHz"')
     survey = Survey.from_text(text)
-    with rehearse(survey, few, model=model, speed=500) as rehearsal:
+    with rehearse(survey, few, model=model, speed=500, scene=scene_light) as rehearsal:
         outcome = acquisition.acquire(survey, folder, settings=rehearsal.settings)
         assert outcome.finished
         assert not rehearsal.bench.laser_on
@@ -64,7 +64,7 @@ def test_the_frequency_that_an_instrument_rounds_to_is_kept_and_flagged(
 ) -> None:
     # Three digits: 0.1 % off, a little more than what is let pass.
     survey = Survey.from_text(text.replace('"39 MHz"', '"39.06 MHz"'))
-    with rehearse(survey, few, speed=1000) as rehearsal:
+    with rehearse(survey, few, speed=1000, scene=scene_light) as rehearsal:
         acquisition.acquire(survey, folder, settings=rehearsal.settings)
     with Journal.read(folder) as journal:
         cube = acquisition.build(journal)
@@ -75,14 +75,16 @@ def test_the_frequency_that_an_instrument_rounds_to_is_kept_and_flagged(
 
 def test_the_same_scan_goes_over_pyvisa(survey, folder, few, ranges) -> None:
     pytest.importorskip("pyvisa_py", reason="PyVISA-py is not installed")
-    with rehearse(survey, few, speed=1000) as rehearsal:
+    with rehearse(survey, few, speed=1000, scene=scene_light) as rehearsal:
         content = rehearsal.settings.model_dump(exclude_unset=True)
         for part in content.values():
             if part.get("address"):
                 host, port = part["address"].removeprefix("tcp://").split(":")
                 part["address"] = f"TCPIP::{host}::{port}::SOCKET"
         settings = Settings.model_validate(content)
-        assert acquisition.acquire(survey, folder, settings=settings).finished
+        assert acquisition.acquire(
+            survey, folder, settings=settings, scene=scene_light
+        ).finished
     assert ranges(io.read_cube(acquisition.recover(folder))).shape == (4, 8)
 
 
@@ -107,7 +109,7 @@ def test_faults_over_the_network_leave_the_laser_off(
             "simulation": {"faults": [fault]},
         }
     )
-    with rehearse(tiny, base, speed=1000) as rehearsal:
+    with rehearse(tiny, base, speed=1000, scene=scene_light) as rehearsal:
         with pytest.raises(InstrumentError, match=message) as caught:
             acquisition.acquire(tiny, folder, settings=rehearsal.settings)
         assert not rehearsal.bench.laser_on
@@ -121,13 +123,16 @@ def test_a_scan_over_a_lost_link_is_gone_on_with(tiny, folder, few) -> None:
     lost = Settings.model_validate(
         {"procedure": {"dark_readings": 2}, "simulation": {"faults": ["lost-link@42"]}}
     )
-    with rehearse(tiny, lost, speed=1000) as first, pytest.raises(InstrumentError):
+    with (
+        rehearse(tiny, lost, speed=1000, scene=scene_light) as first,
+        pytest.raises(InstrumentError),
+    ):
         acquisition.acquire(tiny, folder, settings=first.settings)
     # Mended: another port, no fault, the same instrument.
-    with rehearse(tiny, few, speed=1000) as second:
+    with rehearse(tiny, few, speed=1000, scene=scene_light) as second:
         settings = second.settings
         assert acquisition.acquire(
-            tiny, folder, settings=settings, resume=True
+            tiny, folder, settings=settings, resume=True, scene=scene_light
         ).finished
     cube = io.read_cube(acquisition.recover(folder))
     assert {*cube["user_segment"].values.ravel()} == {1, 2}

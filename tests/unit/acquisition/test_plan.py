@@ -10,8 +10,8 @@ from hypothesis import strategies as st
 
 from amulor.acquisition import plan
 from amulor.acquisition.settings import Procedure
-from amulor.simulation.geometry import open_water_directions, scan_directions
 from amulor.survey import OpenWater, Survey
+from amulor.survey.directions import open_water_directions, scan_directions
 
 SIZES = st.integers(1, 4)
 

@@ -10,21 +10,25 @@ from amulor.acquisition import plan
 from amulor.acquisition.journal.journal import Journal
 from amulor.acquisition.plan import SCAN
 from amulor.acquisition.sampler import SampleFlag
+from amulor.simulation import scene_light
 
 
 def test_spoiled_samples_are_taken_again_on_request_only(
     small, settings, folder, cube_of, made
 ) -> None:
     own = made(settings, simulation={"faults": ["saturation@30x3"]})
-    acquisition.acquire(small, folder, settings=own)
+    acquisition.acquire(small, folder, settings=own, scene=scene_light)
     before = cube_of(folder)
     assert int(before["saturated"].sum()) == 3
-    again = acquisition.acquire(small, folder, settings=settings, resume=True)
+    again = acquisition.acquire(
+        small, folder, settings=settings, resume=True, scene=scene_light
+    )
     assert again.done == plan.count(small, settings.procedure)
     told: list[plan.Key] = []
     outcome = acquisition.acquire(
         small, folder, settings=settings, resume=True, retake_flagged=True,
         acknowledged=told.append,
+        scene=scene_light,
     )  # fmt: skip
     assert outcome.finished
     extra = [step.key for step in plan.extra_reference(small, own.procedure, number=0)]
@@ -57,7 +61,12 @@ def test_spoiled_samples_are_taken_again_on_request_only(
     assert len(scan) == 30 + 3
     assert sum(bool(record.flags & SampleFlag.OVERLOAD) for _, record in scan) == 3
     done = acquisition.acquire(
-        small, folder, settings=settings, resume=True, retake_flagged=True
+        small,
+        folder,
+        settings=settings,
+        resume=True,
+        retake_flagged=True,
+        scene=scene_light,
     )
     assert done.done == outcome.done
 
@@ -66,18 +75,20 @@ def test_retakes_that_are_spoiled_or_broken_off_are_taken_once_more(
     small, settings, folder, Stop, cube_of, made
 ) -> None:
     own = made(settings, simulation={"faults": ["saturation@30x4"]})
-    acquisition.acquire(small, folder, settings=own)
+    acquisition.acquire(small, folder, settings=own, scene=scene_light)
     extra = len([*plan.extra_reference(small, own.procedure, number=0)])
     # The first two retakes come after the reference and are spoiled again, then a stop.
     acquisition.acquire(
         small, folder, resume=True, retake_flagged=True,
         settings=made(settings, simulation={"faults": [f"saturation@{extra + 1}x2"]}),
         control=Stop(extra + 3, go_on=False),
+        scene=scene_light,
     )  # fmt: skip
     told: list[plan.Key] = []
     acquisition.acquire(
         small, folder, settings=settings, resume=True, retake_flagged=True,
         acknowledged=told.append,
+        scene=scene_light,
     )  # fmt: skip
     assert [key.repeat for key in told if key.kind == SCAN] == [2, 2, 1]
     cube = cube_of(folder)
@@ -90,11 +101,14 @@ def test_what_is_missing_comes_before_what_was_spoiled(
     small, settings, folder, Stop, made
 ) -> None:
     own = made(settings, simulation={"faults": ["saturation@20x2"]})
-    acquisition.acquire(small, folder, settings=own, control=Stop(30, go_on=False))
+    acquisition.acquire(
+        small, folder, settings=own, control=Stop(30, go_on=False), scene=scene_light
+    )
     told: list[plan.Key] = []
     outcome = acquisition.acquire(
         small, folder, settings=settings, resume=True, retake_flagged=True,
         acknowledged=told.append,
+        scene=scene_light,
     )  # fmt: skip
     assert outcome.finished
     planned = [step.key for step in plan.steps(small, settings.procedure)]
@@ -107,7 +121,7 @@ def test_dark_readings_that_overloaded_are_left_out(
     small, settings, folder, made
 ) -> None:
     bright = made(settings, simulation={"faults": ["saturation@1"], "pickup": 1e-4})
-    acquisition.acquire(small, folder, settings=bright)
+    acquisition.acquire(small, folder, settings=bright, scene=scene_light)
     with Journal.read(folder) as journal:
         dark = [*journal.samples("dark")]
         cube = acquisition.build(journal)

@@ -17,6 +17,7 @@ from amulor.acquisition.plan import SCAN
 from amulor.acquisition.sampler import SampleFlag
 from amulor.acquisition.settings import Settings
 from amulor.errors import AmulorError, FormatError, InstrumentError, SurveyError
+from amulor.simulation import scene_light
 from amulor.survey import Survey
 
 
@@ -28,6 +29,7 @@ def test_a_scan_takes_every_planned_sample_once_in_order(
     outcome = acquisition.acquire(
         small, folder, settings=settings, acknowledged=told.append,
         progress=progress.append,
+        scene=scene_light,
     )  # fmt: skip
     planned = [step.key for step in plan.steps(small, settings.procedure)]
     assert told == planned
@@ -43,7 +45,7 @@ def test_a_scan_takes_every_planned_sample_once_in_order(
 def test_light_is_off_for_dark_readings_and_the_target_out_for_water(
     small, settings, folder, safe
 ) -> None:
-    devices = connect(small, settings)
+    devices = connect(small, settings, scene=scene_light)
     seen: dict[str, set] = {}
     commit = Journal.commit
 
@@ -69,7 +71,7 @@ def test_light_is_off_for_dark_readings_and_the_target_out_for_water(
 def test_a_scan_stopped_at_any_sample_resumes_to_the_whole(
     small, settings, folder, at, safe, Stop
 ) -> None:
-    devices = connect(small, settings)
+    devices = connect(small, settings, scene=scene_light)
     control = Stop(at, go_on=False)
     first = acquisition.acquire(
         small, folder, settings=settings, devices=devices, control=control
@@ -78,7 +80,12 @@ def test_a_scan_stopped_at_any_sample_resumes_to_the_whole(
     assert safe(devices)
     told: list[plan.Key] = []
     second = acquisition.acquire(
-        small, folder, settings=settings, resume=True, acknowledged=told.append
+        small,
+        folder,
+        settings=settings,
+        resume=True,
+        acknowledged=told.append,
+        scene=scene_light,
     )
     assert second.finished
     planned = [step.key for step in plan.steps(small, settings.procedure)]
@@ -98,7 +105,7 @@ def test_a_scan_stopped_at_any_sample_resumes_to_the_whole(
 def test_a_pause_that_goes_on_repeats_the_reference_and_is_recorded(
     small, settings, folder, Stop
 ) -> None:
-    devices = connect(small, settings)
+    devices = connect(small, settings, scene=scene_light)
     control = Stop(30, go_on=True)
     outcome = acquisition.acquire(
         small, folder, settings=settings, devices=devices, control=control
@@ -129,6 +136,7 @@ def test_the_rate_does_not_count_the_time_of_a_question(
     acquisition.acquire(
         small, folder, settings=settings, control=Slow(30, go_on=True),
         acknowledged=note, progress=seen.append,
+        scene=scene_light,
     )  # fmt: skip
     assert [now.rate for now in seen] == pytest.approx([10.0] * len(seen))
     left = (seen[40].total - seen[40].done) / 10
@@ -136,9 +144,9 @@ def test_the_rate_does_not_count_the_time_of_a_question(
 
 
 def test_resuming_a_finished_scan_takes_nothing(small, settings, folder, safe) -> None:
-    acquisition.acquire(small, folder, settings=settings)
+    acquisition.acquire(small, folder, settings=settings, scene=scene_light)
     told: list[plan.Key] = []
-    devices = connect(small, settings)
+    devices = connect(small, settings, scene=scene_light)
     again = acquisition.acquire(
         small, folder, settings=settings, resume=True, acknowledged=told.append,
         devices=devices,
@@ -152,13 +160,16 @@ def test_a_resumed_scan_is_an_uninterrupted_one_within_noise(
     small, settings, folder, Stop, cube_of
 ) -> None:
     whole, broken = folder / "whole", folder / "broken"
-    acquisition.acquire(small, whole, settings=settings)
+    acquisition.acquire(small, whole, settings=settings, scene=scene_light)
     for number, at in enumerate((25, 40, 30)):
         acquisition.acquire(
             small, broken, settings=settings, resume=number > 0,
             control=Stop(at, go_on=False),
+            scene=scene_light,
         )  # fmt: skip
-    acquisition.acquire(small, broken, settings=settings, resume=True)
+    acquisition.acquire(
+        small, broken, settings=settings, resume=True, scene=scene_light
+    )
     first, second = (cube_of(place) for place in (whole, broken))
     # Water fluctuates by 5 % of its signal beside the stated error.
     shots = first.amulor.open_water
@@ -175,10 +186,18 @@ def test_a_resumed_scan_is_an_uninterrupted_one_within_noise(
 def test_survey_and_devices_files_that_were_lost_come_back(
     small, settings, folder, Stop
 ) -> None:
-    acquisition.acquire(small, folder, settings=settings, control=Stop(9, go_on=False))
+    acquisition.acquire(
+        small,
+        folder,
+        settings=settings,
+        control=Stop(9, go_on=False),
+        scene=scene_light,
+    )
     for name in ("survey.toml", "devices.toml"):
         (folder / name).unlink()
-    acquisition.acquire(small, folder, settings=settings, resume=True)
+    acquisition.acquire(
+        small, folder, settings=settings, resume=True, scene=scene_light
+    )
     assert Survey.from_toml(folder / "survey.toml") == small
     assert Settings.from_toml(folder / "devices.toml") == settings
 
@@ -190,7 +209,7 @@ def test_the_output_without_light_is_taken_off_the_cube_and_not_off_the_journal(
     for pickup in (0.0, 1e-4):
         place = folder / f"{pickup:g}"
         own = made(settings, simulation={"pickup": pickup})
-        acquisition.acquire(small, place, settings=own)
+        acquisition.acquire(small, place, settings=own, scene=scene_light)
         cubes.append(cube_of(place))
         with Journal.read(place) as journal:
             raw.append([record.in_phase for _, record in journal.samples(SCAN)])
@@ -208,7 +227,7 @@ def test_a_lost_reference_is_waited_out_and_noted(
     small, settings, folder, made, cube_of
 ) -> None:
     own = made(settings, simulation={"faults": ["unlock@30x2"]})
-    acquisition.acquire(small, folder, settings=own)
+    acquisition.acquire(small, folder, settings=own, scene=scene_light)
     cube = cube_of(folder)
     flags = cube["user_sample_flag"].values
     assert np.count_nonzero(flags & SampleFlag.REPEATED) == 1
@@ -217,7 +236,7 @@ def test_a_lost_reference_is_waited_out_and_noted(
 
 
 def test_room_is_made_for_an_overload_that_stays(small, settings, folder) -> None:
-    devices = connect(small, settings)
+    devices = connect(small, settings, scene=scene_light)
     lock_in = devices.lock_in
     lock_in._scale = 0  # far too fine
     outcome = acquisition.acquire(small, folder, settings=settings, devices=devices)
@@ -236,7 +255,7 @@ def test_a_detector_beyond_its_range_is_flagged_pixel_by_pixel(
     small, settings, folder, made, cube_of
 ) -> None:
     own = made(settings, simulation={"faults": ["saturation@30x3"]})
-    acquisition.acquire(small, folder, settings=own)
+    acquisition.acquire(small, folder, settings=own, scene=scene_light)
     cube = cube_of(folder)
     assert int(cube["saturated"].sum()) == 3
     from amulor import rejection
@@ -250,7 +269,7 @@ def test_a_beam_off_its_place_is_flagged_and_where_it_was_is_kept(
     small, settings, folder, made, cube_of
 ) -> None:
     own = made(settings, simulation={"position_error": 1e-3})
-    acquisition.acquire(small, folder, settings=own)
+    acquisition.acquire(small, folder, settings=own, scene=scene_light)
     cube = cube_of(folder)
     off = cube["azimuth"] - cube["user_commanded_azimuth"]
     # The mean of two channels of errors of 1 mrad.
@@ -262,29 +281,47 @@ def test_a_beam_off_its_place_is_flagged_and_where_it_was_is_kept(
 def test_a_changed_survey_or_instrument_is_refused(
     small, settings, folder, made, Stop
 ) -> None:
-    acquisition.acquire(small, folder, settings=settings, control=Stop(30, go_on=False))
+    acquisition.acquire(
+        small,
+        folder,
+        settings=settings,
+        control=Stop(30, go_on=False),
+        scene=scene_light,
+    )
     other = small.model_copy(update={"name": "Another one"})
     with pytest.raises(SurveyError, match="another survey"):
-        acquisition.acquire(other, folder, settings=settings, resume=True)
+        acquisition.acquire(
+            other, folder, settings=settings, resume=True, scene=scene_light
+        )
     changed = made(settings, procedure={"settling": 7.0})
     with pytest.raises(InstrumentError, match="another procedure"):
-        acquisition.acquire(small, folder, settings=changed, resume=True)
+        acquisition.acquire(
+            small, folder, settings=changed, resume=True, scene=scene_light
+        )
     # Where a device is reached is no part of what it is.
     moved = made(settings, lock_in={"timeout": 9.0}, simulation={"seed": 5})
-    assert acquisition.acquire(small, folder, settings=moved, resume=True).finished
+    assert acquisition.acquire(
+        small, folder, settings=moved, resume=True, scene=scene_light
+    ).finished
 
 
 def test_a_state_without_an_angle_is_told(small, settings, folder) -> None:
     instrument = small.instrument.model_copy(update={"polarizations": ("RL",)})
     survey = small.model_copy(update={"instrument": instrument})
     with pytest.raises(InstrumentError, match=r"add launch\.angles\.R"):
-        acquisition.acquire(survey, folder, settings=settings)
+        acquisition.acquire(survey, folder, settings=settings, scene=scene_light)
 
 
 def test_recovering_nothing_is_told(small, settings, folder: Path, Stop) -> None:
     with pytest.raises(AmulorError, match="no journal"):
         acquisition.recover(folder)
-    acquisition.acquire(small, folder, settings=settings, control=Stop(2, go_on=False))
+    acquisition.acquire(
+        small,
+        folder,
+        settings=settings,
+        control=Stop(2, go_on=False),
+        scene=scene_light,
+    )
     with pytest.raises(AmulorError, match="no sample of the scan yet"):
         acquisition.recover(folder)
 
@@ -293,7 +330,7 @@ def test_recovering_nothing_is_told(small, settings, folder: Path, Stop) -> None
 def test_a_cube_that_a_disk_has_changed_is_told(
     small, settings, folder, monkeypatch, name
 ) -> None:
-    acquisition.acquire(small, folder, settings=settings)
+    acquisition.acquire(small, folder, settings=settings, scene=scene_light)
     # The function of this name hides the module in its package.
     module = importlib.import_module("amulor.acquisition.cube.build")
     write = module.write_cube
@@ -314,7 +351,7 @@ def test_a_cube_that_a_disk_has_changed_is_told(
 def test_the_clock_of_the_scan_counts_settling_and_dwell(
     small, settings, folder
 ) -> None:
-    devices = connect(small, settings)
+    devices = connect(small, settings, scene=scene_light)
     assert isinstance(devices.clock, VirtualClock)
     acquisition.acquire(small, folder, settings=settings, devices=devices)
     samples = plan.count(small, settings.procedure)
@@ -327,6 +364,8 @@ def test_surveys_without_open_water_are_scanned_too(
 ) -> None:
     scan = small.scan.model_copy(update={"open_water": None})
     survey = small.model_copy(update={"scan": scan})
-    assert acquisition.acquire(survey, folder, settings=settings).finished
+    assert acquisition.acquire(
+        survey, folder, settings=settings, scene=scene_light
+    ).finished
     cube = cube_of(folder)
     assert cube.amulor.open_water is None

@@ -14,6 +14,7 @@ from amulor.acquisition.journal.journal import Journal
 from amulor.acquisition.operator import OperatorTargetStage
 from amulor.acquisition.plan import SCAN
 from amulor.errors import FormatError, InstrumentError, SurveyError
+from amulor.simulation import scene_light
 
 
 @pytest.mark.parametrize(
@@ -33,7 +34,7 @@ def test_a_fault_pauses_keeps_the_data_and_tells_the_next_step(
     own = made(
         settings, simulation={"faults": [fault]}, procedure={"patience": 5},
     )  # fmt: skip
-    devices = connect(small, own)
+    devices = connect(small, own, scene=scene_light)
     told: list[plan.Key] = []
     with pytest.raises(InstrumentError, match=text) as caught:
         acquisition.acquire(
@@ -49,7 +50,11 @@ def test_a_fault_pauses_keeps_the_data_and_tells_the_next_step(
     assert text in part["reason"]
     # The fault was in the simulated devices, not in what makes up the instrument.
     whole = acquisition.acquire(
-        small, folder, settings=made(own, simulation={"faults": []}), resume=True
+        small,
+        folder,
+        settings=made(own, simulation={"faults": []}),
+        resume=True,
+        scene=scene_light,
     )
     assert whole.finished
 
@@ -58,7 +63,7 @@ def test_a_fault_pauses_keeps_the_data_and_tells_the_next_step(
 def test_devices_are_safe_after_any_exception(
     small, settings, folder, error, safe
 ) -> None:
-    devices = connect(small, settings)
+    devices = connect(small, settings, scene=scene_light)
 
     def fail(key: plan.Key) -> None:
         if key.kind == SCAN:
@@ -76,7 +81,7 @@ def test_devices_are_safe_after_any_exception(
 def test_one_device_that_cannot_be_made_safe_does_not_keep_the_others(
     small, settings, folder, monkeypatch
 ) -> None:
-    devices = connect(small, settings)
+    devices = connect(small, settings, scene=scene_light)
 
     def refuse() -> None:
         raise InstrumentError("it does not listen")
@@ -94,7 +99,7 @@ def test_one_device_that_cannot_be_made_safe_does_not_keep_the_others(
 def test_whoever_ends_a_scan_is_told_that_the_laser_may_be_on(
     small, settings, folder, monkeypatch, error
 ) -> None:
-    devices = connect(small, settings)
+    devices = connect(small, settings, scene=scene_light)
 
     def refuse() -> None:
         raise InstrumentError("it does not listen")
@@ -116,7 +121,7 @@ def test_whoever_ends_a_scan_is_told_that_the_laser_may_be_on(
 def test_a_pause_in_which_the_laser_stays_on_ends_the_scan(
     small, settings, folder, monkeypatch, Stop
 ) -> None:
-    devices = connect(small, settings)
+    devices = connect(small, settings, scene=scene_light)
 
     def refuse() -> None:
         raise InstrumentError("it does not listen")
@@ -135,7 +140,7 @@ def test_a_pause_in_which_the_laser_stays_on_ends_the_scan(
 def test_a_scan_that_is_refused_touches_no_device(
     small, settings, folder, monkeypatch, Stop
 ) -> None:
-    devices = connect(small, settings)
+    devices = connect(small, settings, scene=scene_light)
 
     class Second(Stop):
         """Begins the same scan twice more while the first one is in the middle."""
@@ -166,19 +171,23 @@ def test_a_scan_that_is_refused_touches_no_device(
 
     monkeypatch.setattr(run, "connect", connected)
     with pytest.raises(FormatError, match="holds a scan already"):
-        acquisition.acquire(small, folder, settings=settings)
+        acquisition.acquire(small, folder, settings=settings, scene=scene_light)
     other = small.model_copy(update={"name": "Another one"})
     with pytest.raises(SurveyError, match="another survey"):
-        acquisition.acquire(other, folder, settings=settings, resume=True)
+        acquisition.acquire(
+            other, folder, settings=settings, resume=True, scene=scene_light
+        )
     with pytest.raises(FormatError, match="leave out --resume"):
-        acquisition.acquire(small, folder / "typo", settings=settings, resume=True)
+        acquisition.acquire(
+            small, folder / "typo", settings=settings, resume=True, scene=scene_light
+        )
     assert not (folder / "typo").exists()
 
 
 def test_nobody_is_asked_into_the_beam_with_the_laser_on(
     small, settings, folder, made
 ) -> None:
-    simulated = connect(small, settings)
+    simulated = connect(small, settings, scene=scene_light)
     bench, asked = simulated.lock_in.bench, []
 
     def ask(text: str) -> None:
@@ -204,7 +213,7 @@ def test_a_folder_that_cannot_be_written_is_told_before_light_goes_on(
 ) -> None:
     blocked = folder / "file"
     blocked.write_text("no folder")
-    devices = connect(small, settings)
+    devices = connect(small, settings, scene=scene_light)
     with pytest.raises(FormatError, match="cannot be made"):
         acquisition.acquire(small, blocked, settings=settings, devices=devices)
     assert "on" not in devices.laser.log
@@ -213,7 +222,7 @@ def test_a_folder_that_cannot_be_written_is_told_before_light_goes_on(
 def test_a_journal_that_can_no_longer_be_written_ends_the_scan_safely(
     small, settings, folder, monkeypatch, safe
 ) -> None:
-    devices = connect(small, settings)
+    devices = connect(small, settings, scene=scene_light)
     commit = Journal.commit
 
     def full(journal: Journal, key, record) -> None:
@@ -226,4 +235,6 @@ def test_a_journal_that_can_no_longer_be_written_ends_the_scan_safely(
         acquisition.acquire(small, folder, settings=settings, devices=devices)
     assert safe(devices)
     monkeypatch.undo()
-    assert acquisition.acquire(small, folder, settings=settings, resume=True).finished
+    assert acquisition.acquire(
+        small, folder, settings=settings, resume=True, scene=scene_light
+    ).finished

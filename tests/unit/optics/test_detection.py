@@ -393,3 +393,87 @@ def test_impossible_moments_are_refused():
             function(
                 1.0, in_phase_variance=1.0, quadrature_variance=1.0, covariance=1.1
             )
+
+
+@settings(deadline=None)
+@given(st.floats(0.1, 100), st.floats(1e-6, 10))
+def test_a_settled_sample_averages_what_the_dwell_leaves(ratio, tau):
+    time = detection.settled_integration_time(ratio * tau, time_constant=tau)
+    left = max(ratio - 5, 0.0) * tau
+    # Between a plain average of what is left and that after a filter of two tau more.
+    assert max(left, 2 * tau) * (1 - 1e-12) <= time <= (left + 2 * tau) * (1 + 1e-12)
+
+
+def test_a_dwell_of_the_settling_alone_takes_one_reading():
+    for dwell in (0.0, 0.03, 0.05):
+        time = detection.settled_integration_time(dwell, time_constant=0.01)
+        # One reading behind a one-pole filter: two time constants.
+        assert_allclose(time, 0.02, rtol=1e-14)
+
+
+@settings(deadline=None)
+@given(st.floats(1e-14, 1e-9), st.floats(1e-3, 10), st.floats(0.01, 1), st.floats(0, 1))
+def test_photon_noise_is_the_counting_variance_of_an_amplitude(volt, time, depth, size):
+    # An amplitude A of light modulated by m belongs to A / (m k) photoelectrons/s.
+    rate = size / (depth * volt)
+    variance = volt**2 * detection.quadrature_variance(rate, integration_time=time)
+    per_volt = detection.photon_noise(time, volt_per_photoelectron_rate=volt)
+    assert_allclose(per_volt * size / depth, variance, rtol=1e-13, atol=1e-300)
+
+
+@settings(deadline=None)
+@given(st.floats(1e-3, 1e3), st.floats(-4, 4), st.floats(0, 0.5))
+def test_a_phase_floor_is_all_phase_and_no_amplitude(size, phase, floor):
+    signal = size * np.exp(1j * phase)
+    in_phase, quadrature, covariance = detection.phase_floor_covariance(
+        signal, phase_floor=floor
+    )
+    moments = {
+        "in_phase_variance": in_phase,
+        "quadrature_variance": quadrature,
+        "covariance": covariance,
+    }
+    assert_allclose(
+        detection.phase_uncertainty(signal, **moments), floor, rtol=1e-7, atol=1e-12
+    )
+    # What is left of a difference of two equal numbers: the root of 1e-16.
+    along = detection.amplitude_uncertainty(signal, **moments)
+    assert_allclose(along, 0.0, atol=1e-7 * size)
+
+
+def test_a_phase_floor_spreads_drawn_signals_as_it_says():
+    rng = np.random.default_rng(3)
+    signal, floor, count = 3 - 4j, 0.01, 200_000
+    drawn = signal * np.exp(1j * floor * rng.standard_normal(count))
+    expected = detection.phase_floor_covariance(signal, phase_floor=floor)
+    found = np.cov(drawn.real, drawn.imag)
+    # A variance of n draws has the relative standard error sqrt(2 / n): 0.3 %; and
+    # second order adds floor^2: 0.01 %.
+    assert_allclose(found[[0, 1, 0], [0, 1, 1]], expected, rtol=0.02)
+
+
+@pytest.mark.parametrize(
+    ("call", "words"),
+    [
+        (lambda: detection.phase_floor_covariance(1j, phase_floor=-0.1), "phase_floor"),
+        (
+            lambda: detection.photon_noise(0.0, volt_per_photoelectron_rate=8e-12),
+            "integration_time",
+        ),
+        (
+            lambda: detection.photon_noise(1.0, volt_per_photoelectron_rate=0.0),
+            "volt_per_photoelectron_rate",
+        ),
+        (
+            lambda: detection.settled_integration_time(-1.0, time_constant=1.0),
+            "dwell",
+        ),
+        (
+            lambda: detection.settled_integration_time(1.0, time_constant=0.0),
+            "time_constant",
+        ),
+    ],
+)
+def test_noise_formulas_refuse_what_is_out_of_range(call, words):
+    with pytest.raises(ValueError, match=words):
+        call()

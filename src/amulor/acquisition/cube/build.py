@@ -26,9 +26,11 @@ from amulor.acquisition.journal.journal import Journal
 from amulor.acquisition.sampler import SampleFlag
 from amulor.errors import CubeError, FormatError
 from amulor.io import read_cube, write_cube
-from amulor.simulation.geometry import scan_directions
-from amulor.simulation.measurement import geometry_attributes, photon_noise_volt
+from amulor.optics import detection
 from amulor.survey import Survey, water_properties
+from amulor.survey.counting import photon_noise_volt
+from amulor.survey.directions import scan_directions
+from amulor.survey.view import geometry_attributes
 from amulor.survey.view import medium as medium_of
 
 #: The cube in the folder of its scan.
@@ -163,13 +165,15 @@ def _outputs(
 ) -> dict[str, NDArray[Any]]:
     signal = samples.signal
     counting = counting_variance(samples, survey) + dark[1][:, :, None, None]
-    along = survey.instrument.lock_in.phase_floor**2
+    in_phase, quadrature, covariance = detection.phase_floor_covariance(
+        signal, phase_floor=survey.instrument.lock_in.phase_floor
+    )
     return {
         "in_phase": signal.real,
         "quadrature": signal.imag,
-        "in_phase_uncertainty": np.sqrt(counting + along * signal.imag**2),
-        "quadrature_uncertainty": np.sqrt(counting + along * signal.real**2),
-        "in_phase_quadrature_covariance": -along * signal.real * signal.imag,
+        "in_phase_uncertainty": np.sqrt(counting + in_phase),
+        "quadrature_uncertainty": np.sqrt(counting + quadrature),
+        "in_phase_quadrature_covariance": covariance,
     }
 
 

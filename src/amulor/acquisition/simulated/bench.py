@@ -6,20 +6,16 @@ import cmath
 import math
 import threading
 from collections.abc import Mapping
-from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from amulor.acquisition.clock import Clock
 from amulor.acquisition.settings import SimulationSettings
 from amulor.acquisition.simulated.faults import Faults
+from amulor.acquisition.simulated.scene import LightByDirection, Scene
 from amulor.acquisition.uncertainty import reading_variance
 from amulor.optics.polarization import stokes
-from amulor.simulation import geometry, lock_in, signal
-from amulor.survey import Survey, water_properties
-from amulor.survey.view import medium, view
+from amulor.survey import Survey
 
 #: How fast the beam turns [rad/s].
 SCAN_SPEED = 5.0
@@ -40,32 +36,23 @@ def _or_never(arrival: float) -> float:
     return math.inf if arrival == _STANDS else arrival
 
 
-@dataclass(frozen=True)
-class _Table:
-    """Noiseless light of known directions, arrays (frequency, polarization, place)."""
+class _Places:
+    """Light of one arrangement, and the place that is nearest to a direction."""
 
-    direction: NDArray[np.complex128]
-    """Azimuth + 1j * elevation of each place [rad]."""
-    target: NDArray[np.complex128]
-    """Signal of the target [V]."""
-    water: NDArray[np.complex128]
-    """Signal of the water [V]."""
-    target_rate: NDArray[np.float64]
-    """Photoelectrons by the target's light [1/s]."""
-    water_rate: NDArray[np.float64]
-    """Photoelectrons by the water's light [1/s]."""
-
-    known: dict[tuple[int, int], int]
-    """Places found before, by the direction in steps of `_SAME`."""
+    def __init__(self, light: LightByDirection) -> None:
+        self.light = light
+        self._direction = light.azimuth + 1j * light.elevation
+        # Places looked up before, by the direction in steps of `_SAME`.
+        self._known: dict[tuple[int, int], int] = {}
 
     def nearest(self, azimuth: float, elevation: float) -> int:
         """Return the number of the place nearest to a direction [rad]."""
         key = (round(azimuth / _SAME), round(elevation / _SAME))
-        found = self.known.get(key)
-        if found is None:
-            away = np.abs(self.direction - complex(azimuth, elevation))
-            found = self.known[key] = int(np.argmin(away))
-        return found
+        number = self._known.get(key)
+        if number is None:
+            away = np.abs(self._direction - complex(azimuth, elevation))
+            number = self._known[key] = int(np.argmin(away))
+        return number
 
 
 class Bench:
@@ -81,6 +68,8 @@ class Bench:
         What stands in front of the instrument, and the instrument.
     settings : SimulationSettings
         Seed, imperfections and faults.
+    scene : callable
+        Works out the light of a survey.
     clock : Clock
         What the devices go by.
     launch, analyser : mapping
@@ -92,6 +81,7 @@ class Bench:
         survey: Survey,
         settings: SimulationSettings,
         *,
+        scene: Scene,
         clock: Clock,
         launch: Mapping[str, float],
         analyser: Mapping[str, float],
@@ -104,7 +94,9 @@ class Bench:
         self._settings = settings
         self._rng = np.random.default_rng(settings.seed)
         self._lock = threading.RLock()
-        self._scan, self._open = _tables(survey)
+        light = scene(survey)
+        self._scan = _Places(light.with_target)
+        self._open = _Places(light.open_water)
         frequencies = survey.instrument.modulation_frequencies
         self._frequency, self._channel = frequencies[0], 0
         self._pairs = _mount_angles(survey, launch, analyser)
@@ -270,16 +262,17 @@ class Bench:
         level = 0j
         if self.laser_on:
             out = abs(self._place["target"]) > 0.05
-            table = self._open if out else self._scan
+            places = self._open if out else self._scan
             index = (
                 self._channel,
                 self._polarization(),
-                table.nearest(self._place["azimuth"], self._place["elevation"]),
+                places.nearest(self._place["azimuth"], self._place["elevation"]),
             )
+            light = places.light
             change = 1 + self._fluctuation()
-            level = complex(table.target[index] + change * table.water[index])
+            level = complex(light.target[index] + change * light.water[index])
             rate = float(
-                table.target_rate[index] + max(change, 0.0) * table.water_rate[index]
+                light.target_rate[index] + max(change, 0.0) * light.water_rate[index]
             )
             level *= cmath.exp(1j * self._phase_error(abs(level)))
         detector = self.survey.instrument.detector
@@ -305,8 +298,8 @@ class Bench:
         )
 
     def _fluctuation(self) -> float:
-        share = self.survey.water.signal_fluctuation
-        return share * float(self._rng.standard_normal())
+        fluctuation = self.survey.water.signal_fluctuation
+        return fluctuation * float(self._rng.standard_normal())
 
     def _phase_error(self, amplitude: float) -> float:
         settings = self._settings
@@ -330,54 +323,3 @@ def _mount_angles(
         launched, analysed = stokes.pair_states(pair)
         pairs.append(complex(launch.get(launched, 1e3), analyser.get(analysed, 1e3)))
     return pairs
-
-
-def _tables(survey: Survey) -> tuple[_Table, _Table]:
-    """Return what is seen with the target in the beam, and with open water there."""
-    water = water_properties(survey)
-    scanned = geometry.trace(survey, water)
-    with_target = _table(
-        survey,
-        scanned.azimuth,
-        scanned.elevation,
-        signal.target_light(survey, water, scanned),
-        signal.water_light(survey, water, scanned.view, end=scanned.depth),
-    )
-    azimuth, elevation = scanned.azimuth.ravel(), scanned.elevation.ravel()
-    if survey.scan.open_water is not None:
-        shots = geometry.open_water_directions(survey)
-        grid = np.unique(np.stack(shots), axis=1)
-        azimuth = np.concatenate([grid[0], azimuth])
-        elevation = np.concatenate([grid[1], elevation])
-    seen = view(survey, azimuth, elevation, medium=medium(survey, water))
-    light = signal.water_light(survey, water, seen)
-    none = signal.Light(np.zeros_like(light.modulated), np.zeros_like(light.mean))
-    return with_target, _table(survey, azimuth, elevation, none, light)
-
-
-def _table(
-    survey: Survey,
-    azimuth: NDArray[np.float64],
-    elevation: NDArray[np.float64],
-    target: signal.Light,
-    water: signal.Light,
-) -> _Table:
-    def flat(values: NDArray[Any]) -> NDArray[Any]:
-        return values.reshape(*values.shape[:2], -1)
-
-    def rate(light: signal.Light) -> NDArray[np.float64]:
-        # Light that is modulated wholly gives the depth times the mean output.
-        instrument = survey.instrument
-        wholly = signal.Light(light.mean.astype(complex), light.mean)
-        volts = lock_in.expected_signal(survey, wholly).real
-        volt = instrument.detector.volt_per_photoelectron_rate
-        return flat(volts / (instrument.modulation_depth * volt))
-
-    return _Table(
-        known={},
-        direction=(azimuth + 1j * elevation).ravel(),
-        target=flat(lock_in.expected_signal(survey, target)),
-        water=flat(lock_in.expected_signal(survey, water)),
-        target_rate=rate(target),
-        water_rate=rate(water),
-    )

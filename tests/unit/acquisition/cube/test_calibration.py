@@ -19,6 +19,7 @@ from amulor.acquisition.cube.calibration import (
 from amulor.acquisition.journal.journal import Journal
 from amulor.acquisition.settings import Settings
 from amulor.errors import CubeError, FormatError
+from amulor.simulation import scene_light
 from amulor.survey import OpenWater, Survey
 
 TABLE = Calibration(
@@ -45,7 +46,7 @@ def recorded(survey: Survey, folder: Path, **simulation: object):
     settings = Settings.model_validate(
         {"procedure": {"dark_readings": 10}, "simulation": simulation}
     )
-    acquisition.acquire(survey, folder, settings=settings)
+    acquisition.acquire(survey, folder, settings=settings, scene=scene_light)
     with Journal.read(folder) as journal:
         return folder, rejection.open_water(acquisition.build(journal))
 

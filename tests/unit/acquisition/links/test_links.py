@@ -15,6 +15,7 @@ from amulor.acquisition.rehearsal import rehearse
 from amulor.acquisition.settings import Settings
 from amulor.acquisition.simulated.pi import SimulatedPiController
 from amulor.errors import InstrumentError, MissingExtraError
+from amulor.simulation import scene_light
 
 
 class Echo:
@@ -105,7 +106,7 @@ def test_pyvisa_is_asked_for_by_its_extra(monkeypatch) -> None:
 
 def test_simulated_stages_survive_nonsense(small) -> None:
     settings = Settings()
-    bench = simulated_bench(small, settings, clock=VirtualClock())
+    bench = simulated_bench(small, settings, clock=VirtualClock(), scene=scene_light)
     stages = SimulatedPiController(bench, settings)
     for line in ("", "MOV 1 far", "MOV 1", "MOV", "POS? 77", "jump"):
         assert stages.answer(line) == []
@@ -120,7 +121,7 @@ def stages_error(line: str) -> str:
 
 def test_a_rehearsal_is_wired_as_its_simulators_are(small) -> None:
     own = Settings.model_validate({"laser": {"output": 3, "on_voltage": 1.0}})
-    with rehearse(small, own) as rehearsal:
+    with rehearse(small, own, scene=scene_light) as rehearsal:
         devices = connect(small, rehearsal.settings)
         devices.laser.on()
         assert rehearsal.bench.laser_on
@@ -142,5 +143,13 @@ def test_a_rehearsal_is_wired_as_its_simulators_are(small) -> None:
     ],
 )
 def test_a_rehearsal_that_cannot_be_is_refused(small, words, text) -> None:
-    with pytest.raises(ValueError, match=text), rehearse(small, **words):
+    with (
+        pytest.raises(ValueError, match=text),
+        rehearse(small, **words, scene=scene_light),
+    ):
         pass
+
+
+def test_simulated_devices_without_a_scene_are_refused(small, settings) -> None:
+    with pytest.raises(InstrumentError, match=r"scene=amulor\.simulation\.scene_light"):
+        connect(small, settings)

@@ -13,7 +13,7 @@ from amulor.acquisition.connect import simulated_bench
 from amulor.acquisition.settings import Settings
 from amulor.acquisition.simulated.bench import LOCK_TIME, SCAN_SPEED, Bench
 from amulor.acquisition.uncertainty import reading_variance, variance_share
-from amulor.simulation import simulate
+from amulor.simulation import scene_light, simulate
 from amulor.survey import Survey
 
 QUIET = {"launch": {"V": 0.0, "H": 1.5}, "analyser": {"V": 0.0, "H": 1.5}}
@@ -22,7 +22,7 @@ TAU = 0.01
 
 def bench(survey: Survey, clock: VirtualClock, **simulation: object) -> Bench:
     settings = Settings.model_validate({"simulation": simulation})
-    return simulated_bench(survey, settings, clock=clock)
+    return simulated_bench(survey, settings, clock=clock, scene=scene_light)
 
 
 @pytest.fixture

@@ -1,0 +1,119 @@
+"""The noiseless light of a survey, place by place: what simulated devices stand in."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from amulor.simulation import geometry, signal
+from amulor.simulation.lock_in import expected_signal
+from amulor.simulation.models import DiffusionModel, SignalModel
+from amulor.survey import Survey, water_properties
+from amulor.survey.directions import open_water_directions
+from amulor.survey.view import medium, view
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True, kw_only=True)
+class LightByDirection:
+    """Noiseless light in known directions, without the detector's dark counts."""
+
+    azimuth: Floats
+    """Direction of each place to the right, shape (place,) [rad]."""
+    elevation: Floats
+    """Direction of each place upwards, shape (place,) [rad]."""
+    target: NDArray[np.complex128]
+    """Peak signal of the target, shape (frequency, polarization, place) [V]."""
+    water: NDArray[np.complex128]
+    """Peak signal of the water, of the same shape [V]."""
+    target_rate: Floats
+    """Photoelectrons by the target's light, of the same shape [1/s]."""
+    water_rate: Floats
+    """Photoelectrons by the water's light, of the same shape [1/s]."""
+
+
+@dataclass(frozen=True)
+class SceneLight:
+    """What a survey's instrument sees with its targets in the water, and without."""
+
+    with_target: LightByDirection
+    """In the directions of the scan."""
+    open_water: LightByDirection
+    """In the directions of the open-water shots and of the scan."""
+
+
+def scene_light(
+    survey: Survey,
+    *,
+    model: SignalModel = DiffusionModel(),  # noqa: B008 - it is frozen
+) -> SceneLight:
+    """Return the noiseless light that simulated devices stand in.
+
+    Parameters
+    ----------
+    survey : Survey
+        Water, targets, instrument and scan.
+    model : SignalModel
+        Forward model; the diffusion form by default.
+
+    Returns
+    -------
+    SceneLight
+        What `amulor.acquisition.acquire` takes as its `scene`.
+
+    Raises
+    ------
+    SurveyError
+        As `amulor.simulate`.
+    MissingExtraError
+        If there are targets and the extra `scene` is not installed.
+    """
+    water = water_properties(survey)
+    scanned = geometry.trace(survey, water)
+    with_target = _by_direction(
+        survey,
+        (scanned.azimuth, scanned.elevation),
+        signal.target_light(survey, water, scanned, model=model),
+        signal.water_light(survey, water, scanned.view, end=scanned.depth, model=model),
+    )
+    azimuth, elevation = scanned.azimuth.ravel(), scanned.elevation.ravel()
+    if survey.scan.open_water is not None:
+        grid = np.unique(np.stack(open_water_directions(survey)), axis=1)
+        azimuth = np.concatenate([grid[0], azimuth])
+        elevation = np.concatenate([grid[1], elevation])
+    seen = view(survey, azimuth, elevation, medium=medium(survey, water))
+    light = signal.water_light(survey, water, seen, model=model)
+    none = signal.Light(np.zeros_like(light.modulated), np.zeros_like(light.mean))
+    return SceneLight(
+        with_target, _by_direction(survey, (azimuth, elevation), none, light)
+    )
+
+
+def _by_direction(
+    survey: Survey,
+    direction: tuple[Floats, Floats],
+    target: signal.Light,
+    water: signal.Light,
+) -> LightByDirection:
+    def rate(light: signal.Light) -> Floats:
+        # Light that is modulated wholly gives the depth times the mean output.
+        instrument = survey.instrument
+        wholly = signal.Light(light.mean.astype(complex), light.mean)
+        volts = expected_signal(survey, wholly).real
+        volt = instrument.detector.volt_per_photoelectron_rate
+        return volts / (instrument.modulation_depth * volt)
+
+    def flat(values: NDArray) -> NDArray:  # type: ignore[type-arg]
+        return values.reshape(*values.shape[:2], -1)
+
+    return LightByDirection(
+        azimuth=direction[0].ravel(),
+        elevation=direction[1].ravel(),
+        target=flat(expected_signal(survey, target)),
+        water=flat(expected_signal(survey, water)),
+        target_rate=flat(rate(target)),
+        water_rate=flat(rate(water)),
+    )
