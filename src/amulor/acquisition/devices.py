@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from amulor import cube
 from amulor.acquisition.clock import Clock
 from amulor.acquisition.protocols import (
+    SIMULATOR,
     Device,
     Laser,
     LockIn,
@@ -18,7 +19,6 @@ from amulor.acquisition.protocols import (
     TargetStage,
 )
 from amulor.acquisition.settings import Settings
-from amulor.acquisition.simulated.devices import SIMULATOR
 
 #: Settings that change no sample.
 _NO_PART_OF_IT = ("address", "clock_speed", "attempts", "patience")

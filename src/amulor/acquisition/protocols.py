@@ -6,6 +6,9 @@ import enum
 from dataclasses import dataclass
 from typing import Protocol
 
+#: What the identity of every simulated device holds, wherever it runs.
+SIMULATOR = "amulor simulator"
+
 
 class Overload(enum.IntFlag):
     """Where a lock-in ran out of room; bits that add up."""

@@ -14,11 +14,9 @@ from amulor.acquisition.settings import Settings
 from amulor.acquisition.simulated.bench import Bench
 from amulor.acquisition.simulated.pi import SimulatedPiController
 from amulor.acquisition.simulated.scene import Scene
-from amulor.acquisition.simulated.stanford import (
-    SimulatedSr844,
-    SimulatedSr865a,
-    SimulatedStanford,
-)
+from amulor.acquisition.simulated.sr844 import SimulatedSr844
+from amulor.acquisition.simulated.sr865a import SimulatedSr865a
+from amulor.acquisition.simulated.stanford import SimulatedStanford
 from amulor.survey import Survey
 
 #: What the simulated lock-in is wired to, by the model.
@@ -97,14 +95,14 @@ def rehearse(
         DeviceServer(stages, host=host, port=ports[1]) as second,
     ):
         yield Rehearsal(
-            _found_at(base, model, first.address, second.address, speed),
+            _addressed(base, model, first.address, second.address, speed),
             bench,
             lock_in,
             stages,
         )
 
 
-def _found_at(
+def _addressed(
     base: Settings, model: Model, lock_in: str, stages: str, speed: float
 ) -> Settings:
     content = base.model_dump(exclude_unset=True)

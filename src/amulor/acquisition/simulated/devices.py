@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from amulor.acquisition.protocols import Overload, Reading
+from amulor.acquisition.protocols import SIMULATOR, Overload, Reading
 from amulor.acquisition.simulated.bench import (
     MOUNT_SPEED,
     SCAN_SPEED,
@@ -11,8 +11,6 @@ from amulor.acquisition.simulated.bench import (
 )
 from amulor.errors import InstrumentError
 
-#: What the identity of every simulated device holds, wherever it runs.
-SIMULATOR = "amulor simulator"
 #: Full scales of the lock-in, as peak amplitudes [V].
 FULL_SCALES = tuple(10.0**exponent for exponent in range(-7, 1))
 #: Share of the full scale below which a finer one is taken.

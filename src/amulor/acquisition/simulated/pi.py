@@ -6,6 +6,7 @@ import math
 import threading
 from dataclasses import dataclass
 
+from amulor.acquisition.protocols import SIMULATOR
 from amulor.acquisition.settings import Settings
 from amulor.acquisition.simulated.bench import (
     MOUNT_SPEED,
@@ -13,7 +14,6 @@ from amulor.acquisition.simulated.bench import (
     TARGET_SPEED,
     Bench,
 )
-from amulor.acquisition.simulated.devices import SIMULATOR
 
 #: Answers of ERR?: nothing, unknown command, position out of limits, unknown axis,
 #: stopped on purpose.

@@ -1,4 +1,4 @@
-"""Simulated Stanford lock-ins that speak as the real ones do, in front of a bench."""
+"""What simulated Stanford lock-ins share: settings by code, latching status, gate."""
 
 from __future__ import annotations
 
@@ -6,10 +6,9 @@ import math
 import threading
 from collections.abc import Callable
 
-from amulor.acquisition.drivers import stanford_sr844, stanford_sr865a
 from amulor.acquisition.links.tcp import LinkLostError
+from amulor.acquisition.protocols import SIMULATOR
 from amulor.acquisition.simulated.bench import Bench
-from amulor.acquisition.simulated.devices import SIMULATOR
 
 #: Voltage of the laser's gate from which on light is let out [V].
 _GATE = 2.0
@@ -158,72 +157,3 @@ class SimulatedStanford:
 
     def _time_constant(self, code: int) -> float:
         raise NotImplementedError
-
-
-class SimulatedSr844(SimulatedStanford):
-    """An SR844: its oscillator has three digits, its outputs end at the full scale."""
-
-    model = "SR844"
-    unlocked_bit = stanford_sr844.UNLOCKED
-    codes = {  # noqa: RUF012
-        "FMOD": 1, "HARM": 1, "OFSL": 4, "OFLT": 17, "WRSV": 2, "CRSV": 2, "SENS": 14,
-    }  # fmt: skip
-
-    def _snapshot(self, argument: str) -> list[str]:
-        x, y, mean = self._measured()
-        scale = stanford_sr844.SENSITIVITIES[self._set["SENS"]]
-        over = max(math.hypot(x, y) / scale, 1.0)
-        values = {
-            1: x / over,
-            2: y / over,
-            6: mean,
-            7: 0.0,
-            8: self.bench.frequency,
-        }
-        return [",".join(f"{values[int(code)]:.6E}" for code in argument.split(","))]
-
-    def _latch(self, amplitude: float, overloaded: bool) -> None:
-        if amplitude > stanford_sr844.SENSITIVITIES[self._set["SENS"]]:
-            self._status |= stanford_sr844.FILTER
-        if overloaded:
-            self._status |= stanford_sr844.INPUT
-
-    def _rounded(self, frequency: float) -> float:
-        return float(f"{frequency:.3g}")
-
-    def _time_constant(self, code: int) -> float:
-        return stanford_sr844.TIME_CONSTANTS[code]
-
-
-class SimulatedSr865a(SimulatedStanford):
-    """An SR865A: its outputs in numbers do not end at the scale, its input does."""
-
-    model = "SR865A"
-    unlocked_bit = stanford_sr865a.UNLOCKED
-    codes = {  # noqa: RUF012
-        "RSRC": 3, "HARM": 99, "OFSL": 3, "OFLT": 21, "SYNC": 1, "IRNG": 4, "SCAL": 27,
-    }  # fmt: skip
-
-    def __init__(self, bench: Bench) -> None:
-        super().__init__(bench)
-        self._handlers["ADVFI"] = lambda _: []  # ADVFILT, by its first letters
-        self._handlers["AUXV"] = self._handlers.pop("AUXO")
-        self._handlers["AUXV?"] = self._handlers.pop("AUXO?")
-
-    def _snapshot(self, argument: str) -> list[str]:
-        x, y, mean = self._measured()
-        values = {0: x, 1: y, 4: mean, 5: 0.0, 6: 0.0, 7: 0.0}
-        return [",".join(f"{values[int(code)]:.9e}" for code in argument.split(","))]
-
-    def _latch(self, amplitude: float, overloaded: bool) -> None:
-        if amplitude > stanford_sr865a.SCALES[self._set["SCAL"]]:
-            self._status |= stanford_sr865a.OUTPUT & 1
-        limit = stanford_sr865a.INPUT_RANGES[self._set["IRNG"]]
-        if overloaded or amplitude * math.sqrt(2) > limit:
-            self._status |= stanford_sr865a.INPUT
-
-    def _rounded(self, frequency: float) -> float:
-        return float(f"{frequency:.6g}")
-
-    def _time_constant(self, code: int) -> float:
-        return stanford_sr865a.TIME_CONSTANTS[code]
