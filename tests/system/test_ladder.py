@@ -13,14 +13,14 @@ from amulor import cube as cubes
 from amulor import imaging, rejection
 from amulor.cube import UNUSABLE
 from amulor.simulation import simulate
-from amulor.studies import ladder
+from amulor.studies import ladder, ladder_case
 from amulor.survey import Survey
 
 
 @pytest.fixture(scope="module")
 def output(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("demo") / "out"
-    ladder.run(folder, seed=3)
+    ladder.run(folder, rng=3)
     return folder
 
 
@@ -95,7 +95,7 @@ def test_the_estimated_bias_is_the_bias(output: Path, channel: str, water: str) 
         output / f"ladder_{water}_{channel}_range.nc", group="truth"
     )
     survey = Survey.from_toml(output / f"ladder_{water}.toml")
-    tread = ladder.treads(survey) > 0
+    tread = ladder_case.treads(survey) > 0
     error = (image["slant_range"] - truth["slant_range"]).values[tread]
     estimate = image["slant_range_bias"].values[tread]
     shared = image["slant_range_common_uncertainty"].values[tread].mean()
@@ -149,10 +149,8 @@ def test_the_report_needs_nothing_beside_it(output: Path) -> None:
 def test_slant_range_uncertainties_are_true_over_200_seeds() -> None:
     """(estimate - truth) / sigma has standard deviation 0.9 to 1.1, case by case."""
     for water in ladder.WATERS:
-        text = ladder.survey_text(water)
-        text = text.replace("columns = 100", "columns = 20", 1)
-        text = text.replace("rows = 40", "rows = 4", 1)
-        survey = Survey.from_text(text)
+        whole = Survey.from_text(ladder.survey_text(water))
+        survey = whole.with_({"scan.columns": 20, "scan.rows": 4})
         z = {channel: [] for channel in ladder.CHANNELS}
         for seed in range(200):
             target = rejection.open_water(simulate(survey, rng=seed))
@@ -175,9 +173,9 @@ def test_slant_range_uncertainties_are_true_over_200_seeds() -> None:
                 assert 0.9 < spread < 1.1, (channel, water)
 
 
-def test_slant_range_uncertainties_are_true_over_seeds(plate_text: str) -> None:
+def test_slant_range_uncertainties_are_true_over_seeds(plate: Survey) -> None:
     # The same claim on a small plate, so that each run of the tests checks it.
-    survey = Survey.from_text(plate_text.replace("repeats = 8", "repeats = 30"))
+    survey = plate.with_({"scan.open_water.repeats": 30})
     scores = []
     for seed in range(60):
         target = rejection.open_water(simulate(survey, rng=seed))

@@ -18,7 +18,7 @@ from amulor.studies.ricci2010.figures import (
     surfaces,
 )
 from amulor.studies.ricci2010.parameters import varied
-from amulor.studies.ricci2010.scenes import disc_scans, ladder_scans
+from amulor.studies.ricci2010.scenes import disc_scans, ladder_checks, ladder_scans
 from amulor.studies.ricci2010.study import Study
 from amulor.view.style import style
 
@@ -82,7 +82,7 @@ def test_steps_turn_the_phase_as_far_as_the_speed_of_light_says(study: Study) ->
     per_metre = 360 * 2 * FREQUENCY / VELOCITY
     assert 0.01 * per_metre == pytest.approx(1.2552, abs=1e-4)
     for height in (0.01, 0.04):
-        found = math.degrees(ladder_scans.phase_step(study, height))
+        found = math.degrees(ladder_checks.phase_step(study, height))
         assert found == pytest.approx(height * per_metre, rel=1e-12)
 
 
@@ -156,8 +156,8 @@ def test_another_ladder_does_not_pass_for_this_one(study: Study) -> None:
     scan = study.once(ladder_scans.polarized_clear)
     steps = scan.steps(scan.subtracted["VH"])
     other = with_numbers(study, other_steps=0.0105)
-    assert ladder_scans.steps_agree(study, "steps", steps).passed
-    assert not ladder_scans.steps_agree(other, "steps", steps).passed
+    assert ladder_checks.steps_agree(study, "steps", steps).passed
+    assert not ladder_checks.steps_agree(other, "steps", steps).passed
     assert "(a) VH, clear water: phase of the first step" in failed(
         figure_13.checks(with_numbers(study, first_step=0.044))
     )

@@ -24,7 +24,7 @@ from amulor.acquisition.settings import Settings
 _NO_PART_OF_IT = ("address", "clock_speed", "attempts", "patience")
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Devices:
     """All devices of a scan, connected."""
 

@@ -22,7 +22,7 @@ class Overload(enum.IntFlag):
     """The output filter: the signal itself is larger than the full scale."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Reading:
     """One look at a lock-in amplifier, all values of one instant."""
 

@@ -24,7 +24,7 @@ Model = Literal["sr844", "sr865a"]
 _LAST_PORT = 65535
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Rehearsal:
     """Simulated devices that listen."""
 
@@ -95,10 +95,10 @@ def rehearse(
         DeviceServer(stages, host=host, port=ports[1]) as second,
     ):
         yield Rehearsal(
-            _addressed(base, model, first.address, second.address, speed),
-            bench,
-            lock_in,
-            stages,
+            settings=_addressed(base, model, first.address, second.address, speed),
+            bench=bench,
+            lock_in=lock_in,
+            stages=stages,
         )
 
 

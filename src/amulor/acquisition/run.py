@@ -29,7 +29,7 @@ SURVEY_NAME = "survey.toml"
 DEVICES_NAME = "devices.toml"
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Progress:
     """How far a scan has come."""
 
@@ -65,7 +65,7 @@ class _Unattended:
         return True
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Outcome:
     """What a run of a scan came to."""
 
@@ -318,7 +318,14 @@ class _Run:
         rate = self._taken / max(time.monotonic() - self._started, 1e-9)
         done = len(self._done)
         left = (total - done) / rate
-        return Progress(done, total, rate, left, self._flagged, step.key.kind)
+        return Progress(
+            done=done,
+            total=total,
+            rate=rate,
+            left=left,
+            flagged=self._flagged,
+            kind=step.key.kind,
+        )
 
     def _end(self, segment: int, reason: str) -> list[str]:
         # Light off before anything that could fail, such as a full disk.

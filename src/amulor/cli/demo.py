@@ -34,7 +34,7 @@ def demo(
     from amulor.studies import ladder
 
     with progress_bar(quiet=json) as progress:
-        cases = ladder.run(output, seed=seed, overwrite=overwrite, progress=progress)
+        cases = ladder.run(output, rng=seed, overwrite=overwrite, progress=progress)
     if json:
         print_json(ladder.summary(cases))
         return

@@ -62,7 +62,7 @@ def ricci2010(
             numbers,
             quick=quick,
             depend=sensitivity and not quick,
-            seed=seed,
+            rng=seed,
             progress=progress,
         )
         progress("writing figures and report", 0.99)

@@ -15,7 +15,7 @@ from amulor.survey.directions import Floats, scan_directions
 from amulor.survey.view import View, medium, view
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Geometry:
     """A scan against a scene, arrays over (row, column)."""
 

@@ -12,7 +12,7 @@ from amulor.simulation.signal import Light
 from amulor.survey import Survey, counting
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Samples:
     """Lock-in outputs with their stated uncertainty, all of one shape."""
 

@@ -17,7 +17,7 @@ _LIFT = 2e-5
 _RAYS_AT_ONCE = 500_000
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Hits:
     """Where beams meet the scene; rows of beams that miss hold `target` = -1."""
 
@@ -83,7 +83,7 @@ class Scene:
             point[where] = start[where] + distance[where, None] * ray
             normal[where] = -across * np.sign(slope)[:, None]
             target[where] = self._owner[triangle[hit]]
-        return Hits(target, distance, point, normal)
+        return Hits(target=target, distance=distance, point=point, normal=normal)
 
     def visible_share(
         self, hits: Hits, aperture: NDArray[Any], weight: NDArray[Any]

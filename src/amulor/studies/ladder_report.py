@@ -7,7 +7,7 @@ from pathlib import Path
 
 import xarray as xr
 
-from amulor.studies.ladder import Case
+from amulor.studies.ladder_case import Case
 from amulor.view import (
     Heading,
     Listing,

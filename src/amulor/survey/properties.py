@@ -11,7 +11,7 @@ from amulor.optics.water import seawater
 from amulor.survey.survey import Survey
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class WaterProperties:
     """The numbers of the water that the signal models take."""
 

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any
+from collections.abc import Mapping
+from typing import Annotated, Any, Self
 
 from pydantic import (
     BaseModel,
@@ -26,6 +27,35 @@ class Description(BaseModel):
         use_attribute_docstrings=True,
         str_strip_whitespace=True,
     )
+
+    def model_copy(
+        self, *, update: Mapping[str, Any] | None = None, deep: bool = False
+    ) -> Self:
+        """Return a copy, validated as a new description where fields are changed.
+
+        Parameters
+        ----------
+        update : mapping of str to object, optional
+            Field to its new value: a number in SI units, a text with a unit, or another
+            description.
+        deep : bool
+            Whether the copy shares nothing with this one.
+
+        Returns
+        -------
+        Description
+            Of the same class.
+
+        Raises
+        ------
+        ValueError
+            If a value is not allowed (a `pydantic.ValidationError`), as one of a file.
+        """
+        copy = super().model_copy(deep=deep)
+        if not update:
+            return copy
+        stated = {name: getattr(copy, name) for name in copy.model_fields_set}
+        return type(self).model_validate({**stated, **update})
 
 
 def _read(quantity: str) -> Any:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import tomllib
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any, Self
 
@@ -10,6 +11,7 @@ from pydantic import Field, ValidationError, model_validator
 
 from amulor.errors import SurveyError
 from amulor.survey import messages
+from amulor.survey.changes import changed
 from amulor.survey.instrument import Instrument
 from amulor.survey.quantity import Description
 from amulor.survey.scan import Scan
@@ -138,6 +140,43 @@ class Survey(Description):
             raise SurveyError("\n".join(lines)) from None
         return survey._with_mesh_files_in(folder or Path(), name=name)
 
+    def with_(self, changes: Mapping[str, Any]) -> Self:
+        """Return the survey with some fields changed, validated like a file.
+
+        Parameters
+        ----------
+        changes : mapping of str to object
+            Path of each field to its new value: a number in SI units, a text with a
+            unit as in a file, a table, a list, or a description such as `Water`. Items
+            of lists go by number, counted from 0; None takes an optional part out.
+
+        Returns
+        -------
+        Survey
+            A new one.
+
+        Raises
+        ------
+        SurveyError
+            With one line for each thing that is wrong: field, what was found, what is
+            allowed.
+
+        Examples
+        --------
+        >>> clear = amulor.Survey.from_toml("plate.toml")  # doctest: +SKIP
+        >>> turbid = clear.with_(
+        ...     {"water.scattering": "2 1/m", "scan.columns": 40}
+        ... )  # doctest: +SKIP
+        """
+        content = changed(self.model_dump(exclude_none=True), changes, name="survey")
+        content = _without_nothing(content)
+        try:
+            survey = type(self).model_validate(content)
+        except ValidationError as error:
+            lines = messages.lines(error, content, model=type(self), name="survey")
+            raise SurveyError("\n".join(lines)) from None
+        return survey._with_mesh_files_in(Path(), name="survey")
+
     def _with_mesh_files_in(self, folder: Path, *, name: str) -> Self:
         targets = []
         for number, target in enumerate(self.targets):
@@ -164,6 +203,19 @@ class Survey(Description):
 
         content = self.model_dump(mode="json", exclude_none=True)
         return tomli_w.dumps(content)
+
+
+def _without_nothing(content: Any) -> Any:
+    """Leave out fields that are None, so that messages call them missing."""
+    if isinstance(content, dict):
+        return {
+            key: _without_nothing(item)
+            for key, item in content.items()
+            if item is not None
+        }
+    if isinstance(content, list):
+        return [_without_nothing(item) for item in content]
+    return content
 
 
 def json_schema() -> dict[str, Any]:

@@ -18,7 +18,7 @@ Floats = NDArray[np.float64]
 _SMALLEST_COSINE = 0.5
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class View:
     """How beams and the receiver stand to each other, arrays over the beams."""
 
@@ -162,7 +162,14 @@ def view(
     total = np.sum(inclination**2, axis=-1)
     cross = np.sqrt(np.maximum(total - tilt**2, 0.0))
     depths = np.full(azimuth.shape, standoff)
-    return View(baseline, tilt, cross, depths, before, acceptance)
+    return View(
+        baseline=baseline,
+        tilt=tilt,
+        cross_tilt=cross,
+        standoff=depths,
+        optical_offset=before,
+        acceptance=acceptance,
+    )
 
 
 def kernel_arguments(

@@ -36,36 +36,32 @@ def folder() -> Iterator[Path]:
 
 
 @pytest.fixture
-def sized(plate_text: str) -> Callable[..., str]:
+def sized(plate: Survey) -> Callable[..., Survey]:
     """Return what makes the plate's survey of a size, with one reading a sample."""
 
-    def make(*, columns: int, rows: int, shots: int = 2) -> str:
-        return (
-            plate_text.replace("columns = 12", f"columns = {columns}")
-            .replace("rows = 6", f"rows = {rows}")
-            .replace('dwell = "125 ms"', 'dwell = "50 ms"')
-            .replace("repeats = 8", f"repeats = {shots}")
+    def make(*, columns: int, rows: int, shots: int = 2) -> Survey:
+        return plate.with_(
+            {
+                "scan.columns": columns,
+                "scan.rows": rows,
+                "scan.dwell": "50 ms",
+                "scan.open_water.repeats": shots,
+            }
         )
 
     return make
 
 
 @pytest.fixture
-def text(sized: Callable[..., str]) -> str:
-    """Return a survey file of 8 x 4 pixels in two polarizations."""
+def survey(sized: Callable[..., Survey]) -> Survey:
+    """Return a survey of 8 x 4 pixels in two polarizations."""
     return sized(columns=8, rows=4)
 
 
 @pytest.fixture
-def survey(text: str) -> Survey:
-    """Return that survey."""
-    return Survey.from_text(text)
-
-
-@pytest.fixture
-def tiny(sized: Callable[..., str]) -> Survey:
+def tiny(sized: Callable[..., Survey]) -> Survey:
     """Return a survey of 4 x 2 pixels."""
-    return Survey.from_text(sized(columns=4, rows=2, shots=1))
+    return sized(columns=4, rows=2, shots=1)
 
 
 @pytest.fixture

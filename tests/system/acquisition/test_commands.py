@@ -41,9 +41,9 @@ WRONG_USE = (
 
 
 @pytest.fixture
-def here(text: str, folder: Path, monkeypatch) -> Path:
+def here(survey: Survey, folder: Path, monkeypatch) -> Path:
     """Return the working folder, with a survey file in it."""
-    (folder / "tank.toml").write_text(text)
+    (folder / "tank.toml").write_text(survey.to_toml())
     monkeypatch.chdir(folder)
     return folder
 
@@ -70,9 +70,8 @@ def test_mistakes_of_a_command_get_one_line(here, capsys) -> None:
     assert main(["acquire", "tank.toml", "-o", "scan", "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["finished"]
     shutil.copytree("scan", "old")
-    Path("other.toml").write_text(
-        Path("tank.toml").read_text().replace("reflectance = 0.1", "reflectance = 0.2")
-    )
+    other = Survey.from_toml("tank.toml").with_({"targets.0.reflectance": 0.2})
+    Path("other.toml").write_text(other.to_toml())
     Path("slow.toml").write_text("[procedure]\nsettling = 6.0\n")
     Path("odd.toml").write_text("[lock_in]\ntimout = 1\n")
     Path("far.toml").write_text(
@@ -257,9 +256,8 @@ def begun(folder: Path, *, samples: int) -> Callable[[], bool]:
 
 
 def test_a_termination_leaves_the_laser_off_and_a_folder_that_resumes(
-    here, text
+    here, survey
 ) -> None:
-    survey = Survey.from_text(text)
     base = Settings.model_validate({"procedure": {"dark_readings": 2}})
     with rehearse(survey, base, speed=20, scene=scene_light) as rehearsal:
         Path("devices.toml").write_text(rehearsal.settings.to_toml())
@@ -296,7 +294,7 @@ def test_a_termination_leaves_the_laser_off_and_a_folder_that_resumes(
 
 
 def test_ctrl_c_asks_and_the_scan_goes_on_or_ends_and_is_resumed(
-    here, text, terminal, capsys
+    here, survey, terminal, capsys
 ) -> None:
     Path("paced.toml").write_text(PACED)
     words = ["acquire", "tank.toml", "-o", "scan", "--devices", "paced.toml"]
@@ -331,7 +329,6 @@ def test_ctrl_c_asks_and_the_scan_goes_on_or_ends_and_is_resumed(
         assert words in terminal.text
     assert main(["acquire", "scan/survey.toml", "-o", "scan", "--resume"]) == 0
     capsys.readouterr()
-    survey = Survey.from_text(text)
     procedure = Settings.from_toml("paced.toml").procedure
     planned = {step.key for step in plan.steps(survey, procedure)}
     extra = {

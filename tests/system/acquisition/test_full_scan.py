@@ -49,7 +49,7 @@ def test_a_full_scan_over_the_network_is_fast_and_survives_interruptions(
     sized, folder, terminal, ranges, monkeypatch
 ) -> None:
     monkeypatch.chdir(folder)
-    Path("tank.toml").write_text(sized(columns=100, rows=40))
+    Path("tank.toml").write_text(sized(columns=100, rows=40).to_toml())
     survey = Survey.from_toml("tank.toml")
     with served(Path("tank.toml"), Path("devices.toml")):
         settings = Settings.from_toml("devices.toml")

@@ -14,7 +14,6 @@ from amulor.acquisition.sampler import SampleFlag
 from amulor.acquisition.settings import Settings
 from amulor.errors import InstrumentError
 from amulor.simulation import scene_light, simulate
-from amulor.survey import Survey
 
 
 def test_an_acquired_cube_is_the_simulated_one_within_noise(
@@ -37,11 +36,10 @@ def test_an_acquired_cube_is_the_simulated_one_within_noise(
 
 @pytest.mark.parametrize("model", ["sr844", "sr865a"])
 def test_a_scan_over_the_network_gives_the_same_ranges(
-    text, folder, model, few
+    survey, folder, model, few
 ) -> None:
     if model == "sr865a":  # it ends at 4 MHz
-        text = text.replace('"39 MHz"', '"3.9 MHz"')
-    survey = Survey.from_text(text)
+        survey = survey.with_({"instrument.modulation_frequencies": ["3.9 MHz"]})
     with rehearse(survey, few, model=model, speed=500, scene=scene_light) as rehearsal:
         outcome = acquisition.acquire(survey, folder, settings=rehearsal.settings)
         assert outcome.finished
@@ -60,10 +58,10 @@ def test_a_scan_over_the_network_gives_the_same_ranges(
 
 
 def test_the_frequency_that_an_instrument_rounds_to_is_kept_and_flagged(
-    text, folder, few
+    survey, folder, few
 ) -> None:
     # Three digits: 0.1 % off, a little more than what is let pass.
-    survey = Survey.from_text(text.replace('"39 MHz"', '"39.06 MHz"'))
+    survey = survey.with_({"instrument.modulation_frequencies": ["39.06 MHz"]})
     with rehearse(survey, few, speed=1000, scene=scene_light) as rehearsal:
         acquisition.acquire(survey, folder, settings=rehearsal.settings)
     with Journal.read(folder) as journal:

@@ -19,17 +19,16 @@ from amulor.survey import Survey
 
 
 @pytest.fixture(scope="session")
-def small(plate_text: str) -> Survey:
+def small(plate: Survey) -> Survey:
     """Return a survey of 5 x 3 pixels with one reading a sample."""
-    text = (
-        plate_text.replace("columns = 12", "columns = 5")
-        .replace("rows = 6", "rows = 3")
-        .replace('dwell = "125 ms"', 'dwell = "50 ms"')
-        .replace(
-            "columns = 5\nrows = 3\nrepeats = 8", "columns = 3\nrows = 2\nrepeats = 2"
-        )
+    return plate.with_(
+        {
+            "scan.columns": 5,
+            "scan.rows": 3,
+            "scan.dwell": "50 ms",
+            "scan.open_water": {"columns": 3, "rows": 2, "repeats": 2},
+        }
     )
-    return Survey.from_text(text)
 
 
 @pytest.fixture

@@ -15,23 +15,29 @@ from amulor.optics.phase_functions.models import henyey_greenstein_function
 from amulor.simulation import DiffusionModel, SmallAngleModel, simulate
 from amulor.survey import Survey
 
-MOMENTS = """forward_fraction = 1.0
-second_moment = "0.06 rad^2"
-phase_function_at_180 = "0.001 1/sr"
-"""
+#: An asymmetry in place of moments.
+WHOLE = {
+    "water.asymmetry": 0.95,
+    "water.forward_fraction": None,
+    "water.second_moment": None,
+    "water.phase_function_at_180": None,
+}
 FREQUENCIES = (10e6, 39e6, 78e6)
 
 
-def _whole(text: str, *, scattering: float, extra: str = "") -> Survey:
+def _whole(plate: Survey, *, scattering: float, **water: object) -> Survey:
     """Return the plate in water with a whole phase function."""
-    text = text.replace(MOMENTS, f"asymmetry = 0.95\n{extra}")
-    text = text.replace('"0.595 1/m"', f'"{scattering} 1/m"')
-    text = text.replace(
-        '["39 MHz"]', str([f"{f / 1e6:g} MHz" for f in FREQUENCIES]).replace("'", '"')
+    return plate.with_(
+        {
+            **WHOLE,
+            **{f"water.{name}": value for name, value in water.items()},
+            "water.scattering": scattering,
+            "instrument.modulation_frequencies": FREQUENCIES,
+            # No polarizer: photons are counted without one as well.
+            "instrument.polarizations": ["none"],
+            "scan.columns": 3,
+        }
     )
-    # No polarizer: photons are counted without one as well.
-    text = text.replace('["VV", "VH"]', '["none"]')
-    return Survey.from_text(text.replace("columns = 12", "columns = 3"))
 
 
 def _light(cube: xr.Dataset, name: str) -> np.ndarray:
@@ -39,10 +45,8 @@ def _light(cube: xr.Dataset, name: str) -> np.ndarray:
     return (truth[f"{name}_in_phase"] + 1j * truth[f"{name}_quadrature"]).values
 
 
-def test_without_scattering_on_the_way_the_models_are_one(plate_text: str) -> None:
-    survey = _whole(
-        plate_text, scattering=1e-6, extra='phase_function_at_180 = "0.001 1/sr"\n'
-    )
+def test_without_scattering_on_the_way_the_models_are_one(plate: Survey) -> None:
+    survey = _whole(plate, scattering=1e-6, phase_function_at_180=0.001)
     fast, whole = (
         simulate(survey, rng=1, model=model)
         for model in (DiffusionModel(), SmallAngleModel())
@@ -58,8 +62,8 @@ def test_without_scattering_on_the_way_the_models_are_one(plate_text: str) -> No
         )
 
 
-def test_target_and_water_are_those_that_photons_bring(plate_text: str) -> None:
-    survey = _whole(plate_text, scattering=0.595)
+def test_target_and_water_are_those_that_photons_bring(plate: Survey) -> None:
+    survey = _whole(plate, scattering=0.595)
     cube = simulate(survey, rng=1, model=SmallAngleModel())
     row, column = 3, 1
     beam = np.array(
@@ -117,15 +121,15 @@ def test_moments_alone_are_not_enough(plate: Survey) -> None:
 
 
 def test_the_command_takes_the_model_and_says_so(
-    tmp_path, plate_text: str, capsys: pytest.CaptureFixture[str]
+    tmp_path, plate: Survey, capsys: pytest.CaptureFixture[str]
 ) -> None:
     path = tmp_path / "plate.toml"
-    path.write_text(plate_text.replace(MOMENTS, "asymmetry = 0.95\n"))
+    path.write_text(plate.with_(WHOLE).to_toml())
     output = tmp_path / "plate.nc"
     words = ["simulate", str(path), "--model", "small-angle", "-o", str(output)]
     assert main(words) == 0
     assert "whole phase function" in read_cube(output).attrs["source"]
-    path.write_text(plate_text)
+    path.write_text(plate.to_toml())
     assert main([*words, "--overwrite"]) == 1
     error = capsys.readouterr().err
     assert "plate.toml: water.asymmetry is missing" in error

@@ -13,28 +13,28 @@ from amulor.simulation import simulate
 from amulor.survey import Survey, water_properties
 from amulor.survey.view import kernel_arguments, medium, view
 
-
-def _quiet(text: str) -> str:
-    """Return a survey without any noise."""
-    return (
-        text.replace('phase_floor = "0.06 deg"', 'phase_floor = "0 deg"')
-        .replace('signal_fluctuation = "5 %"', "")
-        .replace('power = "20 mW"', 'power = "1e9 W"')
-        .replace(
-            'optical_transmission = "10 %"',
-            'optical_transmission = "100 %"\nsaturation = "1e20 V"',
-        )
-    )
+#: A survey without any noise.
+QUIET = {
+    "instrument.lock_in.phase_floor": 0.0,
+    "water.signal_fluctuation": 0.0,
+    "instrument.power": "1e9 W",
+    "instrument.detector.optical_transmission": 1.0,
+    "instrument.detector.saturation": "1e20 V",
+}
 
 
-def test_target_and_water_have_the_ratio_of_their_closed_forms(plate_text: str) -> None:
+def test_target_and_water_have_the_ratio_of_their_closed_forms(plate: Survey) -> None:
     # Receiver far wider than the baseline, tiny acceptance, no spread: F is flat, and
     # target over water is (reflectance / pi) e^(-2kd) over beta (1 - e^(-2kd)) / 2k.
-    text = plate_text.replace('"0.06 rad^2"', '"0 rad^2"')
-    text = text.replace('radius = "2 cm"', 'radius = "50 m"')
-    text = text.replace('"0.08 rad"', '"0.001 rad"')
-    text = text.replace('"-2.672 deg"', '"0 deg"')
-    survey = Survey.from_text(text.replace('["39 MHz"]', '["1 Hz"]'))
+    survey = plate.with_(
+        {
+            "water.second_moment": 0.0,
+            "instrument.receiver.radius": "50 m",
+            "instrument.receiver.acceptance": "0.001 rad",
+            "instrument.receiver.azimuth": 0.0,
+            "instrument.modulation_frequencies": ["1 Hz"],
+        }
+    )
     truth = simulate(survey, rng=1).amulor.truth
     target = truth["target_in_phase"].values[0, :, 3, 6]
     water = truth["water_in_phase"].values[0, :, 3, 6]
@@ -45,8 +45,8 @@ def test_target_and_water_have_the_ratio_of_their_closed_forms(plate_text: str) 
     assert_allclose(target / water, expected * np.cos(0.0466), rtol=1e-3)
 
 
-def test_the_received_power_is_the_lidar_equation_in_volts(plate_text: str) -> None:
-    survey = Survey.from_text(plate_text)
+def test_the_received_power_is_the_lidar_equation_in_volts(plate: Survey) -> None:
+    survey = plate
     truth = simulate(survey, rng=1).amulor.truth
     echo = abs(
         truth["target_in_phase"].values + 1j * truth["target_quadrature"].values
@@ -60,8 +60,8 @@ def test_the_received_power_is_the_lidar_equation_in_volts(plate_text: str) -> N
     assert_allclose(echo, expected * np.cos(0.0466), rtol=2e-3)
 
 
-def test_the_phase_of_the_target_is_that_of_the_group_path(plate_text: str) -> None:
-    cube = simulate(Survey.from_text(_quiet(plate_text)), rng=1)
+def test_the_phase_of_the_target_is_that_of_the_group_path(plate: Survey) -> None:
+    cube = simulate(plate.with_(QUIET), rng=1)
     truth = cube.amulor.truth
     phase = np.arctan2(truth["target_quadrature"], truth["target_in_phase"])[0, 0]
     d = truth["slant_range"].values
@@ -71,8 +71,8 @@ def test_the_phase_of_the_target_is_that_of_the_group_path(plate_text: str) -> N
     assert_allclose(np.exp(1j * phase), np.exp(1j * expected), rtol=1e-9)
 
 
-def test_water_ends_at_the_target(plate_text: str) -> None:
-    survey = Survey.from_text(_quiet(plate_text))
+def test_water_ends_at_the_target(plate: Survey) -> None:
+    survey = plate.with_(QUIET)
     cube = simulate(survey, rng=1)
     truth = cube.amulor.truth
     water = truth["water_in_phase"].values + 1j * truth["water_quadrature"].values
@@ -93,9 +93,8 @@ def test_water_ends_at_the_target(plate_text: str) -> None:
     assert_allclose(water[0, 0] / water[0, 0, 3, 6], expected, rtol=1e-5)
 
 
-def test_a_hole_in_the_scene_is_a_legal_pixel(plate_text: str) -> None:
-    text = plate_text.replace('width = "30 cm"', 'width = "5 cm"')
-    cube = simulate(Survey.from_text(text), rng=1)
+def test_a_hole_in_the_scene_is_a_legal_pixel(plate: Survey) -> None:
+    cube = simulate(plate.with_({"targets.0.width": "5 cm"}), rng=1)
     truth = cube.amulor.truth
     beside = truth["target"].values < 0
     assert 0 < beside.sum() < beside.size
@@ -107,9 +106,9 @@ def test_a_hole_in_the_scene_is_a_legal_pixel(plate_text: str) -> None:
     assert (water[beside] > 0).all()
 
 
-def test_circular_channels_flip_in_water_and_not_in_paint(plate_text: str) -> None:
-    text = plate_text.replace('["VV", "VH"]', '["RR", "RL"]')
-    truth = simulate(Survey.from_text(text), rng=1).amulor.truth
+def test_circular_channels_flip_in_water_and_not_in_paint(plate: Survey) -> None:
+    survey = plate.with_({"instrument.polarizations": ["RR", "RL"]})
+    truth = simulate(survey, rng=1).amulor.truth
     target = np.hypot(truth["target_in_phase"], truth["target_quadrature"]).values[0]
     water = np.hypot(truth["water_in_phase"], truth["water_quadrature"]).values[0]
     # Same handedness: (1 + m44) / 2; m44 = -0.46 of the paint, -0.62 of the water.
@@ -117,23 +116,25 @@ def test_circular_channels_flip_in_water_and_not_in_paint(plate_text: str) -> No
     assert_allclose(water[0] / water[1], 0.19 / 0.81, rtol=1e-9)
 
 
-def test_without_polarizers_all_the_light_counts(plate_text: str) -> None:
-    text = plate_text.replace('["VV", "VH"]', '["none", "VV", "VH"]')
-    truth = simulate(Survey.from_text(text), rng=1).amulor.truth
+def test_without_polarizers_all_the_light_counts(plate: Survey) -> None:
+    survey = plate.with_({"instrument.polarizations": ["none", "VV", "VH"]})
+    truth = simulate(survey, rng=1).amulor.truth
     echo = np.hypot(truth["target_in_phase"], truth["target_quadrature"]).values[0]
     assert_allclose(echo[0], echo[1] + echo[2], rtol=1e-12)
 
 
-def test_the_stated_covariance_is_that_of_the_samples(plate_text: str) -> None:
+def test_the_stated_covariance_is_that_of_the_samples(plate: Survey) -> None:
     # Weak light and a large phase floor, so that both kinds of noise show.
-    text = (
-        plate_text.replace('"0.06 deg"', '"1 deg"')
-        .replace('signal_fluctuation = "5 %"', "")
-        .replace('"10 %"', '"0.02 %"')
-        .replace("columns = 12", "columns = 100")
-        .replace("rows = 6", "rows = 100")
+    survey = plate.with_(
+        {
+            "instrument.lock_in.phase_floor": "1 deg",
+            "water.signal_fluctuation": 0.0,
+            "instrument.detector.optical_transmission": "0.02 %",
+            "scan.columns": 100,
+            "scan.rows": 100,
+        }
     )
-    cube = simulate(Survey.from_text(text), rng=7)
+    cube = simulate(survey, rng=7)
     truth = cube.amulor.truth
     expected = sum(
         truth[f"{part}_in_phase"].values + 1j * truth[f"{part}_quadrature"].values
@@ -159,10 +160,12 @@ def test_the_stated_covariance_is_that_of_the_samples(plate_text: str) -> None:
     assert 0.1 < abs(correlation[0, 0]).mean() < 0.95
 
 
-def test_shot_noise_is_that_of_counting(plate_text: str) -> None:
+def test_shot_noise_is_that_of_counting(plate: Survey) -> None:
     # One photoelectron rate, no phase floor: sigma_phase = sqrt(2 F / (m^2 N)).
-    text = plate_text.replace('"0.06 deg"', '"0 deg"').replace('"0.595 1/m"', '"0 1/m"')
-    cube = simulate(Survey.from_text(text), rng=3)
+    survey = plate.with_(
+        {"instrument.lock_in.phase_floor": 0.0, "water.scattering": 0.0}
+    )
+    cube = simulate(survey, rng=3)
     truth = cube.amulor.truth
     amplitude = np.hypot(truth["target_in_phase"], truth["target_quadrature"]).values
     sigma = cube["in_phase_uncertainty"].values / amplitude
@@ -172,9 +175,8 @@ def test_shot_noise_is_that_of_counting(plate_text: str) -> None:
     assert_allclose(sigma, np.sqrt(2 * 1.2 / photoelectrons) / 0.8, rtol=1e-3)
 
 
-def test_the_water_strays_as_the_survey_says(plate_text: str) -> None:
-    text = plate_text.replace("repeats = 8", "repeats = 400")
-    cube = simulate(Survey.from_text(text), rng=11)
+def test_the_water_strays_as_the_survey_says(plate: Survey) -> None:
+    cube = simulate(plate.with_({"scan.open_water.repeats": 400}), rng=11)
     shots = cube.amulor.open_water
     amplitude = np.hypot(shots["in_phase"], shots["quadrature"]).values[0, 0]
     by_direction = amplitude.reshape(15, 400)
@@ -189,18 +191,17 @@ def test_the_same_seed_gives_the_same_cube(plate: Survey) -> None:
     assert (first["in_phase"].values != other["in_phase"].values).all()
 
 
-def test_a_strong_echo_saturates_the_detector(plate_text: str) -> None:
-    text = plate_text.replace('"10 %"', '"10 %"\nsaturation = "1 mV"')
-    cube = simulate(Survey.from_text(text), rng=1)
+def test_a_strong_echo_saturates_the_detector(plate: Survey) -> None:
+    survey = plate.with_({"instrument.detector.saturation": "1 mV"})
+    cube = simulate(survey, rng=1)
     assert (cube["saturated"].values[0, 0] == 1).all()
 
 
 @pytest.mark.parametrize("moves", ["beam", "both"])
 def test_when_both_move_the_water_is_the_same_everywhere(
-    plate_text: str, moves: str
+    plate: Survey, moves: str
 ) -> None:
-    text = plate_text.replace("[scan]", f'[scan]\nmoves = "{moves}"')
-    survey = Survey.from_text(_quiet(text))
+    survey = plate.with_({**QUIET, "scan.moves": moves})
     shots = simulate(survey, rng=1).amulor.open_water
     amplitude = np.hypot(shots["in_phase"], shots["quadrature"]).values[0, 0]
     spread = np.ptp(amplitude) / amplitude.mean()
@@ -211,17 +212,17 @@ def test_when_both_move_the_water_is_the_same_everywhere(
         assert spread > 0.5
 
 
-def test_serpentine_order_runs_back_on_every_second_row(plate_text: str) -> None:
-    text = plate_text.replace("[scan]", '[scan]\norder = "serpentine"')
-    time = simulate(Survey.from_text(text), rng=1)["time"].values
+def test_serpentine_order_runs_back_on_every_second_row(plate: Survey) -> None:
+    survey = plate.with_({"scan.order": "serpentine"})
+    time = simulate(survey, rng=1)["time"].values
     # Two channels of 125 ms for each of twelve pixels in a row.
     assert_allclose(time[0], np.arange(12) * 0.25)
     assert_allclose(time[1], (np.arange(12)[::-1] + 12) * 0.25)
 
 
-def test_a_window_shifts_the_phase_by_its_group_path(plate_text: str) -> None:
-    window = '[instrument.window]\ndistance = "30 cm"\nthickness = "2 cm"\n'
-    survey = Survey.from_text(_quiet(plate_text) + window)
+def test_a_window_shifts_the_phase_by_its_group_path(plate: Survey) -> None:
+    window = {"distance": "30 cm", "thickness": "2 cm"}
+    survey = plate.with_({**QUIET, "instrument.window": window})
     cube = simulate(survey, rng=1)
     truth = cube.amulor.truth
     assert_allclose(truth["slant_range"].values[2:4, 5:7], 1.5, rtol=1e-3)
@@ -234,24 +235,27 @@ def test_a_window_shifts_the_phase_by_its_group_path(plate_text: str) -> None:
     assert 0 < turn < 2 * np.pi * 39e6 * 4e-3 / speed_of_light
 
 
-WINDOW = '[instrument.window]\ndistance = "50 cm"\nthickness = "2 cm"\n'
-
-
 @pytest.mark.parametrize(
-    ("tail", "emitter", "plate"),
+    ("changes", "distance"),
     [
-        (WINDOW, 0.0, 0.521),
-        ('[instrument.emitter]\nposition = ["0 m", "0 m", "30 cm"]\n', 0.3, 0.301),
+        ({"instrument.window": {"distance": "50 cm", "thickness": "2 cm"}}, 0.521),
+        ({"instrument.emitter.position": [0.0, 0.0, 0.3]}, 0.301),
     ],
     ids=["window", "emitter ahead of the receiver"],
 )
 def test_a_thin_layer_of_water_has_the_phase_of_the_target_behind_it(
-    plate_text: str, tail: str, emitter: float, plate: float
+    plate: Survey, changes: dict[str, object], distance: float
 ) -> None:
-    text = _quiet(plate_text).replace('"1.5 m"', f'"{plate} m"') + tail
-    text = text.replace('["7 cm", "0 m", "0 m"]', '["1 mm", "0 m", "0 m"]')
-    text = text.replace('azimuth = "-2.672 deg"', 'azimuth = "0 deg"')
-    truth = simulate(Survey.from_text(text), rng=1).amulor.truth
+    survey = plate.with_(
+        {
+            **QUIET,
+            **changes,
+            "targets.0.position": [0.0, 0.0, distance],
+            "instrument.receiver.position": ["1 mm", "0 m", "0 m"],
+            "instrument.receiver.azimuth": 0.0,
+        }
+    )
+    truth = simulate(survey, rng=1).amulor.truth
     phases = [
         np.arctan2(truth[f"{part}_quadrature"], truth[f"{part}_in_phase"])[0, 0]
         for part in ("target", "water")
@@ -262,21 +266,19 @@ def test_a_thin_layer_of_water_has_the_phase_of_the_target_behind_it(
     assert (abs(phases[1]) > 0.2).all()
 
 
-def test_a_target_behind_the_end_of_the_water_is_refused(plate_text: str) -> None:
-    text = plate_text.replace("[water]", '[water]\ncolumn_end = "1 m"')
+def test_a_target_behind_the_end_of_the_water_is_refused(plate: Survey) -> None:
     with pytest.raises(SurveyError, match=r"targets.0.*column_end is 1 m"):
-        simulate(Survey.from_text(text), rng=1)
+        simulate(plate.with_({"water.column_end": "1 m"}), rng=1)
 
 
-def test_a_receiver_that_looks_away_is_refused(plate_text: str) -> None:
-    text = plate_text.replace('"-2.672 deg"', '"-80 deg"')
+def test_a_receiver_that_looks_away_is_refused(plate: Survey) -> None:
+    survey = plate.with_({"instrument.receiver.azimuth": "-80 deg"})
     with pytest.raises(SurveyError, match=r"(80|82) degrees"):
-        simulate(Survey.from_text(text), rng=1)
+        simulate(survey, rng=1)
 
 
-def test_a_survey_without_open_water_stays_without(plate_text: str) -> None:
-    text = plate_text[: plate_text.index("[scan.open_water]")]
-    survey = Survey.from_text(text)
+def test_a_survey_without_open_water_stays_without(plate: Survey) -> None:
+    survey = plate.with_({"scan.open_water": None})
     assert Survey.from_text(survey.to_toml()) == survey
     assert simulate(survey, rng=np.int64(3)).amulor.open_water is None
     assert simulate(survey, rng=np.int64(3)).attrs["seed"] == 3

@@ -98,7 +98,7 @@ def test_noise_is_the_same_for_a_label_and_another_for_others() -> None:
     a, b = (study.rng("a").standard_normal(100) for _ in range(2))
     assert np.array_equal(a, b)
     assert abs(np.corrcoef(a, study.rng("b").standard_normal(100))[0, 1]) < 0.4
-    other = Study(parameters.parse(ENTRY), seed=2).rng("a").standard_normal(100)
+    other = Study(parameters.parse(ENTRY), rng=2).rng("a").standard_normal(100)
     assert abs(np.corrcoef(a, other)[0, 1]) < 0.4
 
 

@@ -140,27 +140,18 @@ def test_the_json_schema_allows_what_is_shipped_and_names_units() -> None:
     assert "1/m" in water["properties"]["absorption"]["description"]
 
 
-def test_stated_numbers_win_over_the_henyey_greenstein_form(plate_text: str) -> None:
-    plain = plate_text.replace(
-        "forward_fraction = 1.0\n", "asymmetry = 0.95\nforward_fraction = 1.0\n"
-    )
-    stated = water_properties(Survey.from_text(plain))
+def test_stated_numbers_win_over_the_henyey_greenstein_form(plate: Survey) -> None:
+    stated = water_properties(plate.with_({"water.asymmetry": 0.95}))
     assert stated.second_moment == 0.06
     assert stated.forward_scattering == pytest.approx(0.595)
     assert stated.diffuse_scattering == 0
 
 
-def test_henyey_greenstein_gives_what_its_closed_forms_say(plate_text: str) -> None:
+def test_henyey_greenstein_gives_what_its_closed_forms_say(plate: Survey) -> None:
     g = 0.95
-    text = plate_text
-    for line in (
-        "forward_fraction = 1.0\n",
-        'second_moment = "0.06 rad^2"\n',
-        'phase_function_at_180 = "0.001 1/sr"\n',
-    ):
-        text = text.replace(line, "")
-    text = text.replace("[water]", f"[water]\nasymmetry = {g}")
-    found = water_properties(Survey.from_text(text))
+    parts = ("forward_fraction", "second_moment", "phase_function_at_180")
+    changes = {f"water.{part}": None for part in parts}
+    found = water_properties(plate.with_({**changes, "water.asymmetry": g}))
     # p(180) = (1 - g) / (4 pi (1 + g)^2), the form at cos = -1.
     at_180 = (1 - g**2) / (4 * np.pi * (1 + g) ** 3)
     assert found.backscatter_vsf == pytest.approx(0.595 * at_180, rel=1e-12)
@@ -171,9 +162,9 @@ def test_henyey_greenstein_gives_what_its_closed_forms_say(plate_text: str) -> N
     assert found.second_moment == pytest.approx(0.075, abs=5e-4)
 
 
-def test_the_indices_follow_from_the_water_if_not_stated(plate_text: str) -> None:
-    text = plate_text.replace("refractive_index = 1.34\ngroup_index = 1.38\n", "")
-    found = water_properties(Survey.from_text(text))
+def test_the_indices_follow_from_the_water_if_not_stated(plate: Survey) -> None:
+    changes = {"water.refractive_index": None, "water.group_index": None}
+    found = water_properties(plate.with_(changes))
     # Fresh water at 20 degC and 405 nm: 1.3431 (vacuum) and 1.380.
     assert found.refractive_index == pytest.approx(1.34312, abs=2e-5)
     assert found.group_index == pytest.approx(1.380, abs=5e-4)

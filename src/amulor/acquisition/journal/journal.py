@@ -26,7 +26,8 @@ _KEY_COLUMNS = (
     "frequency REAL NOT NULL, polarization TEXT NOT NULL, repeat INTEGER NOT NULL"
 )
 _KEY_NAMES = ", ".join(Key._fields)
-_RECORD_NAMES = ", ".join(field.name for field in fields(Record))
+_RECORD_FIELDS = tuple(field.name for field in fields(Record))
+_RECORD_NAMES = ", ".join(_RECORD_FIELDS)
 _RECORD_COLUMNS = ", ".join(
     f"{field.name} "
     + ("INTEGER" if field.type == "int" else "REAL")
@@ -279,7 +280,8 @@ class Journal:
             for row in self._connection.execute(
                 f"SELECT {names} FROM samples WHERE kind = ? ORDER BY number", (kind,)
             ):
-                yield Key(*row[:split]), Record(*row[split:])
+                values = dict(zip(_RECORD_FIELDS, row[split:], strict=True))
+                yield Key(*row[:split]), Record(**values)
 
     def count(self) -> int:
         """Return the number of samples [1]."""

@@ -79,7 +79,13 @@ class SimulatedLockIn(_Simulated):
         if faults.active("overload", number):
             overload |= Overload.INPUT
         unlocked = faults.active("unlock", number) or not self.bench.locked()
-        return Reading(signal, mean, self.bench.frequency, overload, unlocked)
+        return Reading(
+            signal=signal,
+            mean=mean,
+            modulation_frequency=self.bench.frequency,
+            overload=overload,
+            unlocked=unlocked,
+        )
 
     def relieve(self, overload: Overload) -> bool:
         """Take a coarser scale, if there is one."""

@@ -20,7 +20,7 @@ from amulor.acquisition.simulated.bench import (
 _GOOD, _UNKNOWN, _LIMITS, _NO_AXIS, _STOPPED = 0, 2, 7, 15, 10
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class _Axis:
     name: str
     """What of the bench it moves."""
@@ -53,16 +53,29 @@ class SimulatedPiController:
         scanner = settings.scanner
         turn, degree = scanner.angle_per_unit, math.radians(1.0)
         half = abs(math.pi / 2 / turn)
+        position_units = {
+            scanner.azimuth_axis: ("azimuth", turn, scanner.azimuth_zero),
+            scanner.elevation_axis: ("elevation", turn, scanner.elevation_zero),
+            settings.launch.axis: ("launch", degree, 0.0),
+            settings.analyser.axis: ("analyser", degree, 0.0),
+            settings.target.axis: ("target", 1e-3, 0.0),
+        }
+        speeds = {
+            "azimuth": (SCAN_SPEED, half),
+            "elevation": (SCAN_SPEED, half),
+            "launch": (MOUNT_SPEED, 360.0),
+            "analyser": (MOUNT_SPEED, 360.0),
+            "target": (TARGET_SPEED, 1000.0),
+        }
         self._axes = {
-            scanner.azimuth_axis: _Axis(
-                "azimuth", turn, scanner.azimuth_zero, SCAN_SPEED, half
-            ),
-            scanner.elevation_axis: _Axis(
-                "elevation", turn, scanner.elevation_zero, SCAN_SPEED, half
-            ),
-            settings.launch.axis: _Axis("launch", degree, 0.0, MOUNT_SPEED, 360.0),
-            settings.analyser.axis: _Axis("analyser", degree, 0.0, MOUNT_SPEED, 360.0),
-            settings.target.axis: _Axis("target", 1e-3, 0.0, TARGET_SPEED, 1000.0),
+            axis: _Axis(
+                name=name,
+                unit=unit,
+                zero=zero,
+                speed=speeds[name][0],
+                limit=speeds[name][1],
+            )
+            for axis, (name, unit, zero) in position_units.items()
         }
 
     def answer(self, line: str) -> list[str]:

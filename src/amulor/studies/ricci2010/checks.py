@@ -11,7 +11,7 @@ from typing import Any, Literal
 Role = Literal["test", "set"]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Check:
     """A statement and whether it holds."""
 
@@ -117,4 +117,10 @@ def holds(
     Check
         With these texts.
     """
-    return Check(statement, found, wanted, bool(truth), role)
+    return Check(
+        statement=statement,
+        found=found,
+        wanted=wanted,
+        passed=bool(truth),
+        role=role,
+    )

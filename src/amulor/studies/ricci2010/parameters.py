@@ -15,7 +15,7 @@ from amulor import units
 Basis = Literal["text", "deduced", "assumed"]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Parameter:
     """A number of the study."""
 
@@ -129,5 +129,12 @@ def _entry(name: str, entry: Mapping[str, Any]) -> Parameter:
             )
         limits, shown = (low, high), (entry["range"][0], entry["range"][1])
     return Parameter(
-        name, value, basis, entry["reason"], entry["value"], quantity, limits, shown
+        name=name,
+        value=value,
+        basis=basis,
+        reason=entry["reason"],
+        shown=entry["value"],
+        quantity=quantity,
+        limits=limits,
+        shown_limits=shown,
     )

@@ -3,13 +3,10 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from amulor.studies.ricci2010 import tables
+from amulor.studies.ricci2010.results import Results
 from amulor.view.report import Heading, Paragraph, Part, Picture, Table, write_report
-
-if TYPE_CHECKING:
-    from amulor.studies.ricci2010.reproduce import Results
 
 #: What a reader must know before the first figure.
 FOREWORD = (

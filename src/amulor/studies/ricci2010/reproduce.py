@@ -5,18 +5,15 @@ from __future__ import annotations
 import json
 import os
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
 from typing import Any
 
-from matplotlib.figure import Figure
-
 from amulor import io
 from amulor.io.files import atomic_output
-from amulor.studies.ricci2010.checks import Check
-from amulor.studies.ricci2010.parameters import Parameter
-from amulor.studies.ricci2010.sensitivity import Dependence, sensitivity
+from amulor.studies.ricci2010 import report
+from amulor.studies.ricci2010.results import Redrawn, Results
+from amulor.studies.ricci2010.sensitivity import sensitivity
 from amulor.studies.ricci2010.study import Study
 from amulor.view.report import png
 from amulor.view.style import style
@@ -27,64 +24,12 @@ FIGURES = (1, *range(3, 16))
 Progress = Callable[[str, float], None]
 
 
-@dataclass(frozen=True)
-class Redrawn:
-    """One figure, redrawn."""
-
-    number: int
-    """Its number in the paper."""
-    title: str
-    """Short title."""
-    caption: str
-    """What is to be seen."""
-    checks: tuple[Check, ...]
-    """What the paper says of it, beside what was found."""
-    drawn: Figure
-    """The figure."""
-
-
-@dataclass(frozen=True)
-class Results:
-    """The study, or the part of it that was asked for."""
-
-    figures: tuple[Redrawn, ...]
-    """In the order of the paper."""
-    dependence: tuple[Dependence, ...] | None
-    """What each conclusion depends on; None if it was not looked into."""
-    parameters: dict[str, Parameter]
-    """All numbers of the study."""
-
-    def plain(self) -> dict[str, Any]:
-        """Return all but the pictures for other programs.
-
-        Returns
-        -------
-        dict
-            Texts, numbers, lists.
-        """
-        return {
-            "figures": [
-                {
-                    "number": figure.number,
-                    "title": figure.title,
-                    "caption": figure.caption,
-                    "checks": [check.plain() for check in figure.checks],
-                }
-                for figure in self.figures
-            ],
-            "sensitivity": None
-            if self.dependence is None
-            else [dependence.plain() for dependence in self.dependence],
-            "parameters": [vars(entry) for entry in self.parameters.values()],
-        }
-
-
 def run(
     numbers: Sequence[int] = FIGURES,
     *,
     quick: bool = False,
     depend: bool = True,
-    seed: int = 1,
+    rng: int = 1,
     progress: Progress = lambda step, share: None,
 ) -> Results:
     """Redraw figures of the paper and check what it says of them.
@@ -97,8 +42,9 @@ def run(
         Whether to take fewer points, pixels and photons: for a first look.
     depend : bool
         Whether to vary every number over its range, to see which conclusions flip.
-    seed : int
-        Seed of all synthetic noise.
+    rng : int
+        Seed of all synthetic noise: figures draw theirs in any order, each by its own
+        name, so no generator can be shared.
     progress : callable, optional
         Called with a step and the share of the work done before it.
 
@@ -119,7 +65,7 @@ def run(
             "a drawing of the instrument)"
         )
     chosen = sorted(set(numbers))
-    study = Study(quick=quick, seed=seed)
+    study = Study(quick=quick, rng=rng)
     part = 0.4 if depend else 1.0
     figures = []
     for done, number in enumerate(chosen):
@@ -129,7 +75,7 @@ def run(
     if depend:
         modules = {number: _module(number) for number in chosen}
         dependence = sensitivity(
-            Study(quick=True, seed=seed),
+            Study(quick=True, rng=rng),
             {number: module.checks for number, module in modules.items()},
             workers=os.cpu_count() or 1,
             progress=lambda step, share: progress(step, part + (1 - part) * share),
@@ -160,8 +106,6 @@ def write(folder: Path, results: Results, *, overwrite: bool = False) -> list[st
     FormatError
         If a file exists, or the folder cannot be written.
     """
-    from amulor.studies.ricci2010 import report
-
     numbers = [figure.number for figure in results.figures]
     check_outputs(folder, numbers, overwrite=overwrite)
     for figure in results.figures:

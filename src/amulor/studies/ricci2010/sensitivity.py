@@ -18,7 +18,7 @@ from amulor.studies.ricci2010.study import Study
 Checks = Callable[[Study], list[Check]]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Change:
     """What became of a check when one number went to an end of its range."""
 
@@ -131,7 +131,13 @@ def sensitivity(
         progress(f"varied {end.name}, figure {number}", (done + 1) / len(tasks))
         for place, (found, text, passed) in enumerate(outcomes):
             changes.setdefault((number, place), []).append(
-                Change(end.name, end.shown, text, passed, found)
+                Change(
+                    parameter=end.name,
+                    shown=end.shown,
+                    found=text,
+                    passed=passed,
+                    value=found,
+                )
             )
     order = {name: place for place, name in enumerate(study.parameters)}
     return tuple(
@@ -200,7 +206,7 @@ def _elsewhere(
 @cache
 def _study_here(parameters: tuple[Parameter, ...], quick: bool, seed: int) -> Study:
     """Return the study that the tasks of a process share, with what it remembers."""
-    return Study({entry.name: entry for entry in parameters}, quick=quick, seed=seed)
+    return Study({entry.name: entry for entry in parameters}, quick=quick, rng=seed)
 
 
 def _outcome(

@@ -22,8 +22,9 @@ class Study:
         Numbers; those of `parameters.toml` by default.
     quick : bool
         Whether to take fewer points, pixels and photons.
-    seed : int
-        Seed of all synthetic noise.
+    rng : int
+        Seed of all synthetic noise; `Study.rng` makes a generator of it for each
+        series.
 
     Notes
     -----
@@ -38,11 +39,11 @@ class Study:
         parameters: Mapping[str, Parameter] | None = None,
         *,
         quick: bool = False,
-        seed: int = 1,
+        rng: int = 1,
     ) -> None:
         self.parameters = dict(load() if parameters is None else parameters)
         self.quick = quick
-        self.seed = seed
+        self.seed = int(rng)
         self._read: list[set[str]] = []
         self._known: dict[Any, list[tuple[dict[str, float], Any]]] = {}
 
@@ -65,7 +66,7 @@ class Study:
         Study
             Of the same pace and seed.
         """
-        other = Study(parameters, quick=self.quick, seed=self.seed)
+        other = Study(parameters, quick=self.quick, rng=self.seed)
         other._known = self._known
         return other
 

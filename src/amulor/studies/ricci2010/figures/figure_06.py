@@ -13,9 +13,8 @@ from amulor.studies.ricci2010.figures.drawing import (
 )
 from amulor.studies.ricci2010.figures.surfaces import LADDER_SHADES, canvas, relief
 from amulor.studies.ricci2010.figures.surfaces import draw as draw_surface
+from amulor.studies.ricci2010.scenes.ladder_checks import cut_off, steps_agree
 from amulor.studies.ricci2010.scenes.ladder_scans import (
-    cut_off,
-    steps_agree,
     unpolarized_clear,
     unpolarized_turbid,
 )

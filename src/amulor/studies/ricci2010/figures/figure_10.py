@@ -7,7 +7,9 @@ from dataclasses import replace
 from matplotlib.figure import Figure
 
 from amulor.studies.ricci2010.checks import Check, holds, within
+from amulor.studies.ricci2010.figures import line_panels
 from amulor.studies.ricci2010.figures.drawing import WIDE, letter, mark_synthetic
+from amulor.studies.ricci2010.scenes import line_checks
 from amulor.studies.ricci2010.scenes import short_lines as lines
 from amulor.studies.ricci2010.study import Study
 from amulor.view.style import new_figure, style
@@ -49,28 +51,28 @@ def checks(study: Study) -> list[Check]:
         step: abs(lines.line(study, step, "VV").drift) for step in lines.TURBIDITIES
     }
     crossed_share = lines.rejected_share(study, "d", ("VH", "VV"))
-    crossed = lines.drifts(
+    crossed = line_checks.drifts(
         study, "(d) VH drifts by about 3 degrees", "d", "VH", low=2.5, high=3.5
     )
     return [
-        lines.stays_flat(
+        line_checks.stays_flat(
             study, "(a) VV does not drift in tap water", "tap", "VV", role="set"
         ),
-        lines.stays_flat(
+        line_checks.stays_flat(
             study, "(a) VH does not drift in tap water", "tap", "VH", role="set"
         ),
-        lines.drifts(
+        line_checks.drifts(
             study, "(b) VV drifts by 1.3 degrees", "b", "VV",
             low=1.0, high=1.6, role="set",
         ),
-        lines.stays_flat(study, "(b) VH does not drift", "b", "VH"),
+        line_checks.stays_flat(study, "(b) VH does not drift", "b", "VH"),
         within(
             "(c) VV drifts by more than in (b) and less than in (d)",
             drift["c"], drift["b"], drift["d"], unit="deg",
             uncertainty=lines.line(study, "c", "VV").error,
         ),
-        lines.stays_flat(study, "(c) VH does not drift", "c", "VH"),
-        lines.drifts(
+        line_checks.stays_flat(study, "(c) VH does not drift", "c", "VH"),
+        line_checks.drifts(
             study, "(d) VV drifts by about 7 degrees", "d", "VV",
             low=6.0, high=8.0, role="set",
         ),
@@ -80,7 +82,7 @@ def checks(study: Study) -> list[Check]:
             f"{100 * crossed_share:.2g} % of the water's light, and "
             f"{100 * needed_crossed_share(study):.2g} % would be needed",
         ),
-        *(lines.is_straight(study, step, "VV") for step in ("b", "c", "d")),
+        *(line_checks.is_straight(study, step, "VV") for step in ("b", "c", "d")),
         holds(
             "optical thickness below 1 in (c) and above 1 in (d)",
             study["attenuation_c"] * study["short_distance"]
@@ -131,9 +133,12 @@ def draw(study: Study) -> Figure:
         figure = new_figure(WIDE, 4.6)
         axes = figure.subplots(2, 2, sharex=True, sharey=True)
         for axis, step in zip(axes.flat, lines.TURBIDITIES, strict=True):
-            lines.panel(study, axis, step, ("VV", "VH"), subtracted=True)
+            line_panels.panel(study, axis, step, ("VV", "VH"), subtracted=True)
             axis.label_outer()
-        letter(axes.flat, [lines.water_name(study, step) for step in lines.TURBIDITIES])
+        letter(
+            axes.flat,
+            [line_panels.water_name(study, step) for step in lines.TURBIDITIES],
+        )
         handles, labels = axes[0, 0].get_legend_handles_labels()
         figure.legend(
             handles, labels, loc="outside upper center", ncols=4, columnspacing=1.2

@@ -6,7 +6,9 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from amulor.studies.ricci2010.checks import Check, within
+from amulor.studies.ricci2010.figures import line_panels
 from amulor.studies.ricci2010.figures.drawing import WIDE, letter, mark_synthetic
+from amulor.studies.ricci2010.scenes import line_checks
 from amulor.studies.ricci2010.scenes import short_lines as lines
 from amulor.studies.ricci2010.study import Study
 from amulor.view.style import new_figure, style
@@ -41,15 +43,15 @@ def checks(study: Study) -> list[Check]:
     return [
         within(
             "(a) RL and RR do not differ beyond the phase error in tap water",
-            apart, -lines.FLAT, lines.FLAT, unit="deg", uncertainty=error,
+            apart, -line_checks.FLAT, line_checks.FLAT, unit="deg", uncertainty=error,
         ),
         *(
-            lines.moves(study, f"({step}) RL drifts", step, "RL")
+            line_checks.moves(study, f"({step}) RL drifts", step, "RL")
             for step in ("b", "c", "d")
         ),
-        lines.stays_flat(study, "(b) RR does not drift", "b", "RR"),
-        lines.stays_flat(study, "(c) RR does not drift", "c", "RR"),
-        lines.moves(study, "(d) RR drifts", "d", "RR"),
+        line_checks.stays_flat(study, "(b) RR does not drift", "b", "RR"),
+        line_checks.stays_flat(study, "(c) RR does not drift", "c", "RR"),
+        line_checks.moves(study, "(d) RR drifts", "d", "RR"),
         within(
             "(d) RR drifts by less than 3 degrees",
             abs(turbid.drift), -np.inf, 3.0, unit="deg", uncertainty=turbid.error,
@@ -74,9 +76,12 @@ def draw(study: Study) -> Figure:
         figure = new_figure(WIDE, 4.6)
         axes = figure.subplots(2, 2, sharex=True, sharey=True)
         for axis, step in zip(axes.flat, lines.TURBIDITIES, strict=True):
-            lines.panel(study, axis, step, ("RL", "RR"), subtracted=True)
+            line_panels.panel(study, axis, step, ("RL", "RR"), subtracted=True)
             axis.label_outer()
-        letter(axes.flat, [lines.water_name(study, step) for step in lines.TURBIDITIES])
+        letter(
+            axes.flat,
+            [line_panels.water_name(study, step) for step in lines.TURBIDITIES],
+        )
         handles, labels = axes[0, 0].get_legend_handles_labels()
         figure.legend(
             handles, labels, loc="outside upper center", ncols=4, columnspacing=1.2

@@ -8,7 +8,9 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from amulor.studies.ricci2010.checks import Check, within
+from amulor.studies.ricci2010.figures import line_panels
 from amulor.studies.ricci2010.figures.drawing import NARROW, mark_synthetic
+from amulor.studies.ricci2010.scenes import line_checks
 from amulor.studies.ricci2010.scenes import short_lines as lines
 from amulor.studies.ricci2010.study import Study
 from amulor.view.style import new_figure, style
@@ -40,7 +42,7 @@ def checks(study: Study) -> list[Check]:
     check = within(
         "RR drifts by less than VH, by more than the phase error",
         margin,
-        lines.FLAT,
+        line_checks.FLAT,
         np.inf,
         unit="deg",
         uncertainty=error,
@@ -54,8 +56,8 @@ def checks(study: Study) -> list[Check]:
         f"{kept[0] / kept[1]:.2g} times as much light of the same hand as crossed, "
         f"and less than {echo_ratio(study):.2g} times would be needed"
     )
-    sure = margin - lines.SURE * error >= lines.FLAT
-    return [lines.surely(replace(check, found=found), sure)]
+    sure = margin - line_checks.SURE * error >= line_checks.FLAT
+    return [line_checks.surely(replace(check, found=found), sure)]
 
 
 def echo_ratio(study: Study) -> float:
@@ -97,8 +99,8 @@ def draw(study: Study) -> Figure:
     with style():
         figure = new_figure(NARROW, 3.0)
         axis = figure.subplots()
-        lines.panel(study, axis, "d", ("VH", "RR"), subtracted=False)
-        axis.set_title(lines.water_name(study, "d"))
+        line_panels.panel(study, axis, "d", ("VH", "RR"), subtracted=False)
+        axis.set_title(line_panels.water_name(study, "d"))
         figure.legend(loc="outside upper center", ncols=1)
         mark_synthetic(figure)
     return figure

@@ -16,12 +16,8 @@ from amulor.studies.ricci2010.figures.drawing import (
     styled,
 )
 from amulor.studies.ricci2010.figures.surfaces import Relief, relief
-from amulor.studies.ricci2010.scenes.ladder_scans import (
-    PANELS,
-    Steps,
-    phase_step,
-    steps_agree,
-)
+from amulor.studies.ricci2010.scenes.ladder_checks import phase_step, steps_agree
+from amulor.studies.ricci2010.scenes.ladder_scans import PANELS, Steps
 from amulor.studies.ricci2010.study import Study
 from amulor.view.style import COLOURS, new_figure
 

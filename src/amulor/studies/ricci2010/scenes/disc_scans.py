@@ -58,7 +58,7 @@ class Outlines:
     """All others, largest first."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class DiscScan:
     """One scan of the disc, with and without its water signal."""
 

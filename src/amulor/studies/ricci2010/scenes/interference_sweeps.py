@@ -82,7 +82,7 @@ repeats = 20
 """
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Sweep:
     """One experiment: synthetic measurement, and what each method makes of it."""
 

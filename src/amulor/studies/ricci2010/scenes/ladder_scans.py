@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 import xarray as xr
@@ -12,10 +12,8 @@ from numpy.typing import NDArray
 from amulor import imaging, rejection
 from amulor.errors import CubeError
 from amulor.imaging import metrics
-from amulor.optics import low_pass, ranging
-from amulor.simulation import backscatter, simulate
-from amulor.studies.ladder import treads
-from amulor.studies.ricci2010.checks import Check, holds
+from amulor.simulation import simulate
+from amulor.studies.ladder_case import treads
 from amulor.studies.ricci2010.scenes.scan_surveys import (
     ScanField,
     ScanWater,
@@ -30,7 +28,7 @@ from amulor.units import write
 Floats = NDArray[np.float64]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Steps:
     """What a range image says about the ladder."""
 
@@ -48,7 +46,7 @@ class Steps:
     """Pixels on the treads [1]."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class LadderScan:
     """One scan of the ladder, with and without its water signal."""
 
@@ -329,83 +327,3 @@ PANELS = (
     ("VH, milk", polarized_milk, "VH"),
     ("VV, milk", polarized_milk, "VV"),
 )
-
-
-def cut_off(survey: Survey, *, end: float | None = None) -> float:
-    """Return the cut-off of the water signal in the middle of a scan.
-
-    Parameters
-    ----------
-    survey : Survey
-        Water and instrument.
-    end : float, optional
-        Where the water ends; nowhere by default, as in the paper's model [m].
-
-    Returns
-    -------
-    float
-        Half-power point of (46) of Ricci et al. 2010, as rebuilt [Hz].
-    """
-    ended = survey.water.model_copy(update={"column_end": end})
-    shown = survey.model_copy(update={"water": ended})
-    return low_pass.cut_off(lambda f: backscatter.diffusion_response(shown, f))
-
-
-def phase_step(study: Study, height: float) -> float:
-    """Return the change of phase that a height stands for.
-
-    Parameters
-    ----------
-    study : Study
-        Frequency and index.
-    height : float
-        Height along the beam [m].
-
-    Returns
-    -------
-    float
-        (72) of Ricci et al. 2010, as rebuilt [rad].
-    """
-    interval = ranging.ambiguity_interval(
-        study["frequency"], group_index=study["index"]
-    )
-    return float(2 * np.pi * height / interval)
-
-
-def steps_agree(
-    study: Study, statement: str, steps: Steps, *, significance: float = 3.0
-) -> Check:
-    """Return the check that the steps of the ladder are right.
-
-    Parameters
-    ----------
-    study : Study
-        Its ladder.
-    statement : str
-        What is stated.
-    steps : Steps
-        What was found.
-    significance : float
-        How many of its standard uncertainties each may be off.
-
-    Returns
-    -------
-    Check
-        Its value is the largest deviation in standard uncertainties.
-    """
-    true = np.array([study["first_step"], *[study["other_steps"]] * 3])
-    off = np.abs(steps.heights - true) / steps.uncertainties
-    found = ", ".join(
-        f"{height * 1e3:.1f} ± {error * 1e3:.1f}"
-        for height, error in zip(steps.heights, steps.uncertainties, strict=True)
-    )
-    if not np.isfinite(off).all():
-        found = f"no range on {steps.wanted - steps.pixels} of {steps.wanted} pixels"
-    wanted = ", ".join(f"{height * 1e3:.0f}" for height in true)
-    check = holds(
-        statement,
-        bool((off <= significance).all()),
-        found=found if "no range" in found else f"{found} mm",
-        wanted=f"{wanted} mm, each within {significance:g} standard errors",
-    )
-    return replace(check, value=float(np.max(off)))

@@ -14,7 +14,7 @@ from amulor.survey import Survey
 from amulor.units import write
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class ScanWater:
     """What the water of a scan is like."""
 
@@ -30,7 +30,7 @@ class ScanWater:
     """Relative change of the water signal from sample to sample [1]."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class ScanField:
     """Where a scan is made, and over how much."""
 

@@ -38,7 +38,7 @@ _HISTORIES = {True: 96_000, False: 16_000_000}
 _PARTS = 16
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Water:
     """Water of one turbidity, with a phase function that has its second moment."""
 
@@ -75,7 +75,7 @@ class Water:
         }
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Curve:
     """Normalised amplitude in one model, and its cut-offs."""
 
@@ -99,7 +99,7 @@ class Curve:
     """Standard errors of the amplitudes [1]."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Squares:
     """A synthetic measurement of the sweep, and a fit of (71) to it."""
 
@@ -113,7 +113,7 @@ class Squares:
     """Free fit of (71)."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Sweep:
     """All that figure 3 or 4 shows."""
 
@@ -389,7 +389,12 @@ def _measured(study: Study, label: str, response: Response, corner: float) -> Sq
     noise = rng.normal(size=count) + 1j * rng.normal(size=count)
     signal = response(frequency) / still + study["amplitude_noise"] * noise
     amplitude = np.abs(signal)
-    return Squares(frequency, amplitude, corner, low_pass.fit(frequency, amplitude))
+    return Squares(
+        frequency=frequency,
+        amplitude=amplitude,
+        made_with=corner,
+        fit=low_pass.fit(frequency, amplitude),
+    )
 
 
 # The study remembers results by function, so each turbidity has its own.

@@ -1,0 +1,94 @@
+"""What can be held against scans of the ladder: cut-off, phase of a step, heights."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from amulor.optics import low_pass, ranging
+from amulor.simulation import backscatter
+from amulor.studies.ricci2010.checks import Check, holds
+from amulor.studies.ricci2010.scenes.ladder_scans import Steps
+from amulor.studies.ricci2010.study import Study
+from amulor.survey import Survey
+
+
+def cut_off(survey: Survey, *, end: float | None = None) -> float:
+    """Return the cut-off of the water signal in the middle of a scan.
+
+    Parameters
+    ----------
+    survey : Survey
+        Water and instrument.
+    end : float, optional
+        Where the water ends; nowhere by default, as in the paper's model [m].
+
+    Returns
+    -------
+    float
+        Half-power point of (46) of Ricci et al. 2010, as rebuilt [Hz].
+    """
+    ended = survey.water.model_copy(update={"column_end": end})
+    shown = survey.model_copy(update={"water": ended})
+    return low_pass.cut_off(lambda f: backscatter.diffusion_response(shown, f))
+
+
+def phase_step(study: Study, height: float) -> float:
+    """Return the change of phase that a height stands for.
+
+    Parameters
+    ----------
+    study : Study
+        Frequency and index.
+    height : float
+        Height along the beam [m].
+
+    Returns
+    -------
+    float
+        (72) of Ricci et al. 2010, as rebuilt [rad].
+    """
+    interval = ranging.ambiguity_interval(
+        study["frequency"], group_index=study["index"]
+    )
+    return float(2 * np.pi * height / interval)
+
+
+def steps_agree(
+    study: Study, statement: str, steps: Steps, *, significance: float = 3.0
+) -> Check:
+    """Return the check that the steps of the ladder are right.
+
+    Parameters
+    ----------
+    study : Study
+        Its ladder.
+    statement : str
+        What is stated.
+    steps : Steps
+        What was found.
+    significance : float
+        How many of its standard uncertainties each may be off.
+
+    Returns
+    -------
+    Check
+        Its value is the largest deviation in standard uncertainties.
+    """
+    true = np.array([study["first_step"], *[study["other_steps"]] * 3])
+    off = np.abs(steps.heights - true) / steps.uncertainties
+    found = ", ".join(
+        f"{height * 1e3:.1f} ± {error * 1e3:.1f}"
+        for height, error in zip(steps.heights, steps.uncertainties, strict=True)
+    )
+    if not np.isfinite(off).all():
+        found = f"no range on {steps.wanted - steps.pixels} of {steps.wanted} pixels"
+    wanted = ", ".join(f"{height * 1e3:.0f}" for height in true)
+    check = holds(
+        statement,
+        bool((off <= significance).all()),
+        found=found if "no range" in found else f"{found} mm",
+        wanted=f"{wanted} mm, each within {significance:g} standard errors",
+    )
+    return replace(check, value=float(np.max(off)))

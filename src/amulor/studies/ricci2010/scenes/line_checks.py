@@ -1,0 +1,160 @@
+"""What can be held against the lines of figures 10 to 12: drift, flatness, bend."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from amulor.studies.ricci2010.checks import Check, Role, within
+from amulor.studies.ricci2010.scenes.short_lines import line
+from amulor.studies.ricci2010.study import Study
+
+#: Drift that the phase error of the apparatus hides [degrees].
+FLAT = 0.25
+#: Departure of a straight drift, over the drift [1].
+STRAIGHT = 0.15
+#: Standard errors of the Monte Carlo by which a limit must be passed to count.
+SURE = 2.0
+
+
+def drifts(
+    study: Study,
+    statement: str,
+    step: str,
+    pair: str,
+    *,
+    low: float,
+    high: float,
+    role: Role = "test",
+) -> Check:
+    """Return the check of a drift.
+
+    Parameters
+    ----------
+    study : Study
+        Numbers.
+    statement : str
+        What is stated.
+    step : str
+        Water, a key of `TURBIDITIES`.
+    pair : str
+        Launched and analysed state.
+    low, high : float
+        What would do, at most [degrees].
+    role : {"test", "set"}
+        Whether a number of the study was chosen for it.
+
+    Returns
+    -------
+    Check
+        Of the size of the drift without noise: which way the paper scanned is not
+        preserved. What the fit to the synthetic measurement gives is said beside it.
+    """
+    found = line(study, step, pair)
+    check = within(
+        statement,
+        abs(found.drift),
+        low,
+        high,
+        unit="deg",
+        uncertainty=found.error,
+        role=role,
+    )
+    return replace(
+        check,
+        found=f"{check.found} (fit to the synthetic line: "
+        f"{abs(found.fitted):.2f} ± {found.fitted_error:.2f} deg)",
+    )
+
+
+def stays_flat(
+    study: Study, statement: str, step: str, pair: str, *, role: Role = "test"
+) -> Check:
+    """Return the check that a drift stays within the phase error of the apparatus.
+
+    Parameters
+    ----------
+    study : Study
+        Numbers.
+    statement : str
+        What is stated.
+    step : str
+        Water, a key of `TURBIDITIES`.
+    pair : str
+        Launched and analysed state.
+    role : {"test", "set"}
+        Whether a number of the study was chosen for it.
+
+    Returns
+    -------
+    Check
+        Failed where the drift is above by more than twice its standard error.
+    """
+    found = line(study, step, pair)
+    check = drifts(study, statement, step, pair, low=-np.inf, high=FLAT, role=role)
+    return allowing(check, abs(found.drift) - SURE * found.error <= FLAT)
+
+
+def is_straight(study: Study, step: str, pair: str) -> Check:
+    """Return the check that a line drifts evenly.
+
+    Parameters
+    ----------
+    study : Study
+        Numbers.
+    step : str
+        Water, a key of `TURBIDITIES`.
+    pair : str
+        Launched and analysed state.
+
+    Returns
+    -------
+    Check
+        Of the largest departure from the straight line, over the drift.
+    """
+    found = line(study, step, pair)
+    check = within(
+        f"({step}) {pair} drifts along a straight line: departure over drift",
+        found.bend,
+        0.0,
+        STRAIGHT,
+        uncertainty=found.bend_error,
+    )
+    return allowing(check, found.bend - SURE * found.bend_error <= STRAIGHT)
+
+
+def moves(study: Study, statement: str, step: str, pair: str) -> Check:
+    """Return the check that a line drifts beyond the phase error of the apparatus.
+
+    Parameters
+    ----------
+    study : Study
+        Numbers.
+    statement : str
+        What is stated.
+    step : str
+        Water, a key of `TURBIDITIES`.
+    pair : str
+        Launched and analysed state.
+
+    Returns
+    -------
+    Check
+        Passed where the drift is above by more than twice its standard error.
+    """
+    found = line(study, step, pair)
+    check = drifts(study, statement, step, pair, low=FLAT, high=np.inf)
+    return surely(check, abs(found.drift) - SURE * found.error >= FLAT)
+
+
+def surely(check: Check, passed: bool) -> Check:
+    """Return a check that was decided with regard to the standard error."""
+    wanted = f"{check.wanted}, by {SURE:g} standard errors"
+    return replace(check, passed=bool(passed), wanted=wanted)
+
+
+def allowing(check: Check, passed: bool) -> Check:
+    """Return a check that fails only beyond the standard error."""
+    wanted = f"{check.wanted}, within {SURE:g} standard errors"
+    return replace(check, passed=bool(passed), wanted=wanted)
