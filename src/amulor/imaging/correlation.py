@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 import xarray as xr
 from numpy.typing import ArrayLike, NDArray
-from scipy.constants import speed_of_light
 
 from amulor.errors import CubeError
+from amulor.optics import ranging
 
 Floats = NDArray[np.float64]
 
@@ -167,8 +167,8 @@ def _correlation(image: xr.Dataset, which: NDArray[np.bool_]) -> Floats:
     frequency = np.atleast_1d(image.attrs["modulation_frequencies"])
     turn = np.zeros((len(distance), len(distance)))
     for each in frequency:
-        wavenumber = 4 * np.pi * each * group_index / speed_of_light
-        turn += np.cos(wavenumber * (distance[:, None] - distance)) / len(frequency)
+        to_phase = ranging.phase_per_range(each, group_index=group_index)
+        turn += np.cos(to_phase * (distance[:, None] - distance)) / len(frequency)
     if "open_water_degree" not in image.attrs:
         return turn
     degree = int(np.max(image.attrs["open_water_degree"]))

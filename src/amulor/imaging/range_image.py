@@ -7,7 +7,6 @@ from typing import Any
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
-from scipy.constants import speed_of_light
 
 from amulor import cube as cubes
 from amulor.cube import UNUSABLE, QualityFlag
@@ -132,7 +131,8 @@ def image_of_path(
     signal = one.amulor.signal.values
     flag, _, shift = phase_errors(one)
     usable = (flag & UNUSABLE) == 0
-    to_path = speed_of_light / (2 * np.pi * frequency[:, None, None])
+    # The optical path, out and back, is twice the range at a group index of 1.
+    to_path = 2 * ranging.range_per_phase(frequency[:, None, None], group_index=1.0)
 
     def to_range(length: Floats) -> Floats:
         return rays.slant_range_of_path(length, beam, receiver, medium=medium)
@@ -233,8 +233,7 @@ def _phase_left_in(cube: xr.Dataset, signal: NDArray[np.complex128]) -> Floats:
         left = (
             cube["residual_in_phase"].values + 1j * cube["residual_quadrature"].values
         )
-        with np.errstate(invalid="ignore", divide="ignore"):
-            return np.asarray(np.angle(signal / (signal - left)))
+        return ranging.phase_shift(signal, residual=left)
     taken_out = (cube["quality_flag"].values & QualityFlag.NO_OPEN_WATER) == 0
     return np.where(taken_out, 0.0, np.nan)
 
@@ -277,5 +276,4 @@ def _photon_limit(cube: xr.Dataset, group_index: float) -> Floats:
             modulation_frequency=frequency,
             group_index=group_index,
         )
-    limit: Floats = np.sum(each**-2.0, axis=0) ** -0.5
-    return limit
+    return ranging.weights_and_uncertainty(each)[1]

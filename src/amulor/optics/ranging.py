@@ -9,9 +9,13 @@ from scipy.constants import speed_of_light
 __all__ = [
     "ambiguity_interval",
     "phase",
+    "phase_per_range",
+    "phase_shift",
     "photon_limited_uncertainty",
+    "range_per_phase",
     "slant_range",
     "slant_range_uncertainty",
+    "weights_and_uncertainty",
 ]
 
 
@@ -213,6 +217,164 @@ def slant_range_uncertainty(
     return _velocity(group_index) * deviation / (4 * np.pi * frequency)
 
 
+def phase_per_range(
+    modulation_frequency: ArrayLike, *, group_index: ArrayLike
+) -> NDArray[np.float64]:
+    r"""Return by how much the phase grows with the distance.
+
+    Parameters
+    ----------
+    modulation_frequency : array_like
+        Frequency of the intensity modulation, above zero [Hz].
+    group_index : array_like
+        Group index of the water at the laser wavelength, at least 1 [1].
+
+    Returns
+    -------
+    ndarray
+        Derivative of the phase with respect to the distance along the line of sight,
+        of the broadcast shape [rad/m].
+
+    Raises
+    ------
+    ValueError
+        If a modulation frequency is not above zero or a group index is below 1.
+
+    Notes
+    -----
+    :math:`4 \pi f_m n_g / c`, the derivative of eq. (72) of Ricci et al. 2010, as
+    rebuilt; light travels the distance twice.
+
+    Examples
+    --------
+    >>> print(f"{phase_per_range(39e6, group_index=1.34):.4f} rad/m")
+    2.1906 rad/m
+    """
+    index = _group_index(group_index)
+    per_range: NDArray[np.float64] = (
+        4 * np.pi * _frequency(modulation_frequency) * index / speed_of_light
+    )
+    return per_range
+
+
+def range_per_phase(
+    modulation_frequency: ArrayLike, *, group_index: ArrayLike
+) -> NDArray[np.float64]:
+    r"""Return by how much the distance moves with the phase.
+
+    Turns errors of a phase into errors of the slant range, with their sign if they
+    have one, frequency by frequency. Twice the value at a group index of 1 is the
+    two-way optical path that belongs to a phase, whatever media the light crosses.
+
+    Parameters
+    ----------
+    modulation_frequency : array_like
+        Frequency of the intensity modulation, above zero [Hz].
+    group_index : array_like
+        Group index of the water at the laser wavelength, at least 1 [1].
+
+    Returns
+    -------
+    ndarray
+        Derivative of the distance along the line of sight with respect to the phase,
+        of the broadcast shape [m/rad].
+
+    Raises
+    ------
+    ValueError
+        If a modulation frequency is not above zero or a group index is below 1.
+
+    Notes
+    -----
+    :math:`c / 4 \pi f_m n_g`, the derivative of eq. (1) of Ricci et al. 2010, as
+    rebuilt.
+
+    Examples
+    --------
+    >>> print(f"{range_per_phase(39e6, group_index=1.34) * 1e3:.1f} mm/rad")
+    456.5 mm/rad
+    """
+    index = _group_index(group_index)
+    per_phase: NDArray[np.float64] = speed_of_light / (
+        4 * np.pi * _frequency(modulation_frequency) * index
+    )
+    return per_phase
+
+
+def phase_shift(signal: ArrayLike, *, residual: ArrayLike) -> NDArray[np.float64]:
+    r"""Return by how much a residual in a signal turns its phase.
+
+    Parameters
+    ----------
+    signal : array_like
+        Complex signal with the residual in it, any unit.
+    residual : array_like
+        Complex signal that does not belong to the target, such as the water signal
+        that rejection left in, same unit.
+
+    Returns
+    -------
+    ndarray
+        Phase with the residual less phase without it, wrapped to -pi..pi, of the
+        broadcast shape [rad]; times `range_per_phase` the shift of the slant range.
+        Zero, to rounding, where the residual is; NaN where one of the two is NaN, or
+        both are zero.
+
+    Notes
+    -----
+    :math:`\arg(S / (S - R))` of the signal S and the residual R: what
+    `amulor.optics.interference.phase_error` is for a known target signal, here for a
+    known total.
+
+    Examples
+    --------
+    >>> print(f"{phase_shift(1.0 - 0.125j, residual=-0.125j):.4f} rad")
+    -0.1244 rad
+    """
+    total = np.asarray(signal, dtype=np.complex128)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        rest = total - np.asarray(residual, dtype=np.complex128)
+        shift: NDArray[np.float64] = np.asarray(np.angle(total / rest))
+    return shift
+
+
+def weights_and_uncertainty(
+    standard_uncertainty: ArrayLike,
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    r"""Return the weights of independent ranges, and the uncertainty of their mean.
+
+    Parameters
+    ----------
+    standard_uncertainty : array_like, shape (n, ...)
+        Standard uncertainty of each of n ranges of one target, such as one for each
+        modulation frequency, not negative [any unit].
+
+    Returns
+    -------
+    weights : ndarray, shape (n, ...)
+        Weight of each, with the sum 1 along the first axis [1].
+    uncertainty : ndarray, shape (...)
+        Standard uncertainty of the weighted mean [that unit].
+
+    Notes
+    -----
+    :math:`w_i = \sigma_i^{-2} / \sum_j \sigma_j^{-2}` and
+    :math:`\sigma = (\sum_j \sigma_j^{-2})^{-1/2}`; a range without any error counts
+    as one with an error of 1e-150.
+
+    Examples
+    --------
+    >>> weights, uncertainty = weights_and_uncertainty([3.0, 4.0])
+    >>> print(weights, uncertainty)
+    [0.64 0.36] 2.4
+    """
+    deviation = np.asarray(standard_uncertainty, dtype=np.float64)
+    precision = np.maximum(deviation, 1e-150) ** -2.0
+    total = precision.sum(axis=0)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return precision / total, total**-0.5
+
+
 def photon_limited_uncertainty(
     photoelectrons: ArrayLike,
     *,
@@ -299,10 +461,15 @@ def _frequency(modulation_frequency: ArrayLike) -> NDArray[np.float64]:
 
 def _velocity(group_index: ArrayLike) -> NDArray[np.float64]:
     """Return the group velocity [m/s], refused for a group index below 1."""
+    velocity: NDArray[np.float64] = speed_of_light / _group_index(group_index)
+    return velocity
+
+
+def _group_index(group_index: ArrayLike) -> NDArray[np.float64]:
+    """Return the group index as an array, refused below 1."""
     index = np.asarray(group_index, dtype=np.float64)
     if not np.all(index >= 1):
         raise ValueError(
             f"group_index must be at least 1 (water: about 1.38), got {np.min(index):g}"
         )
-    velocity: NDArray[np.float64] = speed_of_light / index
-    return velocity
+    return index

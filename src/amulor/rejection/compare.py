@@ -8,7 +8,6 @@ from dataclasses import dataclass, field
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
-from scipy.constants import speed_of_light
 
 from amulor import cube as cubes
 from amulor.cube import UNUSABLE, QualityFlag
@@ -249,25 +248,25 @@ def _errors(target: xr.Dataset, usable: NDArray[np.bool_]) -> tuple[Floats, Floa
         return own[np.isfinite(own)], np.zeros(1)
     signal = target.amulor.signal.values[:, 0][:, usable]
     errors = covariance_of(target).part((slice(None), 0))
-    frequencies = target["modulation_frequency"].values[:, None]
-    group_index = float(target["geometry"].attrs["group_index"])
-    to_range = speed_of_light / (4 * np.pi * frequencies * group_index)
+    to_range = ranging.range_per_phase(
+        target["modulation_frequency"].values[:, None],
+        group_index=float(target["geometry"].attrs["group_index"]),
+    )
     sigma = to_range * detection.phase_uncertainty(
         signal,
         in_phase_variance=errors.in_phase[:, usable],
         quadrature_variance=errors.quadrature[:, usable],
         covariance=errors.cross[:, usable],
     )
-    precision = np.maximum(sigma, np.finfo(float).tiny) ** -2.0
-    weight = precision / precision.sum(axis=0)
-    noise: Floats = precision.sum(axis=0) ** -0.5
+    weight, noise = ranging.weights_and_uncertainty(sigma)
     bias = np.zeros(noise.shape)
     if "residual_in_phase" in target:
         left = (
             target["residual_in_phase"].values
             + 1j * target["residual_quadrature"].values
         )[:, 0][:, usable]
-        shift = to_range * np.where(left == 0, 0.0, np.angle(signal / (signal - left)))
+        turned = ranging.phase_shift(signal, residual=left)
+        shift = to_range * np.where(left == 0, 0.0, turned)
         bias = np.sum(weight * shift, axis=0)
     return noise, bias
 

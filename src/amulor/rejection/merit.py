@@ -7,10 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
-from scipy.constants import speed_of_light
 
 from amulor.cube import UNUSABLE
-from amulor.optics import detection, interference
+from amulor.optics import detection, interference, ranging
 from amulor.rejection import quality
 from amulor.rejection.build import covariance_of
 from amulor.rejection.open_water import fit_shots, shots_of
@@ -142,9 +141,10 @@ def merit(cube: xr.Dataset, *, interval: tuple[float, float] | None) -> Merit:
     turned = interference.phase_error(
         np.where(usable, target, 1.0), np.where(usable, water.signal, 0.0)
     )
-    group_index = float(cube["geometry"].attrs["group_index"])
-    frequency = cube["modulation_frequency"].values[:, None]
-    to_range = speed_of_light / (4 * np.pi * frequency * group_index)
+    to_range = ranging.range_per_phase(
+        cube["modulation_frequency"].values[:, None],
+        group_index=float(cube["geometry"].attrs["group_index"]),
+    )
     amplitude = _median(np.abs(signal), usable)
     water_amplitude = _median(np.abs(water.signal), usable)
     with np.errstate(divide="ignore", invalid="ignore"):

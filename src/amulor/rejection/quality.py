@@ -7,7 +7,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from amulor.cube import QualityFlag
-from amulor.optics import detection
+from amulor.optics import detection, ranging
 from amulor.rejection.reference.fit import Covariance
 
 #: A target is seen when its signal stands this many standard errors off zero.
@@ -94,8 +94,7 @@ def moves_the_phase(
         True also where the residual is not known.
     """
     own = _phase_error(target_signal, uncertainty, np.isfinite(target_signal))
-    with np.errstate(invalid="ignore", divide="ignore"):
-        shift = np.abs(np.angle(target_signal / (target_signal - residual)))
+    shift = np.abs(ranging.phase_shift(target_signal, residual=residual))
     still = (residual == 0) | (shift <= own)
     return np.asarray(~still)
 

@@ -7,9 +7,8 @@ from collections.abc import Callable
 import numpy as np
 from numpy.polynomial import chebyshev
 from numpy.typing import NDArray
-from scipy.constants import speed_of_light
 
-from amulor.optics import small_angle_diffusion
+from amulor.optics import ranging, small_angle_diffusion
 from amulor.survey import Survey, water_properties
 from amulor.survey.view import kernel_arguments, medium, view
 
@@ -115,12 +114,8 @@ class _Table:
         self._count = [
             n if extent > 0 else 1 for n, extent in zip(nodes, high - low, strict=True)
         ]
-        self._wavenumber = (
-            4
-            * np.pi
-            * frequency
-            * water_properties(survey).group_index
-            / speed_of_light
+        self._phase_per_range = ranging.phase_per_range(
+            frequency, group_index=water_properties(survey).group_index
         )
         self.size = int(np.prod(self._count))
         self.width = self._count[2] * len(frequency)
@@ -137,7 +132,7 @@ class _Table:
         # Rounding must not push a depth below zero.
         places[2] = np.maximum(places[2], 0.0)
         value = integrated(self._survey, places, self._frequency)
-        value *= np.exp(-1j * np.outer(self._wavenumber, places[2]))
+        value *= np.exp(-1j * np.outer(self._phase_per_range, places[2]))
         value = value.reshape(len(self._frequency), *self._count)
         coefficients = np.einsum("fijk,ai,bj,ck->abcf", value, *inverse, optimize=True)
         self._coefficients = coefficients.reshape(
@@ -158,7 +153,7 @@ class _Table:
             (directions @ real).view(complex).reshape(len(across), down.shape[1], -1)
         )
         value: Complex = np.einsum("nk,nkf->fn", down, series)
-        value *= np.exp(1j * np.outer(self._wavenumber, places[2]))
+        value *= np.exp(1j * np.outer(self._phase_per_range, places[2]))
         return value
 
 
