@@ -1,14 +1,21 @@
 # Two commands for a fresh machine with Python 3.11: make demo, make test.
 PYTHON ?= python3
 BIN = .venv/bin
+# Test processes at once, one thread each, and how many inputs hypothesis draws.
+JOBS ?= 2
+EXAMPLES = quick
+PYTEST = $(BIN)/python -m pytest --hypothesis-profile=$(EXAMPLES)
+TOGETHER = -n $(JOBS) --dist loadgroup
 .DEFAULT_GOAL := help
 
 help:
-	@echo "make demo    install, scan a ladder in clear and milky water, write a report"
-	@echo "make test    install, then lint, type check, import contracts and tests"
-	@echo "make study   the long statistical studies (minutes)"
-	@echo "make bench   speed against peers and limits, measured in one run"
-	@echo "make clean   remove what the others made"
+	@echo "make demo      install, scan a ladder in clear and milky water, write a report"
+	@echo "make test      install, then lint, type check, import contracts and tests"
+	@echo "make check     make test with more inputs, then pages and parts of studies"
+	@echo "make study     the long statistical studies (minutes)"
+	@echo "make coverage  make test, and which lines no test has run"
+	@echo "make bench     speed against peers and limits, measured in one run"
+	@echo "make clean     remove what the others made"
 
 .venv/installed-all: pyproject.toml
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "amulor needs Python 3.11 or newer, found " + sys.version.split()[0] + "; call make PYTHON=...")'
@@ -23,22 +30,37 @@ help:
 demo: .venv/installed-all
 	$(BIN)/amulor demo --output amulor-demo --overwrite
 
-lint: .venv/installed-test
+style: .venv/installed-test
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
+
+types: .venv/installed-test
 	$(BIN)/mypy
+
+contracts: .venv/installed-test
 	$(BIN)/lint-imports
 
-test: lint
-	$(BIN)/python -m pytest
+lint: .venv/installed-test
+	@$(MAKE) --no-print-directory -j$(JOBS) types contracts style
 
+test: lint
+	$(PYTEST) $(TOGETHER)
+
+check: EXAMPLES = thorough
+check: test
+	$(PYTEST) $(TOGETHER) -m 'slow and not study'
+
+study: EXAMPLES = thorough
 study: .venv/installed-test
-	$(BIN)/python -m pytest -m study
+	$(PYTEST) $(TOGETHER) -m study
+
+coverage: .venv/installed-test
+	$(PYTEST) $(TOGETHER) --cov --cov-report=term
 
 bench: .venv/installed-test
 	@for case in benchmarks/time_*.py; do $(BIN)/python $$case || exit 1; done
 
 clean:
-	rm -rf .venv amulor-demo foam-transients
+	rm -rf .venv amulor-demo foam-transients .coverage .coverage.*
 
-.PHONY: help demo lint test study bench clean
+.PHONY: help demo style types contracts lint test check study coverage bench clean

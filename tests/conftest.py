@@ -1,20 +1,54 @@
-"""What all tests share: small surveys with known answers."""
+"""What all tests share: how they are run, and small surveys with known answers."""
 
 from __future__ import annotations
 
 import os
+import signal
 
-# Before numpy is loaded: the solves are small, and threads would only wait and spin.
+# Before numpy and numba are loaded. The solves are small, and threads would only wait
+# and spin; of several test processes, each has one core to itself.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+os.environ.update(
+    {"OMP_NUM_THREADS": "1", "NUMBA_NUM_THREADS": "1"}
+    if "PYTEST_XDIST_WORKER" in os.environ
+    else {}
+)
 
+import compile_cache
 import pytest
 from hypothesis import settings
 
 from amulor.survey import Survey
 
 # Compiled code is slow once; a deadline would blame the first drawn input for it.
-settings.register_profile("amulor", deadline=None, print_blob=True)
-settings.load_profile("amulor")
+settings.register_profile("quick", deadline=None, print_blob=True, max_examples=25)
+settings.register_profile("thorough", deadline=None, print_blob=True)
+settings.load_profile("quick")
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """Let tests be interrupted by SIGINT, and never run compiled code that is stale."""
+    # A shell that starts a program in the background has it ignore SIGINT, and so do
+    # the programs that it starts in turn; tests that press Ctrl-C would wait for ever.
+    if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+        signal.signal(signal.SIGINT, signal.default_int_handler)
+    if "PYTEST_XDIST_WORKER" in os.environ:
+        compile_cache.compile_one_at_a_time()
+    else:
+        compile_cache.discard_stale()
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Give the tests of one file to one process, which makes their fixtures once.
+
+    Those of the whole program come first: they are long, and short ones fill the end.
+    """
+    for item in items:
+        if item.get_closest_marker("xdist_group") is None:
+            item.add_marker(pytest.mark.xdist_group(item.nodeid.partition("::")[0]))
+    items.sort(key=lambda item: "tests/system/" not in item.nodeid)
+
 
 PLATE = """
 name = "Plate in a small tank"
