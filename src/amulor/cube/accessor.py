@@ -124,6 +124,11 @@ class CubeAccessor:
         return str(self._cube.attrs["level"])
 
     @property
+    def polarizations(self) -> list[str]:
+        """Names of the polarization channels, in the order of the cube."""
+        return [str(name) for name in np.ravel(self._cube["polarization"].values)]
+
+    @property
     def signal(self) -> xr.DataArray:
         """Complex signal, `in_phase + 1j * quadrature` [V]."""
         signal = self._cube["in_phase"] + 1j * self._cube["quadrature"]

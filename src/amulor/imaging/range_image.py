@@ -213,7 +213,7 @@ def channel_of(cube: xr.Dataset, polarization: str | None) -> xr.Dataset:
     CubeError
         If the channel is not there, or has to be chosen.
     """
-    present = [str(value) for value in cube["polarization"].values]
+    present = cube.amulor.polarizations
     if polarization is None and len(present) > 1:
         raise CubeError(
             f"the cube has the channels {', '.join(present)}; choose one with "

@@ -1,4 +1,4 @@
-"""Reads errors out of cubes and writes target-signal cubes; shared by all methods."""
+"""Writes the target-signal cubes that all methods return."""
 
 from __future__ import annotations
 
@@ -10,52 +10,7 @@ from numpy.typing import NDArray
 
 from amulor import cube as cubes
 from amulor.rejection import quality
-from amulor.rejection.reference.fit import Covariance
-
-
-def covariance_of(samples: xr.Dataset) -> Covariance:
-    """Return the stated errors of samples or shots.
-
-    Parameters
-    ----------
-    samples : xarray.Dataset
-        With `in_phase_uncertainty`, `quadrature_uncertainty` and perhaps
-        `in_phase_quadrature_covariance`.
-
-    Returns
-    -------
-    Covariance
-        Arrays of the shape of the samples.
-    """
-    cross = samples.get("in_phase_quadrature_covariance")
-    in_phase = samples["in_phase_uncertainty"].values ** 2
-    return Covariance(
-        in_phase,
-        samples["quadrature_uncertainty"].values ** 2,
-        np.zeros_like(in_phase) if cross is None else cross.values,
-    )
-
-
-def along(signal: NDArray[np.complex128], size: float) -> Covariance:
-    """Return the covariance of an error that stretches a signal by a random factor.
-
-    Parameters
-    ----------
-    signal : ndarray of complex
-        What is stretched [V].
-    size : float
-        Standard deviation of the factor [1].
-
-    Returns
-    -------
-    Covariance
-        Arrays of the shape of the signal.
-    """
-    return Covariance(
-        (size * signal.real) ** 2,
-        (size * signal.imag) ** 2,
-        size**2 * signal.real * signal.imag,
-    )
+from amulor.rejection.covariance import Covariance
 
 
 def target_cube(
@@ -145,3 +100,24 @@ def target_cube(
     if truth is not None:
         target = cubes.attach(target, truth, "truth")
     return cubes.note(target, step)
+
+
+def saturated_in_any(first: xr.Dataset, channels: xr.Dataset) -> xr.Dataset:
+    """Return a channel that counts as saturated where any of several channels is.
+
+    Parameters
+    ----------
+    first : xarray.Dataset
+        Level `samples`, one channel, which stands for all in the result.
+    channels : xarray.Dataset
+        The same samples, all channels that the result is made from.
+
+    Returns
+    -------
+    xarray.Dataset
+        `first` with the largest `saturated`; as it is, if the cube does not say.
+    """
+    if "saturated" not in channels:
+        return first
+    worst = channels["saturated"].values.max(axis=1, keepdims=True)
+    return first.assign(saturated=first["saturated"].copy(data=worst))

@@ -4,18 +4,22 @@ from __future__ import annotations
 
 import numpy as np
 import xarray as xr
-from numpy.typing import NDArray
 
 from amulor import cube as cubes
 from amulor.cube import QualityFlag
 from amulor.rejection import quality
-from amulor.rejection.build import along, covariance_of, target_cube
+from amulor.rejection.build import saturated_in_any, target_cube
 from amulor.rejection.channels import mixing, ratios
 from amulor.rejection.channels.names import pair_of
+from amulor.rejection.covariance import (
+    along,
+    common_covariance_of,
+    covariance_of,
+)
 from amulor.rejection.open_water import open_water
-from amulor.rejection.reference.fit import Covariance
 
-Complex = NDArray[np.complex128]
+#: Adds the axis of the one channel of the result.
+_WITH_CHANNEL = (slice(None), None)
 
 
 def combined(
@@ -74,15 +78,16 @@ def combined(
     _refuse_odd(target_ratio, water_change)
     co, cross = pair_of(cube)
     if target_ratio is None:
-        found = ratios.target_ratio(cube, interval=interval)
-        target_ratio, target_ratio_uncertainty = found.value, found.uncertainty
+        estimate = ratios.target_ratio(cube, interval=interval)
+        target_ratio = estimate.value
+        target_ratio_uncertainty = estimate.uncertainty
     left = open_water(cube, interval=interval, column_uncertainty=column_uncertainty)
     parts = [left.sel(polarization=name) for name in (co, cross)]
     signals = [part.amulor.signal.values for part in parts]
     water = [part.amulor.water_signal.values for part in parts]
-    shared = [_common_of(part) for part in parts]
+    shared = [common_covariance_of(part) for part in parts]
     own = [
-        _less(covariance_of(part), common)
+        covariance_of(part).without(common)
         for part, common in zip(parts, shared, strict=True)
     ]
     water_weight = np.divide(
@@ -109,19 +114,16 @@ def combined(
         # Put back where the distance is settled; where it is not, it is not known.
         known = [np.isfinite(part["residual_in_phase"].values) for part in parts]
         residual = np.where(known[0] & known[1], 0.0, np.nan) + 0j * target
-    first = cube.sel(polarization=[co])
-    if "saturated" in cube:
-        pair = cube.sel(polarization=[co, cross])["saturated"].values
-        first = first.assign(
-            saturated=first["saturated"].copy(data=pair.max(axis=1, keepdims=True))
-        )
+    first = saturated_in_any(
+        cube.sel(polarization=[co]), cube.sel(polarization=[co, cross])
+    )
     result = target_cube(
         first,
         target[:, None],
-        _wide(solved.independent + by_ratio),
+        (solved.independent + by_ratio).part(_WITH_CHANNEL),
         water_signal=first.amulor.signal.values - target[:, None],
         residual=None if residual is None else residual[:, None],
-        common=_wide(common),
+        common=common.part(_WITH_CHANNEL),
         step=f"reject, combine {co} and {cross} after open water, ratio of the target "
         f"{target_ratio:g}",
         frequencies_share_errors=np.int32(0),
@@ -148,25 +150,3 @@ def _refuse_odd(target_ratio: float | None, water_change: float) -> None:
         raise ValueError(
             f"water_change must be finite and not negative, got {water_change:g}"
         )
-
-
-def _common_of(part: xr.Dataset) -> Covariance:
-    return Covariance(
-        part["common_in_phase_uncertainty"].values ** 2,
-        part["common_quadrature_uncertainty"].values ** 2,
-        part["common_covariance"].values,
-    )
-
-
-def _less(total: Covariance, part: Covariance) -> Covariance:
-    """Return a covariance without a part of it, rounding below zero taken off."""
-    return Covariance(
-        np.maximum(total.in_phase - part.in_phase, 0.0),
-        np.maximum(total.quadrature - part.quadrature, 0.0),
-        total.cross - part.cross,
-    )
-
-
-def _wide(covariance: Covariance) -> Covariance:
-    """Return a covariance with an axis for the one channel."""
-    return covariance.part((slice(None), None))

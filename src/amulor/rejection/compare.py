@@ -13,9 +13,8 @@ from amulor import cube as cubes
 from amulor.cube import UNUSABLE, QualityFlag
 from amulor.errors import AmulorError, CubeError
 from amulor.optics import detection, ranging
-from amulor.rejection.build import covariance_of
-from amulor.rejection.channels.names import names_of
 from amulor.rejection.combined import combined
+from amulor.rejection.covariance import covariance_of
 from amulor.rejection.frequency import frequency
 from amulor.rejection.joint.estimate import joint
 from amulor.rejection.open_water import open_water
@@ -165,7 +164,7 @@ def compare(cube: xr.Dataset, *, interval: Interval = None) -> Comparison:
             continue
         rows += [
             _row(method.name, target.sel(polarization=[name]), caution)
-            for name in names_of(target)
+            for name in target.amulor.polarizations
         ]
     best = _best(rows)
     if best is None:
@@ -226,7 +225,7 @@ def _row(name: str, target: xr.Dataset, caution: str) -> Row:
     flags = target["quality_flag"].values[:, 0]
     flag = np.bitwise_or.reduce(flags, axis=0)
     usable = (flag & UNUSABLE) == 0
-    channel = names_of(target)[0]
+    channel = target.amulor.polarizations[0]
     shares = float(usable.mean()), float((flag != 0).mean())
     if not usable.any():
         nan = float("nan")

@@ -11,22 +11,22 @@ from numpy.typing import NDArray
 from amulor import cube as cubes
 from amulor.errors import CubeError
 from amulor.optics import extrema, low_pass, ranging
-from amulor.rejection import merit as merits
-from amulor.rejection.build import covariance_of, target_cube
-from amulor.rejection.channels.names import names_of
-from amulor.rejection.merit import Merit
-from amulor.rejection.open_water import shots_of
+from amulor.rejection.build import target_cube
+from amulor.rejection.covariance import covariance_of
+from amulor.rejection.merit import Merit, merit
 from amulor.rejection.quality import LARGEST_PHASE_ERROR
+from amulor.rejection.reference.before_target import water_before_target
+from amulor.rejection.reference.shots import shots_of
 
 Floats = NDArray[np.float64]
 
-#: A shift by water above this share of the ambiguity interval spoils a picture [1].
+#: A shift by water above this fraction of the ambiguity interval spoils a picture [1].
 _LARGE_SHIFT = 0.02
 #: Ambiguity intervals are compared to this precision: limits are measured, too [1].
 _ROOM = 1e-6
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class FrequencyChoice:
     """The best single frequency of a sweep, with all that speaks for and against it."""
 
@@ -103,10 +103,10 @@ def choose_frequency(
     that alone settle the interval; among all if none does.
     """
     cubes.check(cube, "samples")
-    found = merits.merit(cube, interval=interval)
-    channel = _channel(cube, found, polarization)
+    figures = merit(cube, interval=interval)
+    channel = _channel(cube, figures, polarization)
     frequency = cube["modulation_frequency"].values
-    error = found.error[:, channel]
+    error = figures.error[:, channel]
     if not np.isfinite(error).any():
         raise CubeError(
             "no pixel shows a target at any frequency once the water is taken out; "
@@ -124,12 +124,12 @@ def choose_frequency(
     best = int(np.argmin(np.where(candidates, error, np.inf)))
     cut_off = _cut_off(cube, channel)
     one = {
-        name: getattr(found, name)[:, channel]
+        name: getattr(figures, name)[:, channel]
         for name in ("amplitude", "ratio", "contrast", "noise", "shift")
     }
     return FrequencyChoice(
         modulation_frequency=float(frequency[best]),
-        polarization=names_of(cube)[channel],
+        polarization=cube.amulor.polarizations[channel],
         cut_off=cut_off,
         reason=_reason(frequency, best, one, cut_off, eligible, error, span),
         warnings=_warnings(frequency, best, one, alone, span, eligible, clear),
@@ -192,17 +192,19 @@ def frequency(
             f"the cube has no sample at {modulation_frequency / 1e6:g} MHz, but at "
             f"{listed} MHz; choose one of these"
         )
-    water = merits.water_of(cube, interval=interval)
+    water = water_before_target(cube, interval=interval)
     one = cube.isel(modulation_frequency=which)
-    left = np.where(water.settled, water.signal, np.nan)[which]
-    errors = covariance_of(cube) + water.stray + water.common
+    residual = water.signal
+    if water.hidden_fraction is not None:
+        residual = np.where(np.isfinite(water.hidden_fraction), residual, np.nan)
+    errors = covariance_of(cube) + water.fluctuation + water.common
     signal = one.amulor.signal.values
     return target_cube(
         one,
         signal,
         errors.part(which),
         water_signal=np.zeros_like(signal),
-        residual=left,
+        residual=residual[which],
         common=water.common.part(which),
         step=f"reject, keep {modulation_frequency / 1e6:g} MHz alone",
         frequencies_share_errors=np.int32(0),
@@ -211,11 +213,11 @@ def frequency(
     )
 
 
-def _channel(cube: xr.Dataset, found: Merit, polarization: str | None) -> int:
-    names = names_of(cube)
+def _channel(cube: xr.Dataset, figures: Merit, polarization: str | None) -> int:
+    names: list[str] = cube.amulor.polarizations
     if polarization is None:
         best = np.nanmin(
-            np.where(np.isfinite(found.error), found.error, np.inf), axis=0
+            np.where(np.isfinite(figures.error), figures.error, np.inf), axis=0
         )
         return int(np.argmin(best))
     if polarization not in names:
@@ -228,7 +230,7 @@ def _channel(cube: xr.Dataset, found: Merit, polarization: str | None) -> int:
 
 def _cut_off(cube: xr.Dataset, channel: int) -> float | None:
     shots = shots_of(cube)
-    signal = (shots["in_phase"].values + 1j * shots["quadrature"].values)[:, channel]
+    signal = shots.amulor.signal.values[:, channel]
     frequency = cube["modulation_frequency"].values
     amplitude = np.abs(np.nanmean(signal, axis=-1))
     try:
@@ -289,35 +291,35 @@ def _warnings(
     eligible: NDArray[np.bool_],
     clear: NDArray[np.bool_],
 ) -> tuple[str, ...]:
-    found = []
+    warnings = []
     if frequency.size == 1:
-        found.append("the cube has one frequency, so there was nothing to choose")
+        warnings.append("the cube has one frequency, so there was nothing to choose")
     if span is None:
-        found.append(
+        warnings.append(
             f"this frequency alone repeats after {alone[best]:.3g} m; state the "
             "interval that is possible if targets may be farther"
         )
     elif not clear[best]:
-        found.append(
+        warnings.append(
             f"useless without further knowledge: it repeats after {alone[best]:.3g} m "
             f"and the interval spans {span:.3g} m; narrow it, or record a lower one"
         )
     if one["noise"][best] > LARGEST_PHASE_ERROR / (2 * np.pi) * alone[best]:
-        found.append(
+        warnings.append(
             f"useless for noise: {one['noise'][best]:.3g} m is "
             f"{one['noise'][best] / alone[best]:.0%} of the ambiguity interval; raise "
             "power or dwell"
         )
     if one["shift"][best] > _LARGE_SHIFT * alone[best]:
-        found.append(
+        warnings.append(
             f"the water still shifts the range by {one['shift'][best] * 1e3:.3g} mm; "
             "subtract open water instead"
         )
     at_an_end = best in (0, frequency.size - 1) and frequency.size > 1
     blocked = best + 1 < frequency.size and not eligible[best + 1]
     if at_an_end and not blocked:
-        found.append(
+        warnings.append(
             "the best frequency stands at the end of the sweep; a wider sweep may hold "
             "a better one"
         )
-    return tuple(found)
+    return tuple(warnings)

@@ -10,17 +10,16 @@ from numpy.typing import NDArray
 
 from amulor import cube as cubes
 from amulor.errors import CubeError
-from amulor.rejection.build import along, covariance_of, target_cube
+from amulor.rejection.build import saturated_in_any, target_cube
 from amulor.rejection.channels import ratios
 from amulor.rejection.channels.names import (
     CO_POLARIZED,
     CROSS_POLARIZED,
-    names_of,
     pair_of,
 )
+from amulor.rejection.covariance import Covariance, along, covariance_of
 from amulor.rejection.merit import merit
-from amulor.rejection.open_water import fit_shots
-from amulor.rejection.reference.fit import Covariance, fluctuation, stacked
+from amulor.rejection.reference.shots import fit_shots, fluctuation_of
 
 
 def keep_water(cube: xr.Dataset) -> xr.Dataset:
@@ -84,7 +83,7 @@ def co_polarized(cube: xr.Dataset) -> xr.Dataset:
     return _chosen(cube, CO_POLARIZED, name="co-polarized")
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class ChannelChoice:
     """The channel in which the water disturbs least, with the figures of all."""
 
@@ -131,20 +130,20 @@ def choose_channel(
     both with the water left in, at the frequency that serves each channel best.
     """
     cubes.check(cube, "samples")
-    found = merit(cube, interval=interval)
-    error = np.where(np.isfinite(found.error), found.error, np.inf)
+    figures = merit(cube, interval=interval)
+    error = np.where(np.isfinite(figures.error), figures.error, np.inf)
     each = error.min(axis=0)
     if not np.isfinite(each).any():
         raise CubeError(
             "no pixel shows a target in any channel once the water is taken out; raise "
             "power or dwell, or look for the target elsewhere"
         )
-    names = names_of(cube)
+    names = cube.amulor.polarizations
     best = int(np.argmin(each))
     at = error.argmin(axis=0)
     texts = [
-        f"{name} {found.ratio[k, c]:.3g} times the water, shift "
-        f"{found.shift[k, c] * 1e3:.3g} mm, noise {found.noise[k, c] * 1e3:.3g} mm"
+        f"{name} {figures.ratio[k, c]:.3g} times the water, shift "
+        f"{figures.shift[k, c] * 1e3:.3g} mm, noise {figures.noise[k, c] * 1e3:.3g} mm"
         for c, (name, k) in enumerate(zip(names, at, strict=True))
         if np.isfinite(each[c])
     ]
@@ -159,9 +158,9 @@ def choose_channel(
         polarization=names[best],
         reason=f"{names[best]} ({kind}) errs least: {'; '.join(texts)}",
         channels=tuple(names),
-        ratio=found.ratio,
-        noise=found.noise,
-        shift=found.shift,
+        ratio=figures.ratio,
+        noise=figures.noise,
+        shift=figures.shift,
     )
 
 
@@ -186,8 +185,8 @@ def unmix(
         light on a diagonal Mueller matrix [1]. What is left out is estimated, with its
         uncertainty, by `ratios.target_ratio` and `ratios.water_ratio`.
     target_ratio_uncertainty, water_ratio_uncertainty : float
-        Standard uncertainties of what is stated; their share of the error is common to
-        all pixels [1].
+        Standard uncertainties of what is stated; what they add to the error is common
+        to all pixels [1].
     water_fluctuation : float, optional
         Relative change of the water signal from sample to sample, which differs in
         the two channels since they are measured one after the other [1]. Taken from
@@ -214,11 +213,12 @@ def unmix(
     cubes.check(cube, "samples")
     co, cross = pair_of(cube)
     if target_ratio is None:
-        found = ratios.target_ratio(cube)
-        target_ratio, target_ratio_uncertainty = found.value, found.uncertainty
+        of_target = ratios.target_ratio(cube)
+        target_ratio = of_target.value
+        target_ratio_uncertainty = of_target.uncertainty
     if water_ratio is None:
-        found = ratios.water_ratio(cube)
-        water_ratio, water_ratio_uncertainty = found.value, found.uncertainty
+        of_water = ratios.water_ratio(cube)
+        water_ratio, water_ratio_uncertainty = of_water.value, of_water.uncertainty
     for name, ratio in (("target_ratio", target_ratio), ("water_ratio", water_ratio)):
         if not 0 <= ratio <= 1:
             raise ValueError(f"{name} must lie between 0 and 1, got {ratio:g}")
@@ -232,16 +232,16 @@ def unmix(
     a, b = first.amulor.signal.values, second.amulor.signal.values
     target = (b - water_ratio * a) / contrast
     water = a - target
-    strays = [
-        _stray(part, water, water_fluctuation).scaled((water_ratio / contrast) ** 2)
+    fluctuations = [
+        _fluctuation(part, water, water_fluctuation).scaled(
+            (water_ratio / contrast) ** 2
+        )
         for part in (first, second)
     ]
     independent = covariance_of(second).scaled(contrast**-2) + covariance_of(
         first
     ).scaled((water_ratio / contrast) ** 2)
-    if "saturated" in cube:
-        either = np.maximum(first["saturated"].values, second["saturated"].values)
-        first = first.assign(saturated=first["saturated"].copy(data=either))
+    first = saturated_in_any(first, cube.sel(polarization=[co, cross]))
     # dT/dr_t = -T / contrast and dT/dr_w = -W / contrast.
     common = along(target, target_ratio_uncertainty / contrast) + along(
         water, water_ratio_uncertainty / contrast
@@ -249,7 +249,7 @@ def unmix(
     return target_cube(
         first,
         target,
-        independent + strays[0] + strays[1] + common,
+        independent + fluctuations[0] + fluctuations[1] + common,
         water_signal=water,
         common=common,
         step=f"reject, unmix {co} and {cross}, ratios of target {target_ratio:g}, "
@@ -264,10 +264,10 @@ def unmix(
 _SMALLEST_CONTRAST = 1e-3
 
 
-def _stray(
+def _fluctuation(
     channel: xr.Dataset, water: NDArray[np.complex128], stated: float | None
 ) -> Covariance:
-    """Return how the water signal of one channel strays, per unit of co-polarized."""
+    """Return how the water signal of a channel fluctuates, as co-polarized water."""
     if stated is not None:
         return along(water, stated)
     shots = channel.amulor.open_water
@@ -277,16 +277,12 @@ def _stray(
             "fluctuates; state water_fluctuation (command line: --water-fluctuation, "
             '0 for still water, such as "5 %")'
         )
-    parts = [
-        fluctuation(fit.relative, level.ravel())
-        for fit, level in zip(fit_shots(channel, shots), water[:, 0], strict=True)
-    ]
-    return stacked(parts, water.shape)
+    return fluctuation_of(fit_shots(channel, shots), water)
 
 
 def _chosen(cube: xr.Dataset, channels: tuple[str, ...], *, name: str) -> xr.Dataset:
     cubes.check(cube, "samples")
-    present = names_of(cube)
+    present = cube.amulor.polarizations
     chosen = [channel for channel in present if channel in channels]
     if not chosen:
         raise CubeError(

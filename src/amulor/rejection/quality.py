@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from amulor.cube import QualityFlag
 from amulor.optics import detection, ranging
-from amulor.rejection.reference.fit import Covariance
+from amulor.rejection.covariance import Covariance
 
 #: A target is seen when its signal stands this many standard errors off zero.
 DETECTION_THRESHOLD = 5.0
@@ -58,7 +58,7 @@ def flags(
     with np.errstate(invalid="ignore", divide="ignore"):
         far = blurred.mahalanobis(target_signal) >= DETECTION_THRESHOLD**2
     seen = far & ~missing
-    phase = _phase_error(target_signal, blurred, seen)
+    phase = phase_error(target_signal, blurred, seen)
     # An error that lies along one direction can leave the strength sure and the phase
     # open.
     seen &= phase < LARGEST_PHASE_ERROR
@@ -93,7 +93,7 @@ def moves_the_phase(
     ndarray of bool
         True also where the residual is not known.
     """
-    own = _phase_error(target_signal, uncertainty, np.isfinite(target_signal))
+    own = phase_error(target_signal, uncertainty, np.isfinite(target_signal))
     shift = np.abs(ranging.phase_shift(target_signal, residual=residual))
     still = (residual == 0) | (shift <= own)
     return np.asarray(~still)
@@ -197,10 +197,25 @@ def add(cube: xr.Dataset, flag: QualityFlag, where: NDArray[np.bool_]) -> xr.Dat
     return cube.assign(quality_flag=cube["quality_flag"].copy(data=new))
 
 
-def _phase_error(
+def phase_error(
     signal: NDArray[np.complex128], uncertainty: Covariance, seen: NDArray[np.bool_]
 ) -> NDArray[np.float64]:
-    """Return the phase error where a signal is seen; elsewhere it means nothing."""
+    """Return the phase error where a signal is seen.
+
+    Parameters
+    ----------
+    signal : ndarray of complex
+        Any signal [V].
+    uncertainty : Covariance
+        Its errors.
+    seen : ndarray of bool
+        Where they are numbers; elsewhere the result is a number without meaning.
+
+    Returns
+    -------
+    ndarray
+        Standard uncertainty of the phase [rad].
+    """
     return detection.phase_uncertainty(
         np.where(seen & (signal != 0), signal, 1.0),
         in_phase_variance=np.where(seen, uncertainty.in_phase, 1.0),

@@ -14,7 +14,7 @@ from numpy.testing import assert_allclose
 from amulor import imaging, rejection
 from amulor.cube import QualityFlag
 from amulor.errors import CubeError
-from amulor.rejection.open_water import subtract
+from amulor.rejection.reference.before_target import subtract
 from amulor.simulation import simulate
 from amulor.survey import Survey
 

@@ -9,11 +9,10 @@ from numpy.typing import ArrayLike, NDArray
 from amulor import cube as cubes
 from amulor.errors import CubeError
 from amulor.optics.polarization import mueller, stokes
-from amulor.rejection.build import covariance_of, target_cube
+from amulor.rejection.build import saturated_in_any, target_cube
 from amulor.rejection.channels import mixing
-from amulor.rejection.channels.names import names_of
-from amulor.rejection.open_water import fit_shots
-from amulor.rejection.reference.fit import Covariance, fluctuation, stacked
+from amulor.rejection.covariance import Covariance, covariance_of
+from amulor.rejection.reference.shots import fit_shots, fluctuation_of
 
 Floats = NDArray[np.float64]
 
@@ -107,7 +106,7 @@ def unmix_stokes(
 
     Notes
     -----
-    Generalised least squares of :math:`y_c = t_c T + w_c W` with the shares t and w
+    Generalised least squares of :math:`y_c = t_c T + w_c W` with the fractions t and w
     that the analysers pass, (60) and (69) of Ricci et al. 2010, as rebuilt; with four
     states it is the fit of the Stokes vector by those of target and water. The
     fluctuation of the water is taken from the open-water shots, if there are any.
@@ -116,23 +115,24 @@ def unmix_stokes(
     chosen = _launched_as(cube, launched)
     if len(chosen) < 2:
         raise CubeError(
-            f"the cube has the channels {', '.join(names_of(cube))}; unmixing needs "
-            f"two or more with {launched} launched"
+            f"the cube has the channels {', '.join(cube.amulor.polarizations)}; "
+            f"unmixing needs two or more with {launched} launched"
         )
-    shares = [
+    fractions = [
         np.array([float(mueller.detected_fraction(matrix, pair=c)) for c in chosen])
         for matrix in (target_mueller, water_mueller)
     ]
-    lengths = [np.linalg.norm(share) for share in shares]
-    across = lengths[0] * lengths[1] - abs(shares[0] @ shares[1])
-    if shares[0][0] <= 0 or across < _SMALLEST_ANGLE**2 / 2 * lengths[0] * lengths[1]:
+    lengths = np.linalg.norm(fractions, axis=1)
+    across = lengths[0] * lengths[1] - abs(fractions[0] @ fractions[1])
+    smallest = _SMALLEST_ANGLE**2 / 2 * lengths[0] * lengths[1]
+    if fractions[0][0] <= 0 or across < smallest:
         raise CubeError(
             f"target and water pass the analysers {', '.join(chosen)} in the same "
             "proportions, or the first one shows no target; other channels or other "
             "Mueller matrices are needed to tell them apart"
         )
     # In units of what the first channel sees of the target.
-    weights = [list(share / shares[0][0]) for share in shares]
+    weights = [list(seen / fractions[0][0]) for seen in fractions]
     part = cube.sel(polarization=chosen)
     signal = part.amulor.signal.values
     errors = covariance_of(part)
@@ -147,35 +147,18 @@ def unmix_stokes(
             water_prior=None,
         )
 
-    found = solve(errors)
+    solved = solve(errors)
     shots = part.amulor.open_water
     if shots is not None:
         # Each channel's water follows from what is left of it.
-        water = signal - np.stack([w * found.target for w in weights[0]], axis=1)
-        fits = fit_shots(part, shots)
-        stray = stacked(
-            [
-                fluctuation(fit.relative, level.ravel())
-                for fit, level in zip(
-                    fits, water.reshape(-1, *signal.shape[2:]), strict=True
-                )
-            ],
-            signal.shape,
-        )
-        found = solve(errors + stray)
-    first = cube.sel(polarization=[chosen[0]])
-    if "saturated" in cube:
-        any_of = part["saturated"].values.max(axis=1, keepdims=True)
-        first = first.assign(saturated=first["saturated"].copy(data=any_of))
-    target = found.target[:, None]
+        water = signal - np.stack([w * solved.target for w in weights[0]], axis=1)
+        solved = solve(errors + fluctuation_of(fit_shots(part, shots), water))
+    first = saturated_in_any(cube.sel(polarization=[chosen[0]]), part)
+    target = solved.target[:, None]
     return target_cube(
         first,
         target,
-        Covariance(
-            found.independent.in_phase[:, None],
-            found.independent.quadrature[:, None],
-            found.independent.cross[:, None],
-        ),
+        solved.independent.part((slice(None), None)),
         water_signal=first.amulor.signal.values - target,
         step=f"reject, unmix {', '.join(chosen)} by Mueller matrices",
     )
@@ -186,4 +169,5 @@ def _launched_as(cube: xr.Dataset, launched: str) -> list[str]:
         stokes.state(launched)
     except ValueError as error:
         raise CubeError(str(error)) from None
-    return [name for name in names_of(cube) if name != "none" and name[0] == launched]
+    present = cube.amulor.polarizations
+    return [name for name in present if name != "none" and name[0] == launched]

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from amulor.rejection.reference.fit import Covariance
+from amulor.rejection.covariance import Covariance
 
 Floats = NDArray[np.float64]
 Complex = NDArray[np.complex128]

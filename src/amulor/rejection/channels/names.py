@@ -14,22 +14,6 @@ CO_POLARIZED = ("VV", "HH", "PM", "MP", "RL", "LR")
 PARTNERS = dict(zip(CO_POLARIZED, CROSS_POLARIZED, strict=True))
 
 
-def names_of(cube: xr.Dataset) -> list[str]:
-    """Return the polarization channels of a cube.
-
-    Parameters
-    ----------
-    cube : xarray.Dataset
-        Level `samples` or `target_signal`.
-
-    Returns
-    -------
-    list of str
-        In the order of the cube.
-    """
-    return [str(value) for value in cube["polarization"].values]
-
-
 def pair_of(cube: xr.Dataset) -> tuple[str, str]:
     """Return a co-polarized channel and its cross-polarized partner.
 
@@ -48,7 +32,7 @@ def pair_of(cube: xr.Dataset) -> tuple[str, str]:
     CubeError
         If there is none.
     """
-    present = names_of(cube)
+    present = cube.amulor.polarizations
     for co, cross in PARTNERS.items():
         if co in present and cross in present:
             return co, cross

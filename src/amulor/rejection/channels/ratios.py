@@ -10,8 +10,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from amulor import cube as cubes
 from amulor.errors import CubeError
-from amulor.rejection.build import covariance_of
 from amulor.rejection.channels.names import pair_of
+from amulor.rejection.covariance import common_covariance_of, covariance_of
 from amulor.rejection.open_water import open_water
 from amulor.rejection.reference.fit import FEWEST_SHOTS
 
@@ -77,10 +77,10 @@ def water_ratio(cube: xr.Dataset, *, water_only: ArrayLike | None = None) -> Rat
                 "open-water shots; name pixels without a target (water_only), or state "
                 "water_ratio (command line: --water-ratio)"
             )
-        signal = shots["in_phase"].values + 1j * shots["quadrature"].values
+        signal = shots.amulor.signal.values
         source = f"{signal.shape[-1]} open-water shots"
         needed = "open-water shots"
-    order = [str(value) for value in cube["polarization"].values]
+    order = cube.amulor.polarizations
     first, second = signal[:, order.index(co)], signal[:, order.index(cross)]
     both = np.isfinite(first) & np.isfinite(second)
     if both.sum(axis=1).min() < FEWEST_SHOTS:
@@ -199,7 +199,6 @@ def _mean_variance(part: xr.Dataset, usable: NDArray[np.bool_]) -> Floats:
 
 
 def _common_variance(part: xr.Dataset, usable: NDArray[np.bool_]) -> Floats:
-    in_phase = part["common_in_phase_uncertainty"].values[usable]
-    quadrature = part["common_quadrature_uncertainty"].values[usable]
-    mean: Floats = (in_phase**2 + quadrature**2) / 2
+    common = common_covariance_of(part)
+    mean: Floats = (common.in_phase + common.quadrature)[usable] / 2
     return mean

@@ -10,11 +10,11 @@ from numpy.typing import NDArray
 
 from amulor.cube import QualityFlag
 from amulor.optics import rays
-from amulor.rejection.build import covariance_of, target_cube
+from amulor.rejection.build import target_cube
+from amulor.rejection.covariance import Covariance, covariance_of
 from amulor.rejection.joint.frame import Frame
 from amulor.rejection.joint.priors import Shared
 from amulor.rejection.joint.solve import Result
-from amulor.rejection.reference.fit import Covariance
 
 Floats = NDArray[np.float64]
 

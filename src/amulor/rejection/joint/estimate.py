@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from amulor import cube as cubes
 from amulor.errors import CubeError
+from amulor.rejection.covariance import Covariance
 from amulor.rejection.joint import pixels as joint_pixels
 from amulor.rejection.joint import shared as joint_shared
 from amulor.rejection.joint.cube import cube_of
@@ -24,7 +25,6 @@ from amulor.rejection.joint.samples import (
     shot_pixels,
 )
 from amulor.rejection.joint.solve import solve
-from amulor.rejection.reference.fit import Covariance
 
 Floats = NDArray[np.float64]
 Complex = NDArray[np.complex128]

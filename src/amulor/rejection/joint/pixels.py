@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from amulor.optics import rays
+from amulor.rejection.covariance import Covariance
 from amulor.rejection.joint.frame import Frame, Table
-from amulor.rejection.reference.fit import Covariance
 
 Floats = NDArray[np.float64]
 Complex = NDArray[np.complex128]

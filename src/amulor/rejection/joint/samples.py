@@ -9,11 +9,10 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from amulor.errors import CubeError
-from amulor.rejection.build import covariance_of
+from amulor.rejection.covariance import Covariance, covariance_of
 from amulor.rejection.joint import pixels as joint_pixels
 from amulor.rejection.joint.frame import Frame, frame_of
 from amulor.rejection.joint.pixels import Pixels
-from amulor.rejection.reference.fit import Covariance
 
 Floats = NDArray[np.float64]
 Complex = NDArray[np.complex128]

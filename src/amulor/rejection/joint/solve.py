@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from amulor.rejection.covariance import Covariance
 from amulor.rejection.joint import (
     model as joint_model,
 )
@@ -22,7 +23,6 @@ from amulor.rejection.joint.pixels import Pixels
 from amulor.rejection.joint.priors import Layout, Shared
 from amulor.rejection.joint.scatter import is_seen
 from amulor.rejection.joint.search import Estimates
-from amulor.rejection.reference.fit import Covariance
 
 Floats = NDArray[np.float64]
 Complex = NDArray[np.complex128]

@@ -98,8 +98,8 @@ def _refuse_other_frequencies(cube: xr.Dataset, reference: xr.Dataset) -> None:
 
 
 def _refuse_other_channels(cube: xr.Dataset, reference: xr.Dataset) -> None:
-    there = {str(value) for value in reference["polarization"].values}
-    missing = [str(v) for v in cube["polarization"].values if str(v) not in there]
+    there = set(reference.amulor.polarizations)
+    missing = [name for name in cube.amulor.polarizations if name not in there]
     if missing:
         raise CubeError(
             f"the open-water cube has the channels {', '.join(sorted(there))}, but the "

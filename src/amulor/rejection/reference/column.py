@@ -7,13 +7,13 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from amulor.optics import ambiguity, detection, rays
-from amulor.rejection.reference import column_share
-from amulor.rejection.reference.fit import Covariance
+from amulor.rejection.covariance import Covariance
+from amulor.rejection.reference import column_fraction
 from amulor.survey import Survey, WaterProperties, water_properties
 from amulor.survey.view import medium
 
 
-def hidden_share(
+def hidden_fraction(
     cube: xr.Dataset,
     target_signal: NDArray[np.complex128],
     uncertainty: Covariance,
@@ -37,9 +37,9 @@ def hidden_share(
     Returns
     -------
     ndarray of the same shape, or None
-        Share of the open-water signal, a complex number since it comes later [1]; not
-        a number where the distance is not settled. None if the cube has no survey to
-        take the water from.
+        Fraction of the open-water signal, a complex number since it comes later [1];
+        NaN where the distance is not settled. None if the cube has no survey to take
+        the water from.
 
     Raises
     ------
@@ -50,10 +50,10 @@ def hidden_share(
     -----
     Decision on (46) of Ricci et al. 2010, as rebuilt: open water is integrated to its
     end, water with a target to the target; the difference stays when open water is
-    subtracted. That difference itself moves the distance by millimetres, and the share
-    by a few tenths of a per cent of its value, which a second pass would not be worth.
-    Large scans take the share from a table over directions and depths, see
-    `column_share.shares`.
+    subtracted. That difference itself moves the distance by millimetres, and the
+    fraction by a few tenths of a per cent of its value, which a second pass would not
+    be worth. Large scans take the fraction from a table over directions and depths, see
+    `column_fraction.fractions`.
     """
     text = cube.attrs.get("survey")
     if not text:
@@ -63,15 +63,15 @@ def hidden_share(
     depth = _depth(cube, target_signal, uncertainty, survey, water, interval)
     settled = np.isfinite(depth)
     frequency = cube["modulation_frequency"].values
-    share = np.full((frequency.size, *depth.shape), np.nan, dtype=complex)
-    share[:, settled] = column_share.shares(
+    fraction = np.full((frequency.size, *depth.shape), np.nan, dtype=complex)
+    fraction[:, settled] = column_fraction.fractions(
         survey,
         cube["azimuth"].values[settled],
         cube["elevation"].values[settled],
         depth[settled],
         modulation_frequency=frequency,
     )
-    return np.broadcast_to(share[:, None], target_signal.shape)
+    return np.broadcast_to(fraction[:, None], target_signal.shape)
 
 
 def _depth(
@@ -82,7 +82,7 @@ def _depth(
     water: WaterProperties,
     interval: tuple[float, float] | None,
 ) -> NDArray[np.float64]:
-    """Return the water in front of the target; not a number where it is open [m]."""
+    """Return the water in front of the target; NaN where it is not settled [m]."""
     surroundings = medium(survey, water)
     beam = rays.enter_water(
         survey.instrument.emitter.position,

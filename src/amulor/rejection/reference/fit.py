@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+
+from amulor.rejection.covariance import Covariance
 
 Floats = NDArray[np.float64]
 Complex = NDArray[np.complex128]
@@ -21,54 +22,6 @@ _FREEDOM = 4
 FEWEST_SHOTS = 1 + _FREEDOM
 #: Pixels at which the polynomial is evaluated at once; this bounds the memory.
 _AT_ONCE = 16_384
-
-
-@dataclass(frozen=True)
-class Covariance:
-    """Covariance of in-phase and quadrature outputs, arrays of one shape [V^2]."""
-
-    in_phase: Floats
-    """Variance of the in-phase output."""
-    quadrature: Floats
-    """Variance of the quadrature output."""
-    cross: Floats
-    """Covariance of the two."""
-
-    def __add__(self, other: Covariance) -> Covariance:
-        """Return the covariance of a sum of independent errors."""
-        return Covariance(
-            self.in_phase + other.in_phase,
-            self.quadrature + other.quadrature,
-            self.cross + other.cross,
-        )
-
-    def scaled(self, factor: Floats | float) -> Covariance:
-        """Return the covariance of errors times the square root of a factor."""
-        return Covariance(
-            self.in_phase * factor, self.quadrature * factor, self.cross * factor
-        )
-
-    def part(self, index: Any) -> Covariance:
-        """Return the covariance of some of the outputs."""
-        return Covariance(
-            self.in_phase[index], self.quadrature[index], self.cross[index]
-        )
-
-    def mahalanobis(self, signal: Complex) -> Floats:
-        """Return the squared distance of a signal from zero in units of its error."""
-        real, imaginary = signal.real, signal.imag
-        determinant = self.in_phase * self.quadrature - self.cross**2
-        product = (
-            self.quadrature * real**2
-            + self.in_phase * imaginary**2
-            - 2 * self.cross * real * imaginary
-        )
-        # A signal without any error is infinitely far off zero, unless it is zero.
-        certain = np.where(np.abs(signal) > 0, np.inf, 0.0)
-        square: Floats = np.divide(
-            product, determinant, out=certain, where=determinant > 0
-        )
-        return np.where(np.isfinite(signal), square, np.nan)
 
 
 @dataclass(frozen=True)
@@ -355,27 +308,4 @@ def fluctuation(relative: NDArray[np.float64], level: Complex) -> Covariance:
         radial * a**2 + tangential * b**2 - 2 * crossed * a * b,
         radial * b**2 + tangential * a**2 + 2 * crossed * a * b,
         (radial - tangential) * a * b + crossed * (a**2 - b**2),
-    )
-
-
-def stacked(parts: list[Covariance], shape: tuple[int, ...]) -> Covariance:
-    """Put the covariances of frequencies and channels together.
-
-    Parameters
-    ----------
-    parts : list of Covariance
-        Modulation frequency by frequency, channel by channel.
-    shape : tuple of int
-        Shape of the whole.
-
-    Returns
-    -------
-    Covariance
-        Arrays of that shape.
-    """
-    return Covariance(
-        *(
-            np.array([getattr(part, name) for part in parts]).reshape(shape)
-            for name in ("in_phase", "quadrature", "cross")
-        )
     )

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 
-from amulor.rejection.reference import column_share
+from amulor.rejection.reference import column_fraction
 from amulor.survey import Survey
 
 
@@ -31,9 +31,9 @@ def test_the_table_keeps_its_error_bound(
 ) -> None:
     places = _places(12_000, width=width, near=near, far=far)
     frequency = np.array([39e6, 146e6])
-    found = column_share.shares(plate, *places, modulation_frequency=frequency)
-    exact = column_share.integrated(plate, places, frequency)
-    assert np.abs(found - exact).max() < column_share.LARGEST_ERROR
+    found = column_fraction.fractions(plate, *places, modulation_frequency=frequency)
+    exact = column_fraction.integrated(plate, places, frequency)
+    assert np.abs(found - exact).max() < column_fraction.LARGEST_ERROR
     # And it is a table: agreement to the last digit would be the integral itself.
     assert np.abs(found - exact).max() > 1e-14
 
@@ -42,14 +42,14 @@ def test_where_no_table_holds_every_pixel_is_integrated(plate: Survey) -> None:
     # 2 GHz over 6 m turn by 100 periods: no table of 65 depths follows from the start.
     places = _places(200, width=0.3, near=0.0, far=6.0)
     frequency = np.array([2e9])
-    found = column_share.shares(plate, *places, modulation_frequency=frequency)
+    found = column_fraction.fractions(plate, *places, modulation_frequency=frequency)
     assert_allclose(
-        found, column_share.integrated(plate, places, frequency), rtol=0, atol=1e-15
+        found, column_fraction.integrated(plate, places, frequency), rtol=0, atol=1e-15
     )
 
 
 def test_at_the_surface_all_water_is_behind_and_far_away_none(plate: Survey) -> None:
-    shares = column_share.shares(
+    fractions = column_fraction.fractions(
         plate,
         np.zeros(2),
         np.zeros(2),
@@ -57,26 +57,26 @@ def test_at_the_surface_all_water_is_behind_and_far_away_none(plate: Survey) -> 
         modulation_frequency=np.array([39e6]),
     )
     # 2 k' z = 0.51 * 60: exp(-30.6) is 5e-14.
-    assert_allclose(shares[0], [1, 0], rtol=0, atol=1e-12)
+    assert_allclose(fractions[0], [1, 0], rtol=0, atol=1e-12)
 
 
 def test_behind_the_wall_of_a_tank_there_is_nothing(plate_text: str) -> None:
     text = plate_text.replace("[water]", '[water]\ncolumn_end = "2 m"')
     depth = np.array([1.0, 2.0, 2.5])
-    shares = column_share.shares(
+    fractions = column_fraction.fractions(
         Survey.from_text(text),
         np.zeros(3),
         np.zeros(3),
         depth,
         modulation_frequency=np.array([39e6]),
     )
-    assert abs(shares[0, 0]) > 0.01
-    assert_allclose(shares[0, 1:], 0, rtol=0, atol=1e-15)
+    assert abs(fractions[0, 0]) > 0.01
+    assert_allclose(fractions[0, 1:], 0, rtol=0, atol=1e-15)
 
 
 def test_no_pixel_needs_no_share(plate: Survey) -> None:
     nothing = np.empty(0)
-    found = column_share.shares(
+    found = column_fraction.fractions(
         plate, nothing, nothing, nothing, modulation_frequency=np.array([39e6, 50e6])
     )
     assert found.shape == (2, 0)
@@ -87,13 +87,13 @@ def test_no_pixel_needs_no_share(plate: Survey) -> None:
 def test_the_mean_share_shrinks_with_depth(
     plate: Survey, depth: float, step: float
 ) -> None:
-    # At 1 kHz the delay is nothing: shares are those of the mean light, all positive.
-    shares = column_share.shares(
+    # At 1 kHz the delay is nothing: fractions of the mean light, all positive.
+    fractions = column_fraction.fractions(
         plate,
         np.zeros(2),
         np.zeros(2),
         np.array([depth, depth + step]),
         modulation_frequency=np.array([1e3]),
     )[0]
-    assert 0 < shares[1].real < shares[0].real < 1
-    assert abs(shares.imag).max() < 1e-3
+    assert 0 < fractions[1].real < fractions[0].real < 1
+    assert abs(fractions.imag).max() < 1e-3

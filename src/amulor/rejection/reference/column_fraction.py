@@ -1,4 +1,4 @@
-"""Shares of the open-water signal behind given depths, from a table on large scans."""
+"""Fractions of the open-water signal behind given depths; a table on large scans."""
 
 from __future__ import annotations
 
@@ -16,19 +16,19 @@ Floats = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 _Function = Callable[[Floats], Complex]
 
-#: Largest error of an interpolated share, in parts of the open-water signal [1].
+#: Largest error of an interpolated fraction, in parts of the open-water signal [1].
 LARGEST_ERROR = 1e-4
 #: Nodes along azimuth, elevation and depth of the tables that are tried in turn.
 _NODES = ((5, 5, 9), (5, 5, 17), (9, 9, 33), (17, 17, 65))
 #: Pixels at which a table is compared with the integral.
 _CHECKS = 192
-#: A table with more nodes than this share of the pixels would not be worth its while.
+#: A table with more nodes than this fraction of the pixels would not pay [1].
 _WORTH = 0.5
 #: Numbers that one step of the work may hold; this bounds the memory.
 _AT_ONCE = 2_000_000
 
 
-def shares(
+def fractions(
     survey: Survey,
     azimuth: Floats,
     elevation: Floats,
@@ -36,7 +36,7 @@ def shares(
     *,
     modulation_frequency: Floats,
 ) -> Complex:
-    r"""Return which share of the open-water signal arises behind given depths.
+    r"""Return which fraction of the open-water signal arises behind given depths.
 
     Parameters
     ----------
@@ -52,7 +52,7 @@ def shares(
     Returns
     -------
     ndarray of complex, shape (m, n)
-        Shares, exact or within `LARGEST_ERROR` [1].
+        Fractions, exact or within `LARGEST_ERROR` [1].
 
     Notes
     -----
@@ -86,7 +86,7 @@ def shares(
 
 
 class _Table:
-    """Chebyshev series of a share over azimuth, elevation and depth.
+    """Chebyshev series of a fraction over azimuth, elevation and depth.
 
     Parameters
     ----------
@@ -140,7 +140,7 @@ class _Table:
         )
 
     def at(self, places: Floats) -> Complex:
-        """Return the shares at places, shape (frequencies, n)."""
+        """Return the fractions at places, shape (frequencies, n)."""
         scaled = (places - self._centre[:, None]) / self._half[:, None]
         across, up, down = (
             chebyshev.chebvander(axis, n - 1)
@@ -179,7 +179,7 @@ def _in_parts(
 
 
 def integrated(survey: Survey, places: Floats, frequency: Floats) -> Complex:
-    """Return the shares by integration, pixel by pixel.
+    """Return the fractions by integration, pixel by pixel.
 
     Parameters
     ----------
@@ -193,7 +193,7 @@ def integrated(survey: Survey, places: Floats, frequency: Floats) -> Complex:
     Returns
     -------
     ndarray of complex, shape (m, n)
-        Shares [1].
+        Fractions [1].
     """
     azimuth, elevation, depth = places
     water = water_properties(survey)
@@ -211,7 +211,7 @@ def integrated(survey: Survey, places: Floats, frequency: Floats) -> Complex:
     if np.isfinite(end):
         behind = behind - small_angle_diffusion.water_tail(each, end=end, **arguments)
     # A receiver that sees no water has none behind the target either.
-    share: Complex = np.divide(
+    fraction: Complex = np.divide(
         behind, whole, out=np.zeros_like(behind), where=whole != 0
     )
-    return share
+    return fraction

@@ -1,0 +1,157 @@
+"""Covariances of in-phase and quadrature outputs: read from cubes, added, turned."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float64]
+Complex = NDArray[np.complex128]
+
+
+@dataclass(frozen=True)
+class Covariance:
+    """Covariance of in-phase and quadrature outputs, arrays of one shape [V^2]."""
+
+    in_phase: Floats
+    """Variance of the in-phase output."""
+    quadrature: Floats
+    """Variance of the quadrature output."""
+    cross: Floats
+    """Covariance of the two."""
+
+    def __add__(self, other: Covariance) -> Covariance:
+        """Return the covariance of a sum of independent errors."""
+        return Covariance(
+            self.in_phase + other.in_phase,
+            self.quadrature + other.quadrature,
+            self.cross + other.cross,
+        )
+
+    def without(self, other: Covariance) -> Covariance:
+        """Return the covariance less a part of it; rounding below zero is taken off."""
+        return Covariance(
+            np.maximum(self.in_phase - other.in_phase, 0.0),
+            np.maximum(self.quadrature - other.quadrature, 0.0),
+            self.cross - other.cross,
+        )
+
+    def scaled(self, factor: Floats | float) -> Covariance:
+        """Return the covariance of errors times the square root of a factor."""
+        return Covariance(
+            self.in_phase * factor, self.quadrature * factor, self.cross * factor
+        )
+
+    def part(self, index: Any) -> Covariance:
+        """Return the covariance of some of the outputs."""
+        return Covariance(
+            self.in_phase[index], self.quadrature[index], self.cross[index]
+        )
+
+    def mahalanobis(self, signal: Complex) -> Floats:
+        """Return the squared distance of a signal from zero in units of its error."""
+        real, imaginary = signal.real, signal.imag
+        determinant = self.in_phase * self.quadrature - self.cross**2
+        product = (
+            self.quadrature * real**2
+            + self.in_phase * imaginary**2
+            - 2 * self.cross * real * imaginary
+        )
+        # A signal without any error is infinitely far off zero, unless it is zero.
+        certain = np.where(np.abs(signal) > 0, np.inf, 0.0)
+        square: Floats = np.divide(
+            product, determinant, out=certain, where=determinant > 0
+        )
+        return np.where(np.isfinite(signal), square, np.nan)
+
+
+def covariance_of(samples: xr.Dataset) -> Covariance:
+    """Return the stated errors of samples or shots.
+
+    Parameters
+    ----------
+    samples : xarray.Dataset
+        With `in_phase_uncertainty`, `quadrature_uncertainty` and perhaps
+        `in_phase_quadrature_covariance`.
+
+    Returns
+    -------
+    Covariance
+        Arrays of the shape of the samples.
+    """
+    cross = samples.get("in_phase_quadrature_covariance")
+    in_phase = samples["in_phase_uncertainty"].values ** 2
+    return Covariance(
+        in_phase,
+        samples["quadrature_uncertainty"].values ** 2,
+        np.zeros_like(in_phase) if cross is None else cross.values,
+    )
+
+
+def common_covariance_of(target: xr.Dataset) -> Covariance:
+    """Return the part of the errors that the pixels of a target signal share.
+
+    Parameters
+    ----------
+    target : xarray.Dataset
+        Level `target_signal`, with the `common_` variables.
+
+    Returns
+    -------
+    Covariance
+        Arrays of the shape of the samples.
+    """
+    return Covariance(
+        target["common_in_phase_uncertainty"].values ** 2,
+        target["common_quadrature_uncertainty"].values ** 2,
+        target["common_covariance"].values,
+    )
+
+
+def along(signal: Complex, size: float) -> Covariance:
+    """Return the covariance of an error that stretches a signal by a random factor.
+
+    Parameters
+    ----------
+    signal : ndarray of complex
+        What is stretched [V].
+    size : float
+        Standard deviation of the factor [1].
+
+    Returns
+    -------
+    Covariance
+        Arrays of the shape of the signal.
+    """
+    return Covariance(
+        (size * signal.real) ** 2,
+        (size * signal.imag) ** 2,
+        size**2 * signal.real * signal.imag,
+    )
+
+
+def stacked(parts: list[Covariance], shape: tuple[int, ...]) -> Covariance:
+    """Put the covariances of frequencies and channels together.
+
+    Parameters
+    ----------
+    parts : list of Covariance
+        Modulation frequency by frequency, channel by channel.
+    shape : tuple of int
+        Shape of the whole.
+
+    Returns
+    -------
+    Covariance
+        Arrays of that shape.
+    """
+    return Covariance(
+        *(
+            np.array([getattr(part, name) for part in parts]).reshape(shape)
+            for name in ("in_phase", "quadrature", "cross")
+        )
+    )

@@ -1,0 +1,228 @@
+"""The open-water shots of a cube: their fit at its pixels, and what it refuses."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+
+from amulor.errors import CubeError
+from amulor.rejection.covariance import Covariance, covariance_of, stacked
+from amulor.rejection.reference import fit as reference
+from amulor.rejection.reference.fit import FEWEST_SHOTS, NO_DRIFT, fluctuation
+from amulor.survey import Survey
+
+Complex = NDArray[np.complex128]
+
+#: Drift of the reference that chance makes in less than 1 of 1000 scans is real [1].
+_REAL_DRIFT = 1e-3
+#: A larger change from the first to the last shot is another water [1].
+LARGEST_DRIFT = 0.2
+#: It must exceed that by so many of its own standard uncertainties [1].
+_SURE = 3.0
+#: How far the scan may go beyond the shots: a fraction of their span, at least that
+#: [rad].
+_BEYOND, _BEYOND_AT_LEAST = 0.1, 1e-4
+
+
+def shots_of(cube: xr.Dataset) -> xr.Dataset:
+    """Return the open-water shots of a cube.
+
+    Parameters
+    ----------
+    cube : xarray.Dataset
+        Level `samples`.
+
+    Returns
+    -------
+    xarray.Dataset
+        Dimensions (modulation_frequency, polarization, shot).
+
+    Raises
+    ------
+    CubeError
+        If there are none, or too few to judge how much they scatter.
+    """
+    shots: xr.Dataset | None = cube.amulor.open_water
+    if shots is None:
+        raise CubeError(
+            "the cube has no open-water shots (group open_water); record them with the "
+            "target out of the beam, or use a polarimetric method"
+        )
+    if shots.sizes["shot"] < FEWEST_SHOTS:
+        raise CubeError(
+            f"the cube has {shots.sizes['shot']} open-water shots, needed are at least "
+            f"{FEWEST_SHOTS} to judge how much the water signal fluctuates; record more"
+        )
+    return shots
+
+
+def fit_shots(cube: xr.Dataset, shots: xr.Dataset) -> list[reference.Reference]:
+    """Return the water signal of the shots at the pixels of a cube.
+
+    Parameters
+    ----------
+    cube : xarray.Dataset
+        Level `samples`.
+    shots : xarray.Dataset
+        Its open-water shots.
+
+    Returns
+    -------
+    list of Reference
+        Modulation frequency by frequency, channel by channel.
+
+    Raises
+    ------
+    CubeError
+        If too few shots of a channel are numbers, the scan goes beyond them, or the
+        water changed too much from the first to the last.
+    """
+    pixels = np.stack(
+        [cube["azimuth"].values.ravel(), cube["elevation"].values.ravel()], axis=1
+    )
+    known = "azimuth" in shots and "elevation" in shots
+    places = (
+        np.stack([shots["azimuth"].values, shots["elevation"].values], axis=1)
+        if known
+        else np.zeros((shots.sizes["shot"], 2))
+    )
+    signal = shots.amulor.signal.values
+    errors = covariance_of(shots)
+    usable = np.isfinite(signal + errors.in_phase + errors.quadrature + errors.cross)
+    if known:
+        _refuse_a_scan_beyond_the_shots(cube, places, pixels)
+    fits = []
+    for index in np.ndindex(signal.shape[:2]):
+        use = usable[index]
+        if use.sum() < FEWEST_SHOTS:
+            raise CubeError(
+                f"only {use.sum()} open-water shots at {_place(cube, index)} are "
+                f"numbers, needed are {FEWEST_SHOTS}; record more"
+            )
+        own = errors.part(index).part(use)
+        fit = reference.fit(signal[index][use], own, places[use], pixels)
+        # Shots of unknown directions may be pixels: their order is no time.
+        fits.append(fit if known else replace(fit, drift=NO_DRIFT))
+    _refuse_strong_drift(cube, fits, signal.shape[:2])
+    return fits
+
+
+def expected_at_pixels(
+    fits: list[reference.Reference], shape: tuple[int, ...]
+) -> tuple[Complex, Covariance]:
+    """Return the open-water signal of every sample, and the error of its expectation.
+
+    Parameters
+    ----------
+    fits : list of Reference
+        From `fit_shots`.
+    shape : tuple of int
+        Shape of the samples.
+
+    Returns
+    -------
+    tuple of ndarray and Covariance
+        Water signal to the end of the column [V], and what the pixels share of its
+        error [V^2].
+    """
+    signal = np.array([fit.signal for fit in fits]).reshape(shape)
+    return signal, stacked([fit.common for fit in fits], shape)
+
+
+def fluctuation_of(
+    fits: list[reference.Reference], water_signal: Complex
+) -> Covariance:
+    """Return how a water signal fluctuates from sample to sample.
+
+    Parameters
+    ----------
+    fits : list of Reference
+        From `fit_shots`; the scatter of the shots counts.
+    water_signal : ndarray, shape (modulation_frequency, polarization, row, column)
+        Water signal of every sample, in proportion to which it fluctuates [V].
+
+    Returns
+    -------
+    Covariance
+        Arrays of the shape of the samples.
+    """
+    levels = water_signal.reshape(-1, *water_signal.shape[2:])
+    return stacked(
+        [
+            fluctuation(fit.relative, level.ravel())
+            for fit, level in zip(fits, levels, strict=True)
+        ],
+        water_signal.shape,
+    )
+
+
+def drift_of(fits: list[reference.Reference], shape: tuple[int, ...]) -> Complex:
+    """Return the drift from the first shot to the last, zero where it may be chance.
+
+    Parameters
+    ----------
+    fits : list of Reference
+        From `fit_shots`.
+    shape : tuple of int
+        Shape of the samples.
+
+    Returns
+    -------
+    ndarray, shape (modulation_frequency, polarization, 1, 1)
+        Change per unit of the water signal [1].
+    """
+    changes = [fit.drift.change if _is_real(fit.drift, fits) else 0j for fit in fits]
+    return np.array(changes).reshape(*shape[:2], 1, 1)
+
+
+def _place(cube: xr.Dataset, index: tuple[int, ...]) -> str:
+    frequency = float(cube["modulation_frequency"][index[0]]) / 1e6
+    return f"{frequency:g} MHz in channel {cube['polarization'].values[index[1]]}"
+
+
+def _is_real(drift: reference.Drift, fits: list[reference.Reference]) -> bool:
+    return drift.chance * len(fits) < _REAL_DRIFT
+
+
+def _refuse_strong_drift(
+    cube: xr.Dataset, fits: list[reference.Reference], shape: tuple[int, ...]
+) -> None:
+    sure = [
+        abs(fit.drift.change) - _SURE * abs(fit.drift.uncertainty)
+        if _is_real(fit.drift, fits)
+        else 0.0
+        for fit in fits
+    ]
+    worst = int(np.argmax(sure))
+    if sure[worst] > LARGEST_DRIFT:
+        drift = fits[worst].drift
+        place = _place(cube, tuple(map(int, np.unravel_index(worst, shape))))
+        raise CubeError(
+            f"the open-water signal at {place} changed by "
+            f"{abs(drift.change):.0%} (+- {abs(drift.uncertainty):.0%}) from the first "
+            f"shot to the last, at most {LARGEST_DRIFT:.0%} can be bridged; record the "
+            "reference again closer to the scan, or split scan and reference into "
+            "shorter parts"
+        )
+
+
+def _refuse_a_scan_beyond_the_shots(
+    cube: xr.Dataset, shots: NDArray[np.float64], pixels: NDArray[np.float64]
+) -> None:
+    """Raise if the water signal would have to be extrapolated over the directions."""
+    text = cube.attrs.get("survey")
+    if text and Survey.from_text(text).scan.moves == "both":
+        return  # The receiver turns with the beam: the water is the same everywhere.
+    low, high = shots.min(axis=0), shots.max(axis=0)
+    room = np.maximum(_BEYOND * (high - low), _BEYOND_AT_LEAST)
+    outside = np.maximum(low - pixels.min(axis=0), pixels.max(axis=0) - high) - room
+    if np.any(outside > 0):
+        axis = int(np.argmax(outside))
+        raise CubeError(
+            f"the scan goes {np.degrees(outside[axis] + room[axis]):.2f} degrees "
+            f"beyond the open-water shots in {('azimuth', 'elevation')[axis]}, where "
+            "the water signal is not known; record shots at the edges of the scan"
+        )
