@@ -3,7 +3,7 @@
 from amulor.rejection.channels.analysers import stokes_vectors, unmix_stokes
 from amulor.rejection.channels.ratios import Ratio, target_ratio, water_ratio
 from amulor.rejection.combined import combined
-from amulor.rejection.compare import Comparison, Row, auto, compare
+from amulor.rejection.compare import Caution, Comparison, Row, auto, compare
 from amulor.rejection.frequency import FrequencyChoice, choose_frequency, frequency
 from amulor.rejection.joint.estimate import joint
 from amulor.rejection.open_water import open_water
@@ -18,6 +18,7 @@ from amulor.rejection.polarization import (
 from amulor.rejection.reference.attach import with_open_water
 
 __all__ = [
+    "Caution",
     "ChannelChoice",
     "Comparison",
     "FrequencyChoice",

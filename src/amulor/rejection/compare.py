@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import enum
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, replace
 
 import numpy as np
 import xarray as xr
@@ -25,15 +26,30 @@ Interval = tuple[float, float] | None
 
 #: What the survey says about the water behind a target is taken as that sure [1].
 _COLUMN_UNCERTAINTY = 0.2
-#: A method must use this share of the pixels that the best one uses [1].
+#: A method must use this fraction of the pixels that the best one uses [1].
 _USES_ENOUGH = 0.9
 #: Errors closer than this count as equal: the simpler method wins [1].
 _EQUAL = 0.05
 
 
-@dataclass(frozen=True)
+class Caution(enum.StrEnum):
+    """Why a row of a comparison should not be used, or be used with care."""
+
+    NONE = "none"
+    """Nothing speaks against it."""
+    NOT_RUN = "not run"
+    """The method refused the data; the note says why."""
+    AMBIGUOUS = "ambiguous"
+    """The one frequency that is kept repeats within the stated interval."""
+    NO_PIXEL = "no pixel"
+    """No pixel shows a target."""
+    BIAS_UNKNOWN = "bias unknown"
+    """Water is left in and nothing tells how much."""
+
+
+@dataclass(frozen=True, kw_only=True)
 class Row:
-    """What one method makes of one channel; not a number where nothing is usable."""
+    """What one method makes of one channel; NaN where nothing is usable."""
 
     method: str
     """Name of the method, as on the command line."""
@@ -45,13 +61,15 @@ class Row:
     noise: float
     """Median standard uncertainty of the slant range [m]."""
     usable: float
-    """Share of the pixels that have a range [1]."""
+    """Fraction of the pixels that have a range [1]."""
     flagged: float
-    """Share of the pixels that have any flag [1]."""
-    recommended: bool
+    """Fraction of the pixels that have any flag [1]."""
+    caution: Caution = Caution.NONE
+    """What speaks against it; the recommendation decides by this."""
+    recommended: bool = False
     """True for one row."""
-    note: str
-    """Why it is recommended, or why it could not run or should not be used."""
+    note: str = ""
+    """Why it is recommended, or the caution in words; for the reader only."""
 
     @property
     def error(self) -> float:
@@ -59,7 +77,7 @@ class Row:
         return float(np.hypot(self.bias, self.noise))
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Comparison:
     """All methods side by side."""
 
@@ -77,7 +95,7 @@ class Comparison:
 class _Method:
     name: str
     run: Callable[[xr.Dataset, Interval], xr.Dataset]
-    caution: Callable[[xr.Dataset, Interval], str] = field(default=lambda cube, i: "")
+    keeps_one_frequency: bool = False
 
 
 def _cross_polarized(cube: xr.Dataset, interval: Interval) -> xr.Dataset:
@@ -95,17 +113,14 @@ def _open_water(cube: xr.Dataset, interval: Interval) -> xr.Dataset:
     )
 
 
-def _repeats(cube: xr.Dataset, interval: Interval) -> str:
-    """Return a warning if one frequency alone does not settle the interval."""
-    alone = float(
+def _repeat_distance(cube: xr.Dataset) -> float:
+    """Return the distance after which the only frequency of a cube repeats [m]."""
+    return float(
         ranging.ambiguity_interval(
             float(cube["modulation_frequency"][0]),
             group_index=float(cube["geometry"].attrs["group_index"]),
         )
     )
-    if interval is not None and interval[1] - interval[0] > alone:
-        return f"repeats after {alone:.3g} m"
-    return ""
 
 
 #: The simplest first.
@@ -115,7 +130,7 @@ _METHODS = (
     _Method(
         "frequency",
         lambda cube, interval: frequency(cube, interval=interval),
-        _repeats,
+        keeps_one_frequency=True,
     ),
     _Method("polarization", lambda cube, interval: unmix(cube)),
     _Method("combined", lambda cube, interval: combined(cube, interval=interval)),
@@ -158,12 +173,11 @@ def compare(cube: xr.Dataset, *, interval: Interval = None) -> Comparison:
     for method in _METHODS:
         try:
             target = method.run(cube, interval)
-            caution = method.caution(target, interval)
         except (AmulorError, ValueError) as error:
-            rows.append(_absent(method.name, str(error)))
+            rows.append(_not_run(method.name, str(error)))
             continue
         rows += [
-            _row(method.name, target.sel(polarization=[name]), caution)
+            _row(method, target.sel(polarization=[name]), interval)
             for name in target.amulor.polarizations
         ]
     best = _best(rows)
@@ -171,13 +185,13 @@ def compare(cube: xr.Dataset, *, interval: Interval = None) -> Comparison:
         listed = "; ".join(f"{row.method}: {row.note or 'no pixel'}" for row in rows)
         raise CubeError(f"no method has a pixel that it can use ({listed})")
     reason = _reason(rows, best)
-    final = tuple(
-        row
-        if k != best
-        else Row(**{**row.__dict__, "recommended": True, "note": reason})
-        for k, row in enumerate(rows)
+    rows[best] = replace(rows[best], recommended=True, note=reason)
+    return Comparison(
+        rows=tuple(rows),
+        method=rows[best].method,
+        polarization=rows[best].polarization,
+        reason=reason,
     )
-    return Comparison(final, rows[best].method, rows[best].polarization, reason)
 
 
 def auto(
@@ -208,36 +222,59 @@ def auto(
     CubeError
         As `compare`.
     """
-    found = compare(cube, interval=interval) if comparison is None else comparison
-    method = next(method for method in _METHODS if method.name == found.method)
-    target = method.run(cube, interval).sel(polarization=[found.polarization])
+    if comparison is None:
+        comparison = compare(cube, interval=interval)
+    method = next(one for one in _METHODS if one.name == comparison.method)
+    target = method.run(cube, interval).sel(polarization=[comparison.polarization])
     return target.assign_attrs(
-        rejection_method=found.method, rejection_reason=found.reason
+        rejection_method=comparison.method, rejection_reason=comparison.reason
     )
 
 
-def _absent(name: str, note: str) -> Row:
-    nan = float("nan")
-    return Row(name, "", nan, nan, 0.0, 1.0, False, note)
+def _not_run(name: str, reason: str) -> Row:
+    return Row(
+        method=name,
+        polarization="",
+        bias=float("nan"),
+        noise=float("nan"),
+        usable=0.0,
+        flagged=1.0,
+        caution=Caution.NOT_RUN,
+        note=reason,
+    )
 
 
-def _row(name: str, target: xr.Dataset, caution: str) -> Row:
-    flags = target["quality_flag"].values[:, 0]
-    flag = np.bitwise_or.reduce(flags, axis=0)
+def _row(method: _Method, target: xr.Dataset, interval: Interval) -> Row:
+    """Return what a method made of one channel."""
+    flag = np.bitwise_or.reduce(target["quality_flag"].values[:, 0], axis=0)
     usable = (flag & UNUSABLE) == 0
-    channel = target.amulor.polarizations[0]
-    shares = float(usable.mean()), float((flag != 0).mean())
-    if not usable.any():
-        nan = float("nan")
-        note = caution or "no pixel shows a target"
-        return Row(name, channel, nan, nan, *shares, False, note)
-    noise, bias = _errors(target, usable)
-    water_is_in = bool((flag[usable] & QualityFlag.NO_OPEN_WATER).any())
-    left = float(np.sqrt(np.mean(bias**2)))
-    if water_is_in or not np.isfinite(left):
-        left = float("inf")
-        caution = caution or "nothing tells how much water is left in"
-    return Row(name, channel, left, float(np.median(noise)), *shares, False, caution)
+    caution, note = Caution.NONE, ""
+    bias, noise = float("nan"), float("nan")
+    if usable.any():
+        noises, biases = _errors(target, usable)
+        water_is_in = bool((flag[usable] & QualityFlag.NO_OPEN_WATER).any())
+        bias = float(np.sqrt(np.mean(biases**2)))
+        noise = float(np.median(noises))
+        if water_is_in or not np.isfinite(bias):
+            bias = float("inf")
+            caution = Caution.BIAS_UNKNOWN
+            note = "nothing tells how much water is left in"
+    else:
+        caution, note = Caution.NO_PIXEL, "no pixel shows a target"
+    if method.keeps_one_frequency and interval is not None:
+        alone = _repeat_distance(target)
+        if interval[1] - interval[0] > alone:
+            caution, note = Caution.AMBIGUOUS, f"repeats after {alone:.3g} m"
+    return Row(
+        method=method.name,
+        polarization=target.amulor.polarizations[0],
+        bias=bias,
+        noise=noise,
+        usable=float(usable.mean()),
+        flagged=float((flag != 0).mean()),
+        caution=caution,
+        note=note,
+    )
 
 
 def _errors(target: xr.Dataset, usable: NDArray[np.bool_]) -> tuple[Floats, Floats]:
@@ -276,15 +313,11 @@ def _best(rows: list[Row]) -> int | None:
     if most == 0:
         return None
     enough = [k for k, row in enumerate(rows) if row.usable >= _USES_ENOUGH * most]
-    clear = [k for k in enough if not _is_ambiguous(rows[k])] or enough
+    clear = [k for k in enough if rows[k].caution is not Caution.AMBIGUOUS] or enough
     lowest = min(rows[k].error for k in clear)
     if not np.isfinite(lowest):
         return min(clear, key=lambda k: rows[k].noise)
     return next(k for k in clear if rows[k].error <= (1 + _EQUAL) * lowest)
-
-
-def _is_ambiguous(row: Row) -> bool:
-    return row.note.startswith("repeats")
 
 
 def _reason(rows: list[Row], best: int) -> str:

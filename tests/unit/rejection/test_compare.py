@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 import pytest
@@ -81,6 +83,32 @@ def test_auto_does_what_is_recommended(
     assert list(target["polarization"].values) == [found.polarization]
 
 
+def test_the_recommendation_does_not_hang_on_the_words_of_a_note(
+    plate_text: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    # One frequency, 2.8 m; of 0.5 m to 6 m it leaves two places open.
+    cube = simulate(Survey.from_text(plate_text), rng=21)
+    found = rejection.compare(cube, interval=(0.5, 6.0))
+    row = next(row for row in found.rows if row.method == "frequency")
+    assert row.caution is rejection.Caution.AMBIGUOUS
+    assert "repeats after 2.79 m" in row.note
+    clear = rejection.compare(cube, interval=(0.5, 3.0))
+    row = next(row for row in clear.rows if row.method == "frequency")
+    assert row.caution is not rejection.Caution.AMBIGUOUS
+
+    class Mute(rejection.Row):
+        """A row whose notes say nothing."""
+
+        def __init__(self, **fields: Any) -> None:
+            super().__init__(**{**fields, "note": ""})
+
+    # The module, which the function of the same name stands before.
+    monkeypatch.setattr(sys.modules["amulor.rejection.compare"], "Row", Mute)
+    mute = rejection.compare(cube, interval=(0.5, 6.0))
+    assert (mute.method, mute.polarization) == (found.method, found.polarization)
+    assert mute.reason == found.reason
+
+
 def test_methods_that_cannot_run_say_why(by_hand: Make) -> None:
     cube = by_hand(frequency=[39e6], channels={"VV": (1.0, 1.0)})
     rows = {row.method: row for row in rejection.compare(cube).rows}
@@ -88,6 +116,8 @@ def test_methods_that_cannot_run_say_why(by_hand: Make) -> None:
     assert "one modulation frequency" in rows["joint"].note
     assert rows["open-water"].recommended
     assert rows["joint"].usable == 0
+    assert rows["joint"].caution is rejection.Caution.NOT_RUN
+    assert rows["open-water"].caution is rejection.Caution.NONE
 
 
 def test_without_a_reference_the_crossed_channel_is_left(by_hand: Make) -> None:
@@ -96,6 +126,7 @@ def test_without_a_reference_the_crossed_channel_is_left(by_hand: Make) -> None:
     assert (found.method, found.polarization) == ("cross-polarized", "VH")
     best = next(row for row in found.rows if row.recommended)
     assert np.isinf(best.bias)
+    assert best.caution is rejection.Caution.BIAS_UNKNOWN
     assert "record open-water shots" in found.reason
 
 
