@@ -12,6 +12,7 @@ from __future__ import annotations
 import resource
 import time
 
+import history
 import numpy as np
 from scipy.optimize import least_squares
 
@@ -206,12 +207,14 @@ def main():
     blind, longer = scipy_loop(problem, numbers, every)
     print(f"16 frequencies, slant ranges from {INTERVAL[0]:g} to {INTERVAL[1]:g} m")
     print(f"compiled solver           {1 / each:10.0f} pixels/s")
+    figures = {"solver_pixels_per_s": 1 / each}
     for repeats in WHOLE:
         size, seconds_taken, memory = whole_method(repeats)
         print(
             f"whole method, {size:9d} {size / seconds_taken:10.0f} pixels/s"
             f"   {seconds_taken:.1f} s, {memory / size:.0f} bytes/pixel at most"
         )
+        figures[f"whole_method_of_{size}_pixels_per_s"] = size / seconds_taken
     print(f"least_squares, told where {1 / seconds:10.1f} pixels/s", end="")
     print(f"   solver faster {seconds / each:6.0f} times")
     print(f"least_squares, all starts {1 / longer:10.1f} pixels/s", end="")
@@ -221,6 +224,9 @@ def main():
         np.max(np.abs(blind - found.path[numbers])),
     )
     print(f"largest difference of the optical paths {apart * 1e6:.2g} um")
+    figures["least_squares_told_where_over_solver"] = seconds / each
+    figures["least_squares_all_starts_over_solver"] = longer / each
+    history.append("time_joint_estimation", figures)
 
 
 if __name__ == "__main__":

@@ -153,5 +153,20 @@ def main(columns=1000, rows=50, times=20, count=4_000_000):
     return memory, subtraction, table, integrated, error, total
 
 
+def remember():
+    """Measure, print, and add the figures to the history."""
+    import history
+
+    memory, subtraction, table, integrated, _, total = main()
+    figures = {
+        "triad_bytes_per_s": memory,
+        "subtraction_over_triad": subtraction / memory,
+        "column_by_table_s": table,
+        "column_by_integration_s": integrated,
+        "open_water_of_a_million_pixels_s": total,
+    }
+    history.append("time_rejection", figures)
+
+
 if __name__ == "__main__":
-    main()
+    remember()

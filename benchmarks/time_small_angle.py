@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 import time
 
+import history
 import numpy as np
 
 from amulor.optics import small_angle, small_angle_diffusion
@@ -118,6 +119,8 @@ def main():
     print(f"{'':36}{'time':>13}{'ratio':>9}")
     for name, seconds in best.items():
         print(f"{name:36}{seconds * 1e3:10.3f} ms{seconds / reference:9.1f}")
+    ratios = {f"{name}, over diffusion": best[name] / reference for name in best}
+    history.append("time_small_angle", ratios | {"diffusion form, s": reference})
 
 
 if __name__ == "__main__":

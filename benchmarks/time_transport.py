@@ -30,6 +30,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 
+import history
 import numpy as np
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "oracles"))
@@ -177,8 +178,10 @@ def take_turns(entries: list[Entry], clock: Clock, turns: int) -> None:
             entry.histories += histories
 
 
-def table(title: str, entries: list[Entry], goals: dict[str, float]) -> None:
-    """Print figures of merit; the first entry is what all others are compared to."""
+def table(
+    title: str, entries: list[Entry], goals: dict[str, float]
+) -> dict[str, float]:
+    """Print and return merits; the first entry is what all others are compared to."""
     first = entries[0]
     print(f"\n| {title} | fraction | histories | us each | FOM | ratio | goal |")
     print("| --- | --- | --- | --- | --- | --- | --- |")
@@ -194,10 +197,16 @@ def table(title: str, entries: list[Entry], goals: dict[str, float]) -> None:
             f"| {merit:,.4g} | {first.merit(first.mean) / merit:,.3g} "
             f"| {'' if goal is None else f'{goal:,.0f}'} |"
         )
+    best = first.merit(first.mean)
+    figures = {
+        f"{title}: amulor over {e.name}": best / e.merit(first.mean)
+        for e in entries[1:]
+    }
+    return figures | {f"{title}: amulor, 1/s": best}
 
 
-def narrow(clock: Clock, long: bool) -> None:
-    """Print the case of the narrow receiver, scalar and with Stokes vectors."""
+def narrow(clock: Clock, long: bool) -> dict[str, float]:
+    """Print and return the case of the narrow receiver, scalar and Stokes vectors."""
     hits, guess = "plain chance hits", "plain local estimate"
     count = 2_000_000
     scalar = [
@@ -216,14 +225,15 @@ def narrow(clock: Clock, long: bool) -> None:
         ),
     ]
     take_turns([*scalar, *stokes], clock, 3)
-    table("narrow, scalar", scalar, {hits: 2000, guess: 200})
-    table("narrow, Stokes vectors", stokes, {hits: 1000, guess: 100})
+    figures = table("narrow, scalar", scalar, {hits: 2000, guess: 200})
+    figures |= table("narrow, Stokes vectors", stokes, {hits: 1000, guess: 100})
     each = [entry[0].seconds / entry[0].histories for entry in (scalar, stokes)]
     print(f"\nStokes vectors cost {each[1] / each[0]:.2f} times as much (goal 3)")
+    return figures | {"Stokes vectors over scalar, time": each[1] / each[0]}
 
 
-def wide(clock: Clock, long: bool) -> None:
-    """Print the case of the receiver that takes light from any angle."""
+def wide(clock: Clock, long: bool) -> dict[str, float]:
+    """Print and return the case of the receiver that takes light from any angle."""
     hits = "plain chance hits"
     count = 4_000_000 if long else 2_000_000
     entries = [
@@ -238,7 +248,7 @@ def wide(clock: Clock, long: bool) -> None:
         ),
     ]
     take_turns(entries, clock, 3)
-    table("any angle", entries, dict.fromkeys((e.name for e in entries[1:]), 5))
+    return table("any angle", entries, dict.fromkeys((e.name for e in entries[1:]), 5))
 
 
 def techniques(clock: Clock) -> None:
@@ -270,8 +280,8 @@ def techniques(clock: Clock) -> None:
         table(title, entries, {})
 
 
-def slab(clock: Clock) -> None:
-    """Print histories per second through a slab."""
+def slab(clock: Clock) -> dict[str, float]:
+    """Print and return histories per second through a slab."""
     layer = Layer(
         absorption=0.1,
         scattering=0.9,
@@ -302,10 +312,11 @@ def slab(clock: Clock) -> None:
     print("| --- | --- | --- |")
     for name, seconds in best.items():
         print(f"| {name} | {found[name]:.4f} | {histories / seconds / 1e6:.2f} |")
+    return {f"slab: {name}, histories/s": histories / s for name, s in best.items()}
 
 
-def starts(cpu: bool) -> None:
-    """Print how long a new process takes, with an empty cache and later."""
+def starts(cpu: bool) -> dict[str, float]:
+    """Print and return how long a new process takes, with an empty cache and later."""
 
     def start(folder: str) -> float:
         wall, used = time.perf_counter(), resource.getrusage(resource.RUSAGE_CHILDREN)
@@ -323,6 +334,7 @@ def starts(cpu: bool) -> None:
         f"\nnew process, 1000 histories, {'CPU' if cpu else 'wall'} seconds: "
         f"empty cache {first:.1f} s (goal 30), later {later:.2f} s (goal 2)"
     )
+    return {"new process, empty cache, s": first, "new process, later, s": later}
 
 
 def main() -> None:
@@ -334,11 +346,12 @@ def main() -> None:
     clock = Clock(options.cpu)
     print("seconds:", "CPU time over two cores" if options.cpu else "wall time")
     print(f"{os.cpu_count()} cores; 'us each' is the time of one core for a history")
-    narrow(clock, options.long)
-    wide(clock, options.long)
+    figures = narrow(clock, options.long)
+    figures |= wide(clock, options.long)
     techniques(clock)
-    slab(clock)
-    starts(options.cpu)
+    figures |= slab(clock)
+    figures |= starts(options.cpu)
+    history.append("time_transport", figures | {"cpu_time": options.cpu})
 
 
 if __name__ == "__main__":

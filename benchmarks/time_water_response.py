@@ -11,6 +11,7 @@ import math
 import time
 import warnings
 
+import history
 import numpy as np
 from scipy.constants import speed_of_light
 from scipy.integrate import IntegrationWarning, quad
@@ -161,6 +162,8 @@ def main():
     print("other calls of amulor")
     for name in others:
         print(f"{name:46}{best[name] * 1e3:10.3f} ms{best[name] / best[first]:9.1f}")
+    ratios = {f"{n}, over amulor": best[n] / best[first] for n in best if n != first}
+    history.append("time_water_response", {f"{first}, s": best[first]} | ratios)
 
 
 if __name__ == "__main__":
