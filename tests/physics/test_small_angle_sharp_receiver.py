@@ -1,6 +1,7 @@
 """Sharp receiver in small-angle form: plain quadrature, closed limits, invariances."""
 
 from functools import cache, partial
+from importlib import resources
 from itertools import pairwise
 from pathlib import Path
 
@@ -47,8 +48,9 @@ def mean_transform(name):
     """Return what the plain quadrature needs of a phase function."""
     kinks = ()
     if name == "Petzold":
-        table = Path(small_angle.__file__).parent / "data" / "petzold_1972_vsf.csv"
-        kinks = tuple(np.radians(np.loadtxt(table, delimiter=",")[:, 0]))
+        source = resources.files("amulor.optics").joinpath("data")
+        with source.joinpath("petzold_1972_vsf.csv").open() as table:
+            kinks = tuple(np.radians(np.loadtxt(table, delimiter=",")[:, 0]))
     return oracle.mean_transform(PHASE_FUNCTIONS[name], SPLIT, kinks=kinks)
 
 
