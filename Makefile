@@ -5,7 +5,8 @@ BIN = .venv/bin
 JOBS ?= 2
 EXAMPLES = quick
 PYTEST = $(BIN)/python -m pytest --hypothesis-profile=$(EXAMPLES)
-TOGETHER = -n $(JOBS) --dist loadgroup
+# The tests of one file share fixtures, so one process runs them all.
+TOGETHER = -n $(JOBS) --dist loadfile
 .DEFAULT_GOAL := help
 
 help:

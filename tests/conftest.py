@@ -38,16 +38,10 @@ def pytest_configure(config: pytest.Config) -> None:
         compile_cache.discard_stale()
 
 
-@pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Give the tests of one file to one process, which makes their fixtures once.
-
-    Those of the whole program come first: they are long, and short ones fill the end.
-    """
-    for item in items:
-        if item.get_closest_marker("xdist_group") is None:
-            item.add_marker(pytest.mark.xdist_group(item.nodeid.partition("::")[0]))
-    items.sort(key=lambda item: "tests/system/" not in item.nodeid)
+    """Put tests of the whole program first: short ones then fill the end of a run."""
+    folders = ("tests/system/", "tests/physics/")
+    items.sort(key=lambda item: not item.nodeid.startswith(folders))
 
 
 PLATE = """

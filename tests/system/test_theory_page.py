@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib
 import importlib.util
 import re
+from functools import cache
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -36,15 +37,18 @@ def _script(name: str) -> ModuleType:
 outputs = _script("make_theory_outputs")
 
 
-@pytest.fixture(scope="module")
-def runs() -> dict[str, tuple[dict[str, Any], list[tuple[str, str]]]]:
-    """Each page run once, its examples one after the other."""
-    return {name: outputs.run(TEXTS[name], name=name) for name in WITH_EXAMPLES}
+@cache
+def _ran(name: str) -> tuple[dict[str, Any], list[tuple[str, str]]]:
+    """Return what came of a page, run once, its examples one after the other."""
+    return outputs.run(TEXTS[name], name=name)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", WITH_EXAMPLES)
-def test_examples_print_what_the_page_shows(name: str, runs: Any) -> None:
-    for shown, printed in runs[name][1]:
+def test_examples_print_what_the_page_shows(name: str) -> None:
+    found = _ran(name)[1]
+    assert found
+    for shown, printed in found:
         assert printed == shown
 
 
@@ -169,9 +173,10 @@ def test_the_pictures_on_the_pages_are_those_that_are_drawn() -> None:
     assert shown == drawn == stored
 
 
-def test_the_figure_of_ratios_shows_the_numbers_of_the_table(runs: Any) -> None:
+@pytest.mark.slow
+def test_the_figure_of_ratios_shows_the_numbers_of_the_table() -> None:
     matplotlib.use("agg")
-    found = runs["water-signal"][0]["found"]
+    found = _ran("water-signal")[0]["found"]
     figure = _script("make_theory_images").model_ratio(np.array([0.5]))
     for column, water in enumerate(("HG", "harbour")):
         for axis, ratio in (
