@@ -8,7 +8,8 @@ from amulor.cube.accessor import (
     without_groups,
 )
 from amulor.cube.build import build, open_water
-from amulor.cube.check import check
+from amulor.cube.check import check, checked
+from amulor.cube.dimensions import restore_dimensions
 from amulor.cube.provenance import attributes, digest, note
 from amulor.cube.schema import LEVELS, SCHEMA_VERSION, UNUSABLE, QualityFlag
 
@@ -22,10 +23,17 @@ __all__ = [
     "attributes",
     "build",
     "check",
+    "checked",
     "digest",
     "flag_counts",
     "group",
     "note",
     "open_water",
+    "restore_dimensions",
     "without_groups",
 ]
+
+
+def __dir__() -> list[str]:
+    """List the public names, not the modules that they come from."""
+    return sorted(__all__)

@@ -8,6 +8,7 @@ import numpy as np
 import xarray as xr
 
 from amulor.cube import schema
+from amulor.cube.dimensions import restore_dimensions
 
 
 def group(cube: xr.Dataset, name: str) -> xr.Dataset | None:
@@ -122,6 +123,11 @@ class CubeAccessor:
     def level(self) -> str:
         """How far the cube has come: samples, target_signal, range_image, ..."""
         return str(self._cube.attrs["level"])
+
+    @property
+    def restored(self) -> xr.Dataset:
+        """The cube with the dimensions that selecting a single value took away."""
+        return restore_dimensions(self._cube)
 
     @property
     def polarizations(self) -> list[str]:

@@ -10,11 +10,38 @@ import numpy as np
 import xarray as xr
 
 from amulor.cube import accessor, schema
+from amulor.cube.dimensions import restore_dimensions
 from amulor.errors import CubeError
 from amulor.optics.polarization import stokes
 
 # Variables that a caller may add to a cube go under names of his own with this start.
 _FREE_PREFIX = "user_"
+
+
+def checked(
+    cube: xr.Dataset, level: str | None = None, *, name: str = "the cube"
+) -> xr.Dataset:
+    """Return a cube that keeps the schema of its level, or raise; steps start with it.
+
+    Parameters
+    ----------
+    cube, level, name
+        As in `check`; dimensions that selecting a single value took away, such as
+        `cube.sel(polarization="VV")`, may be missing.
+
+    Returns
+    -------
+    xarray.Dataset
+        The cube with all its dimensions, see `restore_dimensions`.
+
+    Raises
+    ------
+    CubeError
+        As `check`.
+    """
+    whole = restore_dimensions(cube)
+    check(whole, level, name=name)
+    return whole
 
 
 def check(

@@ -215,6 +215,17 @@ OPEN_WATER_VARIABLES = {
     "elevation": Variable(("shot",), "rad", "direction of the beam", False),
 }
 
+#: What a simulated cube was made from.
+TRUTH_VARIABLES = {
+    "slant_range": Variable(_PIXEL, "m", "distance from the emitter along the beam"),
+    "target": Variable(_PIXEL, "1", "number of the target met, -1 for none"),
+    "target_in_phase": Variable(_SAMPLE, "V", "target signal, in phase"),
+    "target_quadrature": Variable(_SAMPLE, "V", "target signal, quadrature"),
+    "water_in_phase": Variable(_SAMPLE, "V", "water signal, in phase"),
+    "water_quadrature": Variable(_SAMPLE, "V", "water signal, quadrature"),
+}
+GROUP_VARIABLES = {"open_water": OPEN_WATER_VARIABLES, "truth": TRUTH_VARIABLES}
+
 #: Attributes of the scalar coordinate `geometry`: what a phase needs to become a
 #: point in space. Positions [m] are (right, down, forward).
 GEOMETRY_ATTRIBUTES = {

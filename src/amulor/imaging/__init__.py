@@ -15,3 +15,8 @@ __all__ = [
     "range_image",
     "unwrapped_range_image",
 ]
+
+
+def __dir__() -> list[str]:
+    """List the public names, not the modules that they come from."""
+    return sorted(__all__)

@@ -8,6 +8,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import ArrayLike, NDArray
 
+from amulor import cube as cubes
 from amulor.errors import CubeError
 from amulor.optics import ranging
 
@@ -59,6 +60,7 @@ def covariance(image: xr.Dataset, pixels: ArrayLike) -> Floats:
     pixels at different ranges share less: a factor of the cosine of their difference
     in phase, averaged over the frequencies. Without a stated degree, all share alike.
     """
+    image = cubes.checked(image, "range_image")
     which = _usable(image, pixels)
     count = int(which.sum())
     if count > _MOST_PIXELS:
@@ -95,6 +97,7 @@ def mean_range(image: xr.Dataset, region: ArrayLike) -> RangeFigure:
     CubeError
         As `covariance`.
     """
+    image = cubes.checked(image, "range_image")
     which = _usable(image, region)
     weight = np.full(int(which.sum()), 1 / which.sum())
     return _figure(image, which, weight)
@@ -122,6 +125,7 @@ def range_difference(
     CubeError
         As `covariance`, or if the regions overlap.
     """
+    image = cubes.checked(image, "range_image")
     one, other = _usable(image, first), _usable(image, second)
     if np.any(one & other):
         raise CubeError(

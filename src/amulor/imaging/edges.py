@@ -48,7 +48,7 @@ def mixed_pixels(
     counts, since what neighbours share cancels. Several frequencies see mixed pixels by
     themselves: their phases disagree, and `range_image` flags them `AMBIGUOUS`.
     """
-    cubes.check(image, "range_image")
+    image = cubes.checked(image, "range_image")
     if not significance > 0:
         raise ValueError(f"significance must be above 0, got {significance:g}")
     if reach < 1:
@@ -85,6 +85,7 @@ def flag_mixed(
     ValueError
         As `mixed_pixels`.
     """
+    image = cubes.checked(image, "range_image")
     found = mixed_pixels(image, significance=significance, reach=reach)
     variable = xr.Variable(
         ("row", "column"),

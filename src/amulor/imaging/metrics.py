@@ -8,6 +8,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import ArrayLike, NDArray
 
+from amulor import cube as cubes
 from amulor.cube import UNUSABLE
 from amulor.errors import CubeError
 from amulor.imaging.point_cloud import point_cloud
@@ -71,6 +72,7 @@ def plane_residual(image: xr.Dataset, region: ArrayLike | None = None) -> PlaneF
     CubeError
         If fewer than four usable pixels are there, or all in one line.
     """
+    image = cubes.checked(image, "range_image")
     shape = image["quality_flag"].shape
     label = np.ones(shape, int) if region is None else np.asarray(region).astype(int)
     points, number, sigma, _ = _regions(image, label, [1])
@@ -124,6 +126,7 @@ def step_heights(image: xr.Dataset, regions: ArrayLike) -> list[StepHeight]:
     full and the difference of the bias estimates of the two planes is added, both in
     quadrature: an upper limit, since neighbours share most of either.
     """
+    image = cubes.checked(image, "range_image")
     label = np.asarray(regions)
     numbers = list(range(1, int(label.max(initial=0)) + 1))
     points, number, sigma, pixel = _regions(image, label, numbers)
@@ -201,6 +204,7 @@ def contrast(image: xr.Dataset, target: ArrayLike, surround: ArrayLike) -> Contr
     CubeError
         If one of the two has fewer than two pixels.
     """
+    image = cubes.checked(image, "range_image")
     means, errors = [], []
     for name, region in (("target", target), ("surround", surround)):
         values = image["intensity"].values[np.asarray(region, dtype=bool)]

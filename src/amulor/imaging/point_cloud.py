@@ -23,9 +23,10 @@ def point_cloud(image: xr.Dataset) -> xr.Dataset:
     xarray.Dataset
         Level `point_cloud`; x right, y down, z forward in the axes of the instrument,
         in which the emitter stands at its `emitter_position`. `row` and `column` say
-        which pixel a point comes from. Points lie on the beam as bent by the window.
+        which pixel a point comes from, the attribute `scan_shape` how many rows and
+        columns the scan has. Points lie on the beam as bent by the window.
     """
-    cubes.check(image, "range_image")
+    image = cubes.checked(image, "range_image")
     flag = image["quality_flag"].values
     row, column = np.nonzero((flag & UNUSABLE) == 0)
     beam = beams_of(image)
@@ -48,6 +49,10 @@ def point_cloud(image: xr.Dataset) -> xr.Dataset:
         },
         {},
         geometry=image.amulor.geometry,
-        attributes={**image.attrs, "level": "point_cloud"},
+        attributes={
+            **image.attrs,
+            "level": "point_cloud",
+            "scan_shape": np.array(flag.shape, dtype=np.int32),
+        },
     )
     return cubes.note(cloud, "point cloud")

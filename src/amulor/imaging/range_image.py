@@ -60,7 +60,7 @@ def range_image(
     .. [1] R. Ricci et al., EURASIP J. Adv. Signal Process. 2010, 958360,
        :doi:`10.1155/2010/958360`.
     """
-    cubes.check(cube, "target_signal")
+    cube = cubes.checked(cube, "target_signal")
     one = channel_of(cube, polarization)
     medium = medium_of(one)
     frequency = one["modulation_frequency"].values

@@ -69,7 +69,7 @@ def unwrapped_range_image(
     that is higher comes out too low by whole intervals, which nothing can show. Parts
     of the picture that unusable pixels separate are unwrapped on their own.
     """
-    cubes.check(cube, "target_signal")
+    cube = cubes.checked(cube, "target_signal")
     one = channel_of(cube, polarization)
     one = one.isel(modulation_frequency=[_frequency(one, modulation_frequency)])
     flag, sigma, _ = phase_errors(one)

@@ -1,4 +1,8 @@
-"""Reads and writes files: cubes and tallies as netCDF, clouds in others' formats."""
+"""Reads and writes files: cubes and tallies as netCDF, clouds in others' formats.
+
+Photon histograms of other instruments become cubes (`read_transients`) or the response
+of slabs (`read_slabs`, `slab_response`).
+"""
 
 from __future__ import annotations
 
@@ -10,17 +14,28 @@ import xarray as xr
 from amulor.errors import FormatError
 from amulor.io.e57 import write_e57
 from amulor.io.files import check_output, make_folder
+from amulor.io.histograms import Histograms, read_histograms
 from amulor.io.laz import write_laz
 from amulor.io.netcdf import read_cube, write_cube
 from amulor.io.ply import write_ply
+from amulor.io.slab_response import Slabs, mean_delay, read_slabs, slab_response
 from amulor.io.tallies import read_tally, write_tally
+from amulor.io.transients import medium_from_minimum, read_transients
 
 __all__ = [
     "CLOUD_SUFFIXES",
+    "Histograms",
+    "Slabs",
     "check_output",
     "make_folder",
+    "mean_delay",
+    "medium_from_minimum",
     "read_cube",
+    "read_histograms",
+    "read_slabs",
     "read_tally",
+    "read_transients",
+    "slab_response",
     "write_cloud",
     "write_cube",
     "write_e57",
@@ -37,7 +52,7 @@ def write_cloud(
     cloud: xr.Dataset,
     path: str | os.PathLike[str],
     *,
-    shape: tuple[int, int],
+    shape: tuple[int, int] | None = None,
     overwrite: bool = False,
 ) -> None:
     """Write a point cloud in the format that the suffix of the file names.
@@ -48,8 +63,9 @@ def write_cloud(
         A cube of level `point_cloud`.
     path : path-like
         File to make, with one of `CLOUD_SUFFIXES` in small or capital letters.
-    shape : tuple of int
-        Rows and columns of the scan, which an E57 file needs [1].
+    shape : tuple of int, optional
+        Rows and columns of the scan, for an E57 file only [1]; see `write_e57` for
+        what it is by default.
     overwrite : bool
         Whether an existing file is replaced.
 
@@ -75,3 +91,8 @@ def write_cloud(
             f"{path} has the suffix {suffix!r}, which names no format for point "
             f"clouds; use one of {', '.join(CLOUD_SUFFIXES)}"
         )
+
+
+def __dir__() -> list[str]:
+    """List the public names, not the modules that they come from."""
+    return sorted(__all__)

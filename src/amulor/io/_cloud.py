@@ -15,8 +15,8 @@ AXES = "right-handed: x right, y down, z forward, in the instrument's axes [m]"
 _LAST = {"row": 2**31 - 1, "column": 2**31 - 1, "quality_flag": 2**15 - 1}
 
 
-def check_cloud(cloud: xr.Dataset, *, name: str) -> None:
-    """Raise unless a cube is a point cloud with at least one point, all of them placed.
+def checked_cloud(cloud: xr.Dataset, *, name: str) -> xr.Dataset:
+    """Return a point cloud with at least one point, all of them placed, or raise.
 
     Parameters
     ----------
@@ -25,13 +25,18 @@ def check_cloud(cloud: xr.Dataset, *, name: str) -> None:
     name : str
         How a message names the cloud.
 
+    Returns
+    -------
+    xarray.Dataset
+        The cloud; of a single selected point, with the dimension put back.
+
     Raises
     ------
     CubeError
         If it is of another level or empty, if a point has no position or no
         intensity, or if a row, a column or a flag is no whole number.
     """
-    cubes.check(cloud, level="point_cloud", name=name)
+    cloud = cubes.checked(cloud, level="point_cloud", name=name)
     if cloud.sizes["point"] == 0:
         raise CubeError(
             f"{name}: there is no point in it; look at the quality flags of the range "
@@ -54,6 +59,7 @@ def check_cloud(cloud: xr.Dataset, *, name: str) -> None:
                 f"found {np.min(values):g} to {np.max(values):g}; make the cloud again "
                 "from its range image"
             )
+    return cloud
 
 
 def provenance_lines(cloud: xr.Dataset) -> list[str]:

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from amulor import cube as cubes
 from amulor.errors import CubeError, FormatError, MissingExtraError
-from amulor.io._cloud import check_cloud, provenance_lines
+from amulor.io._cloud import checked_cloud, provenance_lines
 from amulor.io.files import atomic_output
 
 # What `cartesianInvalidState` says of a pixel, after ASTM E2807.
@@ -26,7 +26,7 @@ def write_e57(
     cloud: xr.Dataset,
     path: str | os.PathLike[str],
     *,
-    shape: tuple[int, int],
+    shape: tuple[int, int] | None = None,
     overwrite: bool = False,
 ) -> None:
     """Write a point cloud to an E57 file, with a record for each pixel of its scan.
@@ -37,8 +37,10 @@ def write_e57(
         A cube of level `point_cloud`.
     path : path-like
         File to make, by custom with the suffix `.e57`.
-    shape : tuple of int
-        Rows and columns of the scan [1].
+    shape : tuple of int, optional
+        Rows and columns of the scan, for which a scan in E57 has room [1]. By default
+        what the cloud says in its attribute `scan_shape`, or as many as its points
+        need.
     overwrite : bool
         Whether an existing file is replaced.
 
@@ -60,8 +62,8 @@ def write_e57(
     """
     libe57 = _libe57()
     name = f"the cloud for {path}"
-    check_cloud(cloud, name=name)
-    columns = _records(cloud, shape, name=name)
+    cloud = checked_cloud(cloud, name=name)
+    columns = _records(cloud, shape or _shape_of(cloud), name=name)
     with atomic_output(Path(path), overwrite=overwrite) as temporary:
         try:
             _write(libe57, temporary, cloud, columns)
@@ -81,6 +83,14 @@ def _libe57() -> Any:
             "pye57", extra="export", purpose="writing E57 files"
         ) from error
     return libe57
+
+
+def _shape_of(cloud: xr.Dataset) -> tuple[int, int]:
+    """Return rows and columns of the scan that a cloud comes from."""
+    if "scan_shape" in cloud.attrs:
+        rows, columns = (int(size) for size in cloud.attrs["scan_shape"])
+        return rows, columns
+    return int(cloud["row"].max()) + 1, int(cloud["column"].max()) + 1
 
 
 def _records(

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from amulor.cube import provenance
 from amulor.errors import CubeError, FormatError, MissingExtraError
-from amulor.io._cloud import check_cloud, provenance_lines
+from amulor.io._cloud import checked_cloud, provenance_lines
 from amulor.io.files import atomic_output
 
 #: Step of the coordinates in the file [m]: the rounding, half of it, is far below the
@@ -72,7 +72,7 @@ def write_laz(
     """
     laspy = _laspy()
     name = f"the cloud for {path}"
-    check_cloud(cloud, name=name)
+    cloud = checked_cloud(cloud, name=name)
     header = laspy.LasHeader(version="1.4", point_format=6)
     header.global_encoding.wkt = True  # asked for by this point format, even if unused
     header.system_identifier = "amulor"

@@ -108,7 +108,8 @@ def write_cube(
     Parameters
     ----------
     cube : xarray.Dataset
-        A cube of any level.
+        A cube of any level; dimensions that selecting a single value took away are
+        put back.
     path : path-like
         File to make, by custom with the suffix `.nc`.
     overwrite : bool
@@ -130,7 +131,7 @@ def write_cube(
     """
     path = Path(path)
     name = f"the cube for {path}"
-    cubes.check(cube, name=name)
+    cube = cubes.checked(cube, name=name)
     parts = {"": _root(cube)}
     for group in schema.GROUPS:
         part = _group(cube, group, name=name)

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import xarray as xr
 
-from amulor.io._cloud import check_cloud, provenance_lines
+from amulor.io._cloud import checked_cloud, provenance_lines
 from amulor.io.files import atomic_output
 
 # Property of the file, its type, and the variable it comes from. CloudCompare shows
@@ -55,7 +55,7 @@ def write_ply(
     variables as properties that start with `scalar_`. Units and provenance stand in
     comments.
     """
-    check_cloud(cloud, name=f"the cloud for {path}")
+    cloud = checked_cloud(cloud, name=f"the cloud for {path}")
     kept = [entry for entry in _PROPERTIES if entry[3] in cloud]
     vertices = np.empty(
         cloud.sizes["point"], dtype=[(name, code) for name, _, code, _ in kept]

@@ -1,4 +1,9 @@
-"""From samples to the signal of the target: one method a file."""
+"""From samples to the signal of the target: one method a file.
+
+A method takes a cube of level `samples` and returns one of level `target_signal`;
+`compare` runs them all, `auto` the best of them. `water_fit` tells the optical
+properties of the water instead, from its open-water shots.
+"""
 
 from amulor.rejection.channels.analysers import stokes_vectors, unmix_stokes
 from amulor.rejection.channels.ratios import Ratio, target_ratio, water_ratio
@@ -6,6 +11,12 @@ from amulor.rejection.combined import combined
 from amulor.rejection.compare import Caution, Comparison, Row, auto, compare
 from amulor.rejection.frequency import FrequencyChoice, choose_frequency, frequency
 from amulor.rejection.joint.estimate import joint
+from amulor.rejection.joint.water_fit import (
+    ScatteringSplit,
+    WaterFit,
+    split_scattering,
+    water_fit,
+)
 from amulor.rejection.open_water import open_water
 from amulor.rejection.polarization import (
     ChannelChoice,
@@ -24,6 +35,8 @@ __all__ = [
     "FrequencyChoice",
     "Ratio",
     "Row",
+    "ScatteringSplit",
+    "WaterFit",
     "auto",
     "choose_channel",
     "choose_frequency",
@@ -35,10 +48,17 @@ __all__ = [
     "joint",
     "keep_water",
     "open_water",
+    "split_scattering",
     "stokes_vectors",
     "target_ratio",
     "unmix",
     "unmix_stokes",
+    "water_fit",
     "water_ratio",
     "with_open_water",
 ]
+
+
+def __dir__() -> list[str]:
+    """List the public names, not the modules that they come from."""
+    return sorted(__all__)

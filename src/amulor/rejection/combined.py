@@ -74,7 +74,7 @@ def combined(
     :math:`\delta` is an error that they share: :math:`\delta = 0` gives the weighted
     mean of the channels, a large one gives unmixing.
     """
-    cubes.check(cube, "samples")
+    cube = cubes.checked(cube, "samples")
     _refuse_odd(target_ratio, water_change)
     co, cross = pair_of(cube)
     if target_ratio is None:

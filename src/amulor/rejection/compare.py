@@ -168,7 +168,7 @@ def compare(cube: xr.Dataset, *, interval: Interval = None) -> Comparison:
     as infinite. Where the survey describes the water, open water is subtracted up to
     the target only, and what the survey says about the rest counts as sure to a fifth.
     """
-    cubes.check(cube, "samples")
+    cube = cubes.checked(cube, "samples")
     rows: list[Row] = []
     for method in _METHODS:
         try:

@@ -102,7 +102,7 @@ def choose_frequency(
     error of the slant range, random error and shift together, among the frequencies
     that alone settle the interval; among all if none does.
     """
-    cubes.check(cube, "samples")
+    cube = cubes.checked(cube, "samples")
     figures = merit(cube, interval=interval)
     channel = _channel(cube, figures, polarization)
     frequency = cube["modulation_frequency"].values
@@ -176,7 +176,7 @@ def frequency(
     CubeError
         As `choose_frequency`, or if the cube has no such frequency.
     """
-    cubes.check(cube, "samples")
+    cube = cubes.checked(cube, "samples")
     warnings: tuple[str, ...] = ()
     if modulation_frequency is None:
         choice = choose_frequency(cube, interval=interval)

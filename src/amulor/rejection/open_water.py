@@ -73,7 +73,7 @@ def open_water(
     .. [1] R. Ricci et al., EURASIP J. Adv. Signal Process. 2010, 958360,
        :doi:`10.1155/2010/958360`.
     """
-    cubes.check(cube, "samples")
+    cube = cubes.checked(cube, "samples")
     _refuse_odd_fraction(column_uncertainty)
     water = water_before_target(cube, interval=interval)
     target, water_signal, common = water.difference, water.to_the_end, water.common

@@ -36,7 +36,7 @@ def keep_water(cube: xr.Dataset) -> xr.Dataset:
         Level `target_signal`, every sample flagged `NO_OPEN_WATER`: what a picture
         looks like before rejection.
     """
-    cubes.check(cube, "samples")
+    cube = cubes.checked(cube, "samples")
     return _unchanged(cube, step="reject, nothing taken out")
 
 
@@ -129,7 +129,7 @@ def choose_channel(
     depends on the noise. Judged by random error and shift of the slant range together,
     both with the water left in, at the frequency that serves each channel best.
     """
-    cubes.check(cube, "samples")
+    cube = cubes.checked(cube, "samples")
     figures = merit(cube, interval=interval)
     error = np.where(np.isfinite(figures.error), figures.error, np.inf)
     each = error.min(axis=0)
@@ -210,7 +210,7 @@ def unmix(
     With co-polarized :math:`A = T + W` and cross-polarized
     :math:`B = r_t T + r_w W`, :math:`T = (B - r_w A) / (r_t - r_w)`.
     """
-    cubes.check(cube, "samples")
+    cube = cubes.checked(cube, "samples")
     co, cross = pair_of(cube)
     if target_ratio is None:
         of_target = ratios.target_ratio(cube)
@@ -281,7 +281,7 @@ def _fluctuation(
 
 
 def _chosen(cube: xr.Dataset, channels: tuple[str, ...], *, name: str) -> xr.Dataset:
-    cubes.check(cube, "samples")
+    cube = cubes.checked(cube, "samples")
     present = cube.amulor.polarizations
     chosen = [channel for channel in present if channel in channels]
     if not chosen:

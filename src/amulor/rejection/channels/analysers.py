@@ -50,7 +50,7 @@ def stokes_vectors(cube: xr.Dataset, *, launched: str) -> xr.DataArray:
     modulation of its own, amplitude and phase. An ideal analyser with the Stokes
     vector a passes :math:`\\tfrac12 \\mathbf a \\cdot \\mathbf S`; least squares.
     """
-    cubes.check(cube)
+    cube = cubes.checked(cube)
     chosen = _launched_as(cube, launched)
     matrix = np.array([stokes.state(name[1]) / 2 for name in chosen])
     if len(chosen) < 4 or np.linalg.cond(matrix) > _WORST_CONDITION:
@@ -111,7 +111,7 @@ def unmix_stokes(
     states it is the fit of the Stokes vector by those of target and water. The
     fluctuation of the water is taken from the open-water shots, if there are any.
     """
-    cubes.check(cube, "samples")
+    cube = cubes.checked(cube, "samples")
     chosen = _launched_as(cube, launched)
     if len(chosen) < 2:
         raise CubeError(

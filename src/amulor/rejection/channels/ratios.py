@@ -58,6 +58,7 @@ def water_ratio(cube: xr.Dataset, *, water_only: ArrayLike | None = None) -> Rat
     frequency, and their mean weighted by the scatter that the samples show: it holds
     the noise of the instrument and the fluctuation of the water in both channels.
     """
+    cube = cubes.checked(cube, "samples")
     co, cross = pair_of(cube)
     if water_only is not None:
         mask = np.asarray(water_only, dtype=bool)
@@ -125,6 +126,7 @@ def target_ratio(
     the variance off removes the bias by noise in the denominator. The error of the
     reference, which all pixels share, is carried through with its sign unknown.
     """
+    cube = cubes.checked(cube, "samples")
     co, cross = pair_of(cube)
     # Where the survey describes the water, so much of it was never there.
     put_back = 0.0 if cube.attrs.get("survey") else None

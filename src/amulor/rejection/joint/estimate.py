@@ -97,7 +97,7 @@ def joint(
     .. [1] R. Ricci et al., EURASIP J. Adv. Signal Process. 2010, 958360,
        :doi:`10.1155/2010/958360`.
     """
-    cubes.check(cube, "samples")
+    cube = cubes.checked(cube, "samples")
     frequency = cube["modulation_frequency"].values
     refuse_what_cannot_be_told_apart(cube)
     transfer = _checked_transfer(echo_transfer, frequency)

@@ -119,11 +119,12 @@ def water_fit(cube: xr.Dataset, *, no_target: bool = False) -> WaterFit:
     -----
     Maximum likelihood with the model and the weak priors of `joint`. The signal knows
     the scattering only by :math:`k' = a + b_d`, by :math:`b_f \langle\theta^2\rangle`
-    and, while some light is not scattered, by :math:`b_f`; `split` goes on from there
-    where the phase function is known. The strength holds the calibration of the
-    instrument and cannot be told apart from the backscatter without it.
+    and, while some light is not scattered, by :math:`b_f`; `split_scattering`
+    goes on from there where the phase function is known. The strength holds the
+    calibration of the instrument and cannot be told apart from the backscatter without
+    it.
     """
-    cubes.check(cube, "samples")
+    cube = cubes.checked(cube, "samples")
     count = cube.sizes["modulation_frequency"]
     if count < _FEWEST_FREQUENCIES:
         raise CubeError(
@@ -150,7 +151,7 @@ def water_fit(cube: xr.Dataset, *, no_target: bool = False) -> WaterFit:
 _SHORT = 1.0
 
 
-def split(
+def split_scattering(
     fit: WaterFit, *, second_moment: float, forward_fraction: float
 ) -> ScatteringSplit:
     r"""Return absorption and scattering for a known phase function.

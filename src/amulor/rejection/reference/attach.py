@@ -41,8 +41,8 @@ def with_open_water(cube: xr.Dataset, reference: xr.Dataset) -> xr.Dataset:
         another instrument or in another place, or in water that its survey describes
         otherwise.
     """
-    cubes.check(cube, "samples", name="the target cube")
-    cubes.check(reference, "samples", name="the open-water cube")
+    cube = cubes.checked(cube, "samples", name="the target cube")
+    reference = cubes.checked(reference, "samples", name="the open-water cube")
     _refuse_other_frequencies(cube, reference)
     _refuse_other_channels(cube, reference)
     _refuse_other_geometry(cube, reference)

@@ -8,7 +8,7 @@ import xarray as xr
 
 from amulor.errors import CubeError
 from amulor.optics import low_pass, small_angle_diffusion
-from amulor.rejection.joint.water_fit import WaterFit, split, water_fit
+from amulor.rejection.joint.water_fit import WaterFit, split_scattering, water_fit
 from amulor.simulation import simulate
 from amulor.survey import Survey
 
@@ -80,13 +80,13 @@ def test_what_the_signal_does_not_know_is_said(fit: WaterFit) -> None:
 def test_a_known_phase_function_splits_absorption_and_scattering(
     fit: WaterFit,
 ) -> None:
-    found = split(fit, second_moment=0.06, forward_fraction=1.0)
+    found = split_scattering(fit, second_moment=0.06, forward_fraction=1.0)
     assert abs(found.scattering - 0.595) < 4 * found.scattering_uncertainty
     assert abs(found.absorption - 0.255) < 4 * found.absorption_uncertainty
     with pytest.raises(ValueError, match="forward_fraction"):
-        split(fit, second_moment=0.06, forward_fraction=0.0)
+        split_scattering(fit, second_moment=0.06, forward_fraction=0.0)
     with pytest.raises(ValueError, match=r"second_moment must be above 0 rad\^2"):
-        split(fit, second_moment=0.0, forward_fraction=1.0)
+        split_scattering(fit, second_moment=0.0, forward_fraction=1.0)
 
 
 def test_a_scan_without_a_target_serves_as_well(plate_text: str) -> None:
