@@ -65,7 +65,7 @@ def attributes(level: str, *, title: str, source: str, **others: Any) -> dict[st
     dict
         CF and amulor attributes.
     """
-    found = {
+    named = {
         "Conventions": schema.CONVENTIONS,
         "title": title,
         "source": source,
@@ -74,7 +74,7 @@ def attributes(level: str, *, title: str, source: str, **others: Any) -> dict[st
         "software_versions": json.dumps(software_versions()),
         **others,
     }
-    return {key: value for key, value in found.items() if value is not None}
+    return {key: value for key, value in named.items() if value is not None}
 
 
 def note(cube: xr.Dataset, step: str) -> xr.Dataset:

@@ -59,14 +59,26 @@ def flag_attributes() -> dict[str, Any]:
     }
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Variable:
     """One variable of a level: over which dimensions, in which unit, what it is."""
 
     dimensions: tuple[str, ...]
     units: str
     long_name: str
-    required: bool = True
+    required: bool
+
+
+def _needed(dimensions: tuple[str, ...], units: str, long_name: str) -> Variable:
+    return Variable(
+        dimensions=dimensions, units=units, long_name=long_name, required=True
+    )
+
+
+def _optional(dimensions: tuple[str, ...], units: str, long_name: str) -> Variable:
+    return Variable(
+        dimensions=dimensions, units=units, long_name=long_name, required=False
+    )
 
 
 @dataclass(frozen=True)
@@ -83,36 +95,36 @@ _PIXEL = ("row", "column")
 _POINT = ("point",)
 
 _PIXEL_COORDINATES = {
-    "azimuth": Variable(_PIXEL, "rad", "direction of the beam to the right"),
-    "elevation": Variable(_PIXEL, "rad", "direction of the beam upwards"),
-    "origin_x": Variable(_PIXEL, "m", "start of the beam, to the right", False),
-    "origin_y": Variable(_PIXEL, "m", "start of the beam, downwards", False),
-    "origin_z": Variable(_PIXEL, "m", "start of the beam, forwards", False),
-    "time": Variable(_PIXEL, "s", "time since the start of the scan", False),
-    "geometry": Variable((), "1", "where the instrument stands and what it fires into"),
+    "azimuth": _needed(_PIXEL, "rad", "direction of the beam to the right"),
+    "elevation": _needed(_PIXEL, "rad", "direction of the beam upwards"),
+    "origin_x": _optional(_PIXEL, "m", "start of the beam, to the right"),
+    "origin_y": _optional(_PIXEL, "m", "start of the beam, downwards"),
+    "origin_z": _optional(_PIXEL, "m", "start of the beam, forwards"),
+    "time": _optional(_PIXEL, "s", "time since the start of the scan"),
+    "geometry": _needed((), "1", "where the instrument stands and what it fires into"),
 }
 _SAMPLE_COORDINATES = {
-    "modulation_frequency": Variable(
+    "modulation_frequency": _needed(
         ("modulation_frequency",), "Hz", "frequency of the intensity modulation"
     ),
-    "polarization": Variable(
+    "polarization": _needed(
         ("polarization",), "1", "launched and analysed state of polarization"
     ),
     **_PIXEL_COORDINATES,
 }
 _MEASURED = {
-    "in_phase": Variable(_SAMPLE, "V", "lock-in output in phase with the reference"),
-    "quadrature": Variable(_SAMPLE, "V", "lock-in output a quarter period behind"),
-    "in_phase_uncertainty": Variable(
+    "in_phase": _needed(_SAMPLE, "V", "lock-in output in phase with the reference"),
+    "quadrature": _needed(_SAMPLE, "V", "lock-in output a quarter period behind"),
+    "in_phase_uncertainty": _needed(
         _SAMPLE, "V", "standard uncertainty of the in-phase output"
     ),
-    "quadrature_uncertainty": Variable(
+    "quadrature_uncertainty": _needed(
         _SAMPLE, "V", "standard uncertainty of the quadrature output"
     ),
-    "in_phase_quadrature_covariance": Variable(
-        _SAMPLE, "V2", "covariance of the two outputs", False
+    "in_phase_quadrature_covariance": _optional(
+        _SAMPLE, "V2", "covariance of the two outputs"
     ),
-    "saturated": Variable(_SAMPLE, "1", "1 where the detector was overloaded", False),
+    "saturated": _optional(_SAMPLE, "1", "1 where the detector was overloaded"),
 }
 
 LEVELS = {
@@ -123,71 +135,69 @@ LEVELS = {
             "target_signal",
             {
                 **_MEASURED,
-                "water_in_phase": Variable(
+                "water_in_phase": _needed(
                     _SAMPLE, "V", "water signal taken out, in phase"
                 ),
-                "water_quadrature": Variable(
+                "water_quadrature": _needed(
                     _SAMPLE, "V", "water signal taken out, quadrature"
                 ),
-                "residual_in_phase": Variable(
-                    _SAMPLE, "V", "estimated water signal left in, in phase", False
+                "residual_in_phase": _optional(
+                    _SAMPLE, "V", "estimated water signal left in, in phase"
                 ),
-                "residual_quadrature": Variable(
-                    _SAMPLE, "V", "estimated water signal left in, quadrature", False
+                "residual_quadrature": _optional(
+                    _SAMPLE, "V", "estimated water signal left in, quadrature"
                 ),
-                "common_in_phase_uncertainty": Variable(
-                    _SAMPLE, "V", "part of the uncertainty all pixels share", False
+                "common_in_phase_uncertainty": _optional(
+                    _SAMPLE, "V", "part of the uncertainty all pixels share"
                 ),
-                "common_quadrature_uncertainty": Variable(
-                    _SAMPLE, "V", "part of the uncertainty all pixels share", False
+                "common_quadrature_uncertainty": _optional(
+                    _SAMPLE, "V", "part of the uncertainty all pixels share"
                 ),
-                "common_covariance": Variable(
-                    _SAMPLE, "V2", "covariance of that part", False
+                "common_covariance": _optional(
+                    _SAMPLE, "V2", "covariance of that part"
                 ),
-                "quality_flag": Variable(
-                    _SAMPLE, "1", "reason why a pixel is doubtful"
-                ),
+                "quality_flag": _needed(_SAMPLE, "1", "reason why a pixel is doubtful"),
             },
             _SAMPLE_COORDINATES,
         ),
         Level(
             "range_image",
             {
-                "slant_range": Variable(
+                "slant_range": _needed(
                     _PIXEL, "m", "distance from the emitter along the beam"
                 ),
-                "slant_range_uncertainty": Variable(
+                "slant_range_uncertainty": _needed(
                     _PIXEL, "m", "standard uncertainty of the slant range"
                 ),
-                "slant_range_bias": Variable(
-                    _PIXEL, "m", "estimated error by water signal left in", False
+                "slant_range_bias": _optional(
+                    _PIXEL, "m", "estimated error by water signal left in"
                 ),
-                "slant_range_common_uncertainty": Variable(
-                    _PIXEL, "m", "part of the uncertainty that all pixels share", False
+                "slant_range_common_uncertainty": _optional(
+                    _PIXEL, "m", "part of the uncertainty that all pixels share"
                 ),
-                "slant_range_photon_limit": Variable(
-                    _PIXEL, "m", "uncertainty by photon counting alone", False
+                "slant_range_photon_limit": _optional(
+                    _PIXEL, "m", "uncertainty by photon counting alone"
                 ),
-                "intensity": Variable(_PIXEL, "V", "amplitude of the target signal"),
-                "quality_flag": Variable(_PIXEL, "1", "reason why a pixel is doubtful"),
+                "intensity": _needed(_PIXEL, "V", "amplitude of the target signal"),
+                "quality_flag": _needed(_PIXEL, "1", "reason why a pixel is doubtful"),
             },
             _PIXEL_COORDINATES,
         ),
         Level(
             "point_cloud",
             {
-                "x": Variable(_POINT, "m", "position to the right"),
-                "y": Variable(_POINT, "m", "position downwards"),
-                "z": Variable(_POINT, "m", "position forwards"),
-                "intensity": Variable(_POINT, "V", "amplitude of the target signal"),
-                "slant_range_uncertainty": Variable(
+                "x": _needed(_POINT, "m", "position to the right"),
+                "y": _needed(_POINT, "m", "position downwards"),
+                "z": _needed(_POINT, "m", "position forwards"),
+                "intensity": _needed(_POINT, "V", "amplitude of the target signal"),
+                "slant_range_uncertainty": _needed(
                     _POINT, "m", "standard uncertainty of the slant range"
                 ),
-                "quality_flag": Variable(
-                    _POINT, "1", "reason why a point is doubtful", False
+                "quality_flag": _optional(
+                    _POINT, "1", "reason why a point is doubtful"
                 ),
-                "row": Variable(_POINT, "1", "row of the scan"),
-                "column": Variable(_POINT, "1", "column of the scan"),
+                "row": _needed(_POINT, "1", "row of the scan"),
+                "column": _needed(_POINT, "1", "column of the scan"),
             },
             {"geometry": _PIXEL_COORDINATES["geometry"]},
         ),
@@ -200,29 +210,29 @@ GROUPS = ("open_water", "truth")
 
 _SHOT = ("modulation_frequency", "polarization", "shot")
 OPEN_WATER_VARIABLES = {
-    "in_phase": Variable(_SHOT, "V", "lock-in output without a target, in phase"),
-    "quadrature": Variable(_SHOT, "V", "lock-in output without a target, quadrature"),
-    "in_phase_uncertainty": Variable(
+    "in_phase": _needed(_SHOT, "V", "lock-in output without a target, in phase"),
+    "quadrature": _needed(_SHOT, "V", "lock-in output without a target, quadrature"),
+    "in_phase_uncertainty": _needed(
         _SHOT, "V", "standard uncertainty of the in-phase output"
     ),
-    "quadrature_uncertainty": Variable(
+    "quadrature_uncertainty": _needed(
         _SHOT, "V", "standard uncertainty of the quadrature output"
     ),
-    "in_phase_quadrature_covariance": Variable(
-        _SHOT, "V2", "covariance of the two outputs", False
+    "in_phase_quadrature_covariance": _optional(
+        _SHOT, "V2", "covariance of the two outputs"
     ),
-    "azimuth": Variable(("shot",), "rad", "direction of the beam", False),
-    "elevation": Variable(("shot",), "rad", "direction of the beam", False),
+    "azimuth": _optional(("shot",), "rad", "direction of the beam"),
+    "elevation": _optional(("shot",), "rad", "direction of the beam"),
 }
 
 #: What a simulated cube was made from.
 TRUTH_VARIABLES = {
-    "slant_range": Variable(_PIXEL, "m", "distance from the emitter along the beam"),
-    "target": Variable(_PIXEL, "1", "number of the target met, -1 for none"),
-    "target_in_phase": Variable(_SAMPLE, "V", "target signal, in phase"),
-    "target_quadrature": Variable(_SAMPLE, "V", "target signal, quadrature"),
-    "water_in_phase": Variable(_SAMPLE, "V", "water signal, in phase"),
-    "water_quadrature": Variable(_SAMPLE, "V", "water signal, quadrature"),
+    "slant_range": _needed(_PIXEL, "m", "distance from the emitter along the beam"),
+    "target": _needed(_PIXEL, "1", "number of the target met, -1 for none"),
+    "target_in_phase": _needed(_SAMPLE, "V", "target signal, in phase"),
+    "target_quadrature": _needed(_SAMPLE, "V", "target signal, quadrature"),
+    "water_in_phase": _needed(_SAMPLE, "V", "water signal, in phase"),
+    "water_quadrature": _needed(_SAMPLE, "V", "water signal, quadrature"),
 }
 GROUP_VARIABLES = {"open_water": OPEN_WATER_VARIABLES, "truth": TRUTH_VARIABLES}
 

@@ -58,11 +58,11 @@ def mixed_pixels(
     if "slant_range_common_uncertainty" in image:
         shared = image["slant_range_common_uncertainty"].values ** 2
         variance = np.maximum(variance - shared, 0.0)
-    found = np.zeros(distance.shape, dtype=bool)
+    mixed = np.zeros(distance.shape, dtype=bool)
     for axis in (0, 1):
         for step in range(1, reach + 1):
-            found |= _between(distance, variance, axis, step, significance)
-    return found
+            mixed |= _between(distance, variance, axis, step, significance)
+    return mixed
 
 
 def flag_mixed(
@@ -86,10 +86,10 @@ def flag_mixed(
         As `mixed_pixels`.
     """
     image = cubes.checked(image, "range_image")
-    found = mixed_pixels(image, significance=significance, reach=reach)
+    mixed = mixed_pixels(image, significance=significance, reach=reach)
     variable = xr.Variable(
         ("row", "column"),
-        found.astype(np.int8),
+        mixed.astype(np.int8),
         {"long_name": "1 where a beam meets two surfaces at once", "units": "1"},
     )
     return cubes.note(image.assign({MIXED: variable}), "mixed pixels marked")
@@ -114,10 +114,12 @@ def _between(
 
     off, error = [], []
     for side in (-1, 1):
-        near, far = side * step, side * (step + 1)
-        line = (1 + step) * neighbour(distance, near) - step * neighbour(distance, far)
-        spread = (1 + step) ** 2 * neighbour(variance, near) + step**2 * neighbour(
-            variance, far
+        first, second = side * step, side * (step + 1)
+        line = (1 + step) * neighbour(distance, first) - step * neighbour(
+            distance, second
+        )
+        spread = (1 + step) ** 2 * neighbour(variance, first) + step**2 * neighbour(
+            variance, second
         )
         off.append(distance - line)
         error.append(np.sqrt(variance + spread))

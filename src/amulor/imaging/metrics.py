@@ -16,7 +16,7 @@ from amulor.imaging.point_cloud import point_cloud
 Floats = NDArray[np.float64]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class PlaneFit:
     """How far a region is from flat."""
 
@@ -88,10 +88,10 @@ def plane_residual(image: xr.Dataset, region: ArrayLike | None = None) -> PlaneF
     freedom = len(points) - 3
     # Uncertainties are along the beam, distances along the normal.
     beam = points / np.linalg.norm(points, axis=1, keepdims=True)
-    share = np.abs(beam @ normal)
+    cosine = np.abs(beam @ normal)
     return PlaneFit(
         residual=float(singular[2] / np.sqrt(freedom)),
-        expected=float(np.sqrt(np.mean((sigma * share) ** 2))),
+        expected=float(np.sqrt(np.mean((sigma * cosine) ** 2))),
         normal=(float(normal[0]), float(normal[1]), float(normal[2])),
         points=len(points),
     )

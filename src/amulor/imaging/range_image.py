@@ -228,7 +228,7 @@ def channel_of(cube: xr.Dataset, polarization: str | None) -> xr.Dataset:
 
 
 def _phase_left_in(cube: xr.Dataset, signal: NDArray[np.complex128]) -> Floats:
-    """Return the phase shift by water left in, not a number where it is not known."""
+    """Return the phase shift by water left in, NaN where it is not known."""
     if "residual_in_phase" in cube:
         left = (
             cube["residual_in_phase"].values + 1j * cube["residual_quadrature"].values

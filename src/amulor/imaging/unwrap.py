@@ -18,7 +18,7 @@ from amulor.optics import ambiguity, rays
 
 Floats = NDArray[np.float64]
 
-#: Share of a surface that must lie in the interval; the rest may be noise [1].
+#: Fraction of a surface that must lie in the interval; the rest may be noise [1].
 _INSIDE = 0.98
 
 
@@ -103,13 +103,13 @@ def unwrapped_range_image(
         ]
         length[box][surface] = path + (fits[0] if fits else 0) * wavelength
         settled[box][surface] = len(fits) == 1
-    found = ambiguity.Path(
+    chosen = ambiguity.Path(
         length,
         sigma[0] * wavelength / (2 * np.pi),
         np.ones((1, *phase.shape)),
         settled,
     )
-    image = image_of_path(one, found, interval=interval)
+    image = image_of_path(one, chosen, interval=interval)
     return cubes.note(
         image, f"image, channel {image.attrs['polarization']}, unwrapped in space"
     )
@@ -156,12 +156,12 @@ def _unwrapped(phase: Floats, surface: NDArray[np.bool_]) -> Floats:
         raise MissingExtraError(
             "scikit-image", extra="unwrap", purpose="spatial unwrapping"
         ) from None
-    found = phase.copy()
+    unwrapped = phase.copy()
     if min(phase.shape) == 1:
         # A single row or column: the way from pixel to pixel is the only one.
-        found[surface] = np.unwrap(phase[surface])
-        return found
+        unwrapped[surface] = np.unwrap(phase[surface])
+        return unwrapped
     hidden: Any = np.ma.array(phase, mask=~surface)
     solved = unwrap_phase(hidden)  # type: ignore[no-untyped-call]
-    found[surface] = np.asarray(solved)[surface]
-    return found
+    unwrapped[surface] = np.asarray(solved)[surface]
+    return unwrapped

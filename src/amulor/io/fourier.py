@@ -12,7 +12,7 @@ from amulor.errors import FormatError
 from amulor.io.histograms import Histograms
 
 #: Values that one step of the transform holds, about 16 MiB of float64.
-_BLOCK = 2**21
+BLOCK = 2**21
 
 
 def checked_frequency(
@@ -113,7 +113,7 @@ def weights(
     """
     bins = histograms.counts.shape[-1]
     time = (np.arange(bins) + 0.5) * histograms.bin_width - time_of_emission
-    found: NDArray[np.complex128] = np.exp(2j * np.pi * np.outer(frequency, time))
+    weight: NDArray[np.complex128] = np.exp(2j * np.pi * np.outer(frequency, time))
     if background_bins is not None:
         first, end = background_bins
         if not 0 <= first < end <= bins:
@@ -121,11 +121,11 @@ def weights(
                 f"{histograms.path}: background_bins ({first}, {end}) are not bins of "
                 f"'counts'; state 0 <= first < end <= {bins}"
             )
-        found[:, first:end] -= found.sum(axis=1, keepdims=True) / (end - first)
-    return found
+        weight[:, first:end] -= weight.sum(axis=1, keepdims=True) / (end - first)
+    return weight
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, kw_only=True, eq=False)
 class Coefficients:
     """Weighted sums of counts, with the covariance that counting photons gives."""
 
@@ -172,8 +172,8 @@ def transform(counts: NDArray[Any], weight: NDArray[np.complex128]) -> Coefficie
     frequencies, bins = weight.shape
     flat = counts.reshape(-1, bins)
     sums = np.empty((5, frequencies, flat.shape[0]))
-    rows = max(1, _BLOCK // bins)
-    step = max(1, _BLOCK // (5 * bins))
+    rows = max(1, BLOCK // bins)
+    step = max(1, BLOCK // (5 * bins))
     for start in range(0, frequencies, step):
         part = slice(start, start + step)
         real, imaginary = weight[part].real, weight[part].imag
@@ -185,4 +185,9 @@ def transform(counts: NDArray[Any], weight: NDArray[np.complex128]) -> Coefficie
             product = (matrix @ block.T).reshape(5, -1, block.shape[0])
             sums[:, part, row : row + rows] = product
     sums = sums.reshape(5, frequencies, *counts.shape[:-1])
-    return Coefficients(sums[0] + 1j * sums[1], sums[2], sums[3], sums[4])
+    return Coefficients(
+        signal=sums[0] + 1j * sums[1],
+        variance_in_phase=sums[2],
+        variance_quadrature=sums[3],
+        covariance=sums[4],
+    )

@@ -45,7 +45,7 @@ _NEEDED = (
 )
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, kw_only=True, eq=False)
 class Histograms:
     """Photon counts against time, as a file holds them."""
 

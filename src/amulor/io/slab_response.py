@@ -23,7 +23,7 @@ _TOGETHER = 64
 _DARK = 3.0
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, kw_only=True, eq=False)
 class Slabs:
     """Histograms of pulsed light through slabs, and without a slab."""
 
@@ -266,7 +266,7 @@ def _ratio(
         common = a * sums.real + b * sums.imag + c * bins
         shared = a * dark_real + b * dark_imaginary + c * dark_bins
         of_median = np.pi * level / (2 * bins) + 1 / 12
-        found = own + common**2 * of_median - 2 * common * shared * level / bins
+        variance = own + common**2 * of_median - 2 * common * shared * level / bins
         # Light in a single bin has no spread, and rounding can fall below that.
-        variances.append(np.maximum(found, 0))
+        variances.append(np.maximum(variance, 0))
     return ratio, variances[0], variances[1]

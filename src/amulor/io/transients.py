@@ -31,7 +31,7 @@ _FOAM = (
 _FOAM_LICENCE = "MIT, (c) 2020 Stanford University"
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class _Known:
     """What is known of a published file and is not in it."""
 
@@ -43,16 +43,16 @@ class _Known:
 
 _KNOWN = {
     "sha256:2ed0d9ae2611db45a58d298f6a83fb71041c1a60fe212eab1c91e7aec1d7096c": _Known(
-        "letter S behind one inch of foam", scan_side=0.60, first_axis="right"
+        title="letter S behind one inch of foam", scan_side=0.60, first_axis="right"
     ),
     "sha256:6f50f9afdc0a7a700c48700f95011eb98c145268ec6a4cb03549e2f167e411bc": _Known(
-        "letter T behind one inch of foam", scan_side=0.70, first_axis="right"
+        title="letter T behind one inch of foam", scan_side=0.70, first_axis="right"
     ),
     "sha256:072a1a94879cdec40d64fa2685d27bf83eade227f93665cf52ada9118d59318e": _Known(
-        "letter U behind one inch of foam", scan_side=0.70, first_axis="right"
+        title="letter U behind one inch of foam", scan_side=0.70, first_axis="right"
     ),
     "sha256:048435797f423e2bd63f04e7dbc7abf8c62dad5b81cbdb9cac81fc5ff59e0b0b": _Known(
-        "light through slabs of foam", repetition_frequency=10e6
+        title="light through slabs of foam", repetition_frequency=10e6
     ),
 }
 
@@ -103,7 +103,7 @@ def read_transients(
     -------
     xarray.Dataset
         Cube of level `samples` with polarization "none". A pixel that counted no
-        photon is not a number. Slabs lie along the columns of one row, with their
+        photon is NaN. Slabs lie along the columns of one row, with their
         thickness as `user_thickness` [m].
 
     Raises
@@ -162,7 +162,7 @@ def read_transients(
     )
     counts = histograms.counts[number]
     dark = counts.sum(axis=-1) == 0
-    found = cubes.build(
+    cube = cubes.build(
         "samples",
         _outputs(transform(counts, weight), missing=dark, axis=1),
         {
@@ -196,12 +196,12 @@ def read_transients(
         ),
     )
     if histograms.thickness is not None:
-        found["user_thickness"] = xr.Variable(
+        cube["user_thickness"] = xr.Variable(
             ("column",),
             histograms.thickness,
             {"units": "m", "long_name": "thickness of the slab"},
         )
-    return cubes.note(found, f"import transients {histograms.name} --scene {number}")
+    return cubes.note(cube, f"import transients {histograms.name} --scene {number}")
 
 
 def medium_from_minimum(
@@ -283,15 +283,16 @@ def medium_from_minimum(
 
 def _evenly(shots: Coefficients) -> Coefficients:
     """Return the same signals, each with the mean covariance of all."""
-    variances = (
-        np.broadcast_to(part.mean(axis=-1, keepdims=True), part.shape)
-        for part in (
-            shots.variance_in_phase,
-            shots.variance_quadrature,
-            shots.covariance,
-        )
+
+    def mean(part: NDArray[np.float64]) -> NDArray[np.float64]:
+        return np.broadcast_to(part.mean(axis=-1, keepdims=True), part.shape)
+
+    return Coefficients(
+        signal=shots.signal,
+        variance_in_phase=mean(shots.variance_in_phase),
+        variance_quadrature=mean(shots.variance_quadrature),
+        covariance=mean(shots.covariance),
     )
-    return Coefficients(shots.signal, *variances)
 
 
 def _outputs(
@@ -302,7 +303,7 @@ def _outputs(
 ) -> dict[str, NDArray[np.float64]]:
     """Return the variables of a cube, with an axis for the polarization."""
     volt = VOLTS_PER_COUNT
-    found = {
+    outputs = {
         "in_phase": volt * coefficients.signal.real,
         "quadrature": volt * coefficients.signal.imag,
         "in_phase_uncertainty": volt * np.sqrt(coefficients.variance_in_phase),
@@ -310,8 +311,10 @@ def _outputs(
         "in_phase_quadrature_covariance": volt**2 * coefficients.covariance,
     }
     if missing is not None:
-        found = {key: np.where(missing, np.nan, value) for key, value in found.items()}
-    return {key: np.expand_dims(value, axis) for key, value in found.items()}
+        outputs = {
+            key: np.where(missing, np.nan, value) for key, value in outputs.items()
+        }
+    return {key: np.expand_dims(value, axis) for key, value in outputs.items()}
 
 
 def _scene(histograms: Histograms, scene: int | None) -> int:

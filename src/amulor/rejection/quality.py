@@ -29,13 +29,13 @@ def flags(
     Parameters
     ----------
     samples : xarray.Dataset
-        What was measured; missing samples are not numbers.
+        What was measured; missing samples are NaN.
     target_signal : ndarray of complex
         What is left for the target [V].
     uncertainty : Covariance
         Its errors.
     residual : ndarray of complex, optional
-        Water signal that is estimated to be left in [V]; where it is not a number,
+        Water signal that is estimated to be left in [V]; where it is NaN,
         it is not known, and flagged as if it were large.
     water_is_in : bool
         True if no water signal was taken out at all.
@@ -84,7 +84,7 @@ def moves_the_phase(
     target_signal : ndarray of complex
         Signal with the water in it [V].
     residual : ndarray of complex
-        That water [V]; where it is not a number, it is not known.
+        That water [V]; where it is NaN, it is not known.
     uncertainty : Covariance
         All other errors.
 

@@ -14,9 +14,13 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from amulor import cube as cubes
 from amulor.errors import FormatError
-from amulor.io import fourier
-from amulor.io.histograms import Histograms, read_histograms
-from amulor.io.transients import medium_from_minimum, read_transients
+from amulor.io import (
+    Histograms,
+    fourier,
+    medium_from_minimum,
+    read_histograms,
+    read_transients,
+)
 
 WIDTH = 16e-12
 FREQUENCY = np.array([50e6, 100e6, 1e9])
@@ -141,7 +145,7 @@ def test_blocks_give_what_one_product_gives(tmp_path, monkeypatch):
     histograms = read_histograms(saved(tmp_path))
     weight = fourier.weights(histograms, FREQUENCY)
     whole = fourier.transform(SCAN, weight)
-    monkeypatch.setattr(fourier, "_BLOCK", 70)
+    monkeypatch.setattr(fourier, "BLOCK", 70)
     parts = fourier.transform(SCAN, weight)
     assert_allclose(parts.signal, whole.signal, rtol=1e-13)
     assert_allclose(parts.covariance, whole.covariance, atol=1e-10)
@@ -399,8 +403,14 @@ def test_a_frequency_that_cannot_be_used_is_named(tmp_path, frequency, words):
 
 
 def test_the_highest_frequency_is_where_a_bin_is_half_a_period(tmp_path):
-    # There the bins damp by sin(pi/2)/(pi/2) = 0.64.
-    read_transients(saved(tmp_path), 0.5 / WIDTH)
+    # There the bins damp by sin(pi/2)/(pi/2) = 0.64, and add up with turning sign:
+    # exp(i pi (k + 1/2)) = i (-1)^k.
+    cube = read_transients(saved(tmp_path), 0.5 / WIDTH)
+    assert cube["modulation_frequency"].item() == 0.5 / WIDTH
+    expected = 1j * (SCAN[..., ::2].sum(axis=-1) - SCAN[..., 1::2].sum(axis=-1))
+    assert_allclose(signal_of(cube)[0], expected, rtol=0, atol=1e-10)
+    with pytest.raises(FormatError, match="is too high"):
+        read_transients(saved(tmp_path), np.nextafter(0.5 / WIDTH, np.inf))
 
 
 def test_a_scene_has_to_be_chosen_among_several(tmp_path):

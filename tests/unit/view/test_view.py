@@ -85,7 +85,16 @@ def test_an_image_without_any_range_can_be_drawn(images: dict[str, xr.Dataset]) 
     for name in ("slant_range", "slant_range_uncertainty"):
         empty[name].values[:] = np.nan
     empty["quality_flag"].values[:] = 4
-    png(figures.image_overview(empty))
+    figure = figures.image_overview(empty)
+    assert png(figure).startswith(b"\x89PNG")
+    pictures = [axis.images[0] for axis in figure.axes if axis.images]
+    drawn = [
+        np.ma.filled(np.ma.asarray(p.get_array(), float), np.nan) for p in pictures
+    ]
+    # Range and uncertainty are empty; the brightness is there as it was measured.
+    assert not np.isfinite(drawn[0]).any()
+    assert not np.isfinite(drawn[1]).any()
+    np.testing.assert_allclose(drawn[2], empty["intensity"].values * 1e3)
 
 
 def test_a_report_escapes_what_it_is_given(tmp_path: Path) -> None:

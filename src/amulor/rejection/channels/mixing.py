@@ -92,7 +92,7 @@ def unmix(
     Returns
     -------
     Unmixed
-        Not a number where a channel is not.
+        NaN where a channel is NaN.
 
     Notes
     -----
@@ -120,11 +120,11 @@ def unmix(
         for side in (target_weights, water_weights)
     ]
     target = np.empty(count, dtype=complex)
-    found = np.empty((count, 3))
+    covariances = np.empty((count, 3))
     gain = np.empty((count, 2, len(signals), 2))
     for first in range(0, count, _AT_ONCE):
         part = slice(first, first + _AT_ONCE)
-        target[part], found[part], gain[part] = _solve(
+        target[part], covariances[part], gain[part] = _solve(
             flat[part],
             [each.part(part) for each in covariance],
             weights[0][part],
@@ -133,7 +133,7 @@ def unmix(
         )
     return Unmixed(
         target.reshape(shape),
-        Covariance(*(column.reshape(shape) for column in found.T)),
+        Covariance(*(column.reshape(shape) for column in covariances.T)),
         np.moveaxis(gain, 0, -1).reshape(2, len(signals), 2, *shape),
     )
 
@@ -175,9 +175,9 @@ def _solve(
     outputs = np.where(good[:, None], outputs, 0.0)
     value = np.einsum("nij,nj->ni", gain, outputs)
     target = np.where(good, value[:, 0] + 1j * value[:, 1], np.nan + 0j)
-    found = np.stack([inverse[:, 0, 0], inverse[:, 1, 1], inverse[:, 0, 1]], axis=1)
-    found[~good] = np.nan
-    return target, found, gain.reshape(count, 2, channels, 2)
+    own = np.stack([inverse[:, 0, 0], inverse[:, 1, 1], inverse[:, 0, 1]], axis=1)
+    own[~good] = np.nan
+    return target, own, gain.reshape(count, 2, channels, 2)
 
 
 #: Smallest variance relative to the sum of all in a pixel [1].

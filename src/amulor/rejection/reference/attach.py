@@ -129,9 +129,9 @@ def _refuse_other_surveys(cube: xr.Dataset, reference: xr.Dataset) -> None:
         ("instrument", "record open water with the same settings as the target"),
     ):
         a, b = (getattr(survey, part).model_dump() for survey in (ours, theirs))
-        found = _first_difference(a, b)
-        if found is not None:
-            name, one, other = found
+        difference = _first_difference(a, b)
+        if difference is not None:
+            name, one, other = difference
             raise CubeError(
                 f"the open-water cube is of another {part}: {part}.{name} is {other} "
                 f"there, but {one} in the target cube; {remedy}"
@@ -148,9 +148,9 @@ def _first_difference(
             continue
         other = theirs.get(name)
         if isinstance(value, Mapping) and isinstance(other, Mapping):
-            found = _first_difference(value, other)
-            if found is not None:
-                return f"{name}.{found[0]}", *found[1:]
+            difference = _first_difference(value, other)
+            if difference is not None:
+                return f"{name}.{difference[0]}", *difference[1:]
         elif value != other:
             return name, value, other
     return None

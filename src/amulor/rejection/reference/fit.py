@@ -16,7 +16,7 @@ Complex = NDArray[np.complex128]
 _HIGHEST_DEGREE = 4
 #: A degree fits when its misfit is no larger than chance makes in 1 of 20 cases.
 _SIGNIFICANCE = 0.05
-#: Shots beyond the coefficients of the polynomial, to judge how much they stray.
+#: Shots beyond the coefficients of the polynomial, to judge how much they scatter.
 _FREEDOM = 4
 #: A constant, and enough shots to judge it.
 FEWEST_SHOTS = 1 + _FREEDOM
@@ -40,7 +40,7 @@ class Drift:
 NO_DRIFT = Drift(0j, complex(np.inf, np.inf), 1.0)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Reference:
     """Water signal at each pixel, and how well it is known."""
 
@@ -49,7 +49,7 @@ class Reference:
     common: Covariance
     """Error of that expectation: the pixels share it."""
     relative: NDArray[np.float64]
-    """How one sample strays, (radial, tangential) covariance per squared signal [1]."""
+    """(Radial, tangential) covariance of one sample, per squared signal [1]."""
     degree: int
     """Degree of the polynomial over the scan directions."""
     drift: Drift
@@ -136,11 +136,11 @@ def fit(
         for k, values in enumerate(common):
             values[part] = np.einsum("ij,ij->i", sides[:, k], at_pixels)
     return Reference(
-        signal,
-        Covariance(*common),
-        relative * unsure,
-        int(degree),
-        _drift(shots, level, where),
+        signal=signal,
+        common=Covariance(*common),
+        relative=relative * unsure,
+        degree=int(degree),
+        drift=_drift(shots, level, where),
     )
 
 
@@ -261,7 +261,7 @@ def _fits(order: NDArray[np.intp], degree: int, shots: int) -> bool:
 def _relative_fluctuation(
     shots: Complex, level: Complex, instrument: Covariance, *, freedom: int
 ) -> NDArray[np.float64]:
-    """Return the covariance of (radial, tangential) strays per unit of water signal.
+    """Return the covariance of (radial, tangential) changes per unit of water signal.
 
     The stated instrument error is taken off; what is left is made a covariance again
     where chance drove it below zero. No water signal has no fluctuation.
@@ -271,7 +271,7 @@ def _relative_fluctuation(
     if freedom < 1 or power == 0:
         return np.zeros((2, 2))
     turn = np.where(size > 0, level, 1) / np.where(size > 0, size, 1)
-    stray = (shots - level) / turn
+    rest = (shots - level) / turn
     c, s = turn.real, turn.imag
     radial = c**2 * instrument.in_phase + s**2 * instrument.quadrature
     radial = radial + 2 * c * s * instrument.cross
@@ -279,7 +279,7 @@ def _relative_fluctuation(
     tangential = tangential - 2 * c * s * instrument.cross
     crossed = c * s * (instrument.quadrature - instrument.in_phase)
     crossed = crossed + (c**2 - s**2) * instrument.cross
-    parts = np.stack([stray.real, stray.imag])
+    parts = np.stack([rest.real, rest.imag])
     stated = np.array([[radial, crossed], [crossed, tangential]]).sum(axis=2)
     excess = (parts @ parts.T * len(shots) / freedom - stated) / power
     values, vectors = np.linalg.eigh(excess)
@@ -293,7 +293,7 @@ def fluctuation(relative: NDArray[np.float64], level: Complex) -> Covariance:
     Parameters
     ----------
     relative : ndarray, shape (2, 2)
-        Covariance of radial and tangential strays per squared signal [1].
+        Covariance of radial and tangential changes per squared signal [1].
     level : ndarray of complex
         Water signal [V].
 
