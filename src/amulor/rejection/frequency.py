@@ -35,7 +35,8 @@ class FrequencyChoice:
     polarization: str
     """Channel that the figures are for."""
     cut_off: float | None
-    """Fitted cut-off of the water signal [Hz]; None if the sweep does not show one."""
+    """First-order cut-off, fitted to the open-water signal (`optics.low_pass.fit`; that
+    of `WaterFit` is the half-power point) [Hz]; None if the sweep shows none."""
     reason: str
     """Why this frequency."""
     warnings: tuple[str, ...]
@@ -122,7 +123,7 @@ def choose_frequency(
     eligible = clear & np.isfinite(error)
     candidates = eligible if eligible.any() else np.isfinite(error)
     best = int(np.argmin(np.where(candidates, error, np.inf)))
-    cut_off = _cut_off(cube, channel)
+    cut_off = _fitted_cut_off(cube, channel)
     one = {
         name: getattr(figures, name)[:, channel]
         for name in ("amplitude", "ratio", "contrast", "noise", "shift")
@@ -228,7 +229,8 @@ def _channel(cube: xr.Dataset, figures: Merit, polarization: str | None) -> int:
     return names.index(polarization)
 
 
-def _cut_off(cube: xr.Dataset, channel: int) -> float | None:
+def _fitted_cut_off(cube: xr.Dataset, channel: int) -> float | None:
+    """Return the first-order cut-off of the shots, None if they do not show one."""
     shots = shots_of(cube)
     signal = shots.amulor.signal.values[:, channel]
     frequency = cube["modulation_frequency"].values
