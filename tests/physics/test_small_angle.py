@@ -115,8 +115,8 @@ class WithTransform:
     def __call__(self, angle):
         return henyey_greenstein(angle, asymmetry=0.97)
 
-    def hankel(self, wavenumber, *, split_angle):
-        return np.exp(-((0.05 * wavenumber) ** 2))
+    def hankel(self, direction_frequency, *, split_angle):
+        return np.exp(-((0.05 * direction_frequency) ** 2))
 
 
 @pytest.mark.parametrize("depth", [0.5, 1.5, 5.0])

@@ -320,8 +320,8 @@ def test_transform_that_falls_slowly_is_followed_to_its_end():
         def __call__(self, angle):
             return PEAKED(angle)
 
-        def hankel(self, wavenumber, *, split_angle):
-            return (1 + (np.asarray(wavenumber) / 3.0) ** 2) ** -0.25
+        def hankel(self, direction_frequency, *, split_angle):
+            return (1 + (np.asarray(direction_frequency) / 3.0) ** 2) ** -0.25
 
     def mean(x):
         return hyp2f1(0.25, 0.5, 1.5, -((x / 3.0) ** 2))

@@ -1,62 +1,126 @@
-"""Arguments as arrays, refused outside of the range that a formula or table has."""
+"""What NaN, infinity, sign and shape of an argument do, decided once for all of optics.
+
+Each function returns its argument as an array of float64 or raises the one
+`ValueError` of this file, "absorption must be finite and not negative [1/m], got nan at
+index (3,)". Properties of water, instrument and formula must be finite (`finite`,
+`not_negative`, `positive`, `at_least`, `within`); a length to an end may be infinite
+(`reach`). What was measured may be NaN, which stands for a missing sample and comes out
+as NaN, and infinite (`measured`, `above_zero`). Shapes are looked at by `broadcast`,
+`one_axis` and `last_axes`.
+"""
 
 from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+__all__ = [
+    "above_zero",
+    "at_least",
+    "broadcast",
+    "checked_angle",
+    "checked_split_angle",
+    "finite",
+    "last_axes",
+    "measured",
+    "not_negative",
+    "one_axis",
+    "positive",
+    "reach",
+    "require",
+    "within",
+]
 
-def within(
-    value: ArrayLike, low: float, high: float, *, name: str, unit: str = ""
-) -> NDArray[np.float64]:
-    """Return the value as an array, refused outside of low..high.
+Array = NDArray[np.float64]
 
-    What is beyond an end by rounding alone, a part in 1e12 of that end, is taken for
-    the end itself: 700 * 1e-9 is above 700e-9, and what follows may rely on the range.
-    An end at 0 has no such room.
+
+def require(
+    value: ArrayLike,
+    allowed: ArrayLike,
+    *,
+    name: str,
+    rule: str,
+    unit: str = "",
+    hint: str = "",
+) -> None:
+    """Raise the error of all checks unless every element is allowed.
+
+    Parameters
+    ----------
+    value : array_like
+        What is looked at, real or complex.
+    allowed : array_like of bool
+        Whether each element is allowed, of the same shape.
+    name, rule, unit : str
+        How the message calls it, what it must be, and its unit, empty if it has none.
+    hint : str
+        What to do about it, or why; may be empty.
+
+    Raises
+    ------
+    ValueError
+        If an element is not allowed; the message names the first one.
+
+    Examples
+    --------
+    >>> require([0.1, 2.0], [True, False], name="gain", rule="at most 1")
+    Traceback (most recent call last):
+    ValueError: gain must be at most 1, got 2 at index (1,)
+    """
+    if np.all(allowed):
+        return
+    array = np.asarray(value)
+    index = tuple(int(i) for i in np.argwhere(~np.asarray(allowed))[0])
+    where = f" at index {index}" if index else ""
+    bracket = f" [{unit}]" if unit else ""
+    tail = f"; {hint}" if hint else ""
+    raise ValueError(
+        f"{name} must be {rule}{bracket}, got {array[index]:g}{where}{tail}"
+    )
+
+
+def finite(value: ArrayLike, *, name: str, unit: str = "") -> Array:
+    """Return the value, refused if infinite or not a number.
 
     Parameters
     ----------
     value : array_like
         Argument of a formula.
-    low, high : float
-        Ends of its range, both allowed.
     name, unit : str
         How the message calls them; the unit may be empty.
 
     Returns
     -------
     ndarray
-        The value, within low..high.
+        The value.
 
     Raises
     ------
     ValueError
-        If any of it is outside, or not a number.
+        If any of it is infinite or not a number.
 
     Examples
     --------
-    >>> print(within([1, 2], 0, 3, name="depth", unit="m"))
-    [1. 2.]
+    >>> print(finite(-0.1, name="tilt", unit="rad"))
+    -0.1
     """
-    array = np.asarray(value, dtype=np.float64)
-    least, most = low - 1e-12 * abs(low), high + 1e-12 * abs(high)
-    if not np.all((array >= least) & (array <= most)):
-        span = f"{low:g} to {high:g} {unit}".rstrip()
-        found = f"{np.min(array):g} to {np.max(array):g} {unit}".rstrip()
-        raise ValueError(f"{name} must be from {span}, got values from {found}")
-    return np.asarray(np.clip(array, low, high))
+    return _checked(value, lambda x: abs(x) < np.inf, "finite", name=name, unit=unit)
 
 
-def not_negative(value: ArrayLike, *, name: str, unit: str) -> NDArray[np.float64]:
-    """Return the value as an array, refused if negative or not finite.
+def not_negative(
+    value: ArrayLike, *, name: str, unit: str = "", hint: str = ""
+) -> Array:
+    """Return the value, refused if negative, infinite or not a number.
 
     Parameters
     ----------
     value : array_like
         Argument of a formula.
-    name, unit : str
-        How the message calls them; the unit may be empty.
+    name, unit, hint : str
+        How the message calls them, and what to do; unit and hint may be empty.
 
     Returns
     -------
@@ -73,24 +137,21 @@ def not_negative(value: ArrayLike, *, name: str, unit: str) -> NDArray[np.float6
     >>> print(not_negative(1.5, name="depth", unit="m"))
     1.5
     """
-    array = np.asarray(value, dtype=np.float64)
-    if not np.all((array >= 0) & np.isfinite(array)):
-        raise ValueError(
-            f"{name} must be finite and not negative, got values from "
-            f"{np.min(array):g} to {np.max(array):g} {unit}".rstrip()
-        )
-    return array
+    rule = "finite and not negative"
+    return _checked(
+        value, lambda x: (x >= 0) & (x < np.inf), rule, name=name, unit=unit, hint=hint
+    )
 
 
-def positive(value: ArrayLike, *, name: str, unit: str) -> NDArray[np.float64]:
-    """Return the value as an array, refused unless above zero and finite.
+def positive(value: ArrayLike, *, name: str, unit: str = "", hint: str = "") -> Array:
+    """Return the value, refused unless above zero and finite.
 
     Parameters
     ----------
     value : array_like
         Argument of a formula.
-    name, unit : str
-        How the message calls them; the unit may be empty.
+    name, unit, hint : str
+        How the message calls them, and what to do; unit and hint may be empty.
 
     Returns
     -------
@@ -107,10 +168,383 @@ def positive(value: ArrayLike, *, name: str, unit: str) -> NDArray[np.float64]:
     >>> print(positive(0.02, name="receiver_radius", unit="m"))
     0.02
     """
-    array = np.asarray(value, dtype=np.float64)
-    if not np.all((array > 0) & np.isfinite(array)):
-        raise ValueError(
-            f"{name} must be finite and above 0, got values from "
-            f"{np.min(array):g} to {np.max(array):g} {unit}".rstrip()
+    rule = "finite and above 0"
+    return _checked(
+        value, lambda x: (x > 0) & (x < np.inf), rule, name=name, unit=unit, hint=hint
+    )
+
+
+def at_least(
+    value: ArrayLike, low: float, *, name: str, unit: str = "", hint: str = ""
+) -> Array:
+    """Return the value, refused if below an end, infinite or not a number.
+
+    Parameters
+    ----------
+    value : array_like
+        Argument of a formula.
+    low : float
+        End of its range, allowed.
+    name, unit, hint : str
+        How the message calls them, and what to do; unit and hint may be empty.
+
+    Returns
+    -------
+    ndarray
+        The value.
+
+    Raises
+    ------
+    ValueError
+        If any of it is below the end, infinite or not a number.
+
+    Examples
+    --------
+    >>> print(at_least(1.38, 1, name="group_index"))
+    1.38
+    """
+    rule = f"finite and at least {_text(low)}"
+    return _checked(
+        value,
+        lambda x: (x >= low) & (x < np.inf),
+        rule,
+        name=name,
+        unit=unit,
+        hint=hint,
+    )
+
+
+def within(
+    value: ArrayLike,
+    low: float,
+    high: float,
+    *,
+    name: str,
+    unit: str = "",
+    above: bool = False,
+    below: bool = False,
+    hint: str = "",
+) -> Array:
+    """Return the value, refused outside of low..high.
+
+    What is beyond an allowed end by rounding alone, 1e-12 of that end, is taken
+    for the end itself: 700 * 1e-9 is above 700e-9, and what follows may rely on the
+    range. An end at 0 has no such room.
+
+    Parameters
+    ----------
+    value : array_like
+        Argument of a formula.
+    low, high : float
+        Ends of its range.
+    name, unit, hint : str
+        How the message calls them, and what to do; unit and hint may be empty.
+    above, below : bool
+        Whether the low end, and the high one, is itself refused.
+
+    Returns
+    -------
+    ndarray
+        The value, within low..high.
+
+    Raises
+    ------
+    ValueError
+        If any of it is outside, or not a number.
+
+    Examples
+    --------
+    >>> print(within([1, 2], 0, 3, name="depth", unit="m"))
+    [1. 2.]
+    >>> within(0, 0, 1, name="modulation_depth", above=True)
+    Traceback (most recent call last):
+    ValueError: modulation_depth must be above 0 and at most 1, got 0
+    """
+    least = low if above else low - 1e-12 * abs(low)
+    most = high if below else high + 1e-12 * abs(high)
+
+    def allowed(x: Any) -> Any:
+        return ((x > least) if above else (x >= least)) & (
+            (x < most) if below else (x <= most)
         )
+
+    if above or below:
+        rule = f"{'above' if above else 'at least'} {_text(low)} and "
+        rule += f"{'below' if below else 'at most'} {_text(high)}"
+    else:
+        rule = f"from {_text(low)} to {_text(high)}"
+    array = _checked(value, allowed, rule, name=name, unit=unit, hint=hint)
+    return np.asarray(np.clip(array, low, high))
+
+
+def reach(value: ArrayLike, *, name: str, unit: str = "m") -> Array:
+    """Return a length up to an end, which may be infinite; refused if negative.
+
+    Parameters
+    ----------
+    value : array_like
+        Argument of a formula.
+    name, unit : str
+        How the message calls them.
+
+    Returns
+    -------
+    ndarray
+        The value.
+
+    Raises
+    ------
+    ValueError
+        If any of it is below zero or not a number.
+
+    Examples
+    --------
+    >>> print(reach(np.inf, name="end"))
+    inf
+    """
+    rule = "not negative, inf if there is no end"
+    return _checked(value, lambda x: x >= 0, rule, name=name, unit=unit)
+
+
+def measured(value: ArrayLike, *, name: str, unit: str = "", hint: str = "") -> Array:
+    """Return a measured modulus, uncertainty or count, NaN where it is missing.
+
+    Parameters
+    ----------
+    value : array_like
+        Samples; NaN stands for one that is missing.
+    name, unit, hint : str
+        How the message calls them, and what to do; unit and hint may be empty.
+
+    Returns
+    -------
+    ndarray
+        The value.
+
+    Raises
+    ------
+    ValueError
+        If any of it is below zero.
+
+    Examples
+    --------
+    >>> print(measured([0.2, np.nan], name="phase_uncertainty", unit="rad"))
+    [0.2 nan]
+    """
+    rule = "not negative, NaN where it is missing"
+    return _checked(value, lambda x: ~(x < 0), rule, name=name, unit=unit, hint=hint)
+
+
+def above_zero(value: ArrayLike, *, name: str, unit: str = "", hint: str = "") -> Array:
+    """Return a measured value that must not be zero, NaN where it is missing.
+
+    Parameters
+    ----------
+    value : array_like
+        Samples; NaN stands for one that is missing.
+    name, unit, hint : str
+        How the message calls them, and what to do; unit and hint may be empty.
+
+    Returns
+    -------
+    ndarray
+        The value.
+
+    Raises
+    ------
+    ValueError
+        If any of it is not above zero.
+
+    Examples
+    --------
+    >>> print(above_zero([1e4, np.nan], name="photoelectrons"))
+    [10000.    nan]
+    """
+    rule = "above 0, NaN where it is missing"
+    return _checked(value, lambda x: ~(x <= 0), rule, name=name, unit=unit, hint=hint)
+
+
+def checked_angle(value: ArrayLike, *, name: str) -> Array:
+    """Return scattering angles, refused outside of 0..pi.
+
+    Parameters
+    ----------
+    value : array_like
+        Scattering angles [rad].
+    name : str
+        How the message calls them.
+
+    Returns
+    -------
+    ndarray
+        The angles [rad].
+
+    Raises
+    ------
+    ValueError
+        If any of them is outside of 0..pi, or not a number.
+
+    Examples
+    --------
+    >>> print(checked_angle(np.pi / 2, name="angle").round(3))
+    1.571
+    """
+    rule = "from 0 to pi"
+    return _checked(
+        value, lambda x: (x >= 0) & (x <= np.pi), rule, name=name, unit="rad"
+    )
+
+
+def checked_split_angle(value: ArrayLike, *, above: float = 0.0) -> Array:
+    """Return split angles, refused unless above 0 (or more) and up to pi.
+
+    Parameters
+    ----------
+    value : array_like
+        Angles between forward and diffuse scattering [rad].
+    above : float
+        Smallest angle, itself refused: below it nothing would be forward [rad].
+
+    Returns
+    -------
+    ndarray
+        The angles [rad].
+
+    Raises
+    ------
+    ValueError
+        If any of them is outside of the range, or not a number.
+
+    Examples
+    --------
+    >>> print(checked_split_angle(np.pi / 2).round(3))
+    1.571
+    """
+    return _checked(
+        value,
+        lambda x: (x > above) & (x <= np.pi),
+        f"above {above:g} and at most pi",
+        name="split_angle",
+        unit="rad",
+        hint="below it nothing would be forward",
+    )
+
+
+def broadcast(**arguments: ArrayLike) -> tuple[int, ...]:
+    """Return the shape to which arguments broadcast.
+
+    Parameters
+    ----------
+    **arguments : array_like
+        Arguments of a formula by name.
+
+    Returns
+    -------
+    tuple of int
+        Their common shape.
+
+    Raises
+    ------
+    ValueError
+        If there is none.
+
+    Examples
+    --------
+    >>> broadcast(depth=np.zeros((2, 1)), baseline=np.zeros(3))
+    (2, 3)
+    """
+    shapes = {name: np.shape(value) for name, value in arguments.items()}
+    try:
+        return np.broadcast_shapes(*shapes.values())
+    except ValueError:
+        listed = ", ".join(f"{name} {shape}" for name, shape in shapes.items() if shape)
+        raise ValueError(
+            f"arguments must have shapes that broadcast, got {listed}"
+        ) from None
+
+
+def one_axis(least: int, **columns: ArrayLike) -> None:
+    """Refuse columns that are not one-dimensional, of one length and long enough.
+
+    Parameters
+    ----------
+    least : int
+        Smallest length.
+    **columns : array_like
+        Columns by name.
+
+    Raises
+    ------
+    ValueError
+        If a shape is another.
+
+    Examples
+    --------
+    >>> one_axis(2, angle=[0.0, 1.0], value=[1.0, 2.0])
+    """
+    shapes = [np.shape(column) for column in columns.values()]
+    first = shapes[0]
+    if len(first) != 1 or first[0] < least or any(shape != first for shape in shapes):
+        one_length = ", of one length" if len(shapes) > 1 else ""
+        raise ValueError(
+            f"{' and '.join(columns)} must be 1-D{one_length}, at least {least} long, "
+            f"got {' and '.join(str(shape) for shape in shapes)}"
+        )
+
+
+def last_axes(
+    value: ArrayLike, shape: tuple[int, ...], *, name: str, meaning: str = ""
+) -> Array:
+    """Return an array whose last axes have a shape.
+
+    Parameters
+    ----------
+    value : array_like
+        Argument of a formula; NaN stands for a sample that is missing.
+    shape : tuple of int
+        Lengths of the last axes.
+    name, meaning : str
+        How the message calls it, and what lies along these axes; may be empty.
+
+    Returns
+    -------
+    ndarray
+        The value.
+
+    Raises
+    ------
+    ValueError
+        If the last axes are others.
+
+    Examples
+    --------
+    >>> last_axes([1.0, 0.0, 0.0, 0.0], (4,), name="stokes").shape
+    (4,)
+    """
+    array = np.asarray(value, dtype=np.float64)
+    if array.shape[-len(shape) :] != shape:
+        what = f" {meaning}" if meaning else ""
+        raise ValueError(f"{name} must have last axes {shape}{what}, got {array.shape}")
     return array
+
+
+def _checked(
+    value: ArrayLike,
+    allowed: Callable[[Any], Any],
+    rule: str,
+    *,
+    name: str,
+    unit: str,
+    hint: str = "",
+) -> Array:
+    array = np.asarray(value, dtype=np.float64)
+    with np.errstate(invalid="ignore"):
+        good = allowed(array)
+    if not np.all(good):
+        require(array, good, name=name, rule=rule, unit=unit, hint=hint)
+    return array
+
+
+def _text(number: float) -> str:
+    """Return a number as a message writes it."""
+    return {np.pi: "pi", -np.pi: "-pi"}.get(number, f"{number:g}")

@@ -21,7 +21,7 @@ _MOST_CANDIDATES = 10_000
 _SMALLEST_PHASE_ERROR = 1e-9
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Path:
     """Two-way optical path of each pixel, arrays of one shape."""
 
@@ -30,7 +30,7 @@ class Path:
     uncertainty: Floats
     """Standard uncertainty [m]."""
     weight: Floats
-    """Share of each frequency in the result, first axis the frequencies [1]."""
+    """Weight of each frequency in the result, first axis the frequencies [1]."""
     settled: NDArray[np.bool_]
     """False where another interval fits about as well, or none fits."""
 
@@ -90,15 +90,15 @@ def optical_path(
             f"{modulation_frequency[best] / 1e6:g} MHz; narrow it"
         )
     slack = np.minimum(_SLACK * sigma[best], step / 2)
-    first = shortest - slack + np.mod(measured[best] - shortest + slack, step)
+    nearest = shortest - slack + np.mod(measured[best] - shortest + slack, step)
     weight = precision / precision.sum(axis=0)
-    length = np.full(first.shape, np.nan)
-    lowest = np.full(first.shape, np.inf)
-    second = np.full(first.shape, np.inf)
-    strain = np.full(first.shape, np.inf)
+    length = np.full(nearest.shape, np.nan)
+    lowest = np.full(nearest.shape, np.inf)
+    second = np.full(nearest.shape, np.inf)
+    strain = np.full(nearest.shape, np.inf)
     excused = 1 / (sigma**2 + (doubt * each / (2 * np.pi)) ** 2)
     for count in range(int(np.ceil(span + 1)) + 1):
-        candidate = first + count * step
+        candidate = nearest + count * step
         turns = np.round((candidate - measured) / each)
         unwrapped = measured + turns * each
         refined = np.sum(weight * unwrapped, axis=0)
@@ -115,7 +115,12 @@ def optical_path(
         settled = np.isfinite(lowest) & (second - lowest > _MARGIN)
         if freedom:
             settled &= strain < _chi_square_limit(freedom)
-    return Path(length, precision.sum(axis=0) ** -0.5, weight, settled)
+    return Path(
+        length=length,
+        uncertainty=precision.sum(axis=0) ** -0.5,
+        weight=weight,
+        settled=settled,
+    )
 
 
 def _chi_square_limit(freedom: int) -> float:

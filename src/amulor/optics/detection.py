@@ -10,7 +10,15 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.constants import Planck, speed_of_light
 
-from amulor.optics._bounds import not_negative, positive
+from amulor.optics._bounds import (
+    at_least,
+    broadcast,
+    measured,
+    not_negative,
+    positive,
+    require,
+    within,
+)
 
 __all__ = [
     "amplitude_uncertainty",
@@ -58,18 +66,17 @@ def photoelectron_rate(
     >>> print(f"{rate:.3g} 1/s")
     5.1e+05 1/s
     """
-    light = np.asarray(power, dtype=np.float64)
-    if np.any(light < 0):
-        raise ValueError(f"power must not be negative, got {np.nanmin(light):g} W")
-    vacuum = np.asarray(wavelength, dtype=np.float64)
-    if not np.all(vacuum > 0):
-        raise ValueError(f"wavelength must be above 0 m, got {np.min(vacuum):g} m")
-    efficiency = np.asarray(quantum_efficiency, dtype=np.float64)
-    if not np.all((efficiency > 0) & (efficiency <= 1)):
-        raise ValueError(
-            "quantum_efficiency must be above 0 and at most 1, got values from "
-            f"{np.min(efficiency):g} to {np.max(efficiency):g}; 20 % is 0.2"
-        )
+    light = measured(power, name="power", unit="W")
+    vacuum = positive(wavelength, name="wavelength", unit="m")
+    efficiency = within(
+        quantum_efficiency,
+        0,
+        1,
+        name="quantum_efficiency",
+        above=True,
+        hint="20 % is 0.2",
+    )
+    broadcast(power=light, wavelength=vacuum, quantum_efficiency=efficiency)
     rate: NDArray[np.float64] = efficiency * light * vacuum / (Planck * speed_of_light)
     return rate
 
@@ -118,15 +125,18 @@ def effective_integration_time(
     >>> print(f"{effective_integration_time(0.1, time_constant=0.03):.4f} s")
     0.1407 s
     """
-    mean, tau = np.broadcast_arrays(
-        not_negative(duration, name="duration", unit="s"),
-        not_negative(time_constant, name="time_constant", unit="s"),
+    mean = not_negative(duration, name="duration", unit="s")
+    tau = not_negative(time_constant, name="time_constant", unit="s")
+    broadcast(duration=mean, time_constant=tau)
+    mean, tau = np.broadcast_arrays(mean, tau)
+    require(
+        mean + tau,
+        (mean > 0) | (tau > 0),
+        name="duration + time_constant",
+        rule="above 0",
+        unit="s",
+        hint="an instantaneous reading without a filter has unlimited noise",
     )
-    if np.any((mean == 0) & (tau == 0)):
-        raise ValueError(
-            "duration and time_constant must not both be 0 s: an instantaneous "
-            "reading without a filter has unlimited noise"
-        )
     filtered = tau > mean * 1e-15
     x = mean / np.where(filtered, tau, 1.0)
     small = x < 0.5
@@ -228,20 +238,16 @@ def quadrature_variance(
     >>> print(f"{np.sqrt(variance):.0f} photoelectrons/s")
     4472 photoelectrons/s
     """
-    rate = np.asarray(photoelectron_rate, dtype=np.float64)
-    dark = np.asarray(dark_rate, dtype=np.float64)
-    for name, value in (("photoelectron_rate", rate), ("dark_rate", dark)):
-        if np.any(value < 0):
-            lowest = np.nanmin(value)
-            raise ValueError(f"{name} must not be negative, got {lowest:g} 1/s")
-    time = np.asarray(integration_time, dtype=np.float64)
-    if not np.all(time > 0):
-        raise ValueError(f"integration_time must be above 0 s, got {np.min(time):g} s")
-    excess = np.asarray(excess_noise_factor, dtype=np.float64)
-    if not np.all(excess >= 1):
-        raise ValueError(
-            f"excess_noise_factor must be at least 1, got {np.min(excess):g}"
-        )
+    rate = measured(photoelectron_rate, name="photoelectron_rate", unit="1/s")
+    dark = measured(dark_rate, name="dark_rate", unit="1/s")
+    time = positive(integration_time, name="integration_time", unit="s")
+    excess = at_least(excess_noise_factor, 1, name="excess_noise_factor")
+    broadcast(
+        photoelectron_rate=rate,
+        dark_rate=dark,
+        integration_time=time,
+        excess_noise_factor=excess,
+    )
     return 2 * excess * (rate + dark) / time
 
 
@@ -482,19 +488,22 @@ def _checked_moments(
     NDArray[np.float64],
 ]:
     """Return signal and second moments as arrays of one shape, refused if odd."""
-    in_phase = np.asarray(in_phase_variance, dtype=np.float64)
-    quadrature = np.asarray(quadrature_variance, dtype=np.float64)
-    shared = np.asarray(covariance, dtype=np.float64)
-    for name, value in (
-        ("in_phase_variance", in_phase),
-        ("quadrature_variance", quadrature),
-    ):
-        if np.any(value < 0):
-            raise ValueError(f"{name} must not be negative, got {np.nanmin(value):g}")
-    if np.any(shared**2 > in_phase * quadrature * (1 + 1e-9)):
-        raise ValueError(
-            "covariance must not exceed the root of the product of the variances: "
-            "the three do not belong to one random pair"
-        )
     phasor = np.asarray(signal, dtype=np.complex128)
+    in_phase = measured(in_phase_variance, name="in_phase_variance")
+    quadrature = measured(quadrature_variance, name="quadrature_variance")
+    shared = np.asarray(covariance, dtype=np.float64)
+    broadcast(
+        signal=phasor,
+        in_phase_variance=in_phase,
+        quadrature_variance=quadrature,
+        covariance=shared,
+    )
+    too_large = shared**2 > in_phase * quadrature * (1 + 1e-9)
+    require(
+        np.broadcast_to(shared, too_large.shape),
+        ~too_large,
+        name="covariance",
+        rule="at most the root of the product of the variances",
+        hint="the three do not belong to one random pair",
+    )
     return phasor, in_phase, quadrature, shared

@@ -9,7 +9,14 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.constants import speed_of_light
 
-from amulor.optics._bounds import not_negative
+from amulor.optics._bounds import (
+    at_least,
+    broadcast,
+    finite,
+    not_negative,
+    one_axis,
+    require,
+)
 
 __all__ = ["Extrema", "find", "group_depth", "ripple", "separation"]
 
@@ -63,7 +70,7 @@ def find(modulation_frequency: ArrayLike, value: ArrayLike) -> Extrema:
     >>> print(np.round(found.maxima / 1e6, 2), np.round(found.minima / 1e6, 2))
     [40. 80.] [20. 60.]
     """
-    f, y = _sweep(modulation_frequency, np.asarray(value, dtype=float), name="value")
+    f, y = _sweep(modulation_frequency, finite(value, name="value"), name="value")
     left, right = y[1:-1] - y[:-2], y[2:] - y[1:-1]
     # A flat step counts once, at its right end.
     peak = np.flatnonzero(
@@ -124,13 +131,14 @@ def group_depth(
     [0.89 0.18]
     """
     f, w = _sweep(modulation_frequency, water_signal, name="water_signal")
-    if not (np.all(np.isfinite(w)) and np.all(w != 0)):
-        raise ValueError(
-            "water_signal must be finite and not zero at all frequencies: zero has no "
-            "phase"
-        )
-    if not group_index >= 1:
-        raise ValueError(f"group_index must be at least 1, got {group_index:g}")
+    require(
+        w,
+        np.isfinite(w) & (w != 0),
+        name="water_signal",
+        rule="finite and other than 0",
+        hint="zero has no phase",
+    )
+    index = at_least(group_index, 1, name="group_index")
     turn = np.angle(w[1:] / w[:-1])
     if np.max(np.abs(turn)) >= np.pi / 2:
         raise ValueError(
@@ -140,7 +148,7 @@ def group_depth(
         )
     phase = np.append(0.0, np.cumsum(turn))
     slope = np.gradient(phase, 2 * np.pi * f, edge_order=2)
-    return np.asarray(speed_of_light / group_index / 2 * slope)
+    return np.asarray(speed_of_light / index / 2 * slope)
 
 
 def separation(
@@ -185,15 +193,20 @@ def separation(
     >>> print(f"{separation(3.9, group_depth=0.9, group_index=1.34) / 1e6:.1f} MHz")
     37.3 MHz
     """
-    ahead = not_negative(distance, name="distance", unit="m") - np.asarray(group_depth)
-    if not np.all(ahead > 0):
-        raise ValueError(
-            "distance must be beyond group_depth, got a target "
-            f"{-np.min(ahead):g} m in front of it"
-        )
-    if not group_index >= 1:
-        raise ValueError(f"group_index must be at least 1, got {group_index:g}")
-    return np.asarray(speed_of_light / group_index / (2 * ahead))
+    far = not_negative(distance, name="distance", unit="m")
+    seen = finite(group_depth, name="group_depth", unit="m")
+    index = at_least(group_index, 1, name="group_index")
+    broadcast(distance=far, group_depth=seen, group_index=index)
+    ahead = far - seen
+    require(
+        ahead,
+        ahead > 0,
+        name="distance - group_depth",
+        rule="above 0",
+        unit="m",
+        hint="the target must be behind what the water signal comes from",
+    )
+    return np.asarray(speed_of_light / index / (2 * ahead))
 
 
 def ripple(value: ArrayLike) -> float:
@@ -219,9 +232,8 @@ def ripple(value: ArrayLike) -> float:
     >>> ripple([1.0, 3.0, 2.0])
     1.0
     """
-    y = np.asarray(value, dtype=float)
-    if not y.mean() > 0:
-        raise ValueError(f"the mean of value must be above 0, got {y.mean():g}")
+    y = finite(value, name="value")
+    require(y.mean(), y.mean() > 0, name="the mean of value", rule="above 0")
     return float(np.ptp(y) / y.mean())
 
 
@@ -229,14 +241,18 @@ def _sweep(
     modulation_frequency: ArrayLike, value: ArrayLike, *, name: str
 ) -> tuple[NDArray[np.float64], NDArray[Any]]:
     """Return frequencies and values, refused unless they are a sweep."""
-    f, y = np.asarray(modulation_frequency, dtype=float), np.asarray(value)
-    if f.ndim != 1 or f.shape != y.shape or f.size < 3:
-        raise ValueError(
-            f"modulation_frequency and {name} must be 1-D, of one length, at least 3; "
-            f"got shapes {f.shape} and {y.shape}"
-        )
-    if not np.all(np.diff(f) > 0):
-        raise ValueError("modulation_frequency must increase; sort the sweep by it")
+    f = not_negative(modulation_frequency, name="modulation_frequency", unit="Hz")
+    y = np.asarray(value)
+    one_axis(3, modulation_frequency=f, **{name: y})
+    rising = np.append(True, np.diff(f) > 0)
+    require(
+        f,
+        rising,
+        name="modulation_frequency",
+        rule="rising",
+        unit="Hz",
+        hint="sort the sweep by it",
+    )
     return f, y
 
 

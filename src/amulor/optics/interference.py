@@ -11,6 +11,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from amulor.optics._bounds import broadcast, measured, require
+
 __all__ = [
     "contrast",
     "phase_error",
@@ -50,7 +52,9 @@ def total_signal(
     (0.75+0.75j)
     """
     target = np.asarray(target_signal, dtype=np.complex128)
-    return target + np.asarray(water_signal, dtype=np.complex128)
+    water = np.asarray(water_signal, dtype=np.complex128)
+    broadcast(target_signal=target, water_signal=water)
+    return target + water
 
 
 def target_signal(signal: ArrayLike, water_signal: ArrayLike) -> NDArray[np.complex128]:
@@ -79,7 +83,9 @@ def target_signal(signal: ArrayLike, water_signal: ArrayLike) -> NDArray[np.comp
     (1+0.5j)
     """
     total = np.asarray(signal, dtype=np.complex128)
-    return total - np.asarray(water_signal, dtype=np.complex128)
+    water = np.asarray(water_signal, dtype=np.complex128)
+    broadcast(signal=total, water_signal=water)
+    return total - water
 
 
 def phase_error(
@@ -118,12 +124,14 @@ def phase_error(
     -0.1244 rad
     """
     target = np.asarray(target_signal, dtype=np.complex128)
-    if np.any(target == 0):
-        raise ValueError(
-            "target_signal must not be zero: without a target echo there is no "
-            "phase to be in error; leave such samples out"
-        )
-    total = target + np.asarray(water_signal, dtype=np.complex128)
+    require(
+        target,
+        target != 0,
+        name="target_signal",
+        rule="other than 0",
+        hint="without a target echo there is no phase to be in error; leave it out",
+    )
+    total = total_signal(target, water_signal)
     error: NDArray[np.float64] = np.angle(total * np.exp(-1j * np.angle(target)))
     return error
 
@@ -162,13 +170,15 @@ def signal_to_optical_noise_ratio(
     >>> print(f"{signal_to_optical_noise_ratio(3.0 + 4.0j, 2.0j):.2f}")
     2.50
     """
-    water = np.abs(np.asarray(water_signal, dtype=np.complex128))
-    if np.any(water == 0):
-        raise ValueError(
-            "water_signal must not be zero: the ratio has no upper limit without "
-            "water; use contrast, which is 1 there"
-        )
-    return np.abs(np.asarray(signal, dtype=np.complex128)) / water
+    total, water = _moduli(signal, water_signal)
+    require(
+        water,
+        water != 0,
+        name="water_signal",
+        rule="other than 0",
+        hint="the ratio has no limit without water; use contrast, which is 1 there",
+    )
+    return total / water
 
 
 def contrast(signal: ArrayLike, water_signal: ArrayLike) -> NDArray[np.float64]:
@@ -204,13 +214,14 @@ def contrast(signal: ArrayLike, water_signal: ArrayLike) -> NDArray[np.float64]:
     >>> print(f"{contrast(3.0 + 4.0j, 2.0j):.4f}")
     0.4286
     """
-    total = np.abs(np.asarray(signal, dtype=np.complex128))
-    water = np.abs(np.asarray(water_signal, dtype=np.complex128))
-    if np.any(total + water == 0):
-        raise ValueError(
-            "signal and water_signal must not both be zero: there is no light to "
-            "tell apart; leave such samples out"
-        )
+    total, water = _moduli(signal, water_signal)
+    require(
+        total + water,
+        total + water != 0,
+        name="|signal| + |water_signal|",
+        rule="other than 0",
+        hint="there is no light to tell apart; leave it out",
+    )
     ratio: NDArray[np.float64] = (total - water) / (total + water)
     return ratio
 
@@ -273,7 +284,14 @@ def total_amplitude_and_phase(
     target = _amplitude(target_amplitude, name="target_amplitude")
     water = _amplitude(water_amplitude, name="water_amplitude")
     phase = np.asarray(target_phase, dtype=np.float64)
-    psi = phase - np.asarray(water_phase, dtype=np.float64)
+    behind = np.asarray(water_phase, dtype=np.float64)
+    broadcast(
+        target_amplitude=target,
+        target_phase=phase,
+        water_amplitude=water,
+        water_phase=behind,
+    )
+    psi = phase - behind
     across = water * np.sin(psi)
     along = target + water * np.cos(psi)
     return np.hypot(along, across), phase - np.arctan2(across, along)
@@ -336,7 +354,9 @@ def target_amplitude_and_phase(
     total = _amplitude(amplitude, name="amplitude")
     water = _amplitude(water_amplitude, name="water_amplitude")
     delay = np.asarray(phase, dtype=np.float64)
-    psi = delay - np.asarray(water_phase, dtype=np.float64)
+    behind = np.asarray(water_phase, dtype=np.float64)
+    broadcast(amplitude=total, phase=delay, water_amplitude=water, water_phase=behind)
+    psi = delay - behind
     across = water * np.sin(psi)
     along = total - water * np.cos(psi)
     return np.hypot(along, across), delay + np.arctan2(across, along)
@@ -344,10 +364,14 @@ def target_amplitude_and_phase(
 
 def _amplitude(value: ArrayLike, *, name: str) -> NDArray[np.float64]:
     """Return an amplitude as an array, refused if negative."""
-    array = np.asarray(value, dtype=np.float64)
-    if np.any(array < 0):
-        raise ValueError(
-            f"{name} is a modulus and must not be negative, got {np.nanmin(array):g}; "
-            "add pi to the phase instead"
-        )
-    return array
+    return measured(value, name=name, hint="add pi to the phase instead")
+
+
+def _moduli(
+    signal: ArrayLike, water_signal: ArrayLike
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return the moduli of two signals."""
+    total = np.abs(np.asarray(signal, dtype=np.complex128))
+    water = np.abs(np.asarray(water_signal, dtype=np.complex128))
+    broadcast(signal=total, water_signal=water)
+    return total, water

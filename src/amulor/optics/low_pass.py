@@ -11,7 +11,14 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.constants import speed_of_light
 from scipy.optimize import brentq, least_squares
 
-from amulor.optics._bounds import not_negative
+from amulor.optics._bounds import (
+    at_least,
+    broadcast,
+    not_negative,
+    one_axis,
+    positive,
+    require,
+)
 
 __all__ = [
     "LowPassFit",
@@ -71,11 +78,7 @@ def cut_off(
     >>> print(f"{found / 1e6:.1f} MHz")
     18.8 MHz
     """
-    if not 0 < maximum_frequency < np.inf:
-        raise ValueError(
-            "maximum_frequency must be finite and above 0 Hz, "
-            f"got {maximum_frequency:g} Hz"
-        )
+    positive(maximum_frequency, name="maximum_frequency", unit="Hz")
 
     def modulus(frequency: NDArray[np.float64]) -> NDArray[np.float64]:
         return np.asarray(np.abs(response_function(frequency)), dtype=float)
@@ -168,14 +171,14 @@ def fit(modulation_frequency: ArrayLike, amplitude: ArrayLike) -> LowPassFit:
     20.00 MHz, 3.00
     """
     f = not_negative(modulation_frequency, name="modulation_frequency", unit="Hz")
-    a = not_negative(amplitude, name="amplitude", unit="")
-    if f.ndim != 1 or f.shape != a.shape or np.unique(f).size < 3:
+    a = not_negative(amplitude, name="amplitude")
+    one_axis(3, modulation_frequency=f, amplitude=a)
+    if np.unique(f).size < 3:
         raise ValueError(
-            "modulation_frequency and amplitude must be 1-D, of one length, with at "
-            f"least 3 different frequencies; got shapes {f.shape} and {a.shape}"
+            "modulation_frequency must have at least 3 different values [Hz], got "
+            f"{np.unique(f).size}"
         )
-    if not a.any():
-        raise ValueError("amplitude must not be 0 at all frequencies")
+    require(a.max(), a.max() > 0, name="the largest amplitude", rule="above 0")
     x, y = f / f.max(), a / a.max()
 
     def form(logarithm: Any) -> NDArray[np.float64]:
@@ -257,15 +260,11 @@ def first_order_response(
     >>> print(f"{abs(response):.4f}, {np.degrees(np.angle(response)):.0f} degrees")
     0.7071, 45 degrees
     """
-    frequency = np.asarray(modulation_frequency, dtype=float)
-    corner = np.asarray(cut_off, dtype=float)
-    if not np.all(frequency >= 0):
-        raise ValueError(
-            "modulation_frequency must not be negative, got values from "
-            f"{frequency.min():g} Hz"
-        )
-    if not np.all(corner > 0):
-        raise ValueError(f"cut_off must be above 0 Hz, got {corner.min():g} Hz")
+    frequency = not_negative(
+        modulation_frequency, name="modulation_frequency", unit="Hz"
+    )
+    corner = positive(cut_off, name="cut_off", unit="Hz")
+    broadcast(modulation_frequency=frequency, cut_off=corner)
     return np.asarray(1 / (1 - 1j * (frequency / corner)))
 
 
@@ -307,12 +306,7 @@ def reduced_attenuation_cut_off(
     >>> print(f"{corner / 1e6:.1f} MHz")
     35.6 MHz
     """
-    loss = np.asarray(reduced_attenuation, dtype=float)
-    index = np.asarray(group_index, dtype=float)
-    if not np.all(loss >= 0):
-        raise ValueError(
-            f"reduced_attenuation must not be negative, got {loss.min():g} 1/m"
-        )
-    if not np.all(index >= 1):
-        raise ValueError(f"group_index must be at least 1, got {index.min():g}")
+    loss = not_negative(reduced_attenuation, name="reduced_attenuation", unit="1/m")
+    index = at_least(group_index, 1, name="group_index")
+    broadcast(reduced_attenuation=loss, group_index=index)
     return np.asarray(speed_of_light / index * loss / (2 * np.pi))

@@ -15,7 +15,14 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.constants import speed_of_light
 
-from amulor.optics._bounds import not_negative, within
+from amulor.optics._bounds import (
+    at_least,
+    broadcast,
+    finite,
+    not_negative,
+    require,
+    within,
+)
 
 __all__ = ["complex_attenuation", "launched_power", "received_power"]
 
@@ -135,7 +142,7 @@ def received_power(
     >>> print(np.round(power * 1e9, 6))
     [40. 60.]
     """
-    moment = np.asarray(time, dtype=np.float64)
+    moment = finite(time, name="time", unit="s")
     depth = within(modulation_depth, 0, 1, name="modulation_depth")
     mean = not_negative(mean_response, name="mean_response", unit="")
     power = not_negative(mean_power, name="mean_power", unit="W")
@@ -143,13 +150,23 @@ def received_power(
         modulation_frequency, name="modulation_frequency", unit="Hz"
     )
     signal = np.asarray(response, dtype=np.complex128)
+    broadcast(
+        time=moment,
+        mean_response=mean,
+        response=signal,
+        mean_power=power,
+        modulation_depth=depth,
+        modulation_frequency=frequency,
+    )
     # Integration leaves the bound |response| <= response at zero with rounding.
-    if not np.all(np.abs(signal) <= mean * (1 + 1e-9)):
-        raise ValueError(
-            "response must not be larger than mean_response, as no response to light "
-            "is; got up to "
-            f"{np.max(np.abs(signal) - mean):g} more"
-        )
+    too_large = ~(np.abs(signal) <= mean * (1 + 1e-9))
+    require(
+        np.broadcast_to(np.abs(signal), too_large.shape),
+        ~too_large,
+        name="|response|",
+        rule="finite and at most mean_response",
+        hint="as of all responses to light",
+    )
     turn = 2 * np.pi * frequency * moment
     swing = np.real(signal * np.exp(-1j * turn))
     received: NDArray[np.float64] = power * (mean + depth * swing)
@@ -201,7 +218,6 @@ def complex_attenuation(
     frequency = not_negative(
         modulation_frequency, name="modulation_frequency", unit="Hz"
     )
-    index = np.asarray(group_index, dtype=np.float64)
-    if not np.all(index >= 1):
-        raise ValueError(f"group_index must be at least 1, got {np.min(index):g}")
+    index = at_least(group_index, 1, name="group_index")
+    broadcast(attenuation=k, modulation_frequency=frequency, group_index=index)
     return np.asarray(k - 2j * np.pi * frequency * index / speed_of_light)

@@ -6,6 +6,15 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.constants import speed_of_light
 
+from amulor.optics._bounds import (
+    above_zero,
+    at_least,
+    broadcast,
+    measured,
+    positive,
+    within,
+)
+
 __all__ = [
     "ambiguity_interval",
     "phase",
@@ -62,13 +71,12 @@ def phase(
     >>> print(f"{np.degrees(delay):.3f} degrees")
     1.255 degrees
     """
-    distance = np.asarray(slant_range, dtype=np.float64)
-    if np.any(distance < 0):
-        raise ValueError(
-            f"slant_range must not be negative, got {np.nanmin(distance):g} m"
-        )
-    frequency = _frequency(modulation_frequency)
-    return 4 * np.pi * frequency * distance / _velocity(group_index)
+    distance = measured(slant_range, name="slant_range", unit="m")
+    frequency, velocity = _frequency(modulation_frequency), _velocity(group_index)
+    broadcast(
+        slant_range=distance, modulation_frequency=frequency, group_index=velocity
+    )
+    return 4 * np.pi * frequency * distance / velocity
 
 
 def slant_range(
@@ -115,9 +123,10 @@ def slant_range(
     >>> print(f"{distance:.4f} m")
     1.0862 m
     """
-    frequency = _frequency(modulation_frequency)
+    frequency, velocity = _frequency(modulation_frequency), _velocity(group_index)
     delay = np.asarray(phase, dtype=np.float64)
-    return _velocity(group_index) * delay / (4 * np.pi * frequency)
+    broadcast(phase=delay, modulation_frequency=frequency, group_index=velocity)
+    return velocity * delay / (4 * np.pi * frequency)
 
 
 def ambiguity_interval(
@@ -157,7 +166,9 @@ def ambiguity_interval(
     >>> print(f"{ambiguity_interval(39e6, group_index=1.34):.2f} m")
     2.87 m
     """
-    return _velocity(group_index) / (2 * _frequency(modulation_frequency))
+    frequency, velocity = _frequency(modulation_frequency), _velocity(group_index)
+    broadcast(modulation_frequency=frequency, group_index=velocity)
+    return velocity / (2 * frequency)
 
 
 def slant_range_uncertainty(
@@ -207,14 +218,14 @@ def slant_range_uncertainty(
     >>> print(f"{1e3 * deviation:.2f} mm")
     1.99 mm
     """
-    deviation = np.asarray(phase_uncertainty, dtype=np.float64)
-    if np.any(deviation < 0):
-        raise ValueError(
-            "phase_uncertainty is a standard deviation and must not be negative, "
-            f"got {np.nanmin(deviation):g} rad"
-        )
-    frequency = _frequency(modulation_frequency)
-    return _velocity(group_index) * deviation / (4 * np.pi * frequency)
+    deviation = measured(phase_uncertainty, name="phase_uncertainty", unit="rad")
+    frequency, velocity = _frequency(modulation_frequency), _velocity(group_index)
+    broadcast(
+        phase_uncertainty=deviation,
+        modulation_frequency=frequency,
+        group_index=velocity,
+    )
+    return velocity * deviation / (4 * np.pi * frequency)
 
 
 def phase_per_range(
@@ -250,10 +261,9 @@ def phase_per_range(
     >>> print(f"{phase_per_range(39e6, group_index=1.34):.4f} rad/m")
     2.1906 rad/m
     """
-    index = _group_index(group_index)
-    per_range: NDArray[np.float64] = (
-        4 * np.pi * _frequency(modulation_frequency) * index / speed_of_light
-    )
+    frequency, index = _frequency(modulation_frequency), _group_index(group_index)
+    broadcast(modulation_frequency=frequency, group_index=index)
+    per_range: NDArray[np.float64] = 4 * np.pi * frequency * index / speed_of_light
     return per_range
 
 
@@ -294,10 +304,9 @@ def range_per_phase(
     >>> print(f"{range_per_phase(39e6, group_index=1.34) * 1e3:.1f} mm/rad")
     456.5 mm/rad
     """
-    index = _group_index(group_index)
-    per_phase: NDArray[np.float64] = speed_of_light / (
-        4 * np.pi * _frequency(modulation_frequency) * index
-    )
+    frequency, index = _frequency(modulation_frequency), _group_index(group_index)
+    broadcast(modulation_frequency=frequency, group_index=index)
+    per_phase: NDArray[np.float64] = speed_of_light / (4 * np.pi * frequency * index)
     return per_phase
 
 
@@ -332,8 +341,10 @@ def phase_shift(signal: ArrayLike, *, residual: ArrayLike) -> NDArray[np.float64
     -0.1244 rad
     """
     total = np.asarray(signal, dtype=np.complex128)
+    left = np.asarray(residual, dtype=np.complex128)
+    broadcast(signal=total, residual=left)
     with np.errstate(invalid="ignore", divide="ignore"):
-        rest = total - np.asarray(residual, dtype=np.complex128)
+        rest = total - left
         shift: NDArray[np.float64] = np.asarray(np.angle(total / rest))
     return shift
 
@@ -432,15 +443,9 @@ def photon_limited_uncertainty(
     >>> print(f"{1e3 * deviation:.2f} mm")
     0.78 mm
     """
-    count = np.asarray(photoelectrons, dtype=np.float64)
-    if np.any(count <= 0):
-        raise ValueError(f"photoelectrons must be above 0, got {np.nanmin(count):g}")
-    depth = np.asarray(modulation_depth, dtype=np.float64)
-    if not np.all((depth > 0) & (depth <= 1)):
-        raise ValueError(
-            "modulation_depth must be above 0 and at most 1, got values from "
-            f"{np.min(depth):g} to {np.max(depth):g}"
-        )
+    count = above_zero(photoelectrons, name="photoelectrons")
+    depth = within(modulation_depth, 0, 1, name="modulation_depth", above=True)
+    broadcast(photoelectrons=count, modulation_depth=depth)
     phase_uncertainty = np.sqrt(2) / (depth * np.sqrt(count))
     return slant_range_uncertainty(
         phase_uncertainty,
@@ -451,12 +456,7 @@ def photon_limited_uncertainty(
 
 def _frequency(modulation_frequency: ArrayLike) -> NDArray[np.float64]:
     """Return the modulation frequency as an array, refused unless above zero."""
-    frequency = np.asarray(modulation_frequency, dtype=np.float64)
-    if not np.all(frequency > 0):
-        raise ValueError(
-            f"modulation_frequency must be above 0 Hz, got {np.min(frequency):g} Hz"
-        )
-    return frequency
+    return positive(modulation_frequency, name="modulation_frequency", unit="Hz")
 
 
 def _velocity(group_index: ArrayLike) -> NDArray[np.float64]:
@@ -467,9 +467,4 @@ def _velocity(group_index: ArrayLike) -> NDArray[np.float64]:
 
 def _group_index(group_index: ArrayLike) -> NDArray[np.float64]:
     """Return the group index as an array, refused below 1."""
-    index = np.asarray(group_index, dtype=np.float64)
-    if not np.all(index >= 1):
-        raise ValueError(
-            f"group_index must be at least 1 (water: about 1.38), got {np.min(index):g}"
-        )
-    return index
+    return at_least(group_index, 1, name="group_index", hint="water has about 1.38")

@@ -13,8 +13,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.constants import speed_of_light
 
+from amulor.optics._bounds import broadcast, finite, last_axes, require
 
-@dataclass(frozen=True)
+
+@dataclass(frozen=True, kw_only=True)
 class Medium:
     """What the light crosses: water, and perhaps a window with air before it."""
 
@@ -32,7 +34,7 @@ class Medium:
     """Group index of the pane [1]."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Beam:
     """A beam as it travels in the water, and what it crossed before."""
 
@@ -66,9 +68,10 @@ def direction(azimuth: ArrayLike, elevation: ArrayLike) -> NDArray[np.float64]:
     >>> direction(0.0, 0.0) + 0.0
     array([0., 0., 1.])
     """
-    azimuth, elevation = np.broadcast_arrays(
-        np.asarray(azimuth, dtype=float), np.asarray(elevation, dtype=float)
-    )
+    turn = finite(azimuth, name="azimuth", unit="rad")
+    rise = finite(elevation, name="elevation", unit="rad")
+    broadcast(azimuth=turn, elevation=rise)
+    azimuth, elevation = np.broadcast_arrays(turn, rise)
     return np.stack(
         [
             np.sin(azimuth) * np.cos(elevation),
@@ -105,18 +108,34 @@ def enter_water(position: ArrayLike, unit_vector: ArrayLike, *, medium: Medium) 
     -----
     Snell's law keeps the part of the vector along the window times the index.
     """
-    start, vector = np.broadcast_arrays(
-        np.asarray(position, dtype=float), np.asarray(unit_vector, dtype=float)
-    )
+    start = last_axes(position, (3,), name="position", meaning="(x, y, z)")
+    vector = last_axes(unit_vector, (3,), name="unit_vector", meaning="(x, y, z)")
+    broadcast(position=start, unit_vector=vector)
+    start, vector = np.broadcast_arrays(start, vector)
     if medium.window_distance is None:
         zero = np.zeros(start.shape[:-1])
-        return Beam(start.copy(), vector.copy(), zero, zero.copy())
-    gap = medium.window_distance - start[..., 2]
-    if np.any(gap <= 0) or np.any(vector[..., 2] <= 0):
-        raise ValueError(
-            "with a window, beams must start before it and point forwards; the "
-            f"smallest gap is {np.min(gap):g} m"
+        return Beam(
+            entry=start.copy(),
+            direction=vector.copy(),
+            length_before=zero,
+            optical_length_before=zero.copy(),
         )
+    gap = medium.window_distance - start[..., 2]
+    require(
+        gap,
+        ~(gap <= 0),
+        name="window_distance - position",
+        rule="above 0",
+        unit="m",
+        hint="with a window, beams must start before it",
+    )
+    require(
+        vector[..., 2],
+        ~(vector[..., 2] <= 0),
+        name="forward part of unit_vector",
+        rule="above 0",
+        hint="with a window, beams must point forwards",
+    )
     lateral = vector[..., :2]
     in_glass = lateral / medium.window_refractive_index
     in_water = lateral / medium.refractive_index
@@ -132,10 +151,10 @@ def enter_water(position: ArrayLike, unit_vector: ArrayLike, *, medium: Medium) 
     )
     entry[..., 2] = medium.window_distance + medium.window_thickness
     return Beam(
-        entry,
-        np.concatenate([in_water, forward_water[..., None]], axis=-1),
-        air_length + glass_length,
-        air_length + medium.window_group_index * glass_length,
+        entry=entry,
+        direction=np.concatenate([in_water, forward_water[..., None]], axis=-1),
+        length_before=air_length + glass_length,
+        optical_length_before=air_length + medium.window_group_index * glass_length,
     )
 
 
@@ -164,8 +183,9 @@ def return_length(
     air: the sideways distance it covers rises steadily and without an inflection that
     could throw the iteration off, since all indices are above that of air.
     """
-    source = np.asarray(point, dtype=float)
-    sink = np.asarray(receiver, dtype=float)
+    source = last_axes(point, (3,), name="point", meaning="(x, y, z)")
+    sink = last_axes(receiver, (3,), name="receiver", meaning="(x, y, z)")
+    broadcast(point=source, receiver=sink)
     if medium.window_distance is None:
         length: NDArray[np.float64] = np.linalg.norm(source - sink, axis=-1)
         return medium.group_index * length
@@ -241,7 +261,8 @@ def slant_range_of_path(
     window the closed form of an unbent way starts a secant iteration.
     """
     path = np.asarray(optical_path, dtype=float) - beam.optical_length_before
-    sink = np.asarray(receiver, dtype=float)
+    sink = last_axes(receiver, (3,), name="receiver", meaning="(x, y, z)")
+    broadcast(optical_path=path, receiver=sink[..., 0])
     baseline = sink - beam.entry
     along = np.sum(beam.direction * baseline, axis=-1)
     square = np.sum(baseline**2, axis=-1)
@@ -315,11 +336,11 @@ def path_limits(
     Frequencies settle what the smallest among them and their differences settles. A
     range of 0 means the start of the water.
     """
-    near, far = (0.0, np.inf) if interval is None else interval
-    if not 0 <= near < far:
+    nearest, farthest = (0.0, np.inf) if interval is None else interval
+    if not 0 <= nearest < farthest:
         raise ValueError(
-            f"interval must run from at least 0 m to a larger range, got {near:g} to "
-            f"{far:g} m"
+            f"interval must run from at least 0 to a larger range [m], got {nearest:g} "
+            f"to {farthest:g}"
         )
 
     def path_at(slant_range: float) -> NDArray[np.float64]:
@@ -331,9 +352,9 @@ def path_limits(
         )
         return path
 
-    shortest = path_at(near)
+    shortest = path_at(nearest)
     if interval is not None:
-        return shortest, path_at(far)
+        return shortest, path_at(farthest)
     # One whole period of the path from its shortest on.
     frequency = np.asarray(modulation_frequency, dtype=float)
     smallest = np.min(np.append(np.diff(frequency), frequency[0]))

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.constants import speed_of_light
 
 from amulor.optics import small_angle, small_angle_diffusion
-from amulor.optics._bounds import not_negative, within
+from amulor.optics._bounds import broadcast, not_negative, within
 from amulor.optics.small_angle import sharp_receiver as small_angle_sharp_receiver
 from amulor.optics.small_angle._tables import PhaseFunction
 
@@ -122,7 +122,13 @@ def target_response(
         cross_tilt=cross_tilt,
         standoff=standoff,
     )
-    return _echo(overlap, modulation_frequency, optical_path, reflectance, cosine)
+    return _echo(
+        overlap,
+        modulation_frequency=modulation_frequency,
+        optical_path=optical_path,
+        reflectance=reflectance,
+        cosine=cosine,
+    )
 
 
 def small_angle_target_response(
@@ -221,7 +227,13 @@ def small_angle_target_response(
         cross_tilt=cross_tilt,
         standoff=standoff,
     )
-    return _echo(overlap, modulation_frequency, optical_path, reflectance, cosine)
+    return _echo(
+        overlap,
+        modulation_frequency=modulation_frequency,
+        optical_path=optical_path,
+        reflectance=reflectance,
+        cosine=cosine,
+    )
 
 
 def sharp_receiver_target_response(
@@ -318,11 +330,18 @@ def sharp_receiver_target_response(
         cross_tilt=cross_tilt,
         standoff=standoff,
     )
-    return _echo(overlap, modulation_frequency, optical_path, reflectance, cosine)
+    return _echo(
+        overlap,
+        modulation_frequency=modulation_frequency,
+        optical_path=optical_path,
+        reflectance=reflectance,
+        cosine=cosine,
+    )
 
 
 def _echo(
     overlap: NDArray[np.float64],
+    *,
     modulation_frequency: ArrayLike,
     optical_path: ArrayLike,
     reflectance: ArrayLike,
@@ -335,5 +354,12 @@ def _echo(
     path = not_negative(optical_path, name="optical_path", unit="m")
     lambert = within(reflectance, 0, 1, name="reflectance") / np.pi
     facing = within(cosine, 0, 1, name="cosine")
+    broadcast(
+        modulation_frequency=frequency,
+        optical_path=path,
+        reflectance=lambert,
+        cosine=facing,
+        depth=overlap,
+    )
     delay = 2 * np.pi * frequency * path / speed_of_light
     return np.asarray(lambert * facing * overlap * np.exp(1j * delay))

@@ -343,8 +343,8 @@ def test_arguments_broadcast():
 @pytest.mark.parametrize(
     ("power", "wavelength", "efficiency", "text"),
     [
-        (-1.0, 4e-7, 0.2, "power must not be negative, got -1 W"),
-        (1.0, 0.0, 0.2, "wavelength must be above 0 m"),
+        (-1.0, 4e-7, 0.2, "power must be not negative, .* got -1"),
+        (1.0, 0.0, 0.2, "wavelength must be finite and above 0"),
         (1.0, 4e-7, 0.0, "quantum_efficiency must be above 0 and at most 1"),
         (1.0, 4e-7, 20.0, "quantum_efficiency must be above 0 and at most 1"),
     ],
@@ -362,7 +362,7 @@ def test_impossible_light_is_refused(power, wavelength, efficiency, text):
         (-1.0, 0.1, "duration must be finite and not negative"),
         (1.0, -0.1, "time_constant must be finite and not negative"),
         (np.inf, 0.1, "duration must be finite"),
-        (0.0, 0.0, "must not both be 0 s"),
+        (0.0, 0.0, r"duration \+ time_constant must be above 0"),
     ],
 )
 def test_impossible_times_are_refused(duration, tau, text):
@@ -373,10 +373,13 @@ def test_impossible_times_are_refused(duration, tau, text):
 @pytest.mark.parametrize(
     ("options", "text"),
     [
-        ({"photoelectron_rate": -1.0}, "photoelectron_rate must not be negative"),
-        ({"integration_time": 0.0}, "integration_time must be above 0 s"),
-        ({"excess_noise_factor": 0.9}, "excess_noise_factor must be at least 1"),
-        ({"dark_rate": -1.0}, "dark_rate must not be negative"),
+        ({"photoelectron_rate": -1.0}, "photoelectron_rate must be not negative"),
+        ({"integration_time": 0.0}, "integration_time must be finite and above 0"),
+        (
+            {"excess_noise_factor": 0.9},
+            "excess_noise_factor must be finite and at least 1",
+        ),
+        ({"dark_rate": -1.0}, "dark_rate must be not negative"),
     ],
 )
 def test_impossible_noise_is_refused(options, text):
@@ -387,7 +390,7 @@ def test_impossible_noise_is_refused(options, text):
 
 def test_impossible_moments_are_refused():
     for function in (detection.phase_uncertainty, detection.amplitude_uncertainty):
-        with pytest.raises(ValueError, match="in_phase_variance must not be negative"):
+        with pytest.raises(ValueError, match="in_phase_variance must be not negative"):
             function(1.0, in_phase_variance=-1.0, quadrature_variance=1.0)
         with pytest.raises(ValueError, match="do not belong to one random pair"):
             function(

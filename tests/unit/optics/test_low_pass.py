@@ -156,12 +156,12 @@ def test_result_of_a_fit_cannot_be_changed():
 @pytest.mark.parametrize(
     ("frequency", "amplitude", "text"),
     [
-        ([1.0, 2.0], [1.0, 0.5], "at least 3 different frequencies"),
-        ([1.0, 1.0, 2.0], [1.0, 1.0, 0.5], "at least 3 different frequencies"),
-        ([1.0, 2.0, 3.0], [1.0, 0.5], r"got shapes \(3,\) and \(2,\)"),
+        ([1.0, 2.0], [1.0, 0.5], "at least 3 long"),
+        ([1.0, 1.0, 2.0], [1.0, 1.0, 0.5], "at least 3 different values"),
+        ([1.0, 2.0, 3.0], [1.0, 0.5], r"got \(3,\) and \(2,\)"),
         ([1.0, 2.0, -3.0], [1.0, 0.5, 0.2], "modulation_frequency must be finite"),
         ([1.0, 2.0, 3.0], [1.0, np.nan, 0.2], "amplitude must be finite"),
-        ([1.0, 2.0, 3.0], [0.0, 0.0, 0.0], "must not be 0 at all"),
+        ([1.0, 2.0, 3.0], [0.0, 0.0, 0.0], "the largest amplitude must be above 0"),
         ([1.0, 2.0, 3.0], [1.0, 1.0, 1.0], "do not show where they fall"),
         ([1.0, 2.0, 3.0], [1.0, 2.0, 3.0], "do not show where they fall"),
     ],
@@ -172,11 +172,13 @@ def test_data_that_fix_no_cut_off_are_refused(frequency, amplitude, text):
 
 
 def test_values_out_of_range_are_refused_by_name():
-    with pytest.raises(ValueError, match="modulation_frequency must not be negative"):
+    with pytest.raises(ValueError, match="modulation_frequency must be finite and not"):
         first_order_response(-1.0, cut_off=1e6)
-    with pytest.raises(ValueError, match="cut_off must be above 0 Hz, got 0 Hz"):
+    with pytest.raises(
+        ValueError, match=r"cut_off must be finite and above 0 \[Hz\], got 0"
+    ):
         first_order_response(1e6, cut_off=0.0)
-    with pytest.raises(ValueError, match="reduced_attenuation must not be negative"):
+    with pytest.raises(ValueError, match="reduced_attenuation must be finite and not"):
         reduced_attenuation_cut_off(reduced_attenuation=-1.0, group_index=1.34)
-    with pytest.raises(ValueError, match=r"group_index must be at least 1, got 0\.9"):
+    with pytest.raises(ValueError, match=r"group_index .* at least 1, got 0\.9"):
         reduced_attenuation_cut_off(reduced_attenuation=1.0, group_index=0.9)

@@ -136,7 +136,7 @@ def test_the_phase_over_a_path_is_its_delay(attenuation, frequency, index, path)
         ({"modulation_depth": 1.5}, "modulation_depth must be from 0 to 1"),
         ({"modulation_frequency": -1.0}, "modulation_frequency must be finite"),
         ({"mean_response": -1.0}, "mean_response must be finite and not negative"),
-        ({"response": 1.5j}, r"response must not be larger .* 0\.5 more"),
+        ({"response": 1.5j}, r"at most mean_response, got 1\.5"),
     ],
 )
 def test_powers_that_cannot_be_are_refused(change, text):
@@ -156,7 +156,7 @@ def test_attenuation_that_cannot_be_is_refused():
         modulated_light.complex_attenuation(
             -0.1, modulation_frequency=1e6, group_index=1.38
         )
-    with pytest.raises(ValueError, match="group_index must be at least 1"):
+    with pytest.raises(ValueError, match="group_index must be finite and at least 1"):
         modulated_light.complex_attenuation(
             0.1, modulation_frequency=1e6, group_index=0.9
         )

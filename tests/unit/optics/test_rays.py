@@ -131,10 +131,14 @@ def test_a_path_shorter_than_any_has_no_range() -> None:
 
 
 @pytest.mark.parametrize(
-    ("start", "vector"), [([0, 0, 0.4], [0, 0, 1.0]), ([0, 0, 0], [0, 1.0, 0])]
+    ("start", "vector", "text"),
+    [
+        ([0, 0, 0.4], [0, 0, 1.0], "must start before it"),
+        ([0, 0, 0], [0, 1.0, 0], "must point forwards"),
+    ],
 )
 def test_a_beam_that_cannot_meet_the_window_is_refused(
-    start: list[float], vector: list[float]
+    start: list[float], vector: list[float], text: str
 ) -> None:
-    with pytest.raises(ValueError, match="must start before it"):
+    with pytest.raises(ValueError, match=text):
         rays.enter_water(start, vector, medium=DRY)

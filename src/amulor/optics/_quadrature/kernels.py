@@ -1,14 +1,20 @@
-"""Compiled loops that integrate exp(i w z) times a polynomial over a panel."""
+"""Compiled loops that integrate exp(i w z) times a polynomial over a panel.
+
+w is the phase that the modulation gains with the depth, 2 omega n_g / c, as in eq. (46)
+of docs/theory/water-signal.md. Compiled, as a sweep adds each panel to each frequency,
+and the sums over the terms of a series depend on each other.
+"""
 
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numba
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["ORDER", "SPLIT", "add_panel", "expand", "sine_cosine"]
+__all__ = ["ORDER", "SPLIT", "Panel", "add_panel", "expand", "sine_cosine"]
 
 Array = NDArray[np.float64]
 
@@ -24,6 +30,19 @@ _PI_2 = float.fromhex("0x1.10b46118p-29")
 _PI_3 = float.fromhex("0x1.313198a2e037p-60")
 _SINE = tuple((-1.0) ** i / math.factorial(2 * i + 1) for i in range(11))
 _COSINE = tuple((-1.0) ** i / math.factorial(2 * i) for i in range(12))
+
+
+class Panel(NamedTuple):
+    """A piece of the depth, and what is integrated at its nodes."""
+
+    half: float
+    """Half its width [m]."""
+    centre: float
+    """Depth of its middle [m]."""
+    even: Array
+    """Sums of the values at the same distance right and left of the centre."""
+    odd: Array
+    """Their differences, right less left."""
 
 
 @numba.njit(cache=True, error_model="numpy", fastmath={"contract"})
@@ -60,16 +79,16 @@ def expand(values: Array, table: Array, out: Array) -> None:
 @numba.njit(cache=True, error_model="numpy", fastmath={"contract"})
 def _add_slow(
     half: float,
-    wavenumber: Array,
+    phase_per_depth: Array,
     even: Array,
     odd: Array,
     turn: Array,
     real: Array,
     imaginary: Array,
 ) -> None:
-    """Add a panel for wavenumbers that turn less than SPLIT over half of it."""
-    for f in range(wavenumber.size):
-        u = wavenumber[f] * (half / SPLIT)
+    """Add a panel for phase_per_depths that turn less than SPLIT over half of it."""
+    for f in range(phase_per_depth.size):
+        u = phase_per_depth[f] * (half / SPLIT)
         t = 4.0 * u * u - 2.0
         e1 = e2 = o1 = o2 = 0.0
         for m in range(ORDER):
@@ -86,7 +105,7 @@ def _add_slow(
 @numba.njit(cache=True, error_model="numpy", fastmath={"contract"})
 def _add_fast(
     half: float,
-    wavenumber: Array,
+    phase_per_depth: Array,
     even: Array,
     odd: Array,
     turn: Array,
@@ -94,10 +113,10 @@ def _add_fast(
     real: Array,
     imaginary: Array,
 ) -> None:
-    """Add a panel for wavenumbers that turn more than SPLIT over half of it."""
-    for f in range(wavenumber.size):
+    """Add a panel for phase_per_depths that turn more than SPLIT over half of it."""
+    for f in range(phase_per_depth.size):
         sine, cosine = sine_cosine(half_turn[f])
-        v = 1.0 / (wavenumber[f] * half)
+        v = 1.0 / (phase_per_depth[f] * half)
         p = sine * v
         q = (p - cosine) * v
         in_step = across = 0.0
@@ -112,22 +131,19 @@ def _add_fast(
 
 
 @numba.njit(cache=True, error_model="numpy")
-def _turns(wavenumber: Array, distance: float, out: Array) -> None:
-    """Fill out with wavenumber * distance, less whole turns where there are many."""
-    for f in range(wavenumber.size):
-        out[f] = wavenumber[f] * distance
-    if wavenumber.size > 0 and out[wavenumber.size - 1] > _FAR:
-        for f in range(wavenumber.size):
+def _turns(phase_per_depth: Array, distance: float, out: Array) -> None:
+    """Fill out with phases over a distance, less whole turns if they are many."""
+    for f in range(phase_per_depth.size):
+        out[f] = phase_per_depth[f] * distance
+    if phase_per_depth.size > 0 and out[phase_per_depth.size - 1] > _FAR:
+        for f in range(phase_per_depth.size):
             out[f] = out[f] % (2.0 * math.pi)
 
 
 @numba.njit(cache=True, error_model="numpy")
 def add_panel(
-    half: float,
-    centre: float,
-    even: Array,
-    odd: Array,
-    wavenumber: Array,
+    panel: Panel,
+    phase_per_depth: Array,
     rule: Array,
     work: Array,
     turn: Array,
@@ -135,20 +151,23 @@ def add_panel(
 ) -> None:
     """Add the integrals of exp(i w z) times a panel to sums, for rising w.
 
-    The panel is given by the sums (even) and differences (odd) of its values right
-    and left of the centre; two rows of work and of turn are overwritten.
+    Two rows of work and of turn are overwritten. Below SPLIT of phase over half a panel
+    exp(i w z) is a Chebyshev series (Jacobi-Anger), above it the moments of the
+    Legendre polynomials are spherical Bessel functions.
     """
+    half, even, odd = panel.half, panel.even, panel.odd
+    size = phase_per_depth.size
     slow = 0
-    while slow < wavenumber.size and wavenumber[slow] * half < SPLIT:
+    while slow < size and phase_per_depth[slow] * half < SPLIT:
         slow += 1
-    _turns(wavenumber, centre, turn[0])
-    if slow < wavenumber.size:
+    _turns(phase_per_depth, panel.centre, turn[0])
+    if slow < size:
         expand(even, rule[0], work[0])
         expand(odd, rule[1], work[1])
-        _turns(wavenumber[slow:], half, turn[1, slow:])
+        _turns(phase_per_depth[slow:], half, turn[1, slow:])
         _add_fast(
             half,
-            wavenumber[slow:],
+            phase_per_depth[slow:],
             work[0],
             work[1],
             turn[0, slow:],
@@ -161,7 +180,7 @@ def add_panel(
         expand(odd, rule[3], work[1])
         _add_slow(
             half,
-            wavenumber[:slow],
+            phase_per_depth[:slow],
             work[0],
             work[1],
             turn[0],

@@ -21,7 +21,7 @@ from math import factorial
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from amulor.optics.phase_functions.integrals import checked_angle
+from amulor.optics._bounds import checked_angle, require, within
 
 __all__ = [
     "fournier_forand_backscatter_fraction",
@@ -77,11 +77,8 @@ def fournier_forand_phase(
     2.86e-03 1/sr
     """
     theta = checked_angle(angle, name="angle")
-    if np.any(theta == 0):
-        raise ValueError(
-            "angle must be above 0 rad, got 0 rad: the Fournier-Forand function is "
-            "infinite there"
-        )
+    hint = "the Fournier-Forand function is infinite at 0"
+    require(theta, theta > 0, name="angle", rule="above 0", unit="rad", hint=hint)
     nu = _checked(relative_index, slope)
     height = np.sin(theta / 2) ** 2
     log_delta = np.log(height) + _log_delta_pi(relative_index)
@@ -229,14 +226,21 @@ def _log_delta_pi(relative_index: float) -> float:
 
 def _checked(relative_index: float, slope: float) -> float:
     """Return nu, with both parameters refused outside of their ranges."""
-    if not 1 < relative_index <= 1.5:
-        raise ValueError(
-            "relative_index must be above 1 to 1.5, that of the particles over that "
-            f"of water, got {relative_index:g}"
-        )
-    if not 3 < slope < 5:
-        raise ValueError(
-            f"slope must be above 3 and below 5, got {slope:g}: the Fournier-Forand "
-            "function has no finite forward integral elsewhere"
-        )
+    within(
+        relative_index,
+        1,
+        1.5,
+        name="relative_index",
+        above=True,
+        hint="it is the index of the particles over that of water",
+    )
+    within(
+        slope,
+        3,
+        5,
+        name="slope",
+        above=True,
+        below=True,
+        hint="the Fournier-Forand function has no finite forward integral elsewhere",
+    )
     return (3 - slope) / 2

@@ -16,12 +16,13 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from amulor.optics.phase_functions.integrals import (
+from amulor.optics._bounds import (
+    broadcast,
     checked_angle,
     checked_split_angle,
-    forward_split,
-    gauss_legendre,
+    within,
 )
+from amulor.optics.phase_functions.integrals import forward_split, gauss_legendre
 
 __all__ = [
     "forward_split",
@@ -78,6 +79,7 @@ def henyey_greenstein(angle: ArrayLike, *, asymmetry: ArrayLike) -> NDArray[np.f
     """
     theta = checked_angle(angle, name="angle")
     g = _asymmetry(asymmetry)
+    broadcast(angle=theta, asymmetry=g)
     return (1 - g) * (1 + g) / (4 * np.pi * _distance(theta, g) ** 3)
 
 
@@ -123,6 +125,7 @@ def henyey_greenstein_cumulative(
     """
     theta = checked_angle(angle, name="angle")
     g = _asymmetry(asymmetry)
+    broadcast(angle=theta, asymmetry=g)
     distance = _distance(theta, g)
     height: NDArray[np.float64] = 2 * np.sin(theta / 2) ** 2
     return (1 + g) * height / (distance * (distance + 1 - g))
@@ -241,9 +244,9 @@ def henyey_greenstein_second_moment(
     >>> print(np.round(moment, 3))
     [0.149 0.045]
     """
-    g, split = np.broadcast_arrays(
-        _asymmetry(asymmetry), checked_split_angle(split_angle)
-    )
+    g, split = _asymmetry(asymmetry), checked_split_angle(split_angle)
+    broadcast(asymmetry=g, split_angle=split)
+    g, split = np.broadcast_arrays(g, split)
     g, split = g[..., np.newaxis], split[..., np.newaxis]
     width = 1 - np.abs(g)
     forward = g >= 0
@@ -312,10 +315,4 @@ def _distance_from_peak(
 
 def _asymmetry(value: ArrayLike) -> NDArray[np.float64]:
     """Return a mean cosine as an array, refused unless above -1 and below 1."""
-    g = np.asarray(value, dtype=np.float64)
-    if not np.all(np.abs(g) < 1):
-        raise ValueError(
-            "asymmetry must be above -1 and below 1, got values from "
-            f"{np.min(g):g} to {np.max(g):g}"
-        )
-    return g
+    return within(value, -1, 1, name="asymmetry", above=True, below=True)

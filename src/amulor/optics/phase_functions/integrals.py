@@ -14,15 +14,17 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy import special
 
-__all__ = ["Panels", "checked_angle", "checked_split_angle", "forward_split"]
+from amulor.optics._bounds import checked_split_angle, not_negative
+
+__all__ = ["Panels", "forward_split", "gauss_legendre"]
 
 Density = Callable[[NDArray[np.float64]], NDArray[np.float64]]
 
 INNERMOST_ANGLE = 1e-12
 """End of the innermost panel, in which a phase function is a power law [rad]."""
 
-LARGEST_WAVENUMBER = 1e9
-"""Largest wavenumber of `Panels.hankel` [1/rad]."""
+LARGEST_DIRECTION_FREQUENCY = 1e9
+"""Largest conjugate of the angle in `Panels.hankel` [1/rad]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,21 +83,21 @@ class Panels:
         return total
 
     def hankel(
-        self, wavenumber: NDArray[np.float64], *, split_angle: float
+        self, direction_frequency: NDArray[np.float64], *, split_angle: float
     ) -> NDArray[np.float64]:
         r"""Return the integral of 2 pi p sin J0(k angle) from 0 to a split angle.
 
         Parameters
         ----------
-        wavenumber : ndarray
-            Angular wavenumber k, from 0 to `LARGEST_WAVENUMBER` [1/rad].
+        direction_frequency : ndarray
+            Conjugate q of the angle, from 0 to `LARGEST_DIRECTION_FREQUENCY` [1/rad].
         split_angle : float
             Upper end, above `INNERMOST_ANGLE` to pi [rad].
 
         Returns
         -------
         ndarray
-            Transform, of the shape of `wavenumber`, not renormalised [1].
+            Transform, of the shape of `direction_frequency`, not renormalised [1].
 
         Notes
         -----
@@ -107,7 +109,7 @@ class Panels:
         (1928), in the Legendre form of N. S. Bakhvalov and L. G. Vasil'eva, USSR
         Comput. Math. Math. Phys. 8, 241 (1968)). The error does not grow with k.
         """
-        flat = wavenumber.ravel()
+        flat = direction_frequency.ravel()
         edges = self.edges[self.edges < split_angle]
         edges = np.append(edges, split_angle)
         low, high = edges[:-1], edges[1:]
@@ -123,12 +125,12 @@ class Panels:
             if not np.any(chosen):
                 continue
             angle, share = self._rule(low[chosen], high[chosen], order=order)
-            # About 2e5 pairs of a wavenumber and a panel at once.
+            # About 2e5 pairs of a frequency and a panel at once.
             step = max(1, 200_000 // angle.shape[0])
             for first in range(0, flat.size, step):
                 part = slice(first, first + step)
                 total[part] += _oscillating(flat[part], angle, share)
-        return total.reshape(wavenumber.shape)
+        return total.reshape(direction_frequency.shape)
 
     def _innermost(self) -> float:
         """Return the integral of 2 pi p sin below the first edge."""
@@ -147,7 +149,7 @@ class Panels:
 
 
 def _oscillating(
-    wavenumber: NDArray[np.float64],
+    direction_frequency: NDArray[np.float64],
     angle: NDArray[np.float64],
     share: NDArray[np.float64],
 ) -> NDArray[np.float64]:
@@ -156,16 +158,16 @@ def _oscillating(
     nodes, _ = gauss_legendre(order)
     half = (angle[:, -1] - angle[:, 0]) / (nodes[-1] - nodes[0])
     centre = angle.mean(axis=1)
-    stretch = wavenumber[:, np.newaxis] * half
+    stretch = direction_frequency[:, np.newaxis] * half
     slow = stretch < 1.5
     row, panel = np.nonzero(slow)
-    bessel = special.j0(wavenumber[row, np.newaxis] * angle[panel])
+    bessel = special.j0(direction_frequency[row, np.newaxis] * angle[panel])
     value = np.sum(share[panel] * bessel, axis=1)
-    total: NDArray[np.float64] = np.zeros(wavenumber.size)
-    total += np.bincount(row, value, minlength=wavenumber.size)
+    total: NDArray[np.float64] = np.zeros(direction_frequency.size)
+    total += np.bincount(row, value, minlength=direction_frequency.size)
     row, panel = np.nonzero(~slow)
     if row.size:
-        k = wavenumber[row]
+        k = direction_frequency[row]
         phased = share[panel] * special.hankel1e(0, k[:, np.newaxis] * angle[panel])
         degree = np.arange(order)
         legendre = special.eval_legendre(degree[:, np.newaxis], nodes)
@@ -175,7 +177,7 @@ def _oscillating(
         stretched = special.spherical_jn(degree, stretch[row, panel][:, np.newaxis])
         wave = np.exp(1j * k * centre[panel])
         value = np.real(wave * np.sum(series * stretched, axis=1))
-        total += np.bincount(row, value, minlength=wavenumber.size)
+        total += np.bincount(row, value, minlength=direction_frequency.size)
     return total
 
 
@@ -270,11 +272,7 @@ def _weighted_integrals(
                 "phase_function must return one value per angle: "
                 f"{flat.shape} angles gave shape {value.shape}"
             )
-        if not np.all((value >= 0) & np.isfinite(value)):
-            raise ValueError(
-                "phase_function must be finite and not negative from 0 to pi rad, "
-                f"got values from {np.min(value):g} to {np.max(value):g} 1/sr"
-            )
+        not_negative(value, name="phase_function", unit="1/sr")
         share = 2 * np.pi * value.reshape(angle.shape) * np.sin(angle) * angle
         share *= half * weights
         return np.stack([share.sum(axis=1), (share * angle**2).sum(axis=1)])
@@ -306,24 +304,3 @@ def gauss_legendre(count: int) -> tuple[NDArray[np.float64], NDArray[np.float64]
     nodes, weights = np.polynomial.legendre.leggauss(count)
     nodes.flags.writeable = weights.flags.writeable = False
     return nodes, weights
-
-
-def checked_angle(value: ArrayLike, *, name: str) -> NDArray[np.float64]:
-    """Return an angle as an array, refused outside of 0..pi."""
-    angle = np.asarray(value, dtype=np.float64)
-    if not np.all((angle >= 0) & (angle <= np.pi)):
-        raise ValueError(
-            f"{name} must be from 0 to pi rad, got values from {np.min(angle):g} to "
-            f"{np.max(angle):g} rad"
-        )
-    return angle
-
-
-def checked_split_angle(value: ArrayLike) -> NDArray[np.float64]:
-    """Return a split angle as an array, refused at 0 as well."""
-    split = checked_angle(value, name="split_angle")
-    if np.any(split == 0):
-        raise ValueError(
-            "split_angle must be above 0 rad, got 0 rad: nothing would be forward"
-        )
-    return split

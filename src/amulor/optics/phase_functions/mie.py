@@ -23,7 +23,13 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from amulor.errors import MissingExtraError
-from amulor.optics.phase_functions.integrals import checked_angle
+from amulor.optics._bounds import (
+    checked_angle,
+    not_negative,
+    positive,
+    require,
+    within,
+)
 from amulor.optics.phase_functions.phase_function import PhaseFunction
 from amulor.optics.phase_functions.tables import tabulated
 from amulor.optics.polarization.mueller import particles
@@ -133,7 +139,7 @@ def amplitudes(
     return s1[0].reshape(theta.shape), s2[0].reshape(theta.shape)
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, kw_only=True)
 class Suspension:
     """What spheres of many sizes scatter, per volume of the medium."""
 
@@ -266,18 +272,14 @@ def size_distribution(
             "diameter and number must be of one shape, 1-D or one value; got shapes "
             f"{np.shape(diameter)} and {np.shape(number)}"
         )
-    if not np.all((counts >= 0) & np.isfinite(counts)) or not np.any(counts > 0):
-        raise ValueError(
-            "number must be finite, not negative, and above 0 for some diameter, got "
-            f"values from {np.min(counts):g} to {np.max(counts):g} 1/m^3"
-        )
-    if not (wavelength > 0 and medium_index > 0):
-        raise ValueError(
-            "wavelength and medium_index must be above 0, got "
-            f"{wavelength:g} m and {medium_index:g}"
-        )
-    wavenumber = 2 * np.pi * medium_index / wavelength
-    x = np.array([_checked_size(size) for size in wavenumber * sizes / 2])
+    not_negative(counts, name="number", unit="1/m^3")
+    most = counts.max()
+    require(most, most > 0, name="the largest number", rule="above 0", unit="1/m^3")
+    positive(sizes, name="diameter", unit="m")
+    positive(wavelength, name="wavelength", unit="m")
+    positive(medium_index, name="medium_index")
+    optical_wavenumber = 2 * np.pi * medium_index / wavelength
+    x = np.array([_checked_size(size) for size in optical_wavenumber * sizes / 2])
     index = complex(particle_index) / medium_index
     theta = _angles(angle, largest=float(x[counts > 0].max()))
     spheres = [sphere(float(size), relative_index=index) for size in x]
@@ -299,7 +301,7 @@ def size_distribution(
         extinction=float(area @ extinction),
         asymmetry=float(area @ (scattering * asymmetry)) / total,
         angle=theta,
-        value=intensity / wavenumber**2 / total,
+        value=intensity / optical_wavenumber**2 / total,
         m12=(parallel - perpendicular).real / 2 / intensity,
         m33=crossed.real / intensity,
         m34=-crossed.imag / intensity,
@@ -348,23 +350,23 @@ def _angles(angle: ArrayLike | None, *, largest: float) -> NDArray[np.float64]:
 
 def _checked_size(value: float) -> float:
     """Return a size parameter, refused outside of its range."""
-    x = float(value)
-    if not 0 < x <= LARGEST_SIZE_PARAMETER:
-        raise ValueError(
-            "size parameter (circumference over wavelength in the medium) must be "
-            f"above 0 to {LARGEST_SIZE_PARAMETER:g}, got {x:g}"
-        )
-    return x
+    hint = "it is the circumference over the wavelength in the medium"
+    x = within(
+        value, 0, LARGEST_SIZE_PARAMETER, name="size_parameter", above=True, hint=hint
+    )
+    return float(x)
 
 
 def _checked_index(value: complex) -> complex:
     """Return a relative index, refused if its absorption has the wrong sign."""
     m = complex(value)
-    if not (m.real > 0 and m.imag >= 0):
-        raise ValueError(
-            "relative index must be n + ik with n above 0 and k not negative, got "
-            f"{m:g}; conjugate an index that is given as n - ik"
-        )
+    require(
+        m,
+        0 < m.real < np.inf and 0 <= m.imag < np.inf,
+        name="relative_index",
+        rule="n + ik with n above 0 and k not negative, both finite",
+        hint="conjugate an index that is given as n - ik",
+    )
     return m
 
 

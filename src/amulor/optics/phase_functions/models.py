@@ -13,6 +13,7 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
+from amulor.optics._bounds import within
 from amulor.optics.phase_functions import fournier_forand as _formula
 from amulor.optics.phase_functions import rayleigh as rayleigh_scattering
 from amulor.optics.phase_functions.henyey_greenstein import (
@@ -156,9 +157,7 @@ def two_term(
     """
     first = _asymmetry(forward_asymmetry, name="forward_asymmetry")
     second = _asymmetry(backward_asymmetry, name="backward_asymmetry")
-    weight = float(forward_weight)
-    if not 0 <= weight <= 1:
-        raise ValueError(f"forward_weight must be from 0 to 1, got {weight:g}")
+    weight = float(within(forward_weight, 0, 1, name="forward_weight"))
 
     def sum_of(
         formula: Callable[..., NDArray[np.float64]],
@@ -225,7 +224,10 @@ def _closed(
     backward = np.pi - np.geomspace(1e-7, np.pi / 2, 25)[-2::-1]
     panels = Panels(value, np.concatenate([forward, backward, [np.pi]]), head_exponent)
     return PhaseFunction(
-        name, panels, closed_cumulative=cumulative, closed_asymmetry=asymmetry
+        name=name,
+        panels=panels,
+        closed_cumulative=cumulative,
+        closed_asymmetry=asymmetry,
     )
 
 
@@ -244,7 +246,4 @@ def _two_terms(
 
 def _asymmetry(value: float, *, name: str) -> float:
     """Return a mean cosine, refused where the panels would not resolve the peak."""
-    g = float(value)
-    if not -0.9999 <= g <= 0.999999:
-        raise ValueError(f"{name} must be from -0.9999 to 0.999999, got {g:g}")
-    return g
+    return float(within(value, -0.9999, 0.999999, name=name))

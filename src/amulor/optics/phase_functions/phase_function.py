@@ -13,12 +13,16 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from amulor.optics.phase_functions.integrals import (
-    INNERMOST_ANGLE,
-    LARGEST_WAVENUMBER,
-    Panels,
+from amulor.optics._bounds import (
     checked_angle,
     checked_split_angle,
+    require,
+    within,
+)
+from amulor.optics.phase_functions.integrals import (
+    INNERMOST_ANGLE,
+    LARGEST_DIRECTION_FREQUENCY,
+    Panels,
 )
 
 __all__ = ["PhaseFunction", "SamplingTable"]
@@ -40,7 +44,7 @@ class SamplingTable:
     """Largest distance between the cumulative of what is drawn and the true one, as
     found at 15 points inside of each cell [1]."""
 
-    def angle(self, share: ArrayLike) -> NDArray[np.float64]:
+    def angle(self, fraction: ArrayLike) -> NDArray[np.float64]:
         r"""Return the angle below which a share of the scattering lies.
 
         Parameters
@@ -68,18 +72,13 @@ class SamplingTable:
         >>> print(f"{SamplingTable(ends, ends, error=0.0).angle(0.5):.4f} rad")
         1.5708 rad
         """
-        share = np.asarray(share, dtype=np.float64)
-        if not np.all((share >= 0) & (share <= 1)):
-            raise ValueError(
-                "share must be from 0 to 1, got values from "
-                f"{np.min(share):g} to {np.max(share):g}"
-            )
-        height = np.interp(share, self.cumulative, self.half_chord_squared)
+        below = within(fraction, 0, 1, name="fraction")
+        height = np.interp(below, self.cumulative, self.half_chord_squared)
         angle: NDArray[np.float64] = 2 * np.arcsin(np.sqrt(height))
         return angle
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, kw_only=True)
 class PhaseFunction:
     r"""Scattered power per solid angle, with an integral of 1 over the sphere.
 
@@ -126,8 +125,9 @@ class PhaseFunction:
         """
         theta = checked_angle(angle, name="angle")
         if self.head_exponent > 0 and np.any(theta == 0):
-            raise ValueError(
-                f"angle must be above 0 rad, got 0 rad: {self.name} is infinite there"
+            hint = f"{self.name} is infinite at 0"
+            require(
+                theta, theta > 0, name="angle", rule="above 0", unit="rad", hint=hint
             )
         return self.panels.value(theta)
 
@@ -225,21 +225,21 @@ class PhaseFunction:
         return float(self.cumulative(split)), moment / share
 
     def hankel(
-        self, wavenumber: ArrayLike, *, split_angle: float
+        self, direction_frequency: ArrayLike, *, split_angle: float
     ) -> NDArray[np.float64]:
         r"""Return the transform of the forward part, for the small-angle form.
 
         Parameters
         ----------
-        wavenumber : array_like
-            Angular wavenumber k, from 0 to 1e9 [1/rad].
+        direction_frequency : array_like
+            Conjugate q of the angle, from 0 to 1e9 [1/rad].
         split_angle : float
             Angle between the forward and the diffuse part, above 1e-12 to pi [rad].
 
         Returns
         -------
         ndarray
-            Transform, 1 at k = 0, shape of `wavenumber` [1]. Error 1e-10.
+            Transform, 1 at q = 0, shape of `direction_frequency` [1]. Error 1e-10.
 
         Raises
         ------
@@ -261,18 +261,19 @@ class PhaseFunction:
         the second moment of `forward_split`.
         """
         split = _split(split_angle)
-        k = np.asarray(wavenumber, dtype=np.float64)
-        if not np.all((k >= 0) & (k <= LARGEST_WAVENUMBER)):
-            raise ValueError(
-                f"wavenumber must be from 0 to {LARGEST_WAVENUMBER:g} 1/rad, got "
-                f"values from {np.min(k):g} to {np.max(k):g} 1/rad"
-            )
+        q = within(
+            direction_frequency,
+            0,
+            LARGEST_DIRECTION_FREQUENCY,
+            name="direction_frequency",
+            unit="1/rad",
+        )
         share = self.panels.mean(np.ones_like, high=split)
         if not share > 0:
             raise ValueError(
                 f"{self.name} must scatter something below {split:g} rad, got nothing"
             )
-        return self.panels.hankel(k, split_angle=split) / share
+        return self.panels.hankel(q, split_angle=split) / share
 
     def sampling_table(self, size: int) -> SamplingTable:
         """Return a table to draw scattering angles from.
@@ -321,9 +322,4 @@ class PhaseFunction:
 
 def _split(value: float) -> float:
     """Return a split angle, refused in the innermost panel as well."""
-    split = float(checked_split_angle(value))
-    if split <= INNERMOST_ANGLE:
-        raise ValueError(
-            f"split_angle must be above {INNERMOST_ANGLE:g} rad, got {split:g} rad"
-        )
-    return split
+    return float(checked_split_angle(value, above=INNERMOST_ANGLE))

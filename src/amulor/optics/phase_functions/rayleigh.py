@@ -9,8 +9,13 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from amulor.optics._bounds import positive, within
-from amulor.optics.phase_functions.integrals import checked_angle
+from amulor.optics._bounds import (
+    at_least,
+    broadcast,
+    checked_angle,
+    positive,
+    within,
+)
 
 __all__ = [
     "rayleigh_phase_cumulative",
@@ -61,6 +66,7 @@ def rayleigh_phase_value(
     """
     theta = checked_angle(angle, name="angle")
     delta = within(depolarization, 0, 1, name="depolarization")
+    broadcast(angle=theta, depolarization=delta)
     shape = (1 + delta) + (1 - delta) * np.cos(theta) ** 2
     value: NDArray[np.float64] = 3 / (8 * np.pi) * shape / (2 + delta)
     return value
@@ -104,6 +110,7 @@ def rayleigh_phase_cumulative(
     """
     theta = checked_angle(angle, name="angle")
     delta = within(depolarization, 0, 1, name="depolarization")
+    broadcast(angle=theta, depolarization=delta)
     cosine = np.cos(theta)
     height = 2 * np.sin(theta / 2) ** 2
     bracket = (1 + delta) + (1 - delta) * (1 + cosine + cosine**2) / 3
@@ -151,9 +158,8 @@ def size_parameter(
     """
     a = positive(radius, name="radius", unit="m")
     vacuum = positive(wavelength, name="wavelength", unit="m")
-    index = np.asarray(refractive_index, dtype=np.float64)
-    if not np.all((index >= 1) & np.isfinite(index)):
-        raise ValueError(f"refractive_index must be at least 1, got {np.min(index):g}")
+    index = at_least(refractive_index, 1, name="refractive_index")
+    broadcast(radius=a, wavelength=vacuum, refractive_index=index)
     ratio: NDArray[np.float64] = 2 * np.pi * index * a / vacuum
     return ratio
 
@@ -196,11 +202,9 @@ def scattering_regime(
     ['rayleigh' 'intermediate' 'mie']
     """
     x = positive(size_parameter, name="size_parameter", unit="")
-    if not 0 < rayleigh_below <= mie_above:
-        raise ValueError(
-            "rayleigh_below must be above 0 and not above mie_above, got "
-            f"{rayleigh_below:g} and {mie_above:g}"
-        )
+    positive(mie_above, name="mie_above")
+    hint = "it must not be above mie_above"
+    within(rayleigh_below, 0, mie_above, name="rayleigh_below", above=True, hint=hint)
     return np.where(
         x < rayleigh_below, "rayleigh", np.where(x > mie_above, "mie", "intermediate")
     )

@@ -21,11 +21,8 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.interpolate import CubicHermiteSpline, PchipInterpolator
 
 from amulor.optics import _tables
-from amulor.optics.phase_functions.integrals import (
-    INNERMOST_ANGLE,
-    Panels,
-    checked_angle,
-)
+from amulor.optics._bounds import checked_angle, finite, one_axis, positive
+from amulor.optics.phase_functions.integrals import INNERMOST_ANGLE, Panels
 from amulor.optics.phase_functions.phase_function import PhaseFunction
 
 __all__ = ["STATIONS", "from_cumulative", "petzold", "tabulated"]
@@ -88,11 +85,7 @@ def tabulated(
     0.283, 1.00
     """
     theta, density = _checked(angle, value, name="value")
-    if not np.all((density > 0) & np.isfinite(density)):
-        raise ValueError(
-            f"value must be above 0 and finite, got values from {np.min(density):g} "
-            f"to {np.max(density):g}"
-        )
+    positive(density, name="value", unit="1/sr")
     head = 0.0
     if theta[0] > 0:
         first = -np.log(density[1] / density[0]) / np.log(theta[1] / theta[0])
@@ -109,7 +102,10 @@ def tabulated(
     integral = Panels(table, edges, head).mean(np.ones_like)
     unit = partial(_table_value, node=theta, logs=logs - np.log(integral), head=head)
     return PhaseFunction(
-        name, Panels(unit, edges, head), head_angle=float(theta[0]), integral=integral
+        name=name,
+        panels=Panels(unit, edges, head),
+        head_angle=float(theta[0]),
+        integral=integral,
     )
 
 
@@ -175,7 +171,7 @@ def from_cumulative(
     at = value(theta)
     changes = np.concatenate([[0.0], np.abs(np.diff(np.log(np.maximum(at, 1e-300))))])
     panels = Panels(value, _edges(theta, np.minimum(changes, 30.0)), head)
-    return PhaseFunction(name, panels, head_angle=float(theta[0]))
+    return PhaseFunction(name=name, panels=panels, head_angle=float(theta[0]))
 
 
 def petzold(station: str) -> PhaseFunction:
@@ -298,12 +294,8 @@ def _checked(
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return the columns of a table, refused if they are no table up to pi."""
     theta = checked_angle(angle, name="angle")
-    column = np.asarray(table, dtype=np.float64)
-    if theta.ndim != 1 or theta.shape != column.shape or theta.size < 2:
-        raise ValueError(
-            f"angle and {name} must be 1-D, of one length, at least 2; got shapes "
-            f"{theta.shape} and {column.shape}"
-        )
+    column = finite(table, name=name)
+    one_axis(2, angle=theta, **{name: column})
     if not np.all(np.diff(theta) > 0) or theta[-1] < np.pi - 1e-9:
         raise ValueError(
             "angle must rise strictly and end at pi rad (180 degrees), got "

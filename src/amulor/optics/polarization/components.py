@@ -16,7 +16,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from amulor.optics._bounds import within
+from amulor.optics._bounds import broadcast, finite, require, within
 from amulor.optics.polarization.mueller import as_matrices, rotated
 
 __all__ = ["largest_transmission", "linear_polarizer", "retarder"]
@@ -60,21 +60,27 @@ def linear_polarizer(
 
     Examples
     --------
-    >>> from amulor.optics import mueller, stokes
+    >>> from amulor.optics.polarization import mueller, stokes
     >>> polarizer = linear_polarizer(0.0, extinction_ratio=1e-3)
     >>> print(f"{mueller.apply(polarizer, stokes.state('V'))[0]:.4f}")
     0.0010
     """
     leak = within(
-        extinction_ratio, 0, 1, name="extinction_ratio (crossed over aligned)"
+        extinction_ratio,
+        0,
+        1,
+        name="extinction_ratio",
+        hint="it is that of crossed over aligned",
     )
     peak = within(transmission, 0, 1, name="transmission")
+    turn = finite(angle, name="angle", unit="rad")
+    broadcast(extinction_ratio=leak, transmission=peak, angle=turn)
     leak, peak = np.broadcast_arrays(leak, peak)
     matrix = np.zeros((*leak.shape, 4, 4))
     matrix[..., 0, 0] = matrix[..., 1, 1] = peak * (1 + leak) / 2
     matrix[..., 0, 1] = matrix[..., 1, 0] = peak * (1 - leak) / 2
     matrix[..., 2, 2] = matrix[..., 3, 3] = peak * np.sqrt(leak)
-    return rotated(matrix, angle=angle)
+    return rotated(matrix, angle=turn)
 
 
 def retarder(
@@ -123,22 +129,25 @@ def retarder(
 
     Examples
     --------
-    >>> from amulor.optics import mueller
+    >>> from amulor.optics.polarization import mueller
     >>> plate = retarder(np.pi / 2, angle=np.pi / 2)
     >>> print(f"V = {mueller.apply(plate, [1.0, 0.0, 1.0, 0.0])[3]:.6f}")
     V = 1.000000
     """
-    delta, contrast, mean = np.broadcast_arrays(
-        np.asarray(retardance, dtype=np.float64),
-        within(diattenuation, -1, 1, name="diattenuation"),
-        within(transmission, 0, 1, name="transmission"),
-    )
+    delta = finite(retardance, name="retardance", unit="rad")
+    contrast = within(diattenuation, -1, 1, name="diattenuation")
+    mean = within(transmission, 0, 1, name="transmission")
+    turn = finite(angle, name="angle", unit="rad")
+    broadcast(retardance=delta, diattenuation=contrast, transmission=mean, angle=turn)
+    delta, contrast, mean = np.broadcast_arrays(delta, contrast, mean)
     strongest = mean * (1 + np.abs(contrast))
-    if np.any(strongest > 1):
-        raise ValueError(
-            "transmission * (1 + |diattenuation|) is what passes along the better "
-            f"axis and must not exceed 1, got {np.max(strongest):g}"
-        )
+    require(
+        strongest,
+        strongest <= 1,
+        name="transmission * (1 + |diattenuation|)",
+        rule="at most 1",
+        hint="it is what passes along the better axis",
+    )
     matrix = np.zeros((*delta.shape, 4, 4))
     kept = mean * np.sqrt(1 - contrast**2)
     matrix[..., 0, 0] = matrix[..., 1, 1] = mean
@@ -146,7 +155,7 @@ def retarder(
     matrix[..., 2, 2] = matrix[..., 3, 3] = kept * np.cos(delta)
     matrix[..., 2, 3] = kept * np.sin(delta)
     matrix[..., 3, 2] = -kept * np.sin(delta)
-    return rotated(matrix, angle=angle)
+    return rotated(matrix, angle=turn)
 
 
 def largest_transmission(mueller: ArrayLike) -> NDArray[np.float64]:

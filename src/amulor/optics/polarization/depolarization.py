@@ -10,6 +10,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from amulor.optics._bounds import above_zero, not_negative
 from amulor.optics.polarization.mueller import as_matrices
 
 __all__ = [
@@ -47,7 +48,7 @@ def depolarization_index(mueller: ArrayLike) -> NDArray[np.float64]:
 
     Examples
     --------
-    >>> from amulor.optics import mueller
+    >>> from amulor.optics.polarization import mueller
     >>> print(f"{depolarization_index(mueller.painted_metal()):.4f}")
     0.5644
     """
@@ -84,7 +85,7 @@ def depolarization_effect(mueller: ArrayLike) -> NDArray[np.float64]:
 
     Examples
     --------
-    >>> from amulor.optics import mueller
+    >>> from amulor.optics.polarization import mueller
     >>> print(f"{depolarization_effect(mueller.painted_metal()):.2f}")
     0.56
     """
@@ -157,7 +158,7 @@ def realizability_defect(mueller: ArrayLike) -> NDArray[np.float64]:
 
     Examples
     --------
-    >>> from amulor.optics import mueller
+    >>> from amulor.optics.polarization import mueller
     >>> print(f"{realizability_defect(mueller.diagonal(0.61, -0.61, -0.10)):.2f}")
     0.03
     """
@@ -194,14 +195,13 @@ def is_realizable(mueller: ArrayLike, *, tolerance: float = 1e-9) -> NDArray[np.
 
     Examples
     --------
-    >>> from amulor.optics import mueller
+    >>> from amulor.optics.polarization import mueller
     >>> print(is_realizable(mueller.painted_metal()))
     True
     >>> print(is_realizable(mueller.diagonal(1, 1, -1)))
     False
     """
-    if not tolerance >= 0:
-        raise ValueError(f"tolerance must not be negative, got {tolerance:g}")
+    not_negative(tolerance, name="tolerance")
     return np.asarray(realizability_defect(mueller) <= tolerance)
 
 
@@ -226,9 +226,5 @@ def _reduced(mueller: ArrayLike) -> NDArray[np.float64]:
     """Return Mueller matrices over their first elements, refused if not above 0."""
     matrix = as_matrices(mueller)
     first = matrix[..., :1, :1]
-    if np.any(first <= 0):
-        raise ValueError(
-            f"m11 of mueller must be above 0, got {np.nanmin(first):g}: there would "
-            "be no light"
-        )
+    above_zero(first[..., 0, 0], name="m11 of mueller", hint="there is no light else")
     return matrix / first

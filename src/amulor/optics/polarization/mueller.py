@@ -16,8 +16,13 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from amulor.optics._bounds import within
-from amulor.optics.phase_functions.integrals import checked_angle
+from amulor.optics._bounds import (
+    broadcast,
+    checked_angle,
+    finite,
+    last_axes,
+    within,
+)
 from amulor.optics.polarization import stokes as _stokes
 
 __all__ = [
@@ -62,14 +67,16 @@ def diagonal(m22: ArrayLike, m33: ArrayLike, m44: ArrayLike) -> NDArray[np.float
     >>> print(np.diag(diagonal(0.61, -0.61, -0.46)))
     [ 1.    0.61 -0.61 -0.46]
     """
-    elements = np.broadcast_arrays(
-        1.0,
-        *(
-            within(value, -1, 1, name=name)
-            for name, value in (("m22", m22), ("m33", m33), ("m44", m44))
-        ),
-    )
-    return np.stack(elements, axis=-1)[..., np.newaxis] * np.eye(4)
+    second = within(m22, -1, 1, name="m22")
+    third = within(m33, -1, 1, name="m33")
+    fourth = within(m44, -1, 1, name="m44")
+    shape = broadcast(m22=second, m33=third, m44=fourth)
+    matrix = np.zeros((*shape, 4, 4))
+    matrix[..., 0, 0] = 1
+    matrix[..., 1, 1] = second
+    matrix[..., 2, 2] = third
+    matrix[..., 3, 3] = fourth
+    return matrix
 
 
 def ideal_backscatter() -> NDArray[np.float64]:
@@ -149,12 +156,9 @@ def painted_metal(*, m44: float = -0.46) -> NDArray[np.float64]:
     >>> print(np.diag(painted_metal()))
     [ 1.    0.61 -0.61 -0.46]
     """
-    if not -1 <= m44 <= -0.22:
-        raise ValueError(
-            "m44 must be from -1 to -0.22, where diag(1, 0.61, -0.61, m44) is "
-            f"realizable, got {m44:g}"
-        )
-    return np.diag([1.0, 0.61, -0.61, float(m44)])
+    hint = "diag(1, 0.61, -0.61, m44) is realizable there only"
+    last = within(m44, -1, -0.22, name="m44", hint=hint)
+    return np.diag([1.0, 0.61, -0.61, float(last)])
 
 
 def rayleigh(angle: ArrayLike) -> NDArray[np.float64]:
@@ -241,11 +245,13 @@ def particles(
     >>> print(milk[2])
     [ 0.   0.  -0.9  0.1]
     """
-    named = {"m12": m12, "m22": m22, "m33": m33, "m34": m34, "m44": m44}
-    first, second, third, across, fourth = np.broadcast_arrays(
-        *(within(value, -1, 1, name=name) for name, value in named.items())
-    )
-    matrix = np.zeros((*first.shape, 4, 4))
+    first = within(m12, -1, 1, name="m12")
+    second = within(m22, -1, 1, name="m22")
+    third = within(m33, -1, 1, name="m33")
+    across = within(m34, -1, 1, name="m34")
+    fourth = within(m44, -1, 1, name="m44")
+    shape = broadcast(m12=first, m22=second, m33=third, m34=across, m44=fourth)
+    matrix = np.zeros((*shape, 4, 4))
     matrix[..., 0, 0] = 1
     matrix[..., 0, 1] = matrix[..., 1, 0] = first
     matrix[..., 1, 1] = second
@@ -290,9 +296,10 @@ def rotated(mueller: ArrayLike, *, angle: ArrayLike) -> NDArray[np.float64]:
     >>> print(np.round(rotated(polarizer, angle=np.pi / 2)[0], 12))
     [ 0.5 -0.5  0.   0. ]
     """
-    turn = np.asarray(angle, dtype=np.float64)
-    there, back = _axes_turned(turn), _axes_turned(-turn)
-    return back @ as_matrices(mueller) @ there
+    turn = finite(angle, name="angle", unit="rad")
+    matrix = as_matrices(mueller)
+    broadcast(mueller=matrix[..., 0, 0], angle=turn)
+    return _axes_turned(-turn) @ matrix @ _axes_turned(turn)
 
 
 def apply(mueller: ArrayLike, stokes: ArrayLike) -> NDArray[np.float64]:
@@ -324,14 +331,10 @@ def apply(mueller: ArrayLike, stokes: ArrayLike) -> NDArray[np.float64]:
     >>> print(apply(painted_metal(), [1.0, 1.0, 0.0, 0.0]))
     [1.   0.61 0.   0.  ]
     """
-    vector = np.asarray(stokes, dtype=np.float64)
-    if vector.ndim == 0 or vector.shape[-1] != 4:
-        raise ValueError(
-            f"stokes must have a last axis of 4 (I, Q, U, V), got shape {vector.shape}"
-        )
-    out: NDArray[np.float64] = np.einsum(
-        "...ij,...j->...i", as_matrices(mueller), vector
-    )
+    vector = last_axes(stokes, (4,), name="stokes", meaning="(I, Q, U, V)")
+    matrix = as_matrices(mueller)
+    broadcast(mueller=matrix[..., 0, 0], stokes=vector[..., 0])
+    out: NDArray[np.float64] = np.einsum("...ij,...j->...i", matrix, vector)
     return out
 
 
@@ -410,7 +413,4 @@ def as_matrices(mueller: ArrayLike) -> NDArray[np.float64]:
     ValueError
         If the last axes are not (4, 4).
     """
-    matrix = np.asarray(mueller, dtype=np.float64)
-    if matrix.shape[-2:] != (4, 4):
-        raise ValueError(f"mueller must have last axes (4, 4), got {matrix.shape}")
-    return matrix
+    return last_axes(mueller, (4, 4), name="mueller")

@@ -22,7 +22,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from amulor.optics._bounds import within
+from amulor.optics._bounds import broadcast, finite, require, within
 from amulor.optics.polarization import mueller as _mueller
 from amulor.optics.polarization import stokes
 from amulor.optics.polarization.components import linear_polarizer, retarder
@@ -40,7 +40,7 @@ __all__ = [
 ]
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, kw_only=True)
 class PolarizationArm:
     """Polarizer and quarter-wave plate of the emitter or of the receiver.
 
@@ -178,11 +178,13 @@ def launched_stokes(
     """
     light = _mueller.apply(generator(state, arm=arm), laser)
     intensity = light[..., :1]
-    if not np.all(intensity > 0):
-        raise ValueError(
-            f"no light leaves the emitter for the state {state!r}, intensity "
-            f"{np.min(intensity):g}; turn the laser so that the polarizer passes it"
-        )
+    require(
+        intensity,
+        intensity > 0,
+        name=f"light that leaves the emitter for the state {state!r}",
+        rule="above 0",
+        hint="turn the laser so that the polarizer passes it",
+    )
     vector: NDArray[np.float64] = light / intensity
     return vector
 
@@ -308,11 +310,13 @@ def cross_talk(
         passed = np.asarray(receiver.polarizer_transmission, dtype=np.float64)
     if second in _CIRCULAR:
         passed = passed * np.asarray(receiver.plate_transmission, dtype=np.float64)
-    if not np.all(passed > 0):
-        raise ValueError(
-            "the transmission of the receiver's components must be above 0, got "
-            f"{np.min(passed):g}: nothing is received"
-        )
+    require(
+        passed,
+        passed > 0,
+        name="transmission of the receiver's components",
+        rule="above 0",
+        hint="else nothing is received",
+    )
     added: NDArray[np.float64] = share / passed - _mueller.detected_fraction(
         mueller, pair=pair
     )
@@ -353,8 +357,9 @@ def linear_leak(
     >>> print(np.round(leak, 6))
     [0.0001   0.000405]
     """
-    alpha = np.asarray(axis_error, dtype=np.float64)
+    alpha = finite(axis_error, name="axis_error", unit="rad")
     e = within(extinction_ratio, 0, 1, name="extinction_ratio")
+    broadcast(axis_error=alpha, extinction_ratio=e)
     leak: NDArray[np.float64] = np.sin(alpha) ** 2 + e * np.cos(alpha) ** 2
     return leak
 
@@ -391,8 +396,9 @@ def circular_leak(
     >>> print(f"{circular_leak(retardance_error=eta, plate_error=0.0):.3f}")
     0.059
     """
-    eta = np.asarray(retardance_error, dtype=np.float64)
-    turn = np.asarray(plate_error, dtype=np.float64)
+    eta = finite(retardance_error, name="retardance_error", unit="rad")
+    turn = finite(plate_error, name="plate_error", unit="rad")
+    broadcast(retardance_error=eta, plate_error=turn)
     # Half of 1 - cos, without loss of digits for small errors.
     leak: NDArray[np.float64] = np.sin(eta / 2) ** 2 + np.cos(eta) * np.sin(turn) ** 2
     return leak
@@ -406,15 +412,17 @@ def _components(
     if state == "none":
         return np.eye(4), None
     polarizer = linear_polarizer(
-        _LINEAR.get(state, 0.0) + np.asarray(arm.polarizer_error, dtype=np.float64),
+        _LINEAR.get(state, 0.0)
+        + finite(arm.polarizer_error, name="polarizer_error", unit="rad"),
         extinction_ratio=arm.extinction_ratio,
         transmission=arm.polarizer_transmission,
     )
     if state in _LINEAR:
         return polarizer, None
     plate = retarder(
-        np.pi / 2 + np.asarray(arm.retardance_error, dtype=np.float64),
-        angle=side * _CIRCULAR[state] + np.asarray(arm.plate_error, dtype=np.float64),
+        np.pi / 2 + finite(arm.retardance_error, name="retardance_error", unit="rad"),
+        angle=side * _CIRCULAR[state]
+        + finite(arm.plate_error, name="plate_error", unit="rad"),
         diattenuation=arm.plate_diattenuation,
         transmission=arm.plate_transmission,
     )

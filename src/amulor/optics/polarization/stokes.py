@@ -32,6 +32,8 @@ import re
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from amulor.optics._bounds import above_zero, broadcast, last_axes
+
 __all__ = [
     "degree_of_circular_polarization",
     "degree_of_linear_polarization",
@@ -149,10 +151,10 @@ def from_field(parallel: ArrayLike, perpendicular: ArrayLike) -> NDArray[np.floa
     >>> print(from_field(3.0, 1.0 - 2.0j))
     [14.  4.  6. 12.]
     """
-    along, across = np.broadcast_arrays(
-        np.asarray(parallel, dtype=np.complex128),
-        np.asarray(perpendicular, dtype=np.complex128),
-    )
+    along = np.asarray(parallel, dtype=np.complex128)
+    across = np.asarray(perpendicular, dtype=np.complex128)
+    broadcast(parallel=along, perpendicular=across)
+    along, across = np.broadcast_arrays(along, across)
     product = along * across.conj()
     first, second = np.abs(along) ** 2, np.abs(across) ** 2
     return np.stack(
@@ -324,14 +326,6 @@ def ellipticity_angle(stokes: ArrayLike) -> NDArray[np.float64]:
 
 def _stokes(stokes: ArrayLike) -> NDArray[np.float64]:
     """Return Stokes vectors as an array, refused if not (..., 4) or dark."""
-    vector = np.asarray(stokes, dtype=np.float64)
-    if vector.ndim == 0 or vector.shape[-1] != 4:
-        raise ValueError(
-            f"stokes must have a last axis of 4 (I, Q, U, V), got shape {vector.shape}"
-        )
-    if np.any(vector[..., 0] <= 0):
-        raise ValueError(
-            "the intensity I of stokes must be above 0, got "
-            f"{np.nanmin(vector[..., 0]):g}"
-        )
+    vector = last_axes(stokes, (4,), name="stokes", meaning="(I, Q, U, V)")
+    above_zero(vector[..., 0], name="the intensity I of stokes")
     return vector

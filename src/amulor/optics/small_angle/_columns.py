@@ -3,18 +3,30 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.constants import speed_of_light
 
-from amulor.optics._small_angle_arguments import checked
+from amulor.optics import _bounds
+from amulor.optics._water_column import Receiver, checked, phase_per_depth
 from amulor.optics.small_angle._tables import PhaseFunction, Table, table
 
-__all__ = ["Column", "overlap_of", "response_of"]
+__all__ = ["Arguments", "Column", "overlap_of", "response_of"]
 
 Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Arguments(Receiver):
+    """Water, beam and receiver of many columns; floats or arrays."""
+
+    absorption: Any
+    scattering: Any
+    beam_radius: Any
+    beam_divergence: Any
+    end: Any = np.inf
 
 
 class Column(NamedTuple):
@@ -30,7 +42,7 @@ class Column(NamedTuple):
     tilt: float
     cross_tilt: float
     standoff: float
-    end: float = np.inf
+    end: float
 
     def loss(self, spread: Table) -> float:
         """Return 2 k', by which light is lost on its way there and back [1/m]."""
@@ -40,57 +52,63 @@ class Column(NamedTuple):
 def overlap_of(
     light: Callable[[Array, Column, Table], Array],
     depth: ArrayLike,
+    arguments: Arguments,
     *,
     phase_function: PhaseFunction,
     split_angle: float,
-    **column: ArrayLike,
 ) -> Array:
     """Return F(z), with light giving that of the depths of one column."""
-    z, *columns = (np.asarray(value) for value in checked(depth=depth, **column))
+    z = np.asarray(checked("depth", depth))
     spread = table(phase_function, split_angle)
+    columns = _columns(arguments, depth=z)
     return np.asarray(_by_column(light, z, columns, spread, dtype=float))
 
 
 def response_of(
     integral: Callable[[Array, Column, Table], NDArray[np.complex128]],
     modulation_frequency: ArrayLike,
+    arguments: Arguments,
     *,
+    group_index: ArrayLike,
     phase_function: PhaseFunction,
     split_angle: float,
     backscatter_vsf: ArrayLike | None,
-    group_index: ArrayLike,
-    **column: ArrayLike,
 ) -> NDArray[np.complex128]:
     """Return the response, with integral giving that of exp(i w z) F(z) for many w."""
-    f, n_g = checked(modulation_frequency=modulation_frequency, group_index=group_index)
-    columns = [np.asarray(value) for value in checked(**column)]
+    phases = phase_per_depth(modulation_frequency, group_index=group_index)
     spread = table(phase_function, split_angle)
     if backscatter_vsf is None:
         at_180 = float(np.asarray(phase_function(np.array([np.pi])))[0])
-        vsf = np.asarray(column["scattering"], dtype=float) * at_180
+        vsf = np.asarray(arguments.scattering, dtype=float) * at_180
     else:
-        (vsf,) = checked(backscatter_vsf=backscatter_vsf)
-    wavenumber = np.asarray(4 * np.pi / speed_of_light * f * n_g)
-    wavenumber = np.broadcast_to(
-        wavenumber, np.broadcast_shapes(wavenumber.shape, np.shape(vsf))
-    )
-    result = _by_column(integral, wavenumber, columns, spread, dtype=complex)
+        vsf = checked("backscatter_vsf", backscatter_vsf)
+    columns = _columns(arguments, modulation_frequency=phases, backscatter_vsf=vsf)
+    phases = np.broadcast_to(phases, np.broadcast_shapes(phases.shape, np.shape(vsf)))
+    result = _by_column(integral, phases, columns, spread, dtype=complex)
     return np.asarray(vsf * result)
+
+
+def _columns(arguments: Arguments, **others: Any) -> dict[str, NDArray[Any]]:
+    """Return the arguments as arrays, if they broadcast with the others."""
+    columns = {name: np.asarray(value) for name, value in arguments.named().items()}
+    if any(np.ndim(value) for value in (*columns.values(), *others.values())):
+        _bounds.broadcast(**others, **columns)
+    return columns
 
 
 def _by_column(
     evaluate: Callable[[Array, Column, Table], Any],
     free: Array,
-    columns: list[Array],
+    columns: dict[str, NDArray[Any]],
     spread: Table,
     *,
     dtype: type,
 ) -> Any:
     """Return what evaluate makes of the free argument, once for each column."""
-    inner = np.broadcast_shapes(*(value.shape for value in columns))
+    inner = np.broadcast_shapes(*(value.shape for value in columns.values()))
     shape = np.broadcast_shapes(free.shape, inner)
     inner = (1,) * (len(shape) - len(inner)) + inner
-    columns = [np.broadcast_to(value, inner) for value in columns]
+    columns = {name: np.broadcast_to(value, inner) for name, value in columns.items()}
     free = np.broadcast_to(free, shape)
     out: NDArray[Any] = np.empty(shape, dtype=dtype)
     # Axes along which only the free argument changes share one column.
@@ -100,6 +118,8 @@ def _by_column(
             for i, size in zip(index, inner, strict=True)
         )
         part = np.ascontiguousarray(free[place]).reshape(-1)
-        column = Column(*(float(value[index]) for value in columns))
+        column = Column(
+            **{name: float(value[index]) for name, value in columns.items()}
+        )
         out[place] = evaluate(part, column, spread).reshape(out[place].shape)
     return out

@@ -22,12 +22,14 @@ _ROUNDING = 1e-11  # of the light on the axis, to which F(z) off the axis is kno
 _MOST_PANELS = 2048  # waiting to be halved, before the integral counts as unsettled
 
 
-def integral(wavenumber: Array, edges: Array, values: Array) -> NDArray[np.complex128]:
+def integral(
+    phase_per_depth: Array, edges: Array, values: Array
+) -> NDArray[np.complex128]:
     """Return the integrals of exp(i w z) times the values in panels."""
-    order = np.argsort(wavenumber)
-    sums = np.zeros((2, wavenumber.size))
-    _kernels.add_panels(edges, values, wavenumber[order], RULE, sums)
-    result = np.empty(wavenumber.size, dtype=complex)
+    order = np.argsort(phase_per_depth)
+    sums = np.zeros((2, phase_per_depth.size))
+    _kernels.add_panels(edges, values, phase_per_depth[order], RULE, sums)
+    result = np.empty(phase_per_depth.size, dtype=complex)
     result[order] = sums[0] + 1j * sums[1]
     return result
 

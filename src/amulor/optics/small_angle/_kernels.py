@@ -3,18 +3,19 @@
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from amulor.optics._quadrature.kernels import ORDER, add_panel
+from amulor.optics._quadrature.kernels import ORDER, Panel, add_panel
 
-__all__ = ["add_panels", "j0", "lost", "polynomial", "scattered", "spread"]
+__all__ = ["Water", "add_panels", "j0", "lost", "polynomial", "scattered", "spread"]
 
 Array = NDArray[np.float64]
 
-NEAR = 26  # argument up to which J0 comes from its table, in unit cells
+NO_WAVE = 26  # argument up to which J0 comes from its table, in unit cells
 FAR = 400  # argument up to which the mean of J0 comes from its table, in unit cells
 LINEAR = 48  # cells of equal width at the start of a table of spread
 WIDTH = 2.0  # their width, times the split angle
@@ -26,9 +27,28 @@ _PHASE = 28.0  # turn of the oscillations over a panel [rad]
 _SMOOTH = 5.0  # width of a panel in 1/e half-widths of the receiver
 _SPLIT_END = 100.0  # phase up to which the edge of the forward part is followed [rad]
 
-# A row of water holds, in this order: 2 k' [1/m], 2 b_f [1/m], aperture squared
-# [m^2] and acceptance squared [1] of receiver and beam together, baseline [m], tilt,
-# cross tilt [rad], standoff [m], split angle [rad].
+
+class Water(NamedTuple):
+    """One column of water, with beam and receiver as one Gaussian."""
+
+    loss: float
+    """2 k' [1/m]."""
+    forward: float
+    """2 b_f [1/m]."""
+    split_angle: float
+    """Where the forward part of the phase function ends [rad]."""
+    baseline: float
+    """rho_0 [m]."""
+    tilt: float
+    """n_0 along the baseline [rad]."""
+    cross_tilt: float
+    """n_0 across it [rad]."""
+    standoff: float
+    """zeta - z [m]."""
+    radius_squared: float
+    """R^2 + w^2 [m^2]."""
+    angle_squared: float
+    """gamma^2 + delta^2 [1]."""
 
 
 @numba.njit(cache=True, error_model="numpy", fastmath={"contract"})
@@ -46,7 +66,7 @@ def polynomial(table: Array, cell: int, s: float) -> float:
 @numba.njit(cache=True, error_model="numpy", fastmath={"contract"})
 def j0(x: float, table: Array) -> float:
     """Return the Bessel function of order 0 at x >= 0."""
-    if x < NEAR:
+    if x < NO_WAVE:
         cell = int(x)
         return polynomial(table, cell, 2.0 * (x - cell) - 1.0)
     y = 1.0 / (x * x)
@@ -91,39 +111,48 @@ def lost(x: float, split: float, table: Array) -> float:
 
 
 @numba.njit(cache=True, error_model="numpy")
-def _scattering_end(depth: float, top: float, row: Array, table: Array) -> float:
-    """Return the wavenumber at which scattering has ended the integral, or top."""
-    thickness = row[1] * depth
+def _scattering_end(depth: float, top: float, water: Water, table: Array) -> float:
+    """Return where scattering has ended the integral over kappa, or top."""
+    thickness = water.forward * depth
     if thickness > _SCATTERED_END:
-        while thickness * lost(0.8 * top * depth, row[8], table) > _SCATTERED_END:
+        while (
+            thickness * lost(0.8 * top * depth, water.split_angle, table)
+            > _SCATTERED_END
+        ):
             top *= 0.8
     return top
 
 
 @numba.njit(cache=True, error_model="numpy")
-def _offset(depth: float, row: Array) -> float:
+def _offset(depth: float, water: Water) -> float:
     """Return the distance between beam and receiver axis."""
-    path = depth + row[7]
-    return math.hypot(row[4] - row[5] * path, row[6] * path)
+    path = depth + water.standoff
+    return math.hypot(water.baseline - water.tilt * path, water.cross_tilt * path)
 
 
 @numba.njit(cache=True, error_model="numpy")
 def scattered(
-    depth: Array, row: Array, table: Array, bessel: Array, rule: Array, out: Array
+    depth: Array, water: Water, table: Array, bessel: Array, rule: Array, out: Array
 ) -> None:
-    """Fill out with F(z) / pi R^2 gamma^2 of light scattered forward."""
+    """Fill out with F(z) / pi R^2 gamma^2 of light scattered forward.
+
+    Eq. (29) less its unscattered part, docs/theory/water-signal.md: an integral over
+    the spatial frequency kappa of J0(kappa offset), the Gaussian of receiver and beam
+    and exp[2 b_f z P(kappa z) / kappa z]. Compiled, as the panels of kappa follow from
+    what oscillates at each depth, and tables are looked up for each node.
+    """
     nodes = rule.shape[1]
     work = np.empty((3, nodes))
     for n in range(depth.size):
         z = depth[n]
-        path = z + row[7]
-        area = row[2] + row[3] * path * path
-        offset = _offset(z, row)
-        thickness = row[1] * z
-        none = math.exp(-thickness)
-        top = _scattering_end(z, _GAUSSIAN_END / math.sqrt(area), row, table)
-        reach = z * row[8]
-        first = min(top / 3.0, 6.0 / reach)
+        path = z + water.standoff
+        area = water.radius_squared + water.angle_squared * path * path
+        offset = _offset(z, water)
+        thickness = water.forward * z
+        unscattered = math.exp(-thickness)
+        top = _scattering_end(z, _GAUSSIAN_END / math.sqrt(area), water, table)
+        reach = z * water.split_angle
+        narrowest = min(top / 3.0, 6.0 / reach)
         widest = min(_SMOOTH / math.sqrt(area), top / 2.0)
         total = 0.0
         low = 0.0
@@ -131,26 +160,26 @@ def scattered(
             turn = offset
             if low * reach < _SPLIT_END:
                 turn += reach
-            width = min(max(first, low), widest, _PHASE / turn)
+            width = min(max(narrowest, low), widest, _PHASE / turn)
             if low + 1.2 * width > top:
                 width = top - low
             for i in range(nodes):
                 kappa = low + width * rule[0, i]
                 work[0, i] = -0.25 * area * kappa * kappa
-                work[1, i] = -thickness * lost(kappa * z, row[8], table)
+                work[1, i] = -thickness * lost(kappa * z, water.split_angle, table)
                 work[2, i] = kappa * j0(kappa * offset, bessel)
             part = 0.0
             for i in range(nodes):
-                value = math.exp(work[0, i]) * (math.exp(work[1, i]) - none)
+                value = math.exp(work[0, i]) * (math.exp(work[1, i]) - unscattered)
                 part += rule[1, i] * work[2, i] * value
             total += width * part
             low += width
-        out[n] = 0.5 * total * math.exp(-row[0] * z)
+        out[n] = 0.5 * total * math.exp(-water.loss * z)
 
 
 @numba.njit(cache=True, error_model="numpy")
 def add_panels(
-    edge: Array, value: Array, wavenumber: Array, rule: Array, sums: Array
+    edge: Array, value: Array, phase_per_depth: Array, rule: Array, sums: Array
 ) -> None:
     """Add the integrals of exp(i w z) times the values of panels, for rising w.
 
@@ -159,11 +188,12 @@ def add_panels(
     even = np.empty(ORDER)
     odd = np.empty(ORDER)
     work = np.empty((2, ORDER))
-    turn = np.empty((2, wavenumber.size))
+    turn = np.empty((2, phase_per_depth.size))
     for j in range(value.shape[0]):
         half = 0.5 * (edge[j, 1] - edge[j, 0])
         centre = edge[j, 0] + half
         for i in range(ORDER):
             right, left = value[j, ORDER + i], value[j, ORDER - 1 - i]
             even[i], odd[i] = right + left, right - left
-        add_panel(half, centre, even, odd, wavenumber, rule, work, turn, sums)
+        panel = Panel(half, centre, even, odd)
+        add_panel(panel, phase_per_depth, rule, work, turn, sums)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numba
 import numpy as np
@@ -10,13 +11,13 @@ from numpy.typing import NDArray
 
 from amulor.optics.small_angle import _kernels
 
-__all__ = ["collected"]
+__all__ = ["Tables", "Water", "collected"]
 
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
-NODES = 16  # of a panel of wavenumbers
-_NEAR = float(_kernels.NEAR)  # argument up to which a Bessel function is no wave
+NODES = 16  # of a panel of spatial frequencies
+_NO_WAVE = float(_kernels.NO_WAVE)  # argument up to which a Bessel function is no wave
 _GAUSSIAN_END = 10.0  # in 1/e half-widths: exp(-25) is left beyond
 _SCATTERED_END = 25.0  # exponent by which scattering ends the integral
 _PHASE = 24.0  # turn over a panel that its nodes integrate [rad]
@@ -28,9 +29,75 @@ _TAIL = 1e-10  # of the integral that may be cut off
 _ROUNDING = 1e-14  # of the light on the axis that may be cut off
 _PANELS = 4000  # after which an integral counts as cut off
 
-# A row of water holds, in this order: 2 k' [1/m], 2 b_f [1/m], baseline [m], tilt,
-# cross tilt [rad], standoff [m], split angle [rad], receiver radius [m], acceptance
-# [rad], squared 1/e radius [m^2] and semi-angle of the beam [1].
+
+class Water(NamedTuple):
+    """One column of water, the beam and the receiver."""
+
+    loss: float
+    """2 k' [1/m]."""
+    forward: float
+    """2 b_f [1/m]."""
+    split_angle: float
+    """Where the forward part of the phase function ends [rad]."""
+    baseline: float
+    """rho_0 [m]."""
+    tilt: float
+    """n_0 along the baseline [rad]."""
+    cross_tilt: float
+    """n_0 across it [rad]."""
+    standoff: float
+    """zeta - z [m]."""
+    receiver_radius: float
+    """R [m]."""
+    acceptance_angle: float
+    """gamma [rad]."""
+    beam_radius_squared: float
+    """w^2 [m^2]."""
+    beam_divergence_squared: float
+    """delta^2 [1]."""
+
+
+class Tables(NamedTuple):
+    """Functions and rules that were worked out beforehand."""
+
+    lost: Array
+    """1 less the mean transform of the phase function, of `_tables.table`."""
+    bessel: Array
+    """J0, of `_tables.bessel`."""
+    disc: Array
+    """2 J1(x) / x, of `_tables.disc`."""
+    rule: Array
+    """Nodes and weights of a panel on -1..1, in two rows."""
+    series: Array
+    """What gives the Legendre terms from the values at the nodes."""
+
+
+class _Place(NamedTuple):
+    """One depth: what the transform of eq. (29) takes of it."""
+
+    depth: float
+    """z [m]."""
+    thickness: float
+    """2 b_f z [1]."""
+    unscattered: float
+    """exp(-2 b_f z) where it is taken out, else 0 [1]."""
+    beam: float
+    """w^2 + delta^2 zeta^2 [m^2]."""
+    reach: float
+    """z times the split angle: how fast the edge of the forward part turns [m]."""
+
+
+class _Work(NamedTuple):
+    """Arrays that each depth and each panel overwrites."""
+
+    radius: Array
+    """Arguments over kappa of J0 and of the two discs [m]."""
+    wave: NDArray[np.bool_]
+    """Which of the three is written as waves in this panel."""
+    rate: Array
+    """How fast the phase of each product of waves turns [m]."""
+    value: Complex
+    """Smooth factors of the products at the nodes."""
 
 
 @numba.njit(cache=True, error_model="numpy", fastmath={"contract"})
@@ -54,7 +121,7 @@ def _wave_1(x: float) -> complex:
 @numba.njit(cache=True, error_model="numpy", fastmath={"contract"})
 def _disc(x: float, table: Array) -> float:
     """Return the transform 2 J1(x) / x of a disc at x >= 0."""
-    if x < _NEAR:
+    if x < _NO_WAVE:
         cell = int(x)
         return float(_kernels.polynomial(table, cell, 2.0 * (x - cell) - 1.0))
     wave = _wave_1(x)
@@ -65,11 +132,7 @@ def _disc(x: float, table: Array) -> float:
 def _turned(
     half: float, centre: float, rate: float, value: Complex, rule: Array, series: Array
 ) -> float:
-    """Return the integral over a panel of Re value * exp(i rate kappa).
-
-    A row of rule holds nodes or weights on -1..1, series what gives the Legendre
-    terms from the values at the nodes.
-    """
+    """Return the integral over a panel of Re value * exp(i rate kappa)."""
     turn = rate * half
     total = 0.0
     if abs(turn) < _DIRECT:
@@ -97,15 +160,15 @@ def _turned(
 
 
 @numba.njit(cache=True, error_model="numpy")
-def _scattering_end(depth: float, row: Array, table: Array) -> float:
-    """Return the wavenumber at which scattering has ended the integral."""
-    thickness = row[1] * depth
+def _scattering_end(place: _Place, split_angle: float, table: Array) -> float:
+    """Return the spatial frequency at which scattering has ended the integral."""
+    depth, thickness = place.depth, place.thickness
     if thickness <= _SCATTERED_END:
         return math.inf
-    top: float = 1e-6 / (depth * row[6])
-    while thickness * _kernels.lost(top * depth, row[6], table) < _SCATTERED_END:
+    top: float = 1e-6 / (depth * split_angle)
+    while thickness * _kernels.lost(top * depth, split_angle, table) < _SCATTERED_END:
         top *= 1.25
-        if top * depth * row[6] > 1e12:
+        if top * depth * split_angle > 1e12:
             return math.inf
     return top
 
@@ -125,115 +188,174 @@ def _envelope(kappa: float, radius: Array) -> float:
 
 
 @numba.njit(cache=True, error_model="numpy")
-def collected(
-    depth: Array,
-    row: Array,
-    table: Array,
-    bessel: Array,
-    disc: Array,
-    rule: Array,
-    series: Array,
-    out: Array,
-) -> None:
+def _place(z: float, water: Water, radius: Array) -> _Place:
+    """Return what a depth is, and fill the three radii there."""
+    path = z + water.standoff
+    radius[0] = math.hypot(water.baseline - water.tilt * path, water.cross_tilt * path)
+    radius[1], radius[2] = water.receiver_radius, water.acceptance_angle * path
+    beam = water.beam_radius_squared + water.beam_divergence_squared * path * path
+    thickness = water.forward * z
+    unscattered = math.exp(-thickness) if beam == 0.0 else 0.0
+    return _Place(z, thickness, unscattered, beam, z * water.split_angle)
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _slowest(radius: Array) -> float:
+    """Return how fast the slowest product of three waves turns [m]."""
+    slowest = math.inf
+    for j in range(4):
+        side = radius[1] if j % 2 == 0 else -radius[1]
+        other = radius[2] if j < 2 else -radius[2]
+        slowest = min(slowest, abs(radius[0] + side + other))
+    return slowest
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _widest_turn(low: float, place: _Place, work: _Work) -> tuple[float, float]:
+    """Return the turn of the plain factors, and the most that a panel may have of it.
+
+    Marks the Bessel functions that are waves from this spatial frequency on.
+    """
+    radius, wave = work.radius, work.wave
+    turn = place.reach if low * place.reach < _SPLIT_END else 0.0
+    waves = 0
+    for j in range(3):
+        wave[j] = low * radius[j] >= _NO_WAVE
+        if wave[j]:
+            waves += 1
+        else:
+            turn += radius[j]
+    return turn, _SERIES_PHASE if waves > 0 else _PHASE
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _plain_factors(
+    half: float,
+    centre: float,
+    place: _Place,
+    split_angle: float,
+    work: _Work,
+    tables: Tables,
+) -> float:
+    """Fill value[0] with all that is no wave; return what water and beam leave last."""
+    # Taken out of the bundles once: each access to one of their arrays counts.
+    radius, wave, value = work.radius, work.wave, work.value
+    rule, lost, bessel, disc = tables.rule, tables.lost, tables.bessel, tables.disc
+    last = 0.0
+    for i in range(NODES):
+        kappa = centre + half * rule[0, i]
+        spread = _kernels.lost(kappa * place.depth, split_angle, lost)
+        last = math.exp(-place.thickness * spread)
+        beam = math.exp(-0.25 * place.beam * kappa * kappa)
+        last = kappa * beam * (last - place.unscattered)
+        factor = last
+        if not wave[0]:
+            factor *= _kernels.j0(kappa * radius[0], bessel)
+        for j in range(1, 3):
+            if not wave[j]:
+                factor *= _disc(kappa * radius[j], disc)
+        value[0, i] = factor
+    return last
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _multiply_waves(half: float, centre: float, work: _Work, rule: Array) -> int:
+    """Multiply value[0] by the waves; return of how many products the sum consists.
+
+    The real part of the product of two waves is half that of their product and half
+    that of the product of one and the conjugate of the other.
+    """
+    radius, wave = work.radius, work.wave
+    rate, value = work.rate, work.value
+    count = 1
+    rate[0] = 0.0
+    first = True
+    for j in range(3):
+        if not wave[j]:
+            continue
+        for i in range(NODES):
+            x = (centre + half * rule[0, i]) * radius[j]
+            h = _wave_0(x) if j == 0 else _wave_1(x)
+            if first:
+                value[0, i] *= h
+                continue
+            h *= 0.5
+            for p in range(count):
+                value[count + p, i] = value[p, i] * h.conjugate()
+                value[p, i] *= h
+        if first:
+            rate[0] = radius[j]
+            first = False
+            continue
+        for p in range(count):
+            rate[count + p] = rate[p] - radius[j]
+            rate[p] += radius[j]
+        count *= 2
+    return count
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _transformed(
+    place: _Place, split_angle: float, work: _Work, tables: Tables
+) -> float:
+    """Return the integral over the spatial frequency of eq. (29), times 4 pi."""
+    radius, rate, value = work.radius, work.rate, work.value
+    rule, series, beam = tables.rule, tables.series, place.beam
+    top = _scattering_end(place, split_angle, tables.lost)
+    if beam > 0.0:
+        top = min(top, _GAUSSIAN_END / math.sqrt(beam))
+    slowest = _slowest(radius)
+    on_axis = 2.0 / max(radius[1], radius[2]) ** 2
+    narrowest = min(top / 3.0, 6.0 / (radius[0] + radius[1] + radius[2] + place.reach))
+    widest = top / 2.0
+    if beam > 0.0:
+        widest = min(widest, _SMOOTH / math.sqrt(beam))
+    total = 0.0
+    low = 0.0
+    size = 0.0
+    for _ in range(_PANELS):
+        turn, most = _widest_turn(low, place, work)
+        width = min(max(narrowest, low), widest)
+        if width * turn > most:
+            width = most / turn
+        if low + 1.2 * width > top:
+            width = top - low
+        half = 0.5 * width
+        centre = low + half
+        last = _plain_factors(half, centre, place, split_angle, work, tables)
+        for p in range(_multiply_waves(half, centre, work, rule)):
+            total += _turned(half, centre, rate[p], value[p], rule, series)
+        low += width
+        if low >= top:
+            break
+        # What is left shrinks at least as fast as the spatial frequency grows.
+        before, size = size, abs(last) * _envelope(low, radius)
+        rest = size * min(low, 1.0 / slowest if slowest > 0.0 else math.inf)
+        if size <= before and rest < max(_TAIL * abs(total), _ROUNDING * on_axis):
+            break
+    return total
+
+
+@numba.njit(cache=True, error_model="numpy")
+def collected(depth: Array, water: Water, tables: Tables, out: Array) -> None:
     """Fill out with F(z) / pi R^2 gamma^2, less the unscattered light of a thin beam.
 
-    Between two wavenumbers a Bessel function is either a plain factor or, far out,
-    two waves with smooth factors; waves that turn fast are integrated by the
-    Legendre series of their factors.
+    Eq. (29) with the transform of two uniform discs, docs/theory/water-signal.md.
+    Between two spatial frequencies kappa a Bessel function is either a plain factor
+    or, far out, two waves with smooth factors; waves that turn fast are integrated by
+    the Legendre series of their factors. Compiled, as the width of each panel follows
+    from where the one before ended, for every depth anew.
     """
-    radius = np.empty(3)
-    rate = np.empty(4)
-    value = np.empty((4, NODES), dtype=np.complex128)
-    wave = np.empty(3, dtype=np.bool_)
+    work = _Work(
+        np.empty(3),
+        np.empty(3, dtype=np.bool_),
+        np.empty(4),
+        np.empty((4, NODES), dtype=np.complex128),
+    )
     for n in range(depth.size):
-        z = depth[n]
-        path = z + row[5]
-        radius[0] = math.hypot(row[2] - row[3] * path, row[4] * path)
-        radius[1], radius[2] = row[7], row[8] * path
-        beam = row[9] + row[10] * path * path
-        thickness = row[1] * z
-        if thickness == 0.0 and beam == 0.0:
+        place = _place(depth[n], water, work.radius)
+        if place.thickness == 0.0 and place.beam == 0.0:
             out[n] = 0.0
             continue
-        none = math.exp(-thickness) if beam == 0.0 else 0.0
-        reach = z * row[6]
-        top = _scattering_end(z, row, table)
-        if beam > 0.0:
-            top = min(top, _GAUSSIAN_END / math.sqrt(beam))
-        slowest = math.inf
-        for j in range(4):
-            side = radius[1] if j % 2 == 0 else -radius[1]
-            other = radius[2] if j < 2 else -radius[2]
-            slowest = min(slowest, abs(radius[0] + side + other))
-        on_axis = 2.0 / max(radius[1], radius[2]) ** 2
-        first = min(top / 3.0, 6.0 / (radius[0] + radius[1] + radius[2] + reach))
-        widest = top / 2.0
-        if beam > 0.0:
-            widest = min(widest, _SMOOTH / math.sqrt(beam))
-        total = 0.0
-        low = 0.0
-        size = 0.0
-        for _ in range(_PANELS):
-            turn = reach if low * reach < _SPLIT_END else 0.0
-            waves = 0
-            for j in range(3):
-                wave[j] = low * radius[j] >= _NEAR
-                if wave[j]:
-                    waves += 1
-                else:
-                    turn += radius[j]
-            width = min(max(first, low), widest)
-            most = _SERIES_PHASE if waves > 0 else _PHASE
-            if width * turn > most:
-                width = most / turn
-            if low + 1.2 * width > top:
-                width = top - low
-            half = 0.5 * width
-            centre = low + half
-            count = 1
-            rate[0] = 0.0
-            last = 0.0
-            for i in range(NODES):
-                kappa = centre + half * rule[0, i]
-                last = math.exp(-thickness * _kernels.lost(kappa * z, row[6], table))
-                last = kappa * math.exp(-0.25 * beam * kappa * kappa) * (last - none)
-                factor = last
-                if not wave[0]:
-                    factor *= _kernels.j0(kappa * radius[0], bessel)
-                for j in range(1, 3):
-                    if not wave[j]:
-                        factor *= _disc(kappa * radius[j], disc)
-                value[0, i] = factor
-            found = 0
-            for j in range(3):
-                if not wave[j]:
-                    continue
-                found += 1
-                for i in range(NODES):
-                    x = (centre + half * rule[0, i]) * radius[j]
-                    h = _wave_0(x) if j == 0 else _wave_1(x)
-                    if found == 1:
-                        value[0, i] *= h
-                        continue
-                    h *= 0.5
-                    for p in range(count):
-                        value[count + p, i] = value[p, i] * h.conjugate()
-                        value[p, i] *= h
-                if found == 1:
-                    rate[0] = radius[j]
-                    continue
-                for p in range(count):
-                    rate[count + p] = rate[p] - radius[j]
-                    rate[p] += radius[j]
-                count *= 2
-            for p in range(count):
-                total += _turned(half, centre, rate[p], value[p], rule, series)
-            low += width
-            if low >= top:
-                break
-            # What is left shrinks at least as fast as the wavenumber grows.
-            before, size = size, abs(last) * _envelope(low, radius)
-            rest = size * min(low, 1.0 / slowest if slowest > 0.0 else math.inf)
-            if size <= before and rest < max(_TAIL * abs(total), _ROUNDING * on_axis):
-                break
-        out[n] = 0.5 * total * math.exp(-row[0] * z)
+        total = _transformed(place, water.split_angle, work, tables)
+        out[n] = 0.5 * total * math.exp(-water.loss * depth[n])

@@ -71,7 +71,7 @@ def _spread_by_transform(
     one = float(np.asarray(transform(np.zeros(1), split_angle=split))[0])
     if not abs(one - 1) < 1e-6:
         raise ValueError(
-            f"phase_function.hankel must be 1 at wavenumber 0, got {one:g}; divide "
+            f"phase_function.hankel must be 1 at frequency 0, got {one:g}; divide "
             "the forward part by its integral"
         )
     width = np.diff(edge)[:, None]
@@ -183,19 +183,19 @@ def _monomials(values: Array) -> Array:
 @cache
 def bessel() -> Array:
     """Return the table of J0 in cells of width 1."""
-    return _monomials(j0(_near()))
+    return _monomials(j0(_nodes()))
 
 
 @cache
 def disc() -> Array:
     """Return the table of 2 J1(x) / x in cells of width 1."""
-    return _monomials(2 * j1(_near()) / _near())
+    return _monomials(2 * j1(_nodes()) / _nodes())
 
 
-def _near() -> Array:
+def _nodes() -> Array:
     """Return the Chebyshev nodes of the cells of the tables of Bessel functions."""
     node = np.cos(np.pi * (np.arange(10) + 0.5) / 10)
-    return np.arange(_kernels.NEAR)[:, None] + (node + 1) / 2
+    return np.arange(_kernels.NO_WAVE)[:, None] + (node + 1) / 2
 
 
 @cache

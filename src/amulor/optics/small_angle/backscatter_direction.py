@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy import special
 
 from amulor.optics import small_angle_diffusion
-from amulor.optics._bounds import not_negative, positive
+from amulor.optics._bounds import broadcast, finite, not_negative, positive, require
 from amulor.optics.phase_functions.integrals import gauss_legendre
 
 __all__ = ["backscatter_direction", "effective_radiance", "mean_backscatter_vsf"]
@@ -86,7 +86,15 @@ def backscatter_direction(
     z = not_negative(depth, name="depth", unit="m")
     b_f = not_negative(forward_scattering, name="forward_scattering", unit="1/m")
     moment = not_negative(second_moment, name="second_moment", unit="rad^2")
-    rho = np.asarray(baseline, dtype=np.float64)
+    rho = not_negative(baseline, name="baseline", unit="m")
+    broadcast(
+        depth=z,
+        forward_scattering=b_f,
+        second_moment=moment,
+        baseline=rho,
+        receiver_radius=radius,
+        acceptance_angle=gamma,
+    )
     d = b_f * moment / 4
     place = (radius**2 + gamma**2 * z**2) / 2 + 4 / 3 * d * z**3
     both = gamma**2 * z / 2 + 2 * d * z**2
@@ -172,8 +180,10 @@ def effective_radiance(
         receiver_radius=receiver_radius,
         acceptance_angle=acceptance_angle,
     )
-    along = np.asarray(angle, dtype=np.float64) - mean
-    across = np.asarray(cross_angle, dtype=np.float64)
+    nu = finite(angle, name="angle", unit="rad")
+    across = finite(cross_angle, name="cross_angle", unit="rad")
+    broadcast(angle=nu, cross_angle=across, depth=mean)
+    along = nu - mean
     density = np.exp(-(along**2 + across**2) / (2 * variance)) / (2 * np.pi * variance)
     return np.asarray(whole * density)
 
@@ -243,12 +253,14 @@ def mean_backscatter_vsf(
     )
     mean, variance = np.broadcast_arrays(mean, variance)
     reach = np.abs(mean) + 4 * np.sqrt(variance)
-    if np.any(reach >= np.pi / 2):
-        raise ValueError(
-            "the deviations from straight back must stay below pi/2 rad, got "
-            f"{np.max(reach):g} rad (mean and four standard deviations): too short a "
-            "depth for this baseline, or too much scattering for small angles"
-        )
+    require(
+        reach,
+        reach < np.pi / 2,
+        name="the deviation from straight back (mean and four standard deviations)",
+        rule="below pi/2",
+        unit="rad",
+        hint="the depth is too short for this baseline, or angles are not small",
+    )
     deviation, weight = _rician_rule(np.abs(mean), np.sqrt(variance))
     value = np.asarray(vsf(np.pi - deviation), dtype=np.float64)
     if value.shape != deviation.shape:
@@ -261,7 +273,7 @@ def mean_backscatter_vsf(
 
 def _rician_rule(mean: Array, deviation: Array) -> tuple[Array, Array]:
     """Return angles and weights for the length of a vector of Gaussian components."""
-    node, share = gauss_legendre(16)
+    node, weight = gauss_legendre(16)
     low = np.maximum(mean - 9 * deviation, 0.0)
     width = np.minimum(mean + 9 * deviation, np.pi) - low
     place = (np.arange(_PANELS)[:, None] + (node + 1) / 2).reshape(-1) / _PANELS
@@ -269,5 +281,5 @@ def _rician_rule(mean: Array, deviation: Array) -> tuple[Array, Array]:
     centre, sigma = mean[..., None], deviation[..., None]
     density = np.exp(-(((angle - centre) / sigma) ** 2) / 2)
     density *= angle / sigma**2 * special.ive(0, angle * centre / sigma**2)
-    step = np.tile(share / 2, _PANELS) * width[..., None] / _PANELS
+    step = np.tile(weight / 2, _PANELS) * width[..., None] / _PANELS
     return angle, density * step

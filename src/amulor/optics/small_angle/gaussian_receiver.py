@@ -15,7 +15,12 @@ from scipy.constants import speed_of_light
 
 from amulor.optics import small_angle_diffusion
 from amulor.optics.small_angle import _kernels
-from amulor.optics.small_angle._columns import Column, overlap_of, response_of
+from amulor.optics.small_angle._columns import (
+    Arguments,
+    Column,
+    overlap_of,
+    response_of,
+)
 from amulor.optics.small_angle._depths import integral, panels
 from amulor.optics.small_angle._tables import PhaseFunction, Table, bessel
 
@@ -59,7 +64,7 @@ def water_response(
     phase_function : callable
         Phase function [1/sr] of an array of angles from 0 to pi [rad], with an
         integral of 1 over the sphere. If it has a method
-        ``hankel(wavenumber, *, split_angle)``, this gives the transform of the
+        ``hankel(direction_frequency, *, split_angle)``, this gives the transform of the
         forward part, 1 at zero. What was worked out for it is kept for later
         calls, so it must not change.
     split_angle : float
@@ -144,13 +149,7 @@ def water_response(
     >>> print(f"{abs(response[1] / response[0]):.3f}")
     0.492
     """
-    return response_of(
-        _response,
-        modulation_frequency,
-        phase_function=phase_function,
-        split_angle=split_angle,
-        backscatter_vsf=backscatter_vsf,
-        group_index=group_index,
+    arguments = Arguments(
         absorption=absorption,
         scattering=scattering,
         baseline=baseline,
@@ -162,6 +161,15 @@ def water_response(
         cross_tilt=cross_tilt,
         standoff=standoff,
         end=end,
+    )
+    return response_of(
+        _response,
+        modulation_frequency,
+        arguments,
+        group_index=group_index,
+        phase_function=phase_function,
+        split_angle=split_angle,
+        backscatter_vsf=backscatter_vsf,
     )
 
 
@@ -227,11 +235,7 @@ def overlap(
     >>> print(f"{taken:.2e} sr")
     2.82e-05 sr
     """
-    return overlap_of(
-        _light,
-        depth,
-        phase_function=phase_function,
-        split_angle=split_angle,
+    arguments = Arguments(
         absorption=absorption,
         scattering=scattering,
         baseline=baseline,
@@ -242,6 +246,13 @@ def overlap(
         tilt=tilt,
         cross_tilt=cross_tilt,
         standoff=standoff,
+    )
+    return overlap_of(
+        _light,
+        depth,
+        arguments,
+        phase_function=phase_function,
+        split_angle=split_angle,
     )
 
 
@@ -291,32 +302,30 @@ def _light(depth: Array, column: Column, spread: Table) -> Array:
 def _scattered(depth: Array, column: Column, spread: Table) -> Array:
     """Return F(z) of light that was scattered forward at least once [sr]."""
     radius, angle = _widths(column)
-    row = np.array(
-        [
-            column.loss(spread),
-            2 * column.scattering * spread.fraction,
-            radius**2,
-            angle**2,
-            column.baseline,
-            column.tilt,
-            column.cross_tilt,
-            column.standoff,
-            spread.split,
-        ]
+    water = _kernels.Water(
+        loss=column.loss(spread),
+        forward=2 * column.scattering * spread.fraction,
+        split_angle=spread.split,
+        baseline=column.baseline,
+        tilt=column.tilt,
+        cross_tilt=column.cross_tilt,
+        standoff=column.standoff,
+        radius_squared=radius**2,
+        angle_squared=angle**2,
     )
     out = np.zeros(depth.size)
-    _kernels.scattered(depth, row, spread.cells, bessel(), _wave_rule(), out)
+    _kernels.scattered(depth, water, spread.cells, bessel(), _frequency_rule(), out)
     peak = np.pi * (column.receiver_radius * column.acceptance_angle) ** 2
     return peak * out
 
 
 def _response(
-    wavenumber: Array, column: Column, spread: Table
+    phase_per_depth: Array, column: Column, spread: Table
 ) -> NDArray[np.complex128]:
     """Return the integral of exp(i w z) F(z) over the column [m sr]."""
     # Of frequency f comes w = 4 pi f n / c; group index 1 stands for n here.
     plain = _beam_loss(column) * small_angle_diffusion.water_response(
-        np.append(0.0, wavenumber * (speed_of_light / (4 * np.pi))),
+        np.append(0.0, phase_per_depth * (speed_of_light / (4 * np.pi))),
         **_without_forward_scattering(column),
         backscatter_vsf=1.0,
         group_index=1.0,
@@ -337,11 +346,11 @@ def _response(
         end=column.end,
         known=float(plain[0].real),
     )
-    return plain[1:] + integral(wavenumber, edges, values)
+    return plain[1:] + integral(phase_per_depth, edges, values)
 
 
 @cache
-def _wave_rule() -> Array:
-    """Return nodes from 0 to 1 and weights of a panel of wavenumbers."""
+def _frequency_rule() -> Array:
+    """Return nodes from 0 to 1 and weights of a panel of spatial frequencies."""
     node, weight = legendre.leggauss(16)
     return np.stack([(node + 1) / 2, weight / 2])

@@ -14,7 +14,12 @@ from numpy.polynomial import legendre
 from numpy.typing import ArrayLike, NDArray
 
 from amulor.optics.small_angle import _sharp_kernels as _kernels
-from amulor.optics.small_angle._columns import Column, overlap_of, response_of
+from amulor.optics.small_angle._columns import (
+    Arguments,
+    Column,
+    overlap_of,
+    response_of,
+)
 from amulor.optics.small_angle._depths import integral, panels
 from amulor.optics.small_angle._tables import PhaseFunction, Table, bessel, disc
 
@@ -58,7 +63,7 @@ def water_response(
     phase_function : callable
         Phase function [1/sr] of an array of angles from 0 to pi [rad], with an
         integral of 1 over the sphere. If it has a method
-        ``hankel(wavenumber, *, split_angle)``, this gives the transform of the
+        ``hankel(direction_frequency, *, split_angle)``, this gives the transform of the
         forward part, 1 at zero. What was worked out for it is kept for later
         calls, so it must not change.
     split_angle : float
@@ -126,7 +131,7 @@ def water_response(
     therefore taken out: its share is the area that two discs have in common. For
     the rest each Bessel function of a large argument is written as two waves with
     smooth factors, and waves that turn fast are integrated by the Legendre series
-    of their factors, so the cost does not grow with the range of wavenumbers.
+    of their factors, so the cost does not grow with the range of spatial frequencies.
 
     The error is below 1e-6 of the response at zero frequency for apertures from
     1 mm, acceptances from 5 mrad and baselines up to 0.3 m, as long as beam and view
@@ -152,13 +157,7 @@ def water_response(
     >>> print(f"{abs(response[1] / response[0]):.3f}")
     0.482
     """
-    return response_of(
-        _response,
-        modulation_frequency,
-        phase_function=phase_function,
-        split_angle=split_angle,
-        backscatter_vsf=backscatter_vsf,
-        group_index=group_index,
+    arguments = Arguments(
         absorption=absorption,
         scattering=scattering,
         baseline=baseline,
@@ -170,6 +169,15 @@ def water_response(
         cross_tilt=cross_tilt,
         standoff=standoff,
         end=end,
+    )
+    return response_of(
+        _response,
+        modulation_frequency,
+        arguments,
+        group_index=group_index,
+        phase_function=phase_function,
+        split_angle=split_angle,
+        backscatter_vsf=backscatter_vsf,
     )
 
 
@@ -236,11 +244,7 @@ def overlap(
     >>> print(f"{taken:.2e} sr")
     1.04e-05 sr
     """
-    return overlap_of(
-        _light,
-        depth,
-        phase_function=phase_function,
-        split_angle=split_angle,
+    arguments = Arguments(
         absorption=absorption,
         scattering=scattering,
         baseline=baseline,
@@ -252,17 +256,24 @@ def overlap(
         cross_tilt=cross_tilt,
         standoff=standoff,
     )
+    return overlap_of(
+        _light,
+        depth,
+        arguments,
+        phase_function=phase_function,
+        split_angle=split_angle,
+    )
 
 
 # ------------------------------------------------------------- one column of water
 
 
 def _response(
-    wavenumber: Array, column: Column, spread: Table
+    phase_per_depth: Array, column: Column, spread: Table
 ) -> NDArray[np.complex128]:
     """Return the integral of exp(i w z) F(z) over the column [m sr]."""
     thin = column.beam_radius == 0 and column.beam_divergence == 0
-    total = np.zeros(wavenumber.size, dtype=complex)
+    total = np.zeros(phase_per_depth.size, dtype=complex)
     known = 0.0
     if thin:
         edges, values, known = _panels(
@@ -271,7 +282,7 @@ def _response(
             loss=2 * (column.absorption + column.scattering),
             known=0.0,
         )
-        total += integral(wavenumber, edges, values)
+        total += integral(phase_per_depth, edges, values)
     if not thin or column.scattering > 0:
         edges, values, _ = _panels(
             partial(_collected, column=column, spread=spread),
@@ -279,7 +290,7 @@ def _response(
             loss=column.loss(spread),
             known=known,
         )
-        total += integral(wavenumber, edges, values)
+        total += integral(phase_per_depth, edges, values)
     return total
 
 
@@ -315,23 +326,21 @@ def _light(depth: Array, column: Column, spread: Table) -> Array:
 
 def _collected(depth: Array, column: Column, spread: Table) -> Array:
     """Return F(z), less the unscattered light where the beam is thin [sr]."""
-    row = np.array(
-        [
-            column.loss(spread),
-            2 * column.scattering * spread.fraction,
-            column.baseline,
-            column.tilt,
-            column.cross_tilt,
-            column.standoff,
-            spread.split,
-            column.receiver_radius,
-            column.acceptance_angle,
-            column.beam_radius**2,
-            column.beam_divergence**2,
-        ]
+    water = _kernels.Water(
+        loss=column.loss(spread),
+        forward=2 * column.scattering * spread.fraction,
+        split_angle=spread.split,
+        baseline=column.baseline,
+        tilt=column.tilt,
+        cross_tilt=column.cross_tilt,
+        standoff=column.standoff,
+        receiver_radius=column.receiver_radius,
+        acceptance_angle=column.acceptance_angle,
+        beam_radius_squared=column.beam_radius**2,
+        beam_divergence_squared=column.beam_divergence**2,
     )
     out = np.zeros(depth.size)
-    _kernels.collected(depth, row, spread.cells, bessel(), disc(), *_wave_rule(), out)
+    _kernels.collected(depth, water, _tables_of(spread), out)
     return np.pi * (column.receiver_radius * column.acceptance_angle) ** 2 * out
 
 
@@ -386,9 +395,17 @@ def _edges_of_view(column: Column) -> list[float]:
     return [path - column.standoff for path in found]
 
 
+def _tables_of(spread: Table) -> _kernels.Tables:
+    """Return the tables of a phase function with those that all of them share."""
+    rule, series = _frequency_rule()
+    return _kernels.Tables(
+        lost=spread.cells, bessel=bessel(), disc=disc(), rule=rule, series=series
+    )
+
+
 @cache
-def _wave_rule() -> tuple[Array, Array]:
-    """Return nodes and weights of a panel of wavenumbers, and its Legendre series."""
+def _frequency_rule() -> tuple[Array, Array]:
+    """Return nodes and weights of a panel of kappa, and its Legendre series."""
     node, weight = legendre.leggauss(_kernels.NODES)
     order = np.arange(node.size)
     series = (order + 0.5) * legendre.legvander(node, node.size - 1) * weight[:, None]

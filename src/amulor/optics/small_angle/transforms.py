@@ -1,11 +1,12 @@
 r"""Small-angle transport in Fourier space: what water, beam and receiver do to light.
 
 Light at a depth z has a place :math:`\boldsymbol\rho` across the axis and a small
-direction :math:`\mathbf n`; their conjugates are the wavenumbers
-:math:`\boldsymbol\kappa` [1/m] and :math:`\mathbf p` [1/rad], both along one axis
-here. Water multiplies by a transfer function. The way out and back of single
-backscatter goes through an equivalent medium with twice the coefficients, eqs. (21)
-and (23) of Ricci et al. 2010 [1]_, as rebuilt, so its transfer function is the square.
+direction :math:`\mathbf n`; their conjugates are the spatial
+frequency :math:`\boldsymbol\kappa` [1/m] and the frequency :math:`\mathbf p` of the
+direction [1/rad], both along one axis here. Water multiplies by a transfer function.
+The way out and back of single backscatter goes through an equivalent medium with twice
+the coefficients, eqs. (21) and (23) of Ricci et al. 2010 [1]_, as rebuilt, so its
+transfer function is the square.
 
 References
 ----------
@@ -23,7 +24,7 @@ import numpy as np
 from numpy.polynomial import legendre
 from numpy.typing import ArrayLike, NDArray
 
-from amulor.optics._bounds import not_negative, positive
+from amulor.optics._bounds import broadcast, finite, not_negative, positive
 from amulor.optics.phase_functions.integrals import gauss_legendre
 from amulor.optics.phase_functions.phase_function import PhaseFunction
 
@@ -36,14 +37,14 @@ __all__ = [
 
 Array = NDArray[np.float64]
 
-_PANEL = 8.0  # width of the first panels of the wavenumber times the split angle [1]
+_PANEL = 8.0  # width of the first panels of the frequency times the split angle [1]
 _EVEN_PANELS = 128  # of this width
 
 
 def layer_transfer(
-    position_wavenumber: ArrayLike,
+    spatial_frequency: ArrayLike,
     *,
-    angle_wavenumber: ArrayLike = 0.0,
+    direction_frequency: ArrayLike = 0.0,
     depth: ArrayLike,
     absorption: ArrayLike,
     scattering: ArrayLike,
@@ -52,15 +53,15 @@ def layer_transfer(
 ) -> Array:
     r"""Return what a layer of water does to one Fourier component of a beam.
 
-    At zero `angle_wavenumber` this is the modulation transfer function of the water:
+    At zero `direction_frequency` this is the modulation transfer function of the water:
     the contrast in which a pattern of stripes arrives, times the loss of light.
 
     Parameters
     ----------
-    position_wavenumber : array_like
-        Wavenumber kappa across the axis, 2 pi over a period [1/m].
-    angle_wavenumber : array_like
-        Component of the wavenumber p of the direction along the same axis [1/rad].
+    spatial_frequency : array_like
+        Spatial frequency kappa across the axis, 2 pi over a period [1/m].
+    direction_frequency : array_like
+        Conjugate p of the direction, along the same axis [1/rad].
     depth : array_like
         Thickness z of the layer, not negative [m].
     absorption : array_like
@@ -110,28 +111,33 @@ def layer_transfer(
     >>> print(np.round(contrast / contrast[0], 3))
     [1.    0.707 0.605]
     """
-    kappa, p, z, a, b = np.broadcast_arrays(
-        np.asarray(position_wavenumber, dtype=np.float64),
-        np.asarray(angle_wavenumber, dtype=np.float64),
-        not_negative(depth, name="depth", unit="m"),
-        not_negative(absorption, name="absorption", unit="1/m"),
-        not_negative(scattering, name="scattering", unit="1/m"),
+    kappa, p = _frequencies(spatial_frequency, direction_frequency)
+    z = not_negative(depth, name="depth", unit="m")
+    a = not_negative(absorption, name="absorption", unit="1/m")
+    b = not_negative(scattering, name="scattering", unit="1/m")
+    shape = broadcast(
+        spatial_frequency=kappa,
+        direction_frequency=p,
+        depth=z,
+        absorption=a,
+        scattering=b,
     )
-    share, _ = phase_function.forward_split(split_angle)
+    kappa, p, z = (np.broadcast_to(value, shape) for value in (kappa, p, z))
+    fraction, _ = phase_function.forward_split(split_angle)
 
-    def transform(wavenumber: Array) -> Array:
-        return phase_function.hankel(wavenumber, split_angle=split_angle)
+    def transform(frequency: Array) -> Array:
+        return phase_function.hankel(frequency, split_angle=split_angle)
 
     ends = p.ravel(), (p + kappa * z).ravel()
     mean = _mean_along(transform, *ends, split=float(split_angle))
-    exponent = -(a + b) * z + share * b * z * mean.reshape(z.shape)
+    exponent = -(a + b) * z + fraction * b * z * mean.reshape(z.shape)
     return np.asarray(np.exp(exponent))
 
 
 def diffusion_layer_transfer(
-    position_wavenumber: ArrayLike,
+    spatial_frequency: ArrayLike,
     *,
-    angle_wavenumber: ArrayLike = 0.0,
+    direction_frequency: ArrayLike = 0.0,
     depth: ArrayLike,
     absorption: ArrayLike,
     forward_scattering: ArrayLike,
@@ -142,7 +148,7 @@ def diffusion_layer_transfer(
 
     Parameters
     ----------
-    position_wavenumber, angle_wavenumber, depth, absorption : array_like
+    spatial_frequency, direction_frequency, depth, absorption : array_like
         As in `layer_transfer`.
     forward_scattering, diffuse_scattering : array_like
         Parts b_f and b_d of the scattering coefficient, not negative [1/m].
@@ -182,13 +188,21 @@ def diffusion_layer_transfer(
     >>> print(f"{contrast:.4f}")
     0.8396
     """
-    kappa = np.asarray(position_wavenumber, dtype=np.float64)
-    p = np.asarray(angle_wavenumber, dtype=np.float64)
+    kappa, p = _frequencies(spatial_frequency, direction_frequency)
     z = not_negative(depth, name="depth", unit="m")
     a = not_negative(absorption, name="absorption", unit="1/m")
     b_f = not_negative(forward_scattering, name="forward_scattering", unit="1/m")
     b_d = not_negative(diffuse_scattering, name="diffuse_scattering", unit="1/m")
     moment = not_negative(second_moment, name="second_moment", unit="rad^2")
+    broadcast(
+        spatial_frequency=kappa,
+        direction_frequency=p,
+        depth=z,
+        absorption=a,
+        forward_scattering=b_f,
+        diffuse_scattering=b_d,
+        second_moment=moment,
+    )
     spread = p**2 * z + p * kappa * z**2 + kappa**2 * z**3 / 3
     return np.asarray(np.exp(-(a + b_d) * z - b_f * moment / 4 * spread))
 
@@ -216,7 +230,7 @@ def receiver_sensitivity(
     Returns
     -------
     ndarray
-        Share between 0 and 1, of the broadcast shape [1].
+        Fraction between 0 and 1, of the broadcast shape [1].
 
     Raises
     ------
@@ -241,15 +255,16 @@ def receiver_sensitivity(
     """
     radius = positive(receiver_radius, name="receiver_radius", unit="m")
     gamma = positive(acceptance_angle, name="acceptance_angle", unit="rad")
-    rho = np.asarray(offset, dtype=np.float64)
-    n = np.asarray(angle, dtype=np.float64)
+    rho = finite(offset, name="offset", unit="m")
+    n = finite(angle, name="angle", unit="rad")
+    broadcast(offset=rho, angle=n, receiver_radius=radius, acceptance_angle=gamma)
     return np.asarray(np.exp(-((rho / radius) ** 2) - (n / gamma) ** 2))
 
 
 def effective_source_transform(
-    position_wavenumber: ArrayLike,
+    spatial_frequency: ArrayLike,
     *,
-    angle_wavenumber: ArrayLike,
+    direction_frequency: ArrayLike,
     baseline: ArrayLike,
     receiver_radius: ArrayLike,
     acceptance_angle: ArrayLike,
@@ -260,10 +275,10 @@ def effective_source_transform(
 
     Parameters
     ----------
-    position_wavenumber : array_like
-        Wavenumber kappa along the baseline [1/m].
-    angle_wavenumber : array_like
-        Wavenumber p of the direction along the baseline [1/rad].
+    spatial_frequency : array_like
+        Spatial frequency kappa along the baseline [1/m].
+    direction_frequency : array_like
+        Conjugate p of the direction along the baseline [1/rad].
     baseline : array_like
         Distance rho_0 of beam and receiver axis [m].
     receiver_radius, acceptance_angle : array_like
@@ -303,7 +318,7 @@ def effective_source_transform(
     Examples
     --------
     >>> etendue = effective_source_transform(
-    ...     0.0, angle_wavenumber=0.0, baseline=0.2, receiver_radius=0.02,
+    ...     0.0, direction_frequency=0.0, baseline=0.2, receiver_radius=0.02,
     ...     acceptance_angle=0.08,
     ... )
     >>> print(f"{etendue.real:.3e} m2 sr")
@@ -313,24 +328,44 @@ def effective_source_transform(
     gamma = positive(acceptance_angle, name="acceptance_angle", unit="rad")
     w = not_negative(beam_radius, name="beam_radius", unit="m")
     delta = not_negative(beam_divergence, name="beam_divergence", unit="rad")
-    kappa = np.asarray(position_wavenumber, dtype=np.float64)
-    p = np.asarray(angle_wavenumber, dtype=np.float64)
+    kappa, p = _frequencies(spatial_frequency, direction_frequency)
+    rho = finite(baseline, name="baseline", unit="m")
+    broadcast(
+        spatial_frequency=kappa,
+        direction_frequency=p,
+        baseline=rho,
+        receiver_radius=radius,
+        acceptance_angle=gamma,
+        beam_radius=w,
+        beam_divergence=delta,
+    )
     width = (radius**2 + w**2) * kappa**2 + (gamma**2 + delta**2) * p**2
-    phase = kappa * np.asarray(baseline, dtype=np.float64)
+    phase = kappa * rho
     etendue = (np.pi * radius * gamma) ** 2
     return np.asarray(etendue * np.exp(-width / 4 + 1j * phase))
+
+
+def _frequencies(
+    spatial_frequency: ArrayLike, direction_frequency: ArrayLike
+) -> tuple[Array, Array]:
+    """Return kappa and p, finite."""
+    return (
+        finite(spatial_frequency, name="spatial_frequency", unit="1/m"),
+        finite(direction_frequency, name="direction_frequency", unit="1/rad"),
+    )
 
 
 def _mean_along(
     transform: Callable[[Array], Array], first: Array, last: Array, *, split: float
 ) -> Array:
-    """Return means of the transform, which is even, between two wavenumbers."""
+    """Return means of the transform, which is even, between two frequencies."""
     ends = np.concatenate([first, last])
     below = np.sign(ends) * _integral(transform, np.abs(ends), split=split)
     start, stop = np.split(below, 2)
     width = last - first
     # Over short ways the difference loses digits, and the middle is as good.
     short = np.abs(width) <= 1e-6 * np.maximum(np.abs(first), np.abs(last))
+    short |= np.abs(width) * split <= 3e-5
     mean = (stop - start) / np.where(short, 1.0, width)
     if np.any(short):
         mean[short] = transform(np.abs(first + last)[short] / 2)
@@ -338,12 +373,12 @@ def _mean_along(
 
 
 def _integral(
-    transform: Callable[[Array], Array], wavenumber: Array, *, split: float
+    transform: Callable[[Array], Array], frequency: Array, *, split: float
 ) -> Array:
-    """Return the integral of the transform from 0 to each wavenumber."""
+    """Return the integral of the transform from 0 to each frequency."""
     # The end of the forward part at the split angle makes it oscillate with 2 pi /
     # split; first panels hold just over one oscillation, later ones half an octave.
-    largest = max(float(np.max(wavenumber, initial=0.0)), _PANEL / split)
+    largest = max(float(np.max(frequency, initial=0.0)), _PANEL / split)
     even = _PANEL / split * np.arange(_EVEN_PANELS + 1)
     octaves = max(0, int(np.ceil(2 * np.log2(largest / even[-1]))))
     edges = np.concatenate([even, even[-1] * 2 ** (np.arange(1, octaves + 1) / 2)])
@@ -355,8 +390,8 @@ def _integral(
     order = np.arange(node.size)
     series = value @ (legendre.legvander(node, 15) * weight[:, None] * (order + 0.5))
     sums = np.concatenate([[0.0], np.cumsum(2 * half[:, 0] * series[:, 0])])
-    panel = np.minimum(np.searchsorted(edges, wavenumber, side="right"), len(half)) - 1
-    place = (wavenumber - edges[panel]) / half[panel, 0] - 1
+    panel = np.minimum(np.searchsorted(edges, frequency, side="right"), len(half)) - 1
+    place = (frequency - edges[panel]) / half[panel, 0] - 1
     powers = legendre.legvander(place, 16)
     terms = np.empty((place.size, 16))
     terms[:, 0] = place + 1

@@ -2,65 +2,122 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+from typing import Any
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.constants import speed_of_light
 
+from amulor.optics import _bounds
 from amulor.optics._quadrature.rule import RULE
-from amulor.optics._small_angle_arguments import checked
+from amulor.optics._water_column import Receiver, checked, phase_per_depth
 from amulor.optics.small_angle_diffusion import _kernels
 
-__all__ = ["integral"]
+__all__ = ["Column", "integral"]
 
 # A column shorter than this holds nothing that a double can tell from 0 [m].
 _SMALLEST_LENGTH = 1e-250
 
 
-def integral(**arguments: ArrayLike) -> NDArray[np.complex128]:
-    """Return the integral of eq. (46) between start and end."""
-    f, a, b_f, b_d, moment, vsf, n_g, rho, radius, acceptance, *rest = checked(
-        **arguments
-    )
-    wavenumber = np.asarray(4 * np.pi / speed_of_light * f * n_g)
+@dataclass(frozen=True, kw_only=True)
+class Column(Receiver):
+    """Water in the diffusion form and the receiver it is seen by."""
+
+    absorption: Any
+    forward_scattering: Any
+    diffuse_scattering: Any
+    second_moment: Any
+
+    @property
+    def reduced_attenuation(self) -> Any:
+        """k', by which light is lost on one way [1/m]."""
+        return self.absorption + self.diffuse_scattering
+
+    @property
+    def spreading(self) -> Any:
+        """Factor of z^3 in S(z) of eq. (43) [1/m]."""
+        return 2 / 3 * self.forward_scattering * self.second_moment
+
+
+def integral(
+    column: Column,
+    *,
+    modulation_frequency: ArrayLike,
+    group_index: ArrayLike,
+    backscatter_vsf: ArrayLike,
+    start: ArrayLike,
+    end: ArrayLike,
+) -> NDArray[np.complex128]:
+    """Return beta_pi times the integral of eq. (46) between start and end."""
+    phases = phase_per_depth(modulation_frequency, group_index=group_index)
+    vsf = checked("backscatter_vsf", backscatter_vsf)
+    # Both limits are what the caller knows as the end of the water.
+    start, end = checked("end", start), checked("end", end)
+    try:
+        return _integral(column, phases, vsf, start, end)
+    except ValueError:
+        # Says by name what does not broadcast, if that is the reason.
+        _bounds.broadcast(
+            modulation_frequency=phases,
+            **column.named(),
+            backscatter_vsf=vsf,
+            end=end if np.ndim(end) else start,
+        )
+        raise
+
+
+def _integral(
+    column: Column, phase_per_depth: NDArray[np.float64], vsf: Any, start: Any, end: Any
+) -> NDArray[np.complex128]:
+    radius, acceptance = column.receiver_radius, column.acceptance_angle
     factor = np.pi * vsf * (radius * acceptance) ** 2
-    *rest, start, end = rest
-    columns = [a + b_d, 2 / 3 * b_f * moment, rho, radius, acceptance, *rest]
-    columns += [limit * (limit > _SMALLEST_LENGTH) for limit in (start, end)]
-    if all(isinstance(column, float) for column in columns):
-        result = _integrals(np.array([columns]), wavenumber.reshape(1, -1))
-        return np.asarray(factor * result.reshape(wavenumber.shape))
-    inner = np.broadcast_shapes(*(np.shape(column) for column in columns))
-    geometry = np.empty((*inner, len(columns)))
-    for i, column in enumerate(columns):
-        geometry[..., i] = column
-    rows = geometry.reshape(-1, len(columns))
+    geometry = _kernels.Geometry(
+        reduced_attenuation=column.reduced_attenuation,
+        spreading=column.spreading,
+        baseline=column.baseline,
+        receiver_radius=radius,
+        acceptance_angle=acceptance,
+        tilt=column.tilt,
+        cross_tilt=column.cross_tilt,
+        standoff=column.standoff,
+        start=start * (start > _SMALLEST_LENGTH),
+        end=end * (end > _SMALLEST_LENGTH),
+    )
+    if set(map(type, geometry)) == {float}:
+        result = _integrals(np.array([geometry]), phase_per_depth.reshape(1, -1))
+        return np.asarray(factor * result.reshape(phase_per_depth.shape))
+    inner = np.broadcast_shapes(*(np.shape(value) for value in geometry))
+    table = np.empty((*inner, len(geometry)))
+    for i, value in enumerate(geometry):
+        table[..., i] = value
+    rows = table.reshape(-1, len(geometry))
     # Axes along which the water changes come first; along the others a column is
     # laid out in panels once for all frequencies.
-    shape = np.broadcast_shapes(wavenumber.shape, inner)
+    shape = np.broadcast_shapes(phase_per_depth.shape, inner)
     inner = (1,) * (len(shape) - len(inner)) + inner
     first = [axis for axis, size in enumerate(inner) if size != 1]
     axes = first + [axis for axis, size in enumerate(inner) if size == 1]
-    outer = (1,) * (len(shape) - wavenumber.ndim) + wavenumber.shape
+    outer = (1,) * (len(shape) - phase_per_depth.ndim) + phase_per_depth.shape
     if any(outer[axis] != 1 for axis in first):
-        table = np.broadcast_to(wavenumber, shape).transpose(axes)
-        table = table.reshape(len(rows), -1)
+        phases = np.broadcast_to(phase_per_depth, shape).transpose(axes)
+        phases = phases.reshape(len(rows), -1)
     else:
-        table = wavenumber.reshape(outer).transpose(axes).reshape(1, -1)
-    result = _integrals(rows, table).reshape([shape[axis] for axis in axes])
+        phases = phase_per_depth.reshape(outer).transpose(axes).reshape(1, -1)
+    result = _integrals(rows, phases).reshape([shape[axis] for axis in axes])
     return np.asarray(factor * result.transpose(np.argsort(axes)))
 
 
 def _integrals(
-    rows: NDArray[np.float64], wavenumber: NDArray[np.float64]
+    rows: NDArray[np.float64], phase_per_depth: NDArray[np.float64]
 ) -> NDArray[np.complex128]:
-    """Return the integrals of the kernel, for wavenumbers in any order."""
-    out = np.empty((len(rows), wavenumber.shape[1]), dtype=complex)
+    """Return the integrals of the kernel, for frequencies in any order."""
+    out = np.empty((len(rows), phase_per_depth.shape[1]), dtype=complex)
     # Copied, since a view may be read-only, for which the kernel is compiled again.
-    table = np.array(wavenumber, order="C")
-    unresolved = _kernels.water_column(rows, table, RULE, out)
+    phases = np.array(phase_per_depth, order="C")
+    unresolved = _kernels.water_column(rows, phases, RULE, out)
     if unresolved < 0:
-        order = np.argsort(wavenumber, axis=1)
-        rising = np.take_along_axis(wavenumber, order, axis=1)
+        order = np.argsort(phase_per_depth, axis=1)
+        rising = np.take_along_axis(phase_per_depth, order, axis=1)
         back = np.argsort(order, axis=1)
         return np.take_along_axis(_integrals(rows, rising), back, axis=1)
     if unresolved > 0:

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from amulor.optics._quadrature.kernels import ORDER, add_panel, expand
+from amulor.optics._quadrature.kernels import ORDER, Panel, add_panel, expand
 
 __all__ = ["water_column"]
 
@@ -28,9 +29,62 @@ _LN2_2 = float.fromhex("0x1.cf79abc9e3b3ap-40")
 _WHOLE = 1.5 * 2.0**52  # added to a whole number, leaves it in the low bits
 _EXP = tuple(1.0 / math.factorial(i) for i in range(14))
 
-# A row of water holds, in this order: 2 k' [1/m], (2/3) b_f <theta^2> [1/m], radius
-# squared [m^2], acceptance squared [1], tilt squared [1], depth where beam and axis
-# are nearest [m], their distance there squared [m^2], standoff, start, limit [m].
+
+class Geometry(NamedTuple):
+    """One column of water and its instrument, as a row of a table holds them.
+
+    The row has the values in the order of these fields, here and in `_columns`.
+    """
+
+    reduced_attenuation: float
+    """k' = a + b_d [1/m]."""
+    spreading: float
+    """Factor (2/3) b_f <theta^2> of z^3 in S(z) [1/m]."""
+    baseline: float
+    """rho_0 [m]."""
+    receiver_radius: float
+    """R [m]."""
+    acceptance_angle: float
+    """gamma [rad]."""
+    tilt: float
+    """n_0 along the baseline [rad]."""
+    cross_tilt: float
+    """n_0 across it [rad]."""
+    standoff: float
+    """zeta - z [m]."""
+    start: float
+    """Where the integral begins [m]."""
+    end: float
+    """Where it ends [m]."""
+
+
+class Column(NamedTuple):
+    """The same as the integrand of eq. (46) takes it, with zeta = z + standoff.
+
+    S(z) = aperture + acceptance zeta^2 + spreading z^3, and the squared distance of
+    beam and receiver axis is closest + slant (z - nearest)^2.
+    """
+
+    loss: float
+    """2 k' [1/m]."""
+    spreading: float
+    """Factor (2/3) b_f <theta^2> of z^3 in S(z) [1/m]."""
+    aperture: float
+    """R^2 [m^2]."""
+    acceptance: float
+    """gamma^2 [1]."""
+    slant: float
+    """Squared inclination |n_0|^2 of the beam [1]."""
+    nearest: float
+    """Depth z at which beam and receiver axis are nearest [m]."""
+    closest: float
+    """Their squared distance there [m^2]."""
+    standoff: float
+    """zeta - z [m]."""
+    start: float
+    """Where the integral begins [m]."""
+    end: float
+    """Where nothing is left to add [m]."""
 
 
 @numba.njit(cache=True, error_model="numpy", fastmath={"contract"})
@@ -49,95 +103,125 @@ def _exponential(x: float) -> tuple[float, float]:
 
 
 @numba.njit(cache=True, error_model="numpy", fastmath={"contract"})
-def _area(z: float, row: Array) -> float:
+def _area(z: float, column: Column) -> float:
     """Return S(z) of eq. (43)."""
-    u = z + row[7]
-    return float(row[2] + row[3] * u * u + row[1] * z * z * z)
+    u = z + column.standoff
+    return float(
+        column.aperture + column.acceptance * u * u + column.spreading * z * z * z
+    )
 
 
 @numba.njit(cache=True, error_model="numpy", fastmath={"contract"})
-def _offset(z: float, row: Array) -> float:
+def _offset(z: float, column: Column) -> float:
     """Return the squared distance between beam and receiver axis."""
-    u = z - row[5]
-    return float(row[6] + row[4] * u * u)
+    u = z - column.nearest
+    return float(column.closest + column.slant * u * u)
 
 
 @numba.njit(cache=True, error_model="numpy")
-def _level(z: float, row: Array) -> float:
+def _level(z: float, column: Column) -> float:
     """Return the logarithm of F(z), without its constant factor."""
-    area = _area(z, row)
-    return float(-row[0] * z - _offset(z, row) / area - np.log(area))
+    area = _area(z, column)
+    return float(-column.loss * z - _offset(z, column) / area - np.log(area))
 
 
 @numba.njit(cache=True, error_model="numpy")
-def _slope(z: float, row: Array) -> float:
+def _slope(z: float, column: Column) -> float:
     """Return the derivative of the logarithm of F(z)."""
-    area = _area(z, row)
-    growth = (2.0 * row[3] * (z + row[7]) + 3.0 * row[1] * z * z) / area
-    turn = 2.0 * row[4] * (z - row[5])
-    return float(-row[0] - growth - (turn - _offset(z, row) * growth) / area)
+    area = _area(z, column)
+    growth = (
+        2.0 * column.acceptance * (z + column.standoff) + 3.0 * column.spreading * z * z
+    ) / area
+    turn = 2.0 * column.slant * (z - column.nearest)
+    return float(-column.loss - growth - (turn - _offset(z, column) * growth) / area)
 
 
 @numba.njit(cache=True, error_model="numpy")
-def _scale(area: float, row: Array) -> float:
+def _scale(area: float, column: Column) -> float:
     """Return about the distance over which S(z) doubles."""
-    scale = np.sqrt(area / row[3])
-    if row[1] > 0.0:
-        scale = min(scale, np.cbrt(area / row[1]))
+    scale = np.sqrt(area / column.acceptance)
+    if column.spreading > 0.0:
+        scale = min(scale, np.cbrt(area / column.spreading))
     return float(scale)
 
 
 @numba.njit(cache=True, error_model="numpy")
-def _bound(a: float, b: float, row: Array) -> float:
+def _bound(a: float, b: float, column: Column) -> float:
     """Return the most that the exponent of F(z) can be between a and b."""
-    offset = row[6]
-    if not a < row[5] < b:
-        offset = min(_offset(a, row), _offset(b, row))
-    return float(-row[0] * a - offset / _area(b, row))
+    offset = column.closest
+    if not a < column.nearest < b:
+        offset = min(_offset(a, column), _offset(b, column))
+    return float(-column.loss * a - offset / _area(b, column))
 
 
 @numba.njit(cache=True, error_model="numpy")
-def _prepare(geometry: Array, row: Array) -> None:
-    """Fill a row of water from a row of k', spread and the lengths and angles."""
-    row[0] = 2.0 * geometry[0]
-    row[1] = geometry[1]
-    row[2] = geometry[3] ** 2
-    row[3] = geometry[4] ** 2
-    row[4] = geometry[5] ** 2 + geometry[6] ** 2
-    row[7] = geometry[7]
-    row[8] = geometry[8]
-    reach = _scale(_area(0.0, row), row) + row[7] + row[8]
-    if row[4] > 1e-200:
-        row[5] = geometry[2] * (geometry[5] / row[4]) - row[7]
-        row[6] = (geometry[2] * geometry[6]) ** 2 / row[4]
-        reach += abs(row[5])
-        if row[1] > 0.0:
-            reach += row[4] / row[1]
+def _geometry(row: Array) -> Geometry:
+    """Return a row by the names of its values."""
+    return Geometry(
+        row[0], row[1], row[2], row[3], row[4], row[5], row[6], row[7], row[8], row[9]
+    )
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _prepare(geometry: Geometry) -> Column:
+    """Return what the integrand needs, and cut off depths that add nothing."""
+    column = Column(
+        2.0 * geometry.reduced_attenuation,
+        geometry.spreading,
+        geometry.receiver_radius**2,
+        geometry.acceptance_angle**2,
+        geometry.tilt**2 + geometry.cross_tilt**2,
+        0.0,
+        0.0,
+        geometry.standoff,
+        geometry.start,
+        geometry.end,
+    )
+    loss, spreading, slant = column.loss, column.spreading, column.slant
+    reach = _scale(_area(0.0, column), column) + column.standoff + column.start
+    if slant > 1e-200:
+        nearest = geometry.baseline * (geometry.tilt / slant) - column.standoff
+        closest = (geometry.baseline * geometry.cross_tilt) ** 2 / slant
+        reach += abs(nearest)
+        if spreading > 0.0:
+            reach += slant / spreading
     else:
-        row[4] = 0.0
-        row[5] = 0.0
-        row[6] = geometry[2] ** 2
+        slant = 0.0
+        nearest = 0.0
+        closest = geometry.baseline**2
     # Beyond these depths the rest is below rounding, or below the smallest number.
-    row[9] = min(geometry[9], 1e17 * reach)
-    if row[0] > 0.0:
-        row[9] = min(row[9], 800.0 / row[0])
+    end = min(column.end, 1e17 * reach)
+    if loss > 0.0:
+        end = min(end, 800.0 / loss)
+    return Column(
+        loss,
+        spreading,
+        column.aperture,
+        column.acceptance,
+        slant,
+        nearest,
+        closest,
+        column.standoff,
+        column.start,
+        end,
+    )
 
 
 @numba.njit(cache=True, error_model="numpy")
-def _break_points(row: Array, z_break: Array) -> tuple[int, float, float]:
+def _break_points(column: Column, z_break: Array) -> tuple[int, float, float]:
     """Fill z_break; return how many, where F(z) is largest and about how broad.
 
     Return -1 for how many if there is no room for them.
     """
-    limit = row[9]
-    z, before, slope_before = row[8], row[8], -1.0
+    limit, loss, nearest = column.end, column.loss, column.nearest
+    z, before, slope_before = column.start, column.start, -1.0
     peak, width, highest = z, 0.0, -np.inf
     count = 0
     while z <= limit and count < z_break.size - 5:
-        area = _area(z, row)
-        scale = _scale(area, row)
-        slope = _slope(z, row)
-        level = _level(z, row)
+        area = _area(z, column)
+        scale = _scale(area, column)
+        slope = _slope(z, column)
+        level = _level(z, column)
         if level > highest:
             peak, highest = z, level
             width = min(scale, 1.0 / (abs(slope) + 1e-300))
@@ -145,14 +229,14 @@ def _break_points(row: Array, z_break: Array) -> tuple[int, float, float]:
             low, high, rise, fall = before, z, slope_before, slope
             for _ in range(_HALVINGS):
                 middle = 0.5 * (low + high)
-                change = _slope(middle, row)
+                change = _slope(middle, column)
                 if change > 0.0:
                     low, rise = middle, change
                 else:
                     high, fall = middle, change
             top = 0.5 * (low + high)
             sigma = np.sqrt((high - low) / (rise - fall))
-            level = _level(top, row)
+            level = _level(top, column)
             if level > highest:
                 peak, highest, width = top, level, min(2.5 * sigma, scale)
             for factor in (-9.0, -4.0, 4.0, 9.0):
@@ -163,26 +247,27 @@ def _break_points(row: Array, z_break: Array) -> tuple[int, float, float]:
         z_break[count] = z
         count += 1
         # All that follows is at most this: the offset left out, S and depth growing.
-        rest = np.log(min(1.6 * scale, 1.0 / (row[0] + 1e-300)) / area) - row[0] * z
-        if z >= limit or row[0] * z > 745.0 or rest < highest + np.log(width) - 40.0:
+        rest = np.log(min(1.6 * scale, 1.0 / (loss + 1e-300)) / area) - loss * z
+        if z >= limit or loss * z > 745.0 or rest < highest + np.log(width) - 40.0:
             break
         step = scale
-        if row[0] > 0.0:
-            step = min(step, 30.0 / row[0])
+        if loss > 0.0:
+            step = min(step, 30.0 / loss)
         before, slope_before = z, slope
         z += step
-        nearest = row[5]
-        if before < nearest <= z and _area(nearest, row) < 0.25 * row[4] * step * step:
+        # A beam that crosses the axis quickly is not stepped over.
+        narrow = _area(nearest, column) < 0.25 * column.slant * step * step
+        if before < nearest <= z and narrow:
             z = nearest
         if z > limit - 0.1 * step:
             z = limit
     if count >= z_break.size - 5:
         return -1, peak, width
     above = min(width, limit - peak)
-    while _level(peak + above, row) < highest - 1.0:
+    while _level(peak + above, column) < highest - 1.0:
         above *= 0.5
-    below = min(width, peak - row[8])
-    while _level(peak - below, row) < highest - 1.0:
+    below = min(width, peak - column.start)
+    while _level(peak - below, column) < highest - 1.0:
         below *= 0.5
     return count, peak, below + above
 
@@ -192,25 +277,28 @@ def _sample(
     centre: float,
     half: float,
     peak: float,
-    row: Array,
+    column: Column,
     rule: Array,
     work: Array,
     bits: NDArray[np.int64],
 ) -> None:
     """Fill work[0], work[1] with the even and odd part of F(z) over its peak."""
-    rate, spread, radius, acceptance = row[0], row[1], row[2], row[3]
-    turn, least, standoff = row[4], row[6], row[7]
-    area_peak = _area(peak, row)
-    tilted = _offset(peak, row) / area_peak
-    from_peak, from_nearest = centre - peak, centre - row[5]
+    loss, spreading, slant = column.loss, column.spreading, column.slant
+    aperture, acceptance = column.aperture, column.acceptance
+    closest, standoff = column.closest, column.standoff
+    area_peak = _area(peak, column)
+    tilted = _offset(peak, column) / area_peak
+    from_peak, from_nearest = centre - peak, centre - column.nearest
     for side in range(2):
         for i in range(ORDER):
             x = half * rule[4, side, i]
             z = centre + x
             u = z + standoff
-            area = radius + acceptance * u * u + spread * z * z * z
+            area = aperture + acceptance * u * u + spreading * z * z * z
             d = from_nearest + x
-            exponent = tilted - (least + turn * d * d) / area - rate * (from_peak + x)
+            exponent = (
+                tilted - (closest + slant * d * d) / area - loss * (from_peak + x)
+            )
             value, power = _exponential(min(max(exponent, -708.0), 700.0))
             work[2, i] = value * (area_peak / area)
             work[3, i] = power + _WHOLE
@@ -226,7 +314,7 @@ def _sample(
 
 @numba.njit(cache=True, error_model="numpy")
 def _unresolved(
-    a: float, b: float, peak: float, row: Array, rule: Array, work: Array
+    a: float, b: float, peak: float, column: Column, rule: Array, work: Array
 ) -> float:
     """Return how far the polynomials in work[4:6] miss F(z) between a and b."""
     n = ORDER - 1
@@ -236,16 +324,21 @@ def _unresolved(
     for i in range(ORDER):
         even += work[0, i] * rule[4, 2, i]
         odd += work[1, i] * rule[4, 3, i]
-    top = _level(peak, row)
-    at_a = abs(even - odd - np.exp(_level(a, row) - top))
-    at_b = abs(even + odd - np.exp(_level(b, row) - top))
+    top = _level(peak, column)
+    at_a = abs(even - odd - np.exp(_level(a, column) - top))
+    at_b = abs(even + odd - np.exp(_level(b, column) - top))
     # The ends lie outside the nodes, where the polynomials miss by much more.
     return float(max(rest, max(at_a, at_b) / 30.0))
 
 
 @numba.njit(cache=True, error_model="numpy")
 def _add_column(
-    row: Array, wavenumber: Array, rule: Array, work: Array, turn: Array, sums: Array
+    column: Column,
+    phase_per_depth: Array,
+    rule: Array,
+    work: Array,
+    turn: Array,
+    sums: Array,
 ) -> float:
     """Add the integral of exp(i w z) F(z) / max F to sums, for rising w.
 
@@ -254,14 +347,14 @@ def _add_column(
     z_break = np.empty(_CAPACITY)
     waiting = np.empty((_CAPACITY, 2))
     bits = work.view(np.int64)
-    count, peak, width = _break_points(row, z_break)
+    count, peak, width = _break_points(column, z_break)
     if count < 0:
         return np.nan
     if count < 2:
         return 0.0
-    top = _level(peak, row)
-    dip = _offset(peak, row) / _area(peak, row)
-    if -row[0] * peak - dip < _DARK:
+    top = _level(peak, column)
+    dip = _offset(peak, column) / _area(peak, column)
+    if -column.loss * peak - dip < _DARK:
         return 0.0
     rounding = _ROUNDING * (1.0 + 0.1 * dip)
     for j in range(count - 1):
@@ -272,10 +365,10 @@ def _add_column(
             a, b = waiting[left, 0], waiting[left, 1]
             half = 0.5 * (b - a)
             centre = a + half
-            most = np.exp(_bound(a, b, row) - np.log(_area(a, row)) - top)
+            most = np.exp(_bound(a, b, column) - np.log(_area(a, column)) - top)
             if most * (b - a) < _NEGLIGIBLE * width:
                 continue
-            _sample(centre, half, peak, row, rule, work, bits)
+            _sample(centre, half, peak, column, rule, work, bits)
             expand(work[0], rule[0], work[4])
             expand(work[1], rule[1], work[5])
             largest = 0.0
@@ -284,54 +377,48 @@ def _add_column(
             if largest > 1e9:
                 return np.nan  # a maximum was missed, and with it the scale
             allowed = max(_UNRESOLVED * width / half, rounding * largest)
-            if not _unresolved(a, b, peak, row, rule, work) <= allowed:
+            if not _unresolved(a, b, peak, column, rule, work) <= allowed:
                 if left + 2 > _CAPACITY or half < 1e-12 * centre:
                     return np.nan
                 waiting[left, 0], waiting[left, 1] = centre, b
                 waiting[left + 1, 0], waiting[left + 1, 1] = a, centre
                 left += 2
                 continue
-            add_panel(
-                half,
-                centre,
-                work[0],
-                work[1],
-                wavenumber,
-                rule,
-                work[4:],
-                turn,
-                sums,
-            )
+            panel = Panel(half, centre, work[0], work[1])
+            add_panel(panel, phase_per_depth, rule, work[4:], turn, sums)
     return float(np.exp(top))
 
 
 @numba.njit(cache=True, error_model="numpy")
 def water_column(
-    geometry: Array, wavenumber: Array, rule: Array, out: NDArray[np.complex128]
+    geometry: Array, phase_per_depth: Array, rule: Array, out: NDArray[np.complex128]
 ) -> int:
     """Fill out[g, f] with the integral of exp(i w z) F(z) / (pi R^2 gamma^2).
 
-    A row of geometry holds k', (2/3) b_f <theta^2>, baseline, radius, acceptance,
-    tilt, cross tilt, standoff, start and end; wavenumber has one row for all of
-    them or one for each. Returns how many could not be resolved, or -1 if there is
-    a row of wavenumbers that falls.
+    A row of geometry holds the fields of `Geometry` in their order; phase_per_depth,
+    w = 2 omega n_g / c [rad/m], has one row for all of them or one for each. Returns
+    how many could not be resolved, or -1 if there is a row of w that falls.
+
+    Eq. (46) without its constant factor, docs/theory/water-signal.md: F(z) is written
+    as Legendre series in panels, each integrated with exp(i w z) in closed form.
+    Compiled, as panels are halved one by one where F(z) asks for it, and a scan or
+    a design has thousands of columns.
     """
-    size = wavenumber.shape[1]
-    for g in range(wavenumber.shape[0]):
+    size = phase_per_depth.shape[1]
+    for g in range(phase_per_depth.shape[0]):
         for f in range(1, size):
-            if wavenumber[g, f] < wavenumber[g, f - 1]:
+            if phase_per_depth[g, f] < phase_per_depth[g, f - 1]:
                 return -1
     sums = np.empty((2, size))
     turn = np.empty((2, size))
     work = np.empty((6, ORDER))
-    row = np.empty(10)
     unresolved = 0
     for g in range(geometry.shape[0]):
         for f in range(size):
             sums[0, f] = sums[1, f] = 0.0
-        rising = wavenumber[min(g, wavenumber.shape[0] - 1)]
-        _prepare(geometry[g], row)
-        factor = _add_column(row, rising, rule, work, turn, sums)
+        rising = phase_per_depth[min(g, phase_per_depth.shape[0] - 1)]
+        column = _prepare(_geometry(geometry[g]))
+        factor = _add_column(column, rising, rule, work, turn, sums)
         for f in range(size):
             out[g, f] = complex(factor * sums[0, f], factor * sums[1, f])
         if math.isnan(factor):

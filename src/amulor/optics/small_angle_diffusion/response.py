@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.constants import speed_of_light
 
-from amulor.optics._small_angle_arguments import checked
-from amulor.optics.small_angle_diffusion._columns import integral
+from amulor.optics._bounds import broadcast, require
+from amulor.optics._water_column import checked
+from amulor.optics.small_angle_diffusion._columns import Column, integral
 
 __all__ = ["narrow_receiver_response", "overlap", "water_response", "water_tail"]
 
@@ -125,20 +128,23 @@ def water_response(
     >>> print(f"{abs(response[1] / response[0]):.3f}")
     0.707
     """
-    return integral(
-        modulation_frequency=modulation_frequency,
+    column = Column(
         absorption=absorption,
         forward_scattering=forward_scattering,
         diffuse_scattering=diffuse_scattering,
         second_moment=second_moment,
-        backscatter_vsf=backscatter_vsf,
-        group_index=group_index,
         baseline=baseline,
         receiver_radius=receiver_radius,
         acceptance_angle=acceptance_angle,
         tilt=tilt,
         cross_tilt=cross_tilt,
         standoff=standoff,
+    )
+    return integral(
+        column,
+        modulation_frequency=modulation_frequency,
+        group_index=group_index,
+        backscatter_vsf=backscatter_vsf,
         start=0.0,
         end=end,
     )
@@ -205,8 +211,8 @@ def overlap(
     >>> print(f"{taken:.2e} sr")
     4.52e-05 sr
     """
-    z, a, b_f, b_d, moment, rho, radius, acceptance, along, across, front = checked(
-        depth=depth,
+    z = checked("depth", depth)
+    column = Column(
         absorption=absorption,
         forward_scattering=forward_scattering,
         diffuse_scattering=diffuse_scattering,
@@ -218,11 +224,24 @@ def overlap(
         cross_tilt=cross_tilt,
         standoff=standoff,
     )
-    path = z + front
-    area = radius**2 + (acceptance * path) ** 2 + 2 / 3 * b_f * moment * z**3
-    offset = (rho - along * path) ** 2 + (across * path) ** 2
-    loss = 2 * (a + b_d) * z + offset / area
-    return np.asarray(np.pi * (radius * acceptance) ** 2 / area * np.exp(-loss))
+    try:
+        return _overlap(z, column)
+    except ValueError:
+        # Says by name what does not broadcast, if that is the reason.
+        broadcast(depth=z, **column.named())
+        raise
+
+
+def _overlap(z: Any, column: Column) -> NDArray[np.float64]:
+    """Return F(z) of eq. (43)."""
+    path = z + column.standoff
+    area = column.receiver_radius**2 + (column.acceptance_angle * path) ** 2
+    area = area + column.spreading * z**3
+    offset = (column.baseline - column.tilt * path) ** 2
+    offset = offset + (column.cross_tilt * path) ** 2
+    loss = 2 * column.reduced_attenuation * z + offset / area
+    etendue = np.pi * (column.receiver_radius * column.acceptance_angle) ** 2
+    return np.asarray(etendue / area * np.exp(-loss))
 
 
 def water_tail(
@@ -291,20 +310,23 @@ def water_tail(
     >>> print(f"{share.real:.3f}")
     0.069
     """
-    return integral(
-        modulation_frequency=modulation_frequency,
+    column = Column(
         absorption=absorption,
         forward_scattering=forward_scattering,
         diffuse_scattering=diffuse_scattering,
         second_moment=second_moment,
-        backscatter_vsf=backscatter_vsf,
-        group_index=group_index,
         baseline=baseline,
         receiver_radius=receiver_radius,
         acceptance_angle=acceptance_angle,
         tilt=tilt,
         cross_tilt=cross_tilt,
         standoff=standoff,
+    )
+    return integral(
+        column,
+        modulation_frequency=modulation_frequency,
+        group_index=group_index,
+        backscatter_vsf=backscatter_vsf,
         start=end,
         end=np.inf,
     )
@@ -368,19 +390,28 @@ def narrow_receiver_response(
     >>> print(f"{abs(response[1] / response[0]):.3f}")
     0.707
     """
-    f, a, b_d, vsf, n_g, acceptance = checked(
-        modulation_frequency=modulation_frequency,
-        absorption=absorption,
-        diffuse_scattering=diffuse_scattering,
-        backscatter_vsf=backscatter_vsf,
-        group_index=group_index,
-        acceptance_angle=acceptance_angle,
+    f = checked("modulation_frequency", modulation_frequency)
+    n_g = checked("group_index", group_index)
+    a = checked("absorption", absorption)
+    b_d = checked("diffuse_scattering", diffuse_scattering)
+    vsf = checked("backscatter_vsf", backscatter_vsf)
+    acceptance = checked("acceptance_angle", acceptance_angle)
+    broadcast(
+        modulation_frequency=f,
+        group_index=n_g,
+        absorption=a,
+        diffuse_scattering=b_d,
+        backscatter_vsf=vsf,
+        acceptance_angle=acceptance,
     )
     loss = np.asarray(a + b_d)
-    if not np.all(loss > 0):
-        raise ValueError(
-            "absorption + diffuse_scattering must be above 0 1/m for this limit, "
-            f"got {loss.min():g} 1/m"
-        )
+    require(
+        loss,
+        loss > 0,
+        name="absorption + diffuse_scattering",
+        rule="above 0",
+        unit="1/m",
+        hint="this limit needs a loss",
+    )
     rate = loss - 2j * np.pi / speed_of_light * f * n_g
     return np.asarray(np.pi / 2 * vsf * acceptance**2 / rate)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from amulor.optics._bounds import not_negative
+from amulor.optics._bounds import broadcast, measured, not_negative, require
 
 __all__ = ["optical_thickness", "single_scattering_albedo", "transmission"]
 
@@ -88,10 +88,9 @@ def optical_thickness(
     >>> print(f"{optical_thickness(3.9, attenuation=0.5):.2f}")
     1.95
     """
-    path = np.asarray(distance, dtype=np.float64)
-    if np.any(path < 0):
-        raise ValueError(f"distance must not be negative, got {np.nanmin(path):g} m")
+    path = measured(distance, name="distance", unit="m")
     coefficient = not_negative(attenuation, name="attenuation", unit="1/m")
+    broadcast(distance=path, attenuation=coefficient)
     return path * coefficient
 
 
@@ -125,10 +124,14 @@ def single_scattering_albedo(
     """
     absorbed = not_negative(absorption, name="absorption", unit="1/m")
     scattered = not_negative(scattering, name="scattering", unit="1/m")
+    broadcast(absorption=absorbed, scattering=scattered)
     attenuation = absorbed + scattered
-    if np.any(attenuation == 0):
-        raise ValueError(
-            "single_scattering_albedo needs absorption + scattering above 0 1/m, "
-            "got a water with both at 0 1/m"
-        )
+    require(
+        attenuation,
+        attenuation > 0,
+        name="absorption + scattering",
+        rule="above 0",
+        unit="1/m",
+        hint="without either there is nothing to compare",
+    )
     return scattered / attenuation

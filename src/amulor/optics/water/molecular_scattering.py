@@ -23,7 +23,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.constants import Avogadro, Boltzmann
 
-from amulor.optics._bounds import within
+from amulor.optics._bounds import broadcast, checked_angle, within
 from amulor.optics.water import _quan_fry
 
 __all__ = [
@@ -184,7 +184,9 @@ def molecular_vsf(
     4.50e-04 1/(m sr)
     """
     direction = _pattern(angle)
-    return direction * _vsf_at_90(wavelength, temperature, salinity)
+    at_90 = _vsf_at_90(wavelength, temperature, salinity)
+    broadcast(angle=direction, wavelength=at_90)
+    return direction * at_90
 
 
 def molecular_phase_function(angle: ArrayLike) -> NDArray[np.float64]:
@@ -260,7 +262,7 @@ def morel_scattering(wavelength: ArrayLike) -> NDArray[np.float64]:
 def _pattern(angle: ArrayLike) -> _Array:
     """Return the volume scattering function over that at 90 degrees."""
     delta = DEPOLARIZATION_RATIO
-    theta = within(angle, 0, np.pi, name="angle", unit="rad")
+    theta = checked_angle(angle, name="angle")
     return np.asarray(1 + (1 - delta) / (1 + delta) * np.cos(theta) ** 2)
 
 
@@ -269,6 +271,7 @@ def _vsf_at_90(
 ) -> _Array:
     vacuum = within(wavelength, 300e-9, 700e-9, name="wavelength", unit="m")
     t, s = _quan_fry.state(temperature, salinity)
+    broadcast(wavelength=vacuum, temperature=t, salinity=s)
     air = _air_index(vacuum)
     n = air * _quan_fry.index(vacuum, temperature=t, salinity=s)
     per_salinity = air * _quan_fry.salinity_slope(vacuum, temperature=t)

@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from amulor.optics import _tables
-from amulor.optics._bounds import within
+from amulor.optics._bounds import broadcast, within
 from amulor.optics.water import _quan_fry
 
 __all__ = ["mason_absorption", "mason_absorption_uncertainty", "pope_fry_absorption"]
@@ -169,5 +169,6 @@ def _mason(
     grid = table[:, 0] * 1e-9
     inside = within(wavelength, grid[0], grid[-1], name="wavelength", unit="m")
     degrees, salt = _quan_fry.state(temperature, salinity)
+    broadcast(wavelength=inside, temperature=degrees, salinity=salt)
     columns = [np.interp(inside, grid, column) for column in table.T[1:]]
     return columns, degrees - 20, salt

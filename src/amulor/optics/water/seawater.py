@@ -24,7 +24,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from amulor.optics._bounds import within
+from amulor.optics._bounds import broadcast, within
 from amulor.optics.water import _quan_fry
 from amulor.optics.water.molecular_scattering import (
     molecular_backscattering,
@@ -110,6 +110,7 @@ def refractive_index(
     """
     t, s = _quan_fry.state(temperature, salinity)
     vacuum = within(wavelength, 400e-9, 700e-9, name="wavelength", unit="m")
+    broadcast(wavelength=vacuum, temperature=t, salinity=s)
     return _quan_fry.index(vacuum, temperature=t, salinity=s)
 
 
@@ -196,6 +197,7 @@ def group_index(
     """
     t, s = _quan_fry.state(temperature, salinity)
     vacuum = within(wavelength, 400e-9, 700e-9, name="wavelength", unit="m")
+    broadcast(wavelength=vacuum, temperature=t, salinity=s)
     return AIR_REFRACTIVE_INDEX * _quan_fry.group_index(
         vacuum, temperature=t, salinity=s
     )
@@ -290,12 +292,8 @@ def _lorentz_lorenz(
     """Return the ratio (n^2 - 1)/(n^2 + 2) of IAPWS R9-97 and L times its slope."""
     vacuum = within(wavelength, 200e-9, 1100e-9, name="wavelength", unit="m")
     degrees = within(temperature, -12, 500, name="temperature", unit="degC")
-    mass = np.asarray(density, dtype=np.float64)
-    if not np.all((mass > 0) & (mass <= 1060)):
-        raise ValueError(
-            "density must be above 0 and at most 1060 kg/m^3, got values from "
-            f"{np.min(mass):g} to {np.max(mass):g} kg/m^3"
-        )
+    mass = within(density, 0, 1060, name="density", unit="kg/m^3", above=True)
+    broadcast(wavelength=vacuum, temperature=degrees, density=mass)
     d = mass / 1000.0
     t = (degrees + 273.15) / 273.15
     square = (vacuum / 589e-9) ** 2

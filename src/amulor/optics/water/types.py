@@ -60,7 +60,7 @@ MAALOX_VOLUME_FRACTION = 0.1e-6 / 27e-3
 _MILKS = {0.001: (3.4e3, 0.25), 0.015: (12.5e3, 0.63), 0.035: (37e3, 0.80)}
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class JerlovWater:
     """Optical coefficients of a Jerlov water type, all arrays of one shape."""
 
@@ -76,7 +76,7 @@ class JerlovWater:
     """Standard deviation of b between campaigns; NaN where it is a model [1/m]."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class PetzoldStation:
     """Optical coefficients of one of Petzold's stations."""
 
@@ -104,7 +104,7 @@ class PetzoldStation:
     """Where the numbers come from."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Milk:
     """What milk adds to the scattering of the water that it is stirred into."""
 
@@ -299,12 +299,12 @@ def milk(volume_fraction: ArrayLike, *, fat: float) -> Milk:
     >>> print(f"{mixture.scattering:.1f} 1/m within {mixture.uncertainty_factor}")
     12.5 1/m within 1.5
     """
-    share = within(volume_fraction, 0, 1, name="volume_fraction", unit="")
+    fraction = within(volume_fraction, 0, 1, name="volume_fraction")
     for known, (scattering, asymmetry) in _MILKS.items():
         if math.isclose(fat, known, rel_tol=1e-9):
             return Milk(
                 wavelength=405e-9,
-                scattering=np.asarray(scattering * share),
+                scattering=np.asarray(scattering * fraction),
                 asymmetry=asymmetry,
                 uncertainty_factor=1.5,
             )

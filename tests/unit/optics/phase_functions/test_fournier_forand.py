@@ -115,8 +115,8 @@ def test_backscatter_fraction_is_the_integral_beyond_90_degrees(parameters):
 @pytest.mark.parametrize(
     ("index", "slope", "text"),
     [
-        (1.0, 4.0, "relative_index must be above 1 to 1.5"),
-        (1.6, 4.0, "relative_index must be above 1 to 1.5"),
+        (1.0, 4.0, "relative_index must be above 1 and at most 1.5"),
+        (1.6, 4.0, "relative_index must be above 1 and at most 1.5"),
         (1.1, 3.0, "slope must be above 3 and below 5"),
         (1.1, 5.0, "slope must be above 3 and below 5"),
     ],
@@ -131,5 +131,5 @@ def test_parameters_without_a_phase_function_are_refused(index, slope, text):
 
 
 def test_the_infinite_value_at_0_is_refused():
-    with pytest.raises(ValueError, match="infinite there"):
+    with pytest.raises(ValueError, match="infinite at 0"):
         fournier_forand.fournier_forand_phase(0.0, relative_index=1.1, slope=4.0)

@@ -234,11 +234,13 @@ def test_calibration_spheres_scatter_their_cross_section_times_their_number():
     ("arguments", "text"),
     [
         ({"particle_index": 1.5 - 0.1j}, "conjugate an index"),
-        ({"diameter": -1e-6}, "size parameter .* above 0 to 20000"),
-        ({"number": -1.0}, "number must be finite, not negative"),
-        ({"number": 0.0}, "above 0 for some diameter"),
+        ({"diameter": -1e-6}, "diameter must be finite and above 0"),
+        ({"diameter": 1.0}, "size_parameter must be above 0 and at most 20000"),
+        ({"number": -1.0}, "number must be finite and not negative"),
+        ({"number": 0.0}, "the largest number must be above 0"),
         ({"number": [1.0, 1.0]}, "of one shape"),
-        ({"wavelength": 0.0}, "wavelength and medium_index must be above 0"),
+        ({"wavelength": 0.0}, "wavelength must be finite and above 0"),
+        ({"medium_index": 0.0}, "medium_index must be finite and above 0"),
         ({"angle": [0.0, 1.0, 2.0]}, "rise from 0 to pi"),
     ],
 )

@@ -238,9 +238,11 @@ def test_a_painted_metal_that_cannot_exist_is_refused(m44):
 def test_what_is_no_mueller_matrix_is_refused():
     with pytest.raises(ValueError, match=r"last axes \(4, 4\), got \(4, 3\)"):
         mueller.apply(np.ones((4, 3)), np.ones(4))
-    with pytest.raises(ValueError, match=r"last axis of 4 .* got shape \(3,\)"):
+    with pytest.raises(
+        ValueError, match=r"last axes \(4,\) \(I, Q, U, V\), got \(3,\)"
+    ):
         mueller.apply(np.eye(4), np.ones(3))
-    with pytest.raises(ValueError, match="m11 of mueller must be above 0, got 0"):
+    with pytest.raises(ValueError, match=r"m11 of mueller must be above 0, .* got 0"):
         depolarization.depolarization_index(np.zeros((4, 4)))
 
 
@@ -249,9 +251,9 @@ def test_arguments_outside_of_their_range_are_refused():
         mueller.diagonal(1.0, -1.5, 0.0)
     with pytest.raises(ValueError, match="m34 must be from -1 to 1"):
         mueller.particles(m12=0.0, m22=1.0, m33=1.0, m34=1.1, m44=1.0)
-    with pytest.raises(ValueError, match="angle must be from 0 to pi rad"):
+    with pytest.raises(ValueError, match="angle must be from 0 to pi"):
         mueller.rayleigh(180.0)
-    with pytest.raises(ValueError, match="tolerance must not be negative"):
+    with pytest.raises(ValueError, match="tolerance must be finite and not negative"):
         depolarization.is_realizable(np.eye(4), tolerance=-1.0)
 
 

@@ -153,7 +153,7 @@ def test_a_glory_is_smoothed_as_a_plain_sum_over_angles_says():
 
 
 def test_what_lies_beyond_small_angles_is_refused():
-    with pytest.raises(ValueError, match=r"must stay below pi/2 rad, got"):
+    with pytest.raises(ValueError, match=r"must be below pi/2 \[rad\], got"):
         direction.mean_backscatter_vsf(0.1, vsf=np.cos, **(COLUMN | {"baseline": 3.0}))
     with pytest.raises(ValueError, match="vsf must keep the shape"):
         direction.mean_backscatter_vsf(1.0, vsf=lambda angle: 1.0, **COLUMN)

@@ -83,12 +83,14 @@ def test_negative_coefficients_are_refused(value):
 
 
 def test_a_negative_distance_is_refused_and_a_missing_one_stays_missing():
-    with pytest.raises(ValueError, match="distance must not be negative, got -1 m"):
+    with pytest.raises(ValueError, match=r"distance must be not negative, .* got -1"):
         attenuation.transmission([2.0, -1.0], attenuation=0.5)
     left = attenuation.transmission([2.0, np.nan], attenuation=0.5)
     assert_array_equal(np.isnan(left), [False, True])
 
 
 def test_the_albedo_of_a_water_without_attenuation_is_refused():
-    with pytest.raises(ValueError, match=r"absorption \+ scattering above 0 1/m"):
+    with pytest.raises(
+        ValueError, match=r"absorption \+ scattering must be above 0 \[1/m\], got 0 at"
+    ):
         attenuation.single_scattering_albedo(absorption=[0.1, 0.0], scattering=0.0)

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 from scipy.integrate import quad
@@ -23,19 +23,19 @@ WATER = {
     "split_angle": SPLIT,
 }
 RECEIVER = {"receiver_radius": 0.05, "acceptance_angle": 0.08}
-wavenumbers = st.floats(-100, 100)
+frequencies = st.floats(-100, 100)
 
 
 def layer(kappa, p=0.0, z=1.5, **change):
     return transforms.layer_transfer(
-        kappa, angle_wavenumber=p, depth=z, **(WATER | change)
+        kappa, direction_frequency=p, depth=z, **(WATER | change)
     )
 
 
 def diffusion(kappa, p=0.0, z=1.5):
     return transforms.diffusion_layer_transfer(
         kappa,
-        angle_wavenumber=p,
+        direction_frequency=p,
         depth=z,
         absorption=0.15,
         forward_scattering=0.35,
@@ -111,7 +111,7 @@ def test_diffusion_spreads_with_the_cube_of_the_depth():
 
 
 @settings(deadline=None, max_examples=12)
-@given(wavenumbers, wavenumbers, st.floats(0, 2), st.floats(0, 2))
+@given(frequencies, frequencies, st.floats(0, 2), st.floats(0, 2))
 def test_two_layers_do_what_one_of_both_depths_does(kappa, p, first, second):
     for transfer, tolerance in ((layer, 1e-9), (diffusion, 1e-11)):
         together = transfer(kappa, p, first + second)
@@ -121,7 +121,8 @@ def test_two_layers_do_what_one_of_both_depths_does(kappa, p, first, second):
 
 
 @settings(deadline=None, max_examples=12)
-@given(wavenumbers, wavenumbers, st.floats(0, 4))
+@example(1e-10, 0.0, 1.0)  # a difference of integrals has no digits left here
+@given(frequencies, frequencies, st.floats(0, 4))
 def test_water_never_sharpens(kappa, p, z):
     assert layer(kappa, p, z) <= layer(0.0, 0.0, z) * (1 + 1e-12)
     assert_allclose(layer(-kappa, -p, z), layer(kappa, p, z), rtol=1e-12)
@@ -162,7 +163,7 @@ def test_sensitivity_is_the_transform_back(share, radius, gamma):
     kappa = np.linspace(-14 / radius, 14 / radius, 401)
     source = transforms.effective_source_transform(
         kappa,
-        angle_wavenumber=0.0,
+        direction_frequency=0.0,
         baseline=rho,
         receiver_radius=radius,
         acceptance_angle=gamma,
@@ -190,7 +191,7 @@ def test_source_times_layer_squared_is_the_overlap_of_both_models(z):
     baseline = 0.15
     kappa = np.linspace(0, 14 / 0.05, 4801)  # exp(-49) of the aperture is left
     source = transforms.effective_source_transform(
-        kappa, angle_wavenumber=kappa * z, baseline=0.0, **RECEIVER
+        kappa, direction_frequency=kappa * z, baseline=0.0, **RECEIVER
     ).real
     water = WATER | {"phase_function": henyey_greenstein_function(asymmetry=0.97)}
     found = ring(source * layer(kappa, z=z, **water) ** 2, kappa, baseline)
@@ -216,7 +217,7 @@ def test_source_times_layer_squared_is_the_overlap_of_both_models(z):
 def test_the_width_of_the_beam_adds_to_that_of_the_receiver():
     wide = transforms.effective_source_transform(
         30.0,
-        angle_wavenumber=10.0,
+        direction_frequency=10.0,
         baseline=0.1,
         receiver_radius=0.03,
         acceptance_angle=0.06,
@@ -226,7 +227,7 @@ def test_the_width_of_the_beam_adds_to_that_of_the_receiver():
     # 3-4-5: the same as a receiver of 0.05 and 0.1 but for what it takes in.
     one = transforms.effective_source_transform(
         30.0,
-        angle_wavenumber=10.0,
+        direction_frequency=10.0,
         baseline=0.1,
         receiver_radius=0.05,
         acceptance_angle=0.1,
@@ -241,7 +242,7 @@ def test_arguments_broadcast():
     assert layer(np.zeros((3, 1)), np.ones(2)).shape == (3, 2)
     assert diffusion(np.zeros((3, 1)), np.ones(2)).shape == (3, 2)
     source = transforms.effective_source_transform(
-        np.zeros((3, 1)), angle_wavenumber=np.ones(2), baseline=0.1, **RECEIVER
+        np.zeros((3, 1)), direction_frequency=np.ones(2), baseline=0.1, **RECEIVER
     )
     assert source.shape == (3, 2)
 
@@ -259,5 +260,5 @@ def test_what_is_no_water_or_receiver_is_refused():
         )
     with pytest.raises(ValueError, match="beam_radius must be finite and not negative"):
         transforms.effective_source_transform(
-            1.0, angle_wavenumber=0.0, baseline=0.0, beam_radius=-1e-3, **RECEIVER
+            1.0, direction_frequency=0.0, baseline=0.0, beam_radius=-1e-3, **RECEIVER
         )

@@ -124,10 +124,10 @@ def test_a_jerlov_source_has_to_be_chosen():
     [
         ("IV", 405e-9, SOLONENKO, "water_type must be one of I, IA, IB"),
         ("I", 405e-9, WILLIAMSON, "water_type must be one of IB, II, III"),
-        ("III", 701e-9, SOLONENKO, "wavelength must be from 3e-07 to 7e-07 m"),
-        ("3C", 675e-9, SOLONENKO, "wavelength must be from 3e-07 to 6.5e-07 m"),
-        ("5C", 600e-9, SOLONENKO, "wavelength must be from 3e-07 to 5.75e-07 m"),
-        ("III", 405.0, WILLIAMSON, "wavelength must be from 3e-07 to 8e-07 m"),
+        ("III", 701e-9, SOLONENKO, "wavelength must be from 3e-07 to 7e-07"),
+        ("3C", 675e-9, SOLONENKO, "wavelength must be from 3e-07 to 6.5e-07"),
+        ("5C", 600e-9, SOLONENKO, "wavelength must be from 3e-07 to 5.75e-07"),
+        ("III", 405.0, WILLIAMSON, "wavelength must be from 3e-07 to 8e-07"),
         ("III", np.nan, WILLIAMSON, "wavelength must be from"),
     ],
 )

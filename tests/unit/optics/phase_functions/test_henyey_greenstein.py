@@ -303,11 +303,11 @@ def test_an_asymmetry_of_1_and_more_is_refused(g):
 
 
 def test_angles_outside_of_half_a_turn_are_refused():
-    with pytest.raises(ValueError, match="angle must be from 0 to pi rad"):
+    with pytest.raises(ValueError, match="angle must be from 0 to pi"):
         phase_functions.henyey_greenstein_cumulative(-0.1, asymmetry=0.9)
-    with pytest.raises(ValueError, match="split_angle must be from 0 to pi rad"):
+    with pytest.raises(ValueError, match="split_angle must be above 0 and at most pi"):
         phase_functions.henyey_greenstein_second_moment(asymmetry=0.9, split_angle=90.0)
-    with pytest.raises(ValueError, match="split_angle must be above 0 rad"):
+    with pytest.raises(ValueError, match="split_angle must be above 0 and at most pi"):
         phase_functions.henyey_greenstein_forward_fraction(
             asymmetry=0.9, split_angle=0.0
         )

@@ -45,7 +45,7 @@ def planar(shape, *, head_exponent=0.0):
         return shape(angle) * angle / np.sin(np.minimum(angle, 3.0))
 
     edges = np.append(np.geomspace(INNERMOST_ANGLE, 3.0, 42), np.pi)
-    return PhaseFunction("planar", Panels(value, edges, head_exponent))
+    return PhaseFunction(name="planar", panels=Panels(value, edges, head_exponent))
 
 
 def test_transform_of_a_uniform_disc_is_the_airy_pattern():
@@ -240,19 +240,21 @@ def test_shapes_are_kept():
 
 def test_what_cannot_be_asked_is_refused():
     model = MODELS["fournier_forand"]
-    with pytest.raises(ValueError, match="infinite there"):
+    with pytest.raises(ValueError, match="infinite at 0"):
         model(0.0)
     with pytest.raises(ValueError, match="angle must be from 0 to pi"):
         model.cumulative(4.0)
-    with pytest.raises(ValueError, match="wavenumber must be from 0 to"):
+    with pytest.raises(ValueError, match="direction_frequency must be from 0 to"):
         model.hankel(-1.0, split_angle=1.0)
-    with pytest.raises(ValueError, match="split_angle must be above 0"):
+    with pytest.raises(
+        ValueError, match="split_angle must be above 1e-12 and at most pi"
+    ):
         model.hankel(1.0, split_angle=0.0)
     with pytest.raises(ValueError, match="split_angle must be above 1e-12"):
         model.forward_split(1e-13)
     with pytest.raises(ValueError, match="size must be at least 16"):
         model.sampling_table(4)
-    with pytest.raises(ValueError, match="share must be from 0 to 1"):
+    with pytest.raises(ValueError, match="fraction must be from 0 to 1"):
         isotropic().sampling_table(16).angle(1.1)
     with pytest.raises(ValueError, match="asymmetry must be from"):
         henyey_greenstein_function(asymmetry=0.9999999)

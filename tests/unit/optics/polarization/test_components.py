@@ -197,13 +197,13 @@ def test_arguments_broadcast():
 
 
 def test_components_that_cannot_exist_are_refused():
-    with pytest.raises(ValueError, match=r"extinction_ratio .* from 0 to 1"):
+    with pytest.raises(ValueError, match="extinction_ratio must be from 0 to 1"):
         components.linear_polarizer(0.0, extinction_ratio=10_000)
     with pytest.raises(ValueError, match="transmission must be from 0 to 1"):
         components.linear_polarizer(0.0, transmission=80)
     with pytest.raises(ValueError, match="diattenuation must be from -1 to 1"):
         components.retarder(0.0, angle=0.0, diattenuation=2.0)
-    with pytest.raises(ValueError, match=r"must not exceed 1, got 1\.02"):
+    with pytest.raises(ValueError, match=r"must be at most 1, got 1\.02"):
         components.retarder(0.0, angle=0.0, diattenuation=0.02)
     with pytest.raises(ValueError, match=r"last axes \(4, 4\)"):
         components.largest_transmission(np.eye(3))

@@ -12,9 +12,20 @@ from amulor.optics.small_angle_diffusion import _kernels
 def _kernel_arguments(name):
     rng = np.random.default_rng(46)
     n = _panel_kernels.ORDER
-    row = np.array([0.4, 0.012, 4e-4, 6.4e-3, 0.01, 2.0, 0.0, 0.0, 0.0, 40.0])
+    column = _kernels.Column(
+        loss=0.4,
+        spreading=0.012,
+        aperture=4e-4,
+        acceptance=6.4e-3,
+        slant=0.01,
+        nearest=2.0,
+        closest=0.0,
+        standoff=0.0,
+        start=0.0,
+        end=40.0,
+    )
     work = rng.uniform(0.1, 1.0, (6, n))
-    wavenumber = np.linspace(0.1, 7.0, 9)
+    phases = np.linspace(0.1, 7.0, 9)
     series = [rng.normal(size=n), rng.normal(size=n)]
     turns = [rng.uniform(0, 100, 9) for _ in range(2)]
     sums = [np.zeros(9), np.zeros(9)]
@@ -23,33 +34,32 @@ def _kernel_arguments(name):
     return {
         "sine_cosine": (123.4,),
         "_exponential": (-45.6,),
-        "_area": (1.5, row),
-        "_offset": (1.5, row),
-        "_level": (1.5, row),
-        "_slope": (1.5, row),
-        "_scale": (0.01, row),
-        "_bound": (1.5, 2.5, row),
-        "_prepare": (table[0], np.zeros(10)),
-        "_break_points": (row, np.zeros(64)),
-        "_sample": (2.0, 0.5, 1.8, row, rule, work, work.view(np.int64)),
+        "_area": (1.5, column),
+        "_offset": (1.5, column),
+        "_level": (1.5, column),
+        "_slope": (1.5, column),
+        "_scale": (0.01, column),
+        "_bound": (1.5, 2.5, column),
+        "_geometry": (table[0],),
+        "_prepare": (_kernels.Geometry(*table[0]),),
+        "_break_points": (column, np.zeros(64)),
+        "_sample": (2.0, 0.5, 1.8, column, rule, work, work.view(np.int64)),
         "expand": (work[0], rule[0], np.zeros(n)),
-        "_unresolved": (1.5, 2.5, 1.8, row, rule, work),
-        "_add_slow": (0.9, wavenumber, *series, turns[0], *sums),
-        "_add_fast": (90.0, wavenumber, *series, *turns, *sums),
+        "_unresolved": (1.5, 2.5, 1.8, column, rule, work),
+        "_add_slow": (0.9, phases, *series, turns[0], *sums),
+        "_add_fast": (90.0, phases, *series, *turns, *sums),
         "add_panel": (
-            0.9,
-            2.1,
-            *series,
-            wavenumber,
+            _panel_kernels.Panel(0.9, 2.1, *series),
+            phases,
             rule,
             np.zeros((2, n)),
             np.zeros((2, 9)),
             np.zeros((2, 9)),
         ),
-        "_turns": (wavenumber, 2e6, np.zeros(9)),
+        "_turns": (phases, 2e6, np.zeros(9)),
         "_add_column": (
-            row,
-            wavenumber,
+            column,
+            phases,
             rule,
             work,
             np.zeros((2, 9)),
@@ -57,7 +67,7 @@ def _kernel_arguments(name):
         ),
         "water_column": (
             table,
-            wavenumber[None],
+            phases[None],
             rule,
             np.zeros((1, 9), dtype=complex),
         ),

@@ -262,7 +262,7 @@ def test_shares_of_any_rising_table_are_kept(steps):
 @pytest.mark.parametrize(
     ("arguments", "text"),
     [
-        ({"value": -np.ones(7)}, "value must be above 0 and finite"),
+        ({"value": -np.ones(7)}, "value must be finite and above 0"),
         ({"value": np.ones(3)}, "1-D, of one length"),
         ({"angle": NODE[::-1]}, "rise strictly and end at pi"),
         ({"angle": NODE / 2}, "end at pi rad .* extend the table first"),

@@ -115,7 +115,10 @@ def test_limits_of_the_regimes_are_arguments_and_belong_to_the_middle():
     [
         ({"radius": 0.0}, "radius must be finite and above 0"),
         ({"wavelength": -1.0}, "wavelength must be finite and above 0"),
-        ({"refractive_index": 0.9}, r"refractive_index must be at least 1, got 0\.9"),
+        (
+            {"refractive_index": 0.9},
+            r"refractive_index must be finite and at least 1, got 0\.9",
+        ),
     ],
 )
 def test_what_has_no_size_parameter_is_refused(change, text):

@@ -1,0 +1,107 @@
+"""Water and receiver of the small-angle models, by name and within range."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.constants import speed_of_light
+
+from amulor.optics import _bounds
+
+__all__ = ["Receiver", "checked", "phase_per_depth"]
+
+_Check = Callable[..., NDArray[np.float64]]
+
+
+def _at_least_one(value: ArrayLike, *, name: str, unit: str) -> NDArray[np.float64]:
+    return _bounds.at_least(value, 1.0, name=name, unit=unit)
+
+
+_LEAST, _MOST = float(np.nextafter(0.0, -1.0)), float(np.finfo(np.float64).max)
+_BELOW_ONE = float(np.nextafter(1.0, 0.0))
+
+# What each argument must be, its unit, and above and up to what a float is that.
+_RULES: dict[str, tuple[_Check, str, float, float]] = {
+    name: (check, unit, above, most)
+    for check, above, most, units in (
+        (
+            _bounds.not_negative,
+            _LEAST,
+            _MOST,
+            {
+                "depth": "m",
+                "modulation_frequency": "Hz",
+                "absorption": "1/m",
+                "scattering": "1/m",
+                "forward_scattering": "1/m",
+                "diffuse_scattering": "1/m",
+                "second_moment": "rad^2",
+                "backscatter_vsf": "1/(m sr)",
+                "baseline": "m",
+                "beam_radius": "m",
+                "beam_divergence": "rad",
+                "standoff": "m",
+            },
+        ),
+        (
+            _bounds.positive,
+            0.0,
+            _MOST,
+            {"receiver_radius": "m", "acceptance_angle": "rad"},
+        ),
+        (_bounds.finite, -np.inf, _MOST, {"tilt": "rad", "cross_tilt": "rad"}),
+        (_at_least_one, _BELOW_ONE, _MOST, {"group_index": ""}),
+        (_bounds.reach, _LEAST, np.inf, {"end": "m"}),
+    )
+    for name, unit in units.items()
+}
+
+
+def checked(name: str, value: ArrayLike) -> Any:
+    """Return a scalar as a float, all else as an array of floats, if within range."""
+    check, unit, above, most = _RULES[name]
+    if type(value) is float and above < value <= most:
+        return value
+    array = check(value, name=name, unit=unit)
+    return float(array) if array.ndim == 0 else array
+
+
+def phase_per_depth(
+    modulation_frequency: ArrayLike, *, group_index: ArrayLike
+) -> NDArray[np.float64]:
+    """Return the phase that an echo gains with the depth it comes from [rad/m]."""
+    frequency = checked("modulation_frequency", modulation_frequency)
+    index = checked("group_index", group_index)
+    if np.ndim(index):
+        _bounds.broadcast(modulation_frequency=frequency, group_index=index)
+    return np.asarray(4 * np.pi / speed_of_light * frequency * index)
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Checked:
+    """Arguments of which each is looked at when they are put together."""
+
+    def __post_init__(self) -> None:
+        values = self.__dict__  # as the class is frozen
+        for name, value in values.items():
+            values[name] = checked(name, value)
+
+    def named(self) -> dict[str, Any]:
+        """Return the arguments by name."""
+        return dict(self.__dict__)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Receiver(_Checked):
+    """The receiver and where the beam runs beside it; floats or arrays."""
+
+    baseline: Any
+    receiver_radius: Any
+    acceptance_angle: Any
+    tilt: Any
+    cross_tilt: Any
+    standoff: Any
