@@ -32,7 +32,9 @@ def medium_of(cube: xr.Dataset) -> rays.Medium:
     )
     window = {name: float(geometry[name]) for name in names if name in geometry}
     return rays.Medium(
-        float(geometry["refractive_index"]), float(geometry["group_index"]), **window
+        refractive_index=float(geometry["refractive_index"]),
+        group_index=float(geometry["group_index"]),
+        **window,
     )
 
 

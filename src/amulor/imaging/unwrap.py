@@ -104,10 +104,10 @@ def unwrapped_range_image(
         length[box][surface] = path + (fits[0] if fits else 0) * wavelength
         settled[box][surface] = len(fits) == 1
     chosen = ambiguity.Path(
-        length,
-        sigma[0] * wavelength / (2 * np.pi),
-        np.ones((1, *phase.shape)),
-        settled,
+        length=length,
+        uncertainty=sigma[0] * wavelength / (2 * np.pi),
+        weight=np.ones((1, *phase.shape)),
+        settled=settled,
     )
     image = image_of_path(one, chosen, interval=interval)
     return cubes.note(

@@ -53,14 +53,16 @@ def medium(survey: Survey, water: WaterProperties) -> rays.Medium:
     """
     window = survey.instrument.window
     if window is None:
-        return rays.Medium(water.refractive_index, water.group_index)
+        return rays.Medium(
+            refractive_index=water.refractive_index, group_index=water.group_index
+        )
     return rays.Medium(
-        water.refractive_index,
-        water.group_index,
-        window.distance,
-        window.thickness,
-        window.refractive_index,
-        window.group_index,
+        refractive_index=water.refractive_index,
+        group_index=water.group_index,
+        window_distance=window.distance,
+        window_thickness=window.thickness,
+        window_refractive_index=window.refractive_index,
+        window_group_index=window.group_index,
     )
 
 

@@ -282,7 +282,9 @@ def _optical_path(cube: xr.Dataset, distance: float) -> NDArray[np.float64]:
         if key in geometry
     }
     medium = rays.Medium(
-        float(geometry["refractive_index"]), float(geometry["group_index"]), **window
+        refractive_index=float(geometry["refractive_index"]),
+        group_index=float(geometry["group_index"]),
+        **window,
     )
     directions = rays.direction(cube["azimuth"].values, cube["elevation"].values)
     beam = rays.enter_water(geometry["emitter_position"], directions, medium=medium)

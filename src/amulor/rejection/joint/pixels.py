@@ -115,10 +115,10 @@ def pixels_of(
     place = np.linspace(0, 1, _DEPTH_NODES) ** 2
     path = shortest[:, None] + (longest - shortest)[:, None] * place
     wide = rays.Beam(
-        beam.entry[:, None],
-        beam.direction[:, None],
-        beam.length_before[:, None],
-        beam.optical_length_before[:, None],
+        entry=beam.entry[:, None],
+        direction=beam.direction[:, None],
+        length_before=beam.length_before[:, None],
+        optical_length_before=beam.optical_length_before[:, None],
     )
     slant_range = rays.slant_range_of_path(
         path, wide, frame.receiver, medium=frame.medium
