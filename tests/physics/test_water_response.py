@@ -9,7 +9,7 @@ from numpy.testing import assert_allclose
 from scipy.constants import speed_of_light
 from scipy.special import exp1
 
-from amulor.optics.low_pass import cut_off, fit, reduced_attenuation_cut_off
+from amulor.optics.low_pass import cut_off, cut_off_of_narrow_receiver, fit
 from amulor.optics.small_angle_diffusion import (
     narrow_receiver_response,
     overlap,
@@ -168,7 +168,7 @@ def test_cut_off_of_the_narrow_limit_is_35_6_mhz_per_reduced_attenuation(
             receiver_radius=0.05,
         )
     )
-    expected = reduced_attenuation_cut_off(reduced_attenuation=loss, group_index=1.34)
+    expected = cut_off_of_narrow_receiver(reduced_attenuation=loss, group_index=1.34)
     assert abs(closed / 1e6 - megahertz) < 0.05
     # (gamma / 2 k' R)^2 is below 1e-9.
     assert_allclose([closed, full], expected, rtol=1e-8)

@@ -1,1 +1,45 @@
 """Formulas of underwater modulated-laser imaging: arrays in, arrays out."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from amulor import _lazy
+
+if TYPE_CHECKING:
+    from amulor.optics import (
+        ambiguity,
+        detection,
+        extrema,
+        interference,
+        low_pass,
+        modulated_light,
+        phase_functions,
+        polarization,
+        ranging,
+        rays,
+        small_angle,
+        small_angle_diffusion,
+        target_echo,
+        water,
+    )
+
+__all__ = [
+    "ambiguity",
+    "detection",
+    "extrema",
+    "interference",
+    "low_pass",
+    "modulated_light",
+    "phase_functions",
+    "polarization",
+    "ranging",
+    "rays",
+    "small_angle",
+    "small_angle_diffusion",
+    "target_echo",
+    "water",
+]
+
+if not TYPE_CHECKING:
+    __getattr__, __dir__ = _lazy.attach(__name__, __all__)

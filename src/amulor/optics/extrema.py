@@ -66,8 +66,8 @@ def find(modulation_frequency: ArrayLike, value: ArrayLike) -> Extrema:
     Examples
     --------
     >>> frequency = np.linspace(0, 100e6, 201)
-    >>> found = find(frequency, np.cos(2 * np.pi * frequency / 40e6))
-    >>> print(np.round(found.maxima / 1e6, 2), np.round(found.minima / 1e6, 2))
+    >>> result = find(frequency, np.cos(2 * np.pi * frequency / 40e6))
+    >>> print(np.round(result.maxima / 1e6, 2), np.round(result.minima / 1e6, 2))
     [40. 80.] [20. 60.]
     """
     f, y = _sweep(modulation_frequency, finite(value, name="value"), name="value")

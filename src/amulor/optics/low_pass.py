@@ -1,4 +1,10 @@
-"""Low-pass behaviour of the water signal: cut-off, its free fit, first-order form."""
+"""Low-pass behaviour of the water signal: all ways to its cut-off, first-order form.
+
+`cut_off`, `cut_off_of_sweep` and `cut_off_of_narrow_receiver` give where the modulus is
+at half power: of a response that can be evaluated, of one known at some frequencies
+only, and in closed form. `fit` and `fit_if_shown` give the parameter of the first-order
+low-pass that comes closest to measured amplitudes. The two differ for most receivers.
+"""
 
 from __future__ import annotations
 
@@ -23,9 +29,11 @@ from amulor.optics._bounds import (
 __all__ = [
     "LowPassFit",
     "cut_off",
+    "cut_off_of_narrow_receiver",
+    "cut_off_of_sweep",
     "first_order_response",
     "fit",
-    "reduced_attenuation_cut_off",
+    "fit_if_shown",
 ]
 
 _PER_SPAN = 1201  # samples over six decades, 1.2 % apart
@@ -74,8 +82,8 @@ def cut_off(
 
     Examples
     --------
-    >>> found = cut_off(lambda f: first_order_response(f, cut_off=18.8e6))
-    >>> print(f"{found / 1e6:.1f} MHz")
+    >>> corner = cut_off(lambda f: first_order_response(f, cut_off=18.8e6))
+    >>> print(f"{corner / 1e6:.1f} MHz")
     18.8 MHz
     """
     positive(maximum_frequency, name="maximum_frequency", unit="Hz")
@@ -103,16 +111,72 @@ def cut_off(
     if below.size == 0:
         raise ValueError(
             f"the response stays above 1/sqrt(2) of its value at zero frequency up to "
-            f"{maximum_frequency:g} Hz, its lowest share is "
+            f"{maximum_frequency:g} Hz, its lowest fraction is "
             f"{amplitude.min() / amplitude[0]:.3f}; raise maximum_frequency"
         )
-    first = int(below[0])
+    k = int(below[0])
 
     def excess(frequency: float) -> float:
         return float(modulus(np.array([frequency]))[0] / level - 1)
 
-    a, b = float(frequency[first - 1]), float(frequency[first])
+    a, b = float(frequency[k - 1]), float(frequency[k])
     return float(brentq(excess, a, b, xtol=1e-14 * b, rtol=1e-14))
+
+
+def cut_off_of_sweep(modulation_frequency: ArrayLike, amplitude: ArrayLike) -> float:
+    r"""Return the frequency where a sweep first falls to half of its power.
+
+    Parameters
+    ----------
+    modulation_frequency : array_like, shape (n,)
+        Frequencies of the intensity modulation, rising from 0 [Hz].
+    amplitude : array_like, shape (n,)
+        Amplitude of the response at each, not negative [any unit].
+
+    Returns
+    -------
+    float
+        Where the amplitude is :math:`1 / \sqrt 2` of that at zero frequency, by a
+        straight line between neighbours; NaN if it does not fall so far [Hz].
+
+    Raises
+    ------
+    ValueError
+        If the shapes differ, the frequencies do not rise from 0, a value is negative
+        or not finite, or the amplitude at zero frequency is zero.
+
+    Notes
+    -----
+    As `cut_off`, for a response that was simulated or measured at some frequencies
+    only: the half-power point of eq. (47) of Ricci et al. 2010 [1]_, as rebuilt. The
+    straight line costs a fraction of about :math:`(\Delta f / f_c)^2 / 8`.
+
+    References
+    ----------
+    .. [1] R. Ricci et al., EURASIP J. Adv. Signal Process. 2010, 958360,
+       :doi:`10.1155/2010/958360`.
+
+    Examples
+    --------
+    >>> frequency = np.linspace(0, 138e6, 277)
+    >>> sweep = abs(first_order_response(frequency, cut_off=18.8e6))
+    >>> print(f"{cut_off_of_sweep(frequency, sweep) / 1e6:.1f} MHz")
+    18.8 MHz
+    """
+    f = not_negative(modulation_frequency, name="modulation_frequency", unit="Hz")
+    a = not_negative(amplitude, name="amplitude")
+    one_axis(2, modulation_frequency=f, amplitude=a)
+    rising = np.append(f[0] == 0, np.diff(f) > 0)
+    rule = "rising from 0"
+    require(f, rising, name="modulation_frequency", rule=rule, unit="Hz")
+    positive(a[0], name="amplitude at zero frequency")
+    level = a[0] / np.sqrt(2)
+    below = np.flatnonzero(a < level)
+    if below.size == 0:
+        return float("nan")
+    k = int(below[0])
+    fraction = (a[k - 1] - level) / (a[k - 1] - a[k])
+    return float(f[k - 1] + fraction * (f[k] - f[k - 1]))
 
 
 @dataclass(frozen=True)
@@ -188,9 +252,9 @@ def fit(modulation_frequency: ArrayLike, amplitude: ArrayLike) -> LowPassFit:
     grid = np.linspace(np.log(x[x > 0].min()) - 7, 7, 400)
     shapes = form(grid[:, None])
     best = shapes @ y / np.sum(shapes**2, axis=1)
-    misfit = np.sum((y - best[:, None] * shapes) ** 2, axis=1)
-    start = int(np.argmin(misfit))
-    if start in (0, grid.size - 1):
+    residual_sum = np.sum((y - best[:, None] * shapes) ** 2, axis=1)
+    closest = int(np.argmin(residual_sum))
+    if closest in (0, grid.size - 1):
         raise ValueError(
             f"the amplitudes between {f.min():g} and {f.max():g} Hz do not show where "
             "they fall to 1/sqrt(2); a cut-off cannot be fitted to them"
@@ -205,7 +269,7 @@ def fit(modulation_frequency: ArrayLike, amplitude: ArrayLike) -> LowPassFit:
 
     result = least_squares(
         residual,
-        [best[start], grid[start]],
+        [best[closest], grid[closest]],
         jac=jacobian,
         method="lm",
         xtol=1e-15,
@@ -220,6 +284,46 @@ def fit(modulation_frequency: ArrayLike, amplitude: ArrayLike) -> LowPassFit:
         cut_off_standard_error=corner * float(np.sqrt(covariance[1, 1])),
         amplitude_at_zero=float(result.x[0] * a.max()),
     )
+
+
+def fit_if_shown(
+    modulation_frequency: ArrayLike, amplitude: ArrayLike
+) -> LowPassFit | None:
+    """Return the fit, or None if the sweep stays on one side of the cut-off.
+
+    Parameters
+    ----------
+    modulation_frequency, amplitude : array_like, shape (n,)
+        As in `fit` [Hz, any unit].
+
+    Returns
+    -------
+    LowPassFit or None
+        As of `fit`; None where that refuses the data, or where its cut-off is not
+        between the lowest and the highest frequency, so that it is extrapolated.
+
+    Notes
+    -----
+    Eq. (71) of Ricci et al. 2010 [1]_, as rebuilt.
+
+    References
+    ----------
+    .. [1] R. Ricci et al., EURASIP J. Adv. Signal Process. 2010, 958360,
+       :doi:`10.1155/2010/958360`.
+
+    Examples
+    --------
+    >>> frequency = np.linspace(0.5e6, 10e6, 50)
+    >>> sweep = abs(first_order_response(frequency, cut_off=20e6))
+    >>> print(fit_if_shown(frequency, sweep))
+    None
+    """
+    try:
+        result = fit(modulation_frequency, amplitude)
+    except ValueError:
+        return None
+    f = np.asarray(modulation_frequency, dtype=float)
+    return result if f.min() < result.cut_off < f.max() else None
 
 
 def first_order_response(
@@ -268,7 +372,7 @@ def first_order_response(
     return np.asarray(1 / (1 - 1j * (frequency / corner)))
 
 
-def reduced_attenuation_cut_off(
+def cut_off_of_narrow_receiver(
     *, reduced_attenuation: ArrayLike, group_index: ArrayLike
 ) -> NDArray[np.float64]:
     r"""Return the cut-off of a narrow receiver on the laser axis.
@@ -302,7 +406,7 @@ def reduced_attenuation_cut_off(
 
     Examples
     --------
-    >>> corner = reduced_attenuation_cut_off(reduced_attenuation=1.0, group_index=1.34)
+    >>> corner = cut_off_of_narrow_receiver(reduced_attenuation=1.0, group_index=1.34)
     >>> print(f"{corner / 1e6:.1f} MHz")
     35.6 MHz
     """

@@ -52,7 +52,7 @@ def target_response(
         Group index times length, out and back [m]; twice `depth` times the group
         index where emitter and receiver stand together in the water.
     reflectance : array_like
-        Share of the light that the surface sends back diffusely, 0 to 1 [1].
+        Fraction of the light that the surface sends back diffusely, 0 to 1 [1].
     cosine : array_like
         Cosine between the normal of the surface and the way to the receiver, 0 to 1
         [1].

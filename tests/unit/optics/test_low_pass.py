@@ -10,9 +10,9 @@ from scipy.constants import speed_of_light
 from amulor.optics.low_pass import (
     LowPassFit,
     cut_off,
+    cut_off_of_narrow_receiver,
     first_order_response,
     fit,
-    reduced_attenuation_cut_off,
 )
 
 SWEEP = np.linspace(0.5e6, 138e6, 276)
@@ -25,7 +25,7 @@ corners = st.floats(1e5, 5e8)
 
 def test_cut_off_of_a_narrow_receiver_is_35_6_mhz_per_reduced_attenuation():
     # Section on eq. (49): 35.6 MHz times k' in 1/m for an index of 1.34.
-    found = reduced_attenuation_cut_off(
+    found = cut_off_of_narrow_receiver(
         reduced_attenuation=np.array([0.1, 0.5, 1.0]), group_index=1.34
     )
     assert_allclose(found / 1e6, [3.56, 17.80, 35.61], atol=0.005)
@@ -85,7 +85,7 @@ def test_cut_off_below_the_first_sample_is_found():
 
 
 def test_cut_off_above_the_maximum_is_refused():
-    with pytest.raises(ValueError, match=r"lowest share is 0\.995; raise"):
+    with pytest.raises(ValueError, match=r"lowest fraction is 0\.995; raise"):
         cut_off(lambda f: first_order_response(f, cut_off=1e9), maximum_frequency=1e8)
 
 
@@ -179,6 +179,6 @@ def test_values_out_of_range_are_refused_by_name():
     ):
         first_order_response(1e6, cut_off=0.0)
     with pytest.raises(ValueError, match="reduced_attenuation must be finite and not"):
-        reduced_attenuation_cut_off(reduced_attenuation=-1.0, group_index=1.34)
+        cut_off_of_narrow_receiver(reduced_attenuation=-1.0, group_index=1.34)
     with pytest.raises(ValueError, match=r"group_index .* at least 1, got 0\.9"):
-        reduced_attenuation_cut_off(reduced_attenuation=1.0, group_index=0.9)
+        cut_off_of_narrow_receiver(reduced_attenuation=1.0, group_index=0.9)

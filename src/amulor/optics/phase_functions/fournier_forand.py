@@ -94,7 +94,7 @@ def fournier_forand_phase(
 def fournier_forand_cumulative(
     angle: ArrayLike, *, relative_index: float, slope: float
 ) -> NDArray[np.float64]:
-    r"""Return the share of Fournier-Forand scattering below an angle.
+    r"""Return the fraction of Fournier-Forand scattering below an angle.
 
     Parameters
     ----------
@@ -108,7 +108,7 @@ def fournier_forand_cumulative(
     Returns
     -------
     ndarray
-        Share between 0 and 1, shape of `angle` [1].
+        Fraction between 0 and 1, shape of `angle` [1].
 
     Raises
     ------
@@ -127,26 +127,26 @@ def fournier_forand_cumulative(
 
     Examples
     --------
-    >>> share = fournier_forand_cumulative(0.01, relative_index=1.1, slope=3.5835)
-    >>> print(f"{share:.3f}")
+    >>> fraction = fournier_forand_cumulative(0.01, relative_index=1.1, slope=3.5835)
+    >>> print(f"{fraction:.3f}")
     0.187
     """
     theta = checked_angle(angle, name="angle")
     nu = _checked(relative_index, slope)
     height = np.sin(theta / 2) ** 2
-    # log(0) is minus infinity, whose share is 0; a tiny height stands for it.
+    # log(0) is minus infinity, whose fraction is 0; a tiny height stands for it.
     log_delta = np.log(np.maximum(height, 1e-300)) + _log_delta_pi(relative_index)
     numerator = _growth(nu + 1, log_delta) - height * _growth(nu, log_delta)
     peak = numerator / (_growth(1.0, log_delta) * np.exp(nu * log_delta))
     smooth = _smooth_weight(nu, relative_index) * np.cos(theta) * np.sin(theta) ** 2
-    share = np.where(theta == 0, 0.0, peak + 2 * np.pi * smooth)
-    return np.asarray(share)
+    fraction = np.where(theta == 0, 0.0, peak + 2 * np.pi * smooth)
+    return np.asarray(fraction)
 
 
 def fournier_forand_backscatter_fraction(
     *, relative_index: float, slope: float
 ) -> float:
-    r"""Return the share of Fournier-Forand scattering beyond 90 degrees.
+    r"""Return the fraction of Fournier-Forand scattering beyond 90 degrees.
 
     Parameters
     ----------
@@ -199,16 +199,16 @@ def _growth(power: float, log_delta: NDArray[np.float64]) -> NDArray[np.float64]
 
 def _remainder(power: float, log_delta: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return (delta^power - 1 - power (delta - 1)) / log(delta)^2."""
-    near = np.abs(log_delta) < 0.1
-    safe = np.where(near, 1.0, log_delta)
+    close = np.abs(log_delta) < 0.1
+    safe = np.where(close, 1.0, log_delta)
     direct = (np.expm1(power * safe) - power * np.expm1(safe)) / safe**2
-    small = np.where(near, log_delta, 0.0)
+    small = np.where(close, log_delta, 0.0)
     # The eleventh term is below 0.1^11 / 13! of the first.
     series = sum(
         (power**order - power) / factorial(order) * small ** (order - 2)
         for order in range(2, 13)
     )
-    remainder: NDArray[np.float64] = np.where(near, series, direct)
+    remainder: NDArray[np.float64] = np.where(close, series, direct)
     return remainder
 
 

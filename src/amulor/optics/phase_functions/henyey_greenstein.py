@@ -86,7 +86,7 @@ def henyey_greenstein(angle: ArrayLike, *, asymmetry: ArrayLike) -> NDArray[np.f
 def henyey_greenstein_cumulative(
     angle: ArrayLike, *, asymmetry: ArrayLike
 ) -> NDArray[np.float64]:
-    r"""Return the share of Henyey-Greenstein scattering below an angle.
+    r"""Return the fraction of Henyey-Greenstein scattering below an angle.
 
     Parameters
     ----------
@@ -98,7 +98,7 @@ def henyey_greenstein_cumulative(
     Returns
     -------
     ndarray
-        Share between 0 and 1, of the broadcast shape [1].
+        Fraction between 0 and 1, of the broadcast shape [1].
 
     Raises
     ------
@@ -119,8 +119,8 @@ def henyey_greenstein_cumulative(
 
     Examples
     --------
-    >>> share = henyey_greenstein_cumulative(np.radians(10), asymmetry=0.97)
-    >>> print(f"{share:.3f}")
+    >>> fraction = henyey_greenstein_cumulative(np.radians(10), asymmetry=0.97)
+    >>> print(f"{fraction:.3f}")
     0.841
     """
     theta = checked_angle(angle, name="angle")
@@ -134,7 +134,7 @@ def henyey_greenstein_cumulative(
 def henyey_greenstein_forward_fraction(
     *, asymmetry: ArrayLike, split_angle: ArrayLike
 ) -> NDArray[np.float64]:
-    r"""Return the forward share of Henyey-Greenstein scattering.
+    r"""Return the forward fraction of Henyey-Greenstein scattering.
 
     Parameters
     ----------
@@ -160,10 +160,10 @@ def henyey_greenstein_forward_fraction(
 
     Examples
     --------
-    >>> share = henyey_greenstein_forward_fraction(
+    >>> fraction = henyey_greenstein_forward_fraction(
     ...     asymmetry=0.97, split_angle=np.pi / 2
     ... )
-    >>> print(f"{share:.4f}")
+    >>> print(f"{fraction:.4f}")
     0.9936
     """
     split = checked_split_angle(split_angle)
@@ -173,7 +173,7 @@ def henyey_greenstein_forward_fraction(
 def henyey_greenstein_backscatter_fraction(
     *, asymmetry: ArrayLike
 ) -> NDArray[np.float64]:
-    r"""Return the share of Henyey-Greenstein scattering beyond 90 degrees.
+    r"""Return the fraction of Henyey-Greenstein scattering beyond 90 degrees.
 
     Parameters
     ----------

@@ -58,8 +58,8 @@ class Panels:
         panel = np.searchsorted(self.edges, flat, side="right") - 1
         panel = np.minimum(panel, self.edges.size - 2)
         low = self.edges[np.maximum(panel, 0)]
-        shares = self._rule(self.edges[:-1], self.edges[1:])[1].sum(axis=1)
-        below = self._innermost() + np.concatenate([[0.0], np.cumsum(shares)])
+        fractions = self._rule(self.edges[:-1], self.edges[1:])[1].sum(axis=1)
+        below = self._innermost() + np.concatenate([[0.0], np.cumsum(fractions)])
         inside = self._rule(low, np.maximum(flat, low))[1].sum(axis=1)
         head = self._innermost() * (flat / self.edges[0]) ** (2 - self.head_exponent)
         total: NDArray[np.float64] = np.where(
@@ -76,8 +76,8 @@ class Panels:
         start = max(low, self.edges[0])
         inner = self.edges[(self.edges > start) & (self.edges < high)]
         edges = np.concatenate([[start], inner, [high]])
-        angle, share = self._rule(edges[:-1], edges[1:])
-        total = float(np.sum(weight(angle) * share))
+        angle, fraction = self._rule(edges[:-1], edges[1:])
+        total = float(np.sum(weight(angle) * fraction))
         if low < self.edges[0]:
             total += float(weight(self.edges[:1])[0]) * self._innermost()
         return total
@@ -124,19 +124,19 @@ class Panels:
         for order, chosen in ((7, narrow), (16, ~narrow)):
             if not np.any(chosen):
                 continue
-            angle, share = self._rule(low[chosen], high[chosen], order=order)
+            angle, fraction = self._rule(low[chosen], high[chosen], order=order)
             # About 2e5 pairs of a frequency and a panel at once.
             step = max(1, 200_000 // angle.shape[0])
             for first in range(0, flat.size, step):
                 part = slice(first, first + step)
-                total[part] += _oscillating(flat[part], angle, share)
+                total[part] += _oscillating(flat[part], angle, fraction)
         return total.reshape(direction_frequency.shape)
 
     def _innermost(self) -> float:
         """Return the integral of 2 pi p sin below the first edge."""
         end = self.edges[:1]
-        share = 2 * np.pi * self.value(end) * end**2 / (2 - self.head_exponent)
-        return float(share[0])
+        fraction = 2 * np.pi * self.value(end) * end**2 / (2 - self.head_exponent)
+        return float(fraction[0])
 
     def _rule(
         self, low: NDArray[np.float64], high: NDArray[np.float64], *, order: int = 16
@@ -151,9 +151,9 @@ class Panels:
 def _oscillating(
     direction_frequency: NDArray[np.float64],
     angle: NDArray[np.float64],
-    share: NDArray[np.float64],
+    fraction: NDArray[np.float64],
 ) -> NDArray[np.float64]:
-    """Return sums of share * J0(k angle) over panels, exact in oscillations."""
+    """Return sums of fraction * J0(k angle) over panels, exact in oscillations."""
     order = angle.shape[1]
     nodes, _ = gauss_legendre(order)
     half = (angle[:, -1] - angle[:, 0]) / (nodes[-1] - nodes[0])
@@ -162,16 +162,16 @@ def _oscillating(
     slow = stretch < 1.5
     row, panel = np.nonzero(slow)
     bessel = special.j0(direction_frequency[row, np.newaxis] * angle[panel])
-    value = np.sum(share[panel] * bessel, axis=1)
+    value = np.sum(fraction[panel] * bessel, axis=1)
     total: NDArray[np.float64] = np.zeros(direction_frequency.size)
     total += np.bincount(row, value, minlength=direction_frequency.size)
     row, panel = np.nonzero(~slow)
     if row.size:
         k = direction_frequency[row]
-        phased = share[panel] * special.hankel1e(0, k[:, np.newaxis] * angle[panel])
+        phased = fraction[panel] * special.hankel1e(0, k[:, np.newaxis] * angle[panel])
         degree = np.arange(order)
         legendre = special.eval_legendre(degree[:, np.newaxis], nodes)
-        # share holds the weights of the rule, so these are 2 / (2 l + 1) times the
+        # fraction holds the weights of the rule, so these are 2 / (2 l + 1) times the
         # terms of the series; the transform of P_l is 2 i^l j_l.
         series = phased @ (legendre.T * ((2 * degree + 1) * 1j**degree))
         stretched = special.spherical_jn(degree, stretch[row, panel][:, np.newaxis])
@@ -186,7 +186,7 @@ def forward_split(
     *,
     split_angle: float,
 ) -> tuple[float, float]:
-    r"""Return forward share and second moment of any phase function.
+    r"""Return forward fraction and second moment of any phase function.
 
     Parameters
     ----------
@@ -200,7 +200,7 @@ def forward_split(
     Returns
     -------
     forward_fraction : float
-        Share of the scattering below the split angle [1].
+        Fraction of the scattering below the split angle [1].
     second_moment : float
         Mean square scattering angle below the split angle, sin-weighted and
         renormalised [rad^2].
@@ -222,8 +222,8 @@ def forward_split(
     --------
     >>> def isotropic(angle):
     ...     return np.full_like(angle, 1 / (4 * np.pi))
-    >>> share, moment = forward_split(isotropic, split_angle=np.pi / 2)
-    >>> print(f"{share:.4f}, {moment:.4f} rad^2")
+    >>> fraction, moment = forward_split(isotropic, split_angle=np.pi / 2)
+    >>> print(f"{fraction:.4f}, {moment:.4f} rad^2")
     0.5000, 1.1416 rad^2
     """
     split = float(checked_split_angle(split_angle))
@@ -253,7 +253,7 @@ def _weighted_integrals(
 ) -> tuple[float, float]:
     """Return the integrals of 2 pi p sin and 2 pi p sin angle^2 from low to high."""
     nodes, weights = gauss_legendre(12)
-    tolerance = np.array([1e-11, 1e-11])  # of the whole sphere, and of its share
+    tolerance = np.array([1e-11, 1e-11])  # of the whole sphere, and of its fraction
     panels = max(4, int(np.ceil(np.log(high / low))))
     edges = np.linspace(np.log(low), np.log(high), panels + 1)
     left, right = edges[:-1], edges[1:]
@@ -273,9 +273,9 @@ def _weighted_integrals(
                 f"{flat.shape} angles gave shape {value.shape}"
             )
         not_negative(value, name="phase_function", unit="1/sr")
-        share = 2 * np.pi * value.reshape(angle.shape) * np.sin(angle) * angle
-        share *= half * weights
-        return np.stack([share.sum(axis=1), (share * angle**2).sum(axis=1)])
+        fraction = 2 * np.pi * value.reshape(angle.shape) * np.sin(angle) * angle
+        fraction *= half * weights
+        return np.stack([fraction.sum(axis=1), (fraction * angle**2).sum(axis=1)])
 
     coarse = integrate(left, right)
     for _ in range(60):

@@ -106,10 +106,10 @@ def henyey_greenstein_function(*, asymmetry: float) -> PhaseFunction:
 
     Examples
     --------
-    >>> share, moment = henyey_greenstein_function(asymmetry=0.97).forward_split(
+    >>> fraction, moment = henyey_greenstein_function(asymmetry=0.97).forward_split(
     ...     np.pi / 2
     ... )
-    >>> print(f"{share:.4f}, {moment:.3f} rad^2")
+    >>> print(f"{fraction:.4f}, {moment:.3f} rad^2")
     0.9936, 0.045 rad^2
     """
     g = _asymmetry(asymmetry, name="asymmetry")

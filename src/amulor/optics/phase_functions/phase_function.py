@@ -33,11 +33,11 @@ class SamplingTable:
     """Inverse of a cumulative phase function, to draw angles from.
 
     Both arrays rise, so the inverse is monotone. Between two nodes the phase function
-    is taken as constant, which keeps the share of each cell exact.
+    is taken as constant, which keeps the fraction of each cell exact.
     """
 
     cumulative: NDArray[np.float64]
-    """Share of the scattering below each node, from 0 to 1 [1]."""
+    """Fraction of the scattering below each node, from 0 to 1 [1]."""
     half_chord_squared: NDArray[np.float64]
     """sin^2(angle / 2) of each node, from 0 to 1 [1]."""
     error: float
@@ -45,26 +45,26 @@ class SamplingTable:
     found at 15 points inside of each cell [1]."""
 
     def angle(self, fraction: ArrayLike) -> NDArray[np.float64]:
-        r"""Return the angle below which a share of the scattering lies.
+        r"""Return the angle below which a fraction of the scattering lies.
 
         Parameters
         ----------
-        share : array_like
-            Share, 0 to 1; uniform random numbers give random scattering angles [1].
+        fraction : array_like
+            Fraction, 0 to 1; uniform random numbers give random scattering angles [1].
 
         Returns
         -------
         ndarray
-            Scattering angle, shape of `share` [rad].
+            Scattering angle, shape of `fraction` [rad].
 
         Raises
         ------
         ValueError
-            If a share is outside of 0 to 1.
+            If a fraction is outside of 0 to 1.
 
         Notes
         -----
-        :math:`\sin^2(\theta/2)` is interpolated linearly in the share.
+        :math:`\sin^2(\theta/2)` is interpolated linearly in the fraction.
 
         Examples
         --------
@@ -141,15 +141,15 @@ class PhaseFunction:
         """Name, and how much of the scattering lies in a head without data."""
         if self.head_angle == 0:
             return self.name
-        share = float(self.cumulative(self.head_angle))
+        fraction = float(self.cumulative(self.head_angle))
         return (
             f"{self.name}; below {np.degrees(self.head_angle):.3g} deg, where "
-            f"{100 * share:.2g} % of the scattering lies, a power law with the "
+            f"{100 * fraction:.2g} % of the scattering lies, a power law with the "
             f"exponent {-self.head_exponent:.4g}, without data"
         )
 
     def cumulative(self, angle: ArrayLike) -> NDArray[np.float64]:
-        """Return the share of the scattering below angles.
+        """Return the fraction of the scattering below angles.
 
         Parameters
         ----------
@@ -159,7 +159,7 @@ class PhaseFunction:
         Returns
         -------
         ndarray
-            Share between 0 and 1, shape of `angle` [1]. Error 1e-10 if there is no
+            Fraction between 0 and 1, shape of `angle` [1]. Error 1e-10 if there is no
             closed form.
 
         Raises
@@ -181,7 +181,7 @@ class PhaseFunction:
 
     @cached_property
     def backscatter_fraction(self) -> float:
-        """Share of the scattering beyond 90 degrees [1]."""
+        """Fraction of the scattering beyond 90 degrees [1]."""
         return float(1 - self.cumulative(np.pi / 2))
 
     @cached_property
@@ -190,7 +190,7 @@ class PhaseFunction:
         return float(self(np.pi))
 
     def forward_split(self, split_angle: float) -> tuple[float, float]:
-        r"""Return share and second moment of the forward part.
+        r"""Return fraction and second moment of the forward part.
 
         Parameters
         ----------
@@ -200,7 +200,7 @@ class PhaseFunction:
         Returns
         -------
         forward_fraction : float
-            Share of the scattering below the split angle [1].
+            Fraction of the scattering below the split angle [1].
         second_moment : float
             Mean square scattering angle below the split angle, sin-weighted and
             renormalised [rad^2].
@@ -216,13 +216,13 @@ class PhaseFunction:
         rebuilt.
         """
         split = _split(split_angle)
-        share = self.panels.mean(np.ones_like, high=split)
-        if not share > 0:
+        fraction = self.panels.mean(np.ones_like, high=split)
+        if not fraction > 0:
             raise ValueError(
                 f"{self.name} must scatter something below {split:g} rad, got nothing"
             )
         moment = self.panels.mean(np.square, high=split)
-        return float(self.cumulative(split)), moment / share
+        return float(self.cumulative(split)), moment / fraction
 
     def hankel(
         self, direction_frequency: ArrayLike, *, split_angle: float
@@ -268,12 +268,12 @@ class PhaseFunction:
             name="direction_frequency",
             unit="1/rad",
         )
-        share = self.panels.mean(np.ones_like, high=split)
-        if not share > 0:
+        fraction = self.panels.mean(np.ones_like, high=split)
+        if not fraction > 0:
             raise ValueError(
                 f"{self.name} must scatter something below {split:g} rad, got nothing"
             )
-        return self.panels.hankel(q, split_angle=split) / share
+        return self.panels.hankel(q, split_angle=split) / fraction
 
     def sampling_table(self, size: int) -> SamplingTable:
         """Return a table to draw scattering angles from.
@@ -297,13 +297,15 @@ class PhaseFunction:
         """
         if size < 16:
             raise ValueError(f"size must be at least 16 cells, got {size}")
-        # Half of the nodes by share, half by decades from where 1e-6 lies below.
+        # Half of the nodes by fraction, half by decades from where 1e-6 lies below.
         dense = np.geomspace(INNERMOST_ANGLE, np.pi, 4096)
         dense[-1] = np.pi
-        share = np.maximum.accumulate(self.cumulative(dense))
-        start = min(int(np.searchsorted(share, 1e-6)), dense.size // 2)
+        fraction = np.maximum.accumulate(self.cumulative(dense))
+        start = min(int(np.searchsorted(fraction, 1e-6)), dense.size // 2)
         decades = np.log(dense[start:] / dense[start])
-        measure = (share[start:] - share[start]) / (share[-1] - share[start])
+        measure = (fraction[start:] - fraction[start]) / (
+            fraction[-1] - fraction[start]
+        )
         measure = (measure + decades / decades[-1]) / 2
         logs = np.interp(np.linspace(0, 1, size), measure, np.log(dense[start:]))
         angle = np.concatenate([[0.0], np.minimum(np.exp(logs), np.pi)])

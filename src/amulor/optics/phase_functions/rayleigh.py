@@ -75,7 +75,7 @@ def rayleigh_phase_value(
 def rayleigh_phase_cumulative(
     angle: ArrayLike, *, depolarization: ArrayLike
 ) -> NDArray[np.float64]:
-    r"""Return the share of molecular scattering below an angle.
+    r"""Return the fraction of molecular scattering below an angle.
 
     Parameters
     ----------
@@ -87,7 +87,7 @@ def rayleigh_phase_cumulative(
     Returns
     -------
     ndarray
-        Share between 0 and 1, of the broadcast shape [1].
+        Fraction between 0 and 1, of the broadcast shape [1].
 
     Raises
     ------
@@ -114,8 +114,8 @@ def rayleigh_phase_cumulative(
     cosine = np.cos(theta)
     height = 2 * np.sin(theta / 2) ** 2
     bracket = (1 + delta) + (1 - delta) * (1 + cosine + cosine**2) / 3
-    share: NDArray[np.float64] = 3 * height / (4 * (2 + delta)) * bracket
-    return share
+    fraction: NDArray[np.float64] = 3 * height / (4 * (2 + delta)) * bracket
+    return fraction
 
 
 def size_parameter(

@@ -112,14 +112,14 @@ def tabulated(
 def from_cumulative(
     angle: ArrayLike, *, cumulative: ArrayLike, name: str = "from cumulative"
 ) -> PhaseFunction:
-    r"""Return the phase function of a table of cumulative shares.
+    r"""Return the phase function of a table of cumulative fractions.
 
     Parameters
     ----------
     angle : array_like
         Angles, 1e-9 rad at least, rising to pi, 1-D, at least 4 [rad].
     cumulative : array_like
-        Share of the scattering below each angle, above 0, rising to 1 [1].
+        Fraction of the scattering below each angle, above 0, rising to 1 [1].
     name : str
         What the table is.
 
@@ -135,11 +135,11 @@ def from_cumulative(
 
     Notes
     -----
-    The logarithm of the share is a monotone cubic function of the logarithm of
+    The logarithm of the fraction is a monotone cubic function of the logarithm of
     :math:`\sin^2(\theta/2)` (F. N. Fritsch and J. Butland, SIAM J. Sci. Stat. Comput.
     5, 300 (1984)). Below the first angle it goes on as the straight line through the
-    first two shares. Shares at the angles of the table are exact, values have the
-    error of the differences of its rounded shares.
+    first two fractions. Fractions at the angles of the table are exact, values have the
+    error of the differences of its rounded fractions.
 
     Examples
     --------
@@ -148,22 +148,25 @@ def from_cumulative(
     >>> print(f"{4 * np.pi * p(1.0):.3f}")
     1.000
     """
-    theta, share = _checked(angle, cumulative, name="cumulative")
+    theta, fraction = _checked(angle, cumulative, name="cumulative")
     if theta.size < 4 or theta[0] == 0:
         raise ValueError(
             "angle must have at least 4 values above 0 rad, got "
             f"{theta.size} from {theta[0]:g} rad"
         )
-    if not (share[0] > 0 and np.all(np.diff(share) > 0)) or abs(share[-1] - 1) > 1e-9:
+    if (
+        not (fraction[0] > 0 and np.all(np.diff(fraction) > 0))
+        or abs(fraction[-1] - 1) > 1e-9
+    ):
         raise ValueError(
             "cumulative must be above 0 and rise to 1, got values from "
-            f"{share[0]:g} to {share[-1]:g}"
+            f"{fraction[0]:g} to {fraction[-1]:g}"
         )
     log_height = np.log(np.sin(theta / 2) ** 2)
-    log_share = np.log(share)
-    slopes = PchipInterpolator(log_height, log_share)(log_height, 1)
-    slopes[0] = (log_share[1] - log_share[0]) / (log_height[1] - log_height[0])
-    curve = CubicHermiteSpline(log_height, log_share, slopes)
+    log_fraction = np.log(fraction)
+    slopes = PchipInterpolator(log_height, log_fraction)(log_height, 1)
+    slopes[0] = (log_fraction[1] - log_fraction[0]) / (log_height[1] - log_height[0])
+    curve = CubicHermiteSpline(log_height, log_fraction, slopes)
     slope = float(slopes[0])
     head = 2 - 2 * slope
     _refuse_heavy(head)
@@ -201,9 +204,9 @@ def petzold(station: str) -> PhaseFunction:
     (1972), at 530 nm, and C. D. Mobley et al., Appl. Opt. 32, 7484 (1993),
     :doi:`10.1364/AO.32.007484`. At AUTEC and HAOCE the values below 0.169 degrees are
     the report's own extension. The head below 0.1 degree has the report's slope; for
-    the average particle, that of its shares. Shapes hold for other wavelengths better
-    than scattering coefficients do. The value of the average particle at 180 degrees
-    comes from shares given to 1e-6 and has an error of a few percent.
+    the average particle, that of its fractions. Shapes hold for other wavelengths
+    better than scattering coefficients do. The value of the average particle at 180
+    degrees comes from fractions given to 1e-6 and has an error of a few percent.
 
     Examples
     --------
@@ -212,10 +215,10 @@ def petzold(station: str) -> PhaseFunction:
     b = 1.82 1/m, 0.020
     """
     if station == "average_particle":
-        degrees, share = _tables.numbers("mobley_1993_average_particle.csv").T
+        degrees, fraction = _tables.numbers("mobley_1993_average_particle.csv").T
         return from_cumulative(
             _radians(degrees),
-            cumulative=share,
+            cumulative=fraction,
             name="average particle of Mobley et al. 1993",
         )
     if station not in STATIONS:
@@ -263,13 +266,13 @@ def _slope_value(
     node: NDArray[np.float64],
     slope: float,
 ) -> NDArray[np.float64]:
-    """Return the derivative of the share by solid angle, and the head below."""
+    """Return the derivative of the fraction by solid angle, and the head below."""
     tiny = np.maximum(np.sin(angle / 2) ** 2, 1e-300)
     first = np.sin(node[0] / 2) ** 2
     position = np.log(np.clip(tiny, first, 1.0))
-    share, steepness = np.exp(curve(position)), curve(position, 1)
+    fraction, steepness = np.exp(curve(position)), curve(position, 1)
     # d(solid angle) = 4 pi dh with h = sin^2(angle / 2).
-    value = share * steepness / (4 * np.pi * np.maximum(tiny, first))
+    value = fraction * steepness / (4 * np.pi * np.maximum(tiny, first))
     head = (np.minimum(tiny, first) / first) ** (slope - 1)
     return np.asarray(value * head)
 

@@ -38,7 +38,7 @@ def linear_polarizer(
         Power that passes crossed over power that passes aligned, 0 (ideal) to 1
         (clear glass) [1]. A data sheet's 10 000:1 is 1e-4.
     transmission : array_like
-        Share of aligned light that passes, 0 to 1 [1].
+        Fraction of aligned light that passes, 0 to 1 [1].
 
     Returns
     -------
@@ -105,7 +105,7 @@ def retarder(
         1 [1]. Reflection at the faces of a crystal plate and the two absorptions of a
         polymer give some 0.001 to 0.01.
     transmission : array_like
-        Share of unpolarized light that passes, 0 to 1 [1].
+        Fraction of unpolarized light that passes, 0 to 1 [1].
 
     Returns
     -------
@@ -159,7 +159,7 @@ def retarder(
 
 
 def largest_transmission(mueller: ArrayLike) -> NDArray[np.float64]:
-    r"""Return the share of light that an element passes in the state it passes best.
+    r"""Return the fraction of light that an element passes in the state it passes best.
 
     Parameters
     ----------

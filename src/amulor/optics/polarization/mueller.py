@@ -339,7 +339,7 @@ def apply(mueller: ArrayLike, stokes: ArrayLike) -> NDArray[np.float64]:
 
 
 def detected_fraction(mueller: ArrayLike, *, pair: str) -> NDArray[np.float64]:
-    r"""Return the share of the light that passes a polarizer pair.
+    r"""Return the fraction of the light that passes a polarizer pair.
 
     Parameters
     ----------

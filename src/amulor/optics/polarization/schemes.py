@@ -36,7 +36,7 @@ __all__ = [
     "generator",
     "launched_stokes",
     "linear_leak",
-    "received_share",
+    "received_fraction",
 ]
 
 
@@ -50,7 +50,7 @@ class PolarizationArm:
     extinction_ratio: ArrayLike = 0.0
     """Power that the polarizer passes crossed over what it passes aligned [1]."""
     polarizer_transmission: ArrayLike = 1.0
-    """Share of aligned light that the polarizer passes [1]."""
+    """Fraction of aligned light that the polarizer passes [1]."""
     polarizer_error: ArrayLike = 0.0
     """Turn of the polarizer from where it should stand [rad]."""
     retardance_error: ArrayLike = 0.0
@@ -60,7 +60,7 @@ class PolarizationArm:
     plate_diattenuation: ArrayLike = 0.0
     """Diattenuation of the plate, positive if the fast axis passes more [1]."""
     plate_transmission: ArrayLike = 1.0
-    """Share of unpolarized light that the plate passes [1]."""
+    """Fraction of unpolarized light that the plate passes [1]."""
 
 
 IDEAL = PolarizationArm()
@@ -189,7 +189,7 @@ def launched_stokes(
     return vector
 
 
-def received_share(
+def received_fraction(
     mueller: ArrayLike,
     *,
     pair: str,
@@ -197,7 +197,7 @@ def received_share(
     receiver: PolarizationArm = IDEAL,
     laser: ArrayLike = (1.0, 0.0, 0.0, 0.0),
 ) -> NDArray[np.float64]:
-    r"""Return the share of the light that a pair of real arms receives from a scene.
+    r"""Return the fraction of the light that a pair of real arms receives from a scene.
 
     Parameters
     ----------
@@ -244,8 +244,8 @@ def received_share(
     >>> sheet = PolarizationArm(extinction_ratio=1e-3, polarizer_transmission=0.8)
     >>> mirror = _mueller.ideal_backscatter()
     >>> for pair in ("VV", "VH"):
-    ...     share = received_share(mirror, pair=pair, emitter=sheet, receiver=sheet)
-    ...     print(pair, f"{share:.4f}")
+    ...     part = received_fraction(mirror, pair=pair, emitter=sheet, receiver=sheet)
+    ...     print(pair, f"{part:.4f}")
     VV 0.7992
     VH 0.0016
     """
@@ -253,8 +253,8 @@ def received_share(
     launched = launched_stokes(first, arm=emitter, laser=laser)
     returned = _mueller.apply(mueller, launched)
     row = analyser(second, arm=receiver)[..., 0, :]
-    share: NDArray[np.float64] = np.sum(row * returned, axis=-1)
-    return share
+    fraction: NDArray[np.float64] = np.sum(row * returned, axis=-1)
+    return fraction
 
 
 def cross_talk(
@@ -270,19 +270,19 @@ def cross_talk(
     Parameters
     ----------
     mueller, pair, emitter, receiver, laser
-        As in `received_share`.
+        As in `received_fraction`.
 
     Returns
     -------
     ndarray
-        Received share over the transmission of the receiver's components, less the
-        share with ideal components [1]. Where the ideal pair is dark this is the
+        Received fraction over the transmission of the receiver's components, less the
+        fraction with ideal components [1]. Where the ideal pair is dark this is the
         leak; where it is bright, negative, what the leak of the other pair took.
 
     Raises
     ------
     ValueError
-        As `received_share`, or if the receiver's components pass nothing at all.
+        As `received_fraction`, or if the receiver's components pass nothing at all.
 
     Notes
     -----
@@ -301,7 +301,7 @@ def cross_talk(
     >>> print(f"{cross_talk(mirror, pair='VH', receiver=sheet):.1e}")
     1.0e-03
     """
-    share = received_share(
+    fraction = received_fraction(
         mueller, pair=pair, emitter=emitter, receiver=receiver, laser=laser
     )
     _, second = stokes.pair_states(pair)
@@ -317,7 +317,7 @@ def cross_talk(
         rule="above 0",
         hint="else nothing is received",
     )
-    added: NDArray[np.float64] = share / passed - _mueller.detected_fraction(
+    added: NDArray[np.float64] = fraction / passed - _mueller.detected_fraction(
         mueller, pair=pair
     )
     return added

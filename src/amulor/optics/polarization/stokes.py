@@ -163,7 +163,7 @@ def from_field(parallel: ArrayLike, perpendicular: ArrayLike) -> NDArray[np.floa
 
 
 def degree_of_polarization(stokes: ArrayLike) -> NDArray[np.float64]:
-    r"""Return the polarized share of the intensity.
+    r"""Return the polarized fraction of the intensity.
 
     Parameters
     ----------
@@ -196,7 +196,7 @@ def degree_of_polarization(stokes: ArrayLike) -> NDArray[np.float64]:
 
 
 def degree_of_linear_polarization(stokes: ArrayLike) -> NDArray[np.float64]:
-    r"""Return the linearly polarized share of the intensity.
+    r"""Return the linearly polarized fraction of the intensity.
 
     Parameters
     ----------
@@ -227,7 +227,7 @@ def degree_of_linear_polarization(stokes: ArrayLike) -> NDArray[np.float64]:
 
 
 def degree_of_circular_polarization(stokes: ArrayLike) -> NDArray[np.float64]:
-    r"""Return the circularly polarized share of the intensity, with its sense.
+    r"""Return the circularly polarized fraction of the intensity, with its sense.
 
     Parameters
     ----------

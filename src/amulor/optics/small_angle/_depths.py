@@ -74,14 +74,14 @@ def panels(
             half = (waiting[:, 1] - waiting[:, 0]) / 2
             depth = waiting[:, :1] + half[:, None] * (node + 1)
             taken = light(depth.ravel()).reshape(depth.shape)
-            share = half * (taken @ weight)
+            part = half * (taken @ weight)
             unresolved = 2 * half * np.max(np.abs(taken @ tail), axis=1)
-            scale = known + total + abs(share.sum())
+            scale = known + total + abs(part.sum())
             rounding = _ROUNDING * on_axis(waiting[:, 0]) * half
             done = unresolved <= np.maximum(_TOLERANCE * scale, rounding)
             edges = np.concatenate([edges, waiting[done]])
             values = np.concatenate([values, taken[done]])
-            total += max(share[done].sum(), 0.0)
+            total += max(part[done].sum(), 0.0)
             low, high = waiting[~done].T
             middle = (low + high) / 2
             waiting = np.concatenate(
@@ -89,7 +89,7 @@ def panels(
             )
             if len(waiting) > _MOST_PANELS:
                 raise ArithmeticError(
-                    f"the water column does not settle near {low[0]:g} m; "
+                    f"the water column does not settle about {low[0]:g} m; "
                     "receiver_radius or acceptance_angle may be far too small"
                 )
         # What is sent from beyond this depth does not count.

@@ -293,10 +293,10 @@ def _beam_loss(column: Column) -> float:
 def _light(depth: Array, column: Column, spread: Table) -> Array:
     """Return F(z) [sr]."""
     closed = small_angle_diffusion.overlap(depth, **_without_forward_scattering(column))
-    found = closed * _beam_loss(column)
+    light = closed * _beam_loss(column)
     lit = depth > 0  # nothing is scattered before the water begins
-    found[lit] += _scattered(depth[lit], column, spread)
-    return found
+    light[lit] += _scattered(depth[lit], column, spread)
+    return light
 
 
 def _scattered(depth: Array, column: Column, spread: Table) -> Array:

@@ -128,7 +128,7 @@ def water_response(
        \exp[-(w^2 + \delta^2 \zeta^2) \kappa^2 / 4] .
 
     It falls slowly. The light of an infinitely thin beam that was not scattered is
-    therefore taken out: its share is the area that two discs have in common. For
+    therefore taken out: its fraction is the area that two discs have in common. For
     the rest each Bessel function of a large argument is written as two waves with
     smooth factors, and waves that turn fast are integrated by the Legendre series
     of their factors, so the cost does not grow with the range of spatial frequencies.
@@ -317,11 +317,11 @@ def _light(depth: Array, column: Column, spread: Table) -> Array:
     """Return F(z) [sr]."""
     path = depth + column.standoff
     thin = (column.beam_radius == 0) & (column.beam_divergence * path == 0)
-    found = np.zeros(depth.shape)
-    found[thin] = _unscattered(depth[thin], column)
+    light = np.zeros(depth.shape)
+    light[thin] = _unscattered(depth[thin], column)
     lit = ~thin | (depth > 0)  # nothing is scattered before the water begins
-    found[lit] += _collected(depth[lit], column, spread)
-    return found
+    light[lit] += _collected(depth[lit], column, spread)
+    return light
 
 
 def _collected(depth: Array, column: Column, spread: Table) -> Array:
@@ -386,17 +386,17 @@ def _on_axis(path: Array, column: Column) -> Array:
 def _edges_of_view(column: Column) -> list[float]:
     """Return depths at which the beam enters or leaves the view, wholly or partly."""
     radius, angle = column.receiver_radius, column.acceptance_angle
-    found = [radius / angle]
+    edges = [radius / angle]
     turn = column.tilt**2 + column.cross_tilt**2 - angle**2
     for side in (radius, -radius):
         middle = column.baseline * column.tilt + side * angle
         ends = np.roots([turn, -2 * middle, column.baseline**2 - radius**2])
-        found += [float(end.real) for end in ends if abs(end.imag) < 1e-9 * abs(end)]
-    return [path - column.standoff for path in found]
+        edges += [float(end.real) for end in ends if abs(end.imag) < 1e-9 * abs(end)]
+    return [path - column.standoff for path in edges]
 
 
 def _tables_of(spread: Table) -> _kernels.Tables:
-    """Return the tables of a phase function with those that all of them share."""
+    """Return the tables of a phase function with those common to all of them."""
     rule, series = _frequency_rule()
     return _kernels.Tables(
         lost=spread.cells, bessel=bessel(), disc=disc(), rule=rule, series=series

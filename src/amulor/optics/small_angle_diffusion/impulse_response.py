@@ -9,7 +9,9 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.constants import speed_of_light
 from scipy.optimize import brentq
 
-from amulor.optics import small_angle_diffusion
+from amulor.optics._bounds import broadcast, finite, within
+from amulor.optics._water_column import checked
+from amulor.optics.small_angle_diffusion import response as model
 
 __all__ = ["impulse_response", "maximum_distance"]
 
@@ -84,11 +86,15 @@ def impulse_response(
     >>> print(f"{time[np.argmax(response)] * 1e9:.1f} ns")
     11.4 ns
     """
-    moment = np.asarray(time, dtype=float)
-    speed = speed_of_light / np.asarray(group_index, dtype=float)
+    moment = finite(time, name="time", unit="s")
+    index = np.asarray(checked("group_index", group_index))
+    vsf = np.asarray(checked("backscatter_vsf", backscatter_vsf))
+    last = np.asarray(checked("end", end))
+    broadcast(time=moment, group_index=index, backscatter_vsf=vsf, end=last)
+    speed = speed_of_light / index
     depth = speed * moment / 2
-    inside = (depth >= 0) & (depth <= np.asarray(end, dtype=float))
-    profile = small_angle_diffusion.overlap(
+    inside = (depth >= 0) & (depth <= last)
+    profile = model.overlap(
         np.where(inside, depth, 0.0),
         absorption=absorption,
         forward_scattering=forward_scattering,
@@ -101,18 +107,18 @@ def impulse_response(
         cross_tilt=cross_tilt,
         standoff=standoff,
     )
-    vsf = np.asarray(backscatter_vsf, dtype=float)
+    broadcast(backscatter_vsf=vsf, depth=profile)
     response: NDArray[np.float64] = np.where(inside, vsf * profile * speed / 2, 0.0)
     return response
 
 
-def maximum_distance(share: float, **water: Any) -> float:
-    """Return the depth above which a share of the water signal arises.
+def maximum_distance(fraction: float, **water: Any) -> float:
+    """Return the depth above which a fraction of the water signal arises.
 
     Parameters
     ----------
-    share : float
-        Share of the mean (unmodulated) signal, above 0 and below 1 [1].
+    fraction : float
+        Fraction of the mean (unmodulated) signal, above 0 and below 1 [1].
     **water
         Properties of one water column, as `small_angle_diffusion.water_response` takes
         them; `backscatter_vsf` and `group_index` cancel and may be left out.
@@ -125,7 +131,7 @@ def maximum_distance(share: float, **water: Any) -> float:
     Raises
     ------
     ValueError
-        If the share is out of range, or a property of the water.
+        If the fraction is out of range, or a property of the water.
 
     Notes
     -----
@@ -140,10 +146,9 @@ def maximum_distance(share: float, **water: Any) -> float:
     >>> print(f"{maximum_distance(0.9, **water):.2f} m")
     3.12 m
     """
-    if not 0 < share < 1:
-        raise ValueError(f"share must be above 0 and below 1, got {share:g}")
+    within(fraction, 0, 1, name="fraction", above=True, below=True)
     column = {"backscatter_vsf": 1.0, "group_index": 1.0, **water}
-    whole = float(small_angle_diffusion.water_response(0.0, **column).real)
+    whole = float(model.water_response(0.0, **column).real)
     if whole == 0:
         raise ValueError(
             "the receiver gets no light from this water: baseline too wide, or "
@@ -151,8 +156,8 @@ def maximum_distance(share: float, **water: Any) -> float:
         )
 
     def excess(depth: float) -> float:
-        part = small_angle_diffusion.water_response(0.0, **(column | {"end": depth}))
-        return float(part.real) / whole - share
+        part = model.water_response(0.0, **(column | {"end": depth}))
+        return float(part.real) / whole - fraction
 
     farthest = 1.0
     end = float(column.get("end", np.inf))

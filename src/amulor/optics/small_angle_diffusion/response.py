@@ -306,8 +306,8 @@ def water_tail(
     ...     second_moment=0.0, backscatter_vsf=1e-3, group_index=1.34,
     ...     baseline=0.2, receiver_radius=0.02, acceptance_angle=0.08,
     ... )
-    >>> share = water_tail(0.0, end=3.7, **water) / water_response(0.0, **water)
-    >>> print(f"{share.real:.3f}")
+    >>> fraction = water_tail(0.0, end=3.7, **water) / water_response(0.0, **water)
+    >>> print(f"{fraction.real:.3f}")
     0.069
     """
     column = Column(

@@ -21,7 +21,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Literal, NoReturn
+from typing import Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -38,7 +38,6 @@ __all__ = [
     "Milk",
     "PetzoldStation",
     "jerlov",
-    "maalox",
     "milk",
     "petzold_station",
 ]
@@ -54,7 +53,12 @@ JERLOV_SOURCES = {
 _MEASURED = "williamson_hollins_2022_measured.csv"
 
 MAALOX_VOLUME_FRACTION = 0.1e-6 / 27e-3
-"""Volume fraction of Maalox in ref. [5]: 0.1 ml in 27 litre, 3.7e-6 [1]."""
+"""Volume fraction of Maalox in ref. [5]: 0.1 ml in 27 litre, 3.7e-6 [1].
+
+The dose is all that is known: no scattering coefficient of Maalox at 405 nm has a
+source to cite, and a number without one would be worse than none. Measure the
+attenuation of the mixture [1/m] and state that.
+"""
 
 # Fat by mass: scattering of undiluted milk [1/m] and asymmetry, both at 405 nm.
 _MILKS = {0.001: (3.4e3, 0.25), 0.015: (12.5e3, 0.63), 0.035: (37e3, 0.80)}
@@ -310,38 +314,6 @@ def milk(volume_fraction: ArrayLike, *, fat: float) -> Milk:
             )
     listed = ", ".join(f"{known:g}" for known in _MILKS)
     raise ValueError(f"fat must be one of {listed} (by mass), got {fat:g}")
-
-
-def maalox(volume_fraction: float) -> NoReturn:
-    """Refuse to name the scattering of Maalox, and say what is known.
-
-    Parameters
-    ----------
-    volume_fraction : float
-        Maalox per volume of the mixture [1].
-
-    Raises
-    ------
-    ValueError
-        Always. Ref. [5] of this module states its dose, 0.1 ml in 27 litre
-        (`MAALOX_VOLUME_FRACTION`), and no coefficient; no source of one at 405 nm is
-        known here, and a number without a source would be worse than none.
-
-    Examples
-    --------
-    >>> maalox(3.7e-6)
-    Traceback (most recent call last):
-        ...
-    ValueError: no scattering of Maalox has a source to cite; known is the dose of \
-Ricci et al. 2010, a volume fraction of 3.7e-06 (asked for: 3.7e-06); measure the \
-attenuation of the mixture [1/m] and state that
-    """
-    raise ValueError(
-        "no scattering of Maalox has a source to cite; known is the dose of Ricci et "
-        f"al. 2010, a volume fraction of {MAALOX_VOLUME_FRACTION:.1e} (asked for: "
-        f"{volume_fraction:.1e}); measure the attenuation of the mixture [1/m] and "
-        "state that"
-    )
 
 
 def _columns(

@@ -38,7 +38,7 @@ def leak_of_mirror(pair, **arms):
 @pytest.mark.parametrize("pair", ["none", *PAIRS])
 def test_ideal_components_read_what_the_formula_says(pair):
     for matrix in (MIRROR, mueller.painted_metal(), mueller.rayleigh(2.0)):
-        share = schemes.received_share(matrix, pair=pair)
+        share = schemes.received_fraction(matrix, pair=pair)
         expected = mueller.detected_fraction(matrix, pair=pair)
         assert_allclose(share, expected, rtol=0, atol=1e-15)
         talk = schemes.cross_talk(matrix, pair=pair)
@@ -57,7 +57,7 @@ def test_components_make_and_pass_the_state_that_they_are_named_after(state):
 def test_painted_metal_reads_the_published_shares_through_real_circuits():
     # Eqs. (68) and (69) as rebuilt: 0.805, 0.195, 0.27 and 0.73.
     shares = {
-        pair: float(schemes.received_share(mueller.painted_metal(), pair=pair))
+        pair: float(schemes.received_fraction(mueller.painted_metal(), pair=pair))
         for pair in ("VV", "VH", "RR", "RL")
     }
     expected = {"VV": 0.805, "VH": 0.195, "RR": 0.27, "RL": 0.73}
@@ -178,7 +178,7 @@ def test_arms_exist_do_not_depolarize_and_make_no_light(state, arm):
 @given(st.sampled_from(PAIRS), arms, arms)
 def test_no_pair_receives_more_than_all_or_less_than_nothing(pair, emitter, receiver):
     for matrix in (MIRROR, mueller.painted_metal()):
-        share = schemes.received_share(
+        share = schemes.received_fraction(
             matrix, pair=pair, emitter=emitter, receiver=receiver
         )
         assert -1e-15 <= share <= 1 + 1e-15
@@ -189,7 +189,7 @@ def test_no_pair_receives_more_than_all_or_less_than_nothing(pair, emitter, rece
 def test_crossed_analysers_share_all_the_light(first, second, leak, emitter):
     receiver = PolarizationArm(extinction_ratio=leak, polarizer_transmission=0.7)
     shares = [
-        schemes.received_share(
+        schemes.received_fraction(
             mueller.painted_metal(),
             pair=first + letter,
             emitter=emitter,
@@ -248,10 +248,10 @@ def test_mirror_images_of_the_arms_swap_the_helicities(emitter, receiver):
         return PolarizationArm(**fields)
 
     for pair, image in (("RR", "LL"), ("RL", "LR"), ("PR", "ML")):
-        one = schemes.received_share(
+        one = schemes.received_fraction(
             mueller.painted_metal(), pair=pair, emitter=emitter, receiver=receiver
         )
-        other = schemes.received_share(
+        other = schemes.received_fraction(
             mueller.painted_metal(),
             pair=image,
             emitter=mirrored(emitter),
@@ -268,7 +268,7 @@ def test_fields_and_matrices_broadcast():
         retardance_error=np.zeros((3, 1)), plate_error=np.zeros(2)
     )
     matrices = mueller.diagonal([0.6, 0.8], -0.6, -0.4)
-    share = schemes.received_share(matrices, pair="RL", receiver=receiver)
+    share = schemes.received_fraction(matrices, pair="RL", receiver=receiver)
     assert share.shape == (3, 2)
     talk = schemes.cross_talk(matrices, pair="RL", receiver=receiver)
     assert talk.shape == (3, 2)
@@ -277,7 +277,7 @@ def test_fields_and_matrices_broadcast():
 
 def test_what_no_instrument_can_do_is_refused():
     with pytest.raises(ValueError, match="pair must be 'none' or two letters"):
-        schemes.received_share(MIRROR, pair="VX")
+        schemes.received_fraction(MIRROR, pair="VX")
     with pytest.raises(ValueError, match="must be one of 'H', 'V'"):
         schemes.analyser("X")
     with pytest.raises(
@@ -291,4 +291,4 @@ def test_what_no_instrument_can_do_is_refused():
     with pytest.raises(ValueError, match="extinction_ratio must be from 0 to 1"):
         schemes.linear_leak(axis_error=0.0, extinction_ratio=1000)
     with pytest.raises(ValueError, match=r"last axes \(4, 4\)"):
-        schemes.received_share(np.eye(3), pair="VV")
+        schemes.received_fraction(np.eye(3), pair="VV")
