@@ -33,7 +33,7 @@ def reading_variance(
     return counting_variance(survey, rate=rate, integration_time=float(time))
 
 
-def variance_share(readings: ArrayLike, *, spacing: float) -> NDArray[np.float64]:
+def variance_ratio(readings: ArrayLike, *, spacing: float) -> NDArray[np.float64]:
     r"""Return the variance of a mean of readings over that of one of them.
 
     Parameters
@@ -56,7 +56,7 @@ def variance_share(readings: ArrayLike, *, spacing: float) -> NDArray[np.float64
     Notes
     -----
     White noise behind a one-pole filter keeps :math:`r = e^{-s}` of itself from one
-    reading to the next, so that the mean of n has the share
+    reading to the next, so that the mean of n has the fraction
 
     .. math:: \frac{1}{n} \left[ 1 + 2 \sum_{k=1}^{n-1} (1 - k / n) r^k \right]
         = \frac{1}{n} \left[ \frac{1 + r}{1 - r}
@@ -64,7 +64,7 @@ def variance_share(readings: ArrayLike, *, spacing: float) -> NDArray[np.float64
 
     Examples
     --------
-    >>> print(f"{variance_share(8, spacing=1.0):.4f}")
+    >>> print(f"{variance_ratio(8, spacing=1.0):.4f}")
     0.2417
     """
     number = np.asarray(readings, dtype=float)
@@ -76,8 +76,8 @@ def variance_share(readings: ArrayLike, *, spacing: float) -> NDArray[np.float64
     left = -np.expm1(-spacing)
     slow = (1 + kept) / left
     ends = 2 * kept * (1 - kept**number) / (number * left**2)
-    share: NDArray[np.float64] = np.asarray((slow - ends) / number)
-    return share
+    fraction: NDArray[np.float64] = np.asarray((slow - ends) / number)
+    return fraction
 
 
 def readings_of(survey: Survey, *, settling: float) -> int:

@@ -36,7 +36,8 @@ class Geometry:
     optical_path: Floats
     """Group index times length, out and back; 0 without a target [m]."""
     cosine: Floats
-    """Cosine of the surface's normal to the receiver, times the visible share [1]."""
+    """Cosine of the surface's normal to the receiver, times the part of the aperture
+    that sees it [1]."""
 
 
 def trace(survey: Survey, water: WaterProperties) -> Geometry:
@@ -78,7 +79,7 @@ def trace(survey: Survey, water: WaterProperties) -> Geometry:
     _refuse_targets_behind_the_water(survey, hits)
     receiver = np.asarray(instrument.receiver.position)
     points, weights = aperture_points(receiver, radius=instrument.receiver.radius)
-    share = scene.visible_share(hits, points, weights)
+    fraction = scene.visible_fraction(hits, points, weights)
     met = hits.target >= 0
     way = receiver - hits.point[met]
     cosine = np.zeros(met.size)
@@ -101,7 +102,7 @@ def trace(survey: Survey, water: WaterProperties) -> Geometry:
         slant_range=hits.distance.reshape(shape) + beam.length_before,
         depth=hits.distance.reshape(shape),
         optical_path=path.reshape(shape),
-        cosine=(cosine * share).reshape(shape),
+        cosine=(cosine * fraction).reshape(shape),
     )
 
 

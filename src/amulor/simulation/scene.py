@@ -85,7 +85,7 @@ class Scene:
             target[where] = self._owner[triangle[hit]]
         return Hits(target=target, distance=distance, point=point, normal=normal)
 
-    def visible_share(
+    def visible_fraction(
         self, hits: Hits, aperture: NDArray[Any], weight: NDArray[Any]
     ) -> NDArray[np.float64]:
         """Return how much of the receiver's aperture sees each point that was met.
@@ -102,9 +102,9 @@ class Scene:
         Returns
         -------
         ndarray, shape (n,)
-            Share that no other surface hides, 0 where a beam met nothing [1].
+            Fraction that no other surface hides, 0 where a beam met nothing [1].
         """
-        share = np.zeros(len(hits.target))
+        fraction = np.zeros(len(hits.target))
         met = np.flatnonzero(hits.target >= 0)
         start = hits.point[met] + _LIFT * hits.normal[met]
         for spot, part in zip(aperture, weight, strict=True):
@@ -113,16 +113,16 @@ class Scene:
             ray = way / length[:, None]
             faces = np.einsum("ij,ij->i", hits.normal[met], ray) > 0
             free = self.cast(start, ray).distance >= length
-            share[met] += part * (faces & free)
-        return share
+            fraction[met] += part * (faces & free)
+        return fraction
 
     def _first_triangles(
         self, start: NDArray[Any], direction: NDArray[Any]
     ) -> NDArray[np.intp]:
         if self._caster is None:
             return np.full(len(start), -1)
-        found: NDArray[np.intp] = self._caster.intersects_first(start, direction)
-        return found
+        result: NDArray[np.intp] = self._caster.intersects_first(start, direction)
+        return result
 
 
 def aperture_points(

@@ -58,11 +58,11 @@ def target_light(
     """
     met = geometry.target >= 0
     reflectance = np.zeros(met.shape)
-    share = np.zeros((len(survey.instrument.polarizations), *met.shape))
+    fraction = np.zeros((len(survey.instrument.polarizations), *met.shape))
     for number, target in enumerate(survey.targets):
         own = geometry.target == number
         reflectance[own] = target.reflectance
-        share[:, own] = _fractions(survey, target.mueller)[:, None]
+        fraction[:, own] = _fractions(survey, target.mueller)[:, None]
     frequency = _frequencies(survey)
     depth = np.where(met, geometry.depth, 0.0)
     response = model.echo(
@@ -77,7 +77,7 @@ def target_light(
             "cosine": geometry.cosine,
         },
     )
-    return _light(response * share)
+    return _light(response * fraction)
 
 
 def water_light(
@@ -116,8 +116,8 @@ def water_light(
     response = response * np.exp(
         2j * np.pi * frequency * view.optical_offset / speed_of_light
     )
-    share = _fractions(survey, survey.water.backscatter_mueller)
-    return _light(response * share.reshape(-1, *[1] * view.tilt.ndim))
+    fraction = _fractions(survey, survey.water.backscatter_mueller)
+    return _light(response * fraction.reshape(-1, *[1] * view.tilt.ndim))
 
 
 def _frequencies(survey: Survey) -> NDArray[np.float64]:
@@ -131,7 +131,7 @@ def _light(response: NDArray[np.complex128]) -> Light:
 
 
 def _fractions(survey: Survey, stated: Any) -> NDArray[np.float64]:
-    """Return the share of the light that each analyser passes."""
+    """Return the fraction of the light that each analyser passes."""
     pairs = survey.instrument.polarizations
     reduced = matrix(stated)
     return np.array([float(mueller.detected_fraction(reduced, pair=p)) for p in pairs])

@@ -34,7 +34,7 @@ __all__ = [
     "survey_text",
 ]
 
-#: Called with what is done now and the share of the work done before it.
+#: Called with what is done now and the fraction of the work done before it.
 Progress = Callable[[str, float], None]
 
 _CLOUDS = ("ply", "laz", "e57")
@@ -62,7 +62,7 @@ def run(
     *,
     rng: np.random.Generator | int = 1,
     overwrite: bool = False,
-    progress: Progress = lambda step, share: None,
+    progress: Progress = lambda step, done: None,
 ) -> list[Case]:
     """Scan the ladder in both waters and write all that comes of it.
 
@@ -77,7 +77,7 @@ def run(
     overwrite : bool
         Whether files that are there may be replaced.
     progress : callable, optional
-        Called with a step and the share of the work done before it.
+        Called with a step and the fraction of the work done before it.
 
     Returns
     -------

@@ -13,11 +13,11 @@ from amulor.optics.polarization import stokes
 from amulor.survey.quantity import (
     Angle,
     Description,
+    Fraction,
     Frequency,
     Length,
     Position,
     Power,
-    Share,
     Time,
     Voltage,
 )
@@ -52,10 +52,10 @@ class Receiver(Description):
 class Detector(Description):
     """The photomultiplier and the optics in front of it."""
 
-    quantum_efficiency: Annotated[Share, Field(gt=0, le=1)] = 0.25
+    quantum_efficiency: Annotated[Fraction, Field(gt=0, le=1)] = 0.25
     """Photoelectrons per photon [1]."""
-    optical_transmission: Annotated[Share, Field(gt=0, le=1)] = 1.0
-    """Share of the collected light that reaches the photocathode [1]."""
+    optical_transmission: Annotated[Fraction, Field(gt=0, le=1)] = 1.0
+    """Fraction of the collected light that reaches the photocathode [1]."""
     excess_noise_factor: Annotated[float, Field(ge=1)] = 1.2
     """How much the multiplication raises the shot-noise power [1]."""
     dark_rate: Annotated[Frequency, Field(ge=0)] = 0.0
@@ -95,7 +95,7 @@ class Instrument(Description):
     """Wavelength of the laser in vacuum [m]."""
     power: Annotated[Power, Field(gt=0)]
     """Mean launched power [W]."""
-    modulation_depth: Annotated[Share, Field(gt=0, le=1)]
+    modulation_depth: Annotated[Fraction, Field(gt=0, le=1)]
     """Depth m of the intensity modulation [1]."""
     modulation_frequencies: Annotated[
         tuple[Annotated[Frequency, Field(gt=0, le=10e9)], ...], Field(min_length=1)

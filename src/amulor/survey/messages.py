@@ -40,13 +40,13 @@ def lines(
     """
     problems = error.errors()
     above = {one["loc"][:end] for one in problems for end in range(len(one["loc"]))}
-    found = [
+    result = [
         _line(problem, content, model, name, what)
         for problem in problems
         # A list whose items are all wrong counts as empty, which it is not.
         if problem["type"] != "too_short" or problem["loc"] not in above
     ]
-    return list(dict.fromkeys(found))
+    return list(dict.fromkeys(result))
 
 
 def _line(
@@ -59,7 +59,7 @@ def _line(
     location = _location(problem["loc"], content)
     field = ".".join(str(part) for part in location) or what.partition(" ")[2]
     kind, bounds = problem["type"], problem.get("ctx", {})
-    found = _found(location, content)
+    result = _found(location, content)
     if kind == "extra_forbidden":
         allowed = list(_table(location[:-1], content, model).model_fields)
         close = difflib.get_close_matches(str(location[-1]), allowed, n=1)
@@ -74,15 +74,15 @@ def _line(
         return f"{name}: {field}: {bounds['error']}"
     limit = next(iter(bounds.values()), None)
     if kind in _LIMITS:
-        return f"{name}: {field}: found {found}, but it must {_LIMITS[kind]} {limit:g}"
+        return f"{name}: {field}: found {result}, but it must {_LIMITS[kind]} {limit:g}"
     if kind == "literal_error":
-        return f"{name}: {field}: found {found}, but it must be {limit}"
+        return f"{name}: {field}: found {result}, but it must be {limit}"
     if kind == "string_pattern_mismatch" and "polarizations" not in location:
-        return f"{name}: {field}: found {found}; {_meant(location, content, model)}"
+        return f"{name}: {field}: found {result}; {_meant(location, content, model)}"
     if kind in _NEEDED:
-        return f"{name}: {field}: found {found}, but {_NEEDED[kind]}"
+        return f"{name}: {field}: found {result}, but {_NEEDED[kind]}"
     text = str(problem["msg"])
-    return f"{name}: {field}: found {found}; {text[:1].lower()}{text[1:]}"
+    return f"{name}: {field}: found {result}; {text[:1].lower()}{text[1:]}"
 
 
 _LIMITS = {

@@ -137,7 +137,7 @@ AngleSquared = Annotated[
     _write("angle squared"),
     _schema("angle squared"),
 ]
-Share = Annotated[float, _read("fraction"), _finite]
+Fraction = Annotated[float, _read("fraction"), _finite]
 
 Position = tuple[Length, Length, Length]
 Rotation = tuple[Angle, Angle, Angle]

@@ -8,7 +8,7 @@ from typing import Annotated, Literal, Self
 from pydantic import Field, model_validator
 
 from amulor.survey.mueller import ReducedMueller
-from amulor.survey.quantity import Description, Length, Position, Rotation, Share
+from amulor.survey.quantity import Description, Fraction, Length, Position, Rotation
 
 #: Painted metal; m22 is published, m33 follows from symmetry, m44 is assumed.
 PAINTED_METAL = (0.61, -0.61, -0.46)
@@ -19,8 +19,8 @@ class _Target(Description):
     """Centre of the target (right, down, forward) in the instrument's axes [m]."""
     rotation: Rotation = (0.0, 0.0, 0.0)
     """Turns about the axes right, down, forward, one after the other [rad]."""
-    reflectance: Annotated[Share, Field(gt=0, le=1)]
-    """Share of the light that the surface sends back diffusely [1]."""
+    reflectance: Annotated[Fraction, Field(gt=0, le=1)]
+    """Fraction of the light that the surface sends back diffusely [1]."""
     mueller: ReducedMueller = PAINTED_METAL
     """Reduced Mueller matrix of the surface straight backwards [1]."""
 

@@ -12,10 +12,10 @@ from amulor.survey.quantity import (
     Angle,
     AngleSquared,
     Description,
+    Fraction,
     Length,
     PerMetre,
     PerSteradian,
-    Share,
     Temperature,
 )
 
@@ -34,8 +34,8 @@ class Water(Description):
     degrees is right for the small-angle model; the diffusion model, with which scans
     are simulated, then has a cut-off 57 to 83 % too high and too little of a far
     target: state 10 to 20 degrees where its numbers must hold."""
-    forward_fraction: Annotated[Share, Field(ge=0, le=1)] | None = None
-    """Share of the scattering below the split angle, where it is known [1]."""
+    forward_fraction: Annotated[Fraction, Field(ge=0, le=1)] | None = None
+    """Fraction of the scattering below the split angle, where it is known [1]."""
     second_moment: Annotated[AngleSquared, Field(ge=0)] | None = None
     """Mean square angle of the forward part, where it is known [rad^2]."""
     phase_function_at_180: Annotated[PerSteradian, Field(ge=0)] | None = None
@@ -52,7 +52,7 @@ class Water(Description):
     """Reduced Mueller matrix of the water straight backwards [1]."""
     column_end: Annotated[Length, Field(gt=0)] | None = None
     """Where the open water ends (the far wall of a tank); open if left out [m]."""
-    signal_fluctuation: Annotated[Share, Field(ge=0, lt=1)] = 0.0
+    signal_fluctuation: Annotated[Fraction, Field(ge=0, lt=1)] = 0.0
     """Relative random change of the water signal from sample to sample (drifting
     clouds of particles) [1]."""
 

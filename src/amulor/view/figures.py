@@ -303,7 +303,7 @@ def _quality(axis: Axes, image: xr.Dataset) -> None:
 
 _QUALITY = {"good": "#ffffff", "doubtful": "#E69F00", "no range": "#5d6f79"}
 
-#: Share of the pixels on either side that limits may leave out [%].
+#: Fraction of the pixels on either side that limits may leave out [%].
 _STRAY = 3.5
 
 

@@ -11,7 +11,7 @@ from numpy.testing import assert_allclose
 from amulor.acquisition.uncertainty import (
     reading_variance,
     readings_of,
-    variance_share,
+    variance_ratio,
 )
 from amulor.optics import detection
 from amulor.survey import Survey
@@ -23,12 +23,12 @@ def test_the_share_is_the_mean_of_the_correlation_matrix(number, spacing) -> Non
     correlation = np.exp(-spacing * np.abs(index[:, None] - index))
     # The closed form divides by (1 - r)^2, which loses 1e-16 / spacing^2.
     assert_allclose(
-        variance_share(number, spacing=spacing), correlation.mean(), rtol=1e-9
+        variance_ratio(number, spacing=spacing), correlation.mean(), rtol=1e-9
     )
 
 
 def test_far_apart_readings_are_independent_and_one_is_one() -> None:
-    assert_allclose(variance_share([1, 4, 25], spacing=50.0), [1, 1 / 4, 1 / 25])
+    assert_allclose(variance_ratio([1, 4, 25], spacing=50.0), [1, 1 / 4, 1 / 25])
 
 
 def test_dense_readings_average_like_the_filter_output_itself() -> None:
@@ -37,14 +37,14 @@ def test_dense_readings_average_like_the_filter_output_itself() -> None:
     time = detection.effective_integration_time(duration, time_constant=1.0)
     single = detection.effective_integration_time(0.0, time_constant=1.0)
     assert_allclose(
-        variance_share(4001, spacing=duration / 4000), single / time, rtol=1e-3
+        variance_ratio(4001, spacing=duration / 4000), single / time, rtol=1e-3
     )
 
 
 @given(number=st.integers(1, 1000), spacing=st.floats(0.01, 10))
 def test_one_more_reading_never_hurts(number, spacing) -> None:
-    more = variance_share(number + 1, spacing=spacing)
-    assert more < variance_share(number, spacing=spacing)
+    more = variance_ratio(number + 1, spacing=spacing)
+    assert more < variance_ratio(number, spacing=spacing)
 
 
 @pytest.mark.parametrize(
@@ -52,7 +52,7 @@ def test_one_more_reading_never_hurts(number, spacing) -> None:
 )
 def test_what_is_no_average_is_refused(readings, spacing, what) -> None:
     with pytest.raises(ValueError, match=f"{what} must be"):
-        variance_share(readings, spacing=spacing)
+        variance_ratio(readings, spacing=spacing)
 
 
 def test_a_reading_counts_photoelectrons_over_two_time_constants(small: Survey) -> None:

@@ -151,12 +151,12 @@ def test_a_screen_hides_the_echo_from_a_part_of_the_receiver() -> None:
     scene = Scene((wall, screen))
     hits = scene.cast(np.zeros((1, 3)), FORWARD)
     points, weights = aperture_points(np.array([0.07, 0.0, 0.0]), radius=0.02)
-    share = scene.visible_share(hits, points - [1e-6, 0, 0], weights)
+    share = scene.visible_fraction(hits, points - [1e-6, 0, 0], weights)
     # Half of the aperture looks past the edge: the centre and two of three pairs.
     assert share[0] == pytest.approx(0.5 + 4 / 12 - 0.0, abs=1 / 6)
-    far = scene.visible_share(hits, points - [0.2, 0, 0], weights)
+    far = scene.visible_fraction(hits, points - [0.2, 0, 0], weights)
     assert far[0] == pytest.approx(1)
-    none = scene.visible_share(hits, points + np.array([0.2, 0, 0]), weights)
+    none = scene.visible_fraction(hits, points + np.array([0.2, 0, 0]), weights)
     assert none[0] == 0
 
 

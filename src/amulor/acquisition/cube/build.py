@@ -78,9 +78,9 @@ def recover(
     with Journal.read(folder) as journal:
         cube = build(journal, calibration=calibration)
     write_cube(cube, path, overwrite=overwrite)
-    found = read_cube(path)
+    result = read_cube(path)
     for name, variable in cube.variables.items():
-        if not _same(np.asarray(found[name].values), np.asarray(variable.values)):
+        if not _same(np.asarray(result[name].values), np.asarray(variable.values)):
             raise FormatError(
                 f"{path} does not hold what was written to it ({name}); check the "
                 f"disk, and make the cube again with: amulor recover {folder} "

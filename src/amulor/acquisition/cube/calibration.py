@@ -21,7 +21,7 @@ from amulor.optics import rays
 from amulor.survey import messages
 from amulor.survey.quantity import Angle, Description, Frequency, Voltage
 
-#: Share of the rows and columns in the middle that the plate is looked at in.
+#: Fraction of the rows and columns in the middle that the plate is looked at in.
 _MIDDLE = 0.5
 
 

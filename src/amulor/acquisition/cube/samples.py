@@ -11,7 +11,7 @@ from amulor.acquisition.journal.journal import Journal
 from amulor.acquisition.journal.record import Record
 from amulor.acquisition.plan import Key
 from amulor.acquisition.sampler import SampleFlag
-from amulor.acquisition.uncertainty import reading_variance, variance_share
+from amulor.acquisition.uncertainty import reading_variance, variance_ratio
 from amulor.survey import Survey
 
 Floats = NDArray[np.float64]
@@ -186,4 +186,4 @@ def counting_variance(samples: Samples, survey: Survey) -> Floats:
         rate=np.nan_to_num(rate),
         time_constant=survey.instrument.lock_in.time_constant,
     )
-    return np.asarray(one * variance_share(samples.readings, spacing=1.0))
+    return np.asarray(one * variance_ratio(samples.readings, spacing=1.0))

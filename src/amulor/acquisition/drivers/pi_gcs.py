@@ -100,10 +100,10 @@ class PiController:
                     f"{timeout:g} s after MOV; see what holds them"
                 )
             self._clock.sleep(_POLL)
-        found = self._parsed(lines[len(axes) :], axes, "POS?")
-        if any(abs(found[axis] - goal) > _ASTRAY for axis, goal in goals.items()):
+        result = self._parsed(lines[len(axes) :], axes, "POS?")
+        if any(abs(result[axis] - goal) > _ASTRAY for axis, goal in goals.items()):
             self.raise_error()
-        return [found[axis] for axis in axes]
+        return [result[axis] for axis in axes]
 
     def stop(self) -> None:
         """Stop all axes, over a new link if the old one is lost."""
@@ -139,15 +139,15 @@ class PiController:
     ) -> dict[str, float]:
         try:
             pairs = (line.split("=") for line in lines)
-            found = {axis.strip(): float(value) for axis, value in pairs}
+            result = {axis.strip(): float(value) for axis, value in pairs}
         except ValueError:
-            found = {}
-        if sorted(found) != sorted(axes):
+            result = {}
+        if sorted(result) != sorted(axes):
             raise InstrumentError(
                 f"the controller at {self._link.address} has answered {question} by "
                 f"{list(lines)}, needed is a value for each of {', '.join(axes)}"
             )
-        return found
+        return result
 
 
 class _OnController:

@@ -69,15 +69,15 @@ class Stanford:
     def parsed(self, answer: str, line: str, *, count: int) -> list[float]:
         """Return the numbers of an answer, or say what is wrong with it."""
         try:
-            found = [float(part) for part in answer.split(",")]
+            result = [float(part) for part in answer.split(",")]
         except ValueError:
-            found = []
-        if len(found) != count or not all(map(math.isfinite, found)):
+            result = []
+        if len(result) != count or not all(map(math.isfinite, result)):
             raise InstrumentError(
                 f"{self.model} at {self._link.address} has answered {line!r} by "
                 f"{answer!r}, needed are {count} numbers; switch it off and on"
             )
-        return found
+        return result
 
     def configure(self, lines: Sequence[str]) -> None:
         """Send settings and make sure that the instrument took all of them."""
@@ -95,19 +95,19 @@ class Stanford:
         for code, value in enumerate(offered):
             if math.isclose(value, wanted, rel_tol=1e-6):
                 return code
-        near = sorted(offered, key=lambda value: abs(math.log(value / wanted)))[:2]
+        closest = sorted(offered, key=lambda value: abs(math.log(value / wanted)))[:2]
         raise InstrumentError(
             f"{self.model} has no {what} of {wanted:g} s; it has "
-            f"{min(near):g} s and {max(near):g} s: change instrument.lock_in of the "
-            "survey"
+            f"{min(closest):g} s and {max(closest):g} s: change instrument.lock_in of "
+            "the survey"
         )
 
     def _identify(self) -> str:
-        (found,) = self._link.ask("*IDN?")
-        parts = [part.strip() for part in found.split(",")]
+        (result,) = self._link.ask("*IDN?")
+        parts = [part.strip() for part in result.split(",")]
         if len(parts) < 2 or parts[1] != self.model:
             raise InstrumentError(
-                f"at {self._link.address} is {found!r}, needed is {self.model}; check "
+                f"at {self._link.address} is {result!r}, needed is {self.model}; check "
                 "the address"
             )
-        return found
+        return result

@@ -22,7 +22,7 @@ _FREQUENCIES = (25e3, 200e6)
 #: Reserves by the codes of WRSV and CRSV: the first has the most room.
 _HIGH, _NORMAL = 0, 1
 _POLL = 0.01
-#: Share of the full scale below which a finer one is taken; the steps are 3.2.
+#: Fraction of the full scale below which a finer one is taken; the steps are 3.2.
 _FINER_BELOW = 0.2
 
 
@@ -74,7 +74,7 @@ class Sr844(Stanford):
         )
         line = f"SNAP? {values};LIAS?"
         snapshot, status = self._link.ask(line, answers=2)
-        found = self.parsed(snapshot, line, count=values.count(",") + 1)
+        result = self.parsed(snapshot, line, count=values.count(",") + 1)
         bits = int(self.parsed(status, line, count=1)[0])
         overload = Overload.NONE
         for bit, kind in (
@@ -85,9 +85,9 @@ class Sr844(Stanford):
             if bits & bit:
                 overload |= kind
         return Reading(
-            signal=math.sqrt(2) * complex(found[0], -found[1]),
-            mean=math.nan if self._mean_input is None else found[3],
-            modulation_frequency=found[2],
+            signal=math.sqrt(2) * complex(result[0], -result[1]),
+            mean=math.nan if self._mean_input is None else result[3],
+            modulation_frequency=result[2],
             overload=overload,
             unlocked=bool(bits & (UNLOCKED | OUT_OF_RANGE)),
         )

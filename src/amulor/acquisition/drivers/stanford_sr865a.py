@@ -27,7 +27,7 @@ INPUT_RANGES = (1.0, 0.3, 0.1, 0.03, 0.01)
 OUTPUT, UNLOCKED, INPUT = 0b11, 8, 16
 _FREQUENCIES = (1e-3, 4e6)
 _POLL = 0.01
-#: Share of the full scale below which a finer one is taken; the steps are 2 and 2.5.
+#: Fraction of the full scale below which a finer one is taken; the steps are 2 and 2.5.
 _FINER_BELOW = 0.3
 
 
@@ -76,7 +76,7 @@ class Sr865a(Stanford):
         values = "0,1" if self._mean_input is None else f"0,1,{3 + self._mean_input}"
         line = f"SNAP? {values}"
         snapshot, status = self._link.ask(f"{line}\nLIAS?", answers=2)
-        found = self.parsed(snapshot, line, count=values.count(",") + 1)
+        result = self.parsed(snapshot, line, count=values.count(",") + 1)
         bits = int(self.parsed(status, "LIAS?", count=1)[0])
         overload = Overload.NONE
         if bits & INPUT:
@@ -84,8 +84,8 @@ class Sr865a(Stanford):
         if bits & OUTPUT:
             overload |= Overload.OUTPUT
         return Reading(
-            signal=math.sqrt(2) * complex(found[0], -found[1]),
-            mean=math.nan if self._mean_input is None else found[2],
+            signal=math.sqrt(2) * complex(result[0], -result[1]),
+            mean=math.nan if self._mean_input is None else result[2],
             modulation_frequency=self._frequency,
             overload=overload,
             unlocked=bool(bits & UNLOCKED),

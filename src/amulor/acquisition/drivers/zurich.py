@@ -20,7 +20,7 @@ INPUT_RANGES = (0.01, 0.03, 0.1, 0.3, 1.0, 1.5)
 #: Readings per time constant that the instrument is asked to make.
 _RATE = 10.0
 _FINER_BELOW = 0.2
-#: Share of the input range that counts as an overload.
+#: Fraction of the input range that counts as an overload.
 _FULL = 0.99
 
 

@@ -286,14 +286,14 @@ class Journal:
     def count(self) -> int:
         """Return the number of samples [1]."""
         with explained(self._path):
-            (found,) = self._connection.execute("SELECT COUNT(*) FROM samples")
-        return int(found[0])
+            (result,) = self._connection.execute("SELECT COUNT(*) FROM samples")
+        return int(result[0])
 
     def last_elapsed(self) -> float:
         """Return the time of the last sample, 0 without one [s]."""
         with explained(self._path):
-            (found,) = self._connection.execute("SELECT MAX(elapsed) FROM samples")
-        return float(found[0] or 0.0)
+            (result,) = self._connection.execute("SELECT MAX(elapsed) FROM samples")
+        return float(result[0] or 0.0)
 
     def begin_segment(self) -> int:
         """Note that the scan goes on, and that a part without an end was broken off."""
@@ -352,23 +352,23 @@ class Journal:
         SurveyError, InstrumentError
             If the survey or the instrument is.
         """
-        found = self.meta()
-        version = found.get("journal_schema")
+        result = self.meta()
+        version = result.get("journal_schema")
         if version != SCHEMA_VERSION:
             raise FormatError(
                 f"{self._path}: the journal has schema {version!r}, this amulor knows "
                 f"{SCHEMA_VERSION!r}; use the amulor that began the scan"
             )
-        same = {"survey_digest": "", "instrument_digest": "", **found, **meta}
-        if found.get("survey_digest", "") != same["survey_digest"]:
+        same = {"survey_digest": "", "instrument_digest": "", **result, **meta}
+        if result.get("survey_digest", "") != same["survey_digest"]:
             raise SurveyError(
                 f"{self.folder} holds a scan of another survey "
-                f"({found['survey_digest'][:15]}..., now "
+                f"({result['survey_digest'][:15]}..., now "
                 f"{meta['survey_digest'][:15]}...); go on with the survey.toml in that "
                 "folder, or name a new folder"
             )
-        if found.get("instrument_digest", "") != same["instrument_digest"]:
-            other = _differences(found["identities"], meta["identities"])
+        if result.get("instrument_digest", "") != same["instrument_digest"]:
+            other = _differences(result["identities"], meta["identities"])
             raise InstrumentError(
                 f"{self.folder} holds a scan by other devices or another procedure: "
                 f"{other}; go on with the devices.toml in that folder, or name a new "

@@ -43,13 +43,13 @@ class DirectLink:
         """Send one line, or several with line feeds between, and return the answers."""
         with self._explained(line) as link:
             link.sendall(line.encode("ascii") + b"\n")
-            found = self._rest
-            while found.count(b"\n") < answers:
+            result = self._rest
+            while result.count(b"\n") < answers:
                 part = link.recv(_LONGEST)
                 if not part:
                     raise ConnectionResetError("the other end closed the link")
-                found += part
-            *lines, self._rest = found.split(b"\n", answers)
+                result += part
+            *lines, self._rest = result.split(b"\n", answers)
             return [text.decode("ascii").strip() for text in lines]
 
     def reopen(self) -> None:

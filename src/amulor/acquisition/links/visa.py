@@ -130,11 +130,11 @@ class Link:
     def _line(self) -> str:
         # What `read` of the resource does, without what it does for other devices.
         resource = self._resource
-        found: bytes = b""
-        while not found.endswith(self._end):
+        result: bytes = b""
+        while not result.endswith(self._end):
             part, _ = resource.visalib.read(resource.session, _LONGEST)
-            found += part
-        return found.decode("ascii").strip()
+            result += part
+        return result.decode("ascii").strip()
 
     @contextlib.contextmanager
     def _explained(self, line: str) -> Any:

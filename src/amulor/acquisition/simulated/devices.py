@@ -13,7 +13,7 @@ from amulor.errors import InstrumentError
 
 #: Full scales of the lock-in, as peak amplitudes [V].
 FULL_SCALES = tuple(10.0**exponent for exponent in range(-7, 1))
-#: Share of the full scale below which a finer one is taken.
+#: Fraction of the full scale below which a finer one is taken.
 _FINER_BELOW = 0.05
 
 

@@ -44,12 +44,12 @@ class Faults:
         >>> Faults.parse(["unlock@500x3"]).active("unlock", 502)
         True
         """
-        found = []
+        result = []
         for text in texts:
             kind, _, when = text.partition("@")
             first, _, count = when.partition("x")
-            found.append(Fault(kind, int(first), int(count or 1)))
-        return cls(tuple(found))
+            result.append(Fault(kind, int(first), int(count or 1)))
+        return cls(tuple(result))
 
     def active(self, kind: str, reading: int) -> bool:
         """Return whether a fault of a kind shows at a reading.

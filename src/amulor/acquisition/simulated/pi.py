@@ -87,8 +87,8 @@ class SimulatedPiController:
             if command == "*IDN?":
                 return [f"(c) Physik Instrumente, C-884, 0, {SIMULATOR}"]
             if command == "ERR?":
-                found, self._error = self._error, _GOOD
-                return [str(found)]
+                result, self._error = self._error, _GOOD
+                return [str(result)]
             if command == "STP":
                 self.bench.stop()
                 self._error = _STOPPED

@@ -56,13 +56,13 @@ class SimulatedStanford:
         with self._lock:
             self.lines.append(line)
             del self.lines[:-1000]
-            found: list[str] = []
+            result: list[str] = []
             for command in line.split(";"):
                 answers = self._one(command.strip())
                 if answers is None:  # silent from here on: it "does not answer"
                     return []
-                found += answers
-            return found
+                result += answers
+            return result
 
     def _one(self, command: str) -> list[str] | None:
         for end in (5, 4):
@@ -112,14 +112,14 @@ class SimulatedStanford:
         return []
 
     def _taken_error(self) -> int:
-        found, self._error = self._error, 0
-        return found
+        result, self._error = self._error, 0
+        return result
 
     def _taken_status(self) -> int:
-        found, self._status = self._status, 0
+        result, self._status = self._status, 0
         if not self.bench.locked():
-            found |= self.unlocked_bit
-        return found
+            result |= self.unlocked_bit
+        return result
 
     def _set_frequency(self, argument: str) -> list[str]:
         self.bench.set_frequency(self._rounded(float(argument)))

@@ -20,7 +20,7 @@ from amulor.view.style import style
 
 #: Figure 2 is a drawing of the instrument.
 FIGURES = (1, *range(3, 16))
-#: Called with what is done now and the share of the work done before it.
+#: Called with what is done now and the fraction of the work done before it.
 Progress = Callable[[str, float], None]
 
 
@@ -30,7 +30,7 @@ def run(
     quick: bool = False,
     depend: bool = True,
     rng: int = 1,
-    progress: Progress = lambda step, share: None,
+    progress: Progress = lambda step, done: None,
 ) -> Results:
     """Redraw figures of the paper and check what it says of them.
 
@@ -46,7 +46,7 @@ def run(
         Seed of all synthetic noise: figures draw theirs in any order, each by its own
         name, so no generator can be shared.
     progress : callable, optional
-        Called with a step and the share of the work done before it.
+        Called with a step and the fraction of the work done before it.
 
     Returns
     -------
@@ -78,7 +78,7 @@ def run(
             Study(quick=True, rng=rng),
             {number: module.checks for number, module in modules.items()},
             workers=os.cpu_count() or 1,
-            progress=lambda step, share: progress(step, part + (1 - part) * share),
+            progress=lambda step, done: progress(step, part + (1 - part) * done),
         )
     progress("done", 1.0)
     return Results(tuple(figures), dependence, study.parameters)

@@ -82,7 +82,7 @@ def sensitivity(
     figures: Mapping[int, Checks],
     *,
     workers: int = 1,
-    progress: Callable[[str, float], None] = lambda step, share: None,
+    progress: Callable[[str, float], None] = lambda step, done: None,
 ) -> tuple[Dependence, ...]:
     """Vary every number that is not printed in the paper to both ends of its range.
 
@@ -96,7 +96,7 @@ def sensitivity(
     workers : int
         Processes at work at once.
     progress : callable, optional
-        Called with a step and the share of the work done before it.
+        Called with a step and the fraction of the work done before it.
 
     Returns
     -------
@@ -129,14 +129,14 @@ def sensitivity(
     for done, (task, outcomes) in enumerate(_worked(study, figures, tasks, workers)):
         end, number, _ = task
         progress(f"varied {end.name}, figure {number}", (done + 1) / len(tasks))
-        for place, (found, text, passed) in enumerate(outcomes):
+        for place, (result, text, passed) in enumerate(outcomes):
             changes.setdefault((number, place), []).append(
                 Change(
                     parameter=end.name,
                     shown=end.shown,
                     found=text,
                     passed=passed,
-                    value=found,
+                    value=result,
                 )
             )
     order = {name: place for place, name in enumerate(study.parameters)}
@@ -220,9 +220,9 @@ def _outcome(
 def _outcomes(checks: Checks, study: Study, count: int) -> list[_Outcome]:
     """Return value, text and outcome of each check; all fail where nothing comes."""
     try:
-        found = checks(study)
+        result = checks(study)
     except (AmulorError, ValueError) as problem:
         return [(None, f"cannot be computed: {problem}", False)] * count
-    if len(found) != count:
-        raise RuntimeError(f"{len(found)} checks where there were {count}")
-    return [(check.value, check.found, check.passed) for check in found]
+    if len(result) != count:
+        raise RuntimeError(f"{len(result)} checks where there were {count}")
+    return [(check.value, check.found, check.passed) for check in result]

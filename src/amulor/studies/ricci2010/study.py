@@ -102,11 +102,11 @@ class Study:
             if all(self.parameters[n].value == v for n, v in numbers.items()):
                 for names in self._read:
                     names.update(numbers)
-                found: Result = result
-                return found
-        names, found = self.read_by(function)
-        self._known[function].append((self._values(names), found))
-        return found
+                outcome: Result = result
+                return outcome
+        names, outcome = self.read_by(function)
+        self._known[function].append((self._values(names), outcome))
+        return outcome
 
     def read_by(self, function: Callable[[Study], Result]) -> tuple[set[str], Result]:
         """Return the names of the numbers that a function reads, and its result.

@@ -12,7 +12,7 @@ from amulor.acquisition.clock import VirtualClock
 from amulor.acquisition.connect import simulated_bench
 from amulor.acquisition.settings import Settings
 from amulor.acquisition.simulated.bench import LOCK_TIME, SCAN_SPEED, Bench
-from amulor.acquisition.uncertainty import reading_variance, variance_share
+from amulor.acquisition.uncertainty import reading_variance, variance_ratio
 from amulor.simulation import scene_light, simulate
 from amulor.survey import Survey
 
@@ -98,7 +98,7 @@ def test_noise_has_the_variance_and_the_memory_of_the_filter(small, clock) -> No
         # sqrt(2 / n * (1 + r^2) / (1 - r^2)) = 2.6 %; five of them.
         assert_allclose(part.var(), one, rtol=0.13)
         averaged = part.reshape(-1, group).mean(axis=1).var()
-        share = float(variance_share(group, spacing=1.0))
+        share = float(variance_ratio(group, spacing=1.0))
         assert_allclose(averaged, one * share, rtol=0.25)
 
 

@@ -28,7 +28,7 @@ CAPTION = (
     "layer of water at a depth sends back: the integrand F of the diffusion form (46), "
     "solid, and of the small-angle form, which keeps the light that was not scattered, "
     "dashed. Close by, the beam lies outside of what the receiver sees; far out, "
-    "losses and distance take over. (b) Share of the water signal that comes from "
+    "losses and distance take over. (b) Fraction of the water signal that comes from "
     "nearer than a depth; dots mark 90 %. Attenuation, absorption, second moment of "
     "the scattering and acceptance are deduced or assumed; nothing here is measured."
 )
@@ -60,7 +60,7 @@ class Profile:
         slope = np.sign(np.diff(self.diffusion))
         return int(np.count_nonzero(np.diff(slope[slope != 0]) < 0))
 
-    def share(self, integrand: Floats) -> Floats:
+    def fraction(self, integrand: Floats) -> Floats:
         """Return how much of an integrand lies nearer than each depth.
 
         Parameters
@@ -74,8 +74,8 @@ class Profile:
             From 0 to 1 at the end of the tank.
         """
         area: Floats = cumulative_trapezoid(integrand, self.depth, initial=0.0)
-        share: Floats = area / area[-1]
-        return share
+        fraction: Floats = area / area[-1]
+        return fraction
 
     def reach(self, integrand: Floats) -> float:
         """Return within what depth nine tenths of an integrand lie.
@@ -90,7 +90,7 @@ class Profile:
         float
             Depth [m].
         """
-        return float(np.interp(0.9, self.share(integrand), self.depth))
+        return float(np.interp(0.9, self.fraction(integrand), self.depth))
 
 
 def profile(study: Study, turbidity: Turbidity) -> Profile:
@@ -126,7 +126,7 @@ def checks(study: Study) -> list[Check]:
     """
     profiles = {t: profile(study, t) for t in TURBIDITIES}
     both = list(profiles.values())
-    found = [
+    result = [
         within(
             "the integrand is nowhere negative",
             min(float(p.diffusion.min()) for p in both) * 1e6,
@@ -148,7 +148,7 @@ def checks(study: Study) -> list[Check]:
         ),
     ]
     for turbidity, p in profiles.items():
-        found.append(
+        result.append(
             # The acceptance was chosen so that the overlap begins there.
             within(
                 f"the maximum lies in the first metres, {turbidity} turbidity",
@@ -163,7 +163,7 @@ def checks(study: Study) -> list[Check]:
             ("diffusion", p.diffusion),
             ("small-angle", p.small_angle),
         ):
-            found.append(
+            result.append(
                 within(
                     f"90 % of the water signal comes from a few metres, {turbidity} "
                     f"turbidity, {name} form",
@@ -173,7 +173,7 @@ def checks(study: Study) -> list[Check]:
                     unit="m",
                 )
             )
-    return found
+    return result
 
 
 def draw(study: Study) -> Figure:
@@ -202,7 +202,7 @@ def draw(study: Study) -> Figure:
                 label = f"{attenuation:.1f} m⁻¹, {form} form"
                 look = {"color": colour, "ls": dashes}
                 left.plot(p.depth, integrand * 1e6, label=label, **look)
-                right.plot(p.depth, 100 * p.share(integrand), **look)
+                right.plot(p.depth, 100 * p.fraction(integrand), **look)
                 reach = p.reach(integrand)
                 right.plot(reach, 90, "o", ms=3.5, color=colour)
         right.axhline(90, color="#999999", lw=0.6, zorder=0)

@@ -199,12 +199,12 @@ def _spread(apart: np.ndarray) -> str:
 
 
 def _range(sweep: shared.Sweep, name: str | None = None) -> Check:
-    found, sigma, true = sweep.joint_range
+    result, sigma, true = sweep.joint_range
     return holds(
         (name or f"experiment {sweep.number}: ")
         + "joint estimate without open water meets the slant range",
-        abs(found - true) < 3 * sigma and sweep.joint_flags == 0,
-        found=f"{1e3 * (found - true):+.2f} ± {1e3 * sigma:.2f} mm"
+        abs(result - true) < 3 * sigma and sweep.joint_flags == 0,
+        found=f"{1e3 * (result - true):+.2f} ± {1e3 * sigma:.2f} mm"
         + (", flagged" if sweep.joint_flags else ""),
         wanted="0 mm within 3 standard errors, no flag",
     )

@@ -84,12 +84,12 @@ def _goes_together(sweeps: tuple[shared.Sweep, ...]) -> Check:
 def _turns(sweep: shared.Sweep) -> int:
     """Return how many maxima of SNR_t stand 10 % above both minima beside them."""
     value = np.log(shared.smoothed(sweep.corrected_ratio))
-    found = extrema.find(sweep.frequency, value)
-    level = np.interp(found.maxima, sweep.frequency, value)
+    result = extrema.find(sweep.frequency, value)
+    level = np.interp(result.maxima, sweep.frequency, value)
     count = 0
-    for place, top in zip(found.maxima, level, strict=True):
-        left = found.minima[found.minima < place][-1:]
-        right = found.minima[found.minima > place][:1]
+    for place, top in zip(result.maxima, level, strict=True):
+        left = result.minima[result.minima < place][-1:]
+        right = result.minima[result.minima > place][:1]
         beside = np.interp([*left, *right], sweep.frequency, value)
         count += bool(len(beside) == 2 and np.all(top - beside > 0.1))
     return count

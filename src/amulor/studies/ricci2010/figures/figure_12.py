@@ -51,13 +51,13 @@ def checks(study: Study) -> list[Check]:
         lines.rejected_share(study, "d", pairs)
         for pairs in (("RR", "RL"), ("VH", "VV"))
     ]
-    found = (
+    result = (
         f"{check.found} (VH {crossed:.2f}, RR {same:.2f} deg); the water passes "
         f"{kept[0] / kept[1]:.2g} times as much light of the same hand as crossed, "
         f"and less than {echo_ratio(study):.2g} times would be needed"
     )
     sure = margin - line_checks.SURE * error >= line_checks.FLAT
-    return [line_checks.surely(replace(check, found=found), sure)]
+    return [line_checks.surely(replace(check, found=result), sure)]
 
 
 def echo_ratio(study: Study) -> float:

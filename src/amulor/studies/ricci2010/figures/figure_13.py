@@ -39,7 +39,7 @@ _ROLES: tuple[Role, ...] = ("set", "test", "set", "set")
 
 #: Heights that are drawn [mm].
 _LIMITS = (-25.0, 115.0)
-#: Share of the lines that must see a column, for its mean to be drawn [1].
+#: Fraction of the lines that must see a column, for its mean to be drawn [1].
 _SEEN = 0.9
 
 
@@ -56,7 +56,7 @@ def checks(study: Study) -> list[Check]:
     list of Check
         Steps and range errors.
     """
-    found: list[Check] = []
+    result: list[Check] = []
     noises: list[float] = []
     panels = zip("abcd", PANELS, _WANTED, _ROLES, strict=True)
     for letter_of, (title, scan_of, channel), wanted, role in panels:
@@ -64,15 +64,15 @@ def checks(study: Study) -> list[Check]:
         panel = f"({letter_of}) {title}"
         steps = scan.steps(scan.subtracted[channel])
         if scan_of is PANELS[0][1]:
-            found += _phases(study, panel, steps)
+            result += _phases(study, panel, steps)
         else:
             left = scan.steps(scan.raw[channel])
-            found += [
+            result += [
                 steps_agree(study, f"{panel}: steps, open water subtracted", steps),
                 steps_agree(study, f"{panel}: steps, the polarizers alone", left),
             ]
         noises.append(steps.noise * 1e3)
-        found.append(
+        result.append(
             within(
                 f"{panel}: range error of a pixel",
                 noises[-1],
@@ -82,7 +82,7 @@ def checks(study: Study) -> list[Check]:
                 role=role,
             )
         )
-    found.append(
+    result.append(
         holds(
             "the range error grows from (a) to (d)",
             noises[0] <= noises[1] < noises[2] < noises[3],
@@ -90,7 +90,7 @@ def checks(study: Study) -> list[Check]:
             wanted="a ≤ b < c < d",
         )
     )
-    return found
+    return result
 
 
 def _phases(study: Study, panel: str, steps: Steps) -> list[Check]:
@@ -141,11 +141,11 @@ def draw(study: Study) -> Figure:
         for name, images in (("taken", scan.subtracted), ("left", scan.raw)):
             image = images[channel]
             surfaces[name] = relief(image, origin=scan.farthest(image))
-        near = surfaces["taken"].near
-        shown = (near > _LIMITS[0]) & (near < _LIMITS[1])
+        closest = surfaces["taken"].near
+        shown = (closest > _LIMITS[0]) & (closest < _LIMITS[1])
         lines = axis.plot(
             surfaces["taken"].right.T,
-            np.where(shown, near, np.nan).T,
+            np.where(shown, closest, np.nan).T,
             color=COLOURS[0],
             lw=0.5,
             alpha=0.35,

@@ -40,14 +40,14 @@ def checks(study: Study) -> list[Check]:
     list of Check
         Order of the surface errors.
     """
-    found = []
+    result = []
     for stage in ("open water subtracted", "the polarizers alone"):
         errors = []
         for _, scan_of, channel in PANELS:
             scan = study.once(scan_of)
             images = scan.raw if stage == "the polarizers alone" else scan.subtracted
             errors.append(scan.steps(images[channel]).error * 1e3)
-        found.append(
+        result.append(
             holds(
                 f"the surface error (rms) grows from (a) to (d), {stage}",
                 errors[0] <= errors[1] < errors[2] < errors[3],
@@ -55,7 +55,7 @@ def checks(study: Study) -> list[Check]:
                 wanted="a ≤ b < c < d",
             )
         )
-    return found
+    return result
 
 
 @styled

@@ -56,10 +56,10 @@ def checks(study: Study) -> list[Check]:
         Outlines, contrast and range errors.
     """
     scan = study.once(bent_disc)
-    found: list[Check] = []
+    result: list[Check] = []
     for channel, image in scan.subtracted.items():
         seen = outlines(image, distance=study["short_distance"])
-        found += _outlines(study, scan, channel, seen)
+        result += _outlines(study, scan, channel, seen)
     for stage, images in (
         ("the polarizers alone", scan.raw),
         ("open water subtracted", scan.subtracted),
@@ -67,7 +67,7 @@ def checks(study: Study) -> list[Check]:
         crossed, parallel = (scan.contrast(images[name]) for name in ("VH", "VV"))
         difference = crossed.value - parallel.value
         error = math.hypot(crossed.uncertainty, parallel.uncertainty)
-        found.append(
+        result.append(
             holds(
                 f"contrast of disc and surround better in VH, {stage}",
                 difference > 2 * error,
@@ -77,7 +77,7 @@ def checks(study: Study) -> list[Check]:
             )
         )
         rms = {name: scan.error(image)[0] * 1e3 for name, image in images.items()}
-        found.append(
+        result.append(
             holds(
                 f"range error (rms) on the disc better in VH, {stage}",
                 rms["VH"] < rms["VV"],
@@ -85,7 +85,7 @@ def checks(study: Study) -> list[Check]:
                 wanted="smaller",
             )
         )
-    return found
+    return result
 
 
 def _outlines(

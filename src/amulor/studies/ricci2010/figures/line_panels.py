@@ -36,10 +36,10 @@ def panel(
     """
     pixel = np.arange(1, PIXELS + 1)
     for pair, filled in zip(pairs, (True, False), strict=True):
-        found = line(study, step, pair)
+        result = line(study, step, pair)
         axis.plot(
             pixel,
-            found.measured,
+            result.measured,
             "o" if filled else "s",
             color=COLOUR[pair],
             markersize=2.4,
@@ -49,7 +49,7 @@ def panel(
             zorder=2,
         )
         axis.plot(
-            pixel, found.phase + found.offset, color="black", linewidth=0.8, zorder=3,
+            pixel, result.phase + result.offset, color="black", linewidth=0.8, zorder=3,
             label=None if filled else "model, without noise",
         )  # fmt: skip
     if subtracted:

@@ -25,7 +25,7 @@ COPPER = LinearSegmentedColormap.from_list(
 )
 #: Heights of the darkest and the lightest colour of the ladder [mm].
 LADDER_SHADES = (-12.0, 82.0)
-#: Light from above and from the left of a viewer, and the share of it from everywhere.
+#: Light from above and from the left of a viewer, and how much comes from everywhere.
 _LIGHT = np.array([-0.45, 0.35, 0.82])
 _AMBIENT = 0.45
 #: Below this elevation an axis towards the viewer has no room for ticks [degree].
@@ -63,10 +63,10 @@ def relief(image: xr.Dataset, *, origin: float) -> Relief:
     place = (cloud["row"].values, cloud["column"].values)
     right = origin * np.tan(image["azimuth"].values)
     up = origin * np.tan(image["elevation"].values)
-    near = np.full(right.shape, np.nan)
+    closest = np.full(right.shape, np.nan)
     right[place], up[place] = cloud["x"].values, -cloud["y"].values
-    near[place] = origin - cloud["z"].values
-    return Relief(right * 1e3, up * 1e3, near * 1e3)
+    closest[place] = origin - cloud["z"].values
+    return Relief(right * 1e3, up * 1e3, closest * 1e3)
 
 
 def canvas(

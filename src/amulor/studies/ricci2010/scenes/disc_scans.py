@@ -209,11 +209,11 @@ def outlines(image: xr.Dataset, *, distance: float) -> Outlines:
     # A hole has no corners in common with what is around the disc.
     holes, number = ndimage.label(filled & ~disc)
     areas = [float(area[holes == i].sum()) for i in range(1, number + 1)]
-    found = [_circle(size, step) for size in sorted(areas, reverse=True)]
+    result = [_circle(size, step) for size in sorted(areas, reverse=True)]
     return Outlines(
         rim=_circle(float(area[filled].sum()), step),
-        central_hole=found[0] if found else None,
-        small_holes=tuple(found[1:]),
+        central_hole=result[0] if result else None,
+        small_holes=tuple(result[1:]),
     )
 
 

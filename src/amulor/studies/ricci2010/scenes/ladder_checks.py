@@ -78,17 +78,17 @@ def steps_agree(
     """
     true = np.array([study["first_step"], *[study["other_steps"]] * 3])
     off = np.abs(steps.heights - true) / steps.uncertainties
-    found = ", ".join(
+    result = ", ".join(
         f"{height * 1e3:.1f} ± {error * 1e3:.1f}"
         for height, error in zip(steps.heights, steps.uncertainties, strict=True)
     )
     if not np.isfinite(off).all():
-        found = f"no range on {steps.wanted - steps.pixels} of {steps.wanted} pixels"
+        result = f"no range on {steps.wanted - steps.pixels} of {steps.wanted} pixels"
     wanted = ", ".join(f"{height * 1e3:.0f}" for height in true)
     check = holds(
         statement,
         bool((off <= significance).all()),
-        found=found if "no range" in found else f"{found} mm",
+        found=result if "no range" in result else f"{result} mm",
         wanted=f"{wanted} mm, each within {significance:g} standard errors",
     )
     return replace(check, value=float(np.max(off)))

@@ -104,12 +104,12 @@ class LadderScan:
         values = error[:, several]
         count = self.treads.max()
         try:
-            found = metrics.step_heights(image, self.treads)
+            result = metrics.step_heights(image, self.treads)
         except CubeError:
             heights = uncertainties = np.full(count - 1, np.nan)
         else:
-            heights = np.array([step.height for step in found])
-            uncertainties = np.array([step.uncertainty for step in found])
+            heights = np.array([step.height for step in result])
+            uncertainties = np.array([step.uncertainty for step in result])
         return Steps(
             heights=heights,
             uncertainties=uncertainties,

@@ -51,20 +51,20 @@ def drifts(
         Of the size of the drift without noise: which way the paper scanned is not
         preserved. What the fit to the synthetic measurement gives is said beside it.
     """
-    found = line(study, step, pair)
+    result = line(study, step, pair)
     check = within(
         statement,
-        abs(found.drift),
+        abs(result.drift),
         low,
         high,
         unit="deg",
-        uncertainty=found.error,
+        uncertainty=result.error,
         role=role,
     )
     return replace(
         check,
         found=f"{check.found} (fit to the synthetic line: "
-        f"{abs(found.fitted):.2f} ± {found.fitted_error:.2f} deg)",
+        f"{abs(result.fitted):.2f} ± {result.fitted_error:.2f} deg)",
     )
 
 
@@ -91,9 +91,9 @@ def stays_flat(
     Check
         Failed where the drift is above by more than twice its standard error.
     """
-    found = line(study, step, pair)
+    result = line(study, step, pair)
     check = drifts(study, statement, step, pair, low=-np.inf, high=FLAT, role=role)
-    return allowing(check, abs(found.drift) - SURE * found.error <= FLAT)
+    return allowing(check, abs(result.drift) - SURE * result.error <= FLAT)
 
 
 def is_straight(study: Study, step: str, pair: str) -> Check:
@@ -113,15 +113,15 @@ def is_straight(study: Study, step: str, pair: str) -> Check:
     Check
         Of the largest departure from the straight line, over the drift.
     """
-    found = line(study, step, pair)
+    result = line(study, step, pair)
     check = within(
         f"({step}) {pair} drifts along a straight line: departure over drift",
-        found.bend,
+        result.bend,
         0.0,
         STRAIGHT,
-        uncertainty=found.bend_error,
+        uncertainty=result.bend_error,
     )
-    return allowing(check, found.bend - SURE * found.bend_error <= STRAIGHT)
+    return allowing(check, result.bend - SURE * result.bend_error <= STRAIGHT)
 
 
 def moves(study: Study, statement: str, step: str, pair: str) -> Check:
@@ -143,9 +143,9 @@ def moves(study: Study, statement: str, step: str, pair: str) -> Check:
     Check
         Passed where the drift is above by more than twice its standard error.
     """
-    found = line(study, step, pair)
+    result = line(study, step, pair)
     check = drifts(study, statement, step, pair, low=FLAT, high=np.inf)
-    return surely(check, abs(found.drift) - SURE * found.error >= FLAT)
+    return surely(check, abs(result.drift) - SURE * result.error >= FLAT)
 
 
 def surely(check: Check, passed: bool) -> Check:

@@ -140,7 +140,7 @@ def _traced(
         reflectance=study["plate_reflectance"],
         mueller=plate(study),
     )
-    found: dict[str, list[Complex]] = {pair: [] for pair in PAIRS}
+    result: dict[str, list[Complex]] = {pair: [] for pair in PAIRS}
     for launched in "VR":
         for direction in here.beam(place):
             tally = simulate(
@@ -155,8 +155,8 @@ def _traced(
             chosen = [k for k, name in enumerate(tally.parts) if parts(name)]
             stokes = tally.batches[..., 0][:, chosen].sum(axis=1)
             for pair in (pair for pair in PAIRS if pair[0] == launched):
-                found[pair].append(stokes @ (0.5 * state(pair_states(pair)[1])))
-    return {pair: np.array(light) for pair, light in found.items()}
+                result[pair].append(stokes @ (0.5 * state(pair_states(pair)[1])))
+    return {pair: np.array(light) for pair, light in result.items()}
 
 
 def water_parts(name: str) -> bool:

@@ -75,13 +75,13 @@ def scattered_once(
     )
     elements = matrix.elements_at(angle)
     m22, m44 = elements[..., 1], elements[..., 4]
-    share = {
+    fraction = {
         "VV": (1 + m22) / 2,
         "VH": (1 - m22) / 2,
         "RL": (1 - m44) / 2,
         "RR": (1 + m44) / 2,
     }
-    return {pair: np.sum(light * share[pair], axis=(1, 2)) for pair in PAIRS}
+    return {pair: np.sum(light * fraction[pair], axis=(1, 2)) for pair in PAIRS}
 
 
 def reflected_at_once(
@@ -145,7 +145,7 @@ def interpolation(nodes: Array, at: Array, *, degree: int) -> Array:
 
 
 def _passed(matrix: Array, pair: str) -> float:
-    """Return the share of the reflected light that passes the analyser of a pair."""
+    """Return the fraction of the reflected light that passes the analyser of a pair."""
     launched, analysed = pair_states(pair)
     return float(0.5 * state(analysed) @ matrix @ state(launched))
 
@@ -174,14 +174,14 @@ def _face(receiver: GaussianReceiver, point: Array) -> tuple[Array, Array, Array
     # What is behind the face is not seen.
     before = np.where(depth > 0, depth, np.inf)
     angular = (receiver.acceptance_angle * before) ** 2
-    share = 1 / (1 + angular / receiver.radius**2)
-    share, angular = (np.where(depth > 0, x, 1.0) for x in (share, angular))
-    width = np.sqrt(share * angular)
+    fraction = 1 / (1 + angular / receiver.radius**2)
+    fraction, angular = (np.where(depth > 0, x, 1.0) for x in (fraction, angular))
+    width = np.sqrt(fraction * angular)
     square, weight = (np.repeat(x, 6) for x in laggauss(3))
     azimuth = np.tile(2 * np.pi * np.arange(6) / 6, 3)
     step = width[..., None] * np.sqrt(square)
-    along = (share * right)[..., None] + step * np.cos(azimuth)
-    across = (share * below)[..., None] + step * np.sin(azimuth)
+    along = (fraction * right)[..., None] + step * np.cos(azimuth)
+    across = (fraction * below)[..., None] + step * np.sin(azimuth)
     part = (
         along[..., None] * frame[0]
         + across[..., None] * frame[1]

@@ -62,8 +62,8 @@ def bench(study: Study) -> Bench:
         The normal of the plate in the middle of the line is the forward axis.
     """
     baseline, distance = study["short_baseline"], study["short_distance"]
-    share = study["plate_normal"]
-    laser = np.array([-share * baseline, 0.0, 0.0])
+    fraction = study["plate_normal"]
+    laser = np.array([-fraction * baseline, 0.0, 0.0])
     centre = laser + np.array([baseline, 0.0, 0.0])
     receiver = GaussianReceiver(
         radius=study["receiver_radius"],
@@ -157,9 +157,9 @@ def medium(study: Study, attenuation: float) -> Medium:
         molecular_scattering(study["wavelength"], temperature=TEMPERATURE, salinity=0.0)
     )
     added = attenuation - tap
-    share = added / (added + molecules)
-    own = (1 - share) * molecular_phase_function(ANGLES)
-    other = share * spheres.value
+    fraction = added / (added + molecules)
+    own = (1 - fraction) * molecular_phase_function(ANGLES)
+    other = fraction * spheres.value
     value = own + other
     matrix = (
         own[:, None, None] * water_matrix(ANGLES)

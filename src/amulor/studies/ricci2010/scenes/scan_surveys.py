@@ -79,7 +79,7 @@ def survey_of(
     Survey
         Read from the text of a survey file.
     """
-    share = study["absorption_share"]
+    fraction = study["absorption_share"]
     # A sphere straight backwards: m33 = -m22, m44 = 1 - 2 m22.
     matrix = [water.m22, -water.m22, 1 - 2 * water.m22]
     m22, m44 = study["m22_target"], study["m44_target"]
@@ -92,8 +92,8 @@ def survey_of(
     return Survey.from_text(f"""
 name = "{name}"
 [water]
-absorption = {text(share * water.attenuation, "attenuation coefficient")}
-scattering = {text((1 - share) * water.attenuation, "attenuation coefficient")}
+absorption = {text(fraction * water.attenuation, "attenuation coefficient")}
+scattering = {text((1 - fraction) * water.attenuation, "attenuation coefficient")}
 forward_fraction = 1.0
 second_moment = {text(water.second_moment, "angle squared")}
 phase_function_at_180 = {text(water.backscatter, "solid-angle density")}

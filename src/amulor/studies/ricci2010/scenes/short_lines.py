@@ -165,7 +165,7 @@ def corrected(study: Study, step: str, pair: str) -> Array:
 
 
 def rejected_share(study: Study, step: str, pairs: tuple[str, str]) -> float:
-    """Return the share of the water's light that an analyser lets pass nevertheless.
+    """Return the fraction of the water's light that an analyser lets pass nevertheless.
 
     Parameters
     ----------

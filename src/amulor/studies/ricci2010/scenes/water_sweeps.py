@@ -56,11 +56,11 @@ class Water:
     @property
     def realistic(self) -> dict[str, float]:
         """Arguments of the diffusion form."""
-        share, _ = self.phase_function.forward_split(self.split_angle)
+        fraction, _ = self.phase_function.forward_split(self.split_angle)
         return {
             "absorption": self.absorption,
-            "forward_scattering": share * self.scattering,
-            "diffuse_scattering": (1 - share) * self.scattering,
+            "forward_scattering": fraction * self.scattering,
+            "diffuse_scattering": (1 - fraction) * self.scattering,
             "second_moment": self.second_moment,
         }
 
@@ -222,10 +222,10 @@ def asymmetry(second_moment: float, *, split_angle: float) -> float:
     """
 
     def excess(g: float) -> float:
-        found = phase_functions.henyey_greenstein_second_moment(
+        result = phase_functions.henyey_greenstein_second_moment(
             asymmetry=g, split_angle=split_angle
         )
-        return float(found) - second_moment
+        return float(result) - second_moment
 
     return float(brentq(excess, 0.0, 0.9999, xtol=1e-13))
 
@@ -236,10 +236,10 @@ def _phase_function(study: Study, *, turbidity: Turbidity) -> PhaseFunction:
 
 
 def _water(study: Study, *, turbidity: Turbidity) -> Water:
-    attenuation, share = study[f"attenuation_{turbidity}"], study["absorption_share"]
+    attenuation, fraction = study[f"attenuation_{turbidity}"], study["absorption_share"]
     return Water(
-        absorption=share * attenuation,
-        scattering=(1 - share) * attenuation,
+        absorption=fraction * attenuation,
+        scattering=(1 - fraction) * attenuation,
         second_moment=study[f"second_moment_{turbidity}"],
         split_angle=study["split_angle"],
         # Remembered, since the small-angle form keeps a table for each one.
