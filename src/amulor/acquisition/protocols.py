@@ -20,6 +20,8 @@ class Overload(enum.IntFlag):
     """An amplifier between the mixer and the filter."""
     OUTPUT = 4
     """The output filter: the signal itself is larger than the full scale."""
+    MEAN = 8
+    """An auxiliary input: the mean output of the detector is larger than it takes."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -25,6 +25,9 @@ Patience = Annotated[Time, Field(gt=0, le=3600)]
 
 #: Drivers that can stand in one file with devices that are not simulated.
 _ANYWHERE = ("simulated", "none", "operator")
+#: Auxiliary inputs and outputs of each lock-in, counted from 1.
+_INPUTS = {"simulated": 4, "sr844": 2, "sr865a": 4, "zurich": 2}
+_OUTPUTS = {"simulated": 4, "sr844": 2, "sr865a": 4, "zurich": 4}
 #: Angle of a linear polarizer for the states that it makes or passes [rad].
 _LINEAR_POLARIZER = {
     "V": 0.0,
@@ -61,6 +64,16 @@ class LockInSettings(_Linked):
     @model_validator(mode="after")
     def _address_is_stated(self) -> Self:
         _need(self.address is not None or self.driver == "simulated", "lock_in.address")
+        return self
+
+    @model_validator(mode="after")
+    def _input_is_there(self) -> Self:
+        last = _INPUTS[self.driver]
+        if self.mean_output_input is not None and self.mean_output_input > last:
+            raise ValueError(
+                f"the driver {self.driver!r} has auxiliary inputs 1 to {last}, stated "
+                f"is mean_output_input = {self.mean_output_input}; wire another one"
+            )
         return self
 
 
@@ -167,6 +180,8 @@ class Procedure(Description):
     """How often a sample is taken again after the reference was lost in it [1]."""
     patience: Annotated[int, Field(ge=1, le=1_000_000)] = 50
     """Overloaded samples one after the other before the scan stops [1]."""
+    darkness_patience: Annotated[int, Field(ge=0, le=1_000_000)] = 3
+    """Samples without light one after the other before the scan stops [1]."""
     position_tolerance: Annotated[Angle, Field(gt=0)] = 1e-4
     """Largest difference of commanded and read-back direction that is not flagged
     [rad]."""
@@ -196,7 +211,7 @@ class SimulationSettings(Description):
         Annotated[
             str,
             Field(
-                pattern=r"^(overload|saturation|unlock|lost-link|timeout|stuck)"
+                pattern=r"^(overload|saturation|unlock|lost-link|timeout|stuck|darkness)"
                 r"@\d+(x\d+)?$"
             ),
         ],
@@ -243,6 +258,17 @@ class Settings(Description):
                 f"{', '.join(simulated)} simulated, {', '.join(real)} not: embedded "
                 "simulated devices see one scene together and cannot work beside "
                 'others; set every driver, mounts without a motor to "none"'
+            )
+        return self
+
+    @model_validator(mode="after")
+    def _output_is_there(self) -> Self:
+        last = _OUTPUTS[self.lock_in.driver]
+        if self.laser.driver == "lock_in_output" and self.laser.output > last:
+            raise ValueError(
+                f"the lock-in {self.lock_in.driver!r} has auxiliary outputs 1 to "
+                f"{last}, stated is laser.output = {self.laser.output}; wire another "
+                "one"
             )
         return self
 

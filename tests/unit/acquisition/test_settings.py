@@ -66,6 +66,16 @@ def test_what_is_written_is_read_back(tmp_path: Path) -> None:
         ("[launch]", "[launch", "no valid TOML"),
         ("references = 5", "refernces = 5", "is no field of a devices file"),
         ('axis = "3"', 'axis = "a b"', "needed is: Axis of the controller"),
+        (
+            "mean_output_input = 1",
+            "mean_output_input = 3",
+            r"lock_in: the driver 'sr844' has auxiliary inputs 1 to 2.*= 3",
+        ),
+        (
+            'warm_up = "2 s"',
+            "output = 3",
+            "'sr844' has auxiliary outputs 1 to 2.*laser.output = 3",
+        ),
     ],
 )
 def test_a_mistake_is_named(tmp_path: Path, old: str, new: str, text: str) -> None:

@@ -27,14 +27,25 @@ class Stanford:
     """
 
     model = ""
+    #: How many auxiliary inputs there are.
+    _inputs = 0
+    #: Number of the first auxiliary output in commands, and how many there are.
+    _first_output, _outputs = 1, 0
     _set_output = ""
 
     def __init__(
         self, link: Conversation, *, mean_output_input: int | None, clock: Clock
     ) -> None:
+        if mean_output_input is not None and not 1 <= mean_output_input <= self._inputs:
+            raise InstrumentError(
+                f"{self.model} has auxiliary inputs 1 to {self._inputs}, stated is "
+                f"{mean_output_input}; wire another one, and change "
+                "lock_in.mean_output_input"
+            )
         self._link = link
         self._clock = clock
         self._mean_input = mean_output_input
+        self._choose_interface()
         self._identity = self._identify()
 
     def identity(self) -> str:
@@ -42,13 +53,37 @@ class Stanford:
         return self._identity
 
     def set_output(self, number: int, voltage: float) -> float:
-        """Set an auxiliary output [V] and return what is read back [V]."""
-        word = self._set_output
-        return self.number(f"{word} {number},{voltage:.3f};{word}? {number}")
+        """Set an auxiliary output, counted from 1 as on the panel [V]; read it back.
+
+        Parameters
+        ----------
+        number : int
+            Which one [1].
+        voltage : float
+            What it is set to [V].
+
+        Returns
+        -------
+        float
+            What the instrument says that it stands at [V].
+
+        Raises
+        ------
+        InstrumentError
+            If there is no such output, or the answer is none.
+        """
+        if not 1 <= number <= self._outputs:
+            raise InstrumentError(
+                f"{self.model} has auxiliary outputs 1 to {self._outputs}, asked for "
+                f"was {number}; wire another one, and change laser.output"
+            )
+        word, code = self._set_output, number - 1 + self._first_output
+        return self.number(f"{word} {code},{voltage:.3f};{word}? {code}")
 
     def reconnect(self) -> None:
         """Open the link again after it was lost."""
         self._link.reopen()
+        self._choose_interface()
 
     def make_safe(self) -> None:
         """Do nothing: a lock-in without light is safe; the laser's gate is its own."""
@@ -101,6 +136,9 @@ class Stanford:
             f"{min(closest):g} s and {max(closest):g} s: change instrument.lock_in of "
             "the survey"
         )
+
+    def _choose_interface(self) -> None:
+        """Let answers come over this link, if the instrument must be told."""
 
     def _identify(self) -> str:
         (result,) = self._link.ask("*IDN?")

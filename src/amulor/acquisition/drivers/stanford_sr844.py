@@ -18,6 +18,8 @@ SENSITIVITIES = tuple(
 )
 #: Bits of LIAS? (manual, page 4-32).
 UNLOCKED, OUT_OF_RANGE, INPUT, RESERVE, FILTER = 1, 2, 16, 32, 64
+#: More of them: display or output of either channel, either auxiliary input.
+CHANNEL_1, CHANNEL_2, AUXILIARY = 256, 512, 1024
 _FREQUENCIES = (25e3, 200e6)
 #: Reserves by the codes of WRSV and CRSV: the first has the most room.
 _HIGH, _NORMAL = 0, 1
@@ -32,10 +34,19 @@ class Sr844(Stanford):
     The commands are those of chapter 4 of its manual: syntax (4-8, 4-10), SNAP? (4-25,
     4-26), LIAS? (4-32). It counts in volts rms and its phase falls with delay; readings
     are peak amplitudes whose phase rises with delay.
+
+    Everything is answered over the interface that OUTX names (4-10), which is sent
+    first: 1 for GPIB, 0 for the serial port, also behind a converter to a network. By
+    ASCII it makes about 60 readings a second.
     """
 
     model = "SR844"
+    _inputs, _outputs = 2, 2
     _set_output = "AUXO"
+
+    def _choose_interface(self) -> None:
+        """Let answers come over this link (manual, page 4-10)."""
+        self._link.send(f"OUTX {int('GPIB' in self._link.address.upper())}")
 
     def prepare(self, *, time_constant: float) -> None:
         """Set internal reference, one-pole output filter and time constant [s]."""
@@ -80,10 +91,12 @@ class Sr844(Stanford):
         for bit, kind in (
             (INPUT, Overload.INPUT),
             (RESERVE, Overload.RESERVE),
-            (FILTER, Overload.OUTPUT),
+            (FILTER | CHANNEL_1 | CHANNEL_2, Overload.OUTPUT),
         ):
             if bits & bit:
                 overload |= kind
+        if bits & AUXILIARY and self._mean_input is not None:
+            overload |= Overload.MEAN
         return Reading(
             signal=math.sqrt(2) * complex(result[0], -result[1]),
             mean=math.nan if self._mean_input is None else result[3],
@@ -100,7 +113,7 @@ class Sr844(Stanford):
         elif overload & Overload.RESERVE and self._close > _HIGH:
             self._close -= 1
             self._link.send(f"CRSV {self._close}")
-        elif self._sensitivity < len(SENSITIVITIES) - 1:
+        elif overload & ~Overload.MEAN and self._sensitivity < len(SENSITIVITIES) - 1:
             self._sensitivity += 1
             self._link.send(f"SENS {self._sensitivity}")
         else:

@@ -35,11 +35,14 @@ class Sr865a(Stanford):
     """An SR865A, its oscillator as the reference.
 
     The commands are those of the remote programming chapter of its manual: RSRC, FREQ,
-    OFLT, OFSL, SCAL, IRNG, SNAP?, LIAS?, AUXV. It counts in volts rms and its phase
-    falls with delay; readings are peak amplitudes whose phase rises with delay.
+    OFLT, OFSL, SCAL, IRNG, SNAP?, LIAS?, AUXV. Outputs that the panel counts from 1 to
+    4 are 0 to 3 in AUXV, as in the maker's own package srsinst.sr860. It counts in
+    volts rms and its phase falls with delay; readings are peak amplitudes whose phase
+    rises with delay.
     """
 
     model = "SR865A"
+    _inputs, _first_output, _outputs = 4, 0, 4
     _set_output = "AUXV"
 
     def prepare(self, *, time_constant: float) -> None:

@@ -17,7 +17,7 @@ _SENSITIVITIES = (
     1.0,
 )  # fmt: skip
 #: Bits of LIAS? (manual, page 4-32).
-_UNLOCKED, _INPUT, _FILTER = 1, 16, 64
+_UNLOCKED, _INPUT, _FILTER, _CHANNEL_1, _CHANNEL_2 = 1, 16, 64, 256, 512
 
 
 class SimulatedSr844(SimulatedStanford):
@@ -25,14 +25,17 @@ class SimulatedSr844(SimulatedStanford):
 
     model = "SR844"
     unlocked_bit = _UNLOCKED
+    outputs = (1, 2)
     codes = {  # noqa: RUF012
-        "FMOD": 1, "HARM": 1, "OFSL": 4, "OFLT": 17, "WRSV": 2, "CRSV": 2, "SENS": 14,
+        "OUTX": 1, "FMOD": 1, "HARM": 1, "OFSL": 4, "OFLT": 17, "WRSV": 2, "CRSV": 2,
+        "SENS": 14,
     }  # fmt: skip
 
     def _snapshot(self, argument: str) -> list[str]:
         x, y, mean = self._measured()
         scale = _SENSITIVITIES[self._set["SENS"]]
         over = max(math.hypot(x, y) / scale, 1.0)
+        self._status |= _CHANNEL_1 * (abs(x) > scale) | _CHANNEL_2 * (abs(y) > scale)
         values = {
             1: x / over,
             2: y / over,

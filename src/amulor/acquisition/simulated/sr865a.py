@@ -28,6 +28,7 @@ class SimulatedSr865a(SimulatedStanford):
 
     model = "SR865A"
     unlocked_bit = _UNLOCKED
+    outputs = (0, 1, 2, 3)
     codes = {  # noqa: RUF012
         "RSRC": 3, "HARM": 99, "OFSL": 3, "OFLT": 21, "SYNC": 1, "IRNG": 4, "SCAL": 27,
     }  # fmt: skip

@@ -27,6 +27,8 @@ class SimulatedStanford:
 
     model = ""
     unlocked_bit = 0
+    #: What commands call the auxiliary outputs, in the order of the panel.
+    outputs: tuple[int, ...] = ()
     #: Highest code of each setting.
     codes: dict[str, int] = {}  # noqa: RUF012  replaced as a whole by each model
 
@@ -102,7 +104,7 @@ class SimulatedStanford:
 
     def _reset(self, _: str) -> list[str]:
         self._set = dict.fromkeys(self.codes, 0)
-        self._outputs = dict.fromkeys(range(1, 5), 0.0)
+        self._outputs = dict.fromkeys(self.outputs, 0.0)
         self._status = self._error = 0
         self.bench.set_laser(False)
         return []
@@ -128,8 +130,9 @@ class SimulatedStanford:
 
     def _set_output(self, argument: str) -> list[str]:
         number, voltage = argument.split(",")
+        code = self.outputs.index(int(number))
         self._outputs[int(number)] = float(voltage)
-        if int(number) == 1:
+        if code == 0:  # the laser is wired to the first one
             self.bench.set_laser(float(voltage) > _GATE)
         return []
 

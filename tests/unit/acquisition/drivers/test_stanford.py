@@ -18,7 +18,10 @@ from amulor.acquisition.protocols import Overload
 from amulor.acquisition.settings import LaserSettings
 from amulor.errors import InstrumentError
 
-IDN_844 = ("*IDN?", ["Stanford_Research_Systems,SR844,s/n12345,ver1.006"])
+IDN_844 = (
+    ("OUTX 0", []),
+    ("*IDN?", ["Stanford_Research_Systems,SR844,s/n12345,ver1.006"]),
+)
 IDN_865 = ("*IDN?", ["Stanford_Research_Systems,SR865A,002764,V1.51"])
 PREPARE_844 = [
     ("*RST", []), ("FMOD 1", []), ("HARM 0", []), ("PHAS 0", []), ("OFSL 1", []),
@@ -34,7 +37,7 @@ PREPARE_865 = [
 @pytest.fixture
 def sr844(script, clock):
     """Return a prepared SR844 and the script behind it."""
-    link = script(IDN_844, *PREPARE_844)
+    link = script(*IDN_844, *PREPARE_844)
     found = Sr844(link, mean_output_input=1, clock=clock)
     found.prepare(time_constant=0.01)
     assert not link.turns
@@ -77,7 +80,7 @@ def test_an_sr844_answers_peak_amplitude_with_the_phase_of_a_delay(sr844) -> Non
 
 
 def test_an_sr844_without_a_mean_output_asks_for_none(script, clock) -> None:
-    link = script(IDN_844, ("SNAP? 1,2,8;LIAS?", ["1e-3,0,3.9e7", "0"]))
+    link = script(*IDN_844, ("SNAP? 1,2,8;LIAS?", ["1e-3,0,3.9e7", "0"]))
     found = Sr844(link, mean_output_input=None, clock=clock).read()
     assert math.isnan(found.mean)
 
@@ -92,7 +95,10 @@ def test_an_sr844_without_a_mean_output_asks_for_none(script, clock) -> None:
         (32, Overload.RESERVE, False),
         (64, Overload.OUTPUT, False),
         (16 + 64 + 128, Overload.INPUT | Overload.OUTPUT, False),
-        (256 + 512, Overload.NONE, False),
+        (256, Overload.OUTPUT, False),
+        (512, Overload.OUTPUT, False),
+        (1024, Overload.MEAN, False),
+        (128 + 2048, Overload.NONE, False),
     ],
 )
 def test_status_bits_of_an_sr844(sr844, bits, overload, unlocked) -> None:
@@ -147,18 +153,18 @@ def test_an_sr844_makes_room_where_it_lacks_it_and_then_by_sensitivity(sr844) ->
 
 
 def test_a_time_constant_that_is_not_on_the_dial_is_refused(script, clock) -> None:
-    found = Sr844(script(IDN_844), mean_output_input=None, clock=clock)
+    found = Sr844(script(*IDN_844), mean_output_input=None, clock=clock)
     with pytest.raises(InstrumentError, match=r"it has 0\.01 s and 0\.03 s"):
         found.prepare(time_constant=0.02)
 
 
 def test_another_instrument_at_the_address_is_refused(script, clock) -> None:
     with pytest.raises(InstrumentError, match="needed is SR844"):
-        Sr844(script(IDN_865), mean_output_input=None, clock=clock)
+        Sr844(script(("OUTX 0", []), IDN_865), mean_output_input=None, clock=clock)
 
 
 def test_a_refused_setting_is_an_error(script, clock) -> None:
-    link = script(IDN_844, *PREPARE_844[:-1], ("*ESR?", ["16"]))
+    link = script(*IDN_844, *PREPARE_844[:-1], ("*ESR?", ["16"]))
     found = Sr844(link, mean_output_input=None, clock=clock)
     with pytest.raises(InstrumentError, match="event status 16"):
         found.prepare(time_constant=0.01)
@@ -226,10 +232,74 @@ def test_the_gate_of_a_laser_is_read_back(sr844) -> None:
     assert "output 2 of Stanford" in gate.identity()
 
 
+@pytest.mark.parametrize("output", [1, 2, 3, 4])
+def test_an_sr865a_counts_its_outputs_from_zero(sr865a, output) -> None:
+    # The maker's package srsinst.sr860 names AUXV 0 to 3 for the outputs 1 to 4.
+    instrument, link = sr865a
+    gate = LockInGate(instrument, LaserSettings(driver="lock_in_output", output=output))
+    link.extend(
+        (f"AUXV {output - 1},5.000;AUXV? {output - 1}", ["5.000"]),
+        (f"AUXV {output - 1},0.000;AUXV? {output - 1}", ["0.000"]),
+    )
+    gate.on()
+    gate.off()
+    assert not link.turns
+    assert f"output {output} of Stanford" in gate.identity()
+
+
+@pytest.mark.parametrize(
+    ("address", "interface"),
+    [
+        ("GPIB0::8::INSTR", 1),
+        ("TCPIP::10.0.0.5::gpib0,8::INSTR", 1),
+        ("ASRL3::INSTR", 0),
+        ("tcp://10.0.0.5:4001", 0),
+    ],
+)
+def test_an_sr844_is_told_first_where_to_answer(
+    script, clock, address, interface
+) -> None:
+    link = script((f"OUTX {interface}", []), *IDN_844[1:])
+    link.address = address
+    Sr844(link, mean_output_input=2, clock=clock)
+    assert not link.turns
+
+
+@pytest.mark.parametrize("number", [0, 3, 4])
+def test_an_sr844_has_two_auxiliary_inputs(script, clock, number) -> None:
+    # SNAP? 8 and 9 are the reference frequency and a display, not a voltage.
+    link = script()
+    with pytest.raises(InstrumentError, match="auxiliary inputs 1 to 2, stated is"):
+        Sr844(link, mean_output_input=number, clock=clock)
+
+
+def test_no_sensitivity_helps_an_auxiliary_input(sr844, script, clock) -> None:
+    instrument, link = sr844
+    link.extend(("SENS 13", []))
+    assert instrument.sharpen(1e-3)
+    assert not instrument.relieve(Overload.MEAN)
+    assert not link.turns
+    # Where the mean output is not wired, nobody asks what overloads there.
+    bare = script(*IDN_844, ("SNAP? 1,2,8;LIAS?", ["1e-3,0,3.9e7", "1024"]))
+    found = Sr844(bare, mean_output_input=None, clock=clock).read()
+    assert found.overload == Overload.NONE
+
+
+def test_an_output_that_is_not_there_is_refused_before_a_word(sr844, sr865a) -> None:
+    for (instrument, link), number, last in ((sr844, 3, 2), (sr865a, 5, 4)):
+        with pytest.raises(InstrumentError, match=f"auxiliary outputs 1 to {last}"):
+            instrument.set_output(number, 5.0)
+        assert not link.turns
+
+
 def test_a_gate_is_made_safe_over_a_new_link(sr844) -> None:
     instrument, link = sr844
     gate = LockInGate(instrument, LaserSettings(driver="lock_in_output"))
-    link.extend(("AUXO 1,0.000;AUXO? 1", ["garbled"]), ("AUXO 1,0.000;AUXO? 1", ["0"]))
+    link.extend(
+        ("AUXO 1,0.000;AUXO? 1", ["garbled"]),
+        ("OUTX 0", []),
+        ("AUXO 1,0.000;AUXO? 1", ["0"]),
+    )
     gate.make_safe()
     assert link.reopened == 1
     assert not link.turns
