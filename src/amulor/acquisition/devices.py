@@ -21,7 +21,9 @@ from amulor.acquisition.protocols import (
 from amulor.acquisition.settings import Settings
 
 #: Settings that change no sample.
-_NO_PART_OF_IT = ("address", "clock_speed", "attempts", "patience")
+_NO_PART_OF_IT = (
+    "address", "clock_speed", "attempts", "patience", "darkness_patience",
+)  # fmt: skip
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -313,6 +313,7 @@ class _Run:
         self._done.add(step.key)
         self._taken += 1
         self._flagged += bool(record.flags)
+        self._sampler.refuse_darkness(step.key.kind, record.flags)
 
     def _progress(self, step: Step, total: int) -> Progress:
         rate = self._taken / max(time.monotonic() - self._started, 1e-9)

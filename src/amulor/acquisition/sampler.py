@@ -5,6 +5,7 @@ from __future__ import annotations
 import enum
 import statistics
 
+from amulor.acquisition.darkness import DarkLevel
 from amulor.acquisition.devices import Devices
 from amulor.acquisition.journal.record import Record
 from amulor.acquisition.plan import DARK, OPEN_WATER, SCAN, Step
@@ -33,11 +34,15 @@ class SampleFlag(enum.IntFlag):
     """The beam came to stand off the commanded direction by more than the tolerance."""
     OFF_FREQUENCY = 16
     """The lock-in detects at another frequency than the commanded one."""
+    # 32 is `UNCALIBRATED` of the cube.
+    NO_LIGHT = 64
+    """The laser was to be on, and the mean output of the detector was that of the
+    dark readings."""
 
 
 #: A sample with one of these can be taken again on request. Of the others, two were
 #: taken again at once and are good, and a frequency would come out as it did before.
-SPOILED = SampleFlag.OVERLOAD | SampleFlag.OFF_POSITION
+SPOILED = SampleFlag.OVERLOAD | SampleFlag.OFF_POSITION | SampleFlag.NO_LIGHT
 
 #: Largest relative difference of commanded and read-back frequency; the oscillator of
 #: an SR844 has three digits, its counter has more.
@@ -64,7 +69,8 @@ class Sampler:
         self._constant = survey.instrument.lock_in.time_constant
         self._saturation = survey.instrument.detector.saturation
         self._readings = readings_of(survey, settling=settings.procedure.settling)
-        self._overloaded_in_a_row = 0
+        self._overloaded_in_a_row = self._dark_in_a_row = 0
+        self._dark_level = DarkLevel()
         self._calm = 0
         self.forget()
 
@@ -101,7 +107,7 @@ class Sampler:
         ------
         InstrumentError
             If a device fails, if the reference stays lost, or if too many samples in
-            a row are overloaded.
+            a row are overloaded or show no light.
         """
         azimuth, elevation = self._arrange(step)
         readings, flags = self._read()
@@ -111,9 +117,14 @@ class Sampler:
         mean = statistics.fmean(means) if means else None
         if mean is not None and mean > self._saturation:
             flags |= SampleFlag.OVERLOAD
+        if step.key.kind == DARK:
+            if not flags & SampleFlag.OVERLOAD:
+                self._dark_level.add(step.key.polarization, means)
+        elif self._dark_level.is_dark(step.key.polarization, means):
+            flags |= SampleFlag.NO_LIGHT
         self._count_overloads(flags)
         scale = self._devices.lock_in.full_scale()
-        if step.key.kind != DARK:
+        if step.key.kind != DARK and not flags & SampleFlag.NO_LIGHT:
             self._sharpen(abs(signal), flags)
         return Record(
             in_phase=signal.real,
@@ -236,6 +247,37 @@ class Sampler:
             raise InstrumentError(
                 f"{self._overloaded_in_a_row} samples in a row are overloaded, at the "
                 "coarsest scale; take light or gain away"
+            )
+
+    def refuse_darkness(self, kind: str, flags: int) -> None:
+        """Raise if too many samples one after the other show no light.
+
+        Parameters
+        ----------
+        kind : str
+            What the sample is of.
+        flags : int
+            Its flags.
+
+        Raises
+        ------
+        InstrumentError
+            If more than `procedure.darkness_patience` of them do.
+        """
+        if kind == DARK:
+            return
+        if not flags & SampleFlag.NO_LIGHT:
+            self._dark_in_a_row = 0
+            return
+        self._dark_in_a_row += 1
+        if self._dark_in_a_row > self._procedure.darkness_patience:
+            raise InstrumentError(
+                f"{self._dark_in_a_row} samples in a row show no light: with the laser "
+                "switched on the mean output of the detector is that of the dark "
+                "readings; see that the interlock is closed, that nothing stands in "
+                "the beam and that no other program drives the laser. If the light is "
+                "too weak for that input, take lock_in.mean_output_input out of the "
+                "devices file"
             )
 
     def _sharpen(self, amplitude: float, flags: SampleFlag) -> None:

@@ -369,3 +369,19 @@ def test_surveys_without_open_water_are_scanned_too(
     ).finished
     cube = cube_of(folder)
     assert cube.amulor.open_water is None
+
+
+def test_what_was_not_taken_yet_is_no_number_in_either_part(
+    small, settings, folder, Stop, cube_of
+) -> None:
+    acquisition.acquire(
+        small,
+        folder,
+        settings=settings,
+        control=Stop(30, go_on=False),
+        scene=scene_light,
+    )
+    cube = cube_of(folder)
+    missing = np.isnan(cube["in_phase"].values)
+    assert 0 < missing.sum() < missing.size
+    np.testing.assert_array_equal(np.isnan(cube["quadrature"].values), missing)

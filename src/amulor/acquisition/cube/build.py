@@ -15,6 +15,7 @@ from amulor import cube as cubes
 from amulor.acquisition import plan
 from amulor.acquisition.cube.calibration import Calibration
 from amulor.acquisition.cube.samples import (
+    MISSING,
     Floats,
     Samples,
     correct,
@@ -35,7 +36,7 @@ from amulor.survey.view import medium as medium_of
 
 #: The cube in the folder of its scan.
 CUBE_NAME = "cube.nc"
-#: Behind the bits of `SampleFlag`: the amplitude is outside of the calibration.
+#: Left free by the bits of `SampleFlag`: the amplitude is outside of the calibration.
 UNCALIBRATED = 32
 _SAMPLE = ("modulation_frequency", "polarization", "row", "column")
 _PIXEL = ("row", "column")
@@ -132,6 +133,8 @@ def build(journal: Journal, *, calibration: Calibration | None = None) -> xr.Dat
             f"{journal.folder} holds no sample of the scan yet; go on with it by "
             "amulor acquire --resume"
         )
+    # Darkness is no measurement of water or target; the journal keeps what was read.
+    scan.signal[scan.flags & SampleFlag.NO_LIGHT != 0] = MISSING
     dark = dark_output(survey, journal)
     uncalibrated = correct(scan, dark, survey, calibration)
     measured = cubes.build(
@@ -217,8 +220,9 @@ def _open_water(
     for key, record in taken:
         samples.put(key, record, 0, shots[key.repeat, key.row, key.column])
     correct(samples, dark, survey, calibration)
-    # A shot that overloaded says nothing about the water.
-    samples.signal[samples.flags & SampleFlag.OVERLOAD != 0] = np.nan
+    # A shot that overloaded, or without light, says nothing about the water.
+    spoiled = SampleFlag.OVERLOAD | SampleFlag.NO_LIGHT
+    samples.signal[samples.flags & spoiled != 0] = MISSING
     outputs = {
         name: values[:, :, 0, :]
         for name, values in _outputs(samples, dark, survey).items()

@@ -16,6 +16,9 @@ from amulor.survey import Survey
 
 Floats = NDArray[np.float64]
 
+#: Stands where nothing was measured; both of its parts are not numbers.
+MISSING = complex(np.nan, np.nan)
+
 
 class Samples:
     """Samples of one kind as arrays over frequency, polarization and two places.
@@ -42,7 +45,7 @@ class Samples:
         def empty() -> Floats:
             return np.full(shape, np.nan)
 
-        self.signal = np.full(shape, np.nan + 0j)
+        self.signal = np.full(shape, MISSING)
         self.raw_amplitude = empty()
         self.mean, self.readings = empty(), np.ones(shape)
         self.full_scale, self.elapsed = empty(), empty()

@@ -91,6 +91,7 @@ class Bench:
         self.faults = Faults.parse(settings.faults)
         self.readings = 0
         self.laser_on = False
+        self._blocked = False
         self._settings = settings
         self._rng = np.random.default_rng(settings.seed)
         self._lock = threading.RLock()
@@ -208,6 +209,9 @@ class Bench:
         with self._lock:
             self.readings += 1
             self._advance()
+            if self.faults.active("darkness", self.readings) != self._blocked:
+                self._blocked = not self._blocked
+                self._renew()
             output = self._level + self._noise
             if self.faults.active("saturation", self.readings):
                 return output, 2 * self.survey.instrument.detector.saturation
@@ -260,7 +264,7 @@ class Bench:
         """Work out what enters the filter from how all knobs stand now."""
         rate = 0.0
         level = 0j
-        if self.laser_on:
+        if self.laser_on and not self._blocked:
             out = abs(self._place["target"]) > 0.05
             places = self._open if out else self._scan
             index = (

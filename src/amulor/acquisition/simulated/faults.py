@@ -11,7 +11,8 @@ class Fault:
     """One thing that goes wrong."""
 
     kind: str
-    """overload, saturation, unlock, lost-link, timeout or stuck."""
+    """overload, saturation, unlock, lost-link, timeout, stuck or darkness (the light is
+    blocked behind the laser)."""
     first: int
     """Number of the reading that it begins at, counted from 1 [1]."""
     count: int
