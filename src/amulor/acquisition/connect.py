@@ -18,6 +18,7 @@ from amulor.acquisition.drivers.stanford_sr865a import Sr865a
 from amulor.acquisition.drivers.zurich import ZurichLockIn
 from amulor.acquisition.gate import LockInGate
 from amulor.acquisition.links.direct import SCHEME, DirectLink
+from amulor.acquisition.links.exclusive import hold
 from amulor.acquisition.links.visa import Conversation, Link
 from amulor.acquisition.operator import OperatorTargetStage
 from amulor.acquisition.protocols import RotationMount, TargetStage
@@ -176,6 +177,10 @@ def _simulated(
 def _real(settings: Settings, ask: Callable[[str], None] | None) -> Devices:
     clock = RealClock(settings.procedure.clock_speed)
     with contextlib.ExitStack() as opened:
+        # Nothing is said to a device that another scan drives.
+        held = opened.enter_context(contextlib.ExitStack())
+        for address in _addresses(settings):
+            held.callback(hold(address).close)
         lock_in = _lock_in(settings, clock)
         opened.callback(lock_in.close)
         stages = _Stages(clock, opened)
@@ -187,9 +192,28 @@ def _real(settings: Settings, ask: Callable[[str], None] | None) -> Devices:
             analyser=_mount(settings.analyser, stages),
             target=_target(settings.target, stages, ask),
             clock=clock,
+            release=held.close,
         )
         opened.pop_all()
     return devices
+
+
+def _addresses(settings: Settings) -> list[str]:
+    """Return where devices are reached, each address once."""
+    parts = (
+        settings.lock_in,
+        settings.scanner,
+        settings.launch,
+        settings.analyser,
+        settings.target,
+    )
+    return sorted(
+        {
+            part.address
+            for part in parts
+            if part.address is not None and part.driver not in ("none", "operator")
+        }
+    )
 
 
 class _Stages:

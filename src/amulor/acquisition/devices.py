@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import json
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 from amulor import cube
@@ -44,6 +44,8 @@ class Devices:
     """What takes the target out of the beam."""
     clock: Clock
     """What the devices go by."""
+    release: Callable[[], None] = lambda: None
+    """Lets other scans have the devices, once they are closed."""
 
     def all(self) -> Iterator[tuple[str, Device]]:
         """Yield name and device; the laser first, since it is made safe first."""
@@ -79,6 +81,7 @@ class Devices:
         for _, device in self.all():
             with contextlib.suppress(Exception):
                 device.close()
+        self.release()
 
 
 def digest(settings: Settings, identities: dict[str, str]) -> str:
