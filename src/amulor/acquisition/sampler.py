@@ -72,6 +72,7 @@ class Sampler:
         self._overloaded_in_a_row = self._dark_in_a_row = 0
         self._dark_level = DarkLevel()
         self._calm = 0
+        self._set_to: dict[float, float] = {}
         self.forget()
 
     def prepare(self) -> None:
@@ -145,9 +146,10 @@ class Sampler:
     def _arrange(self, step: Step) -> tuple[float, float]:
         devices, settings = self._devices, self._settings
         if step.key.frequency != self._frequency:
-            devices.lock_in.set_frequency(
+            set_to = devices.lock_in.set_frequency(
                 step.key.frequency, timeout=settings.lock_in.lock_timeout
             )
+            self._refuse_one_for_two(step.key.frequency, set_to)
             self._frequency = step.key.frequency
         if step.key.polarization != self._polarization:
             self._set_polarization(step.key.polarization)
@@ -156,6 +158,18 @@ class Sampler:
         return devices.scanner.move(
             step.azimuth, step.elevation, timeout=settings.scanner.move_timeout
         )
+
+    def _refuse_one_for_two(self, asked: float, set_to: float) -> None:
+        """Raise if the instrument makes the same frequency of two of the survey."""
+        self._set_to[asked] = set_to
+        for other, its in self._set_to.items():
+            if other != asked and its == set_to:
+                low, high = sorted((asked, other))
+                raise InstrumentError(
+                    f"the lock-in makes {set_to / 1e6:.10g} MHz of both "
+                    f"{low / 1e6:.10g} and {high / 1e6:.10g} MHz; move the modulation "
+                    "frequencies of the survey apart"
+                )
 
     def _set_polarization(self, pair: str) -> None:
         launched, analysed = stokes.pair_states(pair)

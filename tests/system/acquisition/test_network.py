@@ -14,6 +14,7 @@ from amulor.acquisition.sampler import SampleFlag
 from amulor.acquisition.settings import Settings
 from amulor.errors import InstrumentError
 from amulor.simulation import scene_light, simulate
+from amulor.survey import Survey
 
 
 def test_an_acquired_cube_is_the_simulated_one_within_noise(
@@ -44,9 +45,10 @@ def test_a_scan_over_the_network_gives_the_same_ranges(
         outcome = acquisition.acquire(survey, folder, settings=rehearsal.settings)
         assert outcome.finished
         assert not rehearsal.bench.laser_on
-        word = {"sr844": "AUXO", "sr865a": "AUXV"}[model]
+        # Output 1 of the panel.
+        word, code = {"sr844": ("AUXO", 1), "sr865a": ("AUXV", 0)}[model]
         gates = [line for line in rehearsal.lock_in.lines if line.startswith(word)]
-        assert gates[-1] == f"{word} 1,0.000;{word}? 1"
+        assert gates[-1] == f"{word} {code},0.000;{word}? {code}"
         assert "STP" in rehearsal.stages.lines[-6:]
     cube = io.read_cube(acquisition.recover(folder))
     assert model.upper() in cube.attrs["source"]
@@ -57,18 +59,35 @@ def test_a_scan_over_the_network_gives_the_same_ranges(
     assert float(np.abs(error).mean()) < (0.003 if model == "sr844" else 0.03)
 
 
-def test_the_frequency_that_an_instrument_rounds_to_is_kept_and_flagged(
-    survey, folder, few
+def test_the_frequency_that_an_instrument_rounds_to_makes_the_ranges(
+    survey, folder, few, ranges
 ) -> None:
-    # Three digits: 0.1 % off, a little more than what is let pass.
-    survey = survey.with_({"instrument.modulation_frequencies": ["39.06 MHz"]})
-    with rehearse(survey, few, speed=1000, scene=scene_light) as rehearsal:
+    # Three digits: 10.4 MHz, 0.47 % off, a range of 1.5 m off by 7 mm.
+    survey = survey.with_({"instrument.modulation_frequencies": ["10.449 MHz"]})
+    with rehearse(survey, few, speed=500, scene=scene_light) as rehearsal:
         acquisition.acquire(survey, folder, settings=rehearsal.settings)
     with Journal.read(folder) as journal:
         cube = acquisition.build(journal)
-    assert cube["modulation_frequency"].values.tolist() == [39.06e6]
-    assert (cube["user_modulation_frequency"] == 39.1e6).all()
+    assert cube["modulation_frequency"].values.tolist() == [10.4e6]
+    assert (cube["user_modulation_frequency"] == 10.4e6).all()
     assert (cube["user_sample_flag"].values & SampleFlag.OFF_FREQUENCY).all()
+    assert Survey.from_text(cube.attrs["survey"]) == survey
+    forward = np.cos(cube["azimuth"].values) * np.cos(cube["elevation"].values)
+    error = ranges(cube) * forward - 1.5
+    # A phase floor of 1 mrad is 1.1 mm a pixel, the water's fluctuation as much again.
+    assert abs(error.mean()) < 2e-3
+
+
+def test_two_frequencies_that_would_be_one_are_refused(survey, folder, few) -> None:
+    both = {"instrument.modulation_frequencies": ["39.06 MHz", "39.07 MHz"]}
+    survey = survey.with_(both)
+    with (
+        rehearse(survey, few, speed=1000, scene=scene_light) as rehearsal,
+        pytest.raises(
+            InstrumentError, match=r"39\.1 MHz of both 39\.06 and 39\.07 MHz"
+        ),
+    ):
+        acquisition.acquire(survey, folder, settings=rehearsal.settings)
 
 
 def test_the_same_scan_goes_over_pyvisa(survey, folder, few, ranges) -> None:

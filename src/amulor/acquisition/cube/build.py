@@ -21,6 +21,7 @@ from amulor.acquisition.cube.samples import (
     correct,
     counting_variance,
     dark_output,
+    read_back_frequencies,
 )
 from amulor.acquisition.devices import is_simulated
 from amulor.acquisition.journal.journal import Journal
@@ -122,7 +123,9 @@ def build(journal: Journal, *, calibration: Calibration | None = None) -> xr.Dat
     The mean of the dark readings of a channel is taken off its samples. The stated
     variance is that of counting, of the phase floor of the survey and of that mean;
     counting follows from the mean output of the detector, or, where that is not wired,
-    from the amplitude, which is a lower limit.
+    from the amplitude, which is a lower limit. The modulation frequencies are those
+    that the instrument said it used, since ranges follow from them; what the survey
+    asked for is in the survey.
     """
     meta = journal.meta()
     survey = Survey.from_text(meta["survey"], name="the survey of the journal")
@@ -136,7 +139,10 @@ def build(journal: Journal, *, calibration: Calibration | None = None) -> xr.Dat
     # Darkness is no measurement of water or target; the journal keeps what was read.
     scan.signal[scan.flags & SampleFlag.NO_LIGHT != 0] = MISSING
     dark = dark_output(survey, journal)
-    uncalibrated = correct(scan, dark, survey, calibration)
+    frequency = read_back_frequencies(scan, survey)
+    uncalibrated = correct(
+        scan, dark, modulation_frequency=frequency, calibration=calibration
+    )
     measured = cubes.build(
         "samples",
         {
@@ -144,7 +150,7 @@ def build(journal: Journal, *, calibration: Calibration | None = None) -> xr.Dat
             "saturated": (scan.flags & SampleFlag.OVERLOAD != 0).astype(np.int8),
         },
         {
-            "modulation_frequency": np.array(survey.instrument.modulation_frequencies),
+            "modulation_frequency": frequency,
             "polarization": list(survey.instrument.polarizations),
             **_directions(scan, survey),
             "time": _first(scan.elapsed),
@@ -154,7 +160,7 @@ def build(journal: Journal, *, calibration: Calibration | None = None) -> xr.Dat
         ),
         attributes=_attributes(journal, meta, survey, dark, calibration),
     )
-    shots = _open_water(survey, journal, dark, calibration)
+    shots = _open_water(survey, journal, dark, frequency, calibration)
     if shots is not None:
         measured = cubes.attach(measured, shots, "open_water")
     measured = measured.assign(_user_variables(scan, uncalibrated))
@@ -205,6 +211,7 @@ def _open_water(
     survey: Survey,
     journal: Journal,
     dark: tuple[NDArray[np.complex128], Floats],
+    frequency: Floats,
     calibration: Calibration | None,
 ) -> xr.Dataset | None:
     taken = [*journal.samples(plan.OPEN_WATER)]
@@ -219,7 +226,7 @@ def _open_water(
     samples = Samples(survey, 1, len(shots))
     for key, record in taken:
         samples.put(key, record, 0, shots[key.repeat, key.row, key.column])
-    correct(samples, dark, survey, calibration)
+    correct(samples, dark, modulation_frequency=frequency, calibration=calibration)
     # A shot that overloaded, or without light, says nothing about the water.
     spoiled = SampleFlag.OVERLOAD | SampleFlag.NO_LIGHT
     samples.signal[samples.flags & spoiled != 0] = MISSING
@@ -269,7 +276,8 @@ def _user_variables(
             samples.takes, "1",
         ),
         "user_modulation_frequency": variable(
-            "frequency read back", _SAMPLE, samples.modulation_frequency, "Hz"
+            "frequency read back, of each sample", _SAMPLE,
+            samples.modulation_frequency, "Hz",
         ),
         "user_mean_output": variable(
             "mean output of the detector", _SAMPLE, samples.mean, "V"

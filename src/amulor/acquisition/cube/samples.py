@@ -81,6 +81,31 @@ class Samples:
         self.takes[at] += 1
 
 
+def read_back_frequencies(samples: Samples, survey: Survey) -> Floats:
+    """Return the frequencies that the instrument said it used.
+
+    Parameters
+    ----------
+    samples : Samples
+        Those of the scan.
+    survey : Survey
+        Its modulation frequencies are what was asked for.
+
+    Returns
+    -------
+    ndarray
+        Median of what was read back, for each modulation frequency of the survey; what
+        was asked for where nothing was, or if two would come out as one [Hz].
+    """
+    asked = np.array(survey.instrument.modulation_frequencies)
+    frequency = asked.copy()
+    for number, values in enumerate(samples.modulation_frequency):
+        known = values[np.isfinite(values)]
+        if known.size:
+            frequency[number] = np.median(known)
+    return frequency if np.all(np.diff(frequency) > 0) else asked
+
+
 def dark_output(
     survey: Survey, journal: Journal
 ) -> tuple[NDArray[np.complex128], Floats]:
@@ -121,7 +146,8 @@ def dark_output(
 def correct(
     samples: Samples,
     dark: tuple[NDArray[np.complex128], Floats],
-    survey: Survey,
+    *,
+    modulation_frequency: Floats,
     calibration: Calibration | None,
 ) -> NDArray[np.bool_]:
     """Take off dark output and delay of the instrument.
@@ -132,8 +158,8 @@ def correct(
         Their signal is changed.
     dark : tuple of ndarray
         What `dark_output` returned [V], [V^2].
-    survey : Survey
-        Its modulation frequencies count.
+    modulation_frequency : ndarray
+        Of the first axis of the samples [Hz].
     calibration : Calibration or None
         Delay against frequency and amplitude.
 
@@ -151,10 +177,10 @@ def correct(
     outside = np.zeros(samples.signal.shape, dtype=bool)
     if calibration is None:
         return outside
-    for number, frequency in enumerate(survey.instrument.modulation_frequencies):
+    for number, frequency in enumerate(modulation_frequency):
         amplitude = np.abs(samples.signal[number])
         delay, known = phase_correction(
-            calibration, amplitude, modulation_frequency=frequency
+            calibration, amplitude, modulation_frequency=float(frequency)
         )
         there = np.isfinite(amplitude)
         samples.signal[number][there] *= np.exp(-1j * delay[there])

@@ -25,6 +25,8 @@ MOUNT_SPEED = 10.0
 TARGET_SPEED = 0.2
 #: How long the oscillator takes to lock to a new frequency [s].
 LOCK_TIME = 0.05
+#: Frequencies beside the planned ones whose light is kept.
+_MOST_OTHERS = 16
 #: Directions nearer to each other than this count as one [rad].
 _SAME = 1e-5
 
@@ -95,9 +97,12 @@ class Bench:
         self._settings = settings
         self._rng = np.random.default_rng(settings.seed)
         self._lock = threading.RLock()
+        self._scene = scene
+        # Light of all planned frequencies, and of each other one that was ever set.
         light = scene(survey)
-        self._scan = _Places(light.with_target)
-        self._open = _Places(light.open_water)
+        self._planned = (_Places(light.with_target), _Places(light.open_water))
+        self._others: dict[float, tuple[_Places, _Places]] = {}
+        self._scan, self._open = self._planned
         frequencies = survey.instrument.modulation_frequencies
         self._frequency, self._channel = frequencies[0], 0
         self._pairs = _mount_angles(survey, launch, analyser)
@@ -137,9 +142,14 @@ class Bench:
         """Set the modulation frequency [Hz]; the reference is lost for a moment."""
         with self._lock:
             self._advance()
-            known = np.asarray(self.survey.instrument.modulation_frequencies)
             self._frequency = frequency
-            self._channel = int(np.argmin(np.abs(known - frequency)))
+            planned = self.survey.instrument.modulation_frequencies
+            if frequency in planned:
+                self._channel = planned.index(frequency)
+                self._scan, self._open = self._planned
+            else:
+                self._channel = 0
+                self._scan, self._open = self._light_at(frequency)
             self._locked_at = self.clock.now() + LOCK_TIME
             self._renew()
 
@@ -259,6 +269,20 @@ class Bench:
             self._rng.standard_normal(), self._rng.standard_normal()
         )
         self._time = until
+
+    def _light_at(self, frequency: float) -> tuple[_Places, _Places]:
+        """Return the light at a frequency that is not planned [Hz]."""
+        if frequency not in self._others:
+            path = "instrument.modulation_frequencies"
+            light = self._scene(self.survey.with_({path: [frequency]}))
+            # A sweep over many frequencies must not fill the memory.
+            while len(self._others) >= _MOST_OTHERS:
+                del self._others[next(iter(self._others))]
+            self._others[frequency] = (
+                _Places(light.with_target),
+                _Places(light.open_water),
+            )
+        return self._others[frequency]
 
     def _renew(self) -> None:
         """Work out what enters the filter from how all knobs stand now."""

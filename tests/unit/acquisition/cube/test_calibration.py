@@ -167,3 +167,20 @@ def test_a_list_of_wrong_items_is_not_called_empty(tmp_path) -> None:
     assert len(lines) == 2
     assert "frequencies.0.modulation_frequency: " in lines[0]
     assert "frequencies.0.amplitudes: is missing" in lines[1]
+
+
+def test_a_frequency_is_known_by_what_is_read_back() -> None:
+    two = Calibration(
+        frequencies=tuple(
+            FrequencyCalibration(
+                modulation_frequency=frequency, amplitudes=(1.0,), phases=(phase,)
+            )
+            for frequency, phase in ((39e6, 0.1), (39.02e6, 0.2))
+        )
+    )
+    # The last digits of a counter move; the nearest one counts.
+    for read, phase in ((39.0001e6, 0.1), (39.019e6, 0.2), (39.05e6, 0.2)):
+        found, _ = phase_correction(two, np.ones(1), modulation_frequency=read)
+        assert_allclose(found, phase)
+    with pytest.raises(FormatError, match=r"no 39\.1 MHz"):
+        phase_correction(two, np.ones(1), modulation_frequency=39.1e6)

@@ -172,6 +172,30 @@ def test_motion_takes_its_time_and_can_be_stopped(small, clock) -> None:
     assert found.place("azimuth") == 0.5
 
 
+def test_the_phase_is_that_of_the_frequency_that_is_set(quiet, clock) -> None:
+    # Far enough off the planned 39 MHz that the way of 3 m and more turns the phase.
+    found = bench(quiet, clock, position_error=0.0)
+    found.set_laser(True)
+    clock.sleep(1.0)
+    planned, _ = found.output()
+    for frequency in (38.5e6, 40e6, 39e6):
+        found.set_frequency(frequency)
+        clock.sleep(1.0)
+        level, _ = found.output()
+        path = "instrument.modulation_frequencies"
+        cube = simulate(quiet.with_({path: [frequency]}), rng=1)
+        # Azimuth and elevation 0: the middle of an odd number of rows and columns.
+        here = cube.isel(row=1, column=2, modulation_frequency=0, polarization=0)
+        expected = sum(
+            complex(here[f"truth_{part}_in_phase"], here[f"truth_{part}_quadrature"])
+            for part in ("target", "water")
+        )
+        # As above: what is left of shot noise.
+        assert_allclose(level, expected, rtol=1e-4)
+        if frequency != 39e6:
+            assert abs(np.angle(level / planned)) > 0.02
+
+
 def test_a_new_frequency_is_locked_to_after_a_while(small, clock) -> None:
     found = bench(small, clock)
     assert found.locked()
