@@ -19,10 +19,11 @@ from amulor.acquisition.drivers.zurich import ZurichLockIn
 from amulor.acquisition.gate import LockInGate
 from amulor.acquisition.links.direct import SCHEME, DirectLink
 from amulor.acquisition.links.exclusive import hold
-from amulor.acquisition.links.visa import Conversation, Link
+from amulor.acquisition.links.visa import Conversation, Link, SerialPort
 from amulor.acquisition.operator import OperatorTargetStage
 from amulor.acquisition.protocols import RotationMount, TargetStage
 from amulor.acquisition.settings import (
+    LockInSettings,
     MountSettings,
     ScannerSettings,
     Settings,
@@ -125,7 +126,12 @@ def simulated_bench(
     )
 
 
-def open_link(address: str, *, timeout: float) -> Conversation:
+def open_link(
+    address: str,
+    *,
+    timeout: float,
+    serial: SerialPort = SerialPort(),  # noqa: B008 - it is frozen
+) -> Conversation:
     """Open the link that an address names.
 
     Parameters
@@ -134,6 +140,8 @@ def open_link(address: str, *, timeout: float) -> Conversation:
         VISA resource name, or tcp://host:port for a socket without a VISA library.
     timeout : float
         How long one answer may take [s].
+    serial : SerialPort
+        How characters go, if the address is that of a serial port.
 
     Returns
     -------
@@ -149,7 +157,20 @@ def open_link(address: str, *, timeout: float) -> Conversation:
     """
     if address.startswith(SCHEME):
         return DirectLink(address, timeout=timeout)
-    return Link.open(address, timeout=timeout)
+    return Link.open(address, timeout=timeout, serial=serial)
+
+
+def _linked(
+    own: LockInSettings | ScannerSettings | MountSettings | TargetSettings,
+    *,
+    serial_end: str,
+) -> Conversation:
+    """Open the link that a part of the devices file states."""
+    assert own.address is not None
+    port = SerialPort(
+        end=serial_end, baud_rate=own.baud_rate, flow_control=own.flow_control
+    )
+    return open_link(own.address, timeout=own.timeout, serial=port)
 
 
 def _simulated(
@@ -227,7 +248,7 @@ class _Stages:
     def at(self, own: ScannerSettings | MountSettings | TargetSettings) -> PiController:
         assert own.address is not None
         if own.address not in self._known:
-            link = open_link(own.address, timeout=own.timeout)
+            link = _linked(own, serial_end=PiController.serial_end)
             self._opened.callback(link.close)
             self._known[own.address] = PiController(link, clock=self._clock)
         return self._known[own.address]
@@ -240,8 +261,8 @@ def _lock_in(settings: Settings, clock: Clock) -> Sr844 | Sr865a | ZurichLockIn:
         return ZurichLockIn.connect(
             own.address, mean_output_input=own.mean_output_input, clock=clock
         )
-    link = open_link(own.address, timeout=own.timeout)
     driver: type[Sr844 | Sr865a] = Sr844 if own.driver == "sr844" else Sr865a
+    link = _linked(own, serial_end=driver.serial_end)
     try:
         return driver(link, mean_output_input=own.mean_output_input, clock=clock)
     except BaseException:

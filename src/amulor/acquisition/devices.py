@@ -22,7 +22,8 @@ from amulor.acquisition.settings import Settings
 
 #: Settings that change no sample.
 _NO_PART_OF_IT = (
-    "address", "clock_speed", "attempts", "patience", "darkness_patience",
+    "address", "baud_rate", "flow_control", "clock_speed", "attempts", "patience",
+    "darkness_patience",
 )  # fmt: skip
 
 

@@ -49,6 +49,26 @@ class _Linked(Description):
     library; of Zurich Instruments "server:device", such as "localhost:dev2006"."""
     timeout: Patience = 5.0
     """How long one answer may take [s]."""
+    baud_rate: Annotated[int, Field(ge=50, le=10_000_000)] | None = None
+    """Bits per second of a serial port; what the VISA library takes, 9600, if left
+    out [1/s]."""
+    flow_control: Literal["none", "xon_xoff", "rts_cts", "dtr_dsr"] | None = None
+    """Flow control of a serial port; what the VISA library takes, none, if left out."""
+
+    @model_validator(mode="after")
+    def _only_serial_ports_have_it(self) -> Self:
+        stated = [
+            name
+            for name in ("baud_rate", "flow_control")
+            if getattr(self, name) is not None
+        ]
+        serial = self.address is not None and self.address.upper().startswith("ASRL")
+        if stated and not serial:
+            raise ValueError(
+                f"{stated[0]} is that of a serial port, but the address is "
+                f"{self.address!r}; take it out, or state a port such as ASRL3::INSTR"
+            )
+        return self
 
 
 class LockInSettings(_Linked):

@@ -32,6 +32,9 @@ class PiController:
         What waits go by.
     """
 
+    #: What a line ends with on a serial port.
+    serial_end = "\n"
+
     def __init__(self, link: Conversation, *, clock: Clock) -> None:
         self._link = link
         self._clock = clock

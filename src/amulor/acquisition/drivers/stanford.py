@@ -27,6 +27,8 @@ class Stanford:
     """
 
     model = ""
+    #: What a line ends with on a serial port.
+    serial_end = "\n"
     #: How many auxiliary inputs there are.
     _inputs = 0
     #: Number of the first auxiliary output in commands, and how many there are.

@@ -41,6 +41,7 @@ class Sr844(Stanford):
     """
 
     model = "SR844"
+    serial_end = "\r"  # so it ends its answers (manual, page 4-8)
     _inputs, _outputs = 2, 2
     _set_output = "AUXO"
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import importlib
+from dataclasses import dataclass
 from typing import Any, Protocol
 
 from amulor.errors import InstrumentError, MissingExtraError
@@ -31,6 +32,18 @@ class Conversation(Protocol):
         """Close the link."""
 
 
+@dataclass(frozen=True)
+class SerialPort:
+    """How characters go over a serial port; a link that is none takes no notice."""
+
+    end: str = "\n"
+    """What a line ends with: a line feed, or a carriage return."""
+    baud_rate: int | None = None
+    """Bits per second; that of the VISA library if None [1/s]."""
+    flow_control: str | None = None
+    """none, xon_xoff, rts_cts or dtr_dsr; that of the VISA library if None."""
+
+
 class Link:
     """A link over PyVISA: GPIB, serial port, USB or network.
 
@@ -42,22 +55,38 @@ class Link:
         How long one answer may take [s].
     manager : object
         A `pyvisa.ResourceManager`.
+    serial : SerialPort
+        How characters go, if the address is that of a serial port.
 
     Notes
     -----
-    Lines end with a line feed, on a serial port with a carriage return: that is how an
-    SR844 ends its answers (its manual, page 4-8), and what the others can be set to.
+    Lines end with a line feed everywhere but on a serial port of an instrument that
+    ends them otherwise, as an SR844 does.
     """
 
-    def __init__(self, address: str, *, timeout: float, manager: Any) -> None:
+    def __init__(
+        self,
+        address: str,
+        *,
+        timeout: float,
+        manager: Any,
+        serial: SerialPort = SerialPort(),
+    ) -> None:
         self.address = address
+        self._serial = serial if address.upper().startswith("ASRL") else None
         self._timeout = timeout
         self._manager = manager
         self._resource: Any = None
         self._open()
 
     @classmethod
-    def open(cls, address: str, *, timeout: float) -> Link:
+    def open(
+        cls,
+        address: str,
+        *,
+        timeout: float,
+        serial: SerialPort = SerialPort(),
+    ) -> Link:
         """Open a link.
 
         Parameters
@@ -66,6 +95,8 @@ class Link:
             VISA resource name.
         timeout : float
             How long one answer may take [s].
+        serial : SerialPort
+            How characters go, if the address is that of a serial port.
 
         Returns
         -------
@@ -85,7 +116,8 @@ class Link:
             raise MissingExtraError(
                 "pyvisa", extra="acquire", purpose="talking to instruments"
             ) from None
-        return cls(address, timeout=timeout, manager=pyvisa.ResourceManager())
+        manager = pyvisa.ResourceManager()
+        return cls(address, timeout=timeout, manager=manager, serial=serial)
 
     def send(self, line: str) -> None:
         """Send one line that has no answer."""
@@ -111,7 +143,7 @@ class Link:
             self._resource = None
 
     def _open(self) -> None:
-        end = "\r" if self.address.upper().startswith("ASRL") else "\n"
+        end = "\n" if self._serial is None else self._serial.end
         self._end = end.encode()
         try:
             self._resource = self._manager.open_resource(
@@ -120,12 +152,24 @@ class Link:
                 write_termination=end,
                 timeout=round(self._timeout * 1000),
                 open_timeout=round(self._timeout * 1000),
+                **self._port_settings(),
             )
         except Exception as error:  # PyVISA and what it rests on raise many kinds
             raise InstrumentError(
                 f"nothing can be reached at {self.address}: {_reason(error)}; check "
                 "address, cable and power, and that no other program holds the link"
             ) from error
+
+    def _port_settings(self) -> dict[str, Any]:
+        """Return what PyVISA is to set on a serial port."""
+        settings: dict[str, Any] = {}
+        if self._serial is not None and self._serial.baud_rate is not None:
+            settings["baud_rate"] = self._serial.baud_rate
+        if self._serial is not None and self._serial.flow_control is not None:
+            constants = importlib.import_module("pyvisa.constants")
+            control = constants.ControlFlow[self._serial.flow_control]
+            settings["flow_control"] = control
+        return settings
 
     def _line(self) -> str:
         # What `read` of the resource does, without what it does for other devices.
