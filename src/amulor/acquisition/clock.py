@@ -17,6 +17,37 @@ class Clock(Protocol):
         """Wait for a time [s]."""
 
 
+#: Shortest wait for an instrument on the wall, however fast a rehearsal goes [s].
+_LEAST = 2.0
+
+
+class Deadline:
+    """The end of a wait for an instrument.
+
+    Over when the time has passed by the clock of the scan, and at least a part of it on
+    the wall: answers take their time on the wire, also where the clock runs faster.
+
+    Parameters
+    ----------
+    clock : Clock
+        What the devices go by.
+    timeout : float
+        How long the wait may be [s].
+    """
+
+    def __init__(self, clock: Clock, timeout: float) -> None:
+        self._clock = clock
+        self._end = clock.now() + timeout
+        self._real = isinstance(clock, RealClock)
+        self._wall = time.monotonic() + min(timeout, _LEAST)
+
+    def passed(self) -> bool:
+        """Return whether the wait is over."""
+        if self._clock.now() <= self._end:
+            return False
+        return not self._real or time.monotonic() > self._wall
+
+
 class RealClock:
     """The time on the wall, or a multiple of it.
 

@@ -18,6 +18,7 @@ from amulor.acquisition.connect import connect
 from amulor.acquisition.devices import Devices, digest
 from amulor.acquisition.journal.journal import Journal
 from amulor.acquisition.plan import Key, Step
+from amulor.acquisition.reach import refuse_beyond_reach
 from amulor.acquisition.sampler import SPOILED, Sampler
 from amulor.acquisition.settings import Settings
 from amulor.acquisition.simulated.scene import Scene
@@ -173,6 +174,7 @@ def acquire(
                 journal = Journal.create(folder, meta=meta, claim=claim)
                 stack.enter_context(journal)
             _keep_copies(journal)
+            refuse_beyond_reach(survey, settings, devices)
             run = _Run(survey, settings, devices, journal, retake=retake_flagged)
             return run.go(control or _Unattended(), progress, acknowledged)
 

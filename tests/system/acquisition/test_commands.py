@@ -284,7 +284,7 @@ def test_a_termination_leaves_the_laser_off_and_a_folder_that_resumes(
         _, errors = running.communicate(timeout=60)
         assert running.returncode == 130, errors
         assert not rehearsal.bench.laser_on
-        assert "STP" in rehearsal.stages.lines[-12:]
+        assert "HLT" in rehearsal.stages.lines[-12:]
         assert b"Traceback" not in errors
         assert b"go on with: amulor acquire scan/survey.toml -o scan --resume" in errors
         with Journal.read(here / "scan") as found:

@@ -49,7 +49,7 @@ def test_a_scan_over_the_network_gives_the_same_ranges(
         word, code = {"sr844": ("AUXO", 1), "sr865a": ("AUXV", 0)}[model]
         gates = [line for line in rehearsal.lock_in.lines if line.startswith(word)]
         assert gates[-1] == f"{word} {code},0.000;{word}? {code}"
-        assert "STP" in rehearsal.stages.lines[-6:]
+        assert "HLT" in rehearsal.stages.lines[-6:]
     cube = io.read_cube(acquisition.recover(folder))
     assert model.upper() in cube.attrs["source"]
     assert cube.attrs["simulated"] == 1
@@ -132,7 +132,7 @@ def test_faults_over_the_network_leave_the_laser_off(
         assert not rehearsal.bench.laser_on
         gates = [line for line in rehearsal.lock_in.lines if line.startswith("AUXO")]
         assert gates[-1] == "AUXO 1,0.000;AUXO? 1"
-        assert "STP" in rehearsal.stages.lines[-12:]
+        assert "HLT" in rehearsal.stages.lines[-12:]
     assert "--resume" in str(caught.value)
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 
-from amulor.acquisition.clock import Clock
+from amulor.acquisition.clock import Clock, Deadline
 from amulor.acquisition.links.visa import Conversation
 from amulor.acquisition.settings import ScannerSettings, TargetSettings
 from amulor.errors import InstrumentError
@@ -13,9 +13,18 @@ from amulor.errors import InstrumentError
 #: What ERR? answers after a stop on purpose.
 _STOPPED = 10
 _POLL = 2e-3
+#: What the identity of a controller holds, in small letters.
+_MAKER = "physik instrumente"
+#: Asks for the axes that move, as bits of a hexadecimal number: the one character 5.
+_MOTION = "\x05"
+#: How long axes may take to come to rest after HLT, before STP [s].
+_HALT = 2.0
 #: Difference of position and goal beyond which the controller is asked for an error,
 #: in the unit of the axis.
 _ASTRAY = 0.01
+#: Difference of place and goal beyond which a mount [deg] and the target [mm] are not
+#: where they are said to be.
+_MOUNT_OFF, _TARGET_OFF = 0.5, 1.0
 
 
 class PiController:
@@ -39,6 +48,11 @@ class PiController:
         self._link = link
         self._clock = clock
         (self._identity,) = link.ask("*IDN?")
+        if _MAKER not in self._identity.lower():
+            raise InstrumentError(
+                f"at {link.address} is {self._identity!r}, needed is a controller of "
+                "Physik Instrumente; check the address"
+            )
 
     def identity(self) -> str:
         """Return maker, model, serial number and firmware."""
@@ -60,6 +74,32 @@ class PiController:
                 raise InstrumentError(
                     f"axis {axis} at {self._link.address} does not know where it is; "
                     f"see that nothing is in its way, and reference it (FRF {axis})"
+                )
+
+    def refuse_beyond_reach(self, goals: Mapping[str, Sequence[float]]) -> None:
+        """Raise if an axis could not go where it will be sent.
+
+        Parameters
+        ----------
+        goals : mapping
+            Axis to positions, in the unit of the axis.
+
+        Raises
+        ------
+        InstrumentError
+            Of the first axis whose travel (TMN?, TMX?) is too short.
+        """
+        low = self._values("TMN?", [*goals])
+        high = self._values("TMX?", [*goals])
+        for axis, positions in goals.items():
+            # To the digits that MOV sends.
+            least, most = round(min(positions), 7), round(max(positions), 7)
+            if least < low[axis] or most > high[axis]:
+                raise InstrumentError(
+                    f"axis {axis} at {self._link.address} goes from {low[axis]:g} to "
+                    f"{high[axis]:g}, the scan needs {least:.6g} to {most:.6g} in its "
+                    "unit; check zero and unit of the axis in the devices file, or "
+                    "change the scan"
                 )
 
     def move(self, goals: Mapping[str, float], *, timeout: float) -> list[float]:
@@ -84,26 +124,19 @@ class PiController:
         """
         axes = [*goals]
         listed = " ".join(axes)
-        question = f"ONT? {listed}\nPOS? {listed}"
         words = [f"{axis} {goal:.7f}" for axis, goal in goals.items()]
-        # Sent together with the first question: a network holds a second small packet
-        # back until the first is acknowledged, some 40 ms.
-        line = "MOV " + " ".join(words) + "\n" + question
-        end = self._clock.now() + timeout
-        while True:
-            lines = self._link.ask(line, answers=2 * len(axes))
-            line = question
-            arrived = self._parsed(lines[: len(axes)], axes, "ONT?")
-            if all(value == 1 for value in arrived.values()):
-                break
-            if self._clock.now() > end:
+        # Not in one packet with a question: a controller may answer it before it moves.
+        self._link.send("MOV " + " ".join(words))
+        end = Deadline(self._clock, timeout)
+        while any(value != 1 for value in self._values("ONT?", axes).values()):
+            if end.passed():
                 self.raise_error()
                 raise InstrumentError(
                     f"axes {listed} at {self._link.address} are not on target "
                     f"{timeout:g} s after MOV; see what holds them"
                 )
             self._clock.sleep(_POLL)
-        result = self._parsed(lines[len(axes) :], axes, "POS?")
+        result = self._values("POS?", axes)
         if any(abs(result[axis] - goal) > _ASTRAY for axis, goal in goals.items()):
             self.raise_error()
         return [result[axis] for axis in axes]
@@ -130,8 +163,26 @@ class PiController:
         self._link.close()
 
     def _stop(self) -> None:
+        """Halt smoothly, and abruptly what has not come to rest by then."""
+        self._link.send("HLT")
+        (code,) = self._link.ask("ERR?")
+        if code in ("0", str(_STOPPED)) and self._comes_to_rest():
+            return
         self._link.send("STP")
         self.raise_error()
+
+    def _comes_to_rest(self) -> bool:
+        end = Deadline(self._clock, _HALT)
+        while True:
+            (answer,) = self._link.ask(_MOTION)
+            try:
+                if int(answer, base=16) == 0:
+                    return True
+            except ValueError:
+                return False
+            if end.passed():
+                return False
+            self._clock.sleep(_POLL)
 
     def _values(self, question: str, axes: Sequence[str]) -> dict[str, float]:
         line = f"{question} {' '.join(axes)}"
@@ -194,10 +245,8 @@ class PiScanner(_OnController):
         own = self._settings
         zeros = (own.azimuth_zero, own.elevation_zero)
         goals = {
-            axis: zero + angle / own.angle_per_unit
-            for axis, zero, angle in zip(
-                self._axes, zeros, (azimuth, elevation), strict=True
-            )
+            axis: position
+            for axis, (position,) in self._positions([azimuth], [elevation]).items()
         }
         across, up = self._controller.move(goals, timeout=timeout)
         return (
@@ -205,12 +254,43 @@ class PiScanner(_OnController):
             (up - zeros[1]) * own.angle_per_unit,
         )
 
+    def refuse_beyond_reach(
+        self, azimuth: Sequence[float], elevation: Sequence[float]
+    ) -> None:
+        """Raise if an axis cannot go to all of these directions [rad]."""
+        own = self._settings
+        if own.park_azimuth is not None and own.park_elevation is not None:
+            azimuth = [*azimuth, own.park_azimuth]
+            elevation = [*elevation, own.park_elevation]
+        self._controller.refuse_beyond_reach(self._positions(azimuth, elevation))
+
+    def _positions(
+        self, azimuth: Sequence[float], elevation: Sequence[float]
+    ) -> dict[str, list[float]]:
+        """Return where the axes are in these directions, in their unit."""
+        own = self._settings
+        zeros = (own.azimuth_zero, own.elevation_zero)
+        return {
+            axis: [zero + angle / own.angle_per_unit for angle in angles]
+            for axis, zero, angles in zip(
+                self._axes, zeros, (azimuth, elevation), strict=True
+            )
+        }
+
     def make_safe(self) -> None:
         """Stop, and turn to where it is to be left if that is stated."""
         super().make_safe()
         own = self._settings
         if own.park_azimuth is not None and own.park_elevation is not None:
             self.move(own.park_azimuth, own.park_elevation, timeout=own.move_timeout)
+
+
+def _refuse_elsewhere(what: str, stands: float, goal: float, *, near: float) -> None:
+    if not abs(stands - goal) <= near:
+        raise InstrumentError(
+            f"{what} is on target at {stands:g} and was sent to {goal:g}, in the unit "
+            "of its axis; reference it, and see what holds it"
+        )
 
 
 class PiMount(_OnController):
@@ -229,8 +309,15 @@ class PiMount(_OnController):
 
     def rotate(self, angle: float, *, timeout: float) -> float:
         """Turn to an angle [rad] within a time [s]; return where it stands [rad]."""
-        goals = {self._axes[0]: math.degrees(angle)}
-        return math.radians(self._controller.move(goals, timeout=timeout)[0])
+        goal = math.degrees(angle)
+        (stands,) = self._controller.move({self._axes[0]: goal}, timeout=timeout)
+        _refuse_elsewhere(f"mount {self._axes[0]}", stands, goal, near=_MOUNT_OFF)
+        return math.radians(stands)
+
+    def refuse_beyond_reach(self, angles: Sequence[float]) -> None:
+        """Raise if the axis cannot go to all of these angles [rad]."""
+        goals = [math.degrees(angle) for angle in angles]
+        self._controller.refuse_beyond_reach({self._axes[0]: goals})
 
 
 class PiTargetStage(_OnController):
@@ -257,4 +344,12 @@ class PiTargetStage(_OnController):
         self._go(self._settings.position_out, timeout)
 
     def _go(self, position: float, timeout: float) -> None:
-        self._controller.move({self._axes[0]: position * 1e3}, timeout=timeout)
+        goal = position * 1e3
+        (stands,) = self._controller.move({self._axes[0]: goal}, timeout=timeout)
+        _refuse_elsewhere("the target", stands, goal, near=_TARGET_OFF)
+
+    def refuse_beyond_reach(self) -> None:
+        """Raise if the axis cannot go to one of its two places."""
+        own = self._settings
+        goals = [own.position_in * 1e3, own.position_out * 1e3]
+        self._controller.refuse_beyond_reach({self._axes[0]: goals})

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 
+from amulor.acquisition.clock import Deadline
 from amulor.acquisition.drivers.stanford import Stanford
 from amulor.acquisition.protocols import Overload, Reading
 from amulor.errors import InstrumentError
@@ -68,10 +69,10 @@ class Sr844(Stanford):
                 "change the modulation frequencies of the survey"
             )
         self._link.send(f"FREQ {frequency:.6g}")
-        end = self._clock.now() + timeout
+        end = Deadline(self._clock, timeout)
         self.number("LIAS?")  # clears what was before
         while int(self.number("LIAS?")) & (UNLOCKED | OUT_OF_RANGE):
-            if self._clock.now() > end:
+            if end.passed():
                 raise InstrumentError(
                     f"SR844 has not locked to {frequency:g} Hz within {timeout:g} s; "
                     "see its reference display"

@@ -18,6 +18,9 @@ from amulor.acquisition.simulated.bench import (
 #: Answers of ERR?: nothing, unknown command, position out of limits, unknown axis,
 #: stopped on purpose.
 _GOOD, _UNKNOWN, _LIMITS, _NO_AXIS, _STOPPED = 0, 2, 7, 15, 10
+#: Asks for the axes that move: the one character 5.
+_MOTION = "\x05"
+_QUESTIONS = ("POS?", "ONT?", "FRF?", "TMN?", "TMX?")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -89,7 +92,13 @@ class SimulatedPiController:
             if command == "ERR?":
                 result, self._error = self._error, _GOOD
                 return [str(result)]
-            if command == "STP":
+            if command == _MOTION:
+                moving = [
+                    not self.bench.arrived(axis.name) for axis in self._axes.values()
+                ]
+                bits = sum(1 << place for place, one in enumerate(moving) if one)
+                return [f"{bits:x}"]
+            if command in ("STP", "HLT"):
                 self.bench.stop()
                 self._error = _STOPPED
                 return []
@@ -99,7 +108,7 @@ class SimulatedPiController:
             if command == "SVO":
                 self._known(words[::2])
                 return []
-            if command in ("POS?", "ONT?", "FRF?") and self._known(words):
+            if command in _QUESTIONS and self._known(words):
                 return self._listed(command, words or [*self._axes])
             self._error = self._error or _UNKNOWN
             return []
@@ -141,6 +150,9 @@ class SimulatedPiController:
                 lines.append(f"{axis}={position:.7f}")
             elif command == "ONT?":
                 lines.append(f"{axis}={int(self.bench.arrived(own.name))}")
+            elif command in ("TMN?", "TMX?"):
+                end = own.limit if command == "TMX?" else -own.limit
+                lines.append(f"{axis}={own.zero + end:.7f}")
             else:
                 lines.append(f"{axis}=1")
         return [f"{line} " for line in lines[:-1]] + lines[-1:]
