@@ -258,13 +258,24 @@ def _lock_in(settings: Settings, clock: Clock) -> Sr844 | Sr865a | ZurichLockIn:
     own = settings.lock_in
     assert own.address is not None
     if own.driver == "zurich":
+        assert own.modulation_amplitude is not None
         return ZurichLockIn.connect(
-            own.address, mean_output_input=own.mean_output_input, clock=clock
+            own.address,
+            mean_output_input=own.mean_output_input,
+            modulation_amplitude=own.modulation_amplitude,
+            clock=clock,
         )
     driver: type[Sr844 | Sr865a] = Sr844 if own.driver == "sr844" else Sr865a
     link = _linked(own, serial_end=driver.serial_end)
     try:
-        return driver(link, mean_output_input=own.mean_output_input, clock=clock)
+        if own.modulation_amplitude is None:
+            return Sr844(link, mean_output_input=own.mean_output_input, clock=clock)
+        return Sr865a(
+            link,
+            mean_output_input=own.mean_output_input,
+            modulation_amplitude=own.modulation_amplitude,
+            clock=clock,
+        )
     except BaseException:
         link.close()
         raise

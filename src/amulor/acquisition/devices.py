@@ -25,6 +25,8 @@ _NO_PART_OF_IT = (
     "address", "baud_rate", "flow_control", "clock_speed", "attempts", "patience",
     "darkness_patience",
 )  # fmt: skip
+#: Settings that older journals do not know; left out where they say nothing.
+_SINCE_LATER = ("modulation_amplitude",)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -105,7 +107,8 @@ def digest(settings: Settings, identities: dict[str, str]) -> str:
     content = settings.model_dump(mode="json", exclude={"simulation": True})
     for part in content.values():
         for name in [*part]:
-            if name in _NO_PART_OF_IT or name.endswith("timeout"):
+            later = name in _SINCE_LATER and part[name] is None
+            if name in _NO_PART_OF_IT or name.endswith("timeout") or later:
                 del part[name]
     return cube.digest(json.dumps([content, identities], sort_keys=True))
 

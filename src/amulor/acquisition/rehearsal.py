@@ -115,6 +115,9 @@ def _addressed(
         "target": {"driver": "pi_gcs", "address": stages},
         "procedure": {"clock_speed": speed},
     }
+    if model == "sr865a":
+        stated = base.lock_in.modulation_amplitude
+        parts["lock_in"]["modulation_amplitude"] = 0.5 if stated is None else stated
     for name, part in parts.items():
         content[name] = {**content.get(name, {}), **part}
     return Settings.model_validate(content)

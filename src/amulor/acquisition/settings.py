@@ -78,12 +78,31 @@ class LockInSettings(_Linked):
     """Which instrument it is."""
     mean_output_input: Annotated[int, Field(ge=1, le=4)] | None = None
     """Auxiliary input that the mean output of the detector is wired to [1]."""
+    modulation_amplitude: Annotated[Voltage, Field(gt=0, le=2)] | None = None
+    """Root mean square of the modulation output, which drives the laser; needed where
+    it can be set (sr865a, zurich) [V]."""
     lock_timeout: Patience = 10.0
     """How long the reference may take to lock [s]."""
 
     @model_validator(mode="after")
     def _address_is_stated(self) -> Self:
         _need(self.address is not None or self.driver == "simulated", "lock_in.address")
+        return self
+
+    @model_validator(mode="after")
+    def _amplitude_is_stated(self) -> Self:
+        settable = self.driver in ("sr865a", "zurich")
+        stated = self.modulation_amplitude is not None
+        if settable and not stated:
+            raise ValueError(
+                "lock_in.modulation_amplitude is needed: what the modulation input of "
+                'the laser takes, such as "0.5 V"'
+            )
+        if stated and not settable:
+            raise ValueError(
+                f"the driver {self.driver!r} cannot set lock_in.modulation_amplitude; "
+                "take it out"
+            )
         return self
 
     @model_validator(mode="after")

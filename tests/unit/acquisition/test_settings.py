@@ -72,6 +72,16 @@ def test_what_is_written_is_read_back(tmp_path: Path) -> None:
             r"lock_in: the driver 'sr844' has auxiliary inputs 1 to 2.*= 3",
         ),
         (
+            'driver = "sr844"',
+            'driver = "sr865a"',
+            r"lock_in\.modulation_amplitude is needed",
+        ),
+        (
+            "mean_output_input = 1",
+            'modulation_amplitude = "0.5 V"',
+            "'sr844' cannot set lock_in.modulation_amplitude",
+        ),
+        (
             'warm_up = "2 s"',
             "output = 3",
             "'sr844' has auxiliary outputs 1 to 2.*laser.output = 3",

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import math
 
+from amulor.acquisition.clock import Clock, Deadline
 from amulor.acquisition.drivers.stanford import Stanford
+from amulor.acquisition.links.visa import Conversation
 from amulor.acquisition.protocols import Overload, Reading
 from amulor.errors import InstrumentError
 
@@ -39,11 +41,33 @@ class Sr865a(Stanford):
     4 are 0 to 3 in AUXV, as in the maker's own package srsinst.sr860. It counts in
     volts rms and its phase falls with delay; readings are peak amplitudes whose phase
     rises with delay.
+
+    Parameters
+    ----------
+    link : Conversation
+        An open link.
+    mean_output_input : int or None
+        Auxiliary input that the mean output of the detector is wired to [1].
+    modulation_amplitude : float
+        Root mean square of the modulation output [V].
+    clock : Clock
+        What waits go by.
     """
 
     model = "SR865A"
     _inputs, _first_output, _outputs = 4, 0, 4
     _set_output = "AUXV"
+
+    def __init__(
+        self,
+        link: Conversation,
+        *,
+        mean_output_input: int | None,
+        modulation_amplitude: float,
+        clock: Clock,
+    ) -> None:
+        super().__init__(link, mean_output_input=mean_output_input, clock=clock)
+        self._amplitude = modulation_amplitude
 
     def prepare(self, *, time_constant: float) -> None:
         """Set internal reference, one-pole output filter and time constant [s]."""
@@ -52,6 +76,8 @@ class Sr865a(Stanford):
         self._frequency = math.nan
         lines = ["*RST", "RSRC 0", "HARM 1", "PHAS 0", "OFSL 0", f"OFLT {code}"]
         lines += ["ADVFILT 0", "SYNC 0", f"IRNG {self._range}", f"SCAL {self._scale}"]
+        # Voltage input A, AC, and the modulation output at the stated level.
+        lines += ["IVMD 0", "ISRC 0", "ICPL 0", f"SLVL {self._amplitude:.6g}", "SOFF 0"]
         self.configure(lines)
 
     def set_frequency(self, frequency: float, *, timeout: float) -> float:
@@ -63,10 +89,10 @@ class Sr865a(Stanford):
                 "change the modulation frequencies of the survey"
             )
         self._link.send(f"FREQ {frequency:.7g}")
-        end = self._clock.now() + timeout
+        end = Deadline(self._clock, timeout)
         self.number("LIAS?")  # clears what was before
         while int(self.number("LIAS?")) & UNLOCKED:
-            if self._clock.now() > end:
+            if end.passed():
                 raise InstrumentError(
                     f"SR865A has not locked to {frequency:g} Hz within {timeout:g} s"
                 )

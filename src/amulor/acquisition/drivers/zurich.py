@@ -1,8 +1,9 @@
 """UHFLI of Zurich Instruments through zhinst-toolkit; tested against a contract only.
 
 No instrument and no simulator of one stood behind the tests: they check that these
-nodes are set and read as the manual names them, and nothing more. An HF2LI, whose nodes
-and input ranges may differ, was not looked at.
+nodes are set and read as the manual names them, and nothing more. An HF2LI has a data
+server of its own, another mixer channel and amplitudes that are fractions of the output
+range; that is in here, its input ranges are not.
 """
 
 from __future__ import annotations
@@ -11,12 +12,22 @@ import importlib
 import math
 from typing import Any
 
-from amulor.acquisition.clock import Clock
+from amulor.acquisition.clock import Clock, Deadline
 from amulor.acquisition.protocols import Overload, Reading
 from amulor.errors import InstrumentError, MissingExtraError
 
 #: Input ranges, peak [V].
 INPUT_RANGES = (0.01, 0.03, 0.1, 0.3, 1.0, 1.5)
+#: Output ranges, peak [V].
+_OUTPUT_RANGES = {"UHF": (0.15, 1.5), "HF2": (0.01, 0.1, 1.0, 10.0)}
+#: Channel of the output mixer that the first oscillator drives, without the option MF;
+#: with it, it is the first one (as `zhinst.utils.default_output_mixer_channel` says).
+_MIXER_CHANNEL = {"UHF": 3, "HF2": 6}
+#: What an address of a device behind the data server of HF2 instruments begins with.
+_HF2 = "hf2:"
+#: How long what an auxiliary output puts out may take to be reported, in steps [s], and
+#: how near it must come [V].
+_FOLLOWS, _POLL, _NEAR = 1.0, 0.01, 0.05
 #: Readings per time constant that the instrument is asked to make.
 _RATE = 10.0
 _FINER_BELOW = 0.2
@@ -34,6 +45,8 @@ class ZurichLockIn:
     mean_output_input : int or None
         Auxiliary input, counted from 1, that the mean output of the detector is wired
         to.
+    modulation_amplitude : float
+        Root mean square of the modulation output, into 50 ohm [V].
     clock : Clock
         What waits go by.
 
@@ -43,25 +56,39 @@ class ZurichLockIn:
     """
 
     def __init__(
-        self, device: Any, *, mean_output_input: int | None, clock: Clock
+        self,
+        device: Any,
+        *,
+        mean_output_input: int | None,
+        modulation_amplitude: float,
+        clock: Clock,
     ) -> None:
         self._device = device
+        self._amplitude = modulation_amplitude
         self._mean_input = mean_output_input
         self._clock = clock
         self._range = len(INPUT_RANGES) - 1
 
     @classmethod
     def connect(
-        cls, address: str, *, mean_output_input: int | None, clock: Clock
+        cls,
+        address: str,
+        *,
+        mean_output_input: int | None,
+        modulation_amplitude: float,
+        clock: Clock,
     ) -> ZurichLockIn:
         """Connect to a device behind a LabOne data server.
 
         Parameters
         ----------
         address : str
-            "server:device", such as "localhost:dev2006".
+            "server:device", such as "localhost:dev2006"; of an HF2LI
+            "hf2:server:device".
         mean_output_input : int or None
             As for the class.
+        modulation_amplitude : float
+            As for the class [V].
         clock : Clock
             As for the class.
 
@@ -77,7 +104,8 @@ class ZurichLockIn:
         InstrumentError
             If the device cannot be reached.
         """
-        server, _, serial = address.partition(":")
+        hf2 = address.lower().startswith(_HF2)
+        server, _, serial = address[len(_HF2) if hf2 else 0 :].partition(":")
         if not serial:
             raise InstrumentError(
                 f"lock_in.address is {address!r}; needed is server:device, such as "
@@ -90,12 +118,21 @@ class ZurichLockIn:
                 "zhinst-toolkit", extra="zi", purpose="a lock-in of Zurich Instruments"
             ) from None
         try:
-            device = toolkit.Session(server).connect_device(serial)
+            # HF2 instruments have a data server of their own.
+            session = (
+                toolkit.Session(server, hf2=True) if hf2 else (toolkit.Session(server))
+            )
+            device = session.connect_device(serial)
         except Exception as error:  # the toolkit raises many kinds
             raise InstrumentError(
                 f"{serial} cannot be reached through the data server {server}: {error}"
             ) from error
-        return cls(device, mean_output_input=mean_output_input, clock=clock)
+        return cls(
+            device,
+            mean_output_input=mean_output_input,
+            modulation_amplitude=modulation_amplitude,
+            clock=clock,
+        )
 
     def identity(self) -> str:
         """Return maker, kind and serial number."""
@@ -115,7 +152,34 @@ class ZurichLockIn:
         demodulator.rate(_RATE / time_constant)
         demodulator.enable(1)
         self._device.sigins[0].range(INPUT_RANGES[self._range])
-        self._device.sigouts[0].on(1)
+        self._drive()
+
+    def _drive(self) -> None:
+        """Let the modulation out: one oscillator at the stated level, nothing else."""
+        output = self._device.sigouts[0]
+        family = str(self._device.device_type)[:3]
+        peak = math.sqrt(2) * self._amplitude
+        ranges = _OUTPUT_RANGES.get(family, _OUTPUT_RANGES["UHF"])
+        wide = [value for value in ranges if value >= peak]
+        if not wide:
+            raise InstrumentError(
+                f"the modulation output ends at {ranges[-1]:g} V peak, stated is "
+                f"{peak:.3g} V (lock_in.modulation_amplitude is its root mean square)"
+            )
+        multiple = "MF" in str(self._device.features.options()).split()
+        channel = 0 if multiple else _MIXER_CHANNEL.get(family, 0)
+        output.on(0)
+        if family != "HF2":
+            output.imp50(1)
+        output.offset(0.0)
+        output.range(wide[0])
+        if multiple:
+            for other in range(1, 8):
+                output.enables[other](0)
+        level = peak / wide[0] if family == "HF2" else peak
+        output.amplitudes[channel](level)
+        output.enables[channel](1)
+        output.on(1)
 
     def set_frequency(self, frequency: float, *, timeout: float) -> float:
         """Set the modulation frequency [Hz] and return what is set [Hz].
@@ -166,9 +230,13 @@ class ZurichLockIn:
     def set_output(self, number: int, voltage: float) -> float:
         """Set an auxiliary output, counted from 1 [V]; return what is read back [V]."""
         output = self._device.auxouts[number - 1]
-        output.outputselect(-1)
+        # The value first: manual mode must not put out what stood there before.
         output.offset(voltage)
-        return float(output.offset())
+        output.outputselect(-1)
+        end = Deadline(self._clock, _FOLLOWS)
+        while abs(float(output.value()) - voltage) > _NEAR and not end.passed():
+            self._clock.sleep(_POLL)
+        return float(output.value())
 
     def reconnect(self) -> None:
         """Do nothing: the data server holds the link."""

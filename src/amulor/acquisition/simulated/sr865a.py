@@ -19,6 +19,8 @@ _SCALES = (
 )  # fmt: skip
 #: Input ranges by the code of IRNG [V peak].
 _INPUT_RANGES = (1.0, 0.3, 0.1, 0.03, 0.01)
+#: Largest level of the sine output [V rms].
+_LARGEST_LEVEL = 2.0
 #: Bits of LIAS?: scale of channel 1, reference unlocked, input range.
 _CHANNEL_1, _UNLOCKED, _INPUT = 1, 8, 16
 
@@ -31,13 +33,21 @@ class SimulatedSr865a(SimulatedStanford):
     outputs = (0, 1, 2, 3)
     codes = {  # noqa: RUF012
         "RSRC": 3, "HARM": 99, "OFSL": 3, "OFLT": 21, "SYNC": 1, "IRNG": 4, "SCAL": 27,
+        "IVMD": 1, "ISRC": 1, "ICPL": 1,
     }  # fmt: skip
 
     def __init__(self, bench: Bench) -> None:
         super().__init__(bench)
+        self._handlers["SLVL"] = self._set_level
+        self._handlers["SOFF"] = lambda _: []
         self._handlers["ADVFI"] = lambda _: []  # ADVFILT, by its first letters
         self._handlers["AUXV"] = self._handlers.pop("AUXO")
         self._handlers["AUXV?"] = self._handlers.pop("AUXO?")
+
+    def _set_level(self, argument: str) -> list[str]:
+        if not 0 <= float(argument) <= _LARGEST_LEVEL:
+            raise ValueError(argument)
+        return []
 
     def _snapshot(self, argument: str) -> list[str]:
         x, y, mean = self._measured()

@@ -30,6 +30,7 @@ PREPARE_844 = [
 PREPARE_865 = [
     ("*RST", []), ("RSRC 0", []), ("HARM 1", []), ("PHAS 0", []), ("OFSL 0", []),
     ("OFLT 8", []), ("ADVFILT 0", []), ("SYNC 0", []), ("IRNG 0", []), ("SCAL 0", []),
+    ("IVMD 0", []), ("ISRC 0", []), ("ICPL 0", []), ("SLVL 0.3", []), ("SOFF 0", []),
     ("*ESR?", ["0"]),
 ]  # fmt: skip
 
@@ -48,7 +49,7 @@ def sr844(script, clock):
 def sr865a(script, clock):
     """Return a prepared SR865A and the script behind it."""
     link = script(IDN_865, *PREPARE_865)
-    found = Sr865a(link, mean_output_input=2, clock=clock)
+    found = Sr865a(link, mean_output_input=2, modulation_amplitude=0.3, clock=clock)
     found.prepare(time_constant=0.01)
     assert not link.turns
     return found, link

@@ -73,6 +73,7 @@ def test_each_device_is_linked_as_its_part_of_the_file_says(monkeypatch) -> None
                     "driver": part,
                     "address": f"ASRL/{part}::INSTR",
                     "baud_rate": 19_200,
+                    **({"modulation_amplitude": 0.5} if part == "sr865a" else {}),
                 },
                 "scanner": {"driver": "pi_gcs", "address": "ASRL2::INSTR"},
                 "launch": {"driver": "none"},
