@@ -37,14 +37,19 @@ def _script(name: str) -> ModuleType:
 outputs = _script("make_theory_outputs")
 
 
+def _marked(name: str) -> object:
+    """Return the name of a page, marked where its examples take long."""
+    marks = [pytest.mark.slow] if name == "photon-transport" else []
+    return pytest.param(name, marks=marks)
+
+
 @cache
 def _ran(name: str) -> tuple[dict[str, Any], list[tuple[str, str]]]:
     """Return what came of a page, run once, its examples one after the other."""
     return outputs.run(TEXTS[name], name=name)
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("name", WITH_EXAMPLES)
+@pytest.mark.parametrize("name", [_marked(name) for name in WITH_EXAMPLES])
 def test_examples_print_what_the_page_shows(name: str) -> None:
     found = _ran(name)[1]
     assert found
@@ -173,7 +178,6 @@ def test_the_pictures_on_the_pages_are_those_that_are_drawn() -> None:
     assert shown == drawn == stored
 
 
-@pytest.mark.slow
 def test_the_figure_of_ratios_shows_the_numbers_of_the_table() -> None:
     matplotlib.use("agg")
     found = _ran("water-signal")[0]["found"]

@@ -154,7 +154,7 @@ def test_wrong_use_of_the_command_is_one_line(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     words = ["reproduce", "ricci2010", "--output", str(tmp_path), "--quick"]
-    assert main([*words, "--figure", "2"]) == 1
+    assert main([*words, "--figure", "2"]) == 2
     assert capsys.readouterr().err.count("\n") == 1
     (tmp_path / "figure_09.svg").write_text("mine")
     assert main([*words, "--figure", "9"]) == 1
