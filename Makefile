@@ -16,6 +16,9 @@ help:
 	@echo "make study     the long statistical studies (minutes)"
 	@echo "make coverage  make test, and which lines no test has run"
 	@echo "make bench     speed against peers and limits, measured in one run"
+	@echo "make package   build wheel and sdist, and use the wheel alone"
+	@echo "make oldest    the tests with the oldest dependencies that are allowed"
+	@echo "make surface   list the public names anew"
 	@echo "make clean     remove what the others made"
 
 .venv/installed-all: pyproject.toml
@@ -61,7 +64,17 @@ coverage: .venv/installed-test
 bench: .venv/installed-test
 	@for case in benchmarks/time_*.py; do $(BIN)/python $$case || exit 1; done
 
-clean:
-	rm -rf .venv amulor-demo foam-transients .coverage .coverage.*
+package: .venv/installed-test
+	$(BIN)/python tools/package.py
 
-.PHONY: help demo style types contracts lint test check study coverage bench clean
+# On Python 3.11, whose oldest versions the bounds are; in a virtual environment of its own.
+oldest:
+	$(PYTHON) tools/oldest.py .venv-oldest --hypothesis-profile=$(EXAMPLES) $(TOGETHER)
+
+surface: .venv/installed-test
+	$(BIN)/python tools/public_surface.py
+
+clean:
+	rm -rf .venv .venv-oldest dist amulor-demo foam-transients .coverage .coverage.*
+
+.PHONY: help demo style types contracts lint test check study coverage bench package oldest surface clean
