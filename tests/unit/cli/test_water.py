@@ -83,7 +83,7 @@ def test_the_state_that_is_asked_for_is_the_one_that_is_used(capsys) -> None:
 @pytest.mark.parametrize(
     ("name", "value", "text"),
     [
-        ("--wavelength", "399nm", "wavelength must be from 4e-07 to 7e-07 m"),
+        ("--wavelength", "399nm", "wavelength must be from 4e-07 to 7e-07 [m]"),
         ("--wavelength", "405", "a number without a unit"),
         ("--wavelength", "405MHz", "not one of length"),
         ("--temperature", "31", "temperature must be from 0 to 30 degC"),
