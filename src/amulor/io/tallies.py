@@ -1,4 +1,4 @@
-"""Reads and writes what a photon transport run has found, to merge it or go on."""
+"""Reads and writes results of photon transport runs, to merge it or go on."""
 
 from __future__ import annotations
 
@@ -150,24 +150,24 @@ def _loaded(content: bytes, path: Path) -> xr.Dataset:
                 "'amulor_tally_version'; name a file that write_tally wrote"
             )
         with h5netcdf.File(storage, "r", decode_vlen_strings=True) as file:
-            found = _opened(file, None)
-    if found.attrs["amulor_tally_version"] != _VERSION:
+            dataset = _opened(file, None)
+    if dataset.attrs["amulor_tally_version"] != _VERSION:
         raise FormatError(
             f"{path} has 'amulor_tally_version' "
-            f"{found.attrs['amulor_tally_version']!r}, this version of amulor reads "
+            f"{dataset.attrs['amulor_tally_version']!r}, this version of amulor reads "
             f"{_VERSION!r}; read it with the version that wrote it"
         )
-    return found
+    return dataset
 
 
-def _tally(found: xr.Dataset, path: Path) -> Tally:
+def _tally(dataset: xr.Dataset, path: Path) -> Tally:
     """Return the tally that a file holds, checked as far as numbers can tell."""
     # Brings the compiled loops with it, which other readers of files do not need.
     from amulor.transport.path_record import PathRecord
     from amulor.transport.tally import Tally
 
     def real(name: str) -> NDArray[np.float64]:
-        values: NDArray[np.float64] = np.array(found[name].values, dtype=np.float64)
+        values: NDArray[np.float64] = np.array(dataset[name].values, dtype=np.float64)
         if not np.all(np.isfinite(values)):
             raise FormatError(
                 f"{path}: '{name}' holds numbers that are not finite; make it again"
@@ -175,24 +175,24 @@ def _tally(found: xr.Dataset, path: Path) -> Tally:
         return values
 
     def number(name: str) -> float:
-        return float(found.attrs[name])
+        return float(dataset.attrs[name])
 
     def whole(name: str) -> int:
-        return int(found.attrs[name])
+        return int(dataset.attrs[name])
 
-    batches = np.empty(found["in_phase"].shape, dtype=np.complex128)
+    batches = np.empty(dataset["in_phase"].shape, dtype=np.complex128)
     batches.real, batches.imag = real("in_phase"), real("quadrature")
-    histories_of = np.array(found["histories"].values, dtype=np.int64)
-    if found["in_phase"].dims != _DIMENSIONS or batches.shape[2] not in (1, 4):
+    histories_of = np.array(dataset["histories"].values, dtype=np.int64)
+    if dataset["in_phase"].dims != _DIMENSIONS or batches.shape[2] not in (1, 4):
         raise FormatError(
-            f"{path}: 'in_phase' has {dict(found['in_phase'].sizes)}, needed are the "
+            f"{path}: 'in_phase' has {dict(dataset['in_phase'].sizes)}, needed are the "
             f"dimensions {', '.join(_DIMENSIONS)} with 1 or 4 components; make it again"
         )
     if histories_of.size == 0 or np.any(histories_of < 1):
         raise FormatError(f"{path} has a batch without histories; make it again")
-    seed, *merged = (int(word) for word in str(found.attrs["seeds"]).split())
+    seed, *merged = (int(word) for word in str(dataset.attrs["seeds"]).split())
     record = None
-    if "path_length" in found:
+    if "path_length" in dataset:
         record = PathRecord(
             length=real("path_length"),
             water=real("water_by_path"),
@@ -201,7 +201,7 @@ def _tally(found: xr.Dataset, path: Path) -> Tally:
         )
     return Tally(
         modulation_frequency=real("modulation_frequency"),
-        parts=tuple(str(name) for name in found["part"].values),
+        parts=tuple(str(name) for name in dataset["part"].values),
         batches=batches,
         histories_of=histories_of,
         groups=whole("groups"),
@@ -214,7 +214,7 @@ def _tally(found: xr.Dataset, path: Path) -> Tally:
         merged_seeds=tuple(merged),
         next_batch=whole("next_batch"),
         batch_size=whole("batch_size"),
-        problem=str(found.attrs["problem"]),
+        problem=str(dataset.attrs["problem"]),
         seconds=number("seconds"),
         interrupted=bool(whole("interrupted")),
         record=record,

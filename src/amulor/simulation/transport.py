@@ -169,14 +169,14 @@ def half_power(tally: Tally) -> tuple[float, float]:
         return math.nan, math.nan
     k = int(below[0])
     drop = relative[k - 1] - relative[k]
-    share = (relative[k - 1] - math.sqrt(0.5)) / drop
+    fraction = (relative[k - 1] - math.sqrt(0.5)) / drop
     step = frequency[k] - frequency[k - 1]
     # Batches of the modulus at the crossing over the light at zero frequency.
     along = _moduli(tally) / still
-    at_crossing = (1 - share) * along[:, k - 1] + share * along[:, k]
+    at_crossing = (1 - fraction) * along[:, k - 1] + fraction * along[:, k]
     ratio = at_crossing - math.sqrt(0.5) * along[:, 0]
     error = math.sqrt(tally.covariance_of(ratio)[0, 0])
-    return frequency[k - 1] + share * step, error * step / drop
+    return frequency[k - 1] + fraction * step, error * step / drop
 
 
 def relative_amplitude_uncertainty(tally: Tally) -> NDArray[np.float64]:

@@ -12,6 +12,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from amulor.transport._kernels.mesh import EDGE_ONE, EDGE_TWO, ESCAPE, NORMAL, TRIANGLES
+from amulor.transport._kernels.types import Mesh
 from amulor.transport.receiver import reflection_matrix
 
 __all__ = ["MeshTarget", "hierarchy"]
@@ -63,7 +64,7 @@ class MeshTarget:
     faces: ArrayLike
     """Numbers of the three vertices of each triangle, shape (faces, 3)."""
     reflectance: float
-    """Share of the light that it reflects [1]."""
+    """Fraction of the light that it reflects [1]."""
     mueller: ArrayLike | None = None
     """Matrix over its first element, from the axis next to "right" before the
     reflection to that after it; an ideal depolarizer if not given."""
@@ -115,9 +116,9 @@ class MeshTarget:
                 continue
             ends = []
             for other in (second, third):
-                share = one[through] / (one[through] - height[through, other])
+                fraction = one[through] / (one[through] - height[through, other])
                 start, end = inplane[through, first], inplane[through, other]
-                ends.append(start + share[:, np.newaxis] * (end - start))
+                ends.append(start + fraction[:, np.newaxis] * (end - start))
             nearest = min(nearest, float(_to_segments(np.zeros(3), *ends).min()))
         level = np.all(height == 0, axis=1)
         if np.any(level):
@@ -230,8 +231,8 @@ def _to_segments(point: Array, start: Array, end: Array) -> Array:
     way = end - start
     square = np.einsum("ij,ij->i", way, way)
     along = np.einsum("ij,ij->i", point - start, way)
-    share = np.divide(along, square, out=np.zeros_like(along), where=square > 0)
-    nearest = start + np.clip(share, 0, 1)[:, np.newaxis] * way
+    fraction = np.divide(along, square, out=np.zeros_like(along), where=square > 0)
+    nearest = start + np.clip(fraction, 0, 1)[:, np.newaxis] * way
     distance: Array = np.linalg.norm(nearest - point, axis=1)
     return distance
 
@@ -253,7 +254,7 @@ def distance_to_triangles(point: Array, corner: Array) -> float:
     return float(np.min(np.where(over, height, rim)))
 
 
-def hierarchy(corner: Array) -> tuple[Array, Integers, Array, float]:
+def hierarchy(corner: Array) -> Mesh:
     """Return boxes, links, triangles and least distance for the kernels.
 
     Parameters
@@ -263,7 +264,7 @@ def hierarchy(corner: Array) -> tuple[Array, Integers, Array, float]:
 
     Returns
     -------
-    tuple
+    Mesh
         Lower and upper corners of the boxes, shape (boxes, 6) [m]; for each, the box
         that follows if it is missed, its first triangle and how many it has itself,
         shape (boxes, 3); corner, two edges and unit normal of the triangles in the
@@ -313,4 +314,4 @@ def hierarchy(corner: Array) -> tuple[Array, Integers, Array, float]:
     triangle[:, EDGE_ONE:EDGE_TWO] = one
     triangle[:, EDGE_TWO:NORMAL] = two
     triangle[:, NORMAL:] = normal / np.linalg.norm(normal, axis=1, keepdims=True)
-    return np.array(boxes), np.array(links, dtype=np.int64), triangle, least
+    return Mesh(np.array(boxes), np.array(links, dtype=np.int64), triangle, least)

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from amulor.transport._kernels import batch as _batch_kernels
+from amulor.transport._kernels.types import Plan
 from amulor.transport._run.batches import Batch
 from amulor.transport._run.conduct import (
     Limits,
@@ -161,8 +162,14 @@ def simulate(
     True False
     """
     chosen = technique or Technique()
-    limits = Limits(histories, relative_error, longest_time, threads, progress)
-    problem = Problem(medium, source, receiver, target)
+    limits = Limits(
+        histories=histories,
+        relative_error=relative_error,
+        longest_time=longest_time,
+        threads=threads,
+        progress=progress,
+    )
+    problem = Problem(medium=medium, source=source, receiver=receiver, target=target)
     size = _batch_size(histories, chosen) if resume is None else resume.batch_size
     if size % chosen.paths:
         raise ValueError(
@@ -170,12 +177,12 @@ def simulate(
             f"{chosen.paths} paths do not fill; use its technique"
         )
     run = _Run(
-        problem,
-        chosen,
-        frequencies(modulation_frequency),
-        checked_seed(seed),
-        size,
-        keep_record,
+        problem=problem,
+        technique=chosen,
+        frequency=frequencies(modulation_frequency),
+        seed=checked_seed(seed),
+        size=size,
+        keep_record=keep_record,
     )
     return conduct(run, run.frame(), limits, resume)
 
@@ -187,7 +194,7 @@ def _batch_size(histories: int, technique: Technique) -> int:
     return min(groups, most) * technique.paths
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class _Run:
     """One batch after the other of a problem; each from its own random numbers."""
 
@@ -227,7 +234,7 @@ class _Run:
         """Return a batch."""
         frame = self.frame()
         record = Record.empty(
-            self.problem.water[1],
+            self.problem.water.attenuation,
             self.problem.medium.group_index,
             self.frequency,
             frame,
@@ -235,21 +242,21 @@ class _Run:
         chosen = self.technique
         direct = chosen.direct
         if direct is None:
-            direct = self.problem.face[1] <= NARROW
+            direct = self.problem.face.acceptance <= NARROW
         groups = self.size // chosen.paths
         weight = np.zeros(groups)
+        plan = Plan(
+            paths=chosen.paths,
+            partners=chosen.partners,
+            stratified=chosen.stratified,
+            balanced=chosen.balanced,
+            direct=direct,
+            polarized=frame.polarized,
+        )
         _batch_kernels.run_batch(
             random_state(self.seed, number),
-            groups,
-            chosen.paths,
-            chosen.partners,
-            self.problem.beam,
-            self.problem.source.stokes,
-            self.problem.face,
-            self.problem.water,
-            self.problem.surface,
-            frame.polarized,
-            (chosen.stratified, chosen.balanced, direct),
+            self.problem.scene,
+            plan,
             record.arrays(chosen.scattering_orders),
             weight,
         )

@@ -14,7 +14,7 @@ Complex = NDArray[np.complex128]
 Array = NDArray[np.float64]
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, kw_only=True)
 class PathRecord:
     """Received light by the length of its path, for other frequencies later.
 

@@ -118,8 +118,8 @@ class DiscReceiver(_Receiver):
 class GaussianReceiver(_Receiver):
     r"""The receiver of eq. (38) of Ricci et al. 2010, as rebuilt.
 
-    It receives the share :math:`\exp(-s^2/R^2 - \theta^2/\gamma^2)` of the light that
-    falls on it at a distance s from its centre, under an angle to its axis.
+    It receives the fraction :math:`\exp(-s^2/R^2 - \theta^2/\gamma^2)` of the light
+    that falls on it at a distance s from its centre, under an angle to its axis.
     """
 
 
@@ -140,7 +140,7 @@ def reflection_matrix(
     if matrix.shape != (4, 4) or abs(matrix[0, 0] - 1) > 1e-12:
         raise ValueError(
             "mueller must have the shape (4, 4) and a first element of 1; put the "
-            "reflected share into reflectance"
+            "reflected fraction into reflectance"
         )
     if not np.all(np.isfinite(matrix)):
         raise ValueError("mueller must hold finite numbers")
@@ -169,7 +169,7 @@ class PlaneTarget:
     normal: ArrayLike = (0.0, 0.0, -1.0)
     """Direction out of its lit side, any length."""
     reflectance: float
-    """Share of the light that it reflects [1]."""
+    """Fraction of the light that it reflects [1]."""
     mueller: ArrayLike | None = None
     """Matrix over its first element, from the axis next to "right" before the
     reflection to that after it; an ideal depolarizer if not given."""

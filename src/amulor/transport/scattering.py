@@ -221,8 +221,8 @@ class AngleCells:
         return _angle(0.5 * (self.edges[:-1] + self.edges[1:]))
 
     @cached_property
-    def share(self) -> NDArray[np.float64]:
-        """Share of the scattering in each cell [1].
+    def probability(self) -> NDArray[np.float64]:
+        """Probability that a scattering falls into each cell [1].
 
         Raises
         ------
@@ -235,25 +235,26 @@ class AngleCells:
         value = np.zeros(edges.size)
         value[1:] = self.phase_function(angle[1:])
         mean = (value[:-1] + 4 * self.phase_function(self.middle) + value[1:]) / 6
-        share = 4 * np.pi * mean * np.diff(edges)
-        share[0] = self.phase_function.cumulative(angle[1])
-        if not np.all(np.isfinite(share)) or np.any(share < 0):
+        probability = 4 * np.pi * mean * np.diff(edges)
+        probability[0] = self.phase_function.cumulative(angle[1])
+        if not np.all(np.isfinite(probability)) or np.any(probability < 0):
             raise ValueError(
                 f"{self.phase_function.name} must be finite and not below zero"
             )
-        total = float(share.sum())
+        total = float(probability.sum())
         if abs(total - 1) > INTEGRAL_TOLERANCE:
             raise ValueError(
                 f"{self.phase_function.name} must have an integral of 1 over the "
                 f"sphere, got {total:.6g}; divide it by that"
             )
-        result: NDArray[np.float64] = share / total
+        result: NDArray[np.float64] = probability / total
         return result
 
     @cached_property
     def value(self) -> NDArray[np.float64]:
         """Phase function in each cell [1/sr]."""
-        result: NDArray[np.float64] = self.share / (4 * np.pi * np.diff(self.edges))
+        solid_angle = 4 * np.pi * np.diff(self.edges)
+        result: NDArray[np.float64] = self.probability / solid_angle
         return result
 
     @cached_property
@@ -263,7 +264,7 @@ class AngleCells:
         A row holds a threshold, and lower end, width and number first of its own
         cell, then of the partner.
         """
-        threshold, partner = alias_table(self.share)
+        threshold, partner = alias_table(self.probability)
         low, width = self.edges[:-1], np.diff(self.edges)
         own = np.arange(low.size)
         columns = [threshold, low, width, own, low[partner], width[partner], partner]
@@ -284,15 +285,15 @@ def cell_edges() -> NDArray[np.float64]:
 
 
 def alias_table(
-    share: NDArray[np.float64],
+    probability: NDArray[np.float64],
 ) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-    """Return thresholds and partners that draw cells by their shares.
+    """Return thresholds and partners that draw cells by their probabilities.
 
     A. J. Walker, ACM Trans. Math. Softw. 3, 253 (1977), in the form of M. D. Vose,
     IEEE Trans. Softw. Eng. 17, 972 (1991).
     """
-    size = share.size
-    scaled = share * size / share.sum()
+    size = probability.size
+    scaled = probability * size / probability.sum()
     threshold, partner = np.ones(size), np.arange(size)
     small = [int(k) for k in np.flatnonzero(scaled < 1)]
     large = [int(k) for k in np.flatnonzero(scaled >= 1)]

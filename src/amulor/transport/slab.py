@@ -5,12 +5,12 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from amulor.transport._kernels import slab as _slab_kernels
+from amulor.transport._kernels.types import Water
 from amulor.transport._run.batches import Batch
 from amulor.transport._run.conduct import (
     Limits,
@@ -123,27 +123,27 @@ def reflection_and_transmission(
     polar = ways[:, 0]
     if not np.all((polar >= 0) & (polar <= np.pi) & (np.abs(np.cos(polar)) > 1e-6)):
         raise ValueError("polar angles must be from 0 to pi rad, pi / 2 left out")
-    limits = Limits(histories, None, None, threads, progress)
+    limits = Limits(histories=histories, threads=threads, progress=progress)
     direction = np.array([math.sin(incidence), 0.0, math.cos(incidence)])
     run = _Run(
-        medium,
-        water_tables(medium.layers, np.array(medium.edges)),
-        frequencies(modulation_frequency),
-        checked_seed(seed),
-        min(math.ceil(histories / _BATCHES), _LARGEST_BATCH),
-        direction,
-        stokes,
-        _axes(ways),
+        medium=medium,
+        water=water_tables(medium.layers, np.array(medium.edges)),
+        frequency=frequencies(modulation_frequency),
+        seed=checked_seed(seed),
+        size=min(math.ceil(histories / _BATCHES), _LARGEST_BATCH),
+        incidence=direction,
+        stokes=stokes,
+        outward=_axes(ways),
     )
     return conduct(run, run.frame(), limits)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class _Run:
     """One batch after the other, each from its own random numbers."""
 
     medium: Medium
-    water: tuple[Any, ...]
+    water: Water
     frequency: Array
     seed: int
     size: int
@@ -181,16 +181,18 @@ class _Run:
         """Return a batch."""
         frame = self.frame()
         record = Record.empty(
-            self.water[1], self.medium.group_index, self.frequency, frame
+            self.water.attenuation, self.medium.group_index, self.frequency, frame
         )
         _slab_kernels.run_slab(
             random_state(self.seed, number),
             self.size,
-            self.incidence,
-            self.stokes,
+            _slab_kernels.Light(
+                incidence=self.incidence,
+                stokes=self.stokes,
+                polarized=frame.polarized,
+                outward=self.outward,
+            ),
             self.water,
-            frame.polarized,
-            self.outward,
             record.arrays(0),
         )
         return record.batch(number, self.size, self.size, np.zeros(0), keep=False)

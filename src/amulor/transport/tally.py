@@ -1,4 +1,4 @@
-"""What a transport run has found: signals, and how sure they are."""
+"""The result of a transport run: signals, and how sure they are."""
 
 from __future__ import annotations
 
@@ -21,12 +21,12 @@ Complex = NDArray[np.complex128]
 Array = NDArray[np.float64]
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, kw_only=True)
 class Tally:
     r"""Received light of a transport run, per launched light.
 
     The signal is complex, in_phase + 1j quadrature, with a later echo at a larger
-    phase. Errors are found from the scatter of batches of histories that are
+    phase. Errors come from the scatter of batches of histories that are
     independent of each other.
     """
 
@@ -198,8 +198,8 @@ class Tally:
 
     def _scatter(self, values: Array) -> Array:
         """Return the covariance of the mean of real vectors, shape (batches, m)."""
-        share = self.histories_of / self.histories
-        centred = values - share @ values
+        weight = self.histories_of / self.histories
+        centred = values - weight @ values
         result: Array = (centred * self._weight()[:, np.newaxis]).T @ centred
         return result
 
@@ -264,8 +264,8 @@ class Tally:
         return total**2 / square if square > 0 else 0.0
 
     @property
-    def largest_share(self) -> float:
-        """Share of the light that one group of histories brought [1]."""
+    def largest_fraction(self) -> float:
+        """Fraction of the light that one group of histories brought [1]."""
         total, _, largest = self.contribution
         return largest / total if total > 0 else 0.0
 
@@ -370,18 +370,18 @@ def paired(
     """Return batches joined with their neighbours; an odd one at the end stays."""
     starts = np.arange(0, histories_of.size, 2)
     joined: NDArray[np.int64] = np.add.reduceat(histories_of, starts)
-    share = histories_of / np.repeat(joined, 2)[: histories_of.size]
-    weighted = batches * share.reshape(-1, *(1,) * (batches.ndim - 1))
+    fraction = histories_of / np.repeat(joined, 2)[: histories_of.size]
+    weighted = batches * fraction.reshape(-1, *(1,) * (batches.ndim - 1))
     return np.add.reduceat(weighted, starts, axis=0), joined
 
 
 def variance_weight(histories_of: NDArray[np.int64]) -> Array:
     """Return what the square of a batch's deviation counts in the mean's variance.
 
-    Free of bias for batches of any sizes; share / (batches - 1) for equal ones.
+    Free of bias for batches of any sizes; fraction / (batches - 1) for equal ones.
     """
-    share = histories_of / histories_of.sum()
-    weight: Array = share**2 / (1 - share)
+    fraction = histories_of / histories_of.sum()
+    weight: Array = fraction**2 / (1 - fraction)
     return weight
 
 

@@ -76,7 +76,7 @@ def test_height_between_stays_within_0_and_1():
 @pytest.mark.parametrize("name", FUNCTIONS)
 def test_shares_are_steps_of_the_cumulative(name):
     function = FUNCTIONS[name]
-    share = AngleCells(function).share
+    share = AngleCells(function).probability
     angle = 2 * np.arctan2(np.sqrt(EDGES), np.sqrt(1 - EDGES))
     assert share.sum() == pytest.approx(1, abs=1e-12)
     # Simpson's rule over a cell of 1/128 of its height: (1/128)^4 times the fourth
@@ -91,7 +91,7 @@ def test_shares_are_steps_of_the_cumulative(name):
 def test_value_times_solid_angle_is_the_share(name):
     cells = AngleCells(FUNCTIONS[name])
     solid_angle = 4 * np.pi * np.diff(EDGES)
-    np.testing.assert_allclose(cells.value * solid_angle, cells.share, rtol=1e-14)
+    np.testing.assert_allclose(cells.value * solid_angle, cells.probability, rtol=1e-14)
     inside = slice(1, None)
     # Even in a cell with the true mean: off by half the change over a cell, 1/256
     # times an exponent of about 2.

@@ -7,16 +7,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from amulor.transport._kernels import (
-    direct as _direct_kernels,
-)
-from amulor.transport._kernels import (
-    slab as _slab_kernels,
-)
-from amulor.transport._kernels import (
-    trace as _trace_kernels,
-)
-from amulor.transport._kernels.record import cone_window, transmission_depth
+from amulor.transport._kernels.direct import face_and_acceptance, face_point
+from amulor.transport._kernels.geometry import cone_window, transmission_depth
+from amulor.transport._kernels.polarization import any_frame
+from amulor.transport._kernels.slab import way_out
+from amulor.transport._kernels.trace import layer_of
+from amulor.transport._kernels.types import Face
 from amulor.transport._run.record import random_state
 
 EDGE = np.array([-1.0, 0.5, 2.0, 7.0])
@@ -56,17 +52,17 @@ def test_water_without_bounds_has_one_attenuation():
 
 def test_the_way_out_of_a_slab_is_that_to_its_face():
     z, cosine = 1.2, 0.4
-    depth, length = _slab_kernels.way_out(z, cosine, EDGE, ATTENUATION)
+    depth, length = way_out(z, cosine, EDGE, ATTENUATION)
     assert length == pytest.approx((7.0 - z) / cosine, rel=1e-12)
     expected = (0.8 * 2.0 + 5.0 * 0.7) / cosine  # to 2 m, then to 7 m
     assert depth == pytest.approx(expected, rel=1e-12)
-    depth, length = _slab_kernels.way_out(z, -cosine, EDGE, ATTENUATION)
+    depth, length = way_out(z, -cosine, EDGE, ATTENUATION)
     assert length == pytest.approx(2.2 / cosine, rel=1e-12)
     assert depth == pytest.approx((0.7 * 2.0 + 1.5 * 0.3) / cosine, rel=1e-12)
 
 
 def test_layers_are_counted_from_the_first_and_end_outside():
-    found = [_trace_kernels.layer_of(z, EDGE) for z in (-2, -1, 0.4, 0.5, 6.9, 7, 9)]
+    found = [layer_of(z, EDGE) for z in (-2, -1, 0.4, 0.5, 6.9, 7, 9)]
     assert found == [-1, 0, 0, 1, 2, 3, 3]
 
 
@@ -78,7 +74,7 @@ directions = st.tuples(*[st.floats(-1, 1)] * 3).filter(
 @given(directions)
 def test_any_frame_is_a_unit_vector_across(direction):
     n = np.array(direction) / np.linalg.norm(direction)
-    e = np.array(_trace_kernels.any_frame(*n))
+    e = np.array(any_frame(tuple(n)))
     assert e @ n == pytest.approx(0, abs=1e-12)
     assert np.linalg.norm(e) == pytest.approx(1, abs=1e-12)
 
@@ -139,9 +135,7 @@ def test_points_drawn_on_the_face_stand_for_the_area_that_sees(x, y, z):
     seen = (np.hypot(px, py) <= face) & (np.hypot(px - x, py - y) <= slope * z)
     expected = seen.sum() * (grid[1] - grid[0]) ** 2
     state = random_state(2, 0)
-    points = np.array(
-        [_direct_kernels.face_point(state, x, y, z, face, slope) for _ in range(8000)]
-    )
+    points = np.array([face_point(state, (x, y, z), face, slope) for _ in range(8000)])
     hit = points[:, 2] > 0
     assert np.all(np.hypot(points[hit, 0], points[hit, 1]) <= face)
     assert np.all(
@@ -153,19 +147,16 @@ def test_points_drawn_on_the_face_stand_for_the_area_that_sees(x, y, z):
 
 
 def test_a_gaussian_receiver_is_the_mean_of_discs():
-    # The share of discs that hold a point at s is exp(-s^2 / R^2), for angles too.
+    # The fraction of discs that hold a point at s is exp(-s^2 / R^2), for angles too.
     state = random_state(4, 0)
     drawn = np.array(
-        [
-            _direct_kernels.face_and_acceptance(state, 0.05, 0.1, True)
-            for _ in range(20_000)
-        ]
+        [face_and_acceptance(state, Face(0.05, 0.1, True)) for _ in range(20_000)]
     )
     for column, width in ((0, 0.05), (1, 0.1)):
         for place in (0.3, 0.8, 1.5):
             expected = np.exp(-(place**2))
             error = np.sqrt(expected * (1 - expected) / len(drawn))
-            share = np.mean(drawn[:, column] > place * width)
-            assert abs(share - expected) < 4 * error
-    sharp = _direct_kernels.face_and_acceptance(state, 0.05, 0.1, False)
+            fraction = np.mean(drawn[:, column] > place * width)
+            assert abs(fraction - expected) < 4 * error
+    sharp = face_and_acceptance(state, Face(0.05, 0.1, False))
     assert sharp == (0.05, 0.1)

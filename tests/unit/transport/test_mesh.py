@@ -66,36 +66,40 @@ def test_the_hierarchy_finds_what_all_triangles_give(seed, count):
         all_of_them = hit_by_volumes(corner, origin, direction)
         expected = all_of_them.min()
         distance, number = _mesh_kernels.first_hit(
-            *origin, *direction, np.inf, 0.0, -1.0, mesh
+            tuple(origin), tuple(direction), np.inf, 0.0, -1.0, mesh
         )
         # Triangles are larger by 1e-9, which no drawn ray tells from not.
         assert distance == pytest.approx(expected, rel=1e-9)
         assert (number >= 0) == np.isfinite(expected)
         if number >= 0:
-            found = mesh[2][int(number), :3]
+            found = mesh.triangle[int(number), :3]
             assert np.array_equal(found, corner[np.argmin(all_of_them), 0])
             # Starting on that triangle the next one is met, and from afar none.
             point = origin + distance * direction
             others = np.delete(corner, np.argmin(all_of_them), axis=0)
             second = hit_by_volumes(others, point, direction).min(initial=np.inf)
             following, _ = _mesh_kernels.first_hit(
-                *point, *direction, np.inf, 0.0, number, mesh
+                tuple(point), tuple(direction), np.inf, 0.0, number, mesh
             )
             assert following == pytest.approx(second, rel=1e-6, abs=1e-9)
             short, none = _mesh_kernels.first_hit(
-                *origin, *direction, 0.999 * distance, 0.0, -1.0, mesh
+                tuple(origin), tuple(direction), 0.999 * distance, 0.0, -1.0, mesh
             )
             assert (short, none) == (0.999 * distance, -1.0)
         end = origin + direction
-        assert _mesh_kernels.blocked(*origin, *end, -1.0, mesh) == (expected < 1)
-        assert _mesh_kernels.blocked(*end, *origin, -1.0, mesh) == (expected < 1)
+        assert _mesh_kernels.blocked(tuple(origin), tuple(end), -1.0, mesh) == (
+            expected < 1
+        )
+        assert _mesh_kernels.blocked(tuple(end), tuple(origin), -1.0, mesh) == (
+            expected < 1
+        )
 
 
 def test_compiled_and_plain_walks_are_the_same():
     rng = np.random.default_rng(3)
     mesh = hierarchy(soup(rng, 60))
     for _ in range(50):
-        ray = (*rng.uniform(-3, 3, size=3), *rng.normal(size=3))
+        ray = (tuple(rng.uniform(-3, 3, size=3)), tuple(rng.normal(size=3)))
         compiled = _mesh_kernels.first_hit(*ray, np.inf, 0.0, -1.0, mesh)
         plain = _mesh_kernels.first_hit.py_func(*ray, np.inf, 0.0, -1.0, mesh)
         assert compiled == pytest.approx(plain, rel=1e-12)
@@ -111,14 +115,17 @@ def test_no_ray_leaves_a_closed_box_through_an_edge(seed):
     origin = centre + 0.5 * (corner[rng.integers(12), 0] - centre)
     for first, second in rng.permutation(np.indices((12, 3)).reshape(2, -1).T)[:12]:
         # Aimed at a point of an edge, or at its end.
-        share = rng.choice([0.0, rng.uniform()])
-        aim = corner[first, second] * (1 - share) + corner[first, second - 1] * share
+        fraction = rng.choice([0.0, rng.uniform()])
+        aim = (
+            corner[first, second] * (1 - fraction)
+            + corner[first, second - 1] * fraction
+        )
         direction = aim - origin
         distance, number = _mesh_kernels.first_hit(
-            *origin, *direction, np.inf, 0.0, -1.0, mesh
+            tuple(origin), tuple(direction), np.inf, 0.0, -1.0, mesh
         )
         assert distance == pytest.approx(1.0, rel=1e-6)
-        normal = np.array(_mesh_kernels.facing_normal(number, *direction, mesh))
+        normal = np.array(_mesh_kernels.facing_normal(number, tuple(direction), mesh))
         assert normal @ direction < 0
         assert np.linalg.norm(normal) == pytest.approx(1.0, abs=1e-12)
 

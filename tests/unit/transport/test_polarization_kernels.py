@@ -41,7 +41,7 @@ def scattered(vector, azimuth, element, cell=0):
     i, q, u, v = vector
     return np.array(
         kernels.scattered(
-            q, u, v, i, np.cos(azimuth), np.sin(azimuth), element, 0, cell
+            (i, q, u, v), (np.cos(azimuth), np.sin(azimuth)), element, 0, cell
         )
     )
 
@@ -54,7 +54,9 @@ def test_scattering_is_the_turned_matrix_of_the_optics(element, azimuth, launche
     # rotated() also turns the axes back, so that is undone.
     expected = turn(azimuth) @ mueller.rotated(full(element), angle=azimuth) @ vector
     np.testing.assert_allclose(found, expected, atol=1e-14)
-    back = kernels.turned_stokes(found[1], found[2], np.cos(-azimuth), np.sin(-azimuth))
+    back = kernels.turned_stokes(
+        found[1], found[2], (np.cos(azimuth), -np.sin(azimuth))
+    )
     straight = mueller.rotated(full(element), angle=azimuth) @ vector
     np.testing.assert_allclose(back, straight[1:3], atol=1e-14)
 
@@ -76,10 +78,9 @@ def test_small_particles_scatter_as_rayleigh_says(angle):
 @given(st.lists(st.floats(-1, 1), min_size=16, max_size=16), ELEMENTS, ANGLES)
 def test_a_further_scattering_multiplies_the_adjoint_matrix(values, element, azimuth):
     before = np.array(values).reshape(4, 4)
-    row, out = np.concatenate([np.zeros(3), values]), np.zeros(19)
-    kernels.seen_through(
-        row, 3, np.cos(azimuth), np.sin(azimuth), table([element]), 0, 0, out
-    )
+    out = np.concatenate([np.zeros(3), values])
+    turned = (np.cos(azimuth), np.sin(azimuth))
+    kernels.see_through(out, turned, table([element]), 0, 0)
     expected = before @ turn(-azimuth) @ full(element)
     np.testing.assert_allclose(out[3:].reshape(4, 4), expected, atol=1e-14)
 
@@ -96,9 +97,9 @@ unit = st.builds(
 @FEW
 @given(unit)
 def test_frames_are_unit_vectors_across_the_direction(direction):
-    frames = [kernels.projected_frame(*direction), meridian(*direction)]
+    frames = [kernels.projected_frame(tuple(direction)), meridian(tuple(direction))]
     if direction[2] < 0:  # light that arrives at the receiver comes against its axis
-        frames.append(kernels.returning_frame(*direction))
+        frames.append(kernels.returning_frame(tuple(direction)))
     for frame in np.array(frames):
         assert np.linalg.norm(frame) == pytest.approx(1, abs=1e-9)
         assert frame @ direction == pytest.approx(0, abs=1e-9)
@@ -110,7 +111,7 @@ def test_the_returning_frame_is_turned_the_short_way(tilt, azimuth):
     across = np.array([-np.sin(azimuth), np.cos(azimuth), 0.0])
     rotation = Rotation.from_rotvec(tilt * across)
     direction = rotation.apply([0, 0, -1])
-    found = kernels.returning_frame(*direction)
+    found = kernels.returning_frame(tuple(direction))
     np.testing.assert_allclose(found, rotation.apply([1, 0, 0]), atol=1e-12)
 
 
@@ -118,20 +119,21 @@ def test_the_meridian_points_to_larger_angles():
     for theta in (1e-3, 1.0, 3.0):
         direction = (np.sin(theta) * 0.6, np.sin(theta) * 0.8, np.cos(theta))
         expected = (np.cos(theta) * 0.6, np.cos(theta) * 0.8, -np.sin(theta))
-        np.testing.assert_allclose(meridian(*direction), expected, atol=1e-12)
-    assert meridian(0.0, 0.0, -1.0) == (-1.0, 0.0, 0.0)
+        np.testing.assert_allclose(meridian(tuple(direction)), expected, atol=1e-12)
+    assert meridian((0.0, 0.0, -1.0)) == (-1.0, 0.0, 0.0)
 
 
 @FEW
 @given(unit, ANGLES, ANGLES)
 def test_turning_twice_is_turning_by_the_sum(direction, first, second):
-    e = kernels.projected_frame(*direction)
-    once = kernels.turned_frame(np.cos(first), np.sin(first), *direction, *e)
-    twice = kernels.turned_frame(np.cos(second), np.sin(second), *direction, *once)
+    n = tuple(direction)
+    e = kernels.projected_frame(n)
+    once = kernels.turned_frame((np.cos(first), np.sin(first)), n, e)
+    twice = kernels.turned_frame((np.cos(second), np.sin(second)), n, once)
     total = first + second
-    expected = kernels.turned_frame(np.cos(total), np.sin(total), *direction, *e)
+    expected = kernels.turned_frame((np.cos(total), np.sin(total)), n, e)
     np.testing.assert_allclose(twice, expected, atol=1e-9)
-    found = kernels.between_frames(*direction, *e, *twice)
+    found = kernels.between_frames(n, e, twice)
     np.testing.assert_allclose(found, (np.cos(total), np.sin(total)), atol=1e-9)
 
 
@@ -141,8 +143,8 @@ class Path:
     def __init__(self, seed, number=4):
         rng = np.random.default_rng(seed)
         self.direction = Rotation.random(number + 1, rng=rng).apply([0, 0, 1])
-        self.first = np.array(kernels.projected_frame(*self.direction[0]))
-        self.last = np.array(kernels.projected_frame(*self.direction[-1]))
+        self.first = np.array(kernels.projected_frame(tuple(self.direction[0])))
+        self.last = np.array(kernels.projected_frame(tuple(self.direction[-1])))
         self.elements = rng.uniform(-1, 1, (number, 5))
         self.stokes = np.array([1.0, *rng.uniform(-0.5, 0.5, 3)])
 
@@ -179,10 +181,10 @@ class Path:
         for k in range(number):
             n = self.direction[k]
             cosine, sine, axis = self.plane(k)
-            i, q, u, v = vector
-            turned = kernels.between_frames(*n, *e, *axis)
-            vector = kernels.scattered(q, u, v, i, *turned, table(self.elements), 0, k)
-            f = np.array(kernels.turned_frame(*turned, *n, *e))
+            turned = kernels.between_frames(tuple(n), tuple(e), tuple(axis))
+            elements = table(self.elements)
+            vector = kernels.scattered(tuple(vector), turned, elements, 0, k)
+            f = np.array(kernels.turned_frame(turned, tuple(n), tuple(e)))
             e = cosine * f - sine * n
         return np.array([*e, *vector])
 
@@ -199,12 +201,11 @@ class Path:
             cosine = n @ m
             sine = np.sqrt(1 - cosine**2)
             axis = (m - cosine * n) / sine
-            turned = kernels.between_frames(*light, *now[:3], *axis)
-            after = np.zeros(19)
-            kernels.seen_through(now, 3, *turned, table(self.elements), 0, k, after)
-            f = np.array(kernels.turned_frame(*turned, *light, *now[:3]))
-            after[:3] = cosine * f - sine * n
-            now = after
+            frame = tuple(now[:3])
+            turned = kernels.between_frames(tuple(light), frame, tuple(axis))
+            kernels.see_through(now, turned, table(self.elements), 0, k)
+            f = np.array(kernels.turned_frame(turned, tuple(light), frame))
+            now[:3] = cosine * f - sine * n
         return now
 
 
@@ -215,9 +216,9 @@ def test_a_chain_joined_anywhere_is_the_same_product_of_matrices(seed):
     for joint in range(total):
         out = np.zeros(4)
         kernels.connected(
-            *path.direction[joint],
+            tuple(path.direction[joint]),
             path.forward(joint),
-            *path.direction[joint + 1],
+            tuple(path.direction[joint + 1]),
             path.adjoint(total - 1 - joint),
             table(path.elements),
             0,
@@ -234,7 +235,7 @@ def test_the_adjoint_matrix_of_a_whole_path_is_that_of_the_light(seed):
     n = path.direction[0]
     azimuth = np.arctan2(np.cross(n, path.first) @ seen[:3], path.first @ seen[:3])
     out = np.zeros(4)
-    kernels.received(seen, *(turn(azimuth) @ path.stokes), out)
+    kernels.received(seen, tuple(turn(azimuth) @ path.stokes), out)
     np.testing.assert_allclose(out, path.expected(), rtol=0, atol=1e-11)
 
 
@@ -257,12 +258,11 @@ def test_a_path_turned_in_space_scatters_alike(seed, how):
 def test_a_mirror_reflects_as_its_matrix_from_any_frame(before, after, launched):
     surface = mueller.ideal_backscatter()
     n, m = np.array([0.0, 0, 1]), np.array([0.0, 0, -1])
-    axis = kernels.turned_frame(np.cos(before), np.sin(before), *n, 1.0, 0.0, 0.0)
+    right = (1.0, 0.0, 0.0)
+    axis = kernels.turned_frame((np.cos(before), np.sin(before)), tuple(n), right)
     light = np.array([*axis, *stokes.state(launched)])
-    frame = np.array(
-        kernels.turned_frame(np.cos(after), np.sin(after), *m, 1.0, 0.0, 0.0)
-    )
-    found = kernels.reflected(*n, light, surface, *m, frame)
+    frame = kernels.turned_frame((np.cos(after), np.sin(after)), tuple(m), right)
+    found = kernels.reflected(tuple(n), light, surface, tuple(m), frame)
     expected = turn(after) @ surface @ turn(-before) @ stokes.state(launched)
     np.testing.assert_allclose(found, expected, atol=1e-14)
 
@@ -276,7 +276,7 @@ def test_uncompiled_kernels_give_the_same_vectors():
         (kernels.connected.py_func, plain),
     ):
         function(
-            *path.direction[2], forward, *path.direction[3], adjoint,
+            tuple(path.direction[2]), forward, tuple(path.direction[3]), adjoint,
             table(path.elements), 0, 2, out,
         )  # fmt: skip
     np.testing.assert_allclose(compiled, plain, rtol=1e-12, atol=1e-14)

@@ -158,7 +158,7 @@ def flagged(contributions):
     x = np.asarray(contributions, dtype=float)
     sums = (float(x.sum()), float((x**2).sum()), float(x.max()))
     found = of_signals([1, 2], groups=x.size, contribution=sums)
-    assert found.largest_share == pytest.approx(x.max() / x.sum())
+    assert found.largest_fraction == pytest.approx(x.max() / x.sum())
     assert found.effective_contributions == pytest.approx(x.sum() ** 2 / (x**2).sum())
     return found.heavy_tailed
 
@@ -179,7 +179,7 @@ def test_a_group_that_outweighs_the_error_is_flagged():
 def test_a_tally_without_contributions_is_not_flagged():
     found = of_signals([1, 2], groups=0, contribution=(0.0, 0.0, 0.0))
     assert not found.heavy_tailed
-    assert found.largest_share == 0
+    assert found.largest_fraction == 0
     assert found.effective_contributions == 0
 
 

@@ -11,8 +11,8 @@ import math
 from typing import Any
 
 import numpy as np
-from numba import njit
 
+from amulor.transport._kernels.compiled import kernel
 from amulor.transport._kernels.random import uniform
 from amulor.transport._kernels.types import Array, States
 
@@ -29,7 +29,7 @@ _FORWARD_OFFSET = (1023 - FORWARD_OCTAVES - 1) * PER_OCTAVE - 1
 _BACKWARD_OFFSET = (1023 - BACKWARD_OCTAVES - 1) * PER_OCTAVE - 1
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def cell_of(height: float) -> Any:
     """Return the cell in which a height from 0 to 1 lies."""
     if height < 0.5:
@@ -44,7 +44,7 @@ def cell_of(height: float) -> Any:
     return SIZE - 1 - ((np.float64(rest).view(np.int64) >> _BITS) - _BACKWARD_OFFSET)
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def draw_height(state: States, urn: Array, table: int) -> tuple[float, int]:
     """Draw a height: a cell by Walker's alias method, then evenly inside of it.
 
@@ -57,13 +57,13 @@ def draw_height(state: States, urn: Array, table: int) -> tuple[float, int]:
     return height, int(urn[table, row, first + 2])
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def height_between(cosine: float) -> float:
     """Return the height of the angle that has a cosine, within 0 to 1."""
     return min(max(0.5 * (1.0 - cosine), 0.0), 1.0)
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def disc_point(state: States, radius: float) -> tuple[float, float]:
     """Return a point drawn evenly from a disc around the origin."""
     distance = radius * math.sqrt(uniform(state))

@@ -1,12 +1,16 @@
-"""One batch of histories in a compiled loop: trace, join, record."""
+"""One batch of histories in a compiled loop: trace, join, record.
+
+Theory: docs/theory/photon-transport.md. Compiled, so that a batch of thousands of
+groups runs without Python, and without the lock that keeps its threads apart.
+"""
 
 from __future__ import annotations
 
 import math
 
 import numpy as np
-from numba import njit
 
+from amulor.transport._kernels.compiled import allocating, entry, step
 from amulor.transport._kernels.direct import (
     direct_from_segments,
     direct_from_touches,
@@ -20,205 +24,181 @@ from amulor.transport._kernels.polarization import (
     returning_frame,
 )
 from amulor.transport._kernels.random import exponential, uniform
-from amulor.transport._kernels.trace import SEGMENT_COLUMNS, TOUCH_COLUMNS, trace
-from amulor.transport._kernels.types import Array, Packed, States
+from amulor.transport._kernels.trace import (
+    SEGMENT_COLUMNS,
+    TOUCH_COLUMNS,
+    USED_SEGMENTS,
+    USED_TOUCHES,
+    follow,
+)
+from amulor.transport._kernels.types import (
+    Array,
+    Arrival,
+    Beam,
+    Kind,
+    Paths,
+    Plan,
+    Ray,
+    Record,
+    Scene,
+    States,
+)
+
+#: Rows that there is room for at first.
+_ROWS = 64
 
 
-@njit(cache=True, error_model="numpy")
-def launch(state: States, source: Packed, start: Array) -> None:
-    """Fill start with place, direction and parallel axis of light from the source."""
-    centre, axis, across, radius, divergence = source
-    ux, uy, uz = across[0], across[1], across[2]
-    vx, vy, vz = cross(axis[0], axis[1], axis[2], ux, uy, uz)
-    for k in range(3):
-        start[k], start[3 + k], start[6 + k] = centre[k], axis[k], across[k]
-    if radius > 0.0:
-        distance = radius * math.sqrt(-math.log(1.0 - uniform(state)))
+@step
+def launch(state: States, beam: Beam) -> Ray:
+    """Return a ray of light from the source, its frame turned with its direction."""
+    centre, axis, u = beam.centre, beam.axis, beam.across
+    n = (axis[0], axis[1], axis[2])
+    e = (u[0], u[1], u[2])
+    v = cross(n, e)
+    place = (centre[0], centre[1], centre[2])
+    if beam.radius > 0.0:
+        distance = beam.radius * math.sqrt(-math.log(1.0 - uniform(state)))
         azimuth = 2.0 * math.pi * uniform(state)
         along, side = distance * math.cos(azimuth), distance * math.sin(azimuth)
-        start[0] += along * ux + side * vx
-        start[1] += along * uy + side * vy
-        start[2] += along * uz + side * vz
-    if divergence > 0.0:
-        angle = divergence * math.sqrt(-math.log(1.0 - uniform(state)))
-        azimuth = 2.0 * math.pi * uniform(state)
-        cosine, sine = math.cos(angle), math.sin(angle)
-        ca, sa = math.cos(azimuth), math.sin(azimuth)
-        # Axis and frame turned together, in the plane of this azimuth: r = ca u + sa v
-        # goes to cosine r - sine axis, and t = axis x r stays; u = ca r - sa t.
-        rx, ry, rz = ca * ux + sa * vx, ca * uy + sa * vy, ca * uz + sa * vz
-        start[3] = cosine * axis[0] + sine * rx
-        start[4] = cosine * axis[1] + sine * ry
-        start[5] = cosine * axis[2] + sine * rz
-        tx, ty, tz = cross(axis[0], axis[1], axis[2], rx, ry, rz)
-        start[6] = ca * (cosine * rx - sine * axis[0]) - sa * tx
-        start[7] = ca * (cosine * ry - sine * axis[1]) - sa * ty
-        start[8] = ca * (cosine * rz - sine * axis[2]) - sa * tz
+        place = (
+            place[0] + (along * e[0] + side * v[0]),
+            place[1] + (along * e[1] + side * v[1]),
+            place[2] + (along * e[2] + side * v[2]),
+        )
+    if beam.divergence == 0.0:
+        return Ray(place, n, e)
+    angle = beam.divergence * math.sqrt(-math.log(1.0 - uniform(state)))
+    azimuth = 2.0 * math.pi * uniform(state)
+    cosine, sine = math.cos(angle), math.sin(angle)
+    ca, sa = math.cos(azimuth), math.sin(azimuth)
+    # Axis and frame turned together, in the plane of this azimuth: r = ca u + sa v
+    # goes to cosine r - sine axis, and t = axis x r stays; u = ca r - sa t.
+    r = (ca * e[0] + sa * v[0], ca * e[1] + sa * v[1], ca * e[2] + sa * v[2])
+    t = cross(n, r)
+    direction = (
+        cosine * n[0] + sine * r[0],
+        cosine * n[1] + sine * r[1],
+        cosine * n[2] + sine * r[2],
+    )
+    across = (
+        ca * (cosine * r[0] - sine * n[0]) - sa * t[0],
+        ca * (cosine * r[1] - sine * n[1]) - sa * t[1],
+        ca * (cosine * r[2] - sine * n[2]) - sa * t[2],
+    )
+    return Ray(place, direction, across)
 
 
-@njit(cache=True, error_model="numpy")
-def look(state: States, share: float, largest: float, start: Array) -> None:
-    """Fill start with the place, direction and axis of an adjoint path.
+@step
+def look(state: States, fraction: float, largest: float) -> Ray:
+    """Return a ray from the middle of the face, on which an adjoint path starts.
 
-    Directions are drawn by the cosine law, with a squared sine up to largest.
+    Directions are drawn by the cosine law, with a squared sine up to largest, of which
+    fraction is the part that this one has.
     """
-    sine_squared = share * largest
+    sine_squared = fraction * largest
     sine, cosine = math.sqrt(sine_squared), math.sqrt(1.0 - sine_squared)
     azimuth = 2.0 * math.pi * uniform(state)
-    start[0], start[1], start[2] = 0.0, 0.0, 0.0
-    start[3], start[4] = sine * math.cos(azimuth), sine * math.sin(azimuth)
-    start[5] = cosine
-    start[6], start[7], start[8] = returning_frame(-start[3], -start[4], -start[5])
+    x, y = sine * math.cos(azimuth), sine * math.sin(azimuth)
+    return Ray((0.0, 0.0, 0.0), (x, y, cosine), returning_frame((-x, -y, -cosine)))
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def run_batch(
+@allocating
+def without_segments(light: Array) -> Paths:
+    """Return paths without a segment, and what holds the light on each."""
+    return Paths(
+        np.empty((_ROWS, SEGMENT_COLUMNS)),
+        light,
+        np.empty((_ROWS, TOUCH_COLUMNS)),
+        np.zeros((_ROWS, light.shape[1])),
+        np.zeros(2, dtype=np.int64),
+    )
+
+
+@step
+def begin_forward(
+    state: States, number: int, scene: Scene, plan: Plan, now: Array
+) -> tuple[float, Ray]:
+    """Return the first flight of a forward path, and its ray; fill now with its light.
+
+    The optical thickness of the flight is exponential. Those of the paths of a group,
+    of which this is the number-th, are spread evenly if the plan is stratified.
+    """
+    fraction = uniform(state)
+    ray = launch(state, scene.beam)
+    if plan.stratified:
+        fraction = (number + fraction) / plan.paths
+    for i in range(4):
+        now[3 + i] = scene.beam.stokes[i]
+    return -math.log(1.0 - fraction), ray
+
+
+@step
+def begin_adjoint(
+    state: States, number: int, scene: Scene, plan: Plan, now: Array
+) -> tuple[float, Ray, Kind]:
+    """Return the first flight of an adjoint path, its ray and kind; fill now likewise.
+
+    Its direction is drawn by the cosine law from the acceptance gamma; a pair with it
+    counts Omega = pi sin^2 gamma over the number of pairs in the group.
+    """
+    fraction = uniform(state)
+    radius, angle = face_and_acceptance(state, scene.face)
+    largest = math.sin(angle) ** 2
+    if plan.stratified:
+        fraction = (number + fraction) / plan.partners
+    ray = look(state, fraction, largest)
+    scale = math.pi * largest / (plan.paths * plan.partners)
+    for i in range(16):
+        now[3 + i] = 1.0 if i % 5 == 0 else 0.0
+    return exponential(state), ray, Kind(True, plan.polarized, radius, scale)
+
+
+@step
+def join(
     state: States,
-    groups: int,
-    group: int,
-    partners: int,
-    source: Packed,
-    stokes: Array,
-    receiver: Packed,
-    water: Packed,
-    target: Packed,
-    polarized: bool,
-    technique: Packed,
-    record: Packed,
-    weight: Array,
+    forward: Paths,
+    adjoint: Paths,
+    scene: Scene,
+    plan: Plan,
+    record: Record,
+    arrival: Arrival,
+) -> float:
+    """Add the light of a group of paths in all ways of joining them, and return it."""
+    water, target = scene.water, scene.target
+    total = join_segments(state, forward, adjoint, water, target, plan, record, arrival)
+    if plan.direct:
+        total += direct_from_segments(state, forward, scene, plan, record, arrival)
+    if forward.used[USED_TOUCHES] > 0:
+        total += join_touches(forward, adjoint, target, plan, record, arrival)
+        if plan.direct:
+            total += direct_from_touches(state, forward, scene, plan, record, arrival)
+    return total
+
+
+@entry
+def run_batch(
+    state: States, scene: Scene, plan: Plan, record: Record, weight: Array
 ) -> None:
     """Add groups of histories to the record, and keep the light of each in weight.
 
     A group is that many forward paths, each joined with all of its adjoint paths.
     """
-    radius, acceptance, gaussian = receiver
-    stratified, balanced, direct = technique
-    rows = 64 if polarized else 1
-    forward, adjoint = np.empty((64, SEGMENT_COLUMNS)), np.empty((64, SEGMENT_COLUMNS))
-    light = np.zeros((rows, FORWARD_COLUMNS))
-    seen = np.zeros((rows, ADJOINT_COLUMNS))
-    touch = np.empty((16, TOUCH_COLUMNS))
-    touch_light = np.zeros((16, FORWARD_COLUMNS))
-    no_touch = np.empty((1, TOUCH_COLUMNS))
-    no_light = np.empty((1, ADJOINT_COLUMNS))
-    scratch = np.zeros(4 if polarized else 1)
-    at_once = np.zeros(ADJOINT_COLUMNS)  # the matrix of light that arrives
+    rows = _ROWS if plan.polarized else 1
+    forward = without_segments(np.zeros((rows, FORWARD_COLUMNS)))
+    adjoint = without_segments(np.zeros((rows, ADJOINT_COLUMNS)))
+    seen = np.zeros(ADJOINT_COLUMNS)
     for k in range(4):
-        at_once[3 + 5 * k] = 1.0
-    now, after = np.zeros(ADJOINT_COLUMNS), np.zeros(ADJOINT_COLUMNS)
-    start = np.zeros(9)
-    count = np.zeros(3, dtype=np.int64)
-    for g in range(groups):
-        for k in range(3):
-            count[k] = 0
-        for k in range(group + partners):
-            backward = k >= group
-            share = uniform(state)
-            if backward:
-                face, angle = face_and_acceptance(state, radius, acceptance, gaussian)
-                largest = math.sin(angle) ** 2
-                if stratified:
-                    share = (k - group + share) / partners
-                look(state, share, largest, start)
-                thickness = exponential(state)
-                scale = math.pi * largest / (group * partners)
-                for i in range(3, ADJOINT_COLUMNS):
-                    now[i] = at_once[i]
-                path, path_light = adjoint, seen
-                hit, hit_light = no_touch, no_light
-            else:
-                face, scale = 0.0, 0.0
-                launch(state, source, start)
-                if stratified:
-                    share = (k + share) / group
-                thickness = -math.log(1.0 - share)
-                for i in range(4):
-                    now[3 + i] = stokes[i]
-                path, path_light = forward, light
-                hit, hit_light = touch, touch_light
-            path, path_light, hit, hit_light = trace(
-                state,
-                thickness,
-                start,
-                face,
-                scale,
-                backward,
-                polarized,
-                now,
-                after,
-                water,
-                target,
-                path,
-                path_light,
-                hit,
-                hit_light,
-                count,
-            )
-            if backward:
-                adjoint, seen = path, path_light
-            else:
-                forward, light = path, path_light
-                touch, touch_light = hit, hit_light
-        forwards, touches, adjoints = count[0], count[1], count[2]
-        total = join_segments(
-            state,
-            forward,
-            light,
-            forwards,
-            adjoint,
-            seen,
-            adjoints,
-            water,
-            target,
-            polarized,
-            balanced,
-            direct,
-            record,
-            scratch,
-        )
-        if direct:
-            total += direct_from_segments(
-                state,
-                forward,
-                light,
-                forwards,
-                receiver,
-                1.0 / group,
-                water,
-                target,
-                polarized,
-                balanced,
-                record,
-                scratch,
-                at_once,
-            )
-        if touches > 0:
-            total += join_touches(
-                touch,
-                touch_light,
-                touches,
-                adjoint,
-                seen,
-                adjoints,
-                target,
-                polarized,
-                direct,
-                record,
-                scratch,
-            )
-            if direct:
-                total += direct_from_touches(
-                    state,
-                    touch,
-                    touch_light,
-                    touches,
-                    receiver,
-                    1.0 / group,
-                    water,
-                    target,
-                    polarized,
-                    record,
-                    scratch,
-                    at_once,
-                )
-        weight[g] = total
+        seen[3 + 5 * k] = 1.0
+    arrival = Arrival(np.zeros(4 if plan.polarized else 1), seen)
+    now = np.zeros(ADJOINT_COLUMNS)
+    kind = Kind(False, plan.polarized, 0.0, 0.0)
+    for g in range(weight.size):
+        forward.used[USED_SEGMENTS] = forward.used[USED_TOUCHES] = 0
+        adjoint.used[USED_SEGMENTS] = 0
+        for k in range(plan.paths):
+            thickness, ray = begin_forward(state, k, scene, plan, now)
+            forward = follow(state, thickness, ray, kind, scene, forward, now)
+        for k in range(plan.partners):
+            thickness, ray, back = begin_adjoint(state, k, scene, plan, now)
+            adjoint = follow(state, thickness, ray, back, scene, adjoint, now)
+        weight[g] = join(state, forward, adjoint, scene, plan, record, arrival)

@@ -5,16 +5,17 @@ the face of the receiver until it meets a forward path. For each pair of segment
 depths z at which that shift stays on the face are an interval, and the light over it
 is spread evenly over path lengths. A target may hide parts of that interval: a plane
 one end of it, and with a mesh it is tried at one depth drawn from the interval.
-Theory: docs/theory, "Photon transport".
+Theory: docs/theory/photon-transport.md, "A path is joined where it is the least
+accidental": P, Omega and w_k. Compiled, as each group of 8 x 8 paths has some thousand
+pairs of segments.
 """
 
 from __future__ import annotations
 
 import math
 
-from numba import njit
-
 from amulor.transport._kernels.angle import cell_of, height_between
+from amulor.transport._kernels.compiled import inner, step
 from amulor.transport._kernels.mesh import blocked
 from amulor.transport._kernels.polarization import connected, received, reflected
 from amulor.transport._kernels.random import uniform
@@ -47,43 +48,47 @@ from amulor.transport._kernels.trace import (
     TOUCH_Z,
     TOUCHES,
     TRIANGLE,
+    USED_SEGMENTS,
+    USED_TOUCHES,
     Z_HIGH,
     Z_LOW,
     X,
     Y,
 )
-from amulor.transport._kernels.types import Array, Packed, States
+from amulor.transport._kernels.types import (
+    Array,
+    Arrival,
+    Mesh,
+    Paths,
+    Plan,
+    Record,
+    States,
+    Target,
+    Vector,
+    Water,
+)
 
 
-@njit(cache=True, error_model="numpy")
+@inner
 def path_blocked(
-    adjoint: Array,
-    row: int,
-    px: float,
-    py: float,
-    z: float,
-    start: float,
-    mesh: Packed,
+    adjoint: Array, row: int, end: Vector, start: float, mesh: Mesh
 ) -> bool:
     """Return whether the mesh is in the way of a shifted adjoint path.
 
-    The path starts at (px, py) on the face and ends at z on its segment in row; start
-    is the number of the triangle it ends on, or -1.
+    end is the shift of the path over the face, and the depth z on its segment in row
+    at which it ends; start is the number of the triangle that it ends on, or -1.
     """
-    end = z
+    z = end[2]
     for k in range(row, int(adjoint[row, START]) - 1, -1):
         if k < row:
-            end = adjoint[k, Z_HIGH] if adjoint[k, NZ] > 0.0 else adjoint[k, Z_LOW]
+            z = adjoint[k, Z_HIGH] if adjoint[k, NZ] > 0.0 else adjoint[k, Z_LOW]
             start = -1.0
         begin = adjoint[k, Z_LOW] if adjoint[k, NZ] > 0.0 else adjoint[k, Z_HIGH]
-        x, y = px + adjoint[k, X], py + adjoint[k, Y]
+        x, y = end[0] + adjoint[k, X], end[1] + adjoint[k, Y]
+        slope_x, slope_y = adjoint[k, SLOPE_X], adjoint[k, SLOPE_Y]
         if blocked(
-            x + end * adjoint[k, SLOPE_X],
-            y + end * adjoint[k, SLOPE_Y],
-            end,
-            x + begin * adjoint[k, SLOPE_X],
-            y + begin * adjoint[k, SLOPE_Y],
-            begin,
+            (x + z * slope_x, y + z * slope_y, z),
+            (x + begin * slope_x, y + begin * slope_y, begin),
             start,
             mesh,
         ):
@@ -91,224 +96,192 @@ def path_blocked(
     return False
 
 
-@njit(cache=True, error_model="numpy")
+@step
+def meeting_depths(
+    forward: Array, i: int, adjoint: Array, j: int, target: Target
+) -> tuple[float, float]:
+    """Return the depths z from which to which two segments can meet.
+
+    At these both segments have a point, the shift rho(z) - rho'(z) is on the face of
+    the receiver, and the shifted scatterings are in front of the target's plane. There
+    are none if the second is not above the first.
+    """
+    z_low = max(forward[i, Z_LOW], adjoint[j, Z_LOW])
+    z_high = min(forward[i, Z_HIGH], adjoint[j, Z_HIGH])
+    if z_low >= z_high:
+        return 0.0, 0.0
+    face = adjoint[j, FACE]
+    # Place of the start of the adjoint path on the face: p + d z.
+    dx = forward[i, SLOPE_X] - adjoint[j, SLOPE_X]
+    dy = forward[i, SLOPE_Y] - adjoint[j, SLOPE_Y]
+    px = forward[i, X] - adjoint[j, X]
+    py = forward[i, Y] - adjoint[j, Y]
+    a = dx * dx + dy * dy
+    b = px * dx + py * dy
+    c = px * px + py * py - face * face
+    inside = b * b - a * c
+    if inside <= 0.0:
+        return 0.0, 0.0
+    if a < 1e-24:  # parallel: on the face for all z, as inside is above zero
+        if c >= 0.0:
+            return 0.0, 0.0
+    else:
+        root = math.sqrt(inside)
+        z_low = max(z_low, (-b - root) / a)
+        z_high = min(z_high, (-b + root) / a)
+        if z_low >= z_high:
+            return 0.0, 0.0
+    if target.has_plane and adjoint[j, ORDER] > 0:
+        normal = target.normal
+        over = normal[0] * px + normal[1] * py + adjoint[j, FRONT] - target.height
+        rise = normal[0] * dx + normal[1] * dy
+        if rise > 0:
+            z_low = max(z_low, -over / rise)
+        elif rise < 0:
+            z_high = min(z_high, -over / rise)
+        elif over < 0:
+            return 0.0, 0.0
+    return z_low, z_high
+
+
+@inner
 def join_segments(
     state: States,
-    forward: Array,
-    light: Array,
-    forwards: int,
-    adjoint: Array,
-    seen: Array,
-    adjoints: int,
-    water: Packed,
-    target: Packed,
-    polarized: bool,
-    balanced: bool,
-    skip_direct: bool,
-    record: Packed,
-    scratch: Array,
+    forward: Paths,
+    adjoint: Paths,
+    water: Water,
+    target: Target,
+    plan: Plan,
+    record: Record,
+    arrival: Arrival,
 ) -> float:
     """Join each forward with each adjoint segment, and return the light added.
 
-    FACE of an adjoint segment is the radius of the face, SCALE what a pair counts.
+    The light of a pair is Omega b p(theta) dz / |n_z n'_z| times its weight w_k. FACE
+    of an adjoint segment is the radius R of the face, SCALE is Omega over the number
+    of pairs.
     """
-    _, attenuation, albedo, table, _, value, element = water
-    has_plane, normal, height, _, _, mesh = target
-    has_mesh = mesh[0].shape[0] > 0
-    mass, slope_record, beyond, wavenumber, spacing, orders = record
+    first, second = forward.segment, adjoint.segment
+    attenuation, albedo, table = water.attenuation, water.albedo, water.table
+    value, mesh, out = water.value, target.mesh, arrival.light
+    has_mesh = mesh.box.shape[0] > 0
     total = 0.0
-    for j in range(adjoints):
-        if skip_direct and adjoint[j, ORDER] == 0:
+    for j in range(adjoint.used[USED_SEGMENTS]):
+        if plan.direct and second[j, ORDER] == 0:
             continue
-        face = adjoint[j, FACE]
-        lowest, highest = adjoint[j, Z_LOW], adjoint[j, Z_HIGH]
-        for i in range(forwards):
-            z_low = max(forward[i, Z_LOW], lowest)
-            z_high = min(forward[i, Z_HIGH], highest)
+        for i in range(forward.used[USED_SEGMENTS]):
+            z_low, z_high = meeting_depths(first, i, second, j, target)
             if z_low >= z_high:
                 continue
-            # Place of the start of the adjoint path on the face: p + d z.
-            dx = forward[i, SLOPE_X] - adjoint[j, SLOPE_X]
-            dy = forward[i, SLOPE_Y] - adjoint[j, SLOPE_Y]
-            px = forward[i, X] - adjoint[j, X]
-            py = forward[i, Y] - adjoint[j, Y]
-            a = dx * dx + dy * dy
-            b = px * dx + py * dy
-            c = px * px + py * py - face * face
-            inside = b * b - a * c
-            if inside <= 0.0:
-                continue
-            if a < 1e-24:  # parallel: on the face for all z, as inside is above zero
-                if c >= 0.0:
-                    continue
-            else:
-                root = math.sqrt(inside)
-                z_low = max(z_low, (-b - root) / a)
-                z_high = min(z_high, (-b + root) / a)
-                if z_low >= z_high:
-                    continue
-            if has_plane and adjoint[j, ORDER] > 0:
-                # All vertices of the shifted path have to be in front of the plane.
-                over = normal[0] * px + normal[1] * py + adjoint[j, FRONT] - height
-                rise = normal[0] * dx + normal[1] * dy
-                if rise > 0:
-                    z_low = max(z_low, -over / rise)
-                elif rise < 0:
-                    z_high = min(z_high, -over / rise)
-                elif over < 0:
-                    continue
-                if z_low >= z_high:
-                    continue
-            layer = int(forward[i, LAYER])
-            at = table[layer]
-            cosine = -(
-                forward[i, NX] * adjoint[j, NX]
-                + forward[i, NY] * adjoint[j, NY]
-                + forward[i, NZ] * adjoint[j, NZ]
-            )
-            cell = cell_of(height_between(cosine))
-            level = abs(forward[i, NZ] * adjoint[j, NZ])
+            layer = int(first[i, LAYER])
+            n = (first[i, NX], first[i, NY], first[i, NZ])
+            m = (-second[j, NX], -second[j, NY], -second[j, NZ])
+            cosine = n[0] * m[0] + n[1] * m[1] + n[2] * m[2]
+            at, cell = table[layer], cell_of(height_between(cosine))
             kernel = attenuation[layer] * albedo[layer] * value[at, cell]
             if kernel <= 0.0:
                 continue
-            order = int(forward[i, ORDER] + adjoint[j, ORDER])
-            if balanced:
-                factor = adjoint[j, SCALE] / (
-                    forward[i, PARTITION] + adjoint[j, PARTITION] + level / kernel
+            order = int(first[i, ORDER] + second[j, ORDER])
+            level = abs(n[2] * m[2])
+            if plan.balanced:
+                factor = second[j, SCALE] / (
+                    first[i, PARTITION] + second[j, PARTITION] + level / kernel
                 )
             else:
-                factor = adjoint[j, SCALE] * kernel / (level * (order + 1))
+                factor = second[j, SCALE] * kernel / (level * (order + 1))
             factor *= z_high - z_low
             if has_mesh:
                 z_low += (z_high - z_low) * uniform(state)
                 z_high = z_low
-                if path_blocked(
-                    adjoint, j, px + dx * z_low, py + dy * z_low, z_low, -1.0, mesh
-                ):
+                dx = first[i, SLOPE_X] - second[j, SLOPE_X]
+                dy = first[i, SLOPE_Y] - second[j, SLOPE_Y]
+                px = first[i, X] - second[j, X] + dx * z_low
+                py = first[i, Y] - second[j, Y] + dy * z_low
+                if path_blocked(second, j, (px, py, z_low), -1.0, mesh):
                     continue
-            part = min(order, orders - 1)
-            start = forward[i, LENGTH] + adjoint[j, LENGTH]
-            slope = forward[i, PER_Z] + adjoint[j, PER_Z]
-            first, last = start + slope * z_low, start + slope * z_high
-            if polarized:
-                connected(
-                    forward[i, NX],
-                    forward[i, NY],
-                    forward[i, NZ],
-                    light[i],
-                    -adjoint[j, NX],
-                    -adjoint[j, NY],
-                    -adjoint[j, NZ],
-                    seen[j],
-                    element,
-                    at,
-                    cell,
-                    scratch,
-                )
+            if plan.polarized:
+                light, seen = forward.light[i], adjoint.light[j]
+                connected(n, light, m, seen, water.element, at, cell, out)
                 for k in range(4):
-                    scratch[k] *= factor
+                    out[k] *= factor
             else:
-                scratch[0] = factor
-            total += scratch[0]
-            add_range(
-                mass,
-                slope_record,
-                beyond,
-                wavenumber,
-                spacing,
-                part,
-                min(first, last),
-                max(first, last),
-                scratch,
-            )
+                out[0] = factor
+            total += out[0]
+            start = first[i, LENGTH] + second[j, LENGTH]
+            slope = first[i, PER_Z] + second[j, PER_Z]
+            one, other = start + slope * z_low, start + slope * z_high
+            part = min(order, record.orders - 1)
+            add_range(record, part, min(one, other), max(one, other), out)
     return total
 
 
-@njit(cache=True, error_model="numpy")
+@inner
 def join_touches(
-    touch: Array,
-    touch_light: Array,
-    touches: int,
-    adjoint: Array,
-    seen: Array,
-    adjoints: int,
-    target: Packed,
-    polarized: bool,
-    skip_direct: bool,
-    record: Packed,
-    scratch: Array,
+    forward: Paths,
+    adjoint: Paths,
+    target: Target,
+    plan: Plan,
+    record: Record,
+    arrival: Arrival,
 ) -> float:
-    """Join each touch of the target with each adjoint segment that meets it."""
-    has_plane, normal, height, reflectance, mueller, mesh = target
-    has_mesh = mesh[0].shape[0] > 0
-    mass, _, beyond, wavenumber, spacing, orders = record
+    """Join each touch of the target with each adjoint segment, return the light added.
+
+    The light of a pair is Omega (reflectance / pi) cos / |n'_z|, the cosine that
+    between the target's normal and the way to the receiver.
+    """
+    touch, second = forward.touch, adjoint.segment
+    normal, mesh, out = target.normal, target.mesh, arrival.light
+    has_mesh = mesh.box.shape[0] > 0
     total = 0.0
-    for i in range(touches):
+    for i in range(forward.used[USED_TOUCHES]):
         z = touch[i, TOUCH_Z]
-        for j in range(adjoints):
+        for j in range(adjoint.used[USED_SEGMENTS]):
             if (
-                (skip_direct and adjoint[j, ORDER] == 0)
-                or z <= adjoint[j, Z_LOW]
-                or z > adjoint[j, Z_HIGH]
+                (plan.direct and second[j, ORDER] == 0)
+                or z <= second[j, Z_LOW]
+                or z > second[j, Z_HIGH]
             ):
                 continue
-            px = touch[i, TOUCH_X] - adjoint[j, X] - z * adjoint[j, SLOPE_X]
-            py = touch[i, TOUCH_Y] - adjoint[j, Y] - z * adjoint[j, SLOPE_Y]
-            if px * px + py * py > adjoint[j, FACE] * adjoint[j, FACE]:
+            px = touch[i, TOUCH_X] - second[j, X] - z * second[j, SLOPE_X]
+            py = touch[i, TOUCH_Y] - second[j, Y] - z * second[j, SLOPE_Y]
+            if px * px + py * py > second[j, FACE] * second[j, FACE]:
                 continue
-            leaving = -(
-                touch[i, NORMAL_X] * adjoint[j, NX]
-                + touch[i, NORMAL_Y] * adjoint[j, NY]
-                + touch[i, NORMAL_Z] * adjoint[j, NZ]
+            m = (-second[j, NX], -second[j, NY], -second[j, NZ])
+            leaving = (
+                touch[i, NORMAL_X] * m[0]
+                + touch[i, NORMAL_Y] * m[1]
+                + touch[i, NORMAL_Z] * m[2]
             )
             if leaving <= 0.0:
                 continue
             if (
-                has_plane
-                and adjoint[j, ORDER] > 0
-                and normal[0] * px + normal[1] * py + adjoint[j, FRONT] < height
+                target.has_plane
+                and second[j, ORDER] > 0
+                and normal[0] * px + normal[1] * py + second[j, FRONT] < target.height
             ):
                 continue
             if has_mesh and path_blocked(
-                adjoint, j, px, py, z, touch[i, TRIANGLE], mesh
+                second, j, (px, py, z), touch[i, TRIANGLE], mesh
             ):
                 continue
             factor = (
-                adjoint[j, SCALE]
-                * reflectance
-                / math.pi
-                * leaving
-                / abs(adjoint[j, NZ])
+                second[j, SCALE] * target.reflectance / math.pi * leaving / abs(m[2])
             )
-            if polarized:
-                i_out, q_out, u_out, v_out = reflected(
-                    touch[i, TOUCH_NX],
-                    touch[i, TOUCH_NY],
-                    touch[i, TOUCH_NZ],
-                    touch_light[i],
-                    mueller,
-                    -adjoint[j, NX],
-                    -adjoint[j, NY],
-                    -adjoint[j, NZ],
-                    seen[j],
-                )
-                received(seen[j], i_out, q_out, u_out, v_out, scratch)
+            if plan.polarized:
+                n = (touch[i, TOUCH_NX], touch[i, TOUCH_NY], touch[i, TOUCH_NZ])
+                seen = adjoint.light[j]
+                frame = (seen[0], seen[1], seen[2])
+                light = forward.touch_light[i]
+                received(seen, reflected(n, light, target.mueller, m, frame), out)
                 for k in range(4):
-                    scratch[k] *= factor
+                    out[k] *= factor
             else:
-                scratch[0] = factor
-            total += scratch[0]
-            direct = (
-                touch[i, TOUCH_ORDER] + adjoint[j, ORDER] == 0
-                and touch[i, TOUCHES] == 0
-            )
+                out[0] = factor
+            total += out[0]
+            unscattered = touch[i, TOUCH_ORDER] + second[j, ORDER] == 0
+            length = touch[i, TOUCH_LENGTH] + second[j, LENGTH] + z * second[j, PER_Z]
+            direct = unscattered and touch[i, TOUCHES] == 0
             add_point(
-                mass,
-                beyond,
-                wavenumber,
-                spacing,
-                orders if direct else orders + 1,
-                touch[i, TOUCH_LENGTH] + adjoint[j, LENGTH] + z * adjoint[j, PER_Z],
-                scratch,
+                record, record.orders if direct else record.orders + 1, length, out
             )
     return total

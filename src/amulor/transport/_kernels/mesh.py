@@ -2,32 +2,30 @@
 
 Triangles lie in a hierarchy of boxes, in the order of a walk that takes a box before
 what is in it. Each box knows where the walk goes on if the ray misses it, so there is
-no stack. mesh holds the boxes, their links, the triangles and the least distance of a
-hit to a ray that starts on a triangle. Möller and Trumbore, J. Graphics Tools 2, 21
-(1997), doi:10.1080/10867651.1997.10487468.
+no stack. Möller and Trumbore, J. Graphics Tools 2, 21 (1997),
+doi:10.1080/10867651.1997.10487468. Compiled, as each flight of each path is such a ray.
 """
 
 from __future__ import annotations
 
 import math
 
-from numba import njit
-
-from amulor.transport._kernels.types import Packed, Vector
+from amulor.transport._kernels.compiled import kernel
+from amulor.transport._kernels.types import Array, Mesh, Vector
 
 # Columns of a box (its corners), of its link and of a triangle.
 LOW_X, LOW_Y, LOW_Z, HIGH_X, HIGH_Y, HIGH_Z = range(6)
 ESCAPE, FIRST_TRIANGLE, TRIANGLES = range(3)
 CORNER, EDGE_ONE, EDGE_TWO, NORMAL = 0, 3, 6, 9
 
-#: What a triangle is larger by, as a share of its edges, so that no ray slips between
-#: two that share an edge. Rounding moves a hit by some 1e-15 of the distances.
+#: What a triangle is larger by, as a fraction of its edges, so that no ray slips
+#: between two that share an edge. Rounding moves a hit by some 1e-15 of the distances.
 MARGIN = 1e-9
 
 _STEEP = 1e300  # stands for 1/0, so that 0 times it is not "not a number"
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def inverse(component: float) -> float:
     """Return one over a component of a direction, finite for 0."""
     if abs(component) * _STEEP > 1.0:
@@ -35,34 +33,51 @@ def inverse(component: float) -> float:
     return math.copysign(_STEEP, component)
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
+def triangle_at(place: Vector, way: Vector, triangle: Array, k: int) -> float:
+    """Return the distance at which a ray meets a triangle, NaN if it does not.
+
+    The determinant form of Möller and Trumbore, in lengths of way.
+    """
+    x, y, z = place
+    dx, dy, dz = way
+    ax, ay, az = triangle[k, 3], triangle[k, 4], triangle[k, 5]
+    bx, by, bz = triangle[k, 6], triangle[k, 7], triangle[k, 8]
+    px, py, pz = dy * bz - dz * by, dz * bx - dx * bz, dx * by - dy * bx
+    determinant = ax * px + ay * py + az * pz
+    if determinant == 0.0:
+        return math.nan
+    sx, sy, sz = x - triangle[k, 0], y - triangle[k, 1], z - triangle[k, 2]
+    along = (sx * px + sy * py + sz * pz) / determinant
+    if along < -MARGIN or along > 1.0 + MARGIN:
+        return math.nan
+    qx, qy, qz = sy * az - sz * ay, sz * ax - sx * az, sx * ay - sy * ax
+    across = (dx * qx + dy * qy + dz * qz) / determinant
+    if across < -MARGIN or along + across > 1.0 + MARGIN:
+        return math.nan
+    return float((bx * qx + by * qy + bz * qz) / determinant)
+
+
+@kernel
 def first_hit(
-    x: float,
-    y: float,
-    z: float,
-    dx: float,
-    dy: float,
-    dz: float,
-    limit: float,
-    enough: float,
-    start: float,
-    mesh: Packed,
+    place: Vector, way: Vector, limit: float, enough: float, start: float, mesh: Mesh
 ) -> tuple[float, float]:
     """Return distance and number of the nearest triangle that a ray meets.
 
-    Distances are in lengths of (dx, dy, dz). limit bounds them, and is returned with
-    a number of -1 if nothing is met. The search ends at any hit nearer than enough.
-    start is the number of the triangle on which the ray starts, which it cannot meet,
-    or -1.
+    Distances are in lengths of way. limit bounds them, and is returned with a number
+    of -1 if nothing is met. The search ends at any hit nearer than enough. start is
+    the number of the triangle on which the ray starts, which it cannot meet, or -1.
     """
-    box, link, triangle, least = mesh
+    box, link, triangle = mesh.box, mesh.link, mesh.triangle
+    x, y, z = place
+    dx, dy, dz = way
     own = int(start)
-    near = 0.0
+    least = 0.0
     if own >= 0:
-        near = least / math.sqrt(dx * dx + dy * dy + dz * dz)
+        least = mesh.least / math.sqrt(dx * dx + dy * dy + dz * dz)
     ix, iy, iz = inverse(dx), inverse(dy), inverse(dz)
     best = limit
-    found = -1
+    hit = -1
     node = 0
     while node < box.shape[0]:
         x1, x2 = (box[node, LOW_X] - x) * ix, (box[node, HIGH_X] - x) * ix
@@ -75,56 +90,32 @@ def first_hit(
             continue
         first = link[node, FIRST_TRIANGLE]
         for k in range(first, first + link[node, TRIANGLES]):
-            ax, ay, az = triangle[k, 3], triangle[k, 4], triangle[k, 5]
-            bx, by, bz = triangle[k, 6], triangle[k, 7], triangle[k, 8]
-            px, py, pz = dy * bz - dz * by, dz * bx - dx * bz, dx * by - dy * bx
-            determinant = ax * px + ay * py + az * pz
-            if determinant == 0.0 or k == own:
+            if k == own:
                 continue
-            sx, sy, sz = x - triangle[k, 0], y - triangle[k, 1], z - triangle[k, 2]
-            along = (sx * px + sy * py + sz * pz) / determinant
-            if along < -MARGIN or along > 1.0 + MARGIN:
-                continue
-            qx, qy, qz = sy * az - sz * ay, sz * ax - sx * az, sx * ay - sy * ax
-            across = (dx * qx + dy * qy + dz * qz) / determinant
-            if across < -MARGIN or along + across > 1.0 + MARGIN:
-                continue
-            distance = (bx * qx + by * qy + bz * qz) / determinant
-            if near < distance < best:
+            distance = triangle_at(place, way, triangle, k)
+            if least < distance < best:
                 best = distance
-                found = k
+                hit = k
         if best < enough:
             break
         node += 1
-    return best, float(found)
+    return best, float(hit)
 
 
-@njit(cache=True, error_model="numpy")
-def facing_normal(
-    number: float, dx: float, dy: float, dz: float, mesh: Packed
-) -> Vector:
-    """Return the normal of a triangle on the side from which (dx, dy, dz) comes."""
-    triangle = mesh[2]
+@kernel
+def facing_normal(number: float, way: Vector, mesh: Mesh) -> Vector:
+    """Return the normal of a triangle on the side from which a ray comes."""
+    triangle = mesh.triangle
     k = int(number)
     nx, ny, nz = triangle[k, 9], triangle[k, 10], triangle[k, 11]
-    if nx * dx + ny * dy + nz * dz > 0.0:
+    if nx * way[0] + ny * way[1] + nz * way[2] > 0.0:
         return -nx, -ny, -nz
     return nx, ny, nz
 
 
-@njit(cache=True, error_model="numpy")
-def blocked(
-    x: float,
-    y: float,
-    z: float,
-    to_x: float,
-    to_y: float,
-    to_z: float,
-    start: float,
-    mesh: Packed,
-) -> bool:
+@kernel
+def blocked(place: Vector, end: Vector, start: float, mesh: Mesh) -> bool:
     """Return whether a triangle lies between two points, the first one's left out."""
-    distance, _ = first_hit(
-        x, y, z, to_x - x, to_y - y, to_z - z, 1.0, 1.0, start, mesh
-    )
+    way = (end[0] - place[0], end[1] - place[1], end[2] - place[2])
+    distance, _ = first_hit(place, way, 1.0, 1.0, start, mesh)
     return distance < 1.0

@@ -2,16 +2,17 @@
 
 The frame of light that travels along n is a parallel axis e, perpendicular to n; the
 perpendicular axis is n x e. A scattering matrix enters as its elements m12, m22, m33,
-m34 and m44. Equations: docs/theory, "Photon transport".
+m34 and m44 of eqs. (63) and (66), docs/theory/polarization.md; what is done with them
+is described in docs/theory/photon-transport.md, "Polarisation". Compiled, since each
+of these runs at each corner of each path, or for each pair of segments.
 """
 
 from __future__ import annotations
 
 import math
 
-from numba import njit
-
-from amulor.transport._kernels.types import Array, Stokes, Vector
+from amulor.transport._kernels.compiled import kernel
+from amulor.transport._kernels.types import Array, Stokes, Turn, Vector
 
 #: Columns of the polarization of a forward segment or touch: frame and Stokes vector.
 FORWARD_COLUMNS = 7
@@ -19,140 +20,136 @@ FORWARD_COLUMNS = 7
 ADJOINT_COLUMNS = 19
 
 
-@njit(cache=True, error_model="numpy")
-def cross(ax: float, ay: float, az: float, bx: float, by: float, bz: float) -> Vector:
+@kernel
+def cross(a: Vector, b: Vector) -> Vector:
     """Return the product of two vectors that is perpendicular to both."""
-    return ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
-
-
-@njit(cache=True, error_model="numpy")
-def turned_frame(
-    cos_azimuth: float,
-    sin_azimuth: float,
-    nx: float,
-    ny: float,
-    nz: float,
-    ex: float,
-    ey: float,
-    ez: float,
-) -> Vector:
-    """Return the parallel axis turned about n, towards the perpendicular one."""
-    px, py, pz = cross(nx, ny, nz, ex, ey, ez)
     return (
-        cos_azimuth * ex + sin_azimuth * px,
-        cos_azimuth * ey + sin_azimuth * py,
-        cos_azimuth * ez + sin_azimuth * pz,
+        a[1] * b[2] - a[2] * b[1],
+        a[2] * b[0] - a[0] * b[2],
+        a[0] * b[1] - a[1] * b[0],
     )
 
 
-@njit(cache=True, error_model="numpy")
-def projected_frame(nx: float, ny: float, nz: float) -> Vector:
+@kernel
+def turned_frame(turn: Turn, n: Vector, e: Vector) -> Vector:
+    """Return the parallel axis e turned about n, towards the perpendicular one."""
+    p = cross(n, e)
+    return (
+        turn[0] * e[0] + turn[1] * p[0],
+        turn[0] * e[1] + turn[1] * p[1],
+        turn[0] * e[2] + turn[1] * p[2],
+    )
+
+
+@kernel
+def any_frame(n: Vector) -> Vector:
+    """Return some unit vector perpendicular to n."""
+    sign = 1.0 if n[2] >= 0 else -1.0
+    factor = -1.0 / (sign + n[2])
+    return 1.0 + sign * n[0] * n[0] * factor, sign * n[0] * n[1] * factor, -sign * n[0]
+
+
+@kernel
+def projected_frame(n: Vector) -> Vector:
     """Return the part of the axis (1, 0, 0) perpendicular to n, made a unit vector."""
-    across = ny * ny + nz * nz
+    across = n[1] * n[1] + n[2] * n[2]
     if across < 1e-24:  # along that axis, where it has no part to the side
         return 0.0, 1.0, 0.0
     norm = math.sqrt(across)
-    return across / norm, -nx * ny / norm, -nx * nz / norm
+    return across / norm, -n[0] * n[1] / norm, -n[0] * n[2] / norm
 
 
-@njit(cache=True, error_model="numpy")
-def returning_frame(mx: float, my: float, mz: float) -> Vector:
+@kernel
+def returning_frame(m: Vector) -> Vector:
     """Return (1, 0, 0), turned the short way with the direction (0, 0, -1) to m."""
     # Rotation that takes a = (0, 0, -1) to m: e - (e.m) (a + m) / (1 + a.m), as e.a=0.
-    factor = mx / max(1.0 - mz, 1e-300)
-    return 1.0 - factor * mx, -factor * my, -factor * (mz - 1.0)
+    factor = m[0] / max(1.0 - m[2], 1e-300)
+    return 1.0 - factor * m[0], -factor * m[1], -factor * (m[2] - 1.0)
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
+def deflected(
+    n: Vector, e: Vector, drawn: float, turn: Turn, sign: float
+) -> tuple[Vector, Vector]:
+    """Return direction and parallel axis of a path after a scattering.
+
+    drawn is sin^2(theta / 2), turn that of the axis e to the plane of scattering; the
+    light travels along sign x n. The axis stays in that plane: cos e - sin n forward,
+    and with n = -m the same for an adjoint path.
+    """
+    cosine = 1.0 - 2.0 * drawn
+    sine = 2.0 * math.sqrt(drawn * (1.0 - drawn))
+    f = turned_frame(turn, (sign * n[0], sign * n[1], sign * n[2]), e)
+    x = cosine * n[0] + sine * f[0]
+    y = cosine * n[1] + sine * f[1]
+    z = cosine * n[2] + sine * f[2]
+    norm = 1.0 / math.sqrt(x * x + y * y + z * z)
+    after = (
+        cosine * f[0] - sine * n[0],
+        cosine * f[1] - sine * n[1],
+        cosine * f[2] - sine * n[2],
+    )
+    return (x * norm, y * norm, z * norm), after
+
+
+@kernel
 def scattered(
-    q: float,
-    u: float,
-    v: float,
-    intensity: float,
-    cos_azimuth: float,
-    sin_azimuth: float,
-    element: Array,
-    table: int,
-    cell: int,
+    stokes: Stokes, turn: Turn, element: Array, table: int, cell: int
 ) -> Stokes:
     """Return the Stokes vector after a turn of the frame and a scattering."""
-    cos2 = cos_azimuth * cos_azimuth - sin_azimuth * sin_azimuth
-    sin2 = 2.0 * cos_azimuth * sin_azimuth
-    turned_q = q * cos2 + u * sin2
-    turned_u = u * cos2 - q * sin2
+    i, q, u, v = stokes
+    turned_q, turned_u = turned_stokes(q, u, turn)
     return (
-        intensity + element[table, cell, 0] * turned_q,
-        element[table, cell, 0] * intensity + element[table, cell, 1] * turned_q,
+        i + element[table, cell, 0] * turned_q,
+        element[table, cell, 0] * i + element[table, cell, 1] * turned_q,
         element[table, cell, 2] * turned_u + element[table, cell, 3] * v,
         element[table, cell, 4] * v - element[table, cell, 3] * turned_u,
     )
 
 
-@njit(cache=True, error_model="numpy")
-def seen_through(
-    row: Array,
-    column: int,
-    cos_azimuth: float,
-    sin_azimuth: float,
-    element: Array,
-    table: int,
-    cell: int,
-    out: Array,
-) -> None:
-    """Fill out[column:] with the matrix in row[column:] after one more scattering.
+@kernel
+def see_through(row: Array, turn: Turn, element: Array, table: int, cell: int) -> None:
+    """Change the Mueller matrix A in row[3:] to that after one more scattering.
 
     The light is scattered first and its frame then turned back, so the matrix is
     multiplied from the right: A L(-azimuth) M.
     """
-    cos2 = cos_azimuth * cos_azimuth - sin_azimuth * sin_azimuth
-    sin2 = 2.0 * cos_azimuth * sin_azimuth
+    cos2 = turn[0] * turn[0] - turn[1] * turn[1]
+    sin2 = 2.0 * turn[0] * turn[1]
     for k in range(4):
-        at = column + 4 * k
+        at = 3 + 4 * k
         a0, a1, a2, a3 = row[at], row[at + 1], row[at + 2], row[at + 3]
         b1 = a1 * cos2 + a2 * sin2
         b2 = a2 * cos2 - a1 * sin2
-        out[at] = a0 + b1 * element[table, cell, 0]
-        out[at + 1] = a0 * element[table, cell, 0] + b1 * element[table, cell, 1]
-        out[at + 2] = b2 * element[table, cell, 2] - a3 * element[table, cell, 3]
-        out[at + 3] = b2 * element[table, cell, 3] + a3 * element[table, cell, 4]
+        row[at] = a0 + b1 * element[table, cell, 0]
+        row[at + 1] = a0 * element[table, cell, 0] + b1 * element[table, cell, 1]
+        row[at + 2] = b2 * element[table, cell, 2] - a3 * element[table, cell, 3]
+        row[at + 3] = b2 * element[table, cell, 3] + a3 * element[table, cell, 4]
 
 
-@njit(cache=True, error_model="numpy")
-def between_frames(
-    nx: float,
-    ny: float,
-    nz: float,
-    ex: float,
-    ey: float,
-    ez: float,
-    tx: float,
-    ty: float,
-    tz: float,
-) -> tuple[float, float]:
-    """Return cosine and sine of the turn from one frame to another of direction n."""
-    px, py, pz = cross(nx, ny, nz, ex, ey, ez)
-    return ex * tx + ey * ty + ez * tz, px * tx + py * ty + pz * tz
+@kernel
+def between_frames(n: Vector, e: Vector, other: Vector) -> Turn:
+    """Return the turn from one parallel axis to another of direction n."""
+    p = cross(n, e)
+    return (
+        e[0] * other[0] + e[1] * other[1] + e[2] * other[2],
+        p[0] * other[0] + p[1] * other[1] + p[2] * other[2],
+    )
 
 
-@njit(cache=True, error_model="numpy")
-def turned_stokes(
-    q: float, u: float, cos_azimuth: float, sin_azimuth: float
-) -> tuple[float, float]:
+@kernel
+def turned_stokes(q: float, u: float, turn: Turn) -> tuple[float, float]:
     """Return Q and U in a frame turned towards the perpendicular axis."""
-    cos2 = cos_azimuth * cos_azimuth - sin_azimuth * sin_azimuth
-    sin2 = 2.0 * cos_azimuth * sin_azimuth
+    cos2 = turn[0] * turn[0] - turn[1] * turn[1]
+    sin2 = 2.0 * turn[0] * turn[1]
     return q * cos2 + u * sin2, u * cos2 - q * sin2
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def connected(
-    nx: float,
-    ny: float,
-    nz: float,
+    n: Vector,
     light: Array,
-    mx: float,
-    my: float,
-    mz: float,
+    m: Vector,
     seen: Array,
     element: Array,
     table: int,
@@ -164,68 +161,53 @@ def connected(
     light holds frame and Stokes vector of the light along n, seen holds frame and
     Mueller matrix from the light along m to the receiver.
     """
-    ex, ey, ez = light[0], light[1], light[2]
-    cosine = nx * mx + ny * my + nz * mz
-    ax, ay, az = mx - cosine * nx, my - cosine * ny, mz - cosine * nz
+    e = (light[0], light[1], light[2])
+    cosine = n[0] * m[0] + n[1] * m[1] + n[2] * m[2]
+    ax, ay, az = m[0] - cosine * n[0], m[1] - cosine * n[1], m[2] - cosine * n[2]
     norm = math.sqrt(ax * ax + ay * ay + az * az)
     if norm > 1e-12:
         ax, ay, az = ax / norm, ay / norm, az / norm
     else:
-        ax, ay, az = ex, ey, ez
+        ax, ay, az = e
         norm = 0.0
-    cos1, sin1 = between_frames(nx, ny, nz, ex, ey, ez, ax, ay, az)
-    stokes_i, stokes_q, stokes_u, stokes_v = scattered(
-        light[4], light[5], light[6], light[3], cos1, sin1, element, table, cell
-    )
+    turn = between_frames(n, e, (ax, ay, az))
+    vector = (light[3], light[4], light[5], light[6])
+    i, q, u, v = scattered(vector, turn, element, table, cell)
     # The parallel axis after the scattering, and from there to the frame of seen.
-    fx = cosine * ax - norm * nx
-    fy = cosine * ay - norm * ny
-    fz = cosine * az - norm * nz
-    cos2, sin2 = between_frames(mx, my, mz, fx, fy, fz, seen[0], seen[1], seen[2])
-    stokes_q, stokes_u = turned_stokes(stokes_q, stokes_u, cos2, sin2)
-    received(seen, stokes_i, stokes_q, stokes_u, stokes_v, out)
+    f = (
+        cosine * ax - norm * n[0],
+        cosine * ay - norm * n[1],
+        cosine * az - norm * n[2],
+    )
+    turn = between_frames(m, f, (seen[0], seen[1], seen[2]))
+    q, u = turned_stokes(q, u, turn)
+    received(seen, (i, q, u, v), out)
 
 
-@njit(cache=True, error_model="numpy")
-def received(
-    seen: Array,
-    stokes_i: float,
-    stokes_q: float,
-    stokes_u: float,
-    stokes_v: float,
-    out: Array,
-) -> None:
+@kernel
+def received(seen: Array, stokes: Stokes, out: Array) -> None:
     """Fill out with the product of the matrix in seen and a Stokes vector."""
     for k in range(4):
         at = 3 + 4 * k
         out[k] = (
-            seen[at] * stokes_i
-            + seen[at + 1] * stokes_q
-            + seen[at + 2] * stokes_u
-            + seen[at + 3] * stokes_v
+            seen[at] * stokes[0]
+            + seen[at + 1] * stokes[1]
+            + seen[at + 2] * stokes[2]
+            + seen[at + 3] * stokes[3]
         )
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def reflected(
-    nx: float,
-    ny: float,
-    nz: float,
-    light: Array,
-    mueller: Array,
-    mx: float,
-    my: float,
-    mz: float,
-    frame: Array,
+    n: Vector, light: Array, mueller: Array, m: Vector, frame: Vector
 ) -> Stokes:
     """Return the Stokes vector reflected from n to m, in a given frame of m.
 
     The matrix of the surface leads from axes that lie as near as can be to
     (1, 0, 0), before to after.
     """
-    tx, ty, tz = projected_frame(nx, ny, nz)
-    cos1, sin1 = between_frames(nx, ny, nz, light[0], light[1], light[2], tx, ty, tz)
-    q, u = turned_stokes(light[4], light[5], cos1, sin1)
+    turn = between_frames(n, (light[0], light[1], light[2]), projected_frame(n))
+    q, u = turned_stokes(light[4], light[5], turn)
     i, v = light[3], light[6]
     out_i = (
         mueller[0, 0] * i + mueller[0, 1] * q + mueller[0, 2] * u + mueller[0, 3] * v
@@ -239,7 +221,6 @@ def reflected(
     out_v = (
         mueller[3, 0] * i + mueller[3, 1] * q + mueller[3, 2] * u + mueller[3, 3] * v
     )
-    tx, ty, tz = projected_frame(mx, my, mz)
-    cos2, sin2 = between_frames(mx, my, mz, tx, ty, tz, frame[0], frame[1], frame[2])
-    out_q, out_u = turned_stokes(out_q, out_u, cos2, sin2)
+    turn = between_frames(m, projected_frame(m), frame)
+    out_q, out_u = turned_stokes(out_q, out_u, turn)
     return out_i, out_q, out_u, out_v

@@ -12,14 +12,14 @@ import math
 from typing import Any
 
 import numpy as np
-from numba import njit
 
+from amulor.transport._kernels.compiled import kernel
 from amulor.transport._kernels.types import Array, States
 
 _PER_UNIT = 2.0**-53
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def next_integer(state: States) -> Any:
     """Return 64 random bits, and move the state of four such words on."""
     total = state[0] + state[3]
@@ -34,19 +34,19 @@ def next_integer(state: States) -> Any:
     return value
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def uniform(state: States) -> float:
     """Return a number from 0 to 1, 1 left out."""
     return float(next_integer(state) >> np.uint64(11)) * _PER_UNIT
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def exponential(state: States) -> float:
     """Return a number above or at 0, distributed as exp(-x)."""
     return -math.log(1.0 - uniform(state))
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def fill_uniform(state: States, out: Array) -> None:
     """Fill out with numbers from 0 to 1."""
     for k in range(out.size):

@@ -5,20 +5,20 @@ frequencies and absorptions are evaluated afterwards. Two arrays share the nodes
 for light of one length, and edge, the derivative of light spread evenly over a range
 of lengths. Both are split among four nodes by Lagrange's cubic, so a phasor comes out
 with an error of 3/128 of the fourth power of its phase per node. Paths beyond the last
-node go into exact sums, one per frequency.
+node go into exact sums, one per frequency. Theory: docs/theory/photon-transport.md, the
+end of "A path is joined where it is the least accidental". Compiled, as there is a
+deposit for each pair of segments that meets.
 """
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
-from numba import njit
 
-from amulor.transport._kernels.types import Array, Complex
+from amulor.transport._kernels.compiled import entry, kernel
+from amulor.transport._kernels.types import Array, Complex, Record
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def add_at(
     array: Array, part: int, scaled: float, component: int, light: float
 ) -> None:
@@ -33,16 +33,12 @@ def add_at(
     array[part, component, node + 3] += inner * a * (1.0 / 3.0)
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def add_beyond(
-    beyond: Complex,
-    wavenumber: Complex,
-    part: int,
-    low: float,
-    high: float,
-    light: Array,
+    record: Record, part: int, low: float, high: float, light: Array
 ) -> None:
-    """Add light spread over path lengths that are not in the record, exactly."""
+    """Add light spread over path lengths that are beyond the last node, exactly."""
+    beyond, wavenumber = record.beyond, record.wavenumber
     for f in range(wavenumber.size):
         q = wavenumber[f]
         span = q * (high - low)
@@ -53,40 +49,24 @@ def add_beyond(
             beyond[part, k, f] += light[k] * factor
 
 
-@njit(cache=True, error_model="numpy")
-def add_point(
-    mass: Array,
-    beyond: Complex,
-    wavenumber: Complex,
-    spacing: float,
-    part: int,
-    length: float,
-    light: Array,
-) -> None:
-    """Add light of one path length; the light has as many components as mass."""
-    scaled = length / spacing
+@kernel
+def add_point(record: Record, part: int, length: float, light: Array) -> None:
+    """Add light of one path length; the light has as many components as the record."""
+    mass = record.mass
+    scaled = length / record.spacing
     if scaled < mass.shape[2] - 3:
         for k in range(mass.shape[1]):
             add_at(mass, part, scaled, k, light[k])
     else:
-        add_beyond(beyond, wavenumber, part, length, length, light)
+        add_beyond(record, part, length, length, light)
 
 
-@njit(cache=True, error_model="numpy")
-def add_range(
-    mass: Array,
-    edge: Array,
-    beyond: Complex,
-    wavenumber: Complex,
-    spacing: float,
-    part: int,
-    low: float,
-    high: float,
-    light: Array,
-) -> None:
+@kernel
+def add_range(record: Record, part: int, low: float, high: float, light: Array) -> None:
     """Add light spread evenly over path lengths from low to high."""
+    edge, spacing = record.edge, record.spacing
     if high - low < 0.05 * spacing:
-        add_point(mass, beyond, wavenumber, spacing, part, 0.5 * (low + high), light)
+        add_point(record, part, 0.5 * (low + high), light)
         return
     scaled_low, scaled_high = low / spacing, high / spacing
     if scaled_high < edge.shape[2] - 3:
@@ -95,10 +75,10 @@ def add_range(
             add_at(edge, part, scaled_low, k, light[k] * per_length)
             add_at(edge, part, scaled_high, k, -light[k] * per_length)
     else:
-        add_beyond(beyond, wavenumber, part, low, high, light)
+        add_beyond(record, part, low, high, light)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@entry
 def transform(
     mass: Array, edge: Array, wavenumber: Complex, spacing: float, out: Complex
 ) -> None:
@@ -136,58 +116,3 @@ def transform(
                 for n in range(last[p, k]):
                     total += mass[p, k, n] * point[n] + edge[p, k, n] * ramp[n]
                 out[p, k, f] += total
-
-
-@njit(cache=True, error_model="numpy")
-def transmission_depth(
-    z_start: float, z_end: float, length: float, edge: Array, attenuation: Array
-) -> float:
-    """Return the optical thickness of a straight way between two depths."""
-    low, high = min(z_start, z_end), max(z_start, z_end)
-    if high - low < 1e-9 * length or attenuation.size == 1:
-        for k in range(attenuation.size):
-            if low < edge[k + 1] or k == attenuation.size - 1:
-                return float(attenuation[k] * length)
-    total = 0.0
-    for k in range(attenuation.size):
-        share = min(high, edge[k + 1]) - max(low, edge[k])
-        if share > 0.0:
-            total += attenuation[k] * share
-    return total * length / (high - low)
-
-
-@njit(cache=True, error_model="numpy")
-def cone_window(
-    x: float,
-    y: float,
-    slope_x: float,
-    slope_y: float,
-    radius: float,
-    slope: float,
-    z_low: float,
-    z_high: float,
-) -> tuple[float, float]:
-    """Return the part of a line that lies in a cone which widens with z from z = 0.
-
-    The line is (x + slope_x z, y + slope_y z), the cone has the radius radius +
-    slope z. The part is empty if the second number is not above the first.
-    """
-    low, high = max(z_low, 0.0), z_high
-    a = slope_x * slope_x + slope_y * slope_y - slope * slope
-    b = x * slope_x + y * slope_y - radius * slope
-    c = x * x + y * y - radius * radius
-    inside = b * b - a * c
-    if abs(a) < 1e-14:
-        if abs(b) < 1e-300:
-            return (low, high) if c < 0 else (1.0, 0.0)
-        root = -0.5 * c / b
-        return (low, min(high, root)) if b > 0 else (max(low, root), high)
-    if inside <= 0.0:
-        return (1.0, 0.0) if a > 0 else (low, high)
-    # Roots without cancellation.
-    q = -(b + math.copysign(math.sqrt(inside), b))
-    first, second = q / a, c / q if q != 0.0 else q / a
-    smaller, larger = min(first, second), max(first, second)
-    if a > 0:
-        return max(low, smaller), min(high, larger)
-    return max(low, larger), high

@@ -1,35 +1,57 @@
 """Photons through a slab in a compiled loop: chance exits, and fixed directions.
 
 The slab is the same all over its planes, so only the depth of a photon is known.
-Equations: docs/theory/photon-transport.md.
+Theory: docs/theory/photon-transport.md, "What it is checked against". Compiled, as the
+benchmarks follow many millions of photons one by one.
 """
 
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
 from amulor.transport._kernels.angle import cell_of, draw_height, height_between
+from amulor.transport._kernels.compiled import entry, inner, kernel, step
 from amulor.transport._kernels.polarization import (
+    any_frame,
     between_frames,
     connected,
+    deflected,
     projected_frame,
     scattered,
-    turned_frame,
     turned_stokes,
 )
 from amulor.transport._kernels.random import exponential, uniform
 from amulor.transport._kernels.record import add_at, add_beyond, add_point
-from amulor.transport._kernels.trace import any_frame
-from amulor.transport._kernels.types import Array, Packed, States, Vector
+from amulor.transport._kernels.types import (
+    Array,
+    Arrival,
+    Record,
+    States,
+    Vector,
+    Water,
+)
 
 #: Parts of the record: reflected, transmitted, and then the fixed directions.
 REFLECTED, TRANSMITTED, FIRST_DIRECTION = 0, 1, 2
 
 
-@njit(cache=True, error_model="numpy")
+class Light(NamedTuple):
+    """Light that falls on a slab, and where its radiant intensity is asked for."""
+
+    incidence: Array
+    """Unit vector along it."""
+    stokes: Array
+    """Its Stokes vector."""
+    polarized: bool
+    """Whether that is carried along."""
+    outward: Array
+    """Directions asked for and their parallel axes, shape (m, 6)."""
+
+
+@kernel
 def way_out(
     z: float, mz: float, edge: Array, attenuation: Array
 ) -> tuple[float, float]:
@@ -47,149 +69,179 @@ def way_out(
     return depth, length
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def run_slab(
-    state: States,
-    histories: int,
-    incidence: Array,
-    stokes: Array,
-    water: Packed,
-    polarized: bool,
-    outward: Array,
-    record: Packed,
-) -> None:
-    """Add histories to the record.
-
-    incidence is the direction of the light that falls in, outward the directions of
-    the radiant intensities asked for and their parallel axes, shape (m, 6).
-    """
-    edge, attenuation, albedo, table, urn, value, element = water
-    mass, _, beyond, wavenumber, spacing, _ = record
-    components = 4 if polarized else 1
-    scratch = np.zeros(components)
-    now = np.zeros(7)
-    seen = np.zeros(19)
-    for k in range(4):
-        seen[3 + 5 * k] = 1.0
-    start = edge[0]
-    first_x, first_y, first_z = projected_frame(
-        incidence[0], incidence[1], incidence[2]
-    )
-    # Without Stokes vectors and fixed directions only the cosine to z counts.
-    depth_only = not polarized and outward.shape[0] == 0
-    for _ in range(histories):
-        z = start
-        nx, ny, nz = incidence[0], incidence[1], incidence[2]
-        ex, ey, ez = first_x, first_y, first_z
-        if polarized:
-            for k in range(4):
-                now[3 + k] = stokes[k]
-        length = 0.0
-        layer = 0
-        thickness = exponential(state)
-        while True:
-            while 0 <= layer < attenuation.size:
-                step = math.inf
-                if nz > 0.0:
-                    step = (edge[layer + 1] - z) / nz
-                elif nz < 0.0:
-                    step = (edge[layer] - z) / nz
-                if thickness < attenuation[layer] * step:
-                    step = thickness / attenuation[layer]
-                    z += nz * step
-                    length += step
-                    break
-                thickness -= attenuation[layer] * step
-                length += step
-                z = edge[layer + 1] if nz > 0.0 else edge[layer]
-                layer += 1 if nz > 0.0 else -1
-            if layer < 0 or layer >= attenuation.size:
-                part = REFLECTED if layer < 0 else TRANSMITTED
-                scratch[0] = 1.0
-                if polarized:
-                    tx, ty, tz = meridian(nx, ny, nz)
-                    cosine, sine = between_frames(nx, ny, nz, ex, ey, ez, tx, ty, tz)
-                    scratch[0], scratch[3] = now[3], now[6]
-                    scratch[1], scratch[2] = turned_stokes(now[4], now[5], cosine, sine)
-                # Written out: a call with these arrays takes ten times as long.
-                scaled = length / spacing
-                if scaled < mass.shape[2] - 3:
-                    for k in range(components):
-                        add_at(mass, part, scaled, k, scratch[k])
-                else:
-                    add_beyond(beyond, wavenumber, part, length, length, scratch)
-                break
-            if uniform(state) >= albedo[layer]:
-                break
-            at = table[layer]
-            for m in range(outward.shape[0]):
-                mx, my, mz = outward[m, 0], outward[m, 1], outward[m, 2]
-                cosine = nx * mx + ny * my + nz * mz
-                cell = cell_of(height_between(cosine))
-                depth, rest = way_out(z, mz, edge, attenuation)
-                factor = value[at, cell] * math.exp(-depth)
-                scratch[0] = factor
-                if polarized:
-                    now[0], now[1], now[2] = ex, ey, ez
-                    for k in range(3):
-                        seen[k] = outward[m, 3 + k]
-                    connected(
-                        nx, ny, nz, now, mx, my, mz, seen, element, at, cell, scratch
-                    )
-                    for k in range(4):
-                        scratch[k] *= factor
-                add_point(
-                    mass,
-                    beyond,
-                    wavenumber,
-                    spacing,
-                    FIRST_DIRECTION + m,
-                    length + rest,
-                    scratch,
-                )
-            drawn, cell = draw_height(state, urn, at)
-            cosine = 1.0 - 2.0 * drawn
-            sine = 2.0 * math.sqrt(drawn * (1.0 - drawn))
-            azimuth = 2.0 * math.pi * uniform(state)
-            thickness = exponential(state)
-            if depth_only:
-                level = math.sqrt(max(1.0 - nz * nz, 0.0))
-                nz = cosine * nz + sine * level * math.cos(azimuth)
-                nz = min(max(nz, -1.0), 1.0)
-                continue
-            cos_azimuth, sin_azimuth = math.cos(azimuth), math.sin(azimuth)
-            if not polarized:
-                ex, ey, ez = any_frame(nx, ny, nz)
-            fx, fy, fz = turned_frame(cos_azimuth, sin_azimuth, nx, ny, nz, ex, ey, ez)
-            mx = cosine * nx + sine * fx
-            my = cosine * ny + sine * fy
-            mz = cosine * nz + sine * fz
-            norm = 1.0 / math.sqrt(mx * mx + my * my + mz * mz)
-            if polarized:
-                now[3], now[4], now[5], now[6] = scattered(
-                    now[4],
-                    now[5],
-                    now[6],
-                    now[3],
-                    cos_azimuth,
-                    sin_azimuth,
-                    element,
-                    at,
-                    cell,
-                )
-                ex = cosine * fx - sine * nx
-                ey = cosine * fy - sine * ny
-                ez = cosine * fz - sine * nz
-            nx, ny, nz = mx * norm, my * norm, mz * norm
-
-
-@njit(cache=True, error_model="numpy")
-def meridian(nx: float, ny: float, nz: float) -> Vector:
+@kernel
+def meridian(n: Vector) -> Vector:
     """Return the parallel axis in the plane of n and z, which points to larger angles.
 
     The angle is counted from +z. Along z it is taken at an azimuth of zero.
     """
-    across = math.sqrt(nx * nx + ny * ny)
+    across = math.sqrt(n[0] * n[0] + n[1] * n[1])
     if across < 1e-12:
-        return math.copysign(1.0, nz), 0.0, 0.0
-    return nz * nx / across, nz * ny / across, -across
+        return math.copysign(1.0, n[2]), 0.0, 0.0
+    return n[2] * n[0] / across, n[2] * n[1] / across, -across
+
+
+@step
+def cross_layers(
+    state: States, z: float, nz: float, layer: int, length: float, water: Water
+) -> tuple[float, int, float]:
+    """Return depth, layer and path length of the next collision, or of the exit.
+
+    The optical thickness of the flight is exponential; a layer of -1 or the number of
+    layers is outside.
+    """
+    edge, attenuation = water.edge, water.attenuation
+    thickness = exponential(state)
+    while 0 <= layer < attenuation.size:
+        step = math.inf
+        if nz > 0.0:
+            step = (edge[layer + 1] - z) / nz
+        elif nz < 0.0:
+            step = (edge[layer] - z) / nz
+        if thickness < attenuation[layer] * step:
+            step = thickness / attenuation[layer]
+            return z + nz * step, layer, length + step
+        thickness -= attenuation[layer] * step
+        length += step
+        z = edge[layer + 1] if nz > 0.0 else edge[layer]
+        layer += 1 if nz > 0.0 else -1
+    return z, layer, length
+
+
+@step
+def add_exit(
+    n: Vector, now: Array, part: int, length: float, record: Record, out: Array
+) -> None:
+    """Add a photon that leaves along n, its Stokes vector in the plane of n and z."""
+    out[0] = 1.0
+    if out.size == 4:
+        turn = between_frames(n, (now[0], now[1], now[2]), meridian(n))
+        out[0], out[3] = now[3], now[6]
+        out[1], out[2] = turned_stokes(now[4], now[5], turn)
+    mass = record.mass
+    scaled = length / record.spacing
+    if scaled < mass.shape[2] - 3:
+        for k in range(out.size):
+            add_at(mass, part, scaled, k, out[k])
+    else:
+        add_beyond(record, part, length, length, out)
+
+
+@step
+def add_directions(
+    collision: tuple[float, int, float],
+    n: Vector,
+    now: Array,
+    light: Light,
+    water: Water,
+    record: Record,
+    arrival: Arrival,
+) -> None:
+    """Add what the next scattering sends into each fixed direction.
+
+    A local estimate: p(theta) times exp(-tau) on the straight way out. The collision
+    is given by its depth, layer and path length.
+    """
+    z, layer, length = collision
+    outward, out, seen = light.outward, arrival.light, arrival.seen
+    at = water.table[layer]
+    for k in range(outward.shape[0]):
+        m = (outward[k, 0], outward[k, 1], outward[k, 2])
+        cosine = n[0] * m[0] + n[1] * m[1] + n[2] * m[2]
+        cell = cell_of(height_between(cosine))
+        depth, rest = way_out(z, m[2], water.edge, water.attenuation)
+        factor = water.value[at, cell] * math.exp(-depth)
+        out[0] = factor
+        if light.polarized:
+            for i in range(3):
+                seen[i] = outward[k, 3 + i]
+            connected(n, now, m, seen, water.element, at, cell, out)
+            for i in range(4):
+                out[i] *= factor
+        add_point(record, FIRST_DIRECTION + k, length + rest, out)
+
+
+@step
+def follow_photon(
+    state: States,
+    n: Vector,
+    now: Array,
+    light: Light,
+    water: Water,
+    record: Record,
+    arrival: Arrival,
+) -> None:
+    """Follow a photon along n until it is absorbed, or leaves and counts 1.
+
+    now holds the frame and Stokes vector of its light, which counts instead of 1.
+    """
+    albedo, table, layers = water.albedo, water.table, water.attenuation.size
+    polarized, directions = light.polarized, light.outward.shape[0]
+    # Without Stokes vectors and fixed directions only the cosine to z counts.
+    depth_only = not polarized and directions == 0
+    z, length, layer = water.edge[0], 0.0, 0
+    while True:
+        z, layer, length = cross_layers(state, z, n[2], layer, length, water)
+        if layer < 0 or layer >= layers:
+            part = REFLECTED if layer < 0 else TRANSMITTED
+            add_exit(n, now, part, length, record, arrival.light)
+            return
+        if uniform(state) >= albedo[layer]:
+            return
+        if directions > 0:
+            collision = (z, layer, length)
+            add_directions(collision, n, now, light, water, record, arrival)
+        at = table[layer]
+        drawn, cell = draw_height(state, water.urn, at)
+        azimuth = 2.0 * math.pi * uniform(state)
+        if depth_only:
+            level = math.sqrt(max(1.0 - n[2] * n[2], 0.0))
+            cosine = 1.0 - 2.0 * drawn
+            sine = 2.0 * math.sqrt(drawn * (1.0 - drawn))
+            nz = cosine * n[2] + sine * level * math.cos(azimuth)
+            n = (n[0], n[1], min(max(nz, -1.0), 1.0))
+            continue
+        turn = (math.cos(azimuth), math.sin(azimuth))
+        e = (now[0], now[1], now[2])
+        if not polarized:
+            e = any_frame(n)
+        n, e = deflected(n, e, drawn, turn, 1.0)
+        if polarized:
+            vector = (now[3], now[4], now[5], now[6])
+            now[3], now[4], now[5], now[6] = scattered(
+                vector, turn, water.element, at, cell
+            )
+            now[0], now[1], now[2] = e
+
+
+@inner
+def follow_photons(
+    state: States,
+    histories: int,
+    light: Light,
+    water: Water,
+    record: Record,
+    arrival: Arrival,
+    now: Array,
+) -> None:
+    """Follow photons that fall in, one by one; now is room for the light of one."""
+    n = (light.incidence[0], light.incidence[1], light.incidence[2])
+    axis = projected_frame(n)
+    for _ in range(histories):
+        now[0], now[1], now[2] = axis
+        for k in range(4):
+            now[3 + k] = light.stokes[k]
+        follow_photon(state, n, now, light, water, record, arrival)
+
+
+@entry
+def run_slab(
+    state: States, histories: int, light: Light, water: Water, record: Record
+) -> None:
+    """Add histories to the record."""
+    seen = np.zeros(19)
+    for k in range(4):
+        seen[3 + 5 * k] = 1.0
+    arrival = Arrival(np.zeros(4 if light.polarized else 1), seen)
+    now = np.zeros(7)
+    follow_photons(state, histories, light, water, record, arrival, now)

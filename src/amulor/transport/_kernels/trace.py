@@ -3,6 +3,9 @@
 A path is traced forward from the source, or against the light from the receiver (an
 adjoint path). The axis z is that of the receiver, which looks along +z from z = 0.
 Layers lie across z. Absorption ends a path by chance, so no weight is carried.
+Theory: docs/theory/photon-transport.md, "A path is joined where it is the least
+accidental", and "Polarisation" for the light that is carried along. Compiled, as a run
+follows millions of paths of several corners each.
 """
 
 from __future__ import annotations
@@ -10,19 +13,32 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 
 from amulor.transport._kernels.angle import draw_height
+from amulor.transport._kernels.compiled import allocating, kernel, step
 from amulor.transport._kernels.mesh import facing_normal, first_hit
 from amulor.transport._kernels.polarization import (
+    any_frame,
     cross,
+    deflected,
     reflected,
     scattered,
-    seen_through,
-    turned_frame,
+    see_through,
 )
 from amulor.transport._kernels.random import exponential, uniform
-from amulor.transport._kernels.types import Array, Integers, Packed, States, Vector
+from amulor.transport._kernels.types import (
+    Array,
+    Kind,
+    Past,
+    Paths,
+    Ray,
+    Scene,
+    States,
+    Target,
+    Vector,
+    Walk,
+    Water,
+)
 
 # Columns of a segment. X, Y and LENGTH are those at z = 0 on its straight line.
 Z_LOW, Z_HIGH, X, Y, SLOPE_X, SLOPE_Y, PER_Z, LENGTH = range(8)
@@ -36,22 +52,51 @@ TOUCH_NX, TOUCH_NY, TOUCH_NZ = range(6, 9)
 NORMAL_X, NORMAL_Y, NORMAL_Z, TRIANGLE = range(9, 13)
 TOUCH_COLUMNS = 13
 
+#: Where the numbers of used rows stand.
+USED_SEGMENTS, USED_TOUCHES = range(2)
+
+#: How a flight ends: out of the water, at the target, or at a collision.
+FLYING, OUT, HIT, COLLISION = range(4)
+
 _LEVEL = 1e-9  # segments with less of a slope have no z to be joined at
 
 
-@njit(cache=True, error_model="numpy")
-def room(array: Array, used: int) -> Array:
-    """Return the array, or one twice as long with the same rows if it is full."""
-    if used < array.shape[0]:
-        return array
-    longer = np.empty((2 * array.shape[0], array.shape[1]))
-    for row in range(used):
+@step
+def has_room(paths: Paths, water: Water) -> bool:
+    """Return whether there are rows for the segments and the touch of one flight."""
+    return bool(
+        paths.used[USED_SEGMENTS] + water.attenuation.size < paths.segment.shape[0]
+        and paths.used[USED_TOUCHES] < paths.touch.shape[0]
+    )
+
+
+@allocating
+def more_rows(array: Array, layers: int) -> Array:
+    """Return an array with the same rows, and room for some more flights."""
+    rows = array.shape[0]
+    longer = np.empty((2 * (rows + layers), array.shape[1]))
+    for row in range(rows):
         for column in range(array.shape[1]):
             longer[row, column] = array[row, column]
     return longer
 
 
-@njit(cache=True, error_model="numpy")
+@allocating
+def longer(paths: Paths, layers: int, polarized: bool) -> Paths:
+    """Return the same paths in longer arrays; those of no light stay as they are."""
+    light, touch_light = paths.light, paths.touch_light
+    if polarized:
+        light, touch_light = more_rows(light, layers), more_rows(touch_light, layers)
+    return Paths(
+        more_rows(paths.segment, layers),
+        light,
+        more_rows(paths.touch, layers),
+        touch_light,
+        paths.used,
+    )
+
+
+@kernel
 def layer_of(z: float, edge: Array) -> int:
     """Return the layer in which z lies; -1 or the number of layers outside."""
     k = 0
@@ -60,254 +105,281 @@ def layer_of(z: float, edge: Array) -> int:
     return k - 1
 
 
-@njit(cache=True, error_model="numpy")
-def any_frame(nx: float, ny: float, nz: float) -> Vector:
-    """Return some unit vector perpendicular to n."""
-    sign = 1.0 if nz >= 0 else -1.0
-    factor = -1.0 / (sign + nz)
-    return 1.0 + sign * nx * nx * factor, sign * nx * ny * factor, -sign * nx
+@step
+def surface_ahead(
+    ray: Ray, thickness: float, start: float, water: Water, target: Target
+) -> tuple[float, Vector, float]:
+    """Return the distance of the target along a ray, its normal, and the triangle.
+
+    The distance is infinite if no part of the target is within the optical thickness
+    of the flight in the clearest water. start is the triangle that the ray starts on,
+    or -1; so is the triangle if there is none.
+    """
+    x, y, z = ray.place
+    nx, ny, nz = ray.direction
+    normal = (target.normal[0], target.normal[1], target.normal[2])
+    if target.has_plane:
+        fall = normal[0] * nx + normal[1] * ny + normal[2] * nz
+        if fall < 0:
+            over = normal[0] * x + normal[1] * y + normal[2] * z - target.height
+            return max(over, 0.0) / -fall, normal, -1.0
+    elif target.mesh.box.shape[0] > 0:
+        clearest = math.inf
+        for k in range(water.attenuation.size):
+            clearest = min(clearest, water.attenuation[k])
+        limit = thickness / clearest
+        distance, triangle = first_hit(
+            ray.place, ray.direction, limit, 0.0, start, target.mesh
+        )
+        if triangle >= 0.0:
+            normal = facing_normal(triangle, ray.direction, target.mesh)
+            return distance, normal, triangle
+    return math.inf, normal, -1.0
 
 
-@njit(cache=True, error_model="numpy")
+@step
+def fly(
+    ray: Ray,
+    thickness: float,
+    to_target: float,
+    past: Past,
+    kind: Kind,
+    water: Water,
+    paths: Paths,
+    now: Array,
+) -> tuple[int, Vector, int, float]:
+    """Add the segments of one flight; return how, where and in which layer it ends.
+
+    The fourth number is the length of the path up to there. thickness is the optical
+    one of the flight, tau = c L summed over the layers, to_target the way to the
+    target. A segment ends at each plane between layers; it can be joined until the
+    path touches the target, and unless it is level.
+    """
+    edge, attenuation = water.edge, water.attenuation
+    segment, light = paths.segment, paths.light
+    x, y, z = ray.place
+    nx, ny, nz = ray.direction
+    layer, length = past.layer, past.length
+    row = paths.used[USED_SEGMENTS]
+    kept = past.touches == 0.0 and abs(nz) > _LEVEL
+    end = FLYING
+    while end == FLYING:
+        if layer < 0 or layer >= attenuation.size:
+            end = OUT
+            break
+        step = math.inf
+        if nz > 0:
+            step = (edge[layer + 1] - z) / nz
+        elif nz < 0:
+            step = (edge[layer] - z) / nz
+        if thickness < attenuation[layer] * step:
+            step = thickness / attenuation[layer]
+            end = COLLISION
+        if to_target < step:
+            step = to_target
+            end = HIT
+        if step == math.inf:
+            end = OUT
+            break
+        next_z = z + nz * step
+        if end == FLYING:
+            next_z = edge[layer + 1] if nz > 0 else edge[layer]
+        if kept:
+            slope_x, slope_y, per_z = nx / nz, ny / nz, 1.0 / nz
+            segment[row, Z_LOW], segment[row, Z_HIGH] = min(z, next_z), max(z, next_z)
+            segment[row, SLOPE_X], segment[row, SLOPE_Y] = slope_x, slope_y
+            segment[row, PER_Z] = per_z
+            segment[row, X], segment[row, Y] = x - z * slope_x, y - z * slope_y
+            segment[row, LENGTH] = length - z * per_z
+            segment[row, NX], segment[row, NY], segment[row, NZ] = nx, ny, nz
+            segment[row, PARTITION], segment[row, ORDER] = past.partition, past.order
+            segment[row, LAYER], segment[row, FRONT] = layer, past.front
+            segment[row, FACE], segment[row, SCALE] = kind.face, kind.scale
+            segment[row, START] = past.first
+            if kind.polarized:
+                for k in range(light.shape[1]):
+                    light[row, k] = now[k]
+            row += 1
+        x += nx * step
+        y += ny * step
+        z = next_z
+        length += step
+        if end == FLYING:
+            to_target -= step
+            thickness -= attenuation[layer] * step
+            layer += 1 if nz > 0 else -1
+    paths.used[USED_SEGMENTS] = row
+    return end, (x, y, z), layer, length
+
+
+@step
+def touch_target(
+    ray: Ray,
+    past: Past,
+    normal: Vector,
+    triangle: float,
+    kind: Kind,
+    paths: Paths,
+    now: Array,
+) -> None:
+    """Add a touch of the target by the path that has come to its place."""
+    touch, touch_light = paths.touch, paths.touch_light
+    row = paths.used[USED_TOUCHES]
+    touch[row, TOUCH_X], touch[row, TOUCH_Y], touch[row, TOUCH_Z] = ray.place
+    touch[row, TOUCH_LENGTH], touch[row, TOUCH_ORDER] = past.length, past.order
+    touch[row, TOUCHES], touch[row, TRIANGLE] = past.touches, triangle
+    touch[row, TOUCH_NX], touch[row, TOUCH_NY], touch[row, TOUCH_NZ] = ray.direction
+    touch[row, NORMAL_X], touch[row, NORMAL_Y], touch[row, NORMAL_Z] = normal
+    if kind.polarized:
+        for k in range(touch_light.shape[1]):
+            touch_light[row, k] = now[k]
+    paths.used[USED_TOUCHES] = row + 1
+
+
+@step
+def reflect(
+    state: States, ray: Ray, normal: Vector, target: Target, kind: Kind, now: Array
+) -> Ray:
+    """Return the ray after a reflection by Lambert's law, cos / pi per solid angle.
+
+    The frame and Stokes vector in now become those of the light that goes on, by the
+    Mueller matrix of the target.
+    """
+    a = any_frame(normal)
+    b = cross(normal, a)
+    squared = uniform(state)
+    up, out = math.sqrt(1.0 - squared), math.sqrt(squared)
+    azimuth = 2.0 * math.pi * uniform(state)
+    along, across = out * math.cos(azimuth), out * math.sin(azimuth)
+    m = (
+        up * normal[0] + along * a[0] + across * b[0],
+        up * normal[1] + along * a[1] + across * b[1],
+        up * normal[2] + along * a[2] + across * b[2],
+    )
+    axis = ray.axis
+    if kind.polarized:
+        axis = any_frame(m)
+        now[3], now[4], now[5], now[6] = reflected(
+            ray.direction, now, target.mueller, m, axis
+        )
+        now[0], now[1], now[2] = axis
+    return Ray(ray.place, m, axis)
+
+
+@step
+def scatter(
+    state: States, ray: Ray, layer: int, kind: Kind, water: Water, now: Array
+) -> tuple[Ray, float]:
+    """Return the ray after a scattering, and what that adds to the partition.
+
+    The angle is drawn from the phase function p, and |n_z m_z| / (b p) is added, the
+    denominator of the weight w_k. The frame in now and the Stokes vector, or the
+    Mueller matrix of an adjoint path, become those after the scattering.
+    """
+    table = water.table[layer]
+    drawn, cell = draw_height(state, water.urn, table)
+    azimuth = 2.0 * math.pi * uniform(state)
+    turn = (math.cos(azimuth), math.sin(azimuth))
+    axis = ray.axis
+    if not kind.polarized:
+        axis = any_frame(ray.direction)
+    sign = -1.0 if kind.adjoint else 1.0  # the light travels against an adjoint path
+    m, axis = deflected(ray.direction, axis, drawn, turn, sign)
+    if kind.polarized:
+        element = water.element
+        if kind.adjoint:
+            see_through(now, turn, element, table, cell)
+        else:
+            vector = (now[3], now[4], now[5], now[6])
+            now[3], now[4], now[5], now[6] = scattered(
+                vector, turn, element, table, cell
+            )
+        now[0], now[1], now[2] = axis
+    added = abs(ray.direction[2] * m[2]) / (
+        water.attenuation[layer] * water.albedo[layer] * water.value[table, cell]
+    )
+    return Ray(ray.place, m, axis), added
+
+
+@step
 def trace(
     state: States,
-    thickness: float,
-    start: Array,
-    face: float,
-    scale: float,
-    adjoint: bool,
-    polarized: bool,
+    walk: Walk,
+    kind: Kind,
+    water: Water,
+    target: Target,
+    paths: Paths,
     now: Array,
-    after: Array,
-    water: Packed,
-    target: Packed,
-    segment: Array,
-    light: Array,
-    touch: Array,
-    touch_light: Array,
-    count: Integers,
-) -> tuple[Array, Array, Array, Array]:
-    """Add the segments and touches of one path, and return the arrays.
+) -> tuple[bool, Walk]:
+    """Add flights and touches of a path until it ends, or there is no room for more.
 
-    thickness is the optical one of the first flight. count holds the number of
-    forward segments, of touches and of adjoint segments, and is moved on. water holds
-    edges, attenuation, albedo, table and the tables; target whether it is a plane, the
-    normal and height of that, reflectance and matrix, and the mesh, which may be empty.
-    Adjoint paths go through the target; what of them is in front of a plane is told by
-    FRONT, the least height of their vertices over it, the start left out.
+    Returns whether it has ended, and where it is. now holds frame and Stokes vector,
+    or Mueller matrix, of its light. Adjoint paths go through the target; what of them
+    is in front of a plane is told by FRONT, the least height of their scatterings over
+    it, the start left out.
     """
-    edge, attenuation, albedo, table, urn, value, element = water
-    has_plane, normal, height, reflectance, mueller, mesh = target
-    has_mesh = mesh[0].shape[0] > 0
-    x, y, z = start[0], start[1], start[2]
-    nx, ny, nz = start[3], start[4], start[5]
-    ex, ey, ez = start[6], start[7], start[8]
-    layer = layer_of(z, edge)
-    used = count[2] if adjoint else count[0]
-    touches = count[1]
-    first = used
-    columns = light.shape[1]
-    now[0], now[1], now[2] = ex, ey, ez
-    length = 0.0
-    partition = 0.0
-    front = math.inf
-    order = 0
-    met = 0
-    ux, uy, uz = normal[0], normal[1], normal[2]
-    triangle = -1.0
-    while True:
-        to_target = math.inf
-        if has_plane and not adjoint:
-            fall = normal[0] * nx + normal[1] * ny + normal[2] * nz
-            if fall < 0:
-                over = normal[0] * x + normal[1] * y + normal[2] * z - height
-                to_target = max(over, 0.0) / -fall
-        if has_mesh and not adjoint:
-            thinnest = math.inf
-            for k in range(attenuation.size):
-                thinnest = min(thinnest, attenuation[k])
-            limit = thickness / thinnest
-            to_target, hit = first_hit(x, y, z, nx, ny, nz, limit, 0.0, triangle, mesh)
-            triangle = hit
-            if hit < 0.0:
-                to_target = math.inf
-            else:
-                ux, uy, uz = facing_normal(hit, nx, ny, nz, mesh)
-        end = 0  # 1 out of the water, 2 at the target, 3 at a collision
-        while end == 0:
-            if layer < 0 or layer >= attenuation.size:
-                end = 1
-                break
-            step = math.inf
-            if nz > 0:
-                step = (edge[layer + 1] - z) / nz
-            elif nz < 0:
-                step = (edge[layer] - z) / nz
-            cross_edge = True
-            if thickness < attenuation[layer] * step:
-                step = thickness / attenuation[layer]
-                cross_edge = False
-                end = 3
-            if to_target < step:
-                step = to_target
-                cross_edge = False
-                end = 2
-            if step == math.inf:
-                end = 1
-                break
-            next_z = z + nz * step
-            if cross_edge:
-                next_z = edge[layer + 1] if nz > 0 else edge[layer]
-            if met == 0 and abs(nz) > _LEVEL:
-                if used == segment.shape[0]:
-                    segment = room(segment, used)
-                segment[used, Z_LOW], segment[used, Z_HIGH] = (
-                    min(z, next_z),
-                    max(z, next_z),
-                )
-                segment[used, SLOPE_X], segment[used, SLOPE_Y], segment[used, PER_Z] = (
-                    nx / nz,
-                    ny / nz,
-                    1.0 / nz,
-                )
-                segment[used, X], segment[used, Y] = (
-                    x - z * segment[used, SLOPE_X],
-                    y - z * segment[used, SLOPE_Y],
-                )
-                segment[used, LENGTH] = length - z * segment[used, PER_Z]
-                segment[used, NX], segment[used, NY], segment[used, NZ] = nx, ny, nz
-                segment[used, PARTITION], segment[used, ORDER], segment[used, LAYER] = (
-                    partition,
-                    order,
-                    layer,
-                )
-                segment[used, FRONT] = front
-                segment[used, FACE], segment[used, SCALE] = face, scale
-                segment[used, START] = first
-                if polarized:
-                    if used == light.shape[0]:
-                        light = room(light, used)
-                    for k in range(columns):
-                        light[used, k] = now[k]
-                used += 1
-            x += nx * step
-            y += ny * step
-            z = next_z
-            length += step
-            to_target -= step
-            if cross_edge:
-                thickness -= attenuation[layer] * step
-                layer += 1 if nz > 0 else -1
-            elif end == 2:
-                thickness -= attenuation[layer] * step
-        if end == 1:
-            break
-        if end == 2:
-            touch = room(touch, touches)
-            (
-                touch[touches, TOUCH_X],
-                touch[touches, TOUCH_Y],
-                touch[touches, TOUCH_Z],
-            ) = x, y, z
-            (
-                touch[touches, TOUCH_LENGTH],
-                touch[touches, TOUCH_ORDER],
-                touch[touches, TOUCHES],
-            ) = length, order, met
-            (
-                touch[touches, TOUCH_NX],
-                touch[touches, TOUCH_NY],
-                touch[touches, TOUCH_NZ],
-            ) = nx, ny, nz
-            (
-                touch[touches, NORMAL_X],
-                touch[touches, NORMAL_Y],
-                touch[touches, NORMAL_Z],
-            ) = ux, uy, uz
-            touch[touches, TRIANGLE] = triangle
-            if polarized:
-                touch_light = room(touch_light, touches)
-                for k in range(columns):
-                    touch_light[touches, k] = now[k]
-            touches += 1
-            met += 1
-            if uniform(state) >= reflectance:
-                break
-            # Lambert's law about the normal.
-            ax, ay, az = any_frame(ux, uy, uz)
-            bx, by, bz = cross(ux, uy, uz, ax, ay, az)
-            share = uniform(state)
-            up, out = math.sqrt(1.0 - share), math.sqrt(share)
-            azimuth = 2.0 * math.pi * uniform(state)
-            along, across = out * math.cos(azimuth), out * math.sin(azimuth)
-            mx = up * ux + along * ax + across * bx
-            my = up * uy + along * ay + across * by
-            mz = up * uz + along * az + across * bz
-            if polarized:
-                fx, fy, fz = any_frame(mx, my, mz)
-                after[0], after[1], after[2] = fx, fy, fz
-                after[3], after[4], after[5], after[6] = reflected(
-                    nx, ny, nz, now, mueller, mx, my, mz, after
-                )
-                for k in range(columns):
-                    now[k] = after[k]
-                ex, ey, ez = fx, fy, fz
-            nx, ny, nz = mx, my, mz
-            thickness = exponential(state)
-            continue
-        triangle = -1.0
-        if uniform(state) >= albedo[layer]:
-            break
-        at = table[layer]
-        drawn, cell = draw_height(state, urn, at)
-        cosine = 1.0 - 2.0 * drawn
-        sine = 2.0 * math.sqrt(drawn * (1.0 - drawn))
-        azimuth = 2.0 * math.pi * uniform(state)
-        cos_azimuth, sin_azimuth = math.cos(azimuth), math.sin(azimuth)
-        if not polarized:
-            ex, ey, ez = any_frame(nx, ny, nz)
-        sign = -1.0 if adjoint else 1.0  # the light travels against an adjoint path
-        fx, fy, fz = turned_frame(
-            cos_azimuth, sin_azimuth, sign * nx, sign * ny, sign * nz, ex, ey, ez
+    normal = target.normal
+    ray, past, thickness, triangle = walk
+    first = past.first
+    while has_room(paths, water):
+        distance, facing = math.inf, (0.0, 0.0, 0.0)
+        if not kind.adjoint:
+            distance, facing, triangle = surface_ahead(
+                ray, thickness, triangle, water, target
+            )
+        end, place, layer, length = fly(
+            ray, thickness, distance, past, kind, water, paths, now
         )
-        mx = cosine * nx + sine * fx
-        my = cosine * ny + sine * fy
-        mz = cosine * nz + sine * fz
-        norm = 1.0 / math.sqrt(mx * mx + my * my + mz * mz)
-        mx, my, mz = mx * norm, my * norm, mz * norm
-        if polarized:
-            if adjoint:
-                seen_through(now, 3, cos_azimuth, sin_azimuth, element, at, cell, after)
-                for k in range(3, columns):
-                    now[k] = after[k]
-            else:
-                now[3], now[4], now[5], now[6] = scattered(
-                    now[4],
-                    now[5],
-                    now[6],
-                    now[3],
-                    cos_azimuth,
-                    sin_azimuth,
-                    element,
-                    at,
-                    cell,
+        if end == OUT:
+            return True, walk
+        ray = Ray(place, ray.direction, ray.axis)
+        partition, front = past.partition, past.front
+        order, touches = past.order, past.touches
+        if end == HIT:
+            past = Past(first, layer, length, partition, front, order, touches)
+            touch_target(ray, past, facing, triangle, kind, paths, now)
+            if uniform(state) >= target.reflectance:
+                return True, walk
+            ray = reflect(state, ray, facing, target, kind, now)
+            touches += 1.0
+        else:
+            triangle = -1.0
+            if uniform(state) >= water.albedo[layer]:
+                return True, walk
+            ray, added = scatter(state, ray, layer, kind, water, now)
+            partition += added
+            if kind.adjoint and target.has_plane:
+                front = min(
+                    front,
+                    normal[0] * place[0] + normal[1] * place[1] + normal[2] * place[2],
                 )
-            # The parallel axis stays in the plane of scattering, for either way:
-            # cos e - sin n forward, and with n = -m the same for an adjoint path.
-            ex = cosine * fx - sine * nx
-            ey = cosine * fy - sine * ny
-            ez = cosine * fz - sine * nz
-            now[0], now[1], now[2] = ex, ey, ez
-        partition += abs(nz * mz) / (
-            attenuation[layer] * albedo[layer] * value[at, cell]
-        )
-        if adjoint and has_plane:
-            front = min(front, normal[0] * x + normal[1] * y + normal[2] * z)
-        nx, ny, nz = mx, my, mz
-        order += 1
+            order += 1.0
+        past = Past(first, layer, length, partition, front, order, touches)
         thickness = exponential(state)
-    if adjoint:
-        count[2] = used
-    else:
-        count[0], count[1] = used, touches
-    return segment, light, touch, touch_light
+    return False, Walk(ray, past, thickness, triangle)
+
+
+@allocating
+def follow(
+    state: States,
+    thickness: float,
+    ray: Ray,
+    kind: Kind,
+    scene: Scene,
+    paths: Paths,
+    now: Array,
+) -> Paths:
+    """Add the segments and touches of one path, and return the paths.
+
+    thickness is the optical one of the first flight; now holds the light at its start.
+    """
+    layer = layer_of(ray.place[2], scene.water.edge)
+    first = paths.used[USED_SEGMENTS]
+    past = Past(first, layer, 0.0, 0.0, math.inf, 0.0, 0.0)
+    now[0], now[1], now[2] = ray.axis
+    walk = Walk(ray, past, thickness, -1.0)
+    while True:
+        ended, walk = trace(state, walk, kind, scene.water, scene.target, paths, now)
+        if ended:
+            return paths
+        paths = longer(paths, scene.water.attenuation.size, kind.polarized)

@@ -1,8 +1,11 @@
-"""Types of what the compiled loops take, for readers and the type checker."""
+"""What the compiled loops pass to each other: bundles of arrays and numbers by name.
+
+Compiled code takes them as it takes tuples, so a name costs nothing there.
+"""
 
 from __future__ import annotations
 
-from typing import Any, TypeAlias
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,7 +15,207 @@ Complex: TypeAlias = NDArray[np.complex128]
 Integers: TypeAlias = NDArray[np.int64]
 #: State of the random numbers: four words.
 States: TypeAlias = NDArray[np.uint64]
-#: Several arrays and numbers that belong together; each function names them.
-Packed: TypeAlias = tuple[Any, ...]
 Vector: TypeAlias = tuple[float, float, float]
 Stokes: TypeAlias = tuple[float, float, float, float]
+#: Cosine and sine of an angle by which axes are turned.
+Turn: TypeAlias = tuple[float, float]
+
+
+class Water(NamedTuple):
+    """Layers of water across z, and the scattering angles of each."""
+
+    edge: Array
+    """Planes between the layers and at both ends, z rising, shape (layers + 1,) [m]."""
+    attenuation: Array
+    """c = a + b of each layer [1/m]."""
+    albedo: Array
+    """b / c of each layer [1]."""
+    table: Integers
+    """Number of the table of angles of each layer."""
+    urn: Array
+    """What angles are drawn from, shape (tables, cells, 8)."""
+    value: Array
+    """Phase function p in each cell of the angle, shape (tables, cells) [1/sr]."""
+    element: Array
+    """m12, m22, m33, m34 and m44 in each cell, shape (tables, cells, 5) [1]."""
+
+
+class Mesh(NamedTuple):
+    """Triangles in a hierarchy of boxes; without boxes if there is no mesh."""
+
+    box: Array
+    """Lower and upper corner of each box, shape (boxes, 6) [m]."""
+    link: Integers
+    """Of each box: the one that follows a miss, first triangle, number of triangles."""
+    triangle: Array
+    """Corner, two edges and unit normal of each triangle, shape (triangles, 12) [m]."""
+    least: float
+    """Least distance of a hit to a ray that starts on a triangle [m]."""
+
+
+class Target(NamedTuple):
+    """Surface that reflects by Lambert's law: a plane, a mesh, or none."""
+
+    has_plane: bool
+    """Whether it is a plane."""
+    normal: Array
+    """Unit normal of the plane on its lit side."""
+    height: float
+    """Place of the plane along its normal [m]."""
+    reflectance: float
+    """Fraction of the light that it reflects [1]."""
+    mueller: Array
+    """Mueller matrix over its first element."""
+    mesh: Mesh
+    """Its triangles."""
+
+
+class Beam(NamedTuple):
+    """What launches the light."""
+
+    centre: Array
+    """Where it starts [m]."""
+    axis: Array
+    """Unit vector along it."""
+    across: Array
+    """Parallel axis of its light, a unit vector perpendicular to it."""
+    radius: float
+    """Where its irradiance falls to 1/e; 0 for a pencil [m]."""
+    divergence: float
+    """Angle at which its radiant intensity falls to 1/e [rad]."""
+    stokes: Array
+    """Stokes vector of its light."""
+
+
+class Face(NamedTuple):
+    """What receives the light: around the origin, looking along +z."""
+
+    radius: float
+    """R [m]."""
+    acceptance: float
+    """Half angle gamma of the cone from which it receives [rad]."""
+    gaussian: bool
+    """Whether R and gamma are the 1/e widths of a Gaussian receiver."""
+
+
+class Scene(NamedTuple):
+    """All that the light meets, in the axes of the receiver."""
+
+    beam: Beam
+    face: Face
+    water: Water
+    target: Target
+
+
+class Plan(NamedTuple):
+    """How paths are drawn and joined."""
+
+    paths: int
+    """Forward paths in a group."""
+    partners: int
+    """Adjoint paths that each of them is joined with."""
+    stratified: bool
+    """Whether first flights and directions of a group are spread evenly."""
+    balanced: bool
+    """Whether pairs are weighted by the balance heuristic."""
+    direct: bool
+    """Whether the last way to the receiver is a local estimate."""
+    polarized: bool
+    """Whether Stokes vectors are carried."""
+
+
+class Record(NamedTuple):
+    """Received light by part and length of its path."""
+
+    mass: Array
+    """Light of one path length, split among nodes, (parts, components, nodes) [1]."""
+    edge: Array
+    """Steps of the light per path length, split alike [1/m]."""
+    beyond: Complex
+    """Light of longer paths, shape (parts, components, frequencies) [1]."""
+    wavenumber: Complex
+    """i omega / v of each frequency [1/m]."""
+    spacing: float
+    """Path length between nodes [m]."""
+    orders: int
+    """Parts that hold orders of scattering; those of the target follow."""
+
+
+class Ray(NamedTuple):
+    """A place on a path, and where it goes on from there."""
+
+    place: Vector
+    """x, y and z [m]."""
+    direction: Vector
+    """Unit vector n along the path."""
+    axis: Vector
+    """Unit vector across it: parallel axis of the light, if that is carried."""
+
+
+class Past(NamedTuple):
+    """What lies behind a path at its last corner."""
+
+    first: int
+    """Row of its first segment."""
+    layer: int
+    """Layer in which the corner lies."""
+    length: float
+    """L [m]."""
+    partition: float
+    """Sum over its scatterings of 1 / w, the balance heuristic's denominator [m sr]."""
+    front: float
+    """Least height of its scatterings over the target's plane, adjoint paths [m]."""
+    order: float
+    """Number of its scatterings."""
+    touches: float
+    """Number of its reflections."""
+
+
+class Walk(NamedTuple):
+    """A path under way."""
+
+    ray: Ray
+    """Its last corner, and where it goes on."""
+    past: Past
+    """What lies behind that."""
+    thickness: float
+    """Optical thickness tau of the flight to come [1]."""
+    triangle: float
+    """Number of the triangle on which the ray starts, or -1."""
+
+
+class Kind(NamedTuple):
+    """What kind of path is traced."""
+
+    adjoint: bool
+    """Whether it starts at the receiver and runs against the light."""
+    polarized: bool
+    """Whether it carries a Stokes vector, or an adjoint path a Mueller matrix."""
+    face: float
+    """Radius of the face that an adjoint path starts on [m]."""
+    scale: float
+    """What a pair with this adjoint path counts [sr]."""
+
+
+class Paths(NamedTuple):
+    """Corners of the paths of one kind in a group, row by row."""
+
+    segment: Array
+    """Straight segments, columns of `trace`."""
+    light: Array
+    """Frame, and Stokes vector or Mueller matrix, of the light on each segment."""
+    touch: Array
+    """Touches of the target, columns of `trace`."""
+    touch_light: Array
+    """Frame and Stokes vector of the light of each touch."""
+    used: Integers
+    """Number of segments and of touches."""
+
+
+class Arrival(NamedTuple):
+    """Room for what arrives at the receiver, so that no loop allocates."""
+
+    light: Array
+    """Stokes vector, or intensity."""
+    seen: Array
+    """Frame of light that arrives, and the matrix of nothing in its way."""

@@ -21,9 +21,9 @@ Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, kw_only=True)
 class Batch:
-    """What one batch of histories has found, as means per history."""
+    """What one batch of histories gave, as means per history."""
 
     number: int
     histories: int
@@ -34,7 +34,7 @@ class Batch:
     spacing: float
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, kw_only=True)
 class Accumulator:
     """Batches in the order of their numbers; pairs are merged when there are many.
 
@@ -64,7 +64,7 @@ class Accumulator:
             If the run cannot go on, or is one of something else.
         """
         if resume is None:
-            return cls(frame, full=frame.batch_size)
+            return cls(frame=frame, full=frame.batch_size)
         if resume.problem != frame.problem or resume.parts != frame.parts:
             raise ValueError("resume must be a run of the same problem")
         if not np.array_equal(resume.modulation_frequency, frame.modulation_frequency):
@@ -80,7 +80,7 @@ class Accumulator:
             raise ValueError("a run with a record of path lengths cannot go on")
         counts = tuple(int(count) for count in resume.histories_of)
         return cls(
-            frame,
+            frame=frame,
             values=tuple(resume.batches),
             counts=counts,
             full=max([frame.batch_size, *counts]),
@@ -157,7 +157,7 @@ class Accumulator:
         return error / abs(mean) if mean != 0 else math.inf
 
     def tally(self, seconds: float, interrupted: bool) -> Tally:
-        """Return what was found."""
+        """Return the result."""
         return replace(
             self.frame,
             batches=np.array(self.values),

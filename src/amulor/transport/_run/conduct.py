@@ -17,7 +17,7 @@ from amulor.transport._run.batches import Accumulator, Batch
 from amulor.transport.tally import Tally
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Progress:
     """How far a run has come."""
 
@@ -31,7 +31,7 @@ class Progress:
     """Time since the start [s]."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Limits:
     """When a run ends.
 
@@ -111,7 +111,14 @@ def conduct(
             if limits.progress is not None or limits.relative_error is not None:
                 error = done.relative_error()
             if limits.progress is not None:
-                limits.progress(Progress(done.histories, goal * size, error, seconds))
+                limits.progress(
+                    Progress(
+                        histories=done.histories,
+                        goal=goal * size,
+                        relative_error=error,
+                        seconds=seconds,
+                    )
+                )
             if limits.relative_error is not None and error <= limits.relative_error:
                 break
             if limits.longest_time is not None and seconds > limits.longest_time:

@@ -13,6 +13,8 @@ from numpy.typing import NDArray
 
 from amulor.transport._checks import axes_of, place, unit_vector
 from amulor.transport._kernels import angle as _cells
+from amulor.transport._kernels.types import Beam, Face, Mesh, Scene, Water
+from amulor.transport._kernels.types import Target as Surface
 from amulor.transport.medium import Layer, Medium
 from amulor.transport.mesh import (
     RELATIVE_GAP,
@@ -33,7 +35,7 @@ __all__ = ["Problem", "digest_of", "water_tables"]
 Array = NDArray[np.float64]
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, kw_only=True)
 class Problem:
     """Medium, source, receiver and target, checked against each other.
 
@@ -150,62 +152,75 @@ class Problem:
         return result
 
     @cached_property
-    def water(self) -> tuple[Any, ...]:
+    def water(self) -> Water:
         """Edges, coefficients and angle tables for the kernels."""
         return water_tables(self.layers, self.edges)
 
     @cached_property
-    def beam(self) -> tuple[Array, Array, Array, float, float]:
-        """Centre, axis, parallel axis, radius and divergence of the source."""
+    def beam(self) -> Beam:
+        """The source for the kernels."""
         direction = unit_vector(self.source.direction, name="direction")
         own = axes_of(direction, name="direction of the source")
-        return (
-            self._turned(place(self.source.position, name="position")),
-            np.ascontiguousarray(self.axes @ direction),
-            np.ascontiguousarray(self.axes @ own[0]),
-            float(self.source.radius),
-            float(self.source.divergence),
+        return Beam(
+            centre=self._turned(place(self.source.position, name="position")),
+            axis=np.ascontiguousarray(self.axes @ direction),
+            across=np.ascontiguousarray(self.axes @ own[0]),
+            radius=float(self.source.radius),
+            divergence=float(self.source.divergence),
+            stokes=self.source.stokes,
         )
 
     @cached_property
-    def face(self) -> tuple[float, float, bool]:
-        """Radius and acceptance of the receiver, and whether it is Gaussian."""
-        return (
-            float(self.receiver.radius),
-            float(self.receiver.acceptance_angle),
-            isinstance(self.receiver, GaussianReceiver),
+    def face(self) -> Face:
+        """The receiver for the kernels."""
+        return Face(
+            radius=float(self.receiver.radius),
+            acceptance=float(self.receiver.acceptance_angle),
+            gaussian=isinstance(self.receiver, GaussianReceiver),
         )
 
     @cached_property
-    def surface(self) -> tuple[Any, ...]:
-        """The target for the kernels, also if there is none.
-
-        Whether it is a plane, the normal and height of that, reflectance and matrix,
-        and the mesh: boxes, links, triangles and least distance, without boxes if the
-        target is not a mesh.
-        """
+    def surface(self) -> Surface:
+        """The target for the kernels, also if there is none."""
         target = self.target
-        empty = (np.empty((0, 6)), np.empty((0, 3), np.int64), np.empty((0, 12)), 0.0)
+        plane = isinstance(target, PlaneTarget)
         normal, height = np.array([0.0, 0.0, -1.0]), 0.0
-        if target is None:
-            return False, normal, height, 0.0, np.zeros((4, 4)), empty
-        reflection = (float(target.reflectance), target.matrix)
-        if isinstance(target, MeshTarget):
-            corners = self._turned(target.corners)
-            return False, normal, height, *reflection, hierarchy(corners)
-        normal = self.axes @ unit_vector(target.normal, name="normal")
-        height = float(normal @ self._turned(place(target.position, name="position")))
-        return True, np.ascontiguousarray(normal), height, *reflection, empty
+        mesh = Mesh(
+            np.empty((0, 6)), np.empty((0, 3), np.int64), np.empty((0, 12)), 0.0
+        )
+        if isinstance(target, PlaneTarget):
+            normal = np.ascontiguousarray(
+                self.axes @ unit_vector(target.normal, name="normal")
+            )
+            point = self._turned(place(target.position, name="position"))
+            height = float(normal @ point)
+        elif target is not None:
+            mesh = hierarchy(self._turned(target.corners))
+        return Surface(
+            has_plane=plane,
+            normal=normal,
+            height=height,
+            reflectance=0.0 if target is None else float(target.reflectance),
+            mueller=np.zeros((4, 4)) if target is None else target.matrix,
+            mesh=mesh,
+        )
+
+    @cached_property
+    def scene(self) -> Scene:
+        """All that the light meets, for the kernels."""
+        return Scene(
+            beam=self.beam, face=self.face, water=self.water, target=self.surface
+        )
 
     @cached_property
     def digest(self) -> str:
         """SHA-256 of all numbers that enter, to tell problems apart."""
         return digest_of(
             *self.water,
-            *self.beam,
+            *self.beam[:5],
             *self.face,
             *self.surface[:5],
-            *self.surface[5][:3],
+            *self.surface.mesh[:3],
             self.source.stokes,
             self.medium.group_index,
             self.medium.polarized,
@@ -220,7 +235,7 @@ def digest_of(*parts: Any) -> str:
     return digest.hexdigest()
 
 
-def water_tables(layers: tuple[Layer, ...], edges: Array) -> tuple[Any, ...]:
+def water_tables(layers: tuple[Layer, ...], edges: Array) -> Water:
     """Return edges, coefficients and angle tables for the kernels."""
     functions: list[Any] = []
     table = []
@@ -239,19 +254,19 @@ def water_tables(layers: tuple[Layer, ...], edges: Array) -> tuple[Any, ...]:
         urn[k], value[k], element[k] = _angle_tables(function)
     attenuation = np.array([layer.attenuation for layer in layers])
     scattering = np.array([layer.scattering for layer in layers])
-    return (
-        edges,
-        attenuation,
-        np.divide(
+    return Water(
+        edge=edges,
+        attenuation=attenuation,
+        albedo=np.divide(
             scattering,
             attenuation,
             out=np.zeros_like(scattering),
             where=attenuation > 0,
         ),
-        np.array(table, dtype=np.int64),
-        urn,
-        value,
-        element,
+        table=np.array(table, dtype=np.int64),
+        urn=urn,
+        value=value,
+        element=element,
     )
 
 

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, Self
+from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.constants import speed_of_light
 
 from amulor.transport._kernels import record as _record_kernels
+from amulor.transport._kernels.types import Record as Deposits
 from amulor.transport._run.batches import Batch
 from amulor.transport.tally import Tally
 
@@ -28,7 +29,7 @@ def random_state(seed: int, number: int) -> NDArray[np.uint64]:
     return sequence.generate_state(4, np.uint64).astype(np.uint64)
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, kw_only=True)
 class Record:
     """Arrays that a batch fills, and what is read from them."""
 
@@ -57,15 +58,15 @@ class Record:
             spacing=spacing,
         )
 
-    def arrays(self, orders: int) -> tuple[Any, ...]:
-        """Return what the kernels take."""
-        return (
-            self.mass,
-            self.edge,
-            self.beyond,
-            self.wavenumber,
-            self.spacing,
-            orders,
+    def arrays(self, orders: int) -> Deposits:
+        """Return what the kernels take, with that many parts for orders."""
+        return Deposits(
+            mass=self.mass,
+            edge=self.edge,
+            beyond=self.beyond,
+            wavenumber=self.wavenumber,
+            spacing=self.spacing,
+            orders=orders,
         )
 
     def batch(
