@@ -127,6 +127,39 @@ _MEASURED = {
     "saturated": _optional(_SAMPLE, "1", "1 where the detector was overloaded"),
 }
 
+#: What the joint estimation knows of every pixel; NaN without a target.
+_JOINT = {
+    "joint_slant_range": _optional(
+        _PIXEL, "m", "distance from the emitter along the beam"
+    ),
+    "joint_slant_range_uncertainty": _optional(
+        _PIXEL, "m", "standard uncertainty of the slant range"
+    ),
+    "joint_slant_range_common_uncertainty": _optional(
+        _PIXEL, "m", "part of the uncertainty that all pixels share"
+    ),
+    "joint_slant_range_bound": _optional(
+        _PIXEL, "m", "Cramer-Rao bound of the slant range"
+    ),
+    "joint_slant_range_lower": _optional(_PIXEL, "m", "lower end of the 68 % interval"),
+    "joint_slant_range_upper": _optional(_PIXEL, "m", "upper end of the 68 % interval"),
+    "joint_wrong_interval_probability": _optional(
+        _PIXEL, "1", "probability of another ambiguity interval"
+    ),
+    "joint_misfit": _optional(_PIXEL, "1", "chi-square over its degrees of freedom"),
+}
+#: Names that variables had in files of version 1 before they had a place in a level.
+FORMER_NAMES = {
+    "user_joint_slant_range": "joint_slant_range",
+    "user_joint_uncertainty": "joint_slant_range_uncertainty",
+    "user_joint_common_uncertainty": "joint_slant_range_common_uncertainty",
+    "user_joint_bound": "joint_slant_range_bound",
+    "user_joint_lower": "joint_slant_range_lower",
+    "user_joint_upper": "joint_slant_range_upper",
+    "user_joint_wrong_interval": "joint_wrong_interval_probability",
+    "user_joint_misfit": "joint_misfit",
+}
+
 LEVELS = {
     level.name: level
     for level in (
@@ -157,6 +190,7 @@ LEVELS = {
                     _SAMPLE, "V2", "covariance of that part"
                 ),
                 "quality_flag": _needed(_SAMPLE, "1", "reason why a pixel is doubtful"),
+                **_JOINT,
             },
             _SAMPLE_COORDINATES,
         ),

@@ -364,7 +364,17 @@ def _decoded(content: bytes, path: Path) -> xr.Dataset:
                     part = _opened(file, group)
                     _check_fits(part, cube, path=path, group=group)
                     cube = cubes.attach(cube, part, group)
-    return cube
+    return _with_present_names(cube)
+
+
+def _with_present_names(cube: xr.Dataset) -> xr.Dataset:
+    """Return a cube of version 1 with the names that its variables have by now."""
+    former = {
+        old: new
+        for old, new in schema.FORMER_NAMES.items()
+        if old in cube.data_vars and new not in cube.variables
+    }
+    return cube.rename_vars(former)
 
 
 def _opened(file: Any, group: str | None) -> xr.Dataset:

@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as drawn
 
 from amulor import cube as cubes
+from amulor.cube.schema import FORMER_NAMES
 from amulor.errors import AmulorError, CubeError, FormatError
 from amulor.io import read_cube, write_cube
 
@@ -51,6 +52,33 @@ def test_a_cube_comes_back_identical(make, rng, path, level):
         key: cube[key].dtype for key in cube.variables
     }
     assert not any(found[key].encoding for key in found.variables)
+
+
+def test_a_file_with_former_names_is_read_under_the_present_ones(make, rng, path):
+    present = make.target_signal(rng)
+    level = cubes.LEVELS["target_signal"].variables
+    maps = {}
+    for name in FORMER_NAMES.values():
+        spec = level[name]
+        values = rng.random([present.sizes[key] for key in spec.dimensions])
+        text = {"units": spec.units, "long_name": spec.long_name}
+        maps[name] = xr.Variable(spec.dimensions, values, text)
+    present = present.assign(maps)
+    back = {new: old for old, new in FORMER_NAMES.items()}
+    former = present.rename_vars(back).assign(user_joint_notes=present["joint_misfit"])
+    write_cube(former, path)
+    with h5py.File(path) as file:
+        assert "user_joint_slant_range" in file
+        assert "joint_slant_range" not in file
+    found = read_cube(path)
+    # A user's own variable keeps its name.
+    xr.testing.assert_identical(found.drop_vars("user_joint_notes"), present)
+    assert "user_joint_notes" in found
+    # Where a file holds both, none of them is lost.
+    write_cube(
+        former.assign(joint_misfit=present["joint_misfit"]), path, overwrite=True
+    )
+    assert {"joint_misfit", "user_joint_misfit"} <= set(read_cube(path).data_vars)
 
 
 numbers = st.floats(width=64, allow_infinity=False)
