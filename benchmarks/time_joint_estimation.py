@@ -114,7 +114,7 @@ class Problem:
             some,
             None,
             transfer=self.transfer,
-            longest=float(some.depths.max()),
+            deepest=float(some.depths.max()),
         )
 
     def solve(self):
@@ -125,7 +125,7 @@ class Problem:
             self.shared.table,
             gain=self.shared.gain,
             transfer=self.transfer * (1 + self.shared.echo),
-            wavenumber=self.frame.wavenumber,
+            phase_per_path=self.frame.phase_per_path,
         )
 
     def residual(self, number):
@@ -140,9 +140,9 @@ class Problem:
         def function(parameter):
             path = np.array([parameter[1]])
             _, water, _ = joint_model.water_at(
-                pixel, path, self.shared.table, self.frame.wavenumber
+                pixel, path, self.shared.table, self.frame.phase_per_path
             )
-            echo = np.exp(1j * path[0] * self.frame.wavenumber) * full
+            echo = np.exp(1j * path[0] * self.frame.phase_per_path) * full
             left = pixel.signal[0, 0] - self.shared.gain[0] * water[0]
             left = left - self.scale * parameter[0] * echo
             return np.concatenate(
@@ -199,7 +199,7 @@ def main():
         best = min(best, time.perf_counter() - begin)
     each = best / len(problem.pixels)
     numbers = np.linspace(0, len(problem.pixels) - 1, 12).astype(int)
-    period = 2 * np.pi / problem.frame.wavenumber.max()
+    period = 2 * np.pi / problem.frame.phase_per_path.max()
     near = [[found.path[n] + 0.02 * period] for n in numbers]
     first, last = problem.pixels.shortest.min(), problem.pixels.longest.max()
     every = [np.arange(first, last, period / 2)] * len(numbers)

@@ -188,8 +188,10 @@ def outcome(tank: Tank, ratio: float, *, noise: float, shots: bool) -> Outcome:
         names = [n for n in cube.data_vars if str(n).startswith("open_water_")]
         cube = cube.drop_vars(names)
     found = joint(cube, interval=INTERVAL)
-    slant_range = found["user_joint_slant_range"].values
-    off = np.abs(slant_range - DISTANCES) / found["user_joint_uncertainty"].values
+    slant_range = found["joint_slant_range"].values
+    off = (
+        np.abs(slant_range - DISTANCES) / found["joint_slant_range_uncertainty"].values
+    )
     missing = ~(off < 1.96)
     flagged = found["quality_flag"].values[0, 0] & QualityFlag.WATER_RESIDUAL
     return Outcome(

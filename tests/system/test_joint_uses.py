@@ -35,8 +35,8 @@ def sweep(plate_text: str, **replaced: str) -> Survey:
 def scores(found: xr.Dataset) -> np.ndarray:
     """Return the errors of the slant range over their uncertainty."""
     truth = found.amulor.truth["slant_range"].values
-    error = found["user_joint_slant_range"].values - truth
-    return np.asarray(error / found["user_joint_uncertainty"].values)
+    error = found["joint_slant_range"].values - truth
+    return np.asarray(error / found["joint_slant_range_uncertainty"].values)
 
 
 def are_fair(z: np.ndarray) -> bool:
@@ -71,9 +71,10 @@ def test_two_channels_say_what_each_says_and_more(
     assert are_fair(scores(both))
     # Two measurements of one range: their informations add up, but for the water.
     alone = [
-        one["user_joint_bound"].values.astype(float) ** -2 for one in (found, other)
+        one["joint_slant_range_bound"].values.astype(float) ** -2
+        for one in (found, other)
     ]
-    together = both["user_joint_bound"].values ** -2
+    together = both["joint_slant_range_bound"].values ** -2
     assert_allclose(together, alone[0] + alone[1], rtol=0.1)
     # Each channel has a water signal of its own, and that is what is taken out.
     truth = both.amulor.truth
@@ -112,14 +113,12 @@ def test_a_scan_that_moves_sideways_sees_the_same_water(
         origin_z=(pixel, 0 * shift, {"units": "m", "long_name": "start of the beam"}),
     )
     again = joint(moved, interval=INTERVAL)
-    for name in ("slant_range", "uncertainty"):
-        assert_allclose(
-            again[f"user_joint_{name}"], found[f"user_joint_{name}"], rtol=1e-12
-        )
+    for name in ("slant_range", "slant_range_uncertainty"):
+        assert_allclose(again[f"joint_{name}"], found[f"joint_{name}"], rtol=1e-12)
     np.testing.assert_array_equal(again["origin_x"], moved["origin_x"])
     image = range_image(again, interval=INTERVAL)
-    off = image["slant_range"] - again["user_joint_slant_range"]
-    assert float(np.abs(off / again["user_joint_uncertainty"]).max()) < 2
+    off = image["slant_range"] - again["joint_slant_range"]
+    assert float(np.abs(off / again["joint_slant_range_uncertainty"]).max()) < 2
 
 
 def test_a_scan_that_moves_towards_its_window_is_refused(plate_text: str) -> None:
@@ -149,7 +148,7 @@ def test_a_known_spread_of_the_echo_is_taken_into_account(single: xr.Dataset) ->
     known = joint(cube, interval=INTERVAL, echo_transfer=transfer)
     assert are_fair(scores(known))
     unknown = joint(cube, interval=INTERVAL)
-    error = unknown["user_joint_slant_range"] - truth["slant_range"]
+    error = unknown["joint_slant_range"] - truth["slant_range"]
     # 4 cm and half as much, out and back, over the group index: 2.2 cm.
     assert float(error.mean()) == pytest.approx(0.06 / 2.76, rel=0.2)
     missing = np.abs(scores(unknown)) > 1.96
@@ -162,13 +161,13 @@ def test_the_range_image_of_the_target_signal_agrees(
     single: xr.Dataset, found: xr.Dataset
 ) -> None:
     image = range_image(found, interval=INTERVAL)
-    own = found["user_joint_uncertainty"].values
-    off = image["slant_range"].values - found["user_joint_slant_range"].values
+    own = found["joint_slant_range_uncertainty"].values
+    off = image["slant_range"].values - found["joint_slant_range"].values
     # The same samples: what is left are weights, of water that is shared.
     assert np.sqrt(np.mean((off / own) ** 2)) < 0.5
     assert_allclose(image["slant_range_uncertainty"], own, rtol=0.25)
     raw = range_image(rejection.keep_water(single), interval=INTERVAL)
-    worse = raw["slant_range"].values - found["user_joint_slant_range"].values
+    worse = raw["slant_range"].values - found["joint_slant_range"].values
     assert np.sqrt(np.mean(worse**2)) > 10 * np.sqrt(np.mean(off**2))
     np.testing.assert_array_equal(
         image["quality_flag"], np.bitwise_or.reduce(found["quality_flag"].values[:, 0])

@@ -279,8 +279,8 @@ def _row(method: _Method, target: xr.Dataset, interval: Interval) -> Row:
 
 def _errors(target: xr.Dataset, usable: NDArray[np.bool_]) -> tuple[Floats, Floats]:
     """Return uncertainty and estimated bias of the slant range of usable pixels [m]."""
-    if "user_joint_uncertainty" in target:
-        own = target["user_joint_uncertainty"].values[usable]
+    if "joint_slant_range_uncertainty" in target:
+        own = target["joint_slant_range_uncertainty"].values[usable]
         return own[np.isfinite(own)], np.zeros(1)
     signal = target.amulor.signal.values[:, 0][:, usable]
     errors = covariance_of(target).part((slice(None), 0))

@@ -8,6 +8,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
+from amulor import cube as cubes
 from amulor.cube import QualityFlag
 from amulor.optics import rays
 from amulor.rejection.build import target_cube
@@ -20,7 +21,7 @@ Floats = NDArray[np.float64]
 
 #: A path is settled when another interval is less likely than this [1].
 _WRONG = 3e-4
-#: Samples that disagree by more than this chance say that the model is wrong [1].
+#: A p-value of the samples below this says that the model is wrong [1].
 _DISAGREEMENT = 1e-4
 #: Twice the logarithm of odds beyond which the model's departures are real [1].
 _DECISIVE = 10.0
@@ -59,16 +60,18 @@ def cube_of(
         )
 
     signal = cube.amulor.signal.values
-    water = over_samples([part.water for part in parts])
+    water = over_samples([part.water_signal for part in parts])
     common = covariances([part.common for part in parts])
     total = covariance_of(cube) + common
     if shared.fluctuation > 0:
-        stray = over_samples([part.stray for part in parts if part.stray is not None])
+        deviation = over_samples(
+            [part.deviation for part in parts if part.deviation is not None]
+        )
         total = total + Covariance(
-            stray.real**2, stray.imag**2, stray.real * stray.imag
+            deviation.real**2, deviation.imag**2, deviation.real * deviation.imag
         )
     path = over_pixels([part.estimates.path for part in parts])
-    seen = over_pixels([part.seen for part in parts])
+    detected = over_pixels([part.detected for part in parts])
     beam = frame.beam(azimuth.reshape(rows_columns), elevation.reshape(rows_columns))
 
     def to_range(length: Floats) -> Floats:
@@ -76,7 +79,7 @@ def cube_of(
             length, beam, frame.receiver, medium=frame.medium
         )
 
-    slant_range = np.where(seen, to_range(path), np.nan)
+    slant_range = np.where(detected, to_range(path), np.nan)
     slope = (to_range(path + _DIFFERENCE) - to_range(path)) / _DIFFERENCE
     shared_variance = over_pixels([part.shared_variance for part in parts])
     information = over_pixels([part.estimates.information for part in parts])
@@ -84,15 +87,15 @@ def cube_of(
         sigma = np.sqrt(1 / information + shared_variance)
         departure = over_pixels([part.departure for part in parts])
         matters = departure > _MATTERS * sigma
-    freedom, cost, chance = _misfit(parts, seen, rows_columns)
+    freedom, cost, p_value = _misfit(parts, detected, rows_columns)
     flag = np.zeros(rows_columns, dtype=np.int16)
     wrong = over_pixels([part.estimates.wrong for part in parts])
-    flag[seen & (wrong > _WRONG)] |= QualityFlag.AMBIGUOUS
-    contradicted = chance < _DISAGREEMENT
+    flag[detected & (wrong > _WRONG)] |= QualityFlag.AMBIGUOUS
+    contradicted = p_value < _DISAGREEMENT
     flag[contradicted] |= QualityFlag.WATER_RESIDUAL
     if shared.evidence > _DECISIVE:
-        flag[seen & matters] |= QualityFlag.WATER_RESIDUAL
-    flag[~seen] |= QualityFlag.NO_TARGET
+        flag[detected & matters] |= QualityFlag.WATER_RESIDUAL
+    flag[~detected] |= QualityFlag.NO_TARGET
     flag[~enough.reshape(rows_columns)] |= QualityFlag.NO_TARGET
     target = target_cube(
         cube,
@@ -117,56 +120,50 @@ def cube_of(
         * slope
         for side in ("lower", "upper")
     ]
-    usable = seen & np.isfinite(slant_range)
-    maps = {
-        "slant_range": (slant_range, "m", "distance from the emitter along the beam"),
-        "uncertainty": (slope * sigma, "m", "standard uncertainty of the slant range"),
-        "common_uncertainty": (
-            slope * np.sqrt(shared_variance),
-            "m",
-            "part of the uncertainty that all pixels share",
-        ),
-        "bound": (
-            slope * np.sqrt(over_pixels([part.bound for part in parts])),
-            "m",
-            "Cramer-Rao bound of the slant range",
-        ),
-        "lower": (slant_range - half[0], "m", "lower end of the 68 % interval"),
-        "upper": (slant_range + half[1], "m", "upper end of the 68 % interval"),
-        "wrong_interval": (wrong, "1", "probability of another ambiguity interval"),
+    usable = detected & np.isfinite(slant_range)
+    sigma_shared = np.sqrt(shared_variance)
+    bound = np.sqrt(over_pixels([part.bound for part in parts]))
+    ranges = {
+        "slant_range": slant_range,
+        "slant_range_uncertainty": slope * sigma,
+        "slant_range_common_uncertainty": slope * sigma_shared,
+        "slant_range_bound": slope * bound,
+        "slant_range_lower": slant_range - half[0],
+        "slant_range_upper": slant_range + half[1],
+        "wrong_interval_probability": wrong,
     }
-    found = {
-        f"user_joint_{name}": _map(np.where(usable, values, np.nan), units, long_name)
-        for name, (values, units, long_name) in maps.items()
-    }
-    found["user_joint_misfit"] = _map(
-        cost / np.maximum(freedom, 1), "1", "chi-square over its degrees of freedom"
-    )
-    return target.assign(found)
+    maps = {name: np.where(usable, values, np.nan) for name, values in ranges.items()}
+    maps["misfit"] = cost / np.maximum(freedom, 1)
+    return target.assign(_variables(maps))
 
 
-def _map(values: Floats, units: str, long_name: str) -> xr.Variable:
-    return xr.Variable(
-        ("row", "column"), values, {"long_name": long_name, "units": units}
-    )
+def _variables(maps: dict[str, Floats]) -> dict[str, xr.Variable]:
+    """Return maps as the variables of the schema whose names begin with `joint_`."""
+    specs = cubes.LEVELS["target_signal"].variables
+    variables = {}
+    for short, values in maps.items():
+        spec = specs[f"joint_{short}"]
+        attributes = {"long_name": spec.long_name, "units": spec.units}
+        variables[f"joint_{short}"] = xr.Variable(spec.dimensions, values, attributes)
+    return variables
 
 
 def _misfit(
-    parts: list[Result], seen: NDArray[np.bool_], shape: tuple[int, ...]
+    parts: list[Result], detected: NDArray[np.bool_], shape: tuple[int, ...]
 ) -> tuple[Floats, Floats, Floats]:
-    """Return degrees of freedom, chi-square and its chance, pixel by pixel."""
+    """Return degrees of freedom, chi-square and its p-value, pixel by pixel."""
     from scipy.stats import chi2
 
     channels = parts[0].estimates.amplitude.shape[1]
     used = np.concatenate([part.estimates.used for part in parts]).reshape(shape)
     own = np.concatenate([part.estimates.cost for part in parts]).reshape(shape)
     empty = np.concatenate([part.estimates.empty_cost for part in parts]).reshape(shape)
-    cost = np.where(seen, own, empty)
-    freedom = np.where(seen, used - channels - 1, used).astype(float)
-    chance = np.ones(shape)
+    cost = np.where(detected, own, empty)
+    freedom = np.where(detected, used - channels - 1, used).astype(float)
+    p_value = np.ones(shape)
     some = freedom > 0
-    chance[some] = chi2.sf(cost[some], freedom[some])
-    return freedom, cost, chance
+    p_value[some] = chi2.sf(cost[some], freedom[some])
+    return freedom, cost, p_value
 
 
 def _attributes(shared: Shared, frame: Frame) -> dict[str, Any]:
@@ -185,7 +182,7 @@ def _attributes(shared: Shared, frame: Frame) -> dict[str, Any]:
         "joint_forward_scattering_per_m": forward,
         "joint_forward_scattering_uncertainty_per_m": forward * errors[channels + 2],
         "joint_fluctuation": shared.fluctuation,
-        "joint_departure_widths": np.array(shared.tried),
+        "joint_departure_widths": np.array(shared.widths),
         "joint_departure_evidence": shared.evidence,
         "joint_misfit": shared.misfit,
     }

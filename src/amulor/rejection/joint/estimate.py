@@ -58,11 +58,12 @@ def joint(
     -------
     xarray.Dataset
         Level `target_signal`: the samples less the water signal that ends at the
-        target. Variables that begin with `user_joint_` hold, over (row, column), the
-        `slant_range` [m], its `uncertainty`, the part of it that all pixels share
-        (`common_uncertainty`), the Cramer-Rao `bound`, `lower` and `upper` ends of
-        the 68 % interval from the profile of the likelihood, the probability
-        `wrong_interval` and the `misfit` (chi-square over its degrees of freedom).
+        target. Variables that begin with `joint_` hold, over (row, column), the
+        `slant_range` [m], its `slant_range_uncertainty`, the part of it that all pixels
+        share (`slant_range_common_uncertainty`), the Cramer-Rao `slant_range_bound`,
+        `slant_range_lower` and `slant_range_upper` ends of the 68 % interval from the
+        profile of the likelihood, the `wrong_interval_probability` and the `misfit`
+        (chi-square over its degrees of freedom).
         Attributes that begin with `joint_` hold what the pixels share.
 
     Raises
@@ -139,17 +140,16 @@ def joint(
         np.linspace(0, len(chosen) - 1, min(SHARING, len(chosen))).astype(int)
     ]
     some = pixels(chosen)
-    longest = float(some.depths.max())
     shared = joint_shared.fit(
         frame,
         some,
         shot_pixels(frame, shots, places, frequency),
         transfer=transfer,
-        longest=longest,
+        deepest=float(some.depths.max()),
     )
     parts = [
-        solve(frame, pixels(slice(first, first + _AT_ONCE)), shared, transfer)
-        for first in range(0, len(signal), _AT_ONCE)
+        solve(frame, pixels(slice(begin, begin + _AT_ONCE)), shared, transfer)
+        for begin in range(0, len(signal), _AT_ONCE)
     ]
     return cube_of(cube, frame, parts, shared, enough, azimuth, elevation)
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -13,8 +12,9 @@ from scipy.constants import speed_of_light
 
 from amulor.errors import CubeError
 from amulor.optics import rays, small_angle_diffusion
-from amulor.rejection.joint._kernels import model as _joint_kernels
+from amulor.rejection.joint._kernels import model as kernels
 from amulor.rejection.joint.shape import COEFFICIENTS, Shape, hats
+from amulor.rejection.joint.table import Table
 from amulor.survey import Survey, water_properties
 from amulor.survey.view import kernel_arguments, medium, view
 
@@ -30,34 +30,11 @@ _INTERPOLATION = 1e-4
 _DEGREES = (2, 4, 6, 8, 10)
 #: Components of the dependence on the direction are left out below this [1].
 _SMALLEST_COMPONENT = 1e-5
-#: Depths behind which less than this share of the water signal is left [1].
+#: Depths behind which less than this fraction of the water signal is left [1].
 _NOTHING_LEFT = 1e-7
 _ORDER = 4
 #: Length of a cell behind the last target, in periods of the highest frequency [1].
 _BEHIND = 0.3
-
-
-@dataclass(frozen=True)
-class Table:
-    """Water signal of unit strength against the depth where the water ends.
-
-    Strength 1 is 1 V of open water at frequency 0 in the middle of the scan.
-    """
-
-    step: float
-    """Distance of the nodes of depth [m]."""
-    value: Complex
-    """Water signal, axes (component, node, frequency) [1]."""
-    slope: Complex
-    """Its derivative with respect to the depth [1/m]."""
-    change: Complex
-    """Derivative with respect to the parameters of the shape, one axis more [1]."""
-    basis: Floats
-    """How much of each component a direction of `Frame` has, (direction, component)."""
-    level: Floats
-    """Open water at frequency 0, by component; 1 in the middle of the scan [1]."""
-    strength: float
-    """Received per launched power behind strength 1, per backscatter [sr m]."""
 
 
 class Frame:
@@ -85,7 +62,8 @@ class Frame:
         properties = water_properties(survey)
         self.survey = survey
         self.medium = medium(survey, properties)
-        self.wavenumber = 2 * np.pi * modulation_frequency / speed_of_light
+        #: Phase per optical path, 2 pi f / c_0 [rad/m].
+        self.phase_per_path = 2 * np.pi * modulation_frequency / speed_of_light
         end = survey.water.column_end
         self.end = np.inf if end is None else end
         self._properties = properties
@@ -116,8 +94,9 @@ class Frame:
             self._axes = axes
             both = np.meshgrid(*axes, indexing="ij")
             self._nodes = self._arguments(both[0].ravel(), both[1].ravel())
-            near = self.weights(*test) @ self._overlap(depth, shape, self._nodes)
-            if np.max(np.abs(near - exact)) <= _INTERPOLATION * np.max(exact):
+            nodes = self._overlap(depth, shape, self._nodes)
+            error = self.interpolation(*test) @ nodes - exact
+            if np.max(np.abs(error)) <= _INTERPOLATION * np.max(exact):
                 return
         raise CubeError(
             "the water signal changes too quickly over the scan to be tabulated; "
@@ -127,17 +106,17 @@ class Frame:
     def _arguments(self, azimuth: Floats, elevation: Floats) -> dict[str, Any]:
         """Return the arguments of the overlap, without those of the water."""
         where = view(self.survey, azimuth, elevation, medium=self.medium)
-        found = kernel_arguments(self.survey, self._properties, where)
+        arguments = kernel_arguments(self.survey, self._properties, where)
         for name in (
             "absorption",
             "forward_scattering",
             "diffuse_scattering",
             "second_moment",
         ):
-            del found[name]
-        return found
+            del arguments[name]
+        return arguments
 
-    def weights(self, azimuth: Floats, elevation: Floats) -> Floats:
+    def interpolation(self, azimuth: Floats, elevation: Floats) -> Floats:
         """Return how the nodes of the scan make up given directions.
 
         Parameters
@@ -160,6 +139,12 @@ class Frame:
             parts.append(part)
         product: Floats = np.einsum("ni,nj->nij", *parts).reshape(len(azimuth), -1)
         return product
+
+    def _centre(self) -> Floats:
+        """Return how the nodes of the scan make up its middle, (nodes,) [1]."""
+        place = (np.array([0.5 * sum(box)]) for box in self._box)
+        nodes: Floats = self.interpolation(*place)[0]
+        return nodes
 
     def optical_offset(self, azimuth: Floats, elevation: Floats) -> Floats:
         """Return the optical path before the water, out and back [m]."""
@@ -214,28 +199,30 @@ class Frame:
             raise _unseen()
         return float(depth[np.argmax(left <= _NOTHING_LEFT * left[0])])
 
-    def quantiles(self, shape: Shape, share: Floats) -> Floats:
-        """Return the depths from in front of which given shares of the light come."""
+    def quantiles(self, shape: Shape, fraction: Floats) -> Floats:
+        """Return the depths in front of which given fractions of the light arise."""
         depth = np.linspace(0, min(self.nothing_left(shape), self.end), 4000)
         light = self._overlap(depth, shape, self._nodes).mean(axis=0)
         total = np.cumsum(light)
-        return np.asarray(np.interp(share, total / total[-1], depth))
+        return np.asarray(np.interp(fraction, total / total[-1], depth))
 
     def middle(self, depth: Floats, shape: Shape) -> Floats:
         """Return the overlap in the middle of the scan, with the correction [sr]."""
-        centre = self.weights(*(np.array([0.5 * sum(box)]) for box in self._box))[0]
+        centre = self.interpolation(*(np.array([0.5 * sum(box)]) for box in self._box))[
+            0
+        ]
         factor = np.exp(shape.correction @ hats(depth, shape.knots))
-        found: Floats = centre @ self._overlap(depth, shape, self._nodes) * factor
-        return found
+        overlap: Floats = centre @ self._overlap(depth, shape, self._nodes) * factor
+        return overlap
 
-    def table(self, shape: Shape, *, longest: float, derivatives: bool = True) -> Table:
+    def table(self, shape: Shape, *, deepest: float, derivatives: bool = True) -> Table:
         """Integrate the water signal up to every depth.
 
         Parameters
         ----------
         shape : Shape
             Shape of the water signal.
-        longest : float
+        deepest : float
             Depth beyond which no target stands [m].
         derivatives : bool
             Whether to add those with respect to the shape.
@@ -250,9 +237,9 @@ class Frame:
         (46) of Ricci et al. 2010, as rebuilt and conjugated, by Gauss's rule with
         four points between neighbouring nodes.
         """
-        period = 2 * np.pi / self.wavenumber.max() / (2 * self.medium.group_index)
+        period = 2 * np.pi / self.phase_per_path.max() / (2 * self.medium.group_index)
         far = min(self.nothing_left(shape), self.end)
-        inner = min(longest, far)
+        inner = min(deepest, far)
         step = period / _NODES_PER_PERIOD
         count = max(int(np.ceil(inner / step)), 8)
         if count > _MOST_NODES:
@@ -270,38 +257,41 @@ class Frame:
         width = np.diff(edges)
         middle = 0.5 * (edges[1:] + edges[:-1])
         z = (middle[:, None] + 0.5 * width[:, None] * point).ravel()
-        share = (0.5 * width[:, None] * weight).ravel()
+        measure = (0.5 * width[:, None] * weight).ravel()
         profile = self._profiles(z, shape, derivatives=derivatives)
         at_edge = self._profiles(edges, shape, derivatives=False)[0]
         component = _components(profile[0], profile[1:])
-        rate = 2 * self.medium.group_index * self.wavenumber
-        phasor = np.exp(1j * rate * z[:, None])
+        # Phase per depth, out and back: 4 pi f n_g / c_0, as in optics.
+        wavenumber = 2 * self.medium.group_index * self.phase_per_path
+        phasor = np.exp(1j * wavenumber * z[:, None])
         parameters, size = len(profile), component.shape[1]
-        total = np.empty((parameters, size, count + 2, rate.size), dtype=complex)
-        reduced = np.ascontiguousarray(component.T @ profile * share)
-        _joint_kernels.integrate(reduced, phasor, _ORDER, count, total)
+        total = np.empty((parameters, size, count + 2, wavenumber.size), dtype=complex)
+        reduced = np.ascontiguousarray(component.T @ profile * measure)
+        kernels.integrate(reduced, phasor, _ORDER, count, total)
         slope = np.zeros_like(total[0])
         slope[:, : count + 1] = (component.T @ at_edge)[:, : count + 1, None] * np.exp(
-            1j * rate * edges[: count + 1, None]
+            1j * wavenumber * edges[: count + 1, None]
         )
         # Strength: open water at frequency 0 in the middle of the scan.
-        centre = self.weights(*(np.array([0.5 * sum(box)]) for box in self._box))[0]
-        at_zero = (centre @ profile) @ share
+        centre = self.interpolation(*(np.array([0.5 * sum(box)]) for box in self._box))[
+            0
+        ]
+        at_zero = (centre @ profile) @ measure
         strength = float(at_zero[0])
         if strength < _SMALLEST_STRENGTH:
             raise _unseen()
         change = total[1:] / strength - (
             total[0] * (at_zero[1:] / strength**2)[:, None, None, None]
         )
-        level = component.T @ (profile[0] @ share) / strength
+        level = component.T @ (profile[0] @ measure) / strength
         return Table(
-            step,
-            total[0] / strength,
-            slope / strength,
-            change,
-            component,
-            level,
-            strength,
+            step=step,
+            value=total[0] / strength,
+            slope=slope / strength,
+            change=change,
+            basis=component,
+            level=level,
+            strength=strength,
         )
 
     def _profiles(self, depth: Floats, shape: Shape, *, derivatives: bool) -> Floats:
@@ -310,10 +300,10 @@ class Frame:
         factor = np.exp(shape.correction @ hat)
 
         def light(of: Shape) -> Floats:
-            found: Floats = self._overlap(depth, of, self._nodes) * factor
-            # Numbers next to nothing make every product below slow.
-            found[found < _NEXT_TO_NOTHING * found.max()] = 0.0
-            return found
+            overlap: Floats = self._overlap(depth, of, self._nodes) * factor
+            # Subnormal numbers make every product below slow.
+            overlap[overlap < _NEGLIGIBLE * overlap.max()] = 0.0
+            return overlap
 
         base = light(shape)
         if not derivatives:
@@ -338,8 +328,8 @@ def _unseen() -> CubeError:
     )
 
 
-#: Share of the largest overlap that counts as zero [1].
-_NEXT_TO_NOTHING = 1e-30
+#: Fraction of the largest overlap that counts as zero [1].
+_NEGLIGIBLE = 1e-30
 #: Step of the logarithm of a coefficient for a derivative: what a one-sided one errs
 #: by and what rounding leaves of it are both far below what a step of the fit needs.
 _SMALL = 1e-5
@@ -356,8 +346,8 @@ def _components(light: Floats, derivatives: Floats) -> Floats:
             gram += part @ part.T
     values, vectors = np.linalg.eigh(gram)
     kept = values > _SMALLEST_COMPONENT**2 * values[-1]
-    found: Floats = np.ascontiguousarray(vectors[:, kept])
-    return found
+    components: Floats = np.ascontiguousarray(vectors[:, kept])
+    return components
 
 
 def frame_of(cube: xr.Dataset, azimuth: Floats, elevation: Floats) -> Frame:

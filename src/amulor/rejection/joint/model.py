@@ -6,15 +6,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from amulor.rejection.joint._kernels import model as kernels
-from amulor.rejection.joint.frame import Table
-from amulor.rejection.joint.pixels import Pixels, parts, shares
+from amulor.rejection.joint._kernels.bundles import Signals
+from amulor.rejection.joint._kernels.threads import spread
+from amulor.rejection.joint.pixels import Pixels, coefficients, places
+from amulor.rejection.joint.table import Table, from_pairs
 
 Floats = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
 
 def water_at(
-    pixels: Pixels, path: Floats, table: Table, wavenumber: Floats
+    pixels: Pixels, path: Floats, table: Table, phase_per_path: Floats
 ) -> tuple[Floats, Complex, Complex]:
     """Return depth [m], water signal of unit strength, and its slope in the path.
 
@@ -26,42 +28,29 @@ def water_at(
         Optical path; infinite for open water [m].
     table : Table
         Water signal against its end.
-    wavenumber : ndarray, shape (frequency,)
-        Phase per path [1/m].
+    phase_per_path : ndarray, shape (frequency,)
+        2 pi f / c_0 [rad/m].
 
     Returns
     -------
     tuple of ndarrays
         Depth, signal [1] and slope [1/m], the latter over (pixel, frequency).
     """
-    count = len(pixels)
-    depth = np.empty(count)
-    water = np.empty((count, 2, wavenumber.size))
-    change = np.empty_like(water)
-    kernels.water_at(
-        path,
-        pixels.shortest,
-        pixels.longest,
-        pixels.depths,
-        table.step,
-        shares(pixels, table),
-        parts(table.value),
-        parts(table.slope),
-        pixels.turned,
-        wavenumber,
-        depth,
-        water,
-        change,
+    count, frequencies = len(pixels), phase_per_path.size
+    out = Signals(
+        np.empty(count),
+        np.empty((count, 2, frequencies)),
+        np.empty((count, 2, frequencies)),
     )
-    return (
-        depth,
-        water[:, 0] + 1j * water[:, 1],
-        change[:, 0] + 1j * change[:, 1],
-    )
+    spread(
+        kernels.water_at, count, path, places(pixels, table), table.arrays,
+        phase_per_path, out,
+    )  # fmt: skip
+    return out.depth, from_pairs(out.water), from_pairs(out.change)
 
 
-def near(pixels: Pixels, table: Table, wavenumber: Floats) -> Complex:
-    """Return the water signal of light that comes from the start of the water.
+def foreground(pixels: Pixels, table: Table, phase_per_path: Floats) -> Complex:
+    """Return the signal of light that comes from in front of all targets.
 
     Parameters
     ----------
@@ -69,21 +58,21 @@ def near(pixels: Pixels, table: Table, wavenumber: Floats) -> Complex:
         Their places count.
     table : Table
         Water signal against its end.
-    wavenumber : ndarray, shape (frequency,)
-        Phase per path [1/m].
+    phase_per_path : ndarray, shape (frequency,)
+        2 pi f / c_0 [rad/m].
 
     Returns
     -------
     ndarray of complex, shape (pixel, frequency)
         As strong as open water at frequency 0 is there [1].
     """
-    level = shares(pixels, table) @ table.level
-    turn: Complex = np.exp(1j * pixels.turned[:, None] * wavenumber)
+    level = coefficients(pixels, table) @ table.level
+    turn: Complex = np.exp(1j * pixels.offset[:, None] * phase_per_path)
     return level[:, None] * turn
 
 
 def shape_changes(
-    pixels: Pixels, depth: Floats, table: Table, wavenumber: Floats
+    pixels: Pixels, depth: Floats, table: Table, phase_per_path: Floats
 ) -> Complex:
     """Return the derivatives of the water signal with respect to its shape.
 
@@ -95,16 +84,20 @@ def shape_changes(
         Where the water ends, infinite for open water [m].
     table : Table
         Water signal against its end.
-    wavenumber : ndarray, shape (frequency,)
-        Phase per path [1/m].
+    phase_per_path : ndarray, shape (frequency,)
+        2 pi f / c_0 [rad/m].
 
     Returns
     -------
     ndarray of complex, shape (pixel, parameter, frequency)
         Derivatives [1].
     """
-    out = np.empty((len(pixels), len(table.change), wavenumber.size), dtype=complex)
-    kernels.interpolate(depth, table.step, shares(pixels, table), table.change, out)
-    turn = np.exp(1j * pixels.turned[:, None] * wavenumber)
+    shape = (len(pixels), len(table.change), phase_per_path.size)
+    out = np.empty(shape, dtype=complex)
+    spread(
+        kernels.interpolate, len(pixels), depth, table.step,
+        coefficients(pixels, table), table.change, out,
+    )  # fmt: skip
+    turn = np.exp(1j * pixels.offset[:, None] * phase_per_path)
     out *= turn[:, None, :]
     return out

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from amulor.rejection.joint._kernels import normal as kernels
-from amulor.rejection.joint.model import near, shape_changes, water_at
+from amulor.rejection.joint._kernels.bundles import Derivatives, Parameters, Sums
+from amulor.rejection.joint._kernels.threads import FEWEST, spread
+from amulor.rejection.joint.model import foreground, shape_changes, water_at
 from amulor.rejection.joint.pixels import Pixels, weight
 from amulor.rejection.joint.priors import Layout, Shared
 
@@ -19,7 +22,7 @@ Complex = NDArray[np.complex128]
 _PORTIONS = 8
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Normal:
     """Normal equations of the shared parameters, the pixels' own eliminated."""
 
@@ -35,16 +38,23 @@ class Normal:
     def __add__(self, other: Normal) -> Normal:
         """Return those of both groups of samples."""
         return Normal(
-            self.matrix + other.matrix,
-            self.vector + other.vector,
-            self.square + other.square,
-            self.freedom + other.freedom,
+            matrix=self.matrix + other.matrix,
+            vector=self.vector + other.vector,
+            square=self.square + other.square,
+            freedom=self.freedom + other.freedom,
+        )
+
+    @classmethod
+    def zero(cls, size: int) -> Normal:
+        """Return those of no samples at all."""
+        return cls(
+            matrix=np.zeros((size, size)), vector=np.zeros(size), square=0.0, freedom=0
         )
 
 
 @dataclass(frozen=True)
-class Seen:
-    """Samples with what is thought to stand before the receiver."""
+class Fitted:
+    """Samples with the paths and amplitudes that were fitted to them."""
 
     pixels: Pixels
     """Samples."""
@@ -54,7 +64,7 @@ class Seen:
     """Amplitude of the target in each channel, 0 for open water [V]."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Modelled:
     """Parts of the model at the paths of some pixels."""
 
@@ -62,60 +72,68 @@ class Modelled:
     """Water signal of unit strength, (pixel, frequency) [1]."""
     slope: Complex
     """Its derivative with respect to the path [1/m]."""
-    near: Complex
+    foreground: Complex
     """Light of unit strength from in front of all targets [1]."""
     echo: Complex
     """Echo of unit amplitude, without its departure; 0 for open water [1]."""
     depth: Floats
     """Depth where the water ends [m]."""
-    light: Complex
+    water_signal: Complex
     """Water signal, (pixel, channel, frequency) [V]."""
-    left: Complex
+    residual: Complex
     """Samples less the model; 0 where none is usable [V]."""
 
 
 def modelled(
-    state: Shared, seen: Seen, *, transfer: Complex, wavenumber: Floats
+    state: Shared, fitted: Fitted, *, transfer: Complex, phase_per_path: Floats
 ) -> Modelled:
-    """Return the parts of the model, and what it leaves over.
+    """Return the parts of the model, and the residual.
 
     Parameters
     ----------
     state : Shared
         What the pixels share.
-    seen : Seen
+    fitted : Fitted
         Samples with paths and amplitudes.
     transfer : ndarray of complex
         What the echo has beyond its delay, as known [1].
-    wavenumber : ndarray
-        Phase per path of each frequency [1/m].
+    phase_per_path : ndarray
+        2 pi f / c_0 of each frequency [rad/m].
 
     Returns
     -------
     Modelled
         Arrays over the pixels.
     """
-    pixels = seen.pixels
-    depth, water, slope = water_at(pixels, seen.path, state.table, wavenumber)
-    start = near(pixels, state.table, wavenumber)
-    light = state.light(water, start)
-    is_target = np.isfinite(seen.path)
-    path = np.where(is_target, seen.path, 0.0)
-    echo = np.exp(1j * path[:, None] * wavenumber) * transfer
+    pixels = fitted.pixels
+    depth, water, slope = water_at(pixels, fitted.path, state.table, phase_per_path)
+    front = foreground(pixels, state.table, phase_per_path)
+    water_signal = state.water_signal(water, front)
+    is_target = np.isfinite(fitted.path)
+    path = np.where(is_target, fitted.path, 0.0)
+    echo = np.exp(1j * path[:, None] * phase_per_path) * transfer
     echo[~is_target] = 0
-    model = light + seen.amplitude[..., None] * (echo * (1 + state.echo))[:, None]
-    left = np.where(pixels.usable, pixels.signal - model, 0)
-    return Modelled(water, slope, start, echo, depth, light, left)
+    target_signal = fitted.amplitude[..., None] * (echo * (1 + state.echo))[:, None]
+    model = water_signal + target_signal
+    return Modelled(
+        water=water,
+        slope=slope,
+        foreground=front,
+        echo=echo,
+        depth=depth,
+        water_signal=water_signal,
+        residual=np.where(pixels.usable, pixels.signal - model, 0),
+    )
 
 
 def normal_equations(
     state: Shared,
-    seen: Seen,
+    fitted: Fitted,
     layout: Layout,
     used: int,
     *,
     transfer: Complex,
-    wavenumber: Floats,
+    phase_per_path: Floats,
 ) -> Normal:
     """Return the normal equations of the first parameters about a state.
 
@@ -123,13 +141,13 @@ def normal_equations(
     ----------
     state : Shared
         What the pixels share.
-    seen : Seen
+    fitted : Fitted
         Samples with paths and amplitudes.
     layout : Layout
         Where the parameters stand.
     used : int
         Number of parameters: all of them, or the parametric ones.
-    transfer, wavenumber : ndarray
+    transfer, phase_per_path : ndarray
         As in `modelled`.
 
     Returns
@@ -137,39 +155,44 @@ def normal_equations(
     Normal
         With the paths and amplitudes eliminated (Schur complement).
     """
-    pixels = seen.pixels
-    parts = modelled(state, seen, transfer=transfer, wavenumber=wavenumber)
-    stray = state.fluctuation * parts.light if state.fluctuation > 0 else None
-    base = parts.water[:, None] + state.departure * parts.near[:, None]
-    changes = shape_changes(pixels, parts.depth, state.table, wavenumber)
-    is_target = np.isfinite(seen.path)
-    matrix = np.zeros((_PORTIONS, used, used))
-    vector = np.zeros((_PORTIONS, used))
-    square = np.zeros(_PORTIONS)
-    kernels.accumulate(
-        parts.left,
-        weight(pixels, stray),
-        base,
-        changes,
-        parts.near,
-        state.strength,
-        parts.echo,
-        1 + state.echo,
-        seen.amplitude,
-        parts.slope,
-        wavenumber,
-        is_target,
-        layout.blocks[1].start,
-        layout.blocks[2].start,
-        used == layout.size,
-        matrix,
-        vector,
-        square,
+    pixels = fitted.pixels
+    parts = modelled(state, fitted, transfer=transfer, phase_per_path=phase_per_path)
+    deviation = None
+    if state.fluctuation > 0:
+        deviation = state.fluctuation * parts.water_signal
+    is_target = np.isfinite(fitted.path)
+    derivatives = Derivatives(
+        residual=parts.residual,
+        weight=weight(pixels, deviation),
+        base=parts.water[:, None] + state.departure * parts.foreground[:, None],
+        changes=shape_changes(pixels, parts.depth, state.table, phase_per_path),
+        foreground=parts.foreground,
+        echo=parts.echo,
+        slope=parts.slope,
+        amplitude=fitted.amplitude,
+        is_target=is_target,
     )
-    own = int(is_target.sum()) * (1 + seen.amplitude.shape[1])
+    parameters = Parameters(
+        strength=state.strength,
+        factor=1 + state.echo,
+        phase_per_path=phase_per_path,
+        first_departure=layout.blocks[1].start,
+        first_echo=layout.blocks[2].start,
+        is_free=used == layout.size,
+    )
+    sums = Sums(
+        matrix=np.zeros((_PORTIONS, used, used)),
+        vector=np.zeros((_PORTIONS, used)),
+        square=np.zeros(_PORTIONS),
+    )
+    spread(
+        kernels.accumulate, _PORTIONS, derivatives, parameters, sums,
+        fewest=math.ceil(_PORTIONS * FEWEST / max(len(pixels), 1)),
+    )  # fmt: skip
+    own = int(is_target.sum()) * (1 + fitted.amplitude.shape[1])
     return Normal(
-        matrix.sum(axis=0),
-        vector.sum(axis=0),
-        float(square.sum()),
-        2 * int(pixels.usable.sum()) - own,
+        matrix=sums.matrix.sum(axis=0),
+        vector=sums.vector.sum(axis=0),
+        square=float(sums.square.sum()),
+        freedom=2 * int(pixels.usable.sum()) - own,
     )

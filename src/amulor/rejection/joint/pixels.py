@@ -9,7 +9,10 @@ from numpy.typing import NDArray
 
 from amulor.optics import rays
 from amulor.rejection.covariance import Covariance
-from amulor.rejection.joint.frame import Frame, Table
+from amulor.rejection.joint._kernels import bundles
+from amulor.rejection.joint._kernels import model as kernels
+from amulor.rejection.joint.frame import Frame
+from amulor.rejection.joint.table import Table, to_pairs
 
 Floats = NDArray[np.float64]
 Complex = NDArray[np.complex128]
@@ -21,7 +24,7 @@ _POINTS_PER_PERIOD = 12
 _MOST_POINTS = 20_000
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Pixels:
     """Samples with their errors, and where each pixel may lie.
 
@@ -34,9 +37,9 @@ class Pixels:
     """Their stated errors [V^2]."""
     usable: NDArray[np.bool_]
     """Whether a sample counts."""
-    weights: Floats
-    """Place within the scan, from `Frame.weights`, (pixel, node) [1]."""
-    turned: Floats
+    interpolation: Floats
+    """Place within the scan, from `Frame.interpolation`, (pixel, node) [1]."""
+    offset: Floats
     """Optical path before the water, out and back [m]."""
     shortest: Floats
     """Shortest optical path [m]."""
@@ -63,8 +66,8 @@ class Pixels:
                 for name in (
                     "signal",
                     "usable",
-                    "weights",
-                    "turned",
+                    "interpolation",
+                    "offset",
                     "shortest",
                     "longest",
                     "depths",
@@ -124,25 +127,25 @@ def pixels_of(
         path, wide, frame.receiver, medium=frame.medium
     )
     return Pixels(
-        np.where(usable, signal, 0.0),
-        covariance,
-        usable,
-        frame.weights(azimuth, elevation),
-        frame.optical_offset(azimuth, elevation).astype(float),
-        shortest,
-        longest,
-        np.nan_to_num(np.maximum(slant_range - wide.length_before, 0.0)),
+        signal=np.where(usable, signal, 0.0),
+        covariance=covariance,
+        usable=usable,
+        interpolation=frame.interpolation(azimuth, elevation),
+        offset=frame.optical_offset(azimuth, elevation).astype(float),
+        shortest=shortest,
+        longest=longest,
+        depths=np.nan_to_num(np.maximum(slant_range - wide.length_before, 0.0)),
     )
 
 
-def weight(pixels: Pixels, stray: Complex | None = None) -> Floats:
+def weight(pixels: Pixels, deviation: Complex | None = None) -> Floats:
     """Return the inverse covariance of the samples.
 
     Parameters
     ----------
     pixels : Pixels
         Samples with their stated errors.
-    stray : ndarray of complex, optional
+    deviation : ndarray of complex, optional
         One standard deviation of a random change of the water signal, along the
         direction of that change [V].
 
@@ -153,24 +156,24 @@ def weight(pixels: Pixels, stray: Complex | None = None) -> Floats:
     """
     errors = pixels.covariance
     xx, yy, xy = errors.in_phase, errors.quadrature, errors.cross
-    if stray is not None:
-        xx = xx + stray.real**2
-        yy = yy + stray.imag**2
-        xy = xy + stray.real * stray.imag
+    if deviation is not None:
+        xx = xx + deviation.real**2
+        yy = yy + deviation.imag**2
+        xy = xy + deviation.real * deviation.imag
     safe = np.where(pixels.usable, xx * yy - xy**2, 1.0)
     inverse = np.stack([yy, -xy, xx], axis=-2) / safe[..., None, :]
     return np.where(pixels.usable[..., None, :], inverse, 0.0)
 
 
-def grid_of(pixels: Pixels, wavenumber: Floats) -> Floats:
+def grid_of(pixels: Pixels, phase_per_path: Floats) -> Floats:
     """Return the paths at which the likelihood is looked at first.
 
     Parameters
     ----------
     pixels : Pixels
         Their limits count.
-    wavenumber : ndarray
-        Phase per path of each frequency [1/m].
+    phase_per_path : ndarray
+        2 pi f / c_0 of each frequency [rad/m].
 
     Returns
     -------
@@ -182,22 +185,45 @@ def grid_of(pixels: Pixels, wavenumber: Floats) -> Floats:
     ValueError
         If there would be far too many.
     """
-    step = 2 * np.pi / wavenumber.max() / _POINTS_PER_PERIOD
-    first, last = pixels.shortest.min() - step, pixels.longest.max() + step
-    count = int(np.ceil((last - first) / step)) + 1
+    step = 2 * np.pi / phase_per_path.max() / _POINTS_PER_PERIOD
+    shortest, longest = pixels.shortest.min() - step, pixels.longest.max() + step
+    count = int(np.ceil((longest - shortest) / step)) + 1
     if count > _MOST_POINTS:
         raise ValueError(
             f"the interval holds {count / _POINTS_PER_PERIOD:.3g} ambiguity intervals "
             "of the highest modulation frequency; narrow it"
         )
-    return np.asarray(first + step * np.arange(count))
+    return np.asarray(shortest + step * np.arange(count))
 
 
-def shares(pixels: Pixels, table: Table) -> Floats:
-    """Return how much of each component of a table the pixels have [1]."""
-    return np.ascontiguousarray(pixels.weights @ table.basis)
+def coefficients(pixels: Pixels, table: Table) -> Floats:
+    """Return the coefficients of the components of a table, (pixel, component) [1]."""
+    return np.ascontiguousarray(pixels.interpolation @ table.basis)
 
 
-def parts(values: Complex) -> Floats:
-    """Return complex numbers as real and imaginary parts, the axis before the last."""
-    return np.ascontiguousarray(np.stack([values.real, values.imag], axis=-2))
+def samples(pixels: Pixels, weights: Floats) -> bundles.Samples:
+    """Return samples and their inverse covariance as compiled loops take them."""
+    return bundles.Samples(to_pairs(pixels.signal), np.ascontiguousarray(weights))
+
+
+def places(pixels: Pixels, table: Table) -> bundles.Places:
+    """Return where pixels look, as compiled loops take it."""
+    return bundles.Places(
+        coefficients(pixels, table),
+        pixels.offset,
+        pixels.shortest,
+        pixels.longest,
+        pixels.depths,
+    )
+
+
+def echo_of(transfer: Complex, phase_per_path: Floats) -> bundles.Echo:
+    """Return what turns a path into an echo, as compiled loops take it."""
+    return bundles.Echo(phase_per_path, to_pairs(transfer))
+
+
+def phasors(path: Floats, echo: bundles.Echo) -> bundles.Grid:
+    """Return paths with the echoes of unit amplitude from there."""
+    phasor = np.empty((path.size, 2, echo.phase_per_path.size))
+    kernels.fill_phasors(path, echo, phasor)
+    return bundles.Grid(path, phasor)

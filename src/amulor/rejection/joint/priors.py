@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import solve_triangular
 
-from amulor.rejection.joint.frame import Table
 from amulor.rejection.joint.shape import COEFFICIENTS, Shape
+from amulor.rejection.joint.table import Table
 
 Floats = NDArray[np.float64]
 Complex = NDArray[np.complex128]
@@ -34,7 +34,7 @@ _TRIED = (
 NONE: Widths = (0.0, 0.0, 0.0)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Shared:
     """Estimate of everything that the pixels share."""
 
@@ -57,7 +57,7 @@ class Shared:
     parametric: Floats
     """Covariance of the strengths and the logarithms of k' and spread, if the model
     were right and nothing else known."""
-    tried: Widths
+    widths: Widths
     """Standard deviations that the data prefer for correction, departure, echo [1]."""
     evidence: float
     """Twice the logarithm of how much the data prefer departures over none [1]."""
@@ -70,24 +70,28 @@ class Shared:
         gain = np.repeat(self.strength[:, None], self.echo.size, axis=1)
         return gain.astype(complex)
 
-    def light(self, water: Complex, near: Complex) -> Complex:
+    def water_signal(self, water: Complex, foreground: Complex) -> Complex:
         """Return the water signal of pixels, (pixel, channel, frequency) [V].
 
         Parameters
         ----------
-        water, near : ndarray of complex, shape (pixel, frequency)
-            Water signal of unit strength, of the model and from the start [1].
+        water, foreground : ndarray of complex, shape (pixel, frequency)
+            Water signal of unit strength: of the model, and from in front of all
+            targets [1].
 
         Returns
         -------
         ndarray of complex
             With its departure.
         """
-        return self.strength[:, None] * water[:, None] + self.offset * near[:, None]
+        return (
+            self.strength[:, None] * water[:, None]
+            + self.foreground * foreground[:, None]
+        )
 
     @property
-    def offset(self) -> Complex:
-        """Departure in the middle of the scan, (channel, frequency) [V]."""
+    def foreground(self) -> Complex:
+        """Light from in front of all targets, (channel, frequency) [V]."""
         return self.strength[:, None] * self.departure
 
 
@@ -151,11 +155,11 @@ def inverse_of(matrix: Floats) -> Floats:
     scaled = matrix / np.outer(scale, scale)
     values, vectors = np.linalg.eigh(scaled)
     values = np.maximum(values, 1e-13 * values[-1])
-    found: Floats = (vectors / values) @ vectors.T / np.outer(scale, scale)
-    return found
+    inverse: Floats = (vectors / values) @ vectors.T / np.outer(scale, scale)
+    return inverse
 
 
-def prior_of(state: Shared, layout: Layout, tried: Widths) -> tuple[Floats, Floats]:
+def prior_of(state: Shared, layout: Layout, widths: Widths) -> tuple[Floats, Floats]:
     """Return the precision of the priors, and how far off their centres a state is."""
     precision, origin = np.zeros(layout.size), np.zeros(layout.size)
     at = layout.shape.start
@@ -170,7 +174,7 @@ def prior_of(state: Shared, layout: Layout, tried: Widths) -> tuple[Floats, Floa
         np.concatenate([state.departure.real.ravel(), state.departure.imag.ravel()]),
         np.concatenate([state.echo.real, state.echo.imag]),
     )
-    for block, width, values in zip(layout.blocks, tried, current, strict=True):
+    for block, width, values in zip(layout.blocks, widths, current, strict=True):
         if width > 0:
             precision[block] = width**-2
         origin[block] = values
@@ -198,15 +202,15 @@ def widths_of(
     """
     known: dict[Widths, float] = {}
 
-    def value(tried: Widths) -> float:
-        if tried not in known:
-            known[tried] = _cost_of(matrix, vector, state, layout, tried)
-        return known[tried]
+    def value(widths: Widths) -> float:
+        if widths not in known:
+            known[widths] = _cost_of(matrix, vector, state, layout, widths)
+        return known[widths]
 
-    if state.tried == NONE:
+    if state.widths == NONE:
         chosen = min(((a, b, c) for a, b, c in itertools.product(*_TRIED)), key=value)
     else:
-        chosen, before = state.tried, NONE
+        chosen, before = state.widths, NONE
         while chosen != before:
             before = chosen
             a, b, c = chosen
@@ -219,10 +223,10 @@ def widths_of(
 
 
 def _cost_of(
-    matrix: Floats, vector: Floats, state: Shared, layout: Layout, tried: Widths
+    matrix: Floats, vector: Floats, state: Shared, layout: Layout, widths: Widths
 ) -> float:
     """Return minus twice the logarithm of the evidence, but for a constant."""
-    prior, origin = prior_of(state, layout, tried)
+    prior, origin = prior_of(state, layout, widths)
     root = np.sqrt(1 / np.where(prior > 0, prior, 1.0))
     # In units of the priors' widths the determinant is that of the evidence.
     scaled = matrix * np.outer(root, root)

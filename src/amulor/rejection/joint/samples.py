@@ -50,14 +50,14 @@ def shot_directions(
     """Return where the open-water shots point; to the middle if that is not known."""
     if shots is None:
         return np.zeros(0), np.zeros(0)
-    found = []
+    places = []
     for name in ("azimuth", "elevation"):
         if name in shots:
-            found.append(shots[name].values.astype(float))
+            places.append(shots[name].values.astype(float))
         else:
             middle = float(cube[name].values.mean())
-            found.append(np.full(shots.sizes["shot"], middle))
-    return found[0], found[1]
+            places.append(np.full(shots.sizes["shot"], middle))
+    return places[0], places[1]
 
 
 def shot_pixels(

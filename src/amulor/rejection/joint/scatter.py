@@ -1,11 +1,11 @@
-"""What the scatter says: where targets are, odd pixels, a water that fluctuates."""
+"""What the scatter says: where targets are, outliers, a water that fluctuates."""
 
 from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
 
-from amulor.rejection.joint.normal import Seen, modelled
+from amulor.rejection.joint.normal import Fitted, modelled
 from amulor.rejection.joint.pixels import weight
 from amulor.rejection.joint.priors import Shared, whitened
 from amulor.rejection.joint.search import Estimates
@@ -15,18 +15,18 @@ Complex = NDArray[np.complex128]
 
 #: A target is there when it explains this much more than water alone, in chi-square.
 DETECTION = 25.0
-#: Pixels that misfit by less than this chance have no say in what all share [1].
-_ODD = 1e-6
+#: Pixels whose p-value is below this have no say in what all share [1].
+_OUTLIER = 1e-6
 _BISECTIONS = 30
 
 
-def is_seen(estimates: Estimates) -> NDArray[np.bool_]:
+def is_detected(estimates: Estimates) -> NDArray[np.bool_]:
     """Return which pixels have a target rather than open water.
 
     Parameters
     ----------
     estimates : Estimates
-        What was found for each pixel.
+        Solutions of all pixels.
 
     Returns
     -------
@@ -34,20 +34,20 @@ def is_seen(estimates: Estimates) -> NDArray[np.bool_]:
         True where a target explains the samples better by `DETECTION`.
     """
     better = estimates.empty_cost - estimates.cost >= DETECTION
-    lit = (estimates.amplitude > 0).any(axis=1)
-    return np.asarray(np.isfinite(estimates.path) & better & lit)
+    is_positive = (estimates.amplitude > 0).any(axis=1)
+    return np.asarray(np.isfinite(estimates.path) & better & is_positive)
 
 
-def are_ordinary(estimates: Estimates) -> NDArray[np.bool_]:
-    """Return which pixels are no odd ones among the others: edges, fish, bubbles.
+def are_inliers(estimates: Estimates) -> NDArray[np.bool_]:
+    """Return which pixels are no outliers, as edges, fish and bubbles are.
 
     Their misfit is compared with the median, whatever that is: a model that is wrong
-    for all pixels makes none of them odd.
+    for all pixels makes none of them an outlier.
 
     Parameters
     ----------
     estimates : Estimates
-        What was found for each pixel.
+        Solutions of all pixels.
 
     Returns
     -------
@@ -58,17 +58,17 @@ def are_ordinary(estimates: Estimates) -> NDArray[np.bool_]:
 
     if not len(estimates.path):
         return np.ones(0, dtype=bool)
-    seen = is_seen(estimates)
-    cost = np.where(seen, estimates.cost, estimates.empty_cost)
-    own = seen * (1 + estimates.amplitude.shape[1])
+    detected = is_detected(estimates)
+    cost = np.where(detected, estimates.cost, estimates.empty_cost)
+    own = detected * (1 + estimates.amplitude.shape[1])
     freedom = np.maximum(estimates.used - own, 1)
     typical = max(float(np.median(cost / chi2.median(freedom))), 1.0)
-    kept: NDArray[np.bool_] = chi2.sf(cost / typical, freedom) > _ODD
+    kept: NDArray[np.bool_] = chi2.sf(cost / typical, freedom) > _OUTLIER
     return kept
 
 
 def fluctuation_of(
-    state: Shared, groups: list[Seen], *, transfer: Complex, wavenumber: Floats
+    state: Shared, groups: list[Fitted], *, transfer: Complex, phase_per_path: Floats
 ) -> float:
     """Return the relative change of the water signal that explains the scatter.
 
@@ -76,12 +76,12 @@ def fluctuation_of(
     ----------
     state : Shared
         What the pixels share.
-    groups : list of Seen
+    groups : list of Fitted
         All samples with paths and amplitudes.
     transfer : ndarray of complex
         What the echo has beyond its delay, as known [1].
-    wavenumber : ndarray
-        Phase per path of each frequency [1/m].
+    phase_per_path : ndarray
+        2 pi f / c_0 of each frequency [rad/m].
 
     Returns
     -------
@@ -89,18 +89,19 @@ def fluctuation_of(
         0 where the stated errors explain the scatter alone; 1 at most [1].
     """
     parts, rows = [], 0
-    for seen in groups:
-        found = modelled(state, seen, transfer=transfer, wavenumber=wavenumber)
-        parts.append((seen.pixels, found.left, found.light))
-        own = 1 + seen.amplitude.shape[1]
-        rows += 2 * int(seen.pixels.usable.sum())
-        rows -= own * int(np.isfinite(seen.path).sum())
+    for group in groups:
+        model = modelled(state, group, transfer=transfer, phase_per_path=phase_per_path)
+        parts.append((group.pixels, model.residual, model.water_signal))
+        own = 1 + group.amplitude.shape[1]
+        rows += 2 * int(group.pixels.usable.sum())
+        rows -= own * int(np.isfinite(group.path).sum())
 
     def excess(level: float) -> float:
         total = 0.0
-        for pixels, left, light in parts:
-            stray = level * light if level > 0 else None
-            total += float(np.sum(whitened(weight(pixels, stray), left) ** 2))
+        for pixels, residual, water_signal in parts:
+            deviation = level * water_signal if level > 0 else None
+            weights = weight(pixels, deviation)
+            total += float(np.sum(whitened(weights, residual) ** 2))
         return total / rows - 1
 
     # Within what chance does, the stated errors explain the scatter alone.

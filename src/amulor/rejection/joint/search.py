@@ -7,16 +7,25 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from amulor.rejection.joint._kernels import search
-from amulor.rejection.joint.frame import Table
-from amulor.rejection.joint.model import near
-from amulor.rejection.joint.pixels import Pixels, grid_of, parts, shares
+from amulor.rejection.joint._kernels import bundles
+from amulor.rejection.joint._kernels import search as kernels
+from amulor.rejection.joint._kernels.threads import spread
+from amulor.rejection.joint.model import foreground
+from amulor.rejection.joint.pixels import (
+    Pixels,
+    echo_of,
+    grid_of,
+    phasors,
+    places,
+    samples,
+)
+from amulor.rejection.joint.table import Table, from_pairs, to_pairs
 
 Floats = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Estimates:
     """Most likely path of each pixel, and what belongs to it."""
 
@@ -50,7 +59,7 @@ def estimate(
     *,
     gain: Complex,
     transfer: Complex,
-    wavenumber: Floats,
+    phase_per_path: Floats,
     known: Floats | None = None,
 ) -> Estimates:
     """Return the most likely path of each pixel for a given water signal.
@@ -67,8 +76,8 @@ def estimate(
         Strength of the water signal [V].
     transfer : ndarray of complex, shape (frequency,)
         What the echo of the target has beyond its delay [1].
-    wavenumber : ndarray, shape (frequency,)
-        Phase per path [1/m].
+    phase_per_path : ndarray, shape (frequency,)
+        2 pi f / c_0 [rad/m].
     known : ndarray, optional
         Paths to start from instead of looking for the highest likelihood anywhere;
         leaves the limits of the profile and other intervals alone [m].
@@ -79,47 +88,35 @@ def estimate(
         Arrays over the pixels.
     """
     count, channels, frequencies = pixels.signal.shape
-    grid = grid_of(pixels, wavenumber) if count else np.arange(2.0)
-    out = np.empty((count, search.COLUMNS))
-    amplitude = np.empty((count, channels))
-    influence = np.empty((count, channels, 2, frequencies))
-    search.estimate(
-        parts(pixels.signal),
-        np.ascontiguousarray(weights),
-        parts(gain),
-        shares(pixels, table),
-        pixels.turned,
-        parts(table.value),
-        parts(table.slope),
-        table.step,
-        wavenumber,
-        parts(transfer),
-        grid,
-        pixels.shortest,
-        pixels.longest,
-        pixels.depths,
-        np.zeros(0) if known is None else known,
-        known is not None,
+    echo = echo_of(transfer, phase_per_path)
+    path = grid_of(pixels, phase_per_path) if count else np.arange(2.0)
+    out = bundles.Solutions(
+        **{name: np.empty(count) for name in _SCALARS},
+        used=np.empty(count, dtype=np.intp),
+        amplitude=np.empty((count, channels)),
+        influence=np.empty((count, channels, 2, frequencies)),
+    )
+    spread(
+        kernels.estimate,
+        count,
+        samples(pixels, weights),
+        places(pixels, table),
+        bundles.Model(table.arrays, echo, to_pairs(gain)),
+        phasors(path, echo),
+        np.full(count, np.nan) if known is None else known,
         out,
-        amplitude,
-        influence,
     )
-    return Estimates(
-        path=out[:, search.PATH],
-        amplitude=amplitude,
-        cost=out[:, search.COST],
-        empty_cost=out[:, search.EMPTY_COST],
-        information=out[:, search.INFORMATION],
-        lower=out[:, search.LOWER],
-        upper=out[:, search.UPPER],
-        wrong=out[:, search.WRONG],
-        used=out[:, search.USED].astype(np.intp),
-        influence=influence[..., 0, :] + 1j * influence[..., 1, :],
-    )
+    return Estimates(**out._asdict() | {"influence": from_pairs(out.influence)})
 
 
-def without_offset(
-    pixels: Pixels, table: Table, *, offset: Complex, wavenumber: Floats
+#: Numbers that every pixel has one of.
+_SCALARS = (
+    "path", "cost", "empty_cost", "information", "lower", "upper", "wrong",
+)  # fmt: skip
+
+
+def without_foreground(
+    pixels: Pixels, table: Table, *, strength: Complex, phase_per_path: Floats
 ) -> Pixels:
     """Return samples less what the water sends from in front of all targets.
 
@@ -129,17 +126,17 @@ def without_offset(
         Samples.
     table : Table
         Water signal against its end.
-    offset : ndarray of complex, shape (channel, frequency)
+    strength : ndarray of complex, shape (channel, frequency)
         That light in the middle of the scan [V].
-    wavenumber : ndarray, shape (frequency,)
-        Phase per path [1/m].
+    phase_per_path : ndarray, shape (frequency,)
+        2 pi f / c_0 [rad/m].
 
     Returns
     -------
     Pixels
         The rest.
     """
-    if not np.any(offset):
+    if not np.any(strength):
         return pixels
-    light = near(pixels, table, wavenumber)[:, None] * offset
+    light = foreground(pixels, table, phase_per_path)[:, None] * strength
     return replace(pixels, signal=np.where(pixels.usable, pixels.signal - light, 0.0))

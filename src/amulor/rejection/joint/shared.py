@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from amulor.rejection.joint.frame import Frame
-from amulor.rejection.joint.model import near, water_at
-from amulor.rejection.joint.normal import Normal, Seen, normal_equations
+from amulor.rejection.joint.model import foreground, water_at
+from amulor.rejection.joint.normal import Fitted, Normal, normal_equations
 from amulor.rejection.joint.pixels import Pixels, weight
 from amulor.rejection.joint.priors import (
     NONE,
@@ -20,15 +20,15 @@ from amulor.rejection.joint.priors import (
     prior_of,
     widths_of,
 )
-from amulor.rejection.joint.scatter import are_ordinary, fluctuation_of, is_seen
-from amulor.rejection.joint.search import Estimates, estimate, without_offset
+from amulor.rejection.joint.scatter import are_inliers, fluctuation_of, is_detected
+from amulor.rejection.joint.search import Estimates, estimate, without_foreground
 from amulor.rejection.joint.shape import COEFFICIENTS
 from amulor.rejection.joint.start import start
 
 Floats = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
-#: Shares of the water signal that come from in front of the knots of the correction.
+#: Fractions of the water signal that come from in front of the knots of the correction.
 _KNOTS = np.array([0.002, 0.01, 0.03, 0.08, 0.18, 0.32, 0.5, 0.68, 0.82, 0.92, 0.975])
 _PARAMETRIC_STEPS, _FREE_STEPS = 14, 10
 #: Dampings tried for a step, each ten times the one before, and the least of them [1].
@@ -49,7 +49,7 @@ def fit(
     shots: Pixels | None,
     *,
     transfer: Complex,
-    longest: float,
+    deepest: float,
 ) -> Shared:
     """Estimate what the pixels share, by maximum likelihood over all of them.
 
@@ -63,7 +63,7 @@ def fit(
         Samples that are known to be open water.
     transfer : ndarray of complex
         What the echo has beyond its delay, as known [1].
-    longest : float
+    deepest : float
         Depth beyond which no target stands [m].
 
     Returns
@@ -80,35 +80,35 @@ def fit(
     are eliminated at every step (Schur complement). The widths of the priors maximise
     the evidence in Laplace's approximation, so they vanish where the model is right.
     """
-    shape, strength = start(frame, targets, shots, transfer=transfer, longest=longest)
+    shape, strength = start(frame, targets, shots, transfer=transfer, deepest=deepest)
     channels, frequencies = targets.signal.shape[1:]
     state = Shared(
-        shape,
-        frame.table(shape, longest=longest),
-        strength,
-        np.zeros((channels, frequencies), dtype=complex),
-        np.zeros(frequencies, dtype=complex),
-        0.0,
-        np.zeros((0, 0)),
-        np.zeros((0, 0)),
-        NONE,
-        0.0,
-        np.nan,
+        shape=shape,
+        table=frame.table(shape, deepest=deepest),
+        strength=strength,
+        departure=np.zeros((channels, frequencies), dtype=complex),
+        echo=np.zeros(frequencies, dtype=complex),
+        fluctuation=0.0,
+        covariance=np.zeros((0, 0)),
+        parametric=np.zeros((0, 0)),
+        widths=NONE,
+        evidence=0.0,
+        misfit=np.nan,
     )
     few = np.linspace(0, len(targets) - 1, min(_FIRST, len(targets))).astype(np.intp)
-    problem = _Problem(frame, targets.part(few), shots, transfer, longest)
+    problem = _Problem(frame, targets.part(few), shots, transfer, deepest)
     state, _ = problem.descend(state, _PARAMETRIC_STEPS, free=False)
-    problem = _Problem(frame, targets, shots, transfer, longest)
-    kept, paths = problem.ordinary(state)
+    problem = _Problem(frame, targets, shots, transfer, deepest)
+    kept, paths = problem.inliers(state)
     if not kept.all():
         some = targets.part(np.flatnonzero(kept))
-        problem = _Problem(frame, some, shots, transfer, longest)
+        problem = _Problem(frame, some, shots, transfer, deepest)
         paths = paths[kept]
     state, paths = problem.descend(state, _PARAMETRIC_STEPS, free=False, paths=paths)
     knots = frame.quantiles(state.shape, _KNOTS)
     free_shape = replace(state.shape, knots=knots, correction=np.zeros(len(knots)))
     state = replace(
-        state, shape=free_shape, table=frame.table(free_shape, longest=longest)
+        state, shape=free_shape, table=frame.table(free_shape, deepest=deepest)
     )
     state, paths = problem.descend(state, _FREE_STEPS, free=True, paths=paths)
     # Only what no departure explains is a fluctuation; looked at before, a model that
@@ -131,13 +131,13 @@ class _Problem:
         targets: Pixels,
         shots: Pixels | None,
         transfer: Complex,
-        longest: float,
+        deepest: float,
     ) -> None:
         self.frame = frame
         self.targets = targets
         self.shots = shots
         self.transfer = transfer
-        self.longest = longest
+        self.deepest = deepest
 
     def descend(
         self, state: Shared, steps: int, *, free: bool, paths: Floats | None = None
@@ -150,15 +150,17 @@ class _Problem:
         normal = self.normal(state, estimates, layout, used)
         damping = 0.0
         for _ in range(steps):
-            tried, evidence = NONE, 0.0
+            widths, evidence = NONE, 0.0
             if free:
-                tried, evidence = widths_of(normal.matrix, normal.vector, state, layout)
-            prior, origin = prior_of(state, layout, tried)
+                widths, evidence = widths_of(
+                    normal.matrix, normal.vector, state, layout
+                )
+            prior, origin = prior_of(state, layout, widths)
             matrix = normal.matrix + np.diag(prior[:used])
             vector = normal.vector - (prior * origin)[:used]
-            level = _objective(normal, state, layout, tried)
+            level = _objective(normal, state, layout, widths)
             state = replace(
-                state, tried=tried, evidence=evidence, covariance=inverse_of(matrix)
+                state, widths=widths, evidence=evidence, covariance=inverse_of(matrix)
             )
             expected = float(vector @ state.covariance @ vector)
             best = (state, estimates, normal)
@@ -169,12 +171,12 @@ class _Problem:
                 moved = self.moved(state, step, layout)
                 new_estimates = self.local(moved, estimates.path)
                 new = self.normal(moved, new_estimates, layout, used)
-                if _objective(new, moved, layout, tried) < level:
+                if _objective(new, moved, layout, widths) < level:
                     best = (moved, new_estimates, new)
                     damping = damping / 10 if damping > _LEAST_DAMPING else 0.0
                     break
                 damping = max(10 * damping, _LEAST_DAMPING)
-            gained = level - _objective(best[2], best[0], layout, tried)
+            gained = level - _objective(best[2], best[0], layout, widths)
             state, estimates, normal = best
             if min(gained, expected) < _SETTLED:
                 break
@@ -203,7 +205,7 @@ class _Problem:
         return replace(
             state,
             shape=shape,
-            table=self.frame.table(shape, longest=self.longest),
+            table=self.frame.table(shape, deepest=self.deepest),
             strength=np.maximum(state.strength + full[layout.strength], 0.0),
             departure=state.departure + water_step[0] + 1j * water_step[1],
             echo=state.echo + echo_step[0] + 1j * echo_step[1],
@@ -213,21 +215,21 @@ class _Problem:
         """Return the pixels' own best paths and amplitudes."""
         start = None if paths is None else np.nan_to_num(paths, nan=0.0)
         return estimate(
-            without_offset(
+            without_foreground(
                 self.targets,
                 state.table,
-                offset=state.offset,
-                wavenumber=self.frame.wavenumber,
+                strength=state.foreground,
+                phase_per_path=self.frame.phase_per_path,
             ),
-            weight(self.targets, self.stray(state, self.targets, paths)),
+            weight(self.targets, self.deviation(state, self.targets, paths)),
             state.table,
             gain=state.gain,
             transfer=self.transfer * (1 + state.echo),
-            wavenumber=self.frame.wavenumber,
+            phase_per_path=self.frame.phase_per_path,
             known=start,
         )
 
-    def stray(
+    def deviation(
         self, state: Shared, pixels: Pixels, paths: Floats | None
     ) -> Complex | None:
         """Return one standard deviation of the water signal's random change [V]."""
@@ -235,26 +237,27 @@ class _Problem:
             return None
         at = np.full(len(pixels), np.inf) if paths is None else paths
         at = np.where(np.isfinite(at), at, np.inf)
-        _, water, _ = water_at(pixels, at, state.table, self.frame.wavenumber)
-        start = near(pixels, state.table, self.frame.wavenumber)
-        return state.fluctuation * state.light(water, start)
+        _, water, _ = water_at(pixels, at, state.table, self.frame.phase_per_path)
+        front = foreground(pixels, state.table, self.frame.phase_per_path)
+        return state.fluctuation * state.water_signal(water, front)
 
-    def groups(self, estimates: Estimates) -> list[Seen]:
+    def groups(self, estimates: Estimates) -> list[Fitted]:
         """Return pixels and shots with their paths and amplitudes."""
-        seen = is_seen(estimates)
-        amplitude = np.where(seen[:, None], estimates.amplitude, 0.0)
-        found = [Seen(self.targets, np.where(seen, estimates.path, np.inf), amplitude)]
+        detected = is_detected(estimates)
+        amplitude = np.where(detected[:, None], estimates.amplitude, 0.0)
+        path = np.where(detected, estimates.path, np.inf)
+        groups = [Fitted(self.targets, path, amplitude)]
         if self.shots is not None:
             count = len(self.shots)
             none = np.zeros((count, amplitude.shape[1]))
-            found.append(Seen(self.shots, np.full(count, np.inf), none))
-        return [group for group in found if len(group.pixels)]
+            groups.append(Fitted(self.shots, np.full(count, np.inf), none))
+        return [group for group in groups if len(group.pixels)]
 
     def normal(
         self, state: Shared, estimates: Estimates, layout: Layout, used: int
     ) -> Normal:
         """Return the normal equations of the first parameters about a state."""
-        total = Normal(np.zeros((used, used)), np.zeros(used), 0.0, 0)
+        total = Normal.zero(used)
         for group in self.groups(estimates):
             total = total + normal_equations(
                 state,
@@ -262,7 +265,7 @@ class _Problem:
                 layout,
                 used,
                 transfer=self.transfer,
-                wavenumber=self.frame.wavenumber,
+                phase_per_path=self.frame.phase_per_path,
             )
         return total
 
@@ -272,21 +275,21 @@ class _Problem:
             state,
             self.groups(estimates),
             transfer=self.transfer,
-            wavenumber=self.frame.wavenumber,
+            phase_per_path=self.frame.phase_per_path,
         )
 
-    def ordinary(self, state: Shared) -> tuple[NDArray[np.bool_], Floats]:
-        """Return which pixels are no odd ones, and the paths of all.
+    def inliers(self, state: Shared) -> tuple[NDArray[np.bool_], Floats]:
+        """Return which pixels are no outliers, and the paths of all.
 
         The fluctuation of the water is allowed for.
         """
         estimates = self.local(state, None)
         level = self.fluctuation(state, estimates)
         estimates = self.local(replace(state, fluctuation=level), estimates.path)
-        return are_ordinary(estimates), estimates.path
+        return are_inliers(estimates), estimates.path
 
 
-def _objective(normal: Normal, state: Shared, layout: Layout, tried: Widths) -> float:
+def _objective(normal: Normal, state: Shared, layout: Layout, widths: Widths) -> float:
     """Return minus twice the logarithm of the posterior, but for a constant."""
-    prior, origin = prior_of(state, layout, tried)
+    prior, origin = prior_of(state, layout, widths)
     return normal.square + float(prior @ origin**2)

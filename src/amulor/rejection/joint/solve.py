@@ -8,104 +8,130 @@ import numpy as np
 from numpy.typing import NDArray
 
 from amulor.rejection.covariance import Covariance
-from amulor.rejection.joint import (
-    model as joint_model,
-)
-from amulor.rejection.joint import (
-    pixels as joint_pixels,
-)
-from amulor.rejection.joint import (
-    search as joint_search,
-)
+from amulor.rejection.joint import model as joint_model
+from amulor.rejection.joint import pixels as joint_pixels
+from amulor.rejection.joint import search as joint_search
 from amulor.rejection.joint._kernels import common as kernels
+from amulor.rejection.joint._kernels.bundles import Covariances, WaterModel
+from amulor.rejection.joint._kernels.threads import spread
 from amulor.rejection.joint.frame import Frame
 from amulor.rejection.joint.pixels import Pixels
 from amulor.rejection.joint.priors import Layout, Shared
-from amulor.rejection.joint.scatter import is_seen
+from amulor.rejection.joint.scatter import is_detected
 from amulor.rejection.joint.search import Estimates
 
 Floats = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Result:
-    """What is found for every pixel, flat arrays over the scan."""
+    """Estimates of some pixels with their errors, flat arrays over them."""
 
     estimates: Estimates
-    seen: NDArray[np.bool_]
+    """Paths and amplitudes, without the influences."""
+    detected: NDArray[np.bool_]
+    """Where there is a target rather than open water."""
     depth: Floats
-    water: Complex
+    """Depth where the water ends, infinite for open water [m]."""
+    water_signal: Complex
+    """Water signal, (pixel, channel, frequency) [V]."""
     common: Covariance
-    stray: Complex | None
+    """Its covariance, which all pixels have in common [V^2]."""
+    deviation: Complex | None
+    """One standard deviation of its random change, if it has one [V]."""
     shared_variance: Floats
+    """Variance of the path by what all pixels share [m^2]."""
     bound: Floats
+    """Cramer-Rao bound of the variance of the path [m^2]."""
     departure: Floats
+    """How far the departures from the model move the path, or may [m]."""
 
 
 def solve(frame: Frame, pixels: Pixels, shared: Shared, transfer: Complex) -> Result:
-    """Return the estimates of some pixels with the shared ones known."""
-    wavenumber = frame.wavenumber
-    full = transfer * (1 + shared.echo)
-    open_path = np.full(len(pixels), np.inf)
-    stray = None
-    near = joint_model.near(pixels, shared.table, wavenumber)
+    """Return the estimates of some pixels with the shared ones known.
+
+    Parameters
+    ----------
+    frame : Frame
+        How the receiver looks at the scan.
+    pixels : Pixels
+        Samples.
+    shared : Shared
+        Strength and shape of the water signal, departures, fluctuation.
+    transfer : ndarray of complex, shape (frequency,)
+        What the echo has beyond its delay, as known [1].
+
+    Returns
+    -------
+    Result
+        To first order in the errors of what is shared.
+    """
+    rate = frame.phase_per_path
+    estimates = _estimates(frame, pixels, shared, transfer)
+    detected = is_detected(estimates)
+    path = np.where(detected, estimates.path, np.inf)
+    depth, water, _ = joint_model.water_at(pixels, path, shared.table, rate)
+    changes = joint_model.shape_changes(pixels, depth, shared.table, rate)
+    foreground = joint_model.foreground(pixels, shared.table, rate)
+    water_signal = shared.water_signal(water, foreground)
+    deviation = None
     if shared.fluctuation > 0:
-        _, water, _ = joint_model.water_at(pixels, open_path, shared.table, wavenumber)
-        stray = shared.fluctuation * shared.light(water, near)
-    found = joint_search.estimate(
-        joint_search.without_offset(
-            pixels, shared.table, offset=shared.offset, wavenumber=wavenumber
-        ),
-        joint_pixels.weight(pixels, stray),
-        shared.table,
-        gain=shared.gain,
-        transfer=full,
-        wavenumber=wavenumber,
-    )
-    seen = is_seen(found)
-    path = np.where(seen, found.path, np.inf)
-    depth, water, _ = joint_model.water_at(pixels, path, shared.table, wavenumber)
-    changes = joint_model.shape_changes(pixels, depth, shared.table, wavenumber)
-    whole = shared.light(water, near)
-    if shared.fluctuation > 0:
-        stray = shared.fluctuation * whole
-    slopes = _path_slopes(
-        shared,
-        found,
-        water,
-        near,
-        changes,
-        np.exp(1j * np.where(seen, path, 0.0)[:, None] * wavenumber) * transfer,
-    )
+        deviation = shared.fluctuation * water_signal
+    echo = np.exp(1j * np.where(detected, path, 0.0)[:, None] * rate) * transfer
+    slopes = _path_slopes(shared, estimates, water, foreground, changes, echo)
     layout = _layout(shared)
     own = np.divide(
         1.0,
-        found.information,
+        estimates.information,
         out=np.full(len(pixels), np.nan),
-        where=found.information > 0,
+        where=estimates.information > 0,
     )
-    variance = np.einsum("ni,ni->n", slopes @ shared.covariance, slopes)
     basic = slopes[:, layout.parametric]
-    parametric = np.einsum("ni,ni->n", basic @ shared.parametric, basic)
     free = slice(layout.blocks[1].start, layout.size)
     moved = np.abs(slopes[:, free] @ _free_parameters(shared))
-    unsure = np.einsum(
-        "ni,ni->n", slopes[:, free] @ shared.covariance[free, free], slopes[:, free]
-    )
-    # Nobody asks for the influences any more, and they are most of the memory.
-    found = replace(found, influence=np.zeros((0, 0, 0), dtype=complex))
+    unsure = _variance(slopes[:, free], shared.covariance[free, free])
     return Result(
-        found,
-        seen,
-        depth,
-        whole,
-        _common(shared, water, near, changes),
-        stray,
-        variance,
-        own + parametric,
-        np.hypot(moved, np.sqrt(np.maximum(unsure, 0.0))),
+        # Nobody asks for the influences any more, and they are most of the memory.
+        estimates=replace(estimates, influence=np.zeros((0, 0, 0), dtype=complex)),
+        detected=detected,
+        depth=depth,
+        water_signal=water_signal,
+        common=_common(shared, water, foreground, changes),
+        deviation=deviation,
+        shared_variance=_variance(slopes, shared.covariance),
+        bound=own + _variance(basic, shared.parametric),
+        departure=np.hypot(moved, np.sqrt(np.maximum(unsure, 0.0))),
     )
+
+
+def _estimates(
+    frame: Frame, pixels: Pixels, shared: Shared, transfer: Complex
+) -> Estimates:
+    """Return paths and amplitudes; the water fluctuates as it does without a target."""
+    rate = frame.phase_per_path
+    deviation = None
+    if shared.fluctuation > 0:
+        open_path = np.full(len(pixels), np.inf)
+        _, water, _ = joint_model.water_at(pixels, open_path, shared.table, rate)
+        foreground = joint_model.foreground(pixels, shared.table, rate)
+        deviation = shared.fluctuation * shared.water_signal(water, foreground)
+    return joint_search.estimate(
+        joint_search.without_foreground(
+            pixels, shared.table, strength=shared.foreground, phase_per_path=rate
+        ),
+        joint_pixels.weight(pixels, deviation),
+        shared.table,
+        gain=shared.gain,
+        transfer=transfer * (1 + shared.echo),
+        phase_per_path=rate,
+    )
+
+
+def _variance(slopes: Floats, covariance: Floats) -> Floats:
+    """Return the variances that follow from that of the parameters, (pixel,)."""
+    variance: Floats = np.einsum("ni,ni->n", slopes @ covariance, slopes)
+    return variance
 
 
 def _layout(shared: Shared) -> Layout:
@@ -127,9 +153,9 @@ def _free_parameters(shared: Shared) -> Floats:
 
 def _path_slopes(
     shared: Shared,
-    found: Estimates,
+    estimates: Estimates,
     water: Complex,
-    near: Complex,
+    foreground: Complex,
     changes: Complex,
     echo: Complex,
 ) -> Floats:
@@ -137,51 +163,51 @@ def _path_slopes(
     layout = _layout(shared)
     channels = len(shared.strength)
     out = np.zeros((len(water), layout.size))
-    pull = np.conj(found.influence)
+    pull = np.conj(estimates.influence)
     for c in range(channels):
         out[:, c] = -np.sum(
-            (pull[:, c] * (water + shared.departure[c] * near)).real, axis=-1
+            (pull[:, c] * (water + shared.departure[c] * foreground)).real, axis=-1
         )
-    turned = pull * shared.gain
-    out[:, layout.shape] = -np.einsum("ncf,nmf->nm", turned, changes).real
+    scaled = pull * shared.gain
+    out[:, layout.shape] = -np.einsum("ncf,nmf->nm", scaled, changes).real
     _, free, echoes = layout.blocks
-    own = pull * shared.strength[:, None] * near[:, None]
+    own = pull * shared.strength[:, None] * foreground[:, None]
     both = np.stack([-own.real, own.imag], axis=1)
     out[:, free] = both.reshape(len(water), -1)
-    back = np.einsum("ncf,nc->nf", pull, found.amplitude) * echo
+    back = np.einsum("ncf,nc->nf", pull, estimates.amplitude) * echo
     out[:, echoes] = np.concatenate([-back.real, back.imag], axis=1)
     return out
 
 
 def _common(
-    shared: Shared, water: Complex, near: Complex, changes: Complex
+    shared: Shared, water: Complex, foreground: Complex, changes: Complex
 ) -> Covariance:
     """Return the covariance of the estimated water signal, which pixels share."""
     layout = _layout(shared)
     channels, frequencies = shared.departure.shape
     shape = (len(water), channels, frequencies)
-    parts = [np.empty(shape) for _ in range(3)]
+    out = Covariances(np.empty(shape), np.empty(shape), np.empty(shape))
     inner = np.arange(layout.shape.start, layout.shape.stop)
     channel, frequency = np.indices((channels, frequencies))
-    first = layout.blocks[1].start + channel * frequencies + frequency
+    departure = layout.blocks[1].start + channel * frequencies + frequency
     columns = np.concatenate(
         [
             channel[..., None],
             np.broadcast_to(inner, (channels, frequencies, inner.size)),
-            first[..., None],
-            first[..., None] + channels * frequencies,
+            departure[..., None],
+            departure[..., None] + channels * frequencies,
         ],
         axis=-1,
     )
-    matrix = shared.covariance[columns[..., :, None], columns[..., None, :]]
-    kernels.common(
-        shared.strength,
-        np.ascontiguousarray(shared.gain),
-        np.ascontiguousarray(shared.departure),
-        near,
-        water,
-        changes,
-        matrix,
-        *parts,
+    covariance = shared.covariance[columns[..., :, None], columns[..., None, :]]
+    model = WaterModel(
+        strength=shared.strength,
+        gain=np.ascontiguousarray(shared.gain),
+        departure=np.ascontiguousarray(shared.departure),
+        foreground=foreground,
+        water=water,
+        changes=changes,
+        covariance=np.ascontiguousarray(covariance),
     )
-    return Covariance(*parts)
+    spread(kernels.common, len(water), model, out)
+    return Covariance(*out)

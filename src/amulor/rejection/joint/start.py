@@ -10,7 +10,15 @@ from numpy.typing import NDArray
 from amulor.rejection.joint._kernels import start as kernels
 from amulor.rejection.joint.frame import Frame
 from amulor.rejection.joint.model import water_at
-from amulor.rejection.joint.pixels import Pixels, grid_of, parts, shares, weight
+from amulor.rejection.joint.pixels import (
+    Pixels,
+    echo_of,
+    grid_of,
+    phasors,
+    places,
+    samples,
+    weight,
+)
 from amulor.rejection.joint.priors import whitened
 from amulor.rejection.joint.shape import Shape
 
@@ -30,7 +38,7 @@ def start(
     shots: Pixels | None,
     *,
     transfer: Complex,
-    longest: float,
+    deepest: float,
 ) -> tuple[Shape, Floats]:
     """Find a shape and strengths of the water signal from which to start.
 
@@ -44,7 +52,7 @@ def start(
         Samples that are known to be open water; they decide alone if given.
     transfer : ndarray of complex
         What the echo has beyond its delay [1].
-    longest : float
+    deepest : float
         Depth beyond which no target stands [m].
 
     Returns
@@ -52,32 +60,33 @@ def start(
     tuple of Shape and ndarray
         The best of a grid, and the strength in each channel [V].
     """
-    best, found = np.inf, None
+    lowest, best = np.inf, None
     if shots is None:
         few = np.linspace(0, len(targets) - 1, min(_STARTERS, len(targets)))
         some = targets.part(few.astype(np.intp))
-        grid = grid_of(some, frame.wavenumber)
+        path = grid_of(some, frame.phase_per_path)
     else:
-        some, grid = shots, np.zeros(0)
+        some, path = shots, np.zeros(0)
     plain = weight(some)
+    given = samples(some, plain)
+    echo = echo_of(transfer, frame.phase_per_path)
+    grid = phasors(path, echo)
     channels = some.signal.shape[1]
     nothing = np.zeros(0)
     for loss, spread in itertools.product(*_GRID):
         shape = Shape(float(loss), float(spread), _FORWARD, nothing, nothing)
-        table = frame.table(shape, longest=longest, derivatives=False)
+        table = frame.table(shape, deepest=deepest, derivatives=False)
         if shots is None:
             cost = np.empty(len(some))
             strength = np.zeros((len(some), channels))
             kernels.starting_costs(
-                parts(some.signal), plain, shares(some, table), some.turned,
-                parts(table.value), table.step, frame.wavenumber, parts(transfer),
-                grid, some.shortest, some.longest, some.depths, cost, strength,
-            )  # fmt: skip
+                given, places(some, table), table.arrays, echo, grid, cost, strength
+            )
             total = float(cost.sum())
             typical = np.median(strength, axis=0)
         else:
             open_path = np.full(len(some), np.inf)
-            _, water, _ = water_at(some, open_path, table, frame.wavenumber)
+            _, water, _ = water_at(some, open_path, table, frame.phase_per_path)
             u, v = (
                 whitened(plain, some.signal),
                 whitened(plain, np.broadcast_to(water[:, None], some.signal.shape)),
@@ -86,7 +95,7 @@ def start(
             along = np.einsum("ncx,ncx->c", u, v)
             typical = np.maximum(along, 0) / np.where(square > 0, square, 1)
             total = float(np.sum(u**2) - np.sum(typical * along))
-        if total < best:
-            best, found = total, (shape, typical)
-    assert found is not None
-    return found
+        if total < lowest:
+            lowest, best = total, (shape, typical)
+    assert best is not None
+    return best

@@ -32,7 +32,7 @@ _HIGHEST_FREQUENCY = 2e9
 _FEWEST_FREQUENCIES = 3
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class WaterFit:
     """What an open-water sweep says about the water, with standard uncertainties."""
 
@@ -79,7 +79,7 @@ class WaterFit:
     """Standard uncertainty of these combinations, from the data alone [1]."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class ScatteringSplit:
     """Absorption and scattering of the water, for a known phase function."""
 
@@ -142,7 +142,7 @@ def water_fit(cube: xr.Dataset, *, no_target: bool = False) -> WaterFit:
         pixels.part(slice(0, 0)),
         pixels,
         transfer=np.ones(count, dtype=complex),
-        longest=_SHORT,
+        deepest=_SHORT,
     )
     return _result(frame, shared, [str(p) for p in cube["polarization"].values])
 
@@ -163,7 +163,7 @@ def split_scattering(
     second_moment : float
         Mean square angle of the forward part, above zero [rad^2].
     forward_fraction : float
-        Share of the scattering in the forward part, above 0 to 1 [1].
+        Fraction of the scattering in the forward part, above 0 to 1 [1].
 
     Returns
     -------
@@ -174,7 +174,7 @@ def split_scattering(
     Raises
     ------
     ValueError
-        If the moment or the share is out of range.
+        If the moment or the fraction is out of range.
     """
     if not second_moment > 0:
         raise ValueError(f"second_moment must be above 0 rad^2, got {second_moment:g}")
@@ -184,15 +184,14 @@ def split_scattering(
         )
     scattering = fit.spread / (second_moment * forward_fraction)
     diffuse = (1 - forward_fraction) * scattering
-    first = fit.names.index("reduced_attenuation")
-    second = fit.names.index("spread")
+    which = [fit.names.index(name) for name in ("reduced_attenuation", "spread")]
     slope = np.array([fit.reduced_attenuation, -diffuse])
-    block = fit.covariance[np.ix_([first, second], [first, second])]
+    block = fit.covariance[np.ix_(which, which)]
     return ScatteringSplit(
-        fit.reduced_attenuation - diffuse,
-        float(np.sqrt(slope @ block @ slope)),
-        scattering,
-        scattering * float(np.sqrt(block[1, 1])),
+        absorption=fit.reduced_attenuation - diffuse,
+        absorption_uncertainty=float(np.sqrt(slope @ block @ slope)),
+        scattering=scattering,
+        scattering_uncertainty=scattering * float(np.sqrt(block[1, 1])),
     )
 
 
@@ -211,7 +210,7 @@ def _result(frame: Frame, shared: Shared, channels: list[str]) -> WaterFit:
         "forward_scattering",
     )
     shape = shared.shape
-    deepest, deepest_error = _propagated(shared, lambda s: _deepest(frame, s))
+    maximum, maximum_error = _propagated(shared, lambda s: _depth_of_maximum(frame, s))
     corner = _cut_off(frame, shape)
     # The level at a fixed frequency moves, and along the response so does the corner.
     _, level_error = _propagated(shared, lambda s: _level(frame, s, corner))
@@ -220,31 +219,39 @@ def _result(frame: Frame, shared: Shared, channels: list[str]) -> WaterFit:
         further - corner
     )
     corner_error = level_error / abs(fall)
-    straight = np.exp(-2 * shape.forward_scattering * deepest)
+    straight = np.exp(-2 * shape.forward_scattering * maximum)
     unscattered_known = bool(errors[size - 1] < _KNOWN and straight > _UNSCATTERED)
     data = shared.parametric / np.outer(relative[:size], relative[:size])
     values, vectors = np.linalg.eigh(data)
+    strength_error = shared.strength * errors[:count]
     return WaterFit(
-        shape.reduced_attenuation,
-        float(shape.reduced_attenuation * errors[count]),
-        shape.spread,
-        float(shape.spread * errors[count + 1]),
-        shape.forward_scattering,
-        float(shape.forward_scattering * errors[count + 2]),
-        tuple(float(value) for value in shared.strength),
-        tuple(float(value) for value in shared.strength * errors[:count]),
-        deepest,
-        deepest_error,
-        corner,
-        corner_error,
-        shared.fluctuation,
-        shared.misfit,
-        shared.evidence,
-        names,
-        scaled[:size, :size],
-        (*(bool(error < _KNOWN) for error in errors[: size - 1]), unscattered_known),
-        vectors,
-        np.sqrt(np.maximum(values, 0.0)),
+        reduced_attenuation=shape.reduced_attenuation,
+        reduced_attenuation_uncertainty=float(
+            shape.reduced_attenuation * errors[count]
+        ),
+        spread=shape.spread,
+        spread_uncertainty=float(shape.spread * errors[count + 1]),
+        forward_scattering=shape.forward_scattering,
+        forward_scattering_uncertainty=float(
+            shape.forward_scattering * errors[count + 2]
+        ),
+        strength=tuple(float(value) for value in shared.strength),
+        strength_uncertainty=tuple(float(value) for value in strength_error),
+        depth_of_maximum=maximum,
+        depth_of_maximum_uncertainty=maximum_error,
+        cut_off=corner,
+        cut_off_uncertainty=corner_error,
+        fluctuation=shared.fluctuation,
+        misfit=shared.misfit,
+        departure_evidence=shared.evidence,
+        names=names,
+        covariance=scaled[:size, :size],
+        identified=(
+            *(bool(error < _KNOWN) for error in errors[: size - 1]),
+            unscattered_known,
+        ),
+        direction=vectors,
+        direction_uncertainty=np.sqrt(np.maximum(values, 0.0)),
     )
 
 
@@ -252,7 +259,7 @@ def _propagated(
     shared: Shared, function: Callable[[Shape], float]
 ) -> tuple[float, float]:
     """Return a function of the shape, and its uncertainty to first order."""
-    first = len(shared.strength)
+    begin = len(shared.strength)
     count = COEFFICIENTS + len(shared.shape.knots)
     slope = np.empty(count)
     for k in range(count):
@@ -260,11 +267,11 @@ def _propagated(
         step[k] = _STEP
         rise = function(shared.shape.moved(step)) - function(shared.shape.moved(-step))
         slope[k] = rise / (2 * _STEP)
-    block = shared.covariance[first : first + count, first : first + count]
+    block = shared.covariance[begin : begin + count, begin : begin + count]
     return function(shared.shape), float(np.sqrt(slope @ block @ slope))
 
 
-def _deepest(frame: Frame, shape: Shape) -> float:
+def _depth_of_maximum(frame: Frame, shape: Shape) -> float:
     """Return the depth of the largest overlap, between nodes by a parabola [m]."""
     depth = np.linspace(0, min(frame.nothing_left(shape), frame.end), _DEPTHS)
     light = frame.middle(depth, shape)
@@ -281,8 +288,8 @@ def _responses(frame: Frame, shape: Shape, frequency: Floats) -> Floats:
     light = frame.middle(depth, shape)
     light[[0, -1]] /= 2
     delay = 4 * np.pi * frame.medium.group_index / speed_of_light * depth
-    found = [abs(np.sum(light * np.exp(1j * f * delay))) for f in frequency]
-    return np.array(found)
+    moduli = [abs(np.sum(light * np.exp(1j * f * delay))) for f in frequency]
+    return np.array(moduli)
 
 
 def _level(frame: Frame, shape: Shape, frequency: float) -> float:

@@ -3,57 +3,54 @@
 from __future__ import annotations
 
 import math
-from typing import Any
 
 import numba
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[Any]
+from amulor.rejection.joint._kernels.bundles import (
+    Array,
+    Echo,
+    Limits,
+    Model,
+    Pixel,
+    Places,
+    Samples,
+    Signals,
+    WaterTable,
+    Workspace,
+)
+from amulor.rejection.joint._kernels.options import LANES, inner
 
-#: Sums may be taken in any order, so that they run in parallel lanes.
-LANES = {"reassoc", "contract"}
 
-# Where a loop runs in parallel it holds a call and no more: it compiles much faster.
+@inner(forceinline=True)
+def depth_of(path: float, limits: Limits) -> tuple[float, float]:
+    """Return the depth z of a path p, and dz/dp, from a table that is finer in front.
 
-
-@numba.njit(cache=True)
-def depth_of(
-    path: float,
-    first: float,
-    last: float,
-    nodes: Array,
-) -> tuple[float, float]:
-    """Return the depth of a path, and its slope, from a table that is finer in front.
-
-    The nodes lie at first + (last - first) * (k / (n - 1)) ** 2.
+    Linear between the nodes at p_j = shortest + (longest - shortest) (j / (J - 1))^2.
+    Compiled because every step of the search starts with it.
     """
-    count = nodes.size - 1
-    share = (path - first) / (last - first)
-    place = math.sqrt(share) * count if share > 0 else 0.0
+    depths = limits.depths
+    count = depths.size - 1
+    fraction = (path - limits.shortest) / (limits.longest - limits.shortest)
+    place = math.sqrt(fraction) * count if fraction > 0 else 0.0
     k = min(int(place), count - 1)
-    width = (last - first) / count**2
-    start = first + width * k**2
+    width = (limits.longest - limits.shortest) / count**2
+    before = limits.shortest + width * k**2
     step = width * (2 * k + 1)
-    slope = (nodes[k + 1] - nodes[k]) / step
-    return nodes[k] + slope * (path - start), slope
+    slope = (depths[k + 1] - depths[k]) / step
+    return depths[k] + slope * (path - before), slope
 
 
-@numba.njit(cache=True, fastmath=LANES)
+@inner(fastmath=LANES, forceinline=True)
 def water_to(
-    depth: float,
-    step: float,
-    share: Array,
-    value: Array,
-    slope: Array,
-    water: Array,
-    change: Array,
+    depth: float, table: WaterTable, coefficient: Array, water: Array, change: Array
 ) -> None:
-    """Fill in the water signal up to a depth and its derivative, cubic between nodes.
+    """Fill in W(z) and dW/dz, Hermite's cubic between the nodes of the table.
 
-    The tables hold values and slopes, the axis before the last (real, imaginary).
-    The last node is open water; the one before it serves all depths beyond.
+    The integral (46) of docs/theory/water-signal.md up to z, in units of its strength.
+    Compiled because every step of the search takes it, at all frequencies.
     """
+    step, value, slope = table.step, table.value, table.slope
     last = value.shape[1] - 2
     if depth == np.inf:
         j, t = last, 1.0
@@ -73,8 +70,8 @@ def water_to(
         g0, g10, g11 = 0.0, 0.0, 0.0
     water[:] = 0
     change[:] = 0
-    for r in range(share.size):
-        c = share[r]
+    for r in range(coefficient.size):
+        c = coefficient[r]
         for part in range(2):
             for f in range(water.shape[1]):
                 a, b = value[r, j, part, f], value[r, j + 1, part, f]
@@ -83,11 +80,8 @@ def water_to(
                 change[part, f] += c * (g0 * (a - b) + g10 * da + g11 * db)
 
 
-@numba.njit(cache=True, fastmath=LANES)
-def turn_by(
-    signal: Array,
-    turn: Array,
-) -> None:
+@inner(fastmath=LANES, forceinline=True)
+def turn_by(signal: Array, turn: Array) -> None:
     """Multiply (real, imaginary) pairs by those of unit phasors, in place."""
     for f in range(signal.shape[1]):
         a, b = signal[0, f], signal[1, f]
@@ -95,20 +89,75 @@ def turn_by(
         signal[1, f] = a * turn[1, f] + b * turn[0, f]
 
 
-@numba.njit(cache=True)
-def fill_phasor(
-    path: float,
-    wavenumber: Array,
-    transfer: Array,
-    out: Array,
-) -> None:
-    for f in range(wavenumber.size):
-        c, s = math.cos(wavenumber[f] * path), math.sin(wavenumber[f] * path)
+@inner(fastmath=LANES, forceinline=True)
+def water_at_node(node: int, table: WaterTable, pixel: Pixel, water: Array) -> None:
+    """Fill in W at a node of the table."""
+    coefficient, value = pixel.coefficient, table.value
+    water[:] = 0
+    for r in range(coefficient.size):
+        for f in range(water.shape[1]):
+            water[0, f] += coefficient[r] * value[r, node, 0, f]
+            water[1, f] += coefficient[r] * value[r, node, 1, f]
+    turn_by(water, pixel.turn)
+
+
+@inner(forceinline=True)
+def nearest_node(depth: float, table: WaterTable) -> int:
+    """Return the node of the table that is nearest to a depth."""
+    node: int = min(max(int(depth / table.step + 0.5), 0), table.value.shape[1] - 2)
+    return node
+
+
+@inner(forceinline=True)
+def fill_phasor(path: float, echo: Echo, out: Array) -> None:
+    """Fill in H(f) exp(i k p)."""
+    rate, transfer = echo.phase_per_path, echo.transfer
+    for f in range(rate.size):
+        c, s = math.cos(rate[f] * path), math.sin(rate[f] * path)
         out[0, f] = c * transfer[0, f] - s * transfer[1, f]
         out[1, f] = s * transfer[0, f] + c * transfer[1, f]
 
 
-@numba.njit(cache=True, fastmath=LANES)
+@numba.njit(cache=True)
+def fill_phasors(path: Array, echo: Echo, out: Array) -> None:
+    """Fill in H(f) exp(i k p) for many paths, (path, 2, frequency)."""
+    for j in range(path.size):
+        fill_phasor(path[j], echo, out[j])
+
+
+@inner(forceinline=True)
+def fill_turn(offset: float, phase_per_path: Array, turn: Array) -> None:
+    """Fill in exp(i k p_0) for the path p_0 before the water."""
+    for f in range(phase_per_path.size):
+        turn[0, f] = math.cos(phase_per_path[f] * offset)
+        turn[1, f] = math.sin(phase_per_path[f] * offset)
+
+
+@inner(forceinline=True)
+def pixel_of(
+    samples: Samples, places: Places, n: int, phase_per_path: Array, turn: Array
+) -> Pixel:
+    """Return one of many pixels; `turn` is filled in and becomes part of it."""
+    fill_turn(places.offset[n], phase_per_path, turn)
+    limits = Limits(places.shortest[n], places.longest[n], places.depths[n])
+    return Pixel(
+        samples.signal[n], samples.weight[n], places.coefficient[n], turn, limits
+    )
+
+
+@inner()
+def workspace_of(channels: int, frequencies: int) -> Workspace:
+    """Return memory for the model of one pixel."""
+    return Workspace(
+        np.empty((2, frequencies)),
+        np.empty((2, frequencies)),
+        np.empty((2, frequencies)),
+        np.empty(channels),
+        np.empty((channels, 2, frequencies)),
+    )
+
+
+@inner(fastmath=LANES, forceinline=True)
 def misfit(
     signal: Array,
     weight: Array,
@@ -117,7 +166,11 @@ def misfit(
     phasor: Array,
     amplitude: Array,
 ) -> float:
-    """Return the misfit with the best amplitudes, which are filled in."""
+    """Return chi-square with the best amplitudes A_c, which are filled in.
+
+    A_c >= 0 by linear least squares in each channel, so that chi-square depends on the
+    path alone (profile likelihood). Compiled because it is half of all work.
+    """
     total = 0.0
     for c in range(signal.shape[0]):
         square, along, fit = 0.0, 0.0, 0.0
@@ -138,28 +191,43 @@ def misfit(
     return total
 
 
-@numba.njit(cache=True, fastmath=LANES)
-def descent(
-    signal: Array,
-    weight: Array,
-    gain: Array,
-    water: Array,
-    change: Array,
-    rate: float,
-    phasor: Array,
-    wavenumber: Array,
-    amplitude: Array,
-    influence: Array,
+@inner(fastmath=LANES)
+def misfit_at(
+    path: float, pixel: Pixel, model: Model, work: Workspace
 ) -> tuple[float, float]:
-    """Return half the downhill slope of the misfit in the path, and its curvature.
+    """Return chi-square at a path, and dz/dp; fill in the model and the amplitudes.
 
-    Gauss and Newton's curvature, the amplitudes that are above zero eliminated. The
-    influence is what the path moves by per unit of each output, times the curvature.
+    Compiled because every step of the search and of the profile calls it.
     """
+    water, change, phasor = work.water, work.change, work.phasor
+    depth, rate = depth_of(path, pixel.limits)
+    water_to(depth, model.table, pixel.coefficient, water, change)
+    turn_by(water, pixel.turn)
+    turn_by(change, pixel.turn)
+    fill_phasor(path, model.echo, phasor)
+    cost = misfit(pixel.signal, pixel.weight, model.gain, water, phasor, work.amplitude)
+    return cost, rate
+
+
+@inner(fastmath=LANES)
+def descent(
+    rate: float, pixel: Pixel, model: Model, work: Workspace
+) -> tuple[float, float]:
+    """Return half the downhill slope of chi-square in the path p, and its curvature.
+
+    Gauss and Newton's curvature, the Hessian without second derivatives of the model,
+    of which the amplitudes above zero are eliminated (Schur complement). `rate` is
+    dz/dp; the workspace holds the model at p, and takes the influence: what the path
+    moves by per unit of each output, times the curvature. Compiled because every step
+    of the search calls it.
+    """
+    signal, weight, gain = pixel.signal, pixel.weight, model.gain
+    water, change, phasor = work.water, work.change, work.phasor
+    wavenumber, influence = model.echo.phase_per_path, work.influence
     downhill, curvature = 0.0, 0.0
     for c in range(signal.shape[0]):
         own, cross, fit = 0.0, 0.0, 0.0
-        a = amplitude[c]
+        a = work.amplitude[c]
         for f in range(signal.shape[2]):
             xx, xy, yy = weight[c, 0, f], weight[c, 1, f], weight[c, 2, f]
             g, h = gain[c, 0, f], gain[c, 1, f]
@@ -179,146 +247,82 @@ def descent(
             influence[c, 0, f] = wp
             influence[c, 1, f] = wq
         if a > 0 and fit > 0:
-            share = cross / fit
-            own -= share * cross
+            ratio = cross / fit
+            own -= ratio * cross
             for f in range(signal.shape[2]):
                 xx, xy, yy = weight[c, 0, f], weight[c, 1, f], weight[c, 2, f]
                 e, i = phasor[0, f], phasor[1, f]
-                influence[c, 0, f] -= share * (xx * e + xy * i)
-                influence[c, 1, f] -= share * (xy * e + yy * i)
+                influence[c, 0, f] -= ratio * (xx * e + xy * i)
+                influence[c, 1, f] -= ratio * (xy * e + yy * i)
         curvature += own
     return downhill, curvature
 
 
-@numba.njit(cache=True, fastmath=LANES)
-def misfit_at(
-    path: float,
-    first: float,
-    last: float,
-    nodes: Array,
-    step: float,
-    share: Array,
-    value: Array,
-    slope: Array,
-    turn: Array,
-    wavenumber: Array,
-    transfer: Array,
-    signal: Array,
-    weight: Array,
-    gain: Array,
-    water: Array,
-    change: Array,
-    phasor: Array,
-    amplitude: Array,
-) -> tuple[float, float]:
-    """Return misfit and slope of the depth at a path; fill in the model."""
-    depth, rate = depth_of(path, first, last, nodes)
-    water_to(depth, step, share, value, slope, water, change)
-    turn_by(water, turn)
-    turn_by(change, turn)
-    fill_phasor(path, wavenumber, transfer, phasor)
-    return misfit(signal, weight, gain, water, phasor, amplitude), rate
-
-
-@numba.njit(cache=True, fastmath=LANES)
-def _interpolate_one(
-    depth: float,
-    step: float,
-    share: Array,
-    table: Array,
-    out: Array,
+@numba.njit(cache=True, nogil=True)
+def water_at(
+    begin: int,
+    end: int,
+    path: Array,
+    places: Places,
+    table: WaterTable,
+    phase_per_path: Array,
+    signals: Signals,
 ) -> None:
-    """Fill in columns of water up to one depth, linear between the nodes."""
-    last = table.shape[2] - 2
-    if depth == np.inf:
-        j, t = last, 1.0
-    else:
-        place = min(max(depth / step, 0.0), float(last))
-        j = min(int(place), last - 1)
-        t = place - j
-    for m in range(table.shape[0]):
-        for f in range(table.shape[3]):
-            out[m, f] = 0
-        for r in range(table.shape[1]):
-            before, after = share[r] * (1 - t), share[r] * t
-            for f in range(table.shape[3]):
-                out[m, f] += before * table[m, r, j, f] + after * table[m, r, j + 1, f]
+    """Fill in depth, W and dW/dp at one path for each of some pixels.
+
+    An infinite path means open water. Compiled as the search is, so that both use the
+    same table in the same way.
+    """
+    turn = np.empty((2, phase_per_path.size))
+    for n in range(begin, end):
+        water, change = signals.water[n], signals.change[n]
+        depth, rate = np.inf, 0.0
+        if path[n] < np.inf:
+            limits = Limits(places.shortest[n], places.longest[n], places.depths[n])
+            depth, rate = depth_of(path[n], limits)
+        water_to(depth, table, places.coefficient[n], water, change)
+        fill_turn(places.offset[n], phase_per_path, turn)
+        turn_by(water, turn)
+        turn_by(change, turn)
+        for f in range(phase_per_path.size):
+            change[0, f] *= rate
+            change[1, f] *= rate
+        signals.depth[n] = depth
 
 
-@numba.njit(cache=True, parallel=True)
+@numba.njit(cache=True, nogil=True, fastmath=LANES)
 def interpolate(
+    begin: int,
+    end: int,
     depth: Array,
     step: float,
-    share: Array,
+    coefficient: Array,
     table: Array,
     out: Array,
 ) -> None:
     """Fill in columns of water up to given depths, linear between the nodes.
 
     `table` runs over (parameter, component, node, frequency), `out` over (pixel,
-    parameter, frequency), both complex.
+    parameter, frequency), both complex: the derivatives of W with respect to its shape.
+    Compiled because numpy would copy a node of the table for each pixel.
     """
-    for n in numba.prange(depth.size):
-        _interpolate_one(depth[n], step, share[n], table, out[n])
-
-
-@numba.njit(cache=True)
-def _water_at_one(
-    path: float,
-    start: float,
-    longest: float,
-    depths: Array,
-    step: float,
-    share: Array,
-    value: Array,
-    slope: Array,
-    turned: float,
-    wavenumber: Array,
-    water: Array,
-    change: Array,
-) -> float:
-    """Fill in water signal and its derivative at a path; return the depth."""
-    turn = np.empty((2, wavenumber.size))
-    depth, rate = np.inf, 0.0
-    if path < np.inf:
-        depth, rate = depth_of(path, start, longest, depths)
-    water_to(depth, step, share, value, slope, water, change)
-    for f in range(wavenumber.size):
-        turn[0, f] = math.cos(wavenumber[f] * turned)
-        turn[1, f] = math.sin(wavenumber[f] * turned)
-    turn_by(water, turn)
-    turn_by(change, turn)
-    for f in range(wavenumber.size):
-        change[0, f] *= rate
-        change[1, f] *= rate
-    return depth
-
-
-@numba.njit(cache=True, parallel=True)
-def water_at(
-    path: Array,
-    start: Array,
-    longest: Array,
-    depths: Array,
-    step: float,
-    share: Array,
-    value: Array,
-    slope: Array,
-    turned: Array,
-    wavenumber: Array,
-    depth: Array,
-    water: Array,
-    change: Array,
-) -> None:
-    """Fill in depth, water signal and its derivative at one path for each pixel.
-
-    A path that is infinite means open water.
-    """
-    for n in numba.prange(path.size):
-        depth[n] = _water_at_one(
-            path[n], start[n], longest[n], depths[n], step, share[n], value, slope,
-            turned[n], wavenumber, water[n], change[n],
-        )  # fmt: skip
+    last = table.shape[2] - 2
+    for n in range(begin, end):
+        if depth[n] == np.inf:
+            j, t = last, 1.0
+        else:
+            place = min(max(depth[n] / step, 0.0), float(last))
+            j = min(int(place), last - 1)
+            t = place - j
+        for m in range(table.shape[0]):
+            for f in range(table.shape[3]):
+                out[n, m, f] = 0
+            for r in range(table.shape[1]):
+                before, after = coefficient[n, r] * (1 - t), coefficient[n, r] * t
+                for f in range(table.shape[3]):
+                    out[n, m, f] += (
+                        before * table[m, r, j, f] + after * table[m, r, j + 1, f]
+                    )
 
 
 @numba.njit(cache=True)
@@ -331,7 +335,9 @@ def integrate(
 ) -> None:
     """Fill in running sums of profile times phasor, a node every `order` points.
 
-    The node after number `count` holds the sum of everything.
+    The integral (46) of docs/theory/water-signal.md up to every node of depth, by
+    Gauss's rule; the node after number `count` holds the sum of everything. Compiled
+    because numpy would keep every term.
     """
     total = np.empty(phasor.shape[1], dtype=np.complex128)
     for m in range(profile.shape[0]):

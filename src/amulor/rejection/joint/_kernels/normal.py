@@ -3,181 +3,253 @@
 from __future__ import annotations
 
 import math
-from typing import Any
+from typing import NamedTuple
 
 import numba
 import numpy as np
-from numpy.typing import NDArray
 
-from amulor.rejection.joint._kernels.model import LANES
-
-Array = NDArray[Any]
+from amulor.rejection.joint._kernels.bundles import (
+    Array,
+    Derivatives,
+    Parameters,
+    Sums,
+)
+from amulor.rejection.joint._kernels.options import LANES, inner
 
 #: A column that is this close to those before it says nothing of its own [1].
 _DEPENDENT = 1e-12
 
 
-@numba.njit(cache=True, fastmath=LANES)
-def _accumulate_some(
-    begin: int,
-    end: int,
-    residual: Array,
-    weight: Array,
-    base: Array,
-    changes: Array,
-    near: Array,
-    strength: Array,
-    echo: Array,
-    factor: Array,
-    amplitude: Array,
-    slope: Array,
-    wavenumber: Array,
-    is_target: Array,
-    first_departure: int,
-    first_echo: int,
-    is_free: bool,
+class _Row(NamedTuple):
+    """Derivatives of one sample by the shared parameters that it depends on."""
+
+    parameter: Array
+    """Which parameters."""
+    values: Array
+    """Derivatives, complex [V]."""
+    real: Array
+    """In units of the errors, in phase [1]."""
+    imaginary: Array
+    """In units of the errors, quadrature [1]."""
+
+
+class _Own(NamedTuple):
+    """Normal equations of one pixel's amplitudes and, last, its path."""
+
+    gram: Array
+    """Their information, (own, own), the lower triangle."""
+    mixed: Array
+    """With the shared parameters, (own, parameter)."""
+    vector: Array
+    """Half the downhill slope, (own,)."""
+
+
+@inner(forceinline=True)
+def _root(weight: Array, n: int, c: int, f: int) -> tuple[float, float, float]:
+    """Return Cholesky's factor of the weight of a sample: diagonal, off it, rest."""
+    root = math.sqrt(weight[n, c, 0, f])
+    slant = weight[n, c, 1, f] / root
+    return root, slant, math.sqrt(max(weight[n, c, 2, f] - slant * slant, 0.0))
+
+
+@inner(forceinline=True)
+def _fill_row(
+    n: int,
+    c: int,
+    f: int,
+    derivatives: Derivatives,
+    parameters: Parameters,
+    row: _Row,
+) -> None:
+    """Fill in the derivatives of a sample: one row of the Jacobian.
+
+    By the strength of its channel, the shape of the water signal and, where they are
+    free, the departures of water and echo, real and imaginary.
+    """
+    parameter, values = row.parameter, row.values
+    channels, frequencies = derivatives.base.shape[1], derivatives.base.shape[2]
+    shapes = derivatives.changes.shape[1]
+    parameter[0] = c
+    values[0] = derivatives.base[n, c, f]
+    for m in range(shapes):
+        values[1 + m] = parameters.strength[c] * derivatives.changes[n, m, f]
+    if parameters.is_free:
+        at = 1 + shapes
+        parameter[at] = parameters.first_departure + c * frequencies + f
+        parameter[at + 1] = parameter[at] + channels * frequencies
+        parameter[at + 2] = parameters.first_echo + f
+        parameter[at + 3] = parameters.first_echo + frequencies + f
+        values[at] = parameters.strength[c] * derivatives.foreground[n, f]
+        values[at + 1] = 1j * values[at]
+        values[at + 2] = derivatives.amplitude[n, c] * derivatives.echo[n, f]
+        values[at + 3] = 1j * values[at + 2]
+
+
+@inner(fastmath=LANES, forceinline=True)
+def _add_row(u: float, v: float, row: _Row, matrix: Array, vector: Array) -> None:
+    """Add one sample with its whitened residual u, v to the normal equations."""
+    parameter, real, imaginary = row.parameter, row.real, row.imaginary
+    for k in range(parameter.size):
+        at = parameter[k]
+        a, b = real[k], imaginary[k]
+        vector[at] += a * u + b * v
+        for m in range(parameter.size):
+            matrix[at, parameter[m]] += a * real[m] + b * imaginary[m]
+
+
+@inner(fastmath=LANES, forceinline=True)
+def _add_own(
+    c: int,
+    residual: tuple[float, float],
+    by_amplitude: tuple[float, float],
+    by_path: tuple[float, float],
+    row: _Row,
+    own: _Own,
+) -> None:
+    """Add one sample to the normal equations of its pixel's own parameters.
+
+    All in units of the errors, (in phase, quadrature).
+    """
+    u, v = residual
+    a, b = by_amplitude
+    d, e = by_path
+    channels = own.vector.size - 1
+    own.gram[c, c] += a * a + b * b
+    own.gram[channels, c] += a * d + b * e
+    own.gram[channels, channels] += d * d + e * e
+    own.vector[c] += a * u + b * v
+    own.vector[channels] += d * u + e * v
+    parameter, mixed, real, imaginary = (
+        row.parameter,
+        own.mixed,
+        row.real,
+        row.imaginary,
+    )
+    for k in range(parameter.size):
+        at = parameter[k]
+        mixed[c, at] += a * real[k] + b * imaginary[k]
+        mixed[channels, at] += d * real[k] + e * imaginary[k]
+
+
+@inner(fastmath=LANES, forceinline=True)
+def _add_pixel(
+    n: int,
+    derivatives: Derivatives,
+    parameters: Parameters,
+    row: _Row,
+    own: _Own,
     matrix: Array,
     vector: Array,
 ) -> float:
-    """Add up the normal equations of some pixels; return their misfit."""
-    channels, frequencies = residual.shape[1], residual.shape[2]
-    parameters = changes.shape[1]
-    used = vector.size
-    columns = 1 + parameters + (4 if is_free else 0)
+    """Add the samples of one pixel to both normal equations; return chi-square."""
+    residual, weight = derivatives.residual, derivatives.weight
+    is_target = derivatives.is_target[n]
     square = 0.0
-    index = np.empty(columns, dtype=np.int64)
-    real, imaginary = np.empty(columns), np.empty(columns)
-    values = np.zeros(columns, dtype=np.complex128)
-    gram = np.empty((channels + 1, channels + 1))
-    mixed = np.empty((channels + 1, used))
-    own = np.empty(channels + 1)
-    for m in range(parameters):
-        index[1 + m] = channels + m
-    for n in range(begin, end):
-        gram.fill(0)
-        mixed.fill(0)
-        own.fill(0)
-        for c in range(channels):
-            for f in range(frequencies):
-                xx, xy, yy = (
-                    weight[n, c, 0, f],
-                    weight[n, c, 1, f],
-                    weight[n, c, 2, f],
-                )
-                if not xx > 0:
-                    continue
-                root = math.sqrt(xx)
-                slant = xy / root
-                rest = math.sqrt(max(yy - slant * slant, 0.0))
-                left = residual[n, c, f]
-                u = root * left.real + slant * left.imag
-                v = rest * left.imag
-                square += u * u + v * v
-                index[0] = c
-                values[0] = base[n, c, f]
-                for m in range(parameters):
-                    values[1 + m] = strength[c] * changes[n, m, f]
-                if is_free:
-                    at = 1 + parameters
-                    index[at] = first_departure + c * frequencies + f
-                    index[at + 1] = index[at] + channels * frequencies
-                    index[at + 2] = first_echo + f
-                    index[at + 3] = first_echo + frequencies + f
-                    values[at] = strength[c] * near[n, f]
-                    values[at + 1] = 1j * values[at]
-                    values[at + 2] = amplitude[n, c] * echo[n, f]
-                    values[at + 3] = 1j * values[at + 2]
-                for k in range(columns):
-                    real[k] = root * values[k].real + slant * values[k].imag
-                    imaginary[k] = rest * values[k].imag
-                for k in range(columns):
-                    row = index[k]
-                    a, b = real[k], imaginary[k]
-                    vector[row] += a * u + b * v
-                    for m in range(columns):
-                        matrix[row, index[m]] += a * real[m] + b * imaginary[m]
-                if not is_target[n]:
-                    continue
-                # The pixel's own: amplitude in this channel, and path.
-                full = echo[n, f] * factor[f]
-                way = (
-                    1j * wavenumber[f] * amplitude[n, c] * full
-                    + strength[c] * slope[n, f]
-                )
-                a, b = root * full.real + slant * full.imag, rest * full.imag
-                d, e = root * way.real + slant * way.imag, rest * way.imag
-                gram[c, c] += a * a + b * b
-                gram[channels, c] += a * d + b * e
-                gram[channels, channels] += d * d + e * e
-                own[c] += a * u + b * v
-                own[channels] += d * u + e * v
-                for k in range(columns):
-                    row = index[k]
-                    mixed[c, row] += a * real[k] + b * imaginary[k]
-                    mixed[channels, row] += d * real[k] + e * imaginary[k]
-        if not is_target[n]:
-            continue
-        # Cholesky's steps: the amplitudes do not share samples.
-        for c in range(channels + 1):
-            pivot = gram[c, c]
-            if c == channels:
-                for k in range(channels):
-                    if not gram[k, k] > 0:
-                        continue
-                    share = gram[channels, k] / gram[k, k]
-                    pivot -= share * gram[channels, k]
-                    own[channels] -= share * own[k]
-                    for m in range(used):
-                        mixed[channels, m] -= share * mixed[k, m]
-            if not pivot > _DEPENDENT * gram[c, c]:
-                mixed[c].fill(0)
-                own[c] = 0
+    for c in range(residual.shape[1]):
+        for f in range(residual.shape[2]):
+            if not weight[n, c, 0, f] > 0:
                 continue
-            scale = 1 / pivot
-            square -= scale * own[c] * own[c]
-            for k in range(used):
-                along = scale * mixed[c, k]
-                if along == 0:
-                    continue
-                vector[k] -= along * own[c]
-                for m in range(used):
-                    matrix[k, m] -= along * mixed[c, m]
+            root, slant, rest = _root(weight, n, c, f)
+            left = residual[n, c, f]
+            u = root * left.real + slant * left.imag
+            v = rest * left.imag
+            square += u * u + v * v
+            _fill_row(n, c, f, derivatives, parameters, row)
+            for k in range(row.parameter.size):
+                value = row.values[k]
+                row.real[k] = root * value.real + slant * value.imag
+                row.imaginary[k] = rest * value.imag
+            _add_row(u, v, row, matrix, vector)
+            if not is_target:
+                continue
+            echo = derivatives.echo[n, f] * parameters.factor[f]
+            along = (
+                1j * parameters.phase_per_path[f] * derivatives.amplitude[n, c] * echo
+                + parameters.strength[c] * derivatives.slope[n, f]
+            )
+            _add_own(
+                c,
+                (u, v),
+                (root * echo.real + slant * echo.imag, rest * echo.imag),
+                (root * along.real + slant * along.imag, rest * along.imag),
+                row,
+                own,
+            )
     return square
 
 
-@numba.njit(cache=True, parallel=True)
-def accumulate(
-    residual: Array,
-    weight: Array,
-    base: Array,
-    changes: Array,
-    near: Array,
-    strength: Array,
-    echo: Array,
-    factor: Array,
-    amplitude: Array,
-    slope: Array,
-    wavenumber: Array,
-    is_target: Array,
-    first_departure: int,
-    first_echo: int,
-    is_free: bool,
-    matrix: Array,
-    vector: Array,
-    square: Array,
-) -> None:
-    """Add up the normal equations of all pixels, their own parameters eliminated.
+@inner(fastmath=LANES, forceinline=True)
+def _eliminate(own: _Own, matrix: Array, vector: Array) -> float:
+    """Eliminate one pixel's own parameters; return what chi-square falls by.
 
-    Complex arrays run over (pixel, channel, frequency) or (pixel, frequency), and
-    `changes` over (pixel, parameter, frequency). The last three hold a sum for each
-    part of the pixels, so that the result does not depend on the number of threads.
-    Where not `is_free`, departures of water and echo are left out.
+    Cholesky's steps towards the Schur complement; the amplitudes share no samples, so
+    that only the path, which comes last, has something to subtract.
     """
-    count, portions = residual.shape[0], matrix.shape[0]
-    for portion in numba.prange(portions):
-        square[portion] += _accumulate_some(
-            count * portion // portions, count * (portion + 1) // portions,
-            residual, weight, base, changes, near, strength, echo, factor, amplitude,
-            slope, wavenumber, is_target, first_departure, first_echo, is_free,
-            matrix[portion], vector[portion],
-        )  # fmt: skip
+    gram, mixed = own.gram, own.mixed
+    last, used = own.vector.size - 1, vector.size
+    gained = 0.0
+    for c in range(last + 1):
+        pivot = gram[c, c]
+        if c == last:
+            for k in range(last):
+                if not gram[k, k] > 0:
+                    continue
+                ratio = gram[last, k] / gram[k, k]
+                pivot -= ratio * gram[last, k]
+                own.vector[last] -= ratio * own.vector[k]
+                for m in range(used):
+                    mixed[last, m] -= ratio * mixed[k, m]
+        if not pivot > _DEPENDENT * gram[c, c]:
+            mixed[c].fill(0)
+            own.vector[c] = 0
+            continue
+        scale = 1 / pivot
+        gained += scale * own.vector[c] * own.vector[c]
+        for k in range(used):
+            along = scale * mixed[c, k]
+            if along == 0:
+                continue
+            vector[k] -= along * own.vector[c]
+            for m in range(used):
+                matrix[k, m] -= along * mixed[c, m]
+    return gained
+
+
+@numba.njit(cache=True, nogil=True)
+def accumulate(
+    begin: int, end: int, derivatives: Derivatives, parameters: Parameters, sums: Sums
+) -> None:
+    """Add up the normal equations of some portions, the pixels' own eliminated.
+
+    Gauss-Newton for strength, shape and departures, with path and amplitudes of every
+    pixel eliminated (Schur complement). A portion is a fixed part of the pixels with a
+    sum of its own, so that the result does not depend on the number of threads.
+    Compiled because the Jacobian of a scan would not fit into memory.
+    """
+    count, portions = derivatives.residual.shape[0], sums.matrix.shape[0]
+    channels, shapes = derivatives.residual.shape[1], derivatives.changes.shape[1]
+    columns = 1 + shapes + (4 if parameters.is_free else 0)
+    row = _Row(
+        np.empty(columns, dtype=np.int64),
+        np.zeros(columns, dtype=np.complex128),
+        np.empty(columns),
+        np.empty(columns),
+    )
+    own = _Own(
+        np.empty((channels + 1, channels + 1)),
+        np.empty((channels + 1, sums.vector.shape[1])),
+        np.empty(channels + 1),
+    )
+    for m in range(shapes):
+        row.parameter[1 + m] = channels + m
+    for portion in range(begin, end):
+        matrix, vector = sums.matrix[portion], sums.vector[portion]
+        square = 0.0
+        for n in range(count * portion // portions, count * (portion + 1) // portions):
+            own.gram[:] = 0
+            own.mixed[:] = 0
+            own.vector[:] = 0
+            square += _add_pixel(n, derivatives, parameters, row, own, matrix, vector)
+            if derivatives.is_target[n]:
+                square -= _eliminate(own, matrix, vector)
+        sums.square[portion] += square

@@ -1,362 +1,369 @@
-"""Compiled loops of the joint estimation: the search for the most likely path."""
+"""Compiled loops of the joint estimation: the search for the most likely path.
+
+Start (a coarse grid of paths), refine (Gauss-Newton steps from its minima), profile
+(where the likelihood has fallen on either side).
+"""
 
 from __future__ import annotations
 
 import math
-from typing import Any
 
 import numba
 import numpy as np
-from numpy.typing import NDArray
 
+from amulor.rejection.joint._kernels.bundles import (
+    Array,
+    Candidates,
+    Grid,
+    Model,
+    Pixel,
+    Places,
+    Samples,
+    Solutions,
+    Workspace,
+)
 from amulor.rejection.joint._kernels.model import (
-    LANES,
     depth_of,
     descent,
-    fill_phasor,
     misfit,
     misfit_at,
+    nearest_node,
+    pixel_of,
     turn_by,
+    water_at_node,
     water_to,
+    workspace_of,
 )
-
-Array = NDArray[Any]
-
+from amulor.rejection.joint._kernels.options import LANES, inner
 
 #: Local minima of the coarse likelihood that are looked at closely.
 CANDIDATES = 6
-#: Columns of what `estimate` fills in.
-PATH, COST, INFORMATION, LOWER, UPPER, WRONG, EMPTY_COST, USED = range(8)
-COLUMNS = 8
 
-#: A minimum is out of the race when it is this much higher [1], and by this share of
+#: A minimum is out of the race when it is this much higher [1], and by this fraction of
 #: what the target explains, which the coarse grid may miss.
-_NEAR, _GRID_ERROR = 60.0, 0.05
+_MARGIN, _GRID_ERROR = 60.0, 0.05
 _MOST_STEPS = 20
 _HALVINGS = 6
+_WIDENINGS = 6
 _BISECTIONS = 24
 
 
-@numba.njit(cache=True)
-def _half_width(
-    side: float,
-    path: float,
-    sigma: float,
-    lowest: float,
-    first: float,
-    last: float,
-    nodes: Array,
-    step: float,
-    share: Array,
-    value: Array,
-    slope: Array,
-    turn: Array,
-    wavenumber: Array,
-    transfer: Array,
-    signal: Array,
-    weight: Array,
-    gain: Array,
-    water: Array,
-    change: Array,
-    phasor: Array,
-    amplitude: Array,
-) -> float:
-    """Return how far the path may go to one side until the misfit has risen by 1."""
-    near, far = 0.0, sigma
-    rise = 0.0
-    for attempt in range(6):
-        cost, _ = misfit_at(
-            path + side * far, first, last, nodes, step, share, value, slope, turn,
-            wavenumber, transfer, signal, weight, gain, water, change, phasor,
-            amplitude,
-        )  # fmt: skip
-        rise = cost - lowest
-        # A parabola to a tenth: its own width serves.
-        if attempt == 0 and abs(rise - 1) < 0.1:
-            return far / math.sqrt(rise)
-        if rise >= 1:
-            break
-        near, far = far, 1.5 * far
-    if rise < 1:
-        return far
-    for _ in range(_BISECTIONS):
-        middle = 0.5 * (near + far)
-        cost, _ = misfit_at(
-            path + side * middle, first, last, nodes, step, share, value, slope, turn,
-            wavenumber, transfer, signal, weight, gain, water, change, phasor,
-            amplitude,
-        )  # fmt: skip
-        if cost - lowest < 1:
-            near = middle
-        else:
-            far = middle
-    return 0.5 * (near + far)
+@inner()
+def _keep(path: float, level: float, candidates: Candidates) -> bool:
+    """Put a minimum in the place of the highest one, if it is lower."""
+    worst = 0
+    for k in range(CANDIDATES):
+        if candidates.level[k] > candidates.level[worst]:
+            worst = k
+    if not level < candidates.level[worst]:
+        return False
+    candidates.path[worst], candidates.level[worst] = path, level
+    return True
 
 
-@numba.njit(cache=True, fastmath=LANES)
-def _coarse(
-    grid: Array,
-    coarse: Array,
-    shortest: float,
-    longest: float,
-    first: float,
-    last: float,
-    depths: Array,
-    step: float,
-    share: Array,
-    value: Array,
-    turn: Array,
-    signal: Array,
-    weight: Array,
-    gain: Array,
-    water: Array,
-    amplitude: Array,
-    minima: Array,
-    levels: Array,
+@inner()
+def _sort(candidates: Candidates) -> None:
+    """Sort minima by their level, the lowest first."""
+    paths, levels = candidates.path, candidates.level
+    for k in range(1, CANDIDATES):
+        path, level = paths[k], levels[k]
+        m = k
+        while m > 0 and levels[m - 1] > level:
+            paths[m], levels[m] = paths[m - 1], levels[m - 1]
+            m -= 1
+        paths[m], levels[m] = path, level
+
+
+@inner(fastmath=LANES)
+def start(
+    pixel: Pixel, model: Model, grid: Grid, work: Workspace, candidates: Candidates
 ) -> int:
-    """Fill in the lowest local minima of the likelihood on a grid of paths."""
-    nodes, frequencies = value.shape[1], value.shape[3]
+    """Fill in the lowest local minima of chi-square on a grid; return their number.
+
+    On the grid the water ends at the nearest node of its table. A minimum is the vertex
+    of the parabola through three points. Compiled because all phases of a period have
+    to be tried in every ambiguity interval of the highest frequency.
+    """
+    spacing = grid.path[1] - grid.path[0]
+    shortest = pixel.limits.shortest - spacing
+    longest = pixel.limits.longest + spacing
     before, level = np.inf, np.inf
-    settled = -1
-    found = 0
-    for j in range(grid.size + 1):
+    filled = -1
+    count = 0
+    for j in range(grid.path.size + 1):
         after = np.inf
-        if j < grid.size and shortest <= grid[j] <= longest:
-            depth, _ = depth_of(grid[j], first, last, depths)
-            node = min(max(int(depth / step + 0.5), 0), nodes - 2)
-            if node != settled:
-                settled = node
-                water[:] = 0
-                for r in range(share.size):
-                    for f in range(frequencies):
-                        water[0, f] += share[r] * value[r, node, 0, f]
-                        water[1, f] += share[r] * value[r, node, 1, f]
-                turn_by(water, turn)
-            after = misfit(signal, weight, gain, water, coarse[j], amplitude)
+        if j < grid.path.size and shortest <= grid.path[j] <= longest:
+            depth, _ = depth_of(grid.path[j], pixel.limits)
+            node = nearest_node(depth, model.table)
+            if node != filled:
+                filled = node
+                water_at_node(node, model.table, pixel, work.water)
+            after = misfit(
+                pixel.signal, pixel.weight, model.gain, work.water, grid.phasor[j],
+                work.amplitude,
+            )  # fmt: skip
         if level < np.inf and level <= before and level < after:
-            # The vertex of the parabola through three points.
-            place, height = grid[j - 1], level
+            place, height = grid.path[j - 1], level
             bend = before - 2 * level + after
             if before < np.inf and after < np.inf and bend > 0:
                 shift = 0.5 * (before - after) / bend
-                place += shift * (grid[1] - grid[0])
+                place += shift * spacing
                 height -= 0.25 * (before - after) * shift
-            worst = 0
-            for k in range(CANDIDATES):
-                if levels[k] > levels[worst]:
-                    worst = k
-            if height < levels[worst]:
-                minima[worst], levels[worst] = place, height
-                found = min(found + 1, CANDIDATES)
+            if _keep(place, height, candidates):
+                count = min(count + 1, CANDIDATES)
         before, level = level, after
-    for k in range(1, CANDIDATES):
-        place, height = minima[k], levels[k]
-        m = k
-        while m > 0 and levels[m - 1] > height:
-            minima[m], levels[m] = minima[m - 1], levels[m - 1]
-            m -= 1
-        minima[m], levels[m] = place, height
-    return found
+    _sort(candidates)
+    return count
 
 
-@numba.njit(cache=True)
-def _estimate_one(
-    signal: Array,
-    weight: Array,
-    gain: Array,
-    share: Array,
-    turned: float,
-    value: Array,
-    slope: Array,
-    step: float,
-    wavenumber: Array,
-    transfer: Array,
-    grid: Array,
-    coarse: Array,
-    first: float,
-    last: float,
-    depths: Array,
-    known: float,
-    is_known: bool,
-    out: Array,
-    amplitudes: Array,
-    influences: Array,
-) -> None:
-    """Fill in the most likely path of one pixel."""
-    channels, frequencies = signal.shape[0], signal.shape[2]
-    spacing = grid[1] - grid[0]
-    water = np.empty((2, frequencies))
-    change = np.empty((2, frequencies))
-    phasor = np.empty((2, frequencies))
-    turn = np.empty((2, frequencies))
-    amplitude = np.empty(channels)
-    influence = np.empty((channels, 2, frequencies))
-    minima = np.empty(CANDIDATES)
-    levels = np.full(CANDIDATES, np.inf)
-    for f in range(frequencies):
-        turn[0, f] = math.cos(wavenumber[f] * turned)
-        turn[1, f] = math.sin(wavenumber[f] * turned)
-    used = 0
-    for c in range(channels):
-        for f in range(frequencies):
-            if weight[c, 0, f] > 0:
-                used += 2
-    # Water alone, open to its end.
-    water_to(np.inf, step, share, value, slope, water, change)
-    turn_by(water, turn)
-    for f in range(frequencies):
-        phasor[0, f] = phasor[1, f] = 0
-    empty = misfit(signal, weight, gain, water, phasor, amplitude)
-    found = 0
-    if is_known:
-        minima[0], levels[0], found = known, 0.0, 1
-    else:
-        found = _coarse(
-            grid, coarse, first - spacing, last + spacing, first, last, depths,
-            step, share, value, turn, signal, weight, gain, water,
-            amplitude, minima, levels,
-        )  # fmt: skip
-    best, best_path, best_information = np.inf, np.nan, 0.0
-    mass = np.zeros(CANDIDATES)
-    costs = np.full(CANDIDATES, np.inf)
-    for k in range(found):
-        # What is worse by more than the coarse grid can err is not looked at.
-        if levels[k] > best + _NEAR + _GRID_ERROR * empty:
+@inner()
+def refine(
+    path: float, spacing: float, pixel: Pixel, model: Model, work: Workspace
+) -> tuple[float, float, float]:
+    """Return path, chi-square and information at the minimum near a path.
+
+    Gauss-Newton steps of half the spacing of the grid at most, halved while they lead
+    uphill, until they are small against the standard deviation. The information is 0
+    where there is no minimum. Compiled because each pixel takes some dozens of steps.
+    """
+    cost, rate = misfit_at(path, pixel, model, work)
+    information = 0.0
+    for _ in range(_MOST_STEPS):
+        downhill, information = descent(rate, pixel, model, work)
+        if not information > 0:
             break
-        path = minima[k]
-        cost, rate = misfit_at(
-            path, first, last, depths, step, share, value, slope, turn,
-            wavenumber, transfer, signal, weight, gain, water, change, phasor,
-            amplitude,
-        )  # fmt: skip
-        information = 0.0
-        for _ in range(_MOST_STEPS):
-            downhill, information = descent(
-                signal, weight, gain, water, change, rate, phasor, wavenumber,
-                amplitude, influence,
-            )  # fmt: skip
-            if not information > 0:
+        move = downhill / information
+        move = min(max(move, -0.5 * spacing), 0.5 * spacing)
+        moved, new = path, cost
+        for _ in range(_HALVINGS):
+            moved = path + move
+            new, rate = misfit_at(moved, pixel, model, work)
+            if new <= cost:
                 break
-            move = downhill / information
-            move = min(max(move, -0.5 * spacing), 0.5 * spacing)
-            moved, new = path, cost
-            for _ in range(_HALVINGS):
-                moved = path + move
-                new, rate = misfit_at(
-                    moved, first, last, depths, step, share, value, slope,
-                    turn, wavenumber, transfer, signal, weight, gain, water,
-                    change, phasor, amplitude,
-                )  # fmt: skip
-                if new <= cost:
-                    break
-                move *= 0.5
-            if not new <= cost:
-                break
-            path, cost = moved, new
-            if abs(move) < 1e-3 / math.sqrt(information) or abs(move) < 1e-10:
-                break
+            move *= 0.5
+        if not new <= cost:
+            break
+        path, cost = moved, new
+        if abs(move) < 1e-3 / math.sqrt(information) or abs(move) < 1e-10:
+            break
+    return path, cost, information
+
+
+@inner()
+def _lowest(
+    count: int,
+    empty: float,
+    spacing: float,
+    pixel: Pixel,
+    model: Model,
+    work: Workspace,
+    candidates: Candidates,
+) -> tuple[float, float, float]:
+    """Refine the candidates; return path, chi-square and information of the best."""
+    paths, costs = candidates.path, candidates.cost
+    best, best_path, best_information = np.inf, np.nan, 0.0
+    for k in range(count):
+        # What is worse by more than the coarse grid can err is not looked at.
+        if candidates.level[k] > best + _MARGIN + _GRID_ERROR * empty:
+            break
+        path, cost, information = refine(paths[k], spacing, pixel, model, work)
         if not information > 0:
             continue
         # The error may carry a path a little beyond its limits.
         slack = min(4 / math.sqrt(information), spacing)
-        if path < first - slack or path > last + slack:
+        limits = pixel.limits
+        if path < limits.shortest - slack or path > limits.longest + slack:
             continue
-        same = False
+        is_known = False
         for m in range(k):
-            if costs[m] < np.inf and abs(minima[m] - path) < 0.25 * spacing:
-                same = True
-        if same:
+            if costs[m] < np.inf and abs(paths[m] - path) < 0.25 * spacing:
+                is_known = True
+        if is_known:
             continue
-        minima[k], costs[k] = path, cost
-        mass[k] = 1 / math.sqrt(information)
+        paths[k], costs[k] = path, cost
+        candidates.width[k] = 1 / math.sqrt(information)
         if cost < best:
             best, best_path, best_information = cost, path, information
-    if not best_information > 0:
-        out[PATH] = np.nan
-        out[COST] = np.inf
-        out[INFORMATION] = 0.0
-        out[LOWER], out[UPPER], out[WRONG] = np.nan, np.nan, 1.0
-        out[EMPTY_COST], out[USED] = empty, used
-        for c in range(channels):
-            amplitudes[c] = 0
-            for f in range(frequencies):
-                influences[c, 0, f] = influences[c, 1, f] = 0
-        return
+    return best_path, best, best_information
+
+
+@inner()
+def _wrong(count: int, path: float, cost: float, candidates: Candidates) -> float:
+    """Return the probability that the path lies in another minimum (Laplace)."""
     total, own = 0.0, 0.0
-    for k in range(found):
-        if costs[k] < np.inf:
-            likely = mass[k] * math.exp(-0.5 * min(costs[k] - best, 1400.0))
-            total += likely
-            if minima[k] == best_path:
-                own = likely
-    sigma = 1 / math.sqrt(best_information)
-    lower, upper = sigma, sigma
-    if not is_known:
-        lower = _half_width(
-            -1.0, best_path, sigma, best, first, last, depths, step, share,
-            value, slope, turn, wavenumber, transfer, signal, weight, gain,
-            water, change, phasor, amplitude,
-        )  # fmt: skip
-        upper = _half_width(
-            1.0, best_path, sigma, best, first, last, depths, step, share,
-            value, slope, turn, wavenumber, transfer, signal, weight, gain,
-            water, change, phasor, amplitude,
-        )  # fmt: skip
-    cost, rate = misfit_at(
-        best_path, first, last, depths, step, share, value, slope, turn,
-        wavenumber, transfer, signal, weight, gain, water, change, phasor,
-        amplitude,
-    )  # fmt: skip
-    _, information = descent(
-        signal, weight, gain, water, change, rate, phasor, wavenumber,
-        amplitude, influence,
-    )  # fmt: skip
-    out[PATH], out[COST], out[INFORMATION] = best_path, best, information
-    out[LOWER], out[UPPER] = lower, upper
-    out[WRONG] = 1 - own / total
-    out[EMPTY_COST], out[USED] = empty, used
-    for c in range(channels):
-        amplitudes[c] = amplitude[c]
-        for f in range(frequencies):
-            influences[c, 0, f] = influence[c, 0, f] / information
-            influences[c, 1, f] = influence[c, 1, f] / information
+    for k in range(count):
+        if candidates.cost[k] < np.inf:
+            above = min(candidates.cost[k] - cost, 1400.0)
+            mass = candidates.width[k] * math.exp(-0.5 * above)
+            total += mass
+            if candidates.path[k] == path:
+                own = mass
+    return 1 - own / total
 
 
-@numba.njit(cache=True, parallel=True)
-def estimate(
-    signal: Array,
-    weight: Array,
-    gain: Array,
-    share: Array,
-    turned: Array,
-    value: Array,
-    slope: Array,
-    step: float,
-    wavenumber: Array,
-    transfer: Array,
-    grid: Array,
-    start: Array,
-    longest: Array,
-    depths: Array,
-    known: Array,
-    is_known: bool,
-    out: Array,
-    amplitudes: Array,
-    influences: Array,
-) -> None:
-    """Fill in the most likely path of every pixel.
+@inner()
+def profile(
+    side: float,
+    path: float,
+    cost: float,
+    sigma: float,
+    pixel: Pixel,
+    model: Model,
+    work: Workspace,
+) -> float:
+    """Return how far the path may go to one side until chi-square has risen by 1.
 
-    Arrays run over (pixel, channel, part, frequency), the parts real and imaginary.
-    `grid` holds the paths of the coarse likelihood; where `is_known`, the search starts
-    at the path `known` instead.
+    The amplitudes are fitted anew at every path (profile likelihood). Compiled because
+    each pixel takes some dozens of paths.
     """
-    frequencies = signal.shape[3]
-    coarse = np.empty((grid.size, 2, frequencies))
-    for j in range(grid.size):
-        fill_phasor(grid[j], wavenumber, transfer, coarse[j])
-    for n in numba.prange(signal.shape[0]):
-        _estimate_one(
-            signal[n], weight[n], gain, share[n], turned[n], value, slope, step,
-            wavenumber, transfer, grid, coarse, start[n], longest[n], depths[n],
-            known[n], is_known, out[n], amplitudes[n], influences[n],
-        )  # fmt: skip
+    inner, outer = 0.0, sigma
+    rise = 0.0
+    for attempt in range(_WIDENINGS):
+        there, _ = misfit_at(path + side * outer, pixel, model, work)
+        rise = there - cost
+        # A parabola to a tenth: its own width serves.
+        if attempt == 0 and abs(rise - 1) < 0.1:
+            return outer / math.sqrt(rise)
+        if rise >= 1:
+            break
+        inner, outer = outer, 1.5 * outer
+    if rise < 1:
+        return outer
+    for _ in range(_BISECTIONS):
+        middle = 0.5 * (inner + outer)
+        there, _ = misfit_at(path + side * middle, pixel, model, work)
+        if there - cost < 1:
+            inner = middle
+        else:
+            outer = middle
+    return 0.5 * (inner + outer)
+
+
+@inner()
+def _empty_misfit(pixel: Pixel, model: Model, work: Workspace) -> float:
+    """Return chi-square of open water without a target."""
+    water_to(np.inf, model.table, pixel.coefficient, work.water, work.change)
+    turn_by(work.water, pixel.turn)
+    work.phasor[:] = 0
+    return misfit(
+        pixel.signal, pixel.weight, model.gain, work.water, work.phasor, work.amplitude
+    )
+
+
+@inner()
+def _outputs(weight: Array) -> int:
+    """Return the number of outputs that count, two for each sample."""
+    used = 0
+    for c in range(weight.shape[0]):
+        for f in range(weight.shape[2]):
+            if weight[c, 0, f] > 0:
+                used += 2
+    return used
+
+
+@inner()
+def _fill_nothing(n: int, solutions: Solutions) -> None:
+    """Say that a pixel has no possible path."""
+    solutions.path[n], solutions.cost[n] = np.nan, np.inf
+    solutions.information[n] = 0.0
+    solutions.lower[n], solutions.upper[n] = np.nan, np.nan
+    solutions.wrong[n] = 1.0
+    solutions.amplitude[n] = 0
+    solutions.influence[n] = 0
+
+
+@inner()
+def _fill_model(
+    n: int,
+    path: float,
+    pixel: Pixel,
+    model: Model,
+    work: Workspace,
+    solutions: Solutions,
+) -> None:
+    """Fill in information, amplitudes and influence at the path of a pixel."""
+    _, rate = misfit_at(path, pixel, model, work)
+    _, information = descent(rate, pixel, model, work)
+    solutions.information[n] = information
+    amplitude, influence = solutions.amplitude[n], solutions.influence[n]
+    for c in range(amplitude.size):
+        amplitude[c] = work.amplitude[c]
+        for f in range(influence.shape[2]):
+            influence[c, 0, f] = work.influence[c, 0, f] / information
+            influence[c, 1, f] = work.influence[c, 1, f] / information
+
+
+@inner()
+def _estimate_one(
+    n: int,
+    known: float,
+    pixel: Pixel,
+    model: Model,
+    grid: Grid,
+    work: Workspace,
+    candidates: Candidates,
+    solutions: Solutions,
+) -> None:
+    """Fill in the most likely path of one pixel: start, refine, profile."""
+    spacing = grid.path[1] - grid.path[0]
+    candidates.level[:] = np.inf
+    candidates.cost[:] = np.inf
+    empty = _empty_misfit(pixel, model, work)
+    solutions.empty_cost[n] = empty
+    solutions.used[n] = _outputs(pixel.weight)
+    is_known = not math.isnan(known)
+    if is_known:
+        candidates.path[0], candidates.level[0] = known, 0.0
+        count = 1
+    else:
+        count = start(pixel, model, grid, work, candidates)
+    path, cost, information = _lowest(
+        count, empty, spacing, pixel, model, work, candidates
+    )
+    if not information > 0:
+        _fill_nothing(n, solutions)
+        return
+    solutions.path[n], solutions.cost[n] = path, cost
+    solutions.wrong[n] = _wrong(count, path, cost, candidates)
+    sigma = 1 / math.sqrt(information)
+    solutions.lower[n], solutions.upper[n] = sigma, sigma
+    if not is_known:
+        for side in (-1.0, 1.0):
+            width = profile(side, path, cost, sigma, pixel, model, work)
+            if side < 0:
+                solutions.lower[n] = width
+            else:
+                solutions.upper[n] = width
+    _fill_model(n, path, pixel, model, work, solutions)
+
+
+@numba.njit(cache=True, nogil=True)
+def estimate(
+    begin: int,
+    end: int,
+    samples: Samples,
+    places: Places,
+    model: Model,
+    grid: Grid,
+    known: Array,
+    solutions: Solutions,
+) -> None:
+    """Fill in the most likely path of some pixels, each by itself.
+
+    Maximum likelihood of A_c H(f) exp(i k p) + s_c W(f, z(p)) over p and A_c >= 0, the
+    formula under Notes of `amulor.rejection.joint`. Where `known` holds a path, the
+    search starts there, and limits of the profile and other intervals are left alone.
+    Compiled because a scan has 10^5 to 10^6 pixels with dozens of steps each.
+    """
+    channels, frequencies = samples.signal.shape[1], samples.signal.shape[3]
+    work = workspace_of(channels, frequencies)
+    turn = np.empty((2, frequencies))
+    candidates = Candidates(
+        np.full(CANDIDATES, np.nan),
+        np.full(CANDIDATES, np.inf),
+        np.full(CANDIDATES, np.inf),
+        np.zeros(CANDIDATES),
+    )
+    for n in range(begin, end):
+        pixel = pixel_of(samples, places, n, model.echo.phase_per_path, turn)
+        _estimate_one(n, known[n], pixel, model, grid, work, candidates, solutions)

@@ -242,8 +242,8 @@ def _experiment(
         joint_frequency=every["modulation_frequency"].values,
         joint=joint.amulor.signal.values.ravel(),
         joint_range=(
-            float(joint["user_joint_slant_range"].item()),
-            float(joint["user_joint_uncertainty"].item()),
+            float(joint["joint_slant_range"].item()),
+            float(joint["joint_slant_range_uncertainty"].item()),
             float(cube.amulor.truth["slant_range"].item()),
         ),
         joint_flags=int(np.bitwise_or.reduce(joint["quality_flag"].values.ravel())),

@@ -1,0 +1,246 @@
+"""What the compiled loops of the joint estimation take: arrays that belong together.
+
+Complex numbers are pairs (real, imaginary) on the axis before the last, which runs over
+the modulation frequencies, so that one loop goes through memory in order. Symbols are
+those of `amulor.rejection.joint`: in channel c and at frequency f a pixel shows
+A_c H(f) exp(i k p) + s_c W(f, z), with the optical path p out and back, the depth z(p)
+where the water ends, and k = 2 pi f / c_0, the phase per optical path.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+from numpy.typing import NDArray
+
+Array = NDArray[Any]
+
+
+class WaterTable(NamedTuple):
+    """Water signal W of strength 1 against the depth z where the water ends.
+
+    The dependence on the direction is a sum over components. The node before the last
+    serves all depths beyond it, the last one is open water.
+    """
+
+    step: float
+    """Distance of the nodes [m]."""
+    value: Array
+    """W at the nodes, (component, node, 2, frequency) [1]."""
+    slope: Array
+    """dW/dz there [1/m]."""
+
+
+class Echo(NamedTuple):
+    """What turns a path into the echo H(f) exp(i k p) of a target of amplitude 1."""
+
+    phase_per_path: Array
+    """k = 2 pi f / c_0, (frequency,) [rad/m]."""
+    transfer: Array
+    """H(f), what the echo has beyond its delay, (2, frequency) [1]."""
+
+
+class Model(NamedTuple):
+    """What all pixels share, as known while the path of one of them is looked for."""
+
+    table: WaterTable
+    """Water signal of strength 1."""
+    echo: Echo
+    """Echo of amplitude 1."""
+    gain: Array
+    """Strength s of the water signal, (channel, 2, frequency) [V]."""
+
+
+class Samples(NamedTuple):
+    """Samples of many pixels."""
+
+    signal: Array
+    """Samples, (pixel, channel, 2, frequency) [V]."""
+    weight: Array
+    """Inverse covariance (in phase, both, quadrature); 0 where a sample does not
+    count, (pixel, channel, 3, frequency) [1/V^2]."""
+
+
+class Places(NamedTuple):
+    """Where many pixels look, and where their targets may lie."""
+
+    coefficient: Array
+    """Coefficients of the components of the table, (pixel, component) [1]."""
+    offset: Array
+    """Optical path before the water, out and back, (pixel,) [m]."""
+    shortest: Array
+    """Shortest optical path, (pixel,) [m]."""
+    longest: Array
+    """Longest optical path, (pixel,) [m]."""
+    depths: Array
+    """Depth at the paths shortest + (longest - shortest) (j / (J - 1))^2,
+    (pixel, J) [m]."""
+
+
+class Limits(NamedTuple):
+    """Paths between which the target of one pixel may lie, and depths along them."""
+
+    shortest: float
+    """Shortest optical path [m]."""
+    longest: float
+    """Longest optical path [m]."""
+    depths: Array
+    """Depth at a series of paths, see `Places` [m]."""
+
+
+class Pixel(NamedTuple):
+    """One pixel: its samples and its place."""
+
+    signal: Array
+    """Samples, (channel, 2, frequency) [V]."""
+    weight: Array
+    """Their inverse covariance, (channel, 3, frequency) [1/V^2]."""
+    coefficient: Array
+    """Coefficients of the components of the table, (component,) [1]."""
+    turn: Array
+    """exp(i k p_0) of the optical path p_0 before the water, (2, frequency) [1]."""
+    limits: Limits
+    """Where its target may lie."""
+
+
+class Workspace(NamedTuple):
+    """Memory for the model of one pixel, used again for the next."""
+
+    water: Array
+    """Water signal of strength 1, (2, frequency) [1]."""
+    change: Array
+    """Its derivative with respect to the depth [1/m]."""
+    phasor: Array
+    """Echo of amplitude 1, (2, frequency) [1]."""
+    amplitude: Array
+    """Best amplitude of the target, (channel,) [V]."""
+    influence: Array
+    """Shift of the path per unit of each output, (channel, 2, frequency)."""
+
+
+class Grid(NamedTuple):
+    """Paths in equal steps, at which the likelihood is looked at first."""
+
+    path: Array
+    """Optical paths, two or more [m]."""
+    phasor: Array
+    """Echo of amplitude 1 there, (path, 2, frequency) [1]."""
+
+
+class Candidates(NamedTuple):
+    """Local minima of the misfit of one pixel, a few at most."""
+
+    path: Array
+    """Optical path [m]."""
+    level: Array
+    """Misfit on the grid; infinite where there is no candidate [1]."""
+    cost: Array
+    """Misfit at the minimum itself; infinite where that is not one [1]."""
+    width: Array
+    """Standard deviation of the path there [m]."""
+
+
+class Solutions(NamedTuple):
+    """What the search fills in, arrays over the pixels; see `search.Estimates`."""
+
+    path: Array
+    amplitude: Array
+    cost: Array
+    empty_cost: Array
+    information: Array
+    lower: Array
+    upper: Array
+    wrong: Array
+    used: Array
+    influence: Array
+    """Pairs (real, imaginary) on the axis before the last."""
+
+
+class Signals(NamedTuple):
+    """Water signal at one path for each pixel, to be filled in."""
+
+    depth: Array
+    """Depth where the water ends, (pixel,) [m]."""
+    water: Array
+    """W, (pixel, 2, frequency) [1]."""
+    change: Array
+    """dW/dp, its derivative with respect to the path [1/m]."""
+
+
+class Derivatives(NamedTuple):
+    """The model of each pixel and its derivatives; complex but for the weights."""
+
+    residual: Array
+    """Samples less the model, (pixel, channel, frequency) [V]."""
+    weight: Array
+    """Inverse covariance as in `Samples` [1/V^2]."""
+    base: Array
+    """By the strength of the channel, (pixel, channel, frequency) [1]."""
+    changes: Array
+    """W by the parameters of its shape, (pixel, parameter, frequency) [1]."""
+    foreground: Array
+    """Light of strength 1 from in front of all targets, (pixel, frequency) [1]."""
+    echo: Array
+    """Echo of amplitude 1 without its departure, (pixel, frequency) [1]."""
+    slope: Array
+    """W by the path, (pixel, frequency) [1/m]."""
+    amplitude: Array
+    """Amplitude of the target, (pixel, channel), real [V]."""
+    is_target: Array
+    """Whether a pixel has a path and amplitudes of its own, (pixel,)."""
+
+
+class Parameters(NamedTuple):
+    """What all pixels share, and where its parameters stand in the normal equations."""
+
+    strength: Array
+    """Strength s_c of the water signal, (channel,) [V]."""
+    factor: Array
+    """1 + departure of the echo, complex, (frequency,) [1]."""
+    phase_per_path: Array
+    """k = 2 pi f / c_0, (frequency,) [rad/m]."""
+    first_departure: int
+    """Index of the first departure of the water signal."""
+    first_echo: int
+    """Index of the first departure of the echo."""
+    is_free: bool
+    """Whether the departures are parameters too."""
+
+
+class Sums(NamedTuple):
+    """Normal equations, a sum of its own for each portion of the pixels."""
+
+    matrix: Array
+    """Information, (portion, parameter, parameter)."""
+    vector: Array
+    """Half the downhill slope of the sum of squares, (portion, parameter)."""
+    square: Array
+    """Sum of squared errors, (portion,) [1]."""
+
+
+class WaterModel(NamedTuple):
+    """Water signal s W + s d V of some pixels, and its derivatives; complex."""
+
+    strength: Array
+    """Strength s of each channel, real [V]."""
+    gain: Array
+    """The same at each frequency, (channel, frequency) [V]."""
+    departure: Array
+    """Departure d over the strength, (channel, frequency) [1]."""
+    foreground: Array
+    """Light V of strength 1 from in front of all targets, (pixel, frequency) [1]."""
+    water: Array
+    """W, (pixel, frequency) [1]."""
+    changes: Array
+    """W by the parameters of its shape, (pixel, parameter, frequency) [1]."""
+    covariance: Array
+    """Covariance of strength, shape and departure (real, imaginary) at each channel
+    and frequency, (channel, frequency, parameter, parameter)."""
+
+
+class Covariances(NamedTuple):
+    """Covariance of the two outputs, to be filled in, (pixel, channel, frequency)."""
+
+    in_phase: Array
+    quadrature: Array
+    cross: Array

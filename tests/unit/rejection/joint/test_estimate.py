@@ -1,0 +1,168 @@
+"""Joint estimation on cubes: what it must refuse, what must not change it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+import xarray as xr
+from numpy.testing import assert_allclose
+from scipy.constants import speed_of_light
+
+from amulor import cube as cubes
+from amulor.cube import QualityFlag
+from amulor.errors import CubeError
+from amulor.rejection import joint
+from amulor.simulation import simulate
+from amulor.survey import Survey
+
+Sweep = Callable[..., Survey]
+INTERVAL = (0.8, 4.0)
+
+
+@pytest.fixture(scope="module")
+def found(samples: xr.Dataset) -> xr.Dataset:
+    return joint(samples, interval=INTERVAL)
+
+
+def test_the_result_is_a_target_signal_cube(found: xr.Dataset) -> None:
+    cubes.check(found, "target_signal")
+    assert found["joint_slant_range"].dims == ("row", "column")
+    assert found.attrs["joint_fluctuation"] == pytest.approx(0.05, rel=0.15)
+
+
+def test_the_slant_range_is_that_of_the_scene(found: xr.Dataset) -> None:
+    truth = found.amulor.truth["slant_range"].values
+    error = found["joint_slant_range"].values - truth
+    z = error / found["joint_slant_range_uncertainty"].values
+    assert (found["quality_flag"].values == 0).mean() > 0.95
+    # 72 pixels: four standard errors of their mean square.
+    assert abs(np.mean(z**2) - 1) < 4 * np.sqrt(2 / z.size)
+
+
+def test_what_is_taken_out_is_the_water_up_to_the_target(found: xr.Dataset) -> None:
+    truth = found.amulor.truth
+    water = truth["water_in_phase"].values + 1j * truth["water_quadrature"].values
+    # The truth holds the mean water signal, which the shots settle to 1 %.
+    size = np.abs(water).max(axis=(1, 2, 3), keepdims=True)
+    assert_allclose(found.amulor.water_signal.values / size, water / size, atol=0.02)
+
+
+def test_it_does_without_open_water(samples: xr.Dataset) -> None:
+    bare = samples.drop_vars(
+        [name for name in samples.data_vars if str(name).startswith("open_water_")]
+    )
+    found = joint(bare, interval=INTERVAL)
+    truth = found.amulor.truth["slant_range"].values
+    error = found["joint_slant_range"].values - truth
+    z = error / found["joint_slant_range_uncertainty"].values
+    assert np.sqrt(np.mean(z**2)) < 1.5
+
+
+def test_truth_and_the_stated_water_are_not_read(
+    samples: xr.Dataset, found: xr.Dataset
+) -> None:
+    other = samples.drop_vars(
+        [name for name in samples.data_vars if str(name).startswith("truth_")]
+    )
+    text = other.attrs["survey"]
+    for old, new in (("0.255", "0.9"), ("0.595", "0.1"), ("0.001", "0.5")):
+        assert old in text
+        text = text.replace(old, new)
+    again = joint(other.assign_attrs(survey=text), interval=INTERVAL)
+    np.testing.assert_array_equal(
+        again["joint_slant_range"], found["joint_slant_range"]
+    )
+
+
+def test_scale_of_the_signal_changes_nothing_else(
+    samples: xr.Dataset, found: xr.Dataset
+) -> None:
+    factor = 8.0
+    scaled = samples.copy(deep=True)
+    for name in scaled.data_vars:
+        units = scaled[name].attrs.get("units")
+        if not str(name).startswith("truth_") and units in ("V", "V2"):
+            scaled[name] = scaled[name] * factor ** (2 if units == "V2" else 1)
+            scaled[name].attrs["units"] = units
+            scaled[name].attrs["long_name"] = samples[name].attrs["long_name"]
+    again = joint(scaled, interval=INTERVAL)
+    for name in ("slant_range", "slant_range_uncertainty"):
+        assert_allclose(again[f"joint_{name}"], found[f"joint_{name}"], rtol=1e-6)
+    assert_allclose(again["in_phase"], factor * found["in_phase"], rtol=1e-4, atol=1e-9)
+
+
+def test_open_water_pixels_are_told_from_targets(sweep: Sweep) -> None:
+    survey = sweep(**{'width = "30 cm"': 'width = "5 cm"'})
+    cube = simulate(survey, rng=6)
+    hit = cube.amulor.truth["target"].values >= 0
+    assert 0.1 < hit.mean() < 0.9
+    flag = joint(cube, interval=INTERVAL)["quality_flag"].values[0, 0]
+    seen = (flag & QualityFlag.NO_TARGET) == 0
+    np.testing.assert_array_equal(seen, hit)
+
+
+def test_lost_and_saturated_samples_are_flagged_and_left_out(
+    samples: xr.Dataset, found: xr.Dataset
+) -> None:
+    broken = samples.copy(deep=True)
+    broken["in_phase"][2, 0, 1, 1] = np.nan
+    broken["saturated"][3, 0, 2, 2] = 1
+    broken["in_phase"][3, 0, 2, 2] = 1e3
+    again = joint(broken, interval=INTERVAL)
+    flag = again["quality_flag"].values
+    assert flag[2, 0, 1, 1] == QualityFlag.MISSING
+    assert flag[3, 0, 2, 2] & QualityFlag.SATURATED
+    moved = abs(again["joint_slant_range"] - found["joint_slant_range"])
+    assert float((moved / found["joint_slant_range_uncertainty"]).max()) < 3
+
+
+def test_two_surfaces_in_one_pixel_are_flagged(samples: xr.Dataset) -> None:
+    mixed = samples.copy(deep=True)
+    frequency = samples["modulation_frequency"].values
+    echo = 0.5 * np.abs(samples.amulor.signal.values[0, 0, 3, 5])
+    delay = 4 * np.pi * frequency * 1.38 * 2.4 / speed_of_light
+    mixed["in_phase"][:, 0, 3, 5] += echo * np.cos(delay)
+    mixed["quadrature"][:, 0, 3, 5] += echo * np.sin(delay)
+    flag = joint(mixed, interval=INTERVAL)["quality_flag"].values[0, 0]
+    assert flag[3, 5] & QualityFlag.WATER_RESIDUAL
+    assert (flag != 0).sum() <= 3
+
+
+def test_frequencies_close_together_leave_the_interval_open(plate_text: str) -> None:
+    text = plate_text.replace('["39 MHz"]', '["100 MHz", "100.2 MHz"]')
+    text = text.replace('["VV", "VH"]', '["VV"]')
+    text = text.replace('"0.06 deg"', '"1 deg"')
+    found = joint(simulate(Survey.from_text(text), rng=1), interval=INTERVAL)
+    wrong = found["joint_wrong_interval_probability"].values
+    flag = found["quality_flag"].values[0, 0]
+    # 0.2 MHz apart the phases of neighbouring intervals differ by 0.7 degrees only.
+    assert np.nanmedian(wrong) > 0.1
+    assert ((flag & QualityFlag.AMBIGUOUS) != 0).mean() > 0.9
+
+
+def test_what_cannot_be_estimated_is_refused(samples: xr.Dataset) -> None:
+    with pytest.raises(CubeError, match="one modulation frequency, 12 MHz"):
+        joint(samples.isel(modulation_frequency=[0]))
+    bare = samples.copy()
+    del bare.attrs["survey"]
+    with pytest.raises(CubeError, match="no attribute 'survey'"):
+        joint(bare)
+    silent = samples.copy(deep=True)
+    silent["in_phase_uncertainty"][:] = 0
+    silent["in_phase_quadrature_covariance"][:] = 0
+    with pytest.raises(CubeError, match="must be above 0 V"):
+        joint(silent)
+    text = samples.attrs["survey"]
+    keyhole = text.replace('acceptance = "0.08 rad"', 'acceptance = "1e-4 rad"')
+    far = text.replace('"0.07 m",', '"5000 m",')
+    assert text not in (keyhole, far)
+    with pytest.raises(CubeError, match="split the scan"):
+        joint(samples.assign_attrs(survey=keyhole))
+    with pytest.raises(CubeError, match="does not see the beam"):
+        joint(samples.assign_attrs(survey=far))
+    with pytest.raises(ValueError, match="each of the 6 modulation frequencies"):
+        joint(samples, echo_transfer=np.ones(3))
+    with pytest.raises(ValueError, match="interval must run"):
+        joint(samples, interval=(3.0, 1.0))

@@ -1,0 +1,162 @@
+"""The search for the most likely path, behind a water signal that is known."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.testing import assert_allclose
+from scipy.constants import speed_of_light
+
+from amulor.rejection.covariance import Covariance
+from amulor.rejection.joint.pixels import Pixels, weight
+from amulor.rejection.joint.search import Estimates, estimate
+from amulor.rejection.joint.table import Table
+
+FREQUENCIES = np.array([12e6, 31e6, 57e6, 83e6, 104e6, 139e6])
+
+
+def _solve(
+    signal: np.ndarray,
+    sigma: np.ndarray,
+    water: np.ndarray,
+    frequency: np.ndarray,
+    *,
+    shortest: float = 2.0,
+    longest: float = 8.0,
+) -> Estimates:
+    """Return the estimate behind a water signal that does not depend on its end."""
+    variance = np.broadcast_to(sigma**2, signal.shape).copy()
+    count = len(signal)
+    pixels = Pixels(
+        signal=signal,
+        covariance=Covariance(variance, variance, np.zeros_like(variance)),
+        usable=np.ones(signal.shape, dtype=bool),
+        interpolation=np.ones((count, 1)),
+        offset=np.zeros(count),
+        shortest=np.full(count, shortest),
+        longest=np.full(count, longest),
+        depths=np.broadcast_to(np.linspace(1, 3, 33), (count, 33)).copy(),
+    )
+    value = np.broadcast_to(water, (1, 4, frequency.size)).astype(complex)
+    table = Table(
+        step=1.0,
+        value=np.ascontiguousarray(value),
+        slope=np.zeros_like(value),
+        change=np.zeros((0, *value.shape), dtype=complex),
+        basis=np.ones((1, 1)),
+        level=np.ones(1),
+        strength=1.0,
+    )
+    return estimate(
+        pixels,
+        weight(pixels),
+        table,
+        gain=np.ones((1, frequency.size), dtype=complex),
+        transfer=np.ones(frequency.size, dtype=complex),
+        phase_per_path=2 * np.pi * frequency / speed_of_light,
+    )
+
+
+paths = st.floats(3.0, 7.0)
+amplitudes = st.floats(0.1, 10.0)
+seeds = st.integers(0, 2**32 - 1)
+
+
+def _draw(path: float, amplitude: float, seed: int) -> tuple[np.ndarray, ...]:
+    rng = np.random.default_rng(seed)
+    wavenumber = 2 * np.pi * FREQUENCIES / speed_of_light
+    water = rng.standard_normal(6) + 1j * rng.standard_normal(6)
+    noise = rng.standard_normal((1, 1, 6)) + 1j * rng.standard_normal((1, 1, 6))
+    sigma = np.array(0.01 * amplitude)
+    signal = amplitude * np.exp(1j * wavenumber * path) + water + sigma * noise
+    return signal, sigma, water
+
+
+@settings(max_examples=40)
+@given(paths, amplitudes, seeds)
+def test_the_path_is_found_within_its_error(
+    path: float, amplitude: float, seed: int
+) -> None:
+    found = _solve(*_draw(path, amplitude, seed), FREQUENCIES)
+    wavenumber = 2 * np.pi * FREQUENCIES / speed_of_light
+    # Six phases, each known to a hundredth: the textbook bound.
+    bound = 0.01 / np.sqrt(np.sum(wavenumber**2))
+    assert_allclose(found.information**-0.5, bound, rtol=0.1)
+    assert abs(found.path[0] - path) < 6 * bound
+
+
+@settings(max_examples=40)
+@given(paths, amplitudes, seeds, st.floats(0.05, 20.0))
+def test_amplitude_scale_moves_no_path(
+    path: float, amplitude: float, seed: int, factor: float
+) -> None:
+    signal, sigma, water = _draw(path, amplitude, seed)
+    one = _solve(signal, sigma, water, FREQUENCIES)
+    two = _solve(factor * signal, factor * sigma, factor * water, FREQUENCIES)
+    # The search stops at a thousandth of the standard error.
+    assert_allclose(two.path, one.path, atol=2e-3 * one.information[0] ** -0.5)
+    assert_allclose(two.amplitude, factor * one.amplitude, rtol=1e-4)
+    assert_allclose(two.cost, one.cost, rtol=1e-4)
+
+
+@settings(max_examples=40)
+@given(paths, amplitudes, seeds, st.permutations(range(6)))
+def test_the_order_of_the_frequencies_does_not_matter(
+    path: float, amplitude: float, seed: int, order: list[int]
+) -> None:
+    signal, sigma, water = _draw(path, amplitude, seed)
+    one = _solve(signal, sigma, water, FREQUENCIES)
+    two = _solve(signal[..., order], sigma, water[order], FREQUENCIES[order])
+    assert_allclose(two.path, one.path, atol=2e-3 * one.information[0] ** -0.5)
+    assert_allclose(two.cost, one.cost, rtol=1e-4)
+
+
+@settings(max_examples=40)
+@given(paths, amplitudes, seeds, st.floats(-1.5, 20.0))
+def test_a_common_delay_moves_the_path_by_itself(
+    path: float, amplitude: float, seed: int, delay: float
+) -> None:
+    signal, sigma, water = _draw(path, amplitude, seed)
+    turn = np.exp(2j * np.pi * FREQUENCIES / speed_of_light * delay)
+    one = _solve(signal, sigma, water, FREQUENCIES)
+    two = _solve(
+        signal * turn,
+        sigma,
+        water * turn,
+        FREQUENCIES,
+        shortest=2.0 + delay,
+        longest=8.0 + delay,
+    )
+    assert_allclose(two.path - delay, one.path, atol=2e-3 * one.information[0] ** -0.5)
+    assert_allclose(two.cost, one.cost, rtol=1e-4)
+
+
+@settings(max_examples=30)
+@given(paths, seeds, st.floats(0.02, 0.35))
+def test_the_interval_ends_where_the_misfit_has_risen_by_one(
+    path: float, seed: int, noise: float
+) -> None:
+    signal, _, water = _draw(path, 1.0, seed)
+    rng = np.random.default_rng(seed)
+    errors = rng.standard_normal((2, 6))
+    wavenumber = 2 * np.pi * FREQUENCIES / speed_of_light
+    clean = np.exp(1j * wavenumber * path)
+    signal = (clean + water + noise * (errors[0] + 1j * errors[1]))[None, None]
+    found = _solve(signal, np.array(noise), water, FREQUENCIES)
+
+    def rise(length: float) -> float:
+        # The best amplitude in closed form.
+        along = np.mean((signal[0, 0] - water) * np.exp(-1j * wavenumber * length)).real
+        square = np.sum(np.abs(signal[0, 0] - water) ** 2)
+        return float((square - 6 * max(along, 0.0) ** 2) / noise**2 - found.cost[0])
+
+    sigma = float(found.information[0] ** -0.5)
+    for end in (found.path - found.lower, found.path + found.upper):
+        # A side that is a parabola to a tenth is taken as one, to a twentieth in width.
+        assert rise(float(end[0])) == pytest.approx(1.0, abs=0.11)
+    best = float(found.path[0])
+    assert rise(best) == pytest.approx(0.0, abs=1e-4)
+    assert rise(best + 0.3 * sigma) > 0
+    assert rise(best - 0.3 * sigma) > 0

@@ -1,0 +1,51 @@
+"""Errors of the water signal that all pixels share, against dense algebra."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.testing import assert_allclose
+
+from amulor.rejection.joint._kernels.bundles import Covariances, WaterModel
+from amulor.rejection.joint._kernels.common import common
+
+
+def test_the_common_covariance_is_that_of_dense_algebra() -> None:
+    rng = np.random.default_rng(3)
+    pixels, channels, frequencies, shapes = 4, 2, 3, 2
+
+    def drawn(*shape: int) -> np.ndarray:
+        return rng.standard_normal(shape) + 1j * rng.standard_normal(shape)
+
+    strength = rng.random(channels)
+    gain, departure = drawn(channels, frequencies), drawn(channels, frequencies)
+    foreground, water = drawn(pixels, frequencies), drawn(pixels, frequencies)
+    changes = drawn(pixels, shapes, frequencies)
+    root = rng.standard_normal((channels, frequencies, shapes + 3, shapes + 3))
+    matrix = root @ np.swapaxes(root, -1, -2)
+    out = Covariances(*(np.empty((pixels, channels, frequencies)) for _ in range(3)))
+    model = WaterModel(
+        strength=strength,
+        gain=gain,
+        departure=departure,
+        foreground=foreground,
+        water=water,
+        changes=changes,
+        covariance=matrix,
+    )
+    common(0, pixels, model, out)
+    for n, c, f in np.ndindex(pixels, channels, frequencies):
+        # Derivatives of s W + s d N by strength, shape, real and imaginary d.
+        slope = np.array(
+            [
+                water[n, f] + departure[c, f] * foreground[n, f],
+                *(gain[c, f] * changes[n, :, f]),
+                strength[c] * foreground[n, f],
+                1j * strength[c] * foreground[n, f],
+            ]
+        )
+        columns = np.stack([slope.real, slope.imag])
+        dense = columns @ matrix[c, f] @ columns.T
+        xx, yy, xy = (values[n, c, f] for values in out)
+        assert_allclose(
+            [[xx, xy], [xy, yy]], dense, rtol=1e-12, atol=1e-12 * abs(dense).max()
+        )
