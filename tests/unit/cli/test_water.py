@@ -88,7 +88,7 @@ def test_the_state_that_is_asked_for_is_the_one_that_is_used(capsys) -> None:
         ("--wavelength", "405MHz", "not one of length"),
         ("--temperature", "31", "temperature must be from 0 to 30 [degC]"),
         ("--salinity", "50", "salinity must be from 0 to 43"),
-        ("--frequency", "0Hz", "modulation_frequency must be above 0 [Hz]"),
+        ("--frequency", "0Hz", "modulation_frequency must be finite and above 0 [Hz]"),
     ],
 )
 def test_what_is_out_of_range_gets_one_line(name, value, text, capsys) -> None:
