@@ -13,7 +13,8 @@ import sys
 from collections import defaultdict
 from pathlib import Path
 
-COMPILERS = {"njit", "jit", "vectorize", "guvectorize"}
+#: Decorators that compile: those of numba, and what the folders of kernels make of them.
+COMPILERS = {"njit", "jit", "kernel", "inner", "step", "allocating", "entry"}
 
 
 def dotted(path, source):
