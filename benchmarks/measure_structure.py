@@ -13,7 +13,7 @@ import sys
 from collections import defaultdict
 from pathlib import Path
 
-#: Decorators that compile: those of numba, and what the folders of kernels make of them.
+#: Decorators that compile: of numba, and what the folders of kernels make of them.
 COMPILERS = {"njit", "jit", "kernel", "inner", "step", "allocating", "entry"}
 
 
@@ -71,19 +71,15 @@ def levels(edges):
     return known
 
 
-def main():
-    """Print the figures."""
-    root = Path(sys.argv[1] if len(sys.argv) > 1 else Path(__file__).parents[1])
+def imports(root):
+    """Return, for each floor, the files that each of its files imports."""
     source = root / "src"
     trees = {p: ast.parse(p.read_text("utf-8")) for p in source.rglob("*.py")}
     names = {dotted(path, source): path for path in trees}
-    rooms, edges = defaultdict(int), defaultdict(lambda: defaultdict(set))
-    functions = []
+    edges = defaultdict(lambda: defaultdict(set))
     for path, tree in trees.items():
         name = dotted(path, source)
-        rooms[path.parent.relative_to(source / "amulor").as_posix()] += 1
         floor = name.split(".")[1] if "." in name else ""
-        functions += [(*entry, name) for entry in compiled(tree)]
         if path.name != "__init__.py":
             edges[floor][name] |= {
                 other
@@ -93,6 +89,19 @@ def main():
                 and other != name
                 and names[other].name != "__init__.py"
             }
+    return edges
+
+
+def main():
+    """Print the figures."""
+    root = Path(sys.argv[1] if len(sys.argv) > 1 else Path(__file__).parents[1])
+    source = root / "src"
+    edges = imports(root)
+    rooms, functions = defaultdict(int), []
+    for path in source.rglob("*.py"):
+        rooms[path.parent.relative_to(source / "amulor").as_posix()] += 1
+        tree = ast.parse(path.read_text("utf-8"))
+        functions += [(*entry, dotted(path, source)) for entry in compiled(tree)]
     print("room                                  files")
     for room in sorted(rooms):
         print(f"{room:38}{rooms[room]:5}")
