@@ -257,7 +257,7 @@ def test_beam_and_receiver_may_change_places(column, depth):
         ({"cosine": -0.2}, "cosine must be from 0 to 1"),
         ({"optical_path": np.nan}, "optical_path must be finite"),
         ({"depth": -1.0}, "depth must be finite and not negative"),
-        ({"scattering": -0.1}, "scattering must be finite and at least 0 1/m"),
+        ({"scattering": -0.1}, "scattering must be finite and not negative"),
     ],
 )
 def test_what_cannot_be_is_refused(echo, wrong, words):

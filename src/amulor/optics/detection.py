@@ -186,6 +186,7 @@ def settled_integration_time(
     whole = not_negative(dwell, name="dwell", unit="s")
     constant = positive(time_constant, name="time_constant", unit="s")
     wait = not_negative(settling, name="settling", unit="time constants")
+    broadcast(dwell=whole, time_constant=constant, settling=wait)
     averaging = np.maximum(whole - wait * constant, 0.0)
     return effective_integration_time(averaging, time_constant=constant)
 
@@ -291,6 +292,7 @@ def photon_noise(
     volt = positive(
         volt_per_photoelectron_rate, name="volt_per_photoelectron_rate", unit="V s"
     )
+    broadcast(integration_time=time, volt_per_photoelectron_rate=volt)
     return np.asarray(volt * quadrature_variance(1.0, integration_time=time))
 
 
@@ -338,6 +340,7 @@ def phase_floor_covariance(
     """
     phasor = np.asarray(signal, dtype=np.complex128)
     along = not_negative(phase_floor, name="phase_floor", unit="rad") ** 2
+    broadcast(signal=phasor, phase_floor=along)
     return (
         np.asarray(along * phasor.imag**2),
         np.asarray(along * phasor.real**2),

@@ -13,6 +13,7 @@ from amulor.optics._bounds import (
     at_least,
     broadcast,
     finite,
+    measured,
     not_negative,
     one_axis,
     require,
@@ -193,14 +194,14 @@ def separation(
     >>> print(f"{separation(3.9, group_depth=0.9, group_index=1.34) / 1e6:.1f} MHz")
     37.3 MHz
     """
-    far = not_negative(distance, name="distance", unit="m")
+    far = measured(distance, name="distance", unit="m")
     seen = finite(group_depth, name="group_depth", unit="m")
     index = at_least(group_index, 1, name="group_index")
     broadcast(distance=far, group_depth=seen, group_index=index)
     ahead = far - seen
     require(
         ahead,
-        ahead > 0,
+        ~(ahead <= 0),
         name="distance - group_depth",
         rule="above 0",
         unit="m",

@@ -163,8 +163,8 @@ def received_power(
     require(
         np.broadcast_to(np.abs(signal), too_large.shape),
         ~too_large,
-        name="|response|",
-        rule="finite and at most mean_response",
+        name="response",
+        rule="finite and at most mean_response in modulus",
         hint="as of all responses to light",
     )
     turn = 2 * np.pi * frequency * moment

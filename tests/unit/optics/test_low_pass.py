@@ -11,8 +11,10 @@ from amulor.optics.low_pass import (
     LowPassFit,
     cut_off,
     cut_off_of_narrow_receiver,
+    cut_off_of_sweep,
     first_order_response,
     fit,
+    fit_if_shown,
 )
 
 SWEEP = np.linspace(0.5e6, 138e6, 276)
@@ -182,3 +184,44 @@ def test_values_out_of_range_are_refused_by_name():
         cut_off_of_narrow_receiver(reduced_attenuation=-1.0, group_index=1.34)
     with pytest.raises(ValueError, match=r"group_index .* at least 1, got 0\.9"):
         cut_off_of_narrow_receiver(reduced_attenuation=1.0, group_index=0.9)
+
+
+# ------------------------------------------------------------------ sampled sweeps
+
+
+def test_a_sampled_sweep_crosses_on_the_straight_line_between_neighbours():
+    # From 1 at 10 MHz to 0 at 20 MHz the level 1/sqrt 2 lies at 20 - 10/sqrt 2 MHz.
+    corner = cut_off_of_sweep([0.0, 1e7, 2e7, 3e7], [1.0, 1.0, 0.0, 0.0])
+    assert_allclose(corner, 2e7 - 1e7 / np.sqrt(2), rtol=1e-14)
+
+
+@settings(deadline=None)
+@given(st.floats(1e6, 1e8), st.floats(0.1, 1e3))
+def test_a_finely_sampled_sweep_has_the_cut_off_of_its_response(corner, scale):
+    frequency = np.linspace(0, 3 * corner, 1500)
+    sweep = scale * np.abs(first_order_response(frequency, cut_off=corner))
+    # A chord of 1/500 of the cut-off errs by 1/8 of its square times the curvature.
+    assert_allclose(cut_off_of_sweep(frequency, sweep), corner, rtol=1e-6)
+
+
+def test_a_sweep_that_stays_above_the_level_has_no_cut_off():
+    assert np.isnan(cut_off_of_sweep([0.0, 1e6], [1.0, 0.8]))
+    with pytest.raises(ValueError, match=r"modulation_frequency must be rising from 0"):
+        cut_off_of_sweep([1.0, 2.0], [1.0, 0.5])
+    with pytest.raises(ValueError, match="amplitude at zero frequency must be finite"):
+        cut_off_of_sweep([0.0, 2.0], [0.0, 0.5])
+
+
+@pytest.mark.parametrize(("last", "shown"), [(1e7, False), (4e7, True)])
+def test_a_fit_is_shown_where_the_sweep_reaches_beyond_the_cut_off(last, shown):
+    frequency = np.linspace(1e6, last, 50)
+    sweep = np.abs(first_order_response(frequency, cut_off=2e7))
+    result = fit_if_shown(frequency, sweep)
+    assert (result is not None) == shown
+    if result is not None:
+        assert_allclose(result.cut_off, 2e7, rtol=1e-9)
+
+
+def test_data_that_fix_no_cut_off_show_none():
+    assert fit_if_shown([1.0, 2.0, 3.0], [1.0, 2.0, 3.0]) is None
+    assert fit_if_shown([1.0, 2.0], [1.0, 2.0]) is None

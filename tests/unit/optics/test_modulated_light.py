@@ -136,7 +136,7 @@ def test_the_phase_over_a_path_is_its_delay(attenuation, frequency, index, path)
         ({"modulation_depth": 1.5}, "modulation_depth must be from 0 to 1"),
         ({"modulation_frequency": -1.0}, "modulation_frequency must be finite"),
         ({"mean_response": -1.0}, "mean_response must be finite and not negative"),
-        ({"response": 1.5j}, r"at most mean_response, got 1\.5"),
+        ({"response": 1.5j}, r"at most mean_response in modulus, got 1\.5"),
     ],
 )
 def test_powers_that_cannot_be_are_refused(change, text):

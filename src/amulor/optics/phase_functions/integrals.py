@@ -68,10 +68,26 @@ class Panels:
         return total.reshape(angle.shape)
 
     def mean(self, weight: Density, *, low: float = 0.0, high: float = np.pi) -> float:
-        """Return the integral of 2 pi p sin, times a weight, from low to high.
+        """Return the integral of weight times phase function over solid angle.
 
-        The weight [any unit] is a smooth function of the angle [rad]. What lies in
-        the innermost panel has the weight of its end.
+        Parameters
+        ----------
+        weight : callable
+            Function of an array of scattering angles [rad].
+        low, high : float
+            Ends of the integral [rad].
+
+        Returns
+        -------
+        float
+            The integral [unit of the weight].
+
+        Examples
+        --------
+        >>> flat = Panels(lambda angle: 0 * angle + 0.25 / np.pi, np.geomspace(
+        ...     INNERMOST_ANGLE, np.pi, 40))
+        >>> print(f"{flat.mean(np.ones_like, high=np.pi / 2):.6f}")
+        0.500000
         """
         start = max(low, self.edges[0])
         inner = self.edges[(self.edges > start) & (self.edges < high)]

@@ -32,7 +32,7 @@ def state(temperature: ArrayLike, salinity: ArrayLike) -> tuple[_Array, _Array]:
     """
     return (
         within(temperature, 0, 30, name="temperature", unit="degC"),
-        within(salinity, 0, 43, name="salinity", unit="permille"),
+        within(salinity, 0, 43, name="salinity"),
     )
 
 
