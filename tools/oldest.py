@@ -21,6 +21,7 @@ QUIET = [
     "-Wignore::PendingDeprecationWarning",
     "-Wignore::FutureWarning",
     "-Wignore:numpy.ndarray size changed:RuntimeWarning",
+    "-Wignore:Converting non-nanosecond precision datetime:UserWarning",
 ]
 #: Programs of a developer, which no test imports.
 _PROGRAMS = ("ruff", "mypy", "import-linter", "pre-commit", "build")
