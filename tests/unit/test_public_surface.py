@@ -1,0 +1,89 @@
+"""What `import amulor` offers: nothing goes, and nothing comes, without being seen."""
+
+import importlib
+import runpy
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+import amulor
+
+ROOT = Path(__file__).parents[2]
+TOOL = runpy.run_path(str(ROOT / "tools" / "public_surface.py"))
+
+#: What programs outside this repository call; changing one breaks them.
+PINNED = [
+    "amulor.Survey.from_toml",
+    "amulor.acquisition.acquire",
+    "amulor.errors.AmulorError",
+    "amulor.imaging.point_cloud",
+    "amulor.imaging.range_image",
+    "amulor.io.read_transients",
+    "amulor.optics.interference.target_signal",
+    "amulor.optics.low_pass.cut_off",
+    "amulor.optics.low_pass.fit",
+    "amulor.optics.ranging.slant_range",
+    "amulor.optics.small_angle.water_response",
+    "amulor.optics.small_angle_diffusion.water_response",
+    "amulor.read_cube",
+    "amulor.rejection.joint",
+    "amulor.rejection.open_water",
+    "amulor.rejection.water_fit",
+    "amulor.simulate",
+    "amulor.simulation.simulate",
+    "amulor.survey.Survey",
+    "amulor.transport.simulate",
+    "amulor.units.parse",
+    "amulor.view.write_report",
+    "amulor.write_cube",
+]
+
+
+def test_the_public_names_are_those_of_the_listing() -> None:
+    listed = set(TOOL["LISTING"].read_text().splitlines())
+    there = set(TOOL["surface"]())
+    gone, new = sorted(listed - there), sorted(there - listed)
+    assert not gone, f"public names are gone or of another kind: {gone}"
+    assert not new, f"names not in the listing, write it anew by `make surface`: {new}"
+
+
+#: Each name from the first import on, so that none is there by another's doing.
+FRESH = """
+import sys, warnings
+warnings.simplefilter("ignore")  # the accessor of xarray is registered again
+for name in sys.argv[1:]:
+    for module in [one for one in sys.modules if one.split(".")[0] == "amulor"]:
+        del sys.modules[module]
+    import amulor
+    try:
+        assert callable(eval(name)), "no function"
+    except (AttributeError, AssertionError) as error:
+        print(f"{name}: {error}")
+"""
+
+
+def test_attribute_access_alone_reaches_what_others_call() -> None:
+    done = subprocess.run(
+        [sys.executable, "-c", FRESH, *PINNED],
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    assert done.stdout == ""
+
+
+def test_tab_completion_shows_what_is_public_and_only_that() -> None:
+    code = "import amulor; print([n for n in dir(amulor) if n[:2] != '__'])"
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True
+    )
+    assert done.stdout.strip() == str(sorted(amulor.__all__))
+
+
+@pytest.mark.parametrize("package", ["amulor", "amulor.optics", "amulor.rejection"])
+def test_tab_completion_of_a_package_hides_internal_modules(package: str) -> None:
+    module = importlib.import_module(package)
+    shown = [name for name in dir(module) if not name.startswith("__")]
+    assert shown == sorted(module.__all__)
