@@ -7,6 +7,7 @@ import pytest
 from numpy.polynomial import chebyshev
 from numpy.testing import assert_allclose
 from scipy.constants import speed_of_light
+from scipy.integrate import trapezoid
 
 from amulor.optics.polarization.depolarization import realizability_defect
 from amulor.optics.polarization.mueller import detected_fraction
@@ -76,7 +77,7 @@ def test_coaxial_water_is_the_integral_of_the_published_overlap():
     size, angle = study["receiver_radius"], study["acceptance"]
     overlap = np.pi * size**2 * angle**2 / (size**2 + angle**2 * depth**2)
     kernel = overlap * np.exp(2 * (1j * WAVE - 0.5) * depth)
-    expected = backscatter * np.trapezoid(kernel, depth)
+    expected = backscatter * trapezoid(kernel, depth)
     near = milk_quadrature.scattered_once(study, water, np.zeros(1), until=0.05)
     total = found["VV"] + found["VH"] - near["VV"] - near["VH"]
     # Angles of 0.08 rad change the phase function and the solid angle by their squares.

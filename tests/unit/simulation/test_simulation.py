@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 from scipy.constants import Planck, speed_of_light
+from scipy.integrate import trapezoid
 
 from amulor.errors import SurveyError
 from amulor.optics import small_angle_diffusion
@@ -88,7 +89,7 @@ def test_water_ends_at_the_target(plate: Survey) -> None:
     z = np.linspace(0, 1, 4001)[:, None, None] * truth["slant_range"].values
     f = small_angle_diffusion.overlap(z, **arguments)
     delay = np.exp(2j * (2 * np.pi * 39e6) * 1.38 / speed_of_light * z)
-    whole = np.trapezoid(f * delay, z, axis=0) * properties.backscatter_vsf
+    whole = trapezoid(f * delay, z, axis=0) * properties.backscatter_vsf
     expected = whole / whole[3, 6]
     assert_allclose(water[0, 0] / water[0, 0, 3, 6], expected, rtol=1e-5)
 
