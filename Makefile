@@ -6,7 +6,7 @@ JOBS ?= 2
 EXAMPLES = quick
 PYTEST = $(BIN)/python -m pytest --hypothesis-profile=$(EXAMPLES)
 # The tests of one file share fixtures, so one process runs them all.
-TOGETHER = -n $(JOBS) --dist loadfile
+TOGETHER = -n $(JOBS) --dist loadfile --max-worker-restart=2
 .DEFAULT_GOAL := help
 
 help:
