@@ -73,7 +73,8 @@ def page(study: dict[str, Any]) -> str:
             f"## Figure {figure['number']}. {figure['title']}",
             f"![{figure['title']}](../images/ricci2010/{stem}.png)",
             f"{figure['caption']} "
-            f"([code]({CODE}/{stem}.py), [SVG](../images/ricci2010/{stem}.svg))",
+            f"([code]({CODE}/figures/{stem}.py), "
+            f"[SVG](../images/ricci2010/{stem}.svg))",
             _table(
                 ["statement", "found", "needed", "result"],
                 [

@@ -239,6 +239,7 @@ def test_wide_receiver_equals_chance_hits():
     assert abs(tally.signal[0].real - signal) < SIGMAS * error
 
 
+@pytest.mark.slow
 def test_swapping_source_and_receiver_keeps_the_light():
     # P / (R gamma)^2 of the receiver = P / (w delta)^2 with the roles swapped; the
     # angles enter with their squares, 0.2 %.
@@ -332,6 +333,7 @@ def test_single_backscatter_of_small_spheres_keeps_h_and_flips_the_helicity():
         )
 
 
+@pytest.mark.slow
 def test_polarized_reciprocity():
     # Launched a, analysed b equals launched b', analysed a' with the places swapped,
     # where linear states keep their name and right and left change places.
@@ -357,6 +359,7 @@ def test_polarized_reciprocity():
         assert np.all(error < 0.1 * np.abs(one))
 
 
+@pytest.mark.slow
 def test_depolarization_grows_with_the_optical_thickness():
     receiver = DiscReceiver(radius=0.05, acceptance_angle=0.1, position=(0.07, 0, 0))
     degrees = []

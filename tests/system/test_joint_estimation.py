@@ -109,7 +109,9 @@ def errors(found: xr.Dataset, truth: xr.Dataset) -> tuple[np.ndarray, np.ndarray
     return error, error / found["joint_slant_range_uncertainty"].values
 
 
-@pytest.mark.parametrize("fluctuation", [0.0, 5.0])
+@pytest.mark.parametrize(
+    "fluctuation", [0.0, pytest.param(5.0, marks=pytest.mark.slow)]
+)
 @pytest.mark.parametrize("shots", [True, pytest.param(False, marks=pytest.mark.study)])
 def test_intervals_hold_what_they_promise_and_reach_the_bound(
     fluctuation: float, shots: bool
@@ -250,7 +252,7 @@ def test_water_of_another_kind_biases_ten_times_less_than_raw_phases(
 @pytest.mark.parametrize(
     ("ratios", "noises"),
     [
-        ((2.0,), (1e-3,)),
+        pytest.param((2.0,), (1e-3,), marks=pytest.mark.slow),
         pytest.param((0.1, 0.3, 1.0, 2.0), (1e-2, 1e-3), marks=pytest.mark.study),
     ],
 )
