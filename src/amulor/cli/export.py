@@ -31,11 +31,9 @@ def export(
 
     check_ending("--output", output, [*io.CLOUD_SUFFIXES, ".nc"])
     io.check_output(output, overwrite=overwrite, inputs=[image])
-    range_image = io.read_cube(image)
-    cloud = imaging.point_cloud(range_image)
+    cloud = imaging.point_cloud(io.read_cube(image))
     if output.suffix.lower() == ".nc":
         io.write_cube(cloud, output, overwrite=overwrite)
     else:
-        rows, columns = range_image["quality_flag"].shape
-        io.write_cloud(cloud, output, shape=(rows, columns), overwrite=overwrite)
+        io.write_cloud(cloud, output, overwrite=overwrite)
     print(f"{output}: {cloud.sizes['point']} points")

@@ -132,10 +132,9 @@ def fit(
     """
     from dataclasses import asdict
 
-    from amulor import io
-    from amulor.rejection.joint.water_fit import water_fit
+    from amulor import io, rejection
 
-    found = water_fit(io.read_cube(cube), no_target=no_target)
+    found = rejection.water_fit(io.read_cube(cube), no_target=no_target)
     if json:
         print_json(asdict(found))
         return

@@ -169,9 +169,5 @@ def _write_images(folder: Path, case: Case, *, overwrite: bool) -> None:
     stem = f"ladder_{case.water}_{case.channel}"
     io.write_cube(case.image, folder / f"{stem}_range.nc", overwrite=overwrite)
     cloud = imaging.point_cloud(case.image)
-    rows, columns = case.image["quality_flag"].shape
-    shape = (rows, columns)
     for suffix in _CLOUDS:
-        io.write_cloud(
-            cloud, folder / f"{stem}.{suffix}", shape=shape, overwrite=overwrite
-        )
+        io.write_cloud(cloud, folder / f"{stem}.{suffix}", overwrite=overwrite)
