@@ -48,22 +48,6 @@ def require(
 ) -> None:
     """Raise the error of all checks unless every element is allowed.
 
-    Parameters
-    ----------
-    value : array_like
-        What is looked at, real or complex.
-    allowed : array_like of bool
-        Whether each element is allowed, of the same shape.
-    name, rule, unit : str
-        How the message calls it, what it must be, and its unit, empty if it has none.
-    hint : str
-        What to do about it, or why; may be empty.
-
-    Raises
-    ------
-    ValueError
-        If an element is not allowed; the message names the first one.
-
     Examples
     --------
     >>> require([0.1, 2.0], [True, False], name="gain", rule="at most 1")
@@ -85,23 +69,6 @@ def require(
 def finite(value: ArrayLike, *, name: str, unit: str = "") -> Array:
     """Return the value, refused if infinite or not a number.
 
-    Parameters
-    ----------
-    value : array_like
-        Argument of a formula.
-    name, unit : str
-        How the message calls them; the unit may be empty.
-
-    Returns
-    -------
-    ndarray
-        The value.
-
-    Raises
-    ------
-    ValueError
-        If any of it is infinite or not a number.
-
     Examples
     --------
     >>> print(finite(-0.1, name="tilt", unit="rad"))
@@ -114,23 +81,6 @@ def not_negative(
     value: ArrayLike, *, name: str, unit: str = "", hint: str = ""
 ) -> Array:
     """Return the value, refused if negative, infinite or not a number.
-
-    Parameters
-    ----------
-    value : array_like
-        Argument of a formula.
-    name, unit, hint : str
-        How the message calls them, and what to do; unit and hint may be empty.
-
-    Returns
-    -------
-    ndarray
-        The value.
-
-    Raises
-    ------
-    ValueError
-        If any of it is below zero, infinite or not a number.
 
     Examples
     --------
@@ -145,23 +95,6 @@ def not_negative(
 
 def positive(value: ArrayLike, *, name: str, unit: str = "", hint: str = "") -> Array:
     """Return the value, refused unless above zero and finite.
-
-    Parameters
-    ----------
-    value : array_like
-        Argument of a formula.
-    name, unit, hint : str
-        How the message calls them, and what to do; unit and hint may be empty.
-
-    Returns
-    -------
-    ndarray
-        The value.
-
-    Raises
-    ------
-    ValueError
-        If any of it is not above zero, infinite or not a number.
 
     Examples
     --------
@@ -178,25 +111,6 @@ def at_least(
     value: ArrayLike, low: float, *, name: str, unit: str = "", hint: str = ""
 ) -> Array:
     """Return the value, refused if below an end, infinite or not a number.
-
-    Parameters
-    ----------
-    value : array_like
-        Argument of a formula.
-    low : float
-        End of its range, allowed.
-    name, unit, hint : str
-        How the message calls them, and what to do; unit and hint may be empty.
-
-    Returns
-    -------
-    ndarray
-        The value.
-
-    Raises
-    ------
-    ValueError
-        If any of it is below the end, infinite or not a number.
 
     Examples
     --------
@@ -231,27 +145,6 @@ def within(
     for the end itself: 700 * 1e-9 is above 700e-9, and what follows may rely on the
     range. An end at 0 has no such room.
 
-    Parameters
-    ----------
-    value : array_like
-        Argument of a formula.
-    low, high : float
-        Ends of its range.
-    name, unit, hint : str
-        How the message calls them, and what to do; unit and hint may be empty.
-    above, below : bool
-        Whether the low end, and the high one, is itself refused.
-
-    Returns
-    -------
-    ndarray
-        The value, within low..high.
-
-    Raises
-    ------
-    ValueError
-        If any of it is outside, or not a number.
-
     Examples
     --------
     >>> print(within([1, 2], 0, 3, name="depth", unit="m"))
@@ -280,23 +173,6 @@ def within(
 def reach(value: ArrayLike, *, name: str, unit: str = "m") -> Array:
     """Return a length up to an end, which may be infinite; refused if negative.
 
-    Parameters
-    ----------
-    value : array_like
-        Argument of a formula.
-    name, unit : str
-        How the message calls them.
-
-    Returns
-    -------
-    ndarray
-        The value.
-
-    Raises
-    ------
-    ValueError
-        If any of it is below zero or not a number.
-
     Examples
     --------
     >>> print(reach(np.inf, name="end"))
@@ -308,23 +184,6 @@ def reach(value: ArrayLike, *, name: str, unit: str = "m") -> Array:
 
 def measured(value: ArrayLike, *, name: str, unit: str = "", hint: str = "") -> Array:
     """Return a measured modulus, uncertainty or count, NaN where it is missing.
-
-    Parameters
-    ----------
-    value : array_like
-        Samples; NaN stands for one that is missing.
-    name, unit, hint : str
-        How the message calls them, and what to do; unit and hint may be empty.
-
-    Returns
-    -------
-    ndarray
-        The value.
-
-    Raises
-    ------
-    ValueError
-        If any of it is below zero.
 
     Examples
     --------
@@ -338,23 +197,6 @@ def measured(value: ArrayLike, *, name: str, unit: str = "", hint: str = "") -> 
 def above_zero(value: ArrayLike, *, name: str, unit: str = "", hint: str = "") -> Array:
     """Return a measured value that must not be zero, NaN where it is missing.
 
-    Parameters
-    ----------
-    value : array_like
-        Samples; NaN stands for one that is missing.
-    name, unit, hint : str
-        How the message calls them, and what to do; unit and hint may be empty.
-
-    Returns
-    -------
-    ndarray
-        The value.
-
-    Raises
-    ------
-    ValueError
-        If any of it is not above zero.
-
     Examples
     --------
     >>> print(above_zero([1e4, np.nan], name="photoelectrons"))
@@ -366,23 +208,6 @@ def above_zero(value: ArrayLike, *, name: str, unit: str = "", hint: str = "") -
 
 def checked_angle(value: ArrayLike, *, name: str) -> Array:
     """Return scattering angles, refused outside of 0..pi.
-
-    Parameters
-    ----------
-    value : array_like
-        Scattering angles [rad].
-    name : str
-        How the message calls them.
-
-    Returns
-    -------
-    ndarray
-        The angles [rad].
-
-    Raises
-    ------
-    ValueError
-        If any of them is outside of 0..pi, or not a number.
 
     Examples
     --------
@@ -397,23 +222,6 @@ def checked_angle(value: ArrayLike, *, name: str) -> Array:
 
 def checked_split_angle(value: ArrayLike, *, above: float = 0.0) -> Array:
     """Return split angles, refused unless above 0 (or more) and up to pi.
-
-    Parameters
-    ----------
-    value : array_like
-        Angles between forward and diffuse scattering [rad].
-    above : float
-        Smallest angle, itself refused: below it nothing would be forward [rad].
-
-    Returns
-    -------
-    ndarray
-        The angles [rad].
-
-    Raises
-    ------
-    ValueError
-        If any of them is outside of the range, or not a number.
 
     Examples
     --------
@@ -433,21 +241,6 @@ def checked_split_angle(value: ArrayLike, *, above: float = 0.0) -> Array:
 def broadcast(**arguments: ArrayLike) -> tuple[int, ...]:
     """Return the shape to which arguments broadcast.
 
-    Parameters
-    ----------
-    **arguments : array_like
-        Arguments of a formula by name.
-
-    Returns
-    -------
-    tuple of int
-        Their common shape.
-
-    Raises
-    ------
-    ValueError
-        If there is none.
-
     Examples
     --------
     >>> broadcast(depth=np.zeros((2, 1)), baseline=np.zeros(3))
@@ -465,18 +258,6 @@ def broadcast(**arguments: ArrayLike) -> tuple[int, ...]:
 
 def one_axis(least: int, **columns: ArrayLike) -> None:
     """Refuse columns that are not one-dimensional, of one length and long enough.
-
-    Parameters
-    ----------
-    least : int
-        Smallest length.
-    **columns : array_like
-        Columns by name.
-
-    Raises
-    ------
-    ValueError
-        If a shape is another.
 
     Examples
     --------
@@ -496,25 +277,6 @@ def last_axes(
     value: ArrayLike, shape: tuple[int, ...], *, name: str, meaning: str = ""
 ) -> Array:
     """Return an array whose last axes have a shape.
-
-    Parameters
-    ----------
-    value : array_like
-        Argument of a formula; NaN stands for a sample that is missing.
-    shape : tuple of int
-        Lengths of the last axes.
-    name, meaning : str
-        How the message calls it, and what lies along these axes; may be empty.
-
-    Returns
-    -------
-    ndarray
-        The value.
-
-    Raises
-    ------
-    ValueError
-        If the last axes are others.
 
     Examples
     --------
@@ -538,9 +300,8 @@ def _checked(
     hint: str = "",
 ) -> Array:
     array = np.asarray(value, dtype=np.float64)
-    with np.errstate(invalid="ignore"):
-        good = allowed(array)
-    if not np.all(good):
+    good = allowed(array)
+    if not good.all():
         require(array, good, name=name, rule=rule, unit=unit, hint=hint)
     return array
 

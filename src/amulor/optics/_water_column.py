@@ -66,6 +66,11 @@ def checked(name: str, value: ArrayLike) -> Any:
     check, unit, above, most = _RULES[name]
     if type(value) is float and above < value <= most:
         return value
+    if isinstance(value, np.ndarray) and value.dtype == np.float64 and value.ndim:
+        # What most sweeps are; the rest, and what is refused, is looked at below.
+        good = value.size > 0 and above < value.min() and value.max() <= most
+        if good:
+            return value
     array = check(value, name=name, unit=unit)
     return float(array) if array.ndim == 0 else array
 
@@ -76,7 +81,7 @@ def phase_per_depth(
     """Return the phase that an echo gains with the depth it comes from [rad/m]."""
     frequency = checked("modulation_frequency", modulation_frequency)
     index = checked("group_index", group_index)
-    if np.ndim(index):
+    if not isinstance(index, float):
         _bounds.broadcast(modulation_frequency=frequency, group_index=index)
     return np.asarray(4 * np.pi / speed_of_light * frequency * index)
 

@@ -15,6 +15,7 @@ __all__ = ["Tables", "Water", "collected"]
 
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
+Flags = tuple[bool, bool, bool]  # which of the three Bessel functions is a wave
 
 NODES = 16  # of a panel of spatial frequencies
 _NO_WAVE = float(_kernels.NO_WAVE)  # argument up to which a Bessel function is no wave
@@ -83,21 +84,12 @@ class _Place(NamedTuple):
     """exp(-2 b_f z) where it is taken out, else 0 [1]."""
     beam: float
     """w^2 + delta^2 zeta^2 [m^2]."""
+    split_angle: float
+    """Where the forward part of the phase function ends [rad]."""
     reach: float
     """z times the split angle: how fast the edge of the forward part turns [m]."""
-
-
-class _Work(NamedTuple):
-    """Arrays that each depth and each panel overwrites."""
-
-    radius: Array
+    radius: tuple[float, float, float]
     """Arguments over kappa of J0 and of the two discs [m]."""
-    wave: NDArray[np.bool_]
-    """Which of the three is written as waves in this panel."""
-    rate: Array
-    """How fast the phase of each product of waves turns [m]."""
-    value: Complex
-    """Smooth factors of the products at the nodes."""
 
 
 @numba.njit(cache=True, error_model="numpy", fastmath={"contract"})
@@ -160,9 +152,9 @@ def _turned(
 
 
 @numba.njit(cache=True, error_model="numpy")
-def _scattering_end(place: _Place, split_angle: float, table: Array) -> float:
+def _scattering_end(place: _Place, table: Array) -> float:
     """Return the spatial frequency at which scattering has ended the integral."""
-    depth, thickness = place.depth, place.thickness
+    depth, thickness, split_angle = place.depth, place.thickness, place.split_angle
     if thickness <= _SCATTERED_END:
         return math.inf
     top: float = 1e-6 / (depth * split_angle)
@@ -174,7 +166,7 @@ def _scattering_end(place: _Place, split_angle: float, table: Array) -> float:
 
 
 @numba.njit(cache=True, error_model="numpy")
-def _envelope(kappa: float, radius: Array) -> float:
+def _envelope(kappa: float, radius: tuple[float, float, float]) -> float:
     """Return about the most that the product of the three Bessel functions can be."""
     bound: float = 1.0
     x: float = kappa * radius[0]
@@ -188,19 +180,21 @@ def _envelope(kappa: float, radius: Array) -> float:
 
 
 @numba.njit(cache=True, error_model="numpy")
-def _place(z: float, water: Water, radius: Array) -> _Place:
-    """Return what a depth is, and fill the three radii there."""
+def _place(z: float, water: Water) -> _Place:
+    """Return what a depth is."""
     path = z + water.standoff
-    radius[0] = math.hypot(water.baseline - water.tilt * path, water.cross_tilt * path)
-    radius[1], radius[2] = water.receiver_radius, water.acceptance_angle * path
+    along = water.baseline - water.tilt * path
+    offset = math.hypot(along, water.cross_tilt * path)
+    radius = (offset, water.receiver_radius, water.acceptance_angle * path)
     beam = water.beam_radius_squared + water.beam_divergence_squared * path * path
     thickness = water.forward * z
     unscattered = math.exp(-thickness) if beam == 0.0 else 0.0
-    return _Place(z, thickness, unscattered, beam, z * water.split_angle)
+    reach = z * water.split_angle
+    return _Place(z, thickness, unscattered, beam, water.split_angle, reach, radius)
 
 
 @numba.njit(cache=True, error_model="numpy")
-def _slowest(radius: Array) -> float:
+def _slowest(radius: tuple[float, float, float]) -> float:
     """Return how fast the slowest product of three waves turns [m]."""
     slowest = math.inf
     for j in range(4):
@@ -211,97 +205,102 @@ def _slowest(radius: Array) -> float:
 
 
 @numba.njit(cache=True, error_model="numpy")
-def _widest_turn(low: float, place: _Place, work: _Work) -> tuple[float, float]:
-    """Return the turn of the plain factors, and the most that a panel may have of it.
-
-    Marks the Bessel functions that are waves from this spatial frequency on.
-    """
-    radius, wave = work.radius, work.wave
+def _widest_turn(low: float, place: _Place, wave: Flags) -> tuple[float, float]:
+    """Return the turn of the plain factors, and the most of it in a panel."""
     turn = place.reach if low * place.reach < _SPLIT_END else 0.0
     waves = 0
     for j in range(3):
-        wave[j] = low * radius[j] >= _NO_WAVE
         if wave[j]:
             waves += 1
         else:
-            turn += radius[j]
+            turn += place.radius[j]
     return turn, _SERIES_PHASE if waves > 0 else _PHASE
 
 
 @numba.njit(cache=True, error_model="numpy")
 def _plain_factors(
-    half: float,
-    centre: float,
+    panel: tuple[float, float],
     place: _Place,
-    split_angle: float,
-    work: _Work,
-    tables: Tables,
+    wave: Flags,
+    rule: Array,
+    lost: Array,
+    bessel: Array,
+    disc: Array,
+    value: Complex,
 ) -> float:
-    """Fill value[0] with all that is no wave; return what water and beam leave last."""
-    # Taken out of the bundles once: each access to one of their arrays counts.
-    radius, wave, value = work.radius, work.wave, work.value
-    rule, lost, bessel, disc = tables.rule, tables.lost, tables.bessel, tables.disc
+    """Fill value[0] with all that is no wave; return what water and beam leave last.
+
+    The tables come one by one, as each access to an array of a bundle is counted.
+    """
+    half, centre = panel
     last = 0.0
     for i in range(NODES):
         kappa = centre + half * rule[0, i]
-        spread = _kernels.lost(kappa * place.depth, split_angle, lost)
+        spread = _kernels.lost(kappa * place.depth, place.split_angle, lost)
         last = math.exp(-place.thickness * spread)
         beam = math.exp(-0.25 * place.beam * kappa * kappa)
         last = kappa * beam * (last - place.unscattered)
         factor = last
         if not wave[0]:
-            factor *= _kernels.j0(kappa * radius[0], bessel)
-        for j in range(1, 3):
-            if not wave[j]:
-                factor *= _disc(kappa * radius[j], disc)
+            factor *= _kernels.j0(kappa * place.radius[0], bessel)
+        if not wave[1]:
+            factor *= _disc(kappa * place.radius[1], disc)
+        if not wave[2]:
+            factor *= _disc(kappa * place.radius[2], disc)
         value[0, i] = factor
     return last
 
 
 @numba.njit(cache=True, error_model="numpy")
-def _multiply_waves(half: float, centre: float, work: _Work, rule: Array) -> int:
+def _multiply_waves(
+    half: float,
+    centre: float,
+    place: _Place,
+    wave: Flags,
+    rule: Array,
+    rate: Array,
+    value: Complex,
+) -> int:
     """Multiply value[0] by the waves; return of how many products the sum consists.
 
     The real part of the product of two waves is half that of their product and half
-    that of the product of one and the conjugate of the other.
+    that of the product of one and the conjugate of the other. rate is how fast the
+    phase of each product turns with kappa.
     """
-    radius, wave = work.radius, work.wave
-    rate, value = work.rate, work.value
-    count = 1
+    count = 0
     rate[0] = 0.0
-    first = True
     for j in range(3):
         if not wave[j]:
             continue
+        radius = place.radius[j]
         for i in range(NODES):
-            x = (centre + half * rule[0, i]) * radius[j]
+            x = (centre + half * rule[0, i]) * radius
             h = _wave_0(x) if j == 0 else _wave_1(x)
-            if first:
+            if count == 0:
                 value[0, i] *= h
                 continue
             h *= 0.5
             for p in range(count):
                 value[count + p, i] = value[p, i] * h.conjugate()
                 value[p, i] *= h
-        if first:
-            rate[0] = radius[j]
-            first = False
+        if count == 0:
+            rate[0] = radius
+            count = 1
             continue
         for p in range(count):
-            rate[count + p] = rate[p] - radius[j]
-            rate[p] += radius[j]
+            rate[count + p] = rate[p] - radius
+            rate[p] += radius
         count *= 2
-    return count
+    return max(count, 1)
 
 
 @numba.njit(cache=True, error_model="numpy")
-def _transformed(
-    place: _Place, split_angle: float, work: _Work, tables: Tables
-) -> float:
+def _transformed(place: _Place, tables: Tables, rate: Array, value: Complex) -> float:
     """Return the integral over the spatial frequency of eq. (29), times 4 pi."""
-    radius, rate, value = work.radius, work.rate, work.value
-    rule, series, beam = tables.rule, tables.series, place.beam
-    top = _scattering_end(place, split_angle, tables.lost)
+    radius, beam = place.radius, place.beam
+    rule, series, lost = tables.rule, tables.series, tables.lost
+    bessel, disc = tables.bessel, tables.disc
+    top = _scattering_end(place, lost)
     if beam > 0.0:
         top = min(top, _GAUSSIAN_END / math.sqrt(beam))
     slowest = _slowest(radius)
@@ -314,7 +313,12 @@ def _transformed(
     low = 0.0
     size = 0.0
     for _ in range(_PANELS):
-        turn, most = _widest_turn(low, place, work)
+        wave = (
+            low * radius[0] >= _NO_WAVE,
+            low * radius[1] >= _NO_WAVE,
+            low * radius[2] >= _NO_WAVE,
+        )
+        turn, most = _widest_turn(low, place, wave)
         width = min(max(narrowest, low), widest)
         if width * turn > most:
             width = most / turn
@@ -322,8 +326,10 @@ def _transformed(
             width = top - low
         half = 0.5 * width
         centre = low + half
-        last = _plain_factors(half, centre, place, split_angle, work, tables)
-        for p in range(_multiply_waves(half, centre, work, rule)):
+        panel = (half, centre)
+        last = _plain_factors(panel, place, wave, rule, lost, bessel, disc, value)
+        count = _multiply_waves(half, centre, place, wave, rule, rate, value)
+        for p in range(count):
             total += _turned(half, centre, rate[p], value[p], rule, series)
         low += width
         if low >= top:
@@ -346,16 +352,12 @@ def collected(depth: Array, water: Water, tables: Tables, out: Array) -> None:
     the Legendre series of their factors. Compiled, as the width of each panel follows
     from where the one before ended, for every depth anew.
     """
-    work = _Work(
-        np.empty(3),
-        np.empty(3, dtype=np.bool_),
-        np.empty(4),
-        np.empty((4, NODES), dtype=np.complex128),
-    )
+    rate = np.empty(4)
+    value = np.empty((4, NODES), dtype=np.complex128)
     for n in range(depth.size):
-        place = _place(depth[n], water, work.radius)
+        place = _place(depth[n], water)
         if place.thickness == 0.0 and place.beam == 0.0:
             out[n] = 0.0
             continue
-        total = _transformed(place, water.split_angle, work, tables)
+        total = _transformed(place, tables, rate, value)
         out[n] = 0.5 * total * math.exp(-water.loss * depth[n])
