@@ -84,5 +84,5 @@ def test_a_range_without_any_error_takes_all_the_weight() -> None:
 def test_slopes_refuse_what_has_none(slope) -> None:
     with pytest.raises(ValueError, match=r"above 0 \[Hz\], got 0 at index"):
         slope([0.0, 1e6], group_index=1.38)
-    with pytest.raises(ValueError, match=r"at least 1 .*got 0.5"):
+    with pytest.raises(ValueError, match=r"at least 1, got 0\.5"):
         slope(1e6, group_index=0.5)
