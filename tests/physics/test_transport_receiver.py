@@ -168,6 +168,34 @@ def test_target_joined_through_shifted_paths_is_the_same():
     assert abs(runs[0].target_signal[0]) > 3 * abs(runs[0].water_signal[0])
 
 
+def test_a_far_target_whose_light_the_run_has_missed_is_flagged():
+    # At 12 attenuation lengths the light of the target comes by paths scattered both
+    # ways, which one run in two of this size does not meet at all: what it has met is
+    # a ten-thousandth of the light, with an error that looks like some percent.
+    medium = water(0.2, 0.8, henyey_greenstein_function(asymmetry=0.95))
+
+    def runs(distance, number):
+        target = PlaneTarget(position=(0, 0, distance), reflectance=0.3)
+        return [
+            simulate(
+                medium, Source(), DISC, [0.0], histories=40_000, seed=seed,
+                target=target,
+            )
+            for seed in range(number)
+        ]  # fmt: skip
+
+    far = runs(12.0, 16)
+    light = np.array([tally.target_signal[0].real for tally in far])
+    stated = np.array([tally.relative_error_of("target")[0] for tally in far])
+    mean = light.mean()  # of 16 runs: far from exact, but of the right size
+    assert np.any((light < 1e-3 * mean) & (stated < 0.3))
+    assert all(tally.heavy_tail_of("target") for tally in far)
+    assert all(tally.heavy_tailed for tally in far)
+    # The light of the water outshines all of it, and has an error that holds.
+    assert not any(tally.heavy_tail_of("water") for tally in far)
+    assert not any(tally.heavy_tailed for tally in runs(1.5, 3))
+
+
 def test_an_oblique_plane_far_in_dark_water_follows_its_cosine():
     # Light falls on a plane tilted by 40 degrees: radiance falls with the irradiance.
     angle = np.radians(40)

@@ -55,6 +55,8 @@ def write_tally(
     with like the original, and has the same numbers to the last bit. Complex numbers
     are stored as real and imaginary part, in_phase and quadrature.
     """
+    from amulor.transport.contributions import ANALYSERS, LIGHT
+
     components = ["I", "Q", "U", "V"][: tally.batches.shape[2]]
     frequency = {"units": "Hz", "long_name": "modulation frequency"}
     histories = {"units": "1", "long_name": "histories in each batch"}
@@ -87,6 +89,19 @@ def write_tally(
         "seconds": np.float64(tally.seconds),
         "interrupted": np.int8(tally.interrupted),
     }
+    if tally.contributions is not None:
+        kinds, analysers = tally.contributions.shape[:2]
+        coordinates["light"] = ("light", np.array(LIGHT[:kinds], dtype=object))
+        coordinates["analyser"] = (
+            "analyser",
+            np.array(ANALYSERS[:analysers], dtype=object),
+        )
+        variables["contributions"] = (
+            ("light", "analyser", "statistic"),
+            tally.contributions,
+            {"units": "1", "long_name": "sum, sum of squares and largest of groups"},
+        )
+        attributes["unseen_contribution"] = np.float64(tally.unseen)
     record = tally.record
     if record is not None:
         length = {"units": "m", "long_name": "length of the path"}
@@ -218,4 +233,6 @@ def _tally(dataset: xr.Dataset, path: Path) -> Tally:
         seconds=number("seconds"),
         interrupted=bool(whole("interrupted")),
         record=record,
+        contributions=real("contributions") if "contributions" in dataset else None,
+        unseen=number("unseen_contribution") if "contributions" in dataset else 0.0,
     )

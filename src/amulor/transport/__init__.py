@@ -2,7 +2,7 @@
 
 from amulor.transport.medium import Layer, Medium
 from amulor.transport.mesh import MeshTarget
-from amulor.transport.monte_carlo import Progress, Technique, simulate
+from amulor.transport.monte_carlo import ErrorGoal, Progress, Technique, simulate
 from amulor.transport.path_record import PathRecord
 from amulor.transport.receiver import (
     DiscReceiver,
@@ -16,6 +16,7 @@ from amulor.transport.tally import Tally
 
 __all__ = [
     "DiscReceiver",
+    "ErrorGoal",
     "GaussianReceiver",
     "Layer",
     "Medium",

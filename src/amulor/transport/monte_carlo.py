@@ -13,6 +13,7 @@ from amulor.transport._kernels import batch as _batch_kernels
 from amulor.transport._kernels.types import Plan
 from amulor.transport._run.batches import Batch
 from amulor.transport._run.conduct import (
+    ErrorGoal,
     Limits,
     Progress,
     checked_seed,
@@ -26,7 +27,7 @@ from amulor.transport.mesh import MeshTarget
 from amulor.transport.receiver import PlaneTarget, Receiver, Source
 from amulor.transport.tally import Tally
 
-__all__ = ["Progress", "Technique", "simulate"]
+__all__ = ["ErrorGoal", "Progress", "Technique", "simulate"]
 
 #: Acceptance up to which the last way to the receiver is a local estimate [rad].
 NARROW = 0.35
@@ -78,7 +79,7 @@ def simulate(
     histories: int,
     seed: int,
     target: PlaneTarget | MeshTarget | None = None,
-    relative_error: float | None = None,
+    relative_error: float | ErrorGoal | None = None,
     longest_time: float | None = None,
     resume: Tally | None = None,
     technique: Technique | None = None,
@@ -105,8 +106,10 @@ def simulate(
         result with any number of threads.
     target : PlaneTarget or MeshTarget, optional
         Surface that reflects; light does not pass it.
-    relative_error : float, optional
-        Stop when the relative error at the first frequency is as small [1].
+    relative_error : float or ErrorGoal, optional
+        Stop when the relative error is as small: of all light at the first frequency,
+        or as the goal says [1]. Asked at a few fixed numbers of batches only, and with
+        the error's own uncertainty added, so that stopping does not bias the result.
     longest_time : float, optional
         Stop after that time [s]. Where it stops depends on the machine.
     resume : Tally, optional
@@ -164,7 +167,9 @@ def simulate(
     chosen = technique or Technique()
     limits = Limits(
         histories=histories,
-        relative_error=relative_error,
+        error=ErrorGoal(relative_error=relative_error)
+        if isinstance(relative_error, (int, float))
+        else relative_error,
         longest_time=longest_time,
         threads=threads,
         progress=progress,
@@ -228,6 +233,8 @@ class _Run:
             batch_size=self.size,
             problem=self.problem.digest,
             seconds=0.0,
+            unseen=self.problem.joined_touch
+            / (self.technique.paths * self.technique.partners),
         )
 
     def __call__(self, number: int) -> Batch:
@@ -244,7 +251,7 @@ class _Run:
         if direct is None:
             direct = self.problem.face.acceptance <= NARROW
         groups = self.size // chosen.paths
-        weight = np.zeros(groups)
+        weight = np.zeros((groups, 2, frame.batches.shape[2]))
         plan = Plan(
             paths=chosen.paths,
             partners=chosen.partners,

@@ -195,7 +195,8 @@ class _Run:
             self.water,
             record.arrays(0),
         )
-        return record.batch(number, self.size, self.size, np.zeros(0), keep=False)
+        weight = np.zeros((0, 2, frame.batches.shape[2]))  # none are kept
+        return record.batch(number, self.size, self.size, weight, keep=False)
 
 
 def _axes(outward: Array) -> Array:

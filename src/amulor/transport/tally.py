@@ -9,7 +9,13 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.constants import speed_of_light
 
-from amulor.optics.polarization import stokes as _stokes
+from amulor.transport.contributions import (
+    ANALYSERS,
+    LIGHT,
+    analyser_vector,
+    outweighs,
+    together,
+)
 from amulor.transport.path_record import PathRecord
 
 __all__ = ["Tally"]
@@ -60,6 +66,11 @@ class Tally:
     """Record of path lengths, if it was asked for."""
     merged_seeds: tuple[int, ...] = ()
     """Seeds of the other runs that were merged into this one."""
+    contributions: Array | None = None
+    """Sum, sum of squares and largest of the contributions at zero frequency, for all
+    light, water and target, and each analyser: shape (3, 1 or 7, 3) [1]."""
+    unseen: float = 0.0
+    """What a group brings by one touch of the target that an adjoint path meets [1]."""
 
     @property
     def histories(self) -> int:
@@ -74,7 +85,7 @@ class Tally:
     def _select(self, which: str) -> Complex:
         """Return batches of a kind of light, shape (batches, components, n)."""
         target = np.array([name.startswith("target") for name in self.parts])
-        chosen = {"all": np.ones_like(target), "water": ~target, "target": target}
+        chosen = dict(zip(LIGHT, (np.ones_like(target), ~target, target), strict=True))
         summed: Complex = self.batches[:, chosen[which]].sum(axis=1)
         return summed
 
@@ -224,15 +235,69 @@ class Tally:
         ValueError
             If the run carried no Stokes vectors, or there is no such state.
         """
+        values = self.passed(analyser=analyser)
+        return self._mean(values), self.covariance_of(values)
+
+    def passed(self, light: str = "all", *, analyser: str = "none") -> Complex:
+        """Return the light of each batch that an ideal analyser lets pass.
+
+        Parameters
+        ----------
+        light : str
+            "all", "water", "target", or one of `parts`.
+        analyser : str
+            Name of a state, as for `detected`.
+
+        Returns
+        -------
+        ndarray
+            Mean of each batch, shape (batches, n) [1].
+
+        Raises
+        ------
+        ValueError
+            If there is no such light or state, or the run carried no Stokes vectors.
+        """
+        if light in LIGHT:
+            values = self._select(light)
+        elif light in self.parts:
+            values = self.batches[:, self.parts.index(light)]
+        else:
+            known = ", ".join(repr(name) for name in (*LIGHT, *self.parts))
+            raise ValueError(f"light must be one of {known}; got {light!r}")
+        if analyser == "none":
+            return values[:, 0]
         if not self.polarized:
             raise ValueError(
                 "an analyser needs Stokes vectors; give the medium a ScatteringMatrix"
             )
-        vector = 0.5 * _stokes.state(analyser)
-        if analyser == "none":
-            vector = vector * 2
-        values = np.einsum("k,bkn->bn", vector, self._select("all"))
-        return self._mean(values), self.covariance_of(values)
+        passed: Complex = np.einsum("k,bkn->bn", analyser_vector(analyser), values)
+        return passed
+
+    def relative_error_of(self, light: str = "all", *, analyser: str = "none") -> Array:
+        """Return the standard error of some light over its modulus.
+
+        Parameters
+        ----------
+        light : str
+            "all", "water", "target", or one of `parts`.
+        analyser : str
+            Name of a state, as for `detected`.
+
+        Returns
+        -------
+        ndarray
+            At each frequency, shape (n,); root of the sum of the variances of real
+            and imaginary part, infinite where no such light has come [1].
+
+        Raises
+        ------
+        ValueError
+            If there is no such light or state, or the run carried no Stokes vectors.
+        """
+        values = self.passed(light, analyser=analyser)
+        error = np.sqrt(np.trace(self.covariance_of(values), axis1=-2, axis2=-1))
+        return _over(error, np.abs(self._mean(values)))
 
     @property
     def relative_error(self) -> Array:
@@ -241,9 +306,7 @@ class Tally:
         Root of the sum of the variances of real and imaginary part; infinite where
         no light has come.
         """
-        modulus = np.abs(self.signal)
-        error = np.sqrt(np.trace(self.covariance, axis1=-2, axis2=-1))
-        return _over(error, modulus)
+        return self.relative_error_of()
 
     @property
     def amplitude_uncertainty(self) -> Array:
@@ -271,22 +334,62 @@ class Tally:
 
     @property
     def heavy_tailed(self) -> bool:
-        """Whether one group alone moved the mean by more than a standard error.
+        """Whether all light, that of the water or that of the target is heavy-tailed.
 
-        The standard error is that of all other groups. If so, the stated errors are
-        likely too small. Always true of a single batch, which has no errors, and never
-        of plane layers, where contributions are not kept.
+        If so, the stated error of at least one of them is likely too small;
+        `heavy_tail_of` tells which.
         """
+        kinds = LIGHT if self.contributions is not None else LIGHT[:1]
+        return any(self.heavy_tail_of(light) for light in kinds)
+
+    def heavy_tail_of(self, light: str = "all", *, analyser: str = "none") -> bool:
+        """Return whether one group alone moves the mean by more than a standard error.
+
+        Parameters
+        ----------
+        light : str
+            "all", "water" or "target".
+        analyser : str
+            Name of a state, as for `detected`.
+
+        Returns
+        -------
+        bool
+            If so, the stated errors are likely too small, at all frequencies: what a
+            group brings has the same modulus at each. The standard error is that of
+            all other groups. For light of the target it is also true if the event
+            that brings most of it far away, a touch that an adjoint path meets, would
+            outweigh the error, be it that none has happened yet. Always true of a
+            single batch, which has no errors, and never of plane layers, where
+            contributions are not kept.
+
+        Raises
+        ------
+        ValueError
+            If there is no such light or state, or the run does not tell.
+        """
+        if light not in LIGHT:
+            raise ValueError(f"light must be one of {', '.join(LIGHT)}; got {light!r}")
         if self.histories_of.size < 2:
             return True
-        if self.groups < 2:
-            return False
-        total, square, largest = self.contribution
-        others = self.groups - 1
-        mean = (total - largest) / others
-        spread = max(square - largest**2 - others * mean**2, 0.0)
-        # What rounding leaves of equal contributions is no tail.
-        return largest - mean > math.sqrt(spread) + 1e-6 * largest
+        sums = self.contributions
+        if sums is None:
+            if (light, analyser) != ("all", "none"):
+                raise ValueError(
+                    "contributions by light and analyser were not kept: this is an "
+                    "older run, or one of plane layers; run it again"
+                )
+            return outweighs(np.array(self.contribution), groups=self.groups)
+        known = ANALYSERS[: sums.shape[1]]
+        if analyser not in known:
+            raise ValueError(
+                f"analyser must be one of {', '.join(known)}; got {analyser!r}"
+            )
+        return outweighs(
+            sums[LIGHT.index(light), known.index(analyser)],
+            groups=self.groups,
+            unseen=0.0 if light == "water" else self.unseen,
+        )
 
     def delayed(self, path: float, *, group_index: float) -> Tally:
         """Return the same light after a longer way.
@@ -359,6 +462,9 @@ class Tally:
             seconds=self.seconds + other.seconds,
             interrupted=self.interrupted or other.interrupted,
             merged_seeds=(*self.merged_seeds, *seeds),
+            contributions=None
+            if self.contributions is None or other.contributions is None
+            else together(self.contributions, other.contributions),
             next_batch=-1,
             record=None,
         )

@@ -125,6 +125,10 @@ def test_any_numbers_come_back(tmp_path_factory, data, components, parts, freque
         interrupted=data.draw(st.booleans()),
         record=data.draw(st.sampled_from([None, record])),
         merged_seeds=tuple(data.draw(st.lists(st.integers(0, 2**70), max_size=3))),
+        contributions=data.draw(
+            drawn.arrays(float, (3, 7 if components == 4 else 1, 3), elements=numbers)
+        ),
+        unseen=data.draw(numbers),
     )
     path = tmp_path_factory.mktemp("tally") / "run.nc"
     write_tally(tally, path)
@@ -143,6 +147,7 @@ def test_a_run_goes_on_after_reading_as_if_it_had_not_stopped(tally, path):
     for name in ("batches", "histories_of"):
         assert getattr(rest, name).tobytes() == getattr(tally, name).tobytes()
     assert rest.contribution == tally.contribution
+    assert rest.contributions.tobytes() == tally.contributions.tobytes()
     assert (rest.groups, rest.next_batch) == (tally.groups, tally.next_batch)
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -9,6 +11,7 @@ from hypothesis import strategies as st
 
 from amulor.optics.polarization import mueller, stokes
 from amulor.transport import Tally
+from amulor.transport.contributions import ANALYSERS, sums_of
 from amulor.transport.tally import MOST_BATCHES, paired, variance_weight
 
 PARTS = ("water, order 1", "water, order 2 and above", "target", "target, scattered")
@@ -174,6 +177,85 @@ def test_a_group_that_outweighs_the_error_is_flagged():
     # Half of all light from one group, which hides in the spread of all of them.
     assert flagged([*rng.exponential(size=1000) ** 3, 6000.0])
     assert flagged([*np.zeros(999), 1.0])
+
+
+def test_each_light_and_analyser_has_its_own_flag():
+    # The water's light is even; one group brings nearly all of the target's, and of
+    # that all is right circular.
+    rng = np.random.default_rng(6)
+    weight = np.zeros((500, 2, 4))
+    weight[:, 0, 0] = 100 + rng.normal(size=500)
+    weight[:, 1, 0] = rng.exponential(size=500) * 1e-3
+    weight[7, 1] = [3.0, 0.0, 0.0, 3.0]
+    sums = sums_of(weight)
+    total = weight.sum(axis=1)[:, 0]
+    np.testing.assert_allclose(
+        sums[0, 0], [total.sum(), (total**2).sum(), total.max()], rtol=1e-12
+    )
+    right = 0.5 * (weight[:, 1, 0] + weight[:, 1, 3])
+    np.testing.assert_allclose(
+        sums[2, ANALYSERS.index("R")],
+        [right.sum(), (right**2).sum(), right.max()],
+        rtol=1e-12,
+    )
+    found = tally(
+        np.ones((3, 4, 4, 1)), groups=500, contributions=sums,
+        contribution=tuple(sums[0, 0]),
+    )  # fmt: skip
+    assert found.heavy_tailed
+    assert not found.heavy_tail_of()
+    assert not found.heavy_tail_of("water", analyser="R")
+    assert found.heavy_tail_of("target")
+    assert found.heavy_tail_of("target", analyser="R")
+    assert not found.heavy_tail_of("target", analyser="L")
+    with pytest.raises(ValueError, match="light must be one of"):
+        found.heavy_tail_of("sky")
+    with pytest.raises(ValueError, match="analyser must be one of"):
+        found.heavy_tail_of("target", analyser="X")
+    # What has not been seen yet, and would outweigh the error, is a tail as well.
+    weight[7, 1] = 0
+    quiet = tally(
+        np.ones((3, 4, 4, 1)), groups=500, contributions=sums_of(weight),
+        contribution=(1.0, 1.0, 1.0),
+    )  # fmt: skip
+    assert not quiet.heavy_tailed
+    doubtful = replace(quiet, unseen=3.0)
+    assert doubtful.heavy_tail_of("target")
+    assert doubtful.heavy_tailed
+    assert not doubtful.heavy_tail_of("water")
+    assert not doubtful.heavy_tail_of("all")
+
+
+def test_errors_of_each_light_and_analyser_by_hand(drawn):
+    for light, rows in (
+        ("all", slice(4)),
+        ("water", slice(2)),
+        ("target", slice(2, 4)),
+    ):
+        values = drawn.batches[:, rows].sum(axis=1)
+        for analyser, row in (
+            ("none", values[:, 0]),
+            ("V", (values[:, 0] - values[:, 1]) / 2),
+        ):
+            expected = np.sqrt(row.var(axis=0, ddof=1) / 12) / np.abs(row.mean(axis=0))
+            np.testing.assert_allclose(
+                drawn.relative_error_of(light, analyser=analyser), expected, rtol=1e-12
+            )
+    with pytest.raises(ValueError, match="'target, scattered'; got 'sky'"):
+        drawn.relative_error_of("sky")
+    with pytest.raises(ValueError, match="ScatteringMatrix"):
+        of_signals([1, 2]).relative_error_of(analyser="H")
+
+
+def test_contributions_of_merged_runs_are_those_of_both():
+    rng = np.random.default_rng(8)
+    weights = rng.exponential(size=(2, 30, 2, 1))
+    one, other = (
+        of_signals([1, 2], groups=30, contributions=sums_of(w), seed=seed)
+        for seed, w in enumerate(weights)
+    )
+    expected = sums_of(weights.reshape(60, 2, 1))
+    np.testing.assert_allclose(one.merged(other).contributions, expected, rtol=1e-12)
 
 
 def test_a_tally_without_contributions_is_not_flagged():

@@ -162,17 +162,16 @@ def join(
     plan: Plan,
     record: Record,
     arrival: Arrival,
-) -> float:
-    """Add the light of a group of paths in all ways of joining them, and return it."""
+) -> None:
+    """Add the light of a group of paths in all ways of joining them."""
     water, target = scene.water, scene.target
-    total = join_segments(state, forward, adjoint, water, target, plan, record, arrival)
+    join_segments(state, forward, adjoint, water, target, plan, record, arrival)
     if plan.direct:
-        total += direct_from_segments(state, forward, scene, plan, record, arrival)
+        direct_from_segments(state, forward, scene, plan, record, arrival)
     if forward.used[USED_TOUCHES] > 0:
-        total += join_touches(forward, adjoint, target, plan, record, arrival)
+        join_touches(forward, adjoint, target, plan, record, arrival)
         if plan.direct:
-            total += direct_from_touches(state, forward, scene, plan, record, arrival)
-    return total
+            direct_from_touches(state, forward, scene, plan, record, arrival)
 
 
 @entry
@@ -181,7 +180,8 @@ def run_batch(
 ) -> None:
     """Add groups of histories to the record, and keep the light of each in weight.
 
-    A group is that many forward paths, each joined with all of its adjoint paths.
+    weight has the shape (groups, 2, components): light from water and target. A group
+    is that many forward paths, each joined with all of its adjoint paths.
     """
     rows = _ROWS if plan.polarized else 1
     forward = without_segments(np.zeros((rows, FORWARD_COLUMNS)))
@@ -189,10 +189,11 @@ def run_batch(
     seen = np.zeros(ADJOINT_COLUMNS)
     for k in range(4):
         seen[3 + 5 * k] = 1.0
-    arrival = Arrival(np.zeros(4 if plan.polarized else 1), seen)
+    components = 4 if plan.polarized else 1
+    arrival = Arrival(np.zeros(components), seen, np.zeros((2, components)))
     now = np.zeros(ADJOINT_COLUMNS)
     kind = Kind(False, plan.polarized, 0.0, 0.0)
-    for g in range(weight.size):
+    for g in range(weight.shape[0]):
         forward.used[USED_SEGMENTS] = forward.used[USED_TOUCHES] = 0
         adjoint.used[USED_SEGMENTS] = 0
         for k in range(plan.paths):
@@ -201,4 +202,6 @@ def run_batch(
         for k in range(plan.partners):
             thickness, ray, back = begin_adjoint(state, k, scene, plan, now)
             adjoint = follow(state, thickness, ray, back, scene, adjoint, now)
-        weight[g] = join(state, forward, adjoint, scene, plan, record, arrival)
+        arrival.total[:] = 0.0
+        join(state, forward, adjoint, scene, plan, record, arrival)
+        weight[g] = arrival.total

@@ -22,7 +22,7 @@ from amulor.transport._kernels.polarization import (
     returning_frame,
 )
 from amulor.transport._kernels.random import uniform
-from amulor.transport._kernels.record import add_point
+from amulor.transport._kernels.record import TARGET, WATER, add_point, add_to
 from amulor.transport._kernels.trace import (
     LAYER,
     LENGTH,
@@ -116,11 +116,11 @@ def direct_from_segments(
     plan: Plan,
     record: Record,
     arrival: Arrival,
-) -> float:
+) -> None:
     """Add the light scattered once more on each segment, straight to the receiver.
 
     At z on a segment it is b p(theta) dz / |n_z| times the solid angle of the face,
-    the transmission and the weight w_k. Returns the light added.
+    the transmission and the weight w_k.
     """
     segment, water, out = forward.segment, scene.water, arrival.light
     attenuation, albedo, value = water.attenuation, water.albedo, water.value
@@ -128,7 +128,7 @@ def direct_from_segments(
     has_mesh = mesh.box.shape[0] > 0
     seen = arrival.seen
     scale = 1.0 / plan.paths
-    total = 0.0
+    total = arrival.total
     for i in range(forward.used[USED_SEGMENTS]):
         layer = int(segment[i, LAYER])
         if segment[i, Z_HIGH] <= 0.0 or albedo[layer] == 0.0:
@@ -188,10 +188,9 @@ def direct_from_segments(
                 out[k] *= factor
         else:
             out[0] = factor
-        total += out[0]
+        add_to(total, WATER, out)
         length = segment[i, LENGTH] + z * segment[i, PER_Z] + distance
         add_point(record, min(int(segment[i, ORDER]), record.orders - 1), length, out)
-    return total
 
 
 @inner
@@ -202,8 +201,8 @@ def direct_from_touches(
     plan: Plan,
     record: Record,
     arrival: Arrival,
-) -> float:
-    """Add the light that goes from each touch straight to the receiver, and return it.
+) -> None:
+    """Add the light that goes from each touch straight to the receiver.
 
     It is (reflectance / pi) cos times the solid angle of the face and the
     transmission, the cosine that between the target's normal and the way.
@@ -212,7 +211,7 @@ def direct_from_touches(
     out, seen, mesh = arrival.light, arrival.seen, target.mesh
     has_mesh = mesh.box.shape[0] > 0
     scale = 1.0 / plan.paths
-    total = 0.0
+    total = arrival.total
     for i in range(forward.used[USED_TOUCHES]):
         place = (touch[i, TOUCH_X], touch[i, TOUCH_Y], touch[i, TOUCH_Z])
         if place[2] <= 0.0:
@@ -254,8 +253,7 @@ def direct_from_touches(
                 out[k] *= factor
         else:
             out[0] = factor
-        total += out[0]
+        add_to(total, TARGET, out)
         direct = touch[i, TOUCH_ORDER] == 0 and touch[i, TOUCHES] == 0
         length = touch[i, TOUCH_LENGTH] + distance
         add_point(record, record.orders if direct else record.orders + 1, length, out)
-    return total

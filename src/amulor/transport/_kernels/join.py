@@ -19,7 +19,7 @@ from amulor.transport._kernels.compiled import inner, step
 from amulor.transport._kernels.mesh import blocked
 from amulor.transport._kernels.polarization import connected, received, reflected
 from amulor.transport._kernels.random import uniform
-from amulor.transport._kernels.record import add_point, add_range
+from amulor.transport._kernels.record import TARGET, WATER, add_point, add_range, add_to
 from amulor.transport._kernels.trace import (
     FACE,
     FRONT,
@@ -154,8 +154,8 @@ def join_segments(
     plan: Plan,
     record: Record,
     arrival: Arrival,
-) -> float:
-    """Join each forward with each adjoint segment, and return the light added.
+) -> None:
+    """Join each forward with each adjoint segment, and add the light.
 
     The light of a pair is Omega b p(theta) dz / |n_z n'_z| times its weight w_k. FACE
     of an adjoint segment is the radius R of the face, SCALE is Omega over the number
@@ -165,7 +165,7 @@ def join_segments(
     attenuation, albedo, table = water.attenuation, water.albedo, water.table
     value, mesh, out = water.value, target.mesh, arrival.light
     has_mesh = mesh.box.shape[0] > 0
-    total = 0.0
+    total = arrival.total
     for j in range(adjoint.used[USED_SEGMENTS]):
         if plan.direct and second[j, ORDER] == 0:
             continue
@@ -206,13 +206,12 @@ def join_segments(
                     out[k] *= factor
             else:
                 out[0] = factor
-            total += out[0]
+            add_to(total, WATER, out)
             start = first[i, LENGTH] + second[j, LENGTH]
             slope = first[i, PER_Z] + second[j, PER_Z]
             one, other = start + slope * z_low, start + slope * z_high
             part = min(order, record.orders - 1)
             add_range(record, part, min(one, other), max(one, other), out)
-    return total
 
 
 @inner
@@ -223,8 +222,8 @@ def join_touches(
     plan: Plan,
     record: Record,
     arrival: Arrival,
-) -> float:
-    """Join each touch of the target with each adjoint segment, return the light added.
+) -> None:
+    """Join each touch of the target with each adjoint segment, and add the light.
 
     The light of a pair is Omega (reflectance / pi) cos / |n'_z|, the cosine that
     between the target's normal and the way to the receiver.
@@ -232,7 +231,7 @@ def join_touches(
     touch, second = forward.touch, adjoint.segment
     normal, mesh, out = target.normal, target.mesh, arrival.light
     has_mesh = mesh.box.shape[0] > 0
-    total = 0.0
+    total = arrival.total
     for i in range(forward.used[USED_TOUCHES]):
         z = touch[i, TOUCH_Z]
         for j in range(adjoint.used[USED_SEGMENTS]):
@@ -277,11 +276,10 @@ def join_touches(
                     out[k] *= factor
             else:
                 out[0] = factor
-            total += out[0]
+            add_to(total, TARGET, out)
             unscattered = touch[i, TOUCH_ORDER] + second[j, ORDER] == 0
             length = touch[i, TOUCH_LENGTH] + second[j, LENGTH] + z * second[j, PER_Z]
             direct = unscattered and touch[i, TOUCHES] == 0
             add_point(
                 record, record.orders if direct else record.orders + 1, length, out
             )
-    return total

@@ -33,6 +33,17 @@ def add_at(
     array[part, component, node + 3] += inner * a * (1.0 / 3.0)
 
 
+#: Rows of the sum of a group: light that met water only, and light of the target.
+WATER, TARGET = range(2)
+
+
+@kernel
+def add_to(total: Array, kind: int, light: Array) -> None:
+    """Add light to the sum of its kind."""
+    for k in range(light.size):
+        total[kind, k] += light[k]
+
+
 @kernel
 def add_beyond(
     record: Record, part: int, low: float, high: float, light: Array

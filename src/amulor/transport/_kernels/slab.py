@@ -242,6 +242,7 @@ def run_slab(
     seen = np.zeros(19)
     for k in range(4):
         seen[3 + 5 * k] = 1.0
-    arrival = Arrival(np.zeros(4 if light.polarized else 1), seen)
+    components = 4 if light.polarized else 1
+    arrival = Arrival(np.zeros(components), seen, np.zeros((2, components)))
     now = np.zeros(7)
     follow_photons(state, histories, light, water, record, arrival, now)

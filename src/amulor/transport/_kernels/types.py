@@ -219,3 +219,5 @@ class Arrival(NamedTuple):
     """Stokes vector, or intensity."""
     seen: Array
     """Frame of light that arrives, and the matrix of nothing in its way."""
+    total: Array
+    """Sum of what has arrived of a group, from water and target, (2, components)."""

@@ -2,19 +2,18 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, replace
 from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
 
+from amulor.transport.contributions import sums_of, together
 from amulor.transport.path_record import PathRecord
 from amulor.transport.tally import (
     MOST_BATCHES,
     Tally,
     paired,
-    variance_weight,
 )
 
 Array = NDArray[np.float64]
@@ -47,7 +46,7 @@ class Accumulator:
     values: tuple[Complex, ...] = ()
     counts: tuple[int, ...] = ()
     full: int = 0
-    contribution: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    contributions: Array | None = None
     groups: int = 0
     seconds: float = 0.0
     record: tuple[Array, Array] | None = None
@@ -76,6 +75,11 @@ class Accumulator:
             )
         if resume.next_batch < 0:
             raise ValueError("a merged run cannot go on; resume one of its parts")
+        if resume.contributions is None and resume.groups:
+            raise ValueError(
+                "resume must be a run with contributions by kind of light, which older "
+                "versions did not keep; start it again"
+            )
         if resume.record is not None:
             raise ValueError("a run with a record of path lengths cannot go on")
         counts = tuple(int(count) for count in resume.histories_of)
@@ -84,7 +88,7 @@ class Accumulator:
             values=tuple(resume.batches),
             counts=counts,
             full=max([frame.batch_size, *counts]),
-            contribution=resume.contribution,
+            contributions=resume.contributions,
             groups=resume.groups,
             seconds=resume.seconds,
             next_batch=resume.next_batch,
@@ -115,19 +119,16 @@ class Accumulator:
             pairs, _ = paired(np.array(values), np.array(counts))
             full *= 2
             values, counts = list(pairs), [full] * len(pairs)
-        total, square, largest = self.contribution
-        weight = batch.weight
+        sums = sums_of(batch.weight)
+        if self.contributions is not None:
+            sums = together(self.contributions, sums)
         return replace(
             self,
             values=tuple(values),
             counts=tuple(counts),
             full=full,
-            contribution=(
-                total + float(weight.sum()),
-                square + float((weight**2).sum()),
-                max(largest, float(weight.max(initial=0.0))),
-            ),
-            groups=self.groups + weight.size,
+            contributions=sums,
+            groups=self.groups + len(batch.weight),
             record=self._with_record(batch),
             spacing=batch.spacing,
             next_batch=batch.number + 1,
@@ -146,16 +147,6 @@ class Accumulator:
             )
         return batch.mass, batch.edge
 
-    def relative_error(self) -> float:
-        """Return the relative error at the first frequency."""
-        if len(self.counts) < 8:  # too few to tell
-            return math.inf
-        counts = np.array(self.counts)
-        value = np.array([v[:, 0, 0].sum() for v in self.values])
-        mean = counts @ value / counts.sum()
-        error = math.sqrt(variance_weight(counts) @ np.abs(value - mean) ** 2)
-        return error / abs(mean) if mean != 0 else math.inf
-
     def tally(self, seconds: float, interrupted: bool) -> Tally:
         """Return the result."""
         return replace(
@@ -164,11 +155,20 @@ class Accumulator:
             histories_of=np.array(self.counts, dtype=np.int64),
             groups=self.groups,
             contribution=self.contribution,
+            contributions=self.contributions if self.groups else None,
             next_batch=self.next_batch,
             seconds=self.seconds + seconds,
             interrupted=interrupted,
             record=None if self.record is None else self._path_record(*self.record),
         )
+
+    @property
+    def contribution(self) -> tuple[float, float, float]:
+        """Sum, sum of squares and largest of the contributions of all light."""
+        if self.contributions is None:
+            return (0.0, 0.0, 0.0)
+        total, square, largest = (float(value) for value in self.contributions[0, 0])
+        return total, square, largest
 
     def _path_record(self, masses: Array, edges: Array) -> PathRecord:
         """Return the mean record, both kinds of deposits in one."""

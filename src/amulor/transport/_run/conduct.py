@@ -26,9 +26,62 @@ class Progress:
     goal: int
     """Histories asked for."""
     relative_error: float
-    """Relative error at the first frequency; infinite before eight batches [1]."""
+    """Relative error asked for, or of all light at the first frequency; infinite before
+    eight batches [1]."""
     seconds: float
     """Time since the start [s]."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class ErrorGoal:
+    """A relative error at which a run stops.
+
+    Raises
+    ------
+    ValueError
+        If the error is not above zero, or the number of the frequency below zero.
+    """
+
+    relative_error: float
+    """Standard error over the modulus to reach [1]."""
+    light: str = "all"
+    """Light that it is of: "all", "water", "target", or a part."""
+    analyser: str = "none"
+    """Analyser that the light passes, as for `Tally.detected`."""
+    frequency: int = 0
+    """Number of the frequency, from 0."""
+
+    def __post_init__(self) -> None:
+        """Refuse what cannot be."""
+        if not self.relative_error > 0:
+            raise ValueError(
+                f"relative_error must be above 0, got {self.relative_error}"
+            )
+        _refuse_fractions(self.frequency, least=0, name="frequency")
+
+    def of(self, tally: Tally) -> float:
+        """Return the relative error of a run; infinite for fewer than 8 batches."""
+        if tally.histories_of.size < 8:  # too few to tell
+            return math.inf
+        errors = tally.relative_error_of(self.light, analyser=self.analyser)
+        return float(errors[self.frequency])
+
+    def reached(self, tally: Tally) -> bool:
+        """Return whether a run may stop now.
+
+        It is asked after 16 batches and then after sqrt(2) times as many each time, so
+        that a run that looks good by chance is seldom caught at it; and the error has
+        to be as small with one standard error of its own added, 1 / sqrt(2 (n - 1)) of
+        it for n batches.
+        """
+        if tally.next_batch not in CHECKS:
+            return False
+        doubt = 1 / math.sqrt(2 * (tally.histories_of.size - 1))
+        return self.of(tally) * (1 + doubt) <= self.relative_error
+
+
+#: Numbers of batches after which a run may stop at its error.
+CHECKS = frozenset(round(16 * 2 ** (k / 2)) for k in range(96))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -42,7 +95,7 @@ class Limits:
     """
 
     histories: int
-    relative_error: float | None = None
+    error: ErrorGoal | None = None
     longest_time: float | None = None
     threads: int | None = None
     progress: Callable[[Progress], None] | None = None
@@ -50,10 +103,6 @@ class Limits:
     def __post_init__(self) -> None:
         """Refuse what cannot be."""
         _refuse_fractions(self.histories, least=1, name="histories")
-        if self.relative_error is not None and not self.relative_error > 0:
-            raise ValueError(
-                f"relative_error must be above 0, got {self.relative_error}"
-            )
         if self.longest_time is not None and not self.longest_time > 0:
             raise ValueError(f"longest_time must be above 0 s, got {self.longest_time}")
         if self.threads is not None:
@@ -103,23 +152,25 @@ def conduct(
     size = frame.batch_size
     goal = max(1, math.ceil(limits.histories / size))
     workers = limits.threads or os.cpu_count() or 1
-    interrupted, error = False, math.inf
+    interrupted = False
+    wanted = limits.error or ErrorGoal(relative_error=1.0)
     try:
         for batch in _in_order(batch_of, done.next_batch, goal, workers):
             done = done.with_batch(batch)
             seconds = time.monotonic() - started
-            if limits.progress is not None or limits.relative_error is not None:
-                error = done.relative_error()
+            if limits.progress is not None or done.next_batch in CHECKS:
+                state = done.tally(seconds, interrupted)
             if limits.progress is not None:
                 limits.progress(
                     Progress(
                         histories=done.histories,
                         goal=goal * size,
-                        relative_error=error,
+                        relative_error=wanted.of(state),
                         seconds=seconds,
                     )
                 )
-            if limits.relative_error is not None and error <= limits.relative_error:
+            checked = limits.error is not None and done.next_batch in CHECKS
+            if checked and wanted.reached(state):
                 break
             if limits.longest_time is not None and seconds > limits.longest_time:
                 break

@@ -205,6 +205,18 @@ class Problem:
             mesh=mesh,
         )
 
+    @property
+    def joined_touch(self) -> float:
+        """What a touch of the target brings if an adjoint path meets it [1].
+
+        Omega times reflectance over pi, for a target that faces the receiver; 0 where
+        no path of light from the target is scattered on its way.
+        """
+        if self.target is None or not np.any(self.water.albedo > 0):
+            return 0.0
+        solid = math.sin(self.face.acceptance) ** 2
+        return solid * float(self.target.reflectance)
+
     @cached_property
     def scene(self) -> Scene:
         """All that the light meets, for the kernels."""
