@@ -484,6 +484,51 @@ def test_one_run_serves_water_that_absorbs_more():
     assert abs(dark.signal[0]) < 0.7 * abs(clear.signal[0])
 
 
+@pytest.mark.parametrize("diameter", [3e-6, 10e-6, 20e-6, 40e-6])
+def test_light_straight_back_from_large_spheres_is_the_quadrature(diameter):
+    # Coaxial pencil of circular light: the face sees scattering angles within 8.7 mrad
+    # of 180 degrees, where a sphere of 40 um has lobes of 4 mrad.
+    pytest.importorskip("miepython")
+    suspension = size_distribution(
+        np.array([diameter]), number=np.array([1e8]), wavelength=405e-9,
+        particle_index=1.59, medium_index=1.34,
+    )  # fmt: skip
+    radius, acceptance = 0.01, 8.7e-3
+    tally = simulate(
+        water(0.5, 0.1, ScatteringMatrix.spheres(suspension)),
+        Source(polarization="R"),
+        DiscReceiver(radius=radius, acceptance_angle=acceptance), [0.0],
+        histories=60_000, seed=50,
+    )  # fmt: skip
+    # Over rings of the face, and for each over the depths from which it is seen, by
+    # the angle delta to the axis: z = r / tan delta.
+    node, weight = leggauss(400)
+    expected = np.zeros(2)
+    for r, wr in zip(radius / 2 * (node + 1), radius / 2 * weight, strict=True):
+        farthest = 40.0
+        low = np.arctan2(r, farthest)
+        half = 0.5 * (acceptance - low)
+        if half <= 0:
+            continue
+        delta = low + half * (node + 1)
+        z, way = r / np.tan(delta), r / np.sin(delta)
+        theta = np.pi - delta
+        matrix = suspension.mueller(theta)
+        density = 0.1 * suspension.phase_function(theta) * np.exp(-0.6 * (z + way))
+        # dz = r d(delta) / sin^2, and z / way^3 r dr is the solid angle of the ring.
+        kernel = density * z / way**3 * r / np.sin(delta) ** 2
+        ring = 2 * np.pi * r * wr * half
+        expected[0] += ring * (kernel @ weight)
+        expected[1] += ring * (kernel * matrix[:, 3, 3] @ weight)
+    found, covariance = tally.part("water, order 1")
+    error = np.sqrt(covariance[0, 0, 0, 0])
+    assert error < 0.01 * expected[0]
+    assert abs(found[0, 0].real - expected[0]) < SIGMAS * error + 1e-3 * expected[0]
+    # The same paths carry both, so their ratio is surer than either of them.
+    ratio = found[3, 0].real / found[0, 0].real
+    assert ratio == pytest.approx(expected[1] / expected[0], abs=0.02)
+
+
 def test_spheres_far_below_the_wavelength_are_rayleigh_scatterers():
     pytest.importorskip("miepython")
     suspension = size_distribution(

@@ -205,7 +205,8 @@ class AngleCells:
 
     In a cell the phase function is even in solid angle with the true mean, so what
     is drawn and what is looked up are one and the same function. A cell is 0.4 % of
-    the angle wide; towards 180 degrees 0.4 % of what is missing to it.
+    the angle wide; towards 180 degrees 0.4 % of what is missing to it, down to 0.12
+    mrad: a twentieth of a lobe of spheres of 40 um.
     """
 
     phase_function: PhaseFunction
@@ -230,13 +231,9 @@ class AngleCells:
             If they add up to something else than 1.
         """
         edges = self.edges
-        angle = _angle(edges)
-        # Simpson's rule in the height; the innermost cell may hold a steep head.
-        value = np.zeros(edges.size)
-        value[1:] = self.phase_function(angle[1:])
-        mean = (value[:-1] + 4 * self.phase_function(self.middle) + value[1:]) / 6
-        probability = 4 * np.pi * mean * np.diff(edges)
-        probability[0] = self.phase_function.cumulative(angle[1])
+        probability = 4 * np.pi * self._values.sum(axis=0) * np.diff(edges)
+        # The innermost cell may hold a steep head.
+        probability[0] = self.phase_function.cumulative(_angle(edges)[1])
         if not np.all(np.isfinite(probability)) or np.any(probability < 0):
             raise ValueError(
                 f"{self.phase_function.name} must be finite and not below zero"
@@ -255,6 +252,32 @@ class AngleCells:
         """Phase function in each cell [1/sr]."""
         solid_angle = 4 * np.pi * np.diff(self.edges)
         result: NDArray[np.float64] = self.probability / solid_angle
+        return result
+
+    @cached_property
+    def _values(self) -> NDArray[np.float64]:
+        """Terms of Simpson's rule in the height for the mean of each cell [1/sr]."""
+        value = np.zeros(self.edges.size)
+        value[1:] = self.phase_function(_angle(self.edges)[1:])
+        middle = self.phase_function(self.middle)
+        return np.stack([value[:-1], 4 * middle, value[1:]]) / 6
+
+    def elements(self, matrix: ScatteringMatrix) -> NDArray[np.float64]:
+        """Return means of a matrix over the light in each cell, shape (cells, 5) [1].
+
+        The elements are weighted by the phase function, so that a cell has the right
+        mean of their product, also where both vary within it.
+        """
+        angle = _angle(self.edges)
+        terms = self._values[..., np.newaxis].copy()
+        terms[:, 0] = 1.0  # a steep head holds most of its light at its lower end
+        terms[1:, 0] = 0.0
+        at = [matrix.elements_at(a) for a in (angle[:-1], self.middle, angle[1:])]
+        total = terms.sum(axis=0)
+        mean = np.sum(terms * np.stack(at), axis=0)
+        result: NDArray[np.float64] = np.divide(
+            mean, total, out=np.array(at[1]), where=total > 0
+        )
         return result
 
     @cached_property

@@ -19,7 +19,7 @@ from amulor.transport._kernels.types import Array, States
 #: Cells in an octave, and octaves of h below 1/2 and of 1 - h below 1/2.
 PER_OCTAVE = 128
 FORWARD_OCTAVES = 39
-BACKWARD_OCTAVES = 11
+BACKWARD_OCTAVES = 27
 SIZE = PER_OCTAVE * (FORWARD_OCTAVES + BACKWARD_OCTAVES) + 2
 
 _BITS = 52 - 7  # 2**7 cells in an octave

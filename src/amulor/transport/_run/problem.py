@@ -289,5 +289,5 @@ def _angle_tables(function: Any) -> tuple[Array, Array, Array]:
     cells = AngleCells(function.phase_function if matrix else function)
     element = np.zeros((_cells.SIZE, 5))
     if matrix is not None:
-        element[:] = matrix.elements_at(cells.middle)
+        element[:] = cells.elements(matrix)
     return cells.urn, cells.value, element
