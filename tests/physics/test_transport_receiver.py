@@ -13,11 +13,13 @@ from scipy.constants import speed_of_light
 from amulor.optics import small_angle_diffusion
 from amulor.optics.phase_functions.mie import size_distribution
 from amulor.optics.phase_functions.models import henyey_greenstein_function, isotropic
+from amulor.optics.polarization import stokes
 from amulor.transport import (
     DiscReceiver,
     GaussianReceiver,
     Layer,
     Medium,
+    MeshTarget,
     PlaneTarget,
     ScatteringMatrix,
     Source,
@@ -482,6 +484,41 @@ def test_one_run_serves_water_that_absorbs_more():
     assert error[0] < 0.03 * abs(dark.signal[0])
     assert np.all(np.abs(found[:, 0] - dark.signal) < SIGMAS * error)
     assert abs(dark.signal[0]) < 0.7 * abs(clear.signal[0])
+
+
+@pytest.mark.parametrize("shape", ["plane", "mesh"])
+@pytest.mark.parametrize("launched", ["H", "P", "R"])
+def test_what_a_target_does_to_polarization_does_not_turn_with_the_receiver(
+    launched, shape
+):
+    # The light of a small spot, seen under 10 degrees: its matrix acts in the scene's
+    # axes, so the degrees of polarization are those of the matrix times the light.
+    matrix = np.diag([1.0, 0.6, -0.2, -0.3])
+    target = PlaneTarget(position=(0, 0, 2), reflectance=0.5, mueller=matrix)
+    if shape == "mesh":
+        target = MeshTarget(
+            vertices=[[-9, -9, 2], [9, -9, 2], [0, 9, 2]], faces=[[0, 1, 2]],
+            reflectance=0.5, mueller=matrix,
+        )  # fmt: skip
+    expected = matrix @ stokes.state(launched)
+    tan = np.tan(np.radians(40)) / np.sqrt(2)
+    for direction in ((0, 0, 1), (tan, tan, 1), (-tan, tan, 1), (tan, -tan, 1)):
+        tally = simulate(
+            water(0.2, 0.0, ScatteringMatrix.rayleigh()),
+            Source(polarization=launched),
+            DiscReceiver(
+                radius=0.01, acceptance_angle=1.0, position=(0.35, 0, 0),
+                direction=direction,
+            ),
+            [0.0], histories=2000, seed=4, target=target,
+            technique=Technique(direct=True),
+        )  # fmt: skip
+        light = tally.stokes[0].real
+        assert light[0] > 0
+        linear = np.hypot(light[1], light[2]) / light[0]
+        # The face is 0.01 m wide at 2 m: angles change by 0.3 degrees over it.
+        assert linear == pytest.approx(np.hypot(*expected[1:3]), abs=2e-3)
+        assert light[3] / light[0] == pytest.approx(expected[3], abs=2e-3)
 
 
 @pytest.mark.parametrize("diameter", [3e-6, 10e-6, 20e-6, 40e-6])

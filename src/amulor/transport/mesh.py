@@ -66,8 +66,9 @@ class MeshTarget:
     reflectance: float
     """Fraction of the light that it reflects [1]."""
     mueller: ArrayLike | None = None
-    """Matrix over its first element, from the axis next to "right" before the
-    reflection to that after it; an ideal depolarizer if not given."""
+    """Matrix over its first element, an ideal depolarizer if not given. It leads from
+    the part of the scene's axis to the right that is perpendicular to the light before
+    the reflection to that after it, wherever the receiver looks."""
     corners: Array = field(init=False, repr=False)
     """Places of the corners of each triangle, shape (faces, 3, 3) [m]."""
     matrix: Array = field(init=False, repr=False)

@@ -171,8 +171,9 @@ class PlaneTarget:
     reflectance: float
     """Fraction of the light that it reflects [1]."""
     mueller: ArrayLike | None = None
-    """Matrix over its first element, from the axis next to "right" before the
-    reflection to that after it; an ideal depolarizer if not given."""
+    """Matrix over its first element, an ideal depolarizer if not given. It leads from
+    the part of the scene's axis to the right that is perpendicular to the light before
+    the reflection to that after it, wherever the receiver looks."""
     matrix: NDArray[np.float64] = field(init=False, repr=False)
     """The matrix, shape (4, 4)."""
 

@@ -14,6 +14,7 @@ from amulor.transport._kernels.slab import meridian
 
 #: Vectors of several drawn numbers take long to draw.
 FEW = settings(max_examples=40)
+RIGHT = (1.0, 0.0, 0.0)
 ANGLES = st.floats(-np.pi, np.pi)
 ELEMENTS = st.tuples(*[st.floats(-1, 1)] * 5)
 
@@ -97,10 +98,27 @@ unit = st.builds(
 @FEW
 @given(unit)
 def test_frames_are_unit_vectors_across_the_direction(direction):
-    frames = [kernels.projected_frame(tuple(direction)), meridian(tuple(direction))]
+    frames = [
+        kernels.projected_frame(tuple(direction), RIGHT),
+        meridian(tuple(direction)),
+    ]
     if direction[2] < 0:  # light that arrives at the receiver comes against its axis
         frames.append(kernels.returning_frame(tuple(direction)))
     for frame in np.array(frames):
+        assert np.linalg.norm(frame) == pytest.approx(1, abs=1e-9)
+        assert frame @ direction == pytest.approx(0, abs=1e-9)
+
+
+@FEW
+@given(unit, unit)
+def test_a_projected_frame_is_the_part_of_its_axis_across_the_light(direction, right):
+    axis = np.array(kernels.projected_frame(tuple(direction), tuple(right)))
+    part = right - (right @ direction) * direction
+    size = np.linalg.norm(part)
+    if size > 1e-6:
+        np.testing.assert_allclose(axis, part / size, rtol=0, atol=1e-9)
+    along = np.array(kernels.projected_frame(tuple(direction), tuple(direction)))
+    for frame in (axis, along):
         assert np.linalg.norm(frame) == pytest.approx(1, abs=1e-9)
         assert frame @ direction == pytest.approx(0, abs=1e-9)
 
@@ -127,7 +145,7 @@ def test_the_meridian_points_to_larger_angles():
 @given(unit, ANGLES, ANGLES)
 def test_turning_twice_is_turning_by_the_sum(direction, first, second):
     n = tuple(direction)
-    e = kernels.projected_frame(n)
+    e = kernels.projected_frame(n, RIGHT)
     once = kernels.turned_frame((np.cos(first), np.sin(first)), n, e)
     twice = kernels.turned_frame((np.cos(second), np.sin(second)), n, once)
     total = first + second
@@ -143,8 +161,8 @@ class Path:
     def __init__(self, seed, number=4):
         rng = np.random.default_rng(seed)
         self.direction = Rotation.random(number + 1, rng=rng).apply([0, 0, 1])
-        self.first = np.array(kernels.projected_frame(tuple(self.direction[0])))
-        self.last = np.array(kernels.projected_frame(tuple(self.direction[-1])))
+        self.first = np.array(kernels.projected_frame(tuple(self.direction[0]), RIGHT))
+        self.last = np.array(kernels.projected_frame(tuple(self.direction[-1]), RIGHT))
         self.elements = rng.uniform(-1, 1, (number, 5))
         self.stokes = np.array([1.0, *rng.uniform(-0.5, 0.5, 3)])
 
@@ -258,11 +276,10 @@ def test_a_path_turned_in_space_scatters_alike(seed, how):
 def test_a_mirror_reflects_as_its_matrix_from_any_frame(before, after, launched):
     surface = mueller.ideal_backscatter()
     n, m = np.array([0.0, 0, 1]), np.array([0.0, 0, -1])
-    right = (1.0, 0.0, 0.0)
-    axis = kernels.turned_frame((np.cos(before), np.sin(before)), tuple(n), right)
+    axis = kernels.turned_frame((np.cos(before), np.sin(before)), tuple(n), RIGHT)
     light = np.array([*axis, *stokes.state(launched)])
-    frame = kernels.turned_frame((np.cos(after), np.sin(after)), tuple(m), right)
-    found = kernels.reflected(tuple(n), light, surface, tuple(m), frame)
+    frame = kernels.turned_frame((np.cos(after), np.sin(after)), tuple(m), RIGHT)
+    found = kernels.reflected(tuple(n), light, surface, RIGHT, tuple(m), frame)
     expected = turn(after) @ surface @ turn(-before) @ stokes.state(launched)
     np.testing.assert_allclose(found, expected, atol=1e-14)
 

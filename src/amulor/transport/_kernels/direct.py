@@ -248,7 +248,8 @@ def direct_from_touches(
             frame = returning_frame(m)
             seen[0], seen[1], seen[2] = frame
             light = forward.touch_light[i]
-            received(seen, reflected(n, light, target.mueller, m, frame), out)
+            vector = reflected(n, light, target.mueller, target.right, m, frame)
+            received(seen, vector, out)
             for k in range(4):
                 out[k] *= factor
         else:

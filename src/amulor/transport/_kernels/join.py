@@ -271,7 +271,8 @@ def join_touches(
                 seen = adjoint.light[j]
                 frame = (seen[0], seen[1], seen[2])
                 light = forward.touch_light[i]
-                received(seen, reflected(n, light, target.mueller, m, frame), out)
+                vector = reflected(n, light, target.mueller, target.right, m, frame)
+                received(seen, vector, out)
                 for k in range(4):
                     out[k] *= factor
             else:

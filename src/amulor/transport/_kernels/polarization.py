@@ -50,13 +50,15 @@ def any_frame(n: Vector) -> Vector:
 
 
 @kernel
-def projected_frame(n: Vector) -> Vector:
-    """Return the part of the axis (1, 0, 0) perpendicular to n, made a unit vector."""
-    across = n[1] * n[1] + n[2] * n[2]
+def projected_frame(n: Vector, right: Vector) -> Vector:
+    """Return the part of an axis perpendicular to n, made a unit vector."""
+    c = cross(right, n)
+    across = c[0] * c[0] + c[1] * c[1] + c[2] * c[2]
     if across < 1e-24:  # along that axis, where it has no part to the side
-        return 0.0, 1.0, 0.0
+        return any_frame(n)
     norm = math.sqrt(across)
-    return across / norm, -n[0] * n[1] / norm, -n[0] * n[2] / norm
+    x, y, z = cross(n, c)
+    return x / norm, y / norm, z / norm
 
 
 @kernel
@@ -199,14 +201,15 @@ def received(seen: Array, stokes: Stokes, out: Array) -> None:
 
 @kernel
 def reflected(
-    n: Vector, light: Array, mueller: Array, m: Vector, frame: Vector
+    n: Vector, light: Array, mueller: Array, right: Vector, m: Vector, frame: Vector
 ) -> Stokes:
     """Return the Stokes vector reflected from n to m, in a given frame of m.
 
-    The matrix of the surface leads from axes that lie as near as can be to
-    (1, 0, 0), before to after.
+    The matrix of the surface leads from axes that lie as near as can be to the axis
+    right, which belongs to the scene, before to after.
     """
-    turn = between_frames(n, (light[0], light[1], light[2]), projected_frame(n))
+    axis = (light[0], light[1], light[2])
+    turn = between_frames(n, axis, projected_frame(n, right))
     q, u = turned_stokes(light[4], light[5], turn)
     i, v = light[3], light[6]
     out_i = (
@@ -221,6 +224,6 @@ def reflected(
     out_v = (
         mueller[3, 0] * i + mueller[3, 1] * q + mueller[3, 2] * u + mueller[3, 3] * v
     )
-    turn = between_frames(m, projected_frame(m), frame)
+    turn = between_frames(m, projected_frame(m, right), frame)
     out_q, out_u = turned_stokes(out_q, out_u, turn)
     return out_i, out_q, out_u, out_v

@@ -226,7 +226,7 @@ def follow_photons(
 ) -> None:
     """Follow photons that fall in, one by one; now is room for the light of one."""
     n = (light.incidence[0], light.incidence[1], light.incidence[2])
-    axis = projected_frame(n)
+    axis = projected_frame(n, (1.0, 0.0, 0.0))
     for _ in range(histories):
         now[0], now[1], now[2] = axis
         for k in range(4):

@@ -260,7 +260,7 @@ def reflect(
     if kind.polarized:
         axis = any_frame(m)
         now[3], now[4], now[5], now[6] = reflected(
-            ray.direction, now, target.mueller, m, axis
+            ray.direction, now, target.mueller, target.right, m, axis
         )
         now[0], now[1], now[2] = axis
     return Ray(ray.place, m, axis)

@@ -66,6 +66,8 @@ class Target(NamedTuple):
     """Fraction of the light that it reflects [1]."""
     mueller: Array
     """Mueller matrix over its first element."""
+    right: Vector
+    """The scene's axis to the right, which that is counted from."""
     mesh: Mesh
     """Its triangles."""
 

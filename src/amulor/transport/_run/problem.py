@@ -184,6 +184,7 @@ class Problem:
         """The target for the kernels, also if there is none."""
         target = self.target
         plane = isinstance(target, PlaneTarget)
+        right = [float(component) for component in self.axes[:, 0]]
         normal, height = np.array([0.0, 0.0, -1.0]), 0.0
         mesh = Mesh(
             np.empty((0, 6)), np.empty((0, 3), np.int64), np.empty((0, 12)), 0.0
@@ -202,6 +203,7 @@ class Problem:
             height=height,
             reflectance=0.0 if target is None else float(target.reflectance),
             mueller=np.zeros((4, 4)) if target is None else target.matrix,
+            right=(right[0], right[1], right[2]),
             mesh=mesh,
         )
 
@@ -231,7 +233,7 @@ class Problem:
             *self.water,
             *self.beam[:5],
             *self.face,
-            *self.surface[:5],
+            *self.surface[:6],
             *self.surface.mesh[:3],
             self.source.stokes,
             self.medium.group_index,
