@@ -1,0 +1,54 @@
+"""`python -m amulor.studies.trust`: runs the trust study and prints its table."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from pathlib import Path
+
+from amulor.studies.trust.methods import METHODS
+from amulor.studies.trust.scenes.catalogue import SCENES
+from amulor.studies.trust.study import run
+from amulor.studies.trust.table import Row, line, text
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Run the study as the command line says.
+
+    Parameters
+    ----------
+    arguments : list of str, optional
+        Those of the process by default.
+
+    Returns
+    -------
+    int
+        Exit code.
+    """
+    parser = argparse.ArgumentParser(prog="amulor.studies.trust", description=__doc__)
+    names = [scene.name for scene in SCENES]
+    parser.add_argument("--scene", action="append", choices=names, metavar="NAME")
+    parser.add_argument("--method", action="append", choices=list(METHODS))
+    parser.add_argument("--frequencies", action="append", type=int, metavar="COUNT")
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--output", type=Path, help="file for the table")
+    parser.add_argument("--list", action="store_true", help="list the scenes")
+    chosen = parser.parse_args(arguments)
+    if chosen.list:
+        for scene in SCENES:
+            print(f"{scene.name:<28} {scene.title}")
+        return 0
+
+    def show(row: Row) -> None:
+        print(line(row), flush=True)
+
+    rows = run(
+        chosen.scene, chosen.method, chosen.frequencies, seed=chosen.seed, done=show
+    )
+    if chosen.output is not None:
+        chosen.output.write_text(text(rows), encoding="utf-8")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,110 @@
+"""One scan whose surface is known, as a user would hand it to a rejection method."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+from scipy.constants import speed_of_light
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Case:
+    """Samples, what the user knows, and the truth, which comes from the scene alone."""
+
+    samples: xr.Dataset
+    """Level `samples`, with the survey that the user believes in."""
+    surfaces: Floats
+    """Slant range of the surfaces that each beam meets, shape (surfaces, row, column),
+    not a number where there is none [m]."""
+    late: Floats
+    """How much later than from the surface the echo alone arrives, shape (row, column),
+    as a slant range, weighted over the frequencies as equal noise does [m]."""
+    interval: tuple[float, float] | None
+    """Nearest and farthest slant range that the user states [m]."""
+    judged: NDArray[np.bool_]
+    """Pixels that count, shape (row, column)."""
+
+
+def case_of(
+    samples: xr.Dataset,
+    *,
+    interval: tuple[float, float] | None,
+    late: Floats | None = None,
+    surfaces: Floats | None = None,
+    judged: NDArray[np.bool_] | None = None,
+) -> Case:
+    """Return the case of a simulated cube.
+
+    Parameters
+    ----------
+    samples : xarray.Dataset
+        Level `samples`, with its truth.
+    interval : tuple of float or None
+        Nearest and farthest slant range that the user states [m].
+    late : ndarray, shape (row, column), optional
+        Delay of the echo as a slant range [m]; 0 by default.
+    surfaces : ndarray, shape (surfaces, row, column), optional
+        Surfaces that the beams meet; those of the truth by default [m].
+    judged : ndarray of bool, shape (row, column), optional
+        Pixels that count; all by default.
+
+    Returns
+    -------
+    Case
+        The truth is taken out of the samples, so that no method can read it.
+    """
+    truth = samples.amulor.truth
+    if surfaces is None:
+        surfaces = truth["slant_range"].values[None]
+    shape = surfaces.shape[1:]
+    hidden = [name for name in samples.data_vars if str(name).startswith("truth_")]
+    return Case(
+        samples=samples.drop_vars(hidden),
+        surfaces=surfaces,
+        late=np.zeros(shape) if late is None else late,
+        interval=interval,
+        judged=np.ones(shape, dtype=bool) if judged is None else judged,
+    )
+
+
+def lateness(
+    echo: NDArray[np.complex128],
+    optical_path: Floats,
+    *,
+    modulation_frequency: Floats,
+    group_index: float,
+) -> Floats:
+    r"""Return how much later than from the surface an echo arrives.
+
+    Parameters
+    ----------
+    echo : ndarray of complex, shape (frequencies, ...)
+        Signal of the target alone, without noise.
+    optical_path : ndarray, shape (...)
+        Group index times length to the surface and back [m].
+    modulation_frequency : ndarray, shape (frequencies,)
+        Modulation frequencies [Hz].
+    group_index : float
+        Group index of the water [1].
+
+    Returns
+    -------
+    ndarray, shape (...)
+        Mean of :math:`\delta\varphi\,v / 4\pi f` over the frequencies with the weights
+        :math:`f^2 |E|^2` of samples of equal noise [m].
+    """
+    frequency = modulation_frequency.reshape(-1, *[1] * optical_path.ndim)
+    turn = np.exp(-2j * np.pi * frequency * optical_path / speed_of_light)
+    phase = np.angle(echo * turn)
+    each = phase * speed_of_light / (4 * np.pi * frequency * group_index)
+    weight = frequency**2 * np.abs(echo) ** 2
+    total = weight.sum(axis=0)
+    mean: Floats = np.divide(
+        (weight * each).sum(axis=0), total, out=np.zeros(total.shape), where=total > 0
+    )
+    return mean

@@ -1,0 +1,1 @@
+"""The scenes of the trust study: what can go wrong, one kind a file."""

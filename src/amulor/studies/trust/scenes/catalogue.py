@@ -1,0 +1,100 @@
+"""All scenes by name, with what each one asks."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
+
+from amulor.studies.trust.case import Case
+from amulor.studies.trust.scenes import knowledge, models, photons, samples
+
+#: Makes a case from the number of frequencies and a seed.
+Maker = Callable[[int, int], Case]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Scene:
+    """A scene of the study."""
+
+    name: str
+    """Short, for the table."""
+    title: str
+    """What is seen, and what is wrong with it."""
+    make: Maker
+    """Makes the case."""
+    counts: tuple[int, ...] = (1, 2, 4, 16)
+    """Numbers of frequencies with which it is run."""
+
+
+def _photon_scenes() -> list[Scene]:
+    scenes = []
+    for name in photons.PHASE_FUNCTIONS:
+        for reflectance, word in ((0.1, "grey"), (0.02, "dim")):
+            scenes.append(
+                Scene(
+                    name=f"photons {name} {word}",
+                    title=f"photons, {name}, plates of {reflectance:.0%} at 1.6 to "
+                    "3.2 m",
+                    make=partial(
+                        photons.photon_water, function=name, reflectance=reflectance
+                    ),
+                )
+            )
+    return scenes
+
+
+def _scene(
+    name: str, title: str, make: Maker, counts: tuple[int, ...] = (1, 2, 4, 16)
+) -> Scene:
+    return Scene(name=name, title=title, make=make, counts=counts)
+
+
+SCENES: tuple[Scene, ...] = (
+    _scene("flat", "plate at 2.6 m, everything as the model has it", models.flat),
+    _scene("slope 60", "plate that leans 60 degrees", partial(models.sloped, lean=60)),
+    _scene("slope 75", "plate that leans 75 degrees", partial(models.sloped, lean=75)),
+    _scene("dark", "plate of 1 %", models.dark),
+    _scene("far", "plate at 3.0 m, 50 MHz repeat after 2.17 m, no interval stated",
+           models.far, (1,)),
+    _scene("far two", "plate at 6.2 m, 20 and 80 MHz repeat after 5.43 m, no interval",
+           models.far_two, (2,)),
+    _scene("tall", "scan of 9 x 19 degrees with 9 x 3 shots", models.tall),
+    _scene("wide", "scan of 19 x 4 degrees with 9 x 3 shots", models.wide),
+    _scene("stairs", "dim treads of 3 %", models.staircase),
+    _scene("coastal", "plate in coastal water", models.coastal),
+    _scene("harbour", "plate in harbour water", models.harbour),
+    _scene("circular", "plate seen with circular light", models.circular),
+    _scene("empty", "water without a target, right survey", models.empty),
+    *_photon_scenes(),
+    _scene("small-angle 90", "small-angle model, split at 90 degrees",
+           partial(models.small_angle, split=90.0)),
+    _scene("small-angle 15", "small-angle model, split at 15 degrees",
+           partial(models.small_angle, split=15.0)),
+    _scene("small-angle empty", "small-angle model without a target",
+           models.small_angle_empty),
+    _scene("spikes", "spikes of 5 to 50 sigma in 3 % of the samples", samples.spikes),
+    _scene("particles", "bright particles in 4 % of the samples", samples.particles),
+    _scene("mixed 2 cm", "pixels that see two plates 2 cm apart",
+           partial(samples.mixed, gap=0.02)),
+    _scene("mixed 5 cm", "pixels that see two plates 5 cm apart",
+           partial(samples.mixed, gap=0.05)),
+    _scene("delay", "instrument 0.1 ns late, unknown", samples.late_instrument),
+    _scene("noise", "stated noise too small by two", samples.understated_noise),
+    _scene("change 5 %", "water 5 % stronger than the shots", samples.changed_water),
+    _scene("drift 3 %", "water drifts by 3 % between the shots",
+           partial(samples.drift, change=0.03)),
+    _scene("drift 10 %", "water drifts by 10 % between the shots",
+           partial(samples.drift, change=0.10)),
+    _scene("a, b doubled", "the survey's a and b are twice the true ones",
+           partial(knowledge.wrong_turbidity, factor=2.0)),
+    _scene("a, b halved", "the survey's a and b are half the true ones",
+           partial(knowledge.wrong_turbidity, factor=0.5)),
+    _scene("baseline", "receiver 5 mm beside where the survey has it",
+           knowledge.wrong_baseline),
+    _scene("axis", "receiver points 1 degree beside the survey's axis",
+           knowledge.wrong_axis),
+    _scene("index", "group index 0.002 too large in the survey", knowledge.wrong_index),
+)  # fmt: skip
+
+BY_NAME = {scene.name: scene for scene in SCENES}

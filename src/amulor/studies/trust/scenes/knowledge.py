@@ -1,0 +1,70 @@
+"""Scenes whose survey is wrong: water, geometry and index other than believed."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import xarray as xr
+
+from amulor.simulation import simulate
+from amulor.simulation.measurement import geometry_attributes
+from amulor.studies.trust.case import Case, case_of
+from amulor.studies.trust.scenes.models import around
+from amulor.studies.trust.surveys import plate, scaled, survey
+from amulor.survey import Survey, water_properties
+from amulor.survey.view import medium
+
+_TARGET = plate(2.6, lean=20)
+
+
+def believing(samples: xr.Dataset, believed: Survey) -> xr.Dataset:
+    """Return a cube that says it was measured as another survey has it.
+
+    Parameters
+    ----------
+    samples : xarray.Dataset
+        Level `samples`.
+    believed : Survey
+        What the user takes to be true.
+
+    Returns
+    -------
+    xarray.Dataset
+        The same samples; survey, indices and places of the instrument are those of
+        the user.
+    """
+    attributes = geometry_attributes(
+        believed, medium(believed, water_properties(believed))
+    )
+    geometry = samples["geometry"].copy()
+    geometry.attrs |= attributes
+    return samples.assign_coords(geometry=geometry).assign_attrs(
+        survey=believed.to_toml()
+    )
+
+
+def _wrong(count: int, seed: int, **believed: Any) -> Case:
+    samples = simulate(survey(count, _TARGET), rng=seed)
+    return case_of(
+        believing(samples, survey(count, _TARGET, **believed)), interval=around(2.6)
+    )
+
+
+def wrong_turbidity(count: int, seed: int, *, factor: float) -> Case:
+    """Return a plate in water whose a and b the survey has too large by a factor."""
+    return _wrong(count, seed, water=scaled("tank", factor))
+
+
+def wrong_baseline(count: int, seed: int, *, by: float = 0.5) -> Case:
+    """Return a plate seen by a receiver that stands so many centimetres elsewhere."""
+    return _wrong(count, seed, baseline=20 + by)
+
+
+def wrong_axis(count: int, seed: int, *, by: float = 1.0) -> Case:
+    """Return a plate seen by a receiver that points so many degrees elsewhere."""
+    return _wrong(count, seed, azimuth=-4.0 + by)
+
+
+def wrong_index(count: int, seed: int, *, by: float = 0.002) -> Case:
+    """Return a plate in water whose group index the survey has too large."""
+    return _wrong(count, seed, group_index=1.38 + by)

@@ -1,0 +1,82 @@
+"""Runs scenes, methods and numbers of frequencies against each other."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+
+from amulor.studies.trust.methods import METHODS, outcome
+from amulor.studies.trust.scenes.catalogue import BY_NAME, SCENES
+from amulor.studies.trust.score import score
+from amulor.studies.trust.table import Row
+
+
+def run(
+    scenes: Sequence[str] | None = None,
+    methods: Sequence[str] | None = None,
+    counts: Sequence[int] | None = None,
+    *,
+    seed: int = 1,
+    done: Callable[[Row], None] | None = None,
+) -> list[Row]:
+    """Run the study, or a part of it.
+
+    Parameters
+    ----------
+    scenes, methods : sequence of str, optional
+        Names; all by default.
+    counts : sequence of int, optional
+        Numbers of frequencies; all that a scene has by default.
+    seed : int
+        Seed of the noise.
+    done : callable, optional
+        Called with every row as it is finished.
+
+    Returns
+    -------
+    list of Row
+        Scene by scene, frequency count by count, method by method.
+
+    Raises
+    ------
+    ValueError
+        If there is no scene or method of a name.
+    """
+    rows = []
+    for row in _rows(
+        [scene.name for scene in SCENES] if scenes is None else scenes,
+        list(METHODS) if methods is None else methods,
+        counts,
+        seed,
+    ):
+        rows.append(row)
+        if done is not None:
+            done(row)
+    return rows
+
+
+def _rows(
+    scenes: Sequence[str], methods: Sequence[str], counts: Sequence[int] | None,
+    seed: int,
+) -> Iterator[Row]:  # fmt: skip
+    for kind, names, known in (
+        ("scene", scenes, BY_NAME),
+        ("method", methods, METHODS),
+    ):
+        unknown = [name for name in names if name not in known]
+        if unknown:
+            raise ValueError(
+                f"there is no {kind} {unknown[0]!r}; there are {', '.join(known)}"
+            )
+    for name in scenes:
+        scene = BY_NAME[name]
+        for count in scene.counts:
+            if counts is not None and count not in counts:
+                continue
+            case = scene.make(count, seed)
+            for method in methods:
+                yield Row(
+                    scene=name,
+                    count=count,
+                    method=method,
+                    score=score(case, outcome(method, case)),
+                )
