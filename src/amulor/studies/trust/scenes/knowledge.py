@@ -7,12 +7,11 @@ from typing import Any
 import xarray as xr
 
 from amulor.simulation import simulate
-from amulor.simulation.measurement import geometry_attributes
 from amulor.studies.trust.case import Case, case_of
 from amulor.studies.trust.scenes.models import around
 from amulor.studies.trust.surveys import plate, scaled, survey
 from amulor.survey import Survey, water_properties
-from amulor.survey.view import medium
+from amulor.survey.view import geometry_attributes, medium
 
 _TARGET = plate(2.6, lean=20)
 
