@@ -86,6 +86,7 @@ def write_tally(
         "contribution_sum": np.float64(tally.contribution[0]),
         "contribution_sum_of_squares": np.float64(tally.contribution[1]),
         "largest_contribution": np.float64(tally.contribution[2]),
+        "phase_function_integral": np.array(tally.phase_function_integral),
         "seconds": np.float64(tally.seconds),
         "interrupted": np.int8(tally.interrupted),
     }
@@ -233,6 +234,10 @@ def _tally(dataset: xr.Dataset, path: Path) -> Tally:
         seconds=number("seconds"),
         interrupted=bool(whole("interrupted")),
         record=record,
+        phase_function_integral=tuple(
+            float(value)
+            for value in np.atleast_1d(dataset.attrs.get("phase_function_integral", ()))
+        ),
         contributions=real("contributions") if "contributions" in dataset else None,
         unseen=number("unseen_contribution") if "contributions" in dataset else 0.0,
     )

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from amulor.errors import SurveyError
 from amulor.optics import rays
-from amulor.optics.phase_functions.models import henyey_greenstein_function
+from amulor.simulation.phase_function import phase_function_of
 from amulor.survey import Survey, water_properties
 from amulor.survey.view import medium as crossed_by
 from amulor.survey.view import seen_from_water
@@ -42,8 +42,8 @@ def monte_carlo_response(
     Parameters
     ----------
     survey : Survey
-        Water and instrument count; targets and polarizers do not. The water must have
-        an asymmetry, since photons need the whole phase function.
+        Water and instrument count; targets and polarizers do not. Water that states
+        moments only gets a phase function that has them.
     modulation_frequency : array_like
         Frequencies of the intensity modulation; the first one decides on the error,
         so it should be 0 [Hz].
@@ -63,24 +63,19 @@ def monte_carlo_response(
     Raises
     ------
     SurveyError
-        If the water states no asymmetry, or the receiver looks through a window at an
-        angle.
+        If no phase function has the moments that are stated, or the receiver looks
+        through a window at an angle.
 
     Notes
     -----
-    `amulor.transport.simulate` with the Henyey-Greenstein phase function, the Gaussian
-    receiver of eq. (38) of Ricci et al. 2010, as rebuilt, and a thin beam. Behind a
-    window the receiver is put where it seems to be from the water, with a gap that
-    lets all light pass.
+    `amulor.transport.simulate` with the phase function of
+    `amulor.simulation.phase_function.phase_function_of`, the Gaussian receiver of
+    eq. (38) of Ricci et al. 2010, as rebuilt, and a thin beam. Behind a window the
+    receiver is put where it seems to be from the water, with a gap that lets all light
+    pass.
     """
     water = water_properties(survey)
-    asymmetry = survey.water.asymmetry
-    if asymmetry is None:
-        raise SurveyError(
-            "water.asymmetry is missing; photon transport needs the whole phase "
-            "function, not only its moments: add asymmetry, or use the diffusion model"
-        )
-    function = henyey_greenstein_function(asymmetry=asymmetry)
+    function = phase_function_of(survey.water)
     instrument, scan = survey.instrument, survey.scan
     receiver, window = instrument.receiver, crossed_by(survey, water)
     beam = rays.enter_water(

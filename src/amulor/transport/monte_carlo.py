@@ -20,7 +20,7 @@ from amulor.transport._run.conduct import (
     conduct,
     frequencies,
 )
-from amulor.transport._run.problem import Problem
+from amulor.transport._run.problem import Problem, integrals_of
 from amulor.transport._run.record import Record, random_state
 from amulor.transport.medium import Medium
 from amulor.transport.mesh import MeshTarget
@@ -233,6 +233,7 @@ class _Run:
             batch_size=self.size,
             problem=self.problem.digest,
             seconds=0.0,
+            phase_function_integral=integrals_of(self.problem.medium.layers),
             unseen=self.problem.joined_touch
             / (self.technique.paths * self.technique.partners),
         )

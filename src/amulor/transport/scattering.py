@@ -222,29 +222,46 @@ class AngleCells:
         return _angle(0.5 * (self.edges[:-1] + self.edges[1:]))
 
     @cached_property
+    def _integrals(self) -> NDArray[np.float64]:
+        """Integral of the phase function over each cell [1]."""
+        edges = self.edges
+        integrals = 4 * np.pi * self._values.sum(axis=0) * np.diff(edges)
+        # The innermost cell may hold a steep head.
+        integrals[0] = self.phase_function.cumulative(_angle(edges)[1])
+        if not np.all(np.isfinite(integrals)) or np.any(integrals < 0):
+            raise ValueError(
+                f"{self.phase_function.name} must be finite and not below zero"
+            )
+        result: NDArray[np.float64] = integrals
+        return result
+
+    @cached_property
+    def integral(self) -> float:
+        """Integral of the phase function over the sphere, by which it is divided [1].
+
+        Raises
+        ------
+        ValueError
+            If it is not 1 within 0.2 %, or the function below zero.
+        """
+        total = float(self._integrals.sum())
+        if abs(total - 1) > INTEGRAL_TOLERANCE:
+            raise ValueError(
+                f"{self.phase_function.name} must have an integral of 1 over the "
+                f"sphere, got {total:.6g}; divide it by that"
+            )
+        return total
+
+    @cached_property
     def probability(self) -> NDArray[np.float64]:
         """Probability that a scattering falls into each cell [1].
 
         Raises
         ------
         ValueError
-            If they add up to something else than 1.
+            As for `integral`.
         """
-        edges = self.edges
-        probability = 4 * np.pi * self._values.sum(axis=0) * np.diff(edges)
-        # The innermost cell may hold a steep head.
-        probability[0] = self.phase_function.cumulative(_angle(edges)[1])
-        if not np.all(np.isfinite(probability)) or np.any(probability < 0):
-            raise ValueError(
-                f"{self.phase_function.name} must be finite and not below zero"
-            )
-        total = float(probability.sum())
-        if abs(total - 1) > INTEGRAL_TOLERANCE:
-            raise ValueError(
-                f"{self.phase_function.name} must have an integral of 1 over the "
-                f"sphere, got {total:.6g}; divide it by that"
-            )
-        result: NDArray[np.float64] = probability / total
+        result: NDArray[np.float64] = self._integrals / self.integral
         return result
 
     @cached_property

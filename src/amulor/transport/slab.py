@@ -19,7 +19,7 @@ from amulor.transport._run.conduct import (
     conduct,
     frequencies,
 )
-from amulor.transport._run.problem import digest_of, water_tables
+from amulor.transport._run.problem import digest_of, integrals_of, water_tables
 from amulor.transport._run.record import Record, random_state
 from amulor.transport.medium import Medium
 from amulor.transport.receiver import Source
@@ -175,6 +175,7 @@ class _Run:
                 self.outward,
             ),
             seconds=0.0,
+            phase_function_integral=integrals_of(self.medium.layers),
         )
 
     def __call__(self, number: int) -> Batch:

@@ -69,6 +69,9 @@ class Tally:
     contributions: Array | None = None
     """Sum, sum of squares and largest of the contributions at zero frequency, for all
     light, water and target, and each analyser: shape (3, 1 or 7, 3) [1]."""
+    phase_function_integral: tuple[float, ...] = ()
+    """Integral over the sphere of the phase function of each layer, as it was given;
+    it was divided by that, which 0.2 % are allowed for [1]."""
     unseen: float = 0.0
     """What a group brings by one touch of the target that an adjoint path meets [1]."""
 

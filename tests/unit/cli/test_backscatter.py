@@ -154,9 +154,13 @@ thickness = "2 cm"
     assert photons["phase_rad"] == pytest.approx(formula["phase_rad"], rel=0.08)
 
 
-def test_photons_need_the_whole_phase_function(tank: Path, capsys) -> None:
+def test_photons_refuse_moments_that_no_phase_function_has(tank: Path, capsys) -> None:
+    tank.write_text(TANK.replace("0.05 rad^2", "1.9 rad^2"))
     assert main(["backscatter", str(tank), "--model", "montecarlo"]) == 1
-    assert "add asymmetry" in capsys.readouterr().err
+    error = capsys.readouterr().err
+    assert "second_moment must be from" in error
+    assert "got 1.9 rad^2" in error
+    assert error.count("\n") == 1
 
 
 @pytest.mark.parametrize("error", ["0%", "1 m", "little"])

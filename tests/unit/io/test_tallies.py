@@ -129,6 +129,7 @@ def test_any_numbers_come_back(tmp_path_factory, data, components, parts, freque
             drawn.arrays(float, (3, 7 if components == 4 else 1, 3), elements=numbers)
         ),
         unseen=data.draw(numbers),
+        phase_function_integral=tuple(data.draw(st.lists(numbers, max_size=3))),
     )
     path = tmp_path_factory.mktemp("tally") / "run.nc"
     write_tally(tally, path)

@@ -16,6 +16,8 @@ from amulor.optics.phase_functions.models import (
 )
 from amulor.optics.phase_functions.tables import petzold
 from amulor.transport._kernels import angle as kernels
+from amulor.transport._kernels.batch import launch
+from amulor.transport._kernels.types import Beam
 from amulor.transport._run.record import random_state
 from amulor.transport.scattering import AngleCells, alias_table, cell_edges
 
@@ -148,3 +150,29 @@ def test_points_of_a_disc_are_even_in_area():
     assert stats.kstest(radius_squared, "uniform").pvalue > 1e-4
     azimuth = np.arctan2(points[:, 1], points[:, 0]) / (2 * np.pi) % 1
     assert stats.kstest(azimuth, "uniform").pvalue > 1e-4
+
+
+def test_a_beam_spreads_evenly_in_solid_angle_under_its_gaussian():
+    # Means over sin(theta) exp(-theta^2 / delta^2); over theta instead of sin(theta)
+    # the first would be delta^2 = 0.25, 4 % more.
+    delta = 0.5
+    source = Beam(
+        centre=np.zeros(3), axis=np.array([0.0, 0.6, 0.8]),
+        across=np.array([1.0, 0.0, 0.0]), radius=0.0, divergence=delta,
+        stokes=np.array([1.0, 0, 0, 0]),
+    )  # fmt: skip
+    state = random_state(6, 0)
+    rays = [launch.py_func(state, source) for _ in range(40_000)]
+    axis = np.array([ray.axis for ray in rays])
+    direction = np.array([ray.direction for ray in rays])
+    np.testing.assert_allclose(np.sum(axis * direction, axis=1), 0, atol=1e-12)
+    angle = np.arccos(np.clip(direction @ source.axis, -1, 1))
+    theta = np.linspace(0, np.pi, 100_001)
+    density = np.sin(theta) * np.exp(-((theta / delta) ** 2))
+    for power in (2, 4):
+        expected = np.trapezoid(theta**power * density, theta) / np.trapezoid(
+            density, theta
+        )
+        error = (angle**power).std() / np.sqrt(angle.size)
+        assert abs((angle**power).mean() - expected) < 4 * error
+    assert (angle**2).std() / np.sqrt(angle.size) < 0.01 * 0.25

@@ -232,6 +232,14 @@ REFUSED = {
         lambda: run(target=PlaneTarget(position=(0, 0, -0.5), reflectance=0.5)),
         r"source must be in front of the target.*got -0\.5 m",
     ),
+    "a receiver that faces the source": (
+        lambda: run(receiver=facing()),
+        r"must not see the source: the beam's axis falls 0 m from the middle",
+    ),
+    "a wide beam that reaches the receiver": (
+        lambda: run(source=Source(divergence=0.05), receiver=facing(off=0.4)),
+        r"must not see the source: .* 0\.4 m from the middle",
+    ),
     "a receiver behind the target": (
         lambda: run(
             receiver=DiscReceiver(
@@ -344,9 +352,31 @@ def test_a_printed_table_may_be_off_by_its_last_digit():
     nearly = bare(Scaled)
     object.__setattr__(nearly, "factor", 1.001)
     exact = run(histories=256)
-    np.testing.assert_allclose(
-        run(homogeneous(nearly), histories=256).signal, exact.signal
-    )
+    divided = run(homogeneous(nearly), histories=256)
+    np.testing.assert_allclose(divided.signal, exact.signal)
+    # The tally tells what it was divided by.
+    assert divided.phase_function_integral == pytest.approx((1.001,), rel=1e-9)
+    assert exact.phase_function_integral == pytest.approx((1.0,), rel=1e-12)
+    both = layered(layer(thickness=1.0), layer(function=nearly))
+    assert run(both).phase_function_integral == pytest.approx((1.0, 1.001), rel=1e-9)
+
+
+def facing(off=0.0, **others):
+    """Return a receiver 3 m ahead that looks back at the source."""
+    return DiscReceiver(
+        radius=0.05, position=(off, 0, 3), direction=(0, 0, -1),
+        **({"acceptance_angle": 0.1} | others),
+    )  # fmt: skip
+
+
+def test_a_receiver_beside_the_beam_that_looks_back_gets_scattered_light():
+    for receiver in (facing(off=0.06), facing(off=-0.5, acceptance_angle=1.5)):
+        assert run(receiver=receiver, histories=4096).signal[0].real > 0
+    # Beyond its acceptance, or with the beam on its back, it sees no source.
+    slanted = Source(position=(-0.6, 0, 0), direction=(0.2, 0, 1))
+    assert run(source=slanted, receiver=facing()).histories == 64
+    behind = DiscReceiver(radius=0.05, acceptance_angle=0.1, position=(0, 0, 3))
+    assert run(receiver=behind).histories == 64
 
 
 def test_at_the_limits_of_what_can_be_a_run_is_made():

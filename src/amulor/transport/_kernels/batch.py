@@ -67,7 +67,10 @@ def launch(state: States, beam: Beam) -> Ray:
         )
     if beam.divergence == 0.0:
         return Ray(place, n, e)
+    # Drawn from theta exp(-theta^2 / delta^2), kept with a chance of sin theta / theta.
     angle = beam.divergence * math.sqrt(-math.log(1.0 - uniform(state)))
+    while uniform(state) * angle > math.sin(angle):
+        angle = beam.divergence * math.sqrt(-math.log(1.0 - uniform(state)))
     azimuth = 2.0 * math.pi * uniform(state)
     cosine, sine = math.cos(angle), math.sin(angle)
     ca, sa = math.cos(azimuth), math.sin(azimuth)

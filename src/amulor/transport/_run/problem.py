@@ -30,7 +30,7 @@ from amulor.transport.receiver import (
 )
 from amulor.transport.scattering import AngleCells, ScatteringMatrix
 
-__all__ = ["Problem", "digest_of", "water_tables"]
+__all__ = ["Problem", "digest_of", "integrals_of", "water_tables"]
 
 Array = NDArray[np.float64]
 
@@ -72,10 +72,33 @@ class Problem:
                 "polarized light needs a medium with a ScatteringMatrix, got one with "
                 "a phase function only"
             )
+        self._refuse_in_view()
         if isinstance(self.target, PlaneTarget):
             self._refuse_behind(self.target)
         elif self.target is not None:
             self._refuse_inside(self.target)
+
+    def _refuse_in_view(self) -> None:
+        """Refuse a source whose unscattered light falls on the receiver.
+
+        A width of 1/e counts threefold: what is left out is below e^-9 of the light.
+        """
+        beam, face = self.beam, self.face
+        if beam.centre[2] <= 0 or beam.axis[2] >= 0:
+            return
+        way = -beam.centre[2] / beam.axis[2]
+        off = float(np.linalg.norm((beam.centre + way * beam.axis)[:2]))
+        angle = math.acos(min(1.0, -float(beam.axis[2])))
+        wide = 3.0 if face.gaussian else 1.0
+        spread = math.tan(min(3 * beam.divergence, 1.5))
+        within = wide * face.radius + 3 * beam.radius + way * spread
+        if off <= within and angle <= wide * face.acceptance + 3 * beam.divergence:
+            raise ValueError(
+                "the receiver must not see the source: the beam's axis falls "
+                f"{off:.3g} m from the middle of its face, {math.degrees(angle):.3g} "
+                "deg to its axis, and light that arrives unscattered is not followed; "
+                "turn or move one of them, and add that light in closed form"
+            )
 
     def _refuse_behind(self, target: PlaneTarget) -> None:
         """Refuse a receiver or source that is not in front of the target."""
@@ -285,11 +308,22 @@ def water_tables(layers: tuple[Layer, ...], edges: Array) -> Water:
 
 
 @lru_cache(maxsize=8)
+def _cells_of(function: Any) -> AngleCells:
+    """Return the cells of a phase function or matrix; runs often share a water."""
+    matrix = isinstance(function, ScatteringMatrix)
+    return AngleCells(function.phase_function if matrix else function)
+
+
+@lru_cache(maxsize=8)
 def _angle_tables(function: Any) -> tuple[Array, Array, Array]:
-    """Return what angles are drawn from and looked up in; runs often share a water."""
-    matrix = function if isinstance(function, ScatteringMatrix) else None
-    cells = AngleCells(function.phase_function if matrix else function)
+    """Return what angles are drawn from and looked up in."""
+    cells = _cells_of(function)
     element = np.zeros((_cells.SIZE, 5))
-    if matrix is not None:
-        element[:] = cells.elements(matrix)
+    if isinstance(function, ScatteringMatrix):
+        element[:] = cells.elements(function)
     return cells.urn, cells.value, element
+
+
+def integrals_of(layers: tuple[Layer, ...]) -> tuple[float, ...]:
+    """Return the integral by which the phase function of each layer is divided [1]."""
+    return tuple(_cells_of(layer.phase_function).integral for layer in layers)

@@ -1,0 +1,138 @@
+"""A whole phase function for water of which a survey states moments only."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import brentq
+
+from amulor.errors import SurveyError
+from amulor.optics import phase_functions
+from amulor.optics.phase_functions.models import henyey_greenstein_function, isotropic
+from amulor.optics.phase_functions.phase_function import PhaseFunction
+from amulor.optics.phase_functions.tables import tabulated
+from amulor.survey.water import Water
+
+__all__ = ["phase_function_of"]
+
+#: Scattering beyond the split angle up to which a survey may call it none [1].
+NEGLIGIBLE = 0.02
+#: Range in which the shape k of the curve beyond the split angle is looked for.
+_LOWEST, _HIGHEST = -5.0, 12.0
+_POINTS = 2000
+
+Array = NDArray[np.float64]
+
+
+def phase_function_of(water: Water) -> PhaseFunction:
+    r"""Return the phase function of a survey's water, for photons to follow.
+
+    Parameters
+    ----------
+    water : Water
+        Water with an asymmetry, or with forward fraction, second moment and phase
+        function at 180 degrees.
+
+    Returns
+    -------
+    PhaseFunction
+        Henyey-Greenstein's, if an asymmetry is stated. If not, one that has the stated
+        moments: below the split angle Henyey-Greenstein's with the second moment, from
+        there on to the value at 180 degrees in a smooth curve that holds the rest of
+        the scattering.
+
+    Raises
+    ------
+    SurveyError
+        If no such function has these moments.
+
+    Notes
+    -----
+    With :math:`u = (\cos\theta_s - \cos\theta) / (\cos\theta_s + 1)`, from 0 at the
+    split angle to 1 straight back, :math:`\ln p` goes from its value at the split angle
+    to that at 180 degrees along a line in u (k = 0). With k above 0
+    :math:`4 k u (1 - u)` is added to it, with k below 0 it is a line in
+    :math:`u^{e^k}`; k is such that the integral is right. Water whose scattering
+    beyond the split angle is stated as less than any such curve holds has what the
+    line gives, if that is at most 2 % of it: light that comes back from it must have
+    been scattered there.
+    """
+    if water.scattering == 0:
+        return isotropic()
+    if water.asymmetry is not None:
+        return henyey_greenstein_function(asymmetry=water.asymmetry)
+    moment, fraction = water.second_moment, water.forward_fraction
+    backwards = water.phase_function_at_180
+    if not moment or not fraction or not backwards:
+        raise SurveyError(
+            "photon transport needs the whole phase function; it follows from a "
+            "second_moment, a forward_fraction and a phase_function_at_180 above 0, "
+            f"got {moment!r} rad^2, {fraction!r} and {backwards!r} 1/sr: state them, "
+            "or an asymmetry"
+        )
+    return _joined(moment, fraction, backwards, split=water.split_angle)
+
+
+def _joined(
+    moment: float, fraction: float, backwards: float, *, split: float
+) -> PhaseFunction:
+    """Return a phase function with three given moments."""
+    g = _asymmetry_of(moment, split=split)
+    forward = henyey_greenstein_function(asymmetry=g)
+    below, _ = forward.forward_split(split)
+    # Dense where the curve may fall steeply, at the split angle.
+    theta = split + (np.pi - split) * np.linspace(0, 1, _POINTS) ** 3
+    u = (math.cos(split) - np.cos(theta)) / (math.cos(split) + 1)
+    weight = 2 * np.pi * np.sin(theta)
+
+    def beyond(k: float, rest: float) -> Array:
+        start = (1 - rest) * float(forward(split)) / below
+        along = u ** math.exp(min(k, 0.0))
+        line = math.log(start) + along * math.log(backwards / start)
+        curve: Array = np.exp(line + 4 * max(k, 0.0) * u * (1 - u))
+        return curve
+
+    def excess(k: float, rest: float) -> float:
+        return float(np.trapezoid(weight * beyond(k, rest), theta)) - rest
+
+    rest, k = 1 - fraction, 0.0
+    if rest > 0 and excess(_LOWEST, rest) * excess(_HIGHEST, rest) < 0:
+        k = float(brentq(excess, _LOWEST, _HIGHEST, args=(rest,)))
+    else:
+        straight = float(brentq(lambda value: excess(0.0, value), 0.0, 1 - 1e-9))
+        if not (rest < straight <= NEGLIGIBLE):
+            raise SurveyError(
+                f"no smooth phase function has a forward_fraction of {fraction:g} with "
+                f"a phase_function_at_180 of {backwards:g} 1/sr and a second_moment of "
+                f"{moment:g} rad^2: these alone put {straight:.3g} of the scattering "
+                f"beyond {math.degrees(split):g} deg; state an asymmetry, or moments "
+                "that fit"
+            )
+        rest = straight
+    head = np.concatenate([[0.0], np.geomspace(1e-5, split, _POINTS)[:-1]])
+    return tabulated(
+        np.concatenate([head, theta]),
+        value=np.concatenate([(1 - rest) / below * forward(head), beyond(k, rest)]),
+        name=f"Henyey-Greenstein forwards (g = {g:.4f}), then to {backwards:g} 1/sr",
+    )
+
+
+def _asymmetry_of(moment: float, *, split: float) -> float:
+    """Return the asymmetry with a second moment below a split angle."""
+
+    def excess(g: float) -> float:
+        value = phase_functions.henyey_greenstein_second_moment(
+            asymmetry=g, split_angle=split
+        )
+        return float(value) - moment
+
+    lowest, highest = 0.0, 1 - 1e-7
+    if not excess(highest) < 0 < excess(lowest):
+        raise SurveyError(
+            f"second_moment must be from {moment + excess(highest):.3g} to "
+            f"{moment + excess(lowest):.3g} rad^2 for a Henyey-Greenstein peak below "
+            f"{math.degrees(split):g} deg, got {moment:g} rad^2"
+        )
+    return float(brentq(excess, lowest, highest, xtol=1e-12))
