@@ -37,7 +37,6 @@ def image(
     """
     from amulor import imaging, io
     from amulor.cli._arguments import interval_of
-    from amulor.cube import QualityFlag
 
     interval = interval_of(nearest, farthest)
     io.check_output(output, overwrite=overwrite, inputs=[cube])
@@ -46,8 +45,7 @@ def image(
     io.write_cube(result, output, overwrite=overwrite)
     usable = result["slant_range"].notnull()
     flags = result["quality_flag"]
-    ambiguous = result["quality_flag"].values & QualityFlag.AMBIGUOUS
-    if "interval_unsettled" in result.attrs and ambiguous.any():
+    if "interval_unsettled" in result.attrs:
         print(
             f"{output}: range image without a settled pixel: "
             f"{result.attrs['interval_unsettled']}; state --nearest and --farthest, no "

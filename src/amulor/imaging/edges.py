@@ -7,7 +7,6 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from amulor import cube as cubes
-from amulor.cube import QualityFlag
 
 Floats = NDArray[np.float64]
 
@@ -16,7 +15,7 @@ MIXED = "user_mixed"
 
 
 def mixed_pixels(
-    image: xr.Dataset, *, significance: float = 5.0, reach: int = 3
+    image: xr.Dataset, *, significance: float = 5.0, reach: int = 2
 ) -> NDArray[np.bool_]:
     r"""Return which pixels lie between two surfaces, where nothing is.
 
@@ -67,7 +66,7 @@ def mixed_pixels(
 
 
 def flag_mixed(
-    image: xr.Dataset, *, significance: float = 5.0, reach: int = 3
+    image: xr.Dataset, *, significance: float = 5.0, reach: int = 2
 ) -> xr.Dataset:
     """Return a range image with a map of the pixels whose beam meets two surfaces.
 
@@ -79,8 +78,7 @@ def flag_mixed(
     Returns
     -------
     xarray.Dataset
-        The image with the variable `user_mixed`, 1 where a pixel is mixed; there its
-        `quality_flag` says `MIXED` as well.
+        The image with the variable `user_mixed`, 1 where a pixel is mixed.
 
     Raises
     ------
@@ -94,12 +92,7 @@ def flag_mixed(
         mixed.astype(np.int8),
         {"long_name": "1 where a beam meets two surfaces at once", "units": "1"},
     )
-    flag = image["quality_flag"]
-    marked = np.where(found, flag.values | QualityFlag.MIXED, flag.values)
-    image = image.assign(
-        {MIXED: variable, "quality_flag": flag.copy(data=marked.astype(np.int16))}
-    )
-    return cubes.note(image, "mixed pixels marked")
+    return cubes.note(image.assign({MIXED: variable}), "mixed pixels marked")
 
 
 def _between(
