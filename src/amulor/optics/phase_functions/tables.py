@@ -270,7 +270,8 @@ def _slope_value(
     tiny = np.maximum(np.sin(angle / 2) ** 2, 1e-300)
     first = np.sin(node[0] / 2) ** 2
     position = np.log(np.clip(tiny, first, 1.0))
-    fraction, steepness = np.exp(curve(position)), curve(position, 1)
+    # The curve rises; where it is level, rounding may leave less than zero.
+    fraction, steepness = np.exp(curve(position)), np.maximum(curve(position, 1), 0.0)
     # d(solid angle) = 4 pi dh with h = sin^2(angle / 2).
     value = fraction * steepness / (4 * np.pi * np.maximum(tiny, first))
     head = (np.minimum(tiny, first) / first) ** (slope - 1)

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 from scipy import special
@@ -250,6 +250,7 @@ def test_a_further_point_on_the_line_changes_nothing(logs, angle, head):
 
 @settings(deadline=None, max_examples=25)
 @given(st.lists(st.floats(0.01, 1), min_size=7, max_size=7))
+@example([1.0, 0.75, 0.4375, 0.3828125, 0.20430530073197564, 0.8515625, 0.013671875])
 def test_shares_of_any_rising_table_are_kept(steps):
     share = np.cumsum(steps) / np.sum(steps)
     share[-1] = 1.0
