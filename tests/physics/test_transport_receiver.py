@@ -27,6 +27,9 @@ from amulor.transport import (
     simulate,
 )
 
+# Statistics of photons: part of a study, not what a change elsewhere needs.
+pytestmark = pytest.mark.slow
+
 SIGMAS = 4.0  # one in 16,000 comparisons of a right result is beyond
 INDEX = 1.33
 FREQUENCY = np.array([0.0, 20e6, 60e6])

@@ -18,6 +18,9 @@ from amulor.studies.ricci2010.scenes import milk_tank as tank
 from amulor.studies.ricci2010.study import Study
 from amulor.transport import Medium, PlaneTarget, ScatteringMatrix, Source, simulate
 
+# Parts of the published study: what a change elsewhere does not need.
+pytestmark = pytest.mark.slow
+
 pytest.importorskip("miepython")
 
 WAVE = 2 * np.pi * 39e6 * 1.34 / speed_of_light

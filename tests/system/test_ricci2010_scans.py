@@ -22,6 +22,9 @@ from amulor.studies.ricci2010.scenes import disc_scans, ladder_checks, ladder_sc
 from amulor.studies.ricci2010.study import Study
 from amulor.view.style import style
 
+# Parts of the published study: what a change elsewhere does not need.
+pytestmark = pytest.mark.slow
+
 FIGURES = (figure_05, figure_06, figure_13, figure_14, figure_15)
 #: Metres per second in vacuum, the paper's index, and its frequency [Hz].
 VELOCITY, FREQUENCY = 299_792_458 / 1.34, 39e6
