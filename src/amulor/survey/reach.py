@@ -1,0 +1,160 @@
+"""How near and how far the beams of a survey meet its own targets."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from amulor.optics import rays
+from amulor.survey.properties import water_properties
+from amulor.survey.survey import Survey
+from amulor.survey.target import Disc, Mesh, Plate, Staircase
+from amulor.survey.view import medium
+
+Floats = NDArray[np.float64]
+
+#: Beams of the scan that are followed, along each of its sides.
+_BEAMS = 65
+
+
+def target_reach(survey: Survey) -> tuple[float, float] | None:
+    """Return the nearest and the farthest slant range at which beams meet targets.
+
+    Parameters
+    ----------
+    survey : Survey
+        Its targets, its instrument and its scan count.
+
+    Returns
+    -------
+    tuple of float, or None
+        Nearest and farthest slant range [m]; None if no beam meets a target, or the
+        shape of one is in a file that cannot be read here.
+
+    Raises
+    ------
+    SurveyError
+        If the indices of the water cannot be computed.
+
+    Notes
+    -----
+    Every target stands in one box or a few: a plate is one without depth, a staircase
+    one for each tread, a disc one as deep as it is bent, a mesh one around all of it.
+    The beams are followed through these boxes, so the reach of a mesh may come out
+    larger than it is, and never smaller but for what stands between two of 65 x 65
+    beams.
+    """
+    boxes: list[tuple[Floats, Floats, Floats, Floats]] = []
+    for target in survey.targets:
+        shapes = _boxes(target)
+        if shapes is None:
+            return None
+        turn = _rotation(target.rotation)
+        boxes += [
+            (turn, np.asarray(target.position), low, high) for low, high in shapes
+        ]
+    if not boxes:
+        return None
+    beam = _beams(survey)
+    ranges = [beam.length_before[..., None] + _crossing(beam, *box) for box in boxes]
+    met = np.concatenate([each.ravel() for each in ranges])
+    met = met[np.isfinite(met)]
+    return (float(met.min()), float(met.max())) if met.size else None
+
+
+def _beams(survey: Survey) -> rays.Beam:
+    """Return beams spread evenly over the scan, its edges included."""
+    scan = survey.scan
+    across = np.linspace(-0.5, 0.5, min(scan.columns, _BEAMS))
+    down = np.linspace(0.5, -0.5, min(scan.rows, _BEAMS))
+    azimuth, elevation = np.meshgrid(
+        scan.azimuth
+        + (across if scan.columns > 1 else np.zeros(1)) * scan.azimuth_span,
+        scan.elevation + (down if scan.rows > 1 else np.zeros(1)) * scan.elevation_span,
+    )
+    return rays.enter_water(
+        survey.instrument.emitter.position,
+        rays.direction(azimuth, elevation),
+        medium=medium(survey, water_properties(survey)),
+    )
+
+
+def _crossing(
+    beam: rays.Beam, turn: Floats, position: Floats, low: Floats, high: Floats
+) -> Floats:
+    """Return where beams enter and leave a box, nan where they miss [m]."""
+    start = (beam.entry - position) @ turn
+    way = beam.direction @ turn
+    with np.errstate(divide="ignore", invalid="ignore"):
+        first, second = (low - start) / way, (high - start) / way
+    # A beam along a pair of faces is between them everywhere or nowhere.
+    inside = (start >= low) & (start <= high)
+    along = way == 0
+    near = np.where(along, np.where(inside, -np.inf, np.inf), np.fmin(first, second))
+    far = np.where(along, np.where(inside, np.inf, -np.inf), np.fmax(first, second))
+    enter, leave = near.max(axis=-1), far.min(axis=-1)
+    hit = (leave >= enter) & (leave >= 0)
+    ends = np.stack([np.maximum(enter, 0.0), leave], axis=-1)
+    return np.where(hit[..., None], ends, np.nan)
+
+
+def _rotation(angles: tuple[float, float, float]) -> Floats:
+    """Return turns about the axes right, down, forward, one after the other."""
+    turned = np.eye(3)
+    for axis, angle in enumerate(angles):
+        c, s = math.cos(angle), math.sin(angle)
+        i, j = (axis + 1) % 3, (axis + 2) % 3
+        step = np.eye(3)
+        step[i, i] = step[j, j] = c
+        step[i, j], step[j, i] = -s, s
+        turned = step @ turned
+    return turned
+
+
+def _boxes(
+    target: Plate | Staircase | Disc | Mesh,
+) -> list[tuple[Floats, Floats]] | None:
+    """Return the corners of boxes around a target in its own axes."""
+    if isinstance(target, Plate):
+        half = np.array([target.width / 2, target.height / 2, 0.0])
+        return [(-half, half)]
+    if isinstance(target, Staircase):
+        return _treads(target)
+    if isinstance(target, Disc):
+        radius = target.diameter / 2
+        bend = target.curvature_radius
+        depth = 0.0 if bend is None else bend - math.sqrt(bend**2 - radius**2)
+        return [(np.array([-radius, -radius, 0.0]), np.array([radius, radius, depth]))]
+    return _mesh(target)
+
+
+def _treads(target: Staircase) -> list[tuple[Floats, Floats]]:
+    levels = -np.concatenate([[0.0], np.cumsum(target.step_heights)])
+    left = (np.arange(len(levels)) - len(levels) / 2) * target.tread_width
+    half = target.height / 2
+    return [
+        (
+            np.array([edge, -half, level]),
+            np.array([edge + target.tread_width, half, level]),
+        )
+        for edge, level in zip(left, levels, strict=True)
+    ]
+
+
+def _mesh(target: Mesh) -> list[tuple[Floats, Floats]] | None:
+    try:
+        import trimesh
+
+        loaded: Any = trimesh.load(target.file, force="mesh")
+        corners = np.asarray(loaded.vertices)
+    # Without the extra, or far from the file, the shape is simply not known here;
+    # readers of four formats raise errors of many kinds.
+    except Exception:
+        return None
+    if corners.size == 0 or not np.all(np.isfinite(corners)):
+        return None
+    metres = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "inch": 0.0254}[target.unit]
+    return [(corners.min(axis=0) * metres, corners.max(axis=0) * metres)]
