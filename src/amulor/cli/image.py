@@ -45,6 +45,13 @@ def image(
     io.write_cube(result, output, overwrite=overwrite)
     usable = result["slant_range"].notnull()
     flags = result["quality_flag"]
+    if "interval_unsettled" in result.attrs:
+        print(
+            f"{output}: range image without a settled pixel: "
+            f"{result.attrs['interval_unsettled']}; state --nearest and --farthest, no "
+            "farther apart than that"
+        )
+        return
     if not usable.any():
         print(
             f"{output}: range image without a usable pixel; see: amulor info {output}"

@@ -41,6 +41,7 @@ def simulate(
     from amulor.simulation import DiffusionModel, SmallAngleModel
     from amulor.simulation import simulate as simulate_survey
     from amulor.survey import Survey
+    from amulor.survey.reach import unsettled_interval
 
     io.check_output(output, overwrite=overwrite, inputs=[survey])
     chosen = SmallAngleModel() if model == "small-angle" else DiffusionModel()
@@ -53,6 +54,11 @@ def simulate(
         raise SurveyError(f"{survey}: {problem}") from None
     io.write_cube(cube, output, overwrite=overwrite)
     print(f"{output}: {_sizes(cube.sizes)}")
+    reason = unsettled_interval(
+        described, modulation_frequency=described.instrument.modulation_frequencies
+    )
+    if reason and described.targets:
+        print(f"note: {reason}; amulor image will need --nearest and --farthest")
 
 
 def _sizes(sizes: object) -> str:

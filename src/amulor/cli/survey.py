@@ -26,6 +26,7 @@ def check(
 
     from amulor.optics import ranging
     from amulor.survey import Survey, water_properties
+    from amulor.survey.reach import repetition, target_reach, unsettled_interval
 
     survey = Survey.from_toml(file)
     water = water_properties(survey)
@@ -34,6 +35,8 @@ def check(
         float(ranging.ambiguity_interval(value, group_index=water.group_index))
         for value in frequencies
     ]
+    reach = target_reach(survey)
+    reason = unsettled_interval(survey, modulation_frequency=frequencies)
     scan = survey.scan
     samples = len(frequencies) * len(survey.instrument.polarizations)
     seconds = scan.rows * scan.columns * samples * scan.dwell
@@ -43,6 +46,11 @@ def check(
                 "survey": survey.model_dump(mode="python", exclude_none=True),
                 "water": asdict(water),
                 "ambiguity_interval_m": intervals,
+                "phases_repeat_after_m": repetition(
+                    frequencies, group_index=water.group_index
+                ),
+                "target_reach_m": reach,
+                "interval_unsettled": reason,
                 "scan_time_s": seconds,
             }
         )
@@ -58,6 +66,13 @@ def check(
     )
     for value, interval in zip(frequencies, intervals, strict=True):
         print(f"  {value / 1e6:g} MHz: unambiguous over {interval:.3f} m")
+    if reach is not None:
+        print(f"  beams meet targets at {reach[0]:.4g} to {reach[1]:.4g} m")
+    if reason and survey.targets:
+        print(
+            f"  warning: {reason}; add a frequency, or state --nearest and --farthest "
+            "in amulor image"
+        )
 
 
 def schema() -> None:

@@ -209,6 +209,9 @@ LEVELS = {
                 "slant_range_common_uncertainty": _optional(
                     _PIXEL, "m", "part of the uncertainty that all pixels share"
                 ),
+                "slant_range_wrong_interval": _optional(
+                    _PIXEL, "1", "probability of another ambiguity interval"
+                ),
                 "slant_range_photon_limit": _optional(
                     _PIXEL, "m", "uncertainty by photon counting alone"
                 ),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -10,9 +11,11 @@ from numpy.typing import NDArray
 
 from amulor import cube as cubes
 from amulor.cube import UNUSABLE, QualityFlag
-from amulor.errors import CubeError
+from amulor.errors import CubeError, SurveyError
 from amulor.imaging.geometry import beams_of, medium_of, receivers_of
 from amulor.optics import ambiguity, detection, ranging, rays
+from amulor.survey import Survey
+from amulor.survey.reach import unsettled_interval
 
 Floats = NDArray[np.float64]
 
@@ -32,13 +35,15 @@ def range_image(
     polarization : str, optional
         Channel to take; needed if there are several.
     interval : tuple of float, optional
-        Nearest and farthest slant range that are possible [m]. From 0 to the
-        unambiguous range of the frequencies by default.
+        Nearest and farthest slant range that are possible [m]. By default from 0 to
+        where the phases repeat, if the targets of the cube's survey lie in between.
 
     Returns
     -------
     xarray.Dataset
-        Level `range_image`. Pixels with an unusable flag hold no number.
+        Level `range_image`. Pixels with an unusable flag hold no number. Where neither
+        an interval nor the survey says which repetition of the phases is right, all
+        pixels are flagged `AMBIGUOUS`, and the attribute `interval_unsettled` says why.
 
     Raises
     ------
@@ -53,7 +58,8 @@ def range_image(
     geometry of emitter, receiver and window. `slant_range_uncertainty` comes from the
     uncertainty of the samples, `slant_range_photon_limit` is (2) with the photons that
     the target alone sent, `slant_range_bias` the shift by the water signal estimated
-    to be left in.
+    to be left in, `slant_range_wrong_interval` the probability that another interval
+    within the limits is the right one.
 
     References
     ----------
@@ -80,8 +86,25 @@ def range_image(
         longest=longest,
         doubt=np.nan_to_num(np.abs(shift), nan=np.inf),
     )
+    reason = "" if interval is not None else _unsettled(one)
+    if reason:
+        path = replace(path, settled=np.zeros_like(path.settled))
     image = image_of_path(one, path, interval=interval)
+    if reason:
+        image = image.assign_attrs(interval_unsettled=reason)
     return cubes.note(image, f"image, channel {image.attrs['polarization']}")
+
+
+def _unsettled(one: xr.Dataset) -> str:
+    """Return why phases alone do not tell the range; empty if the survey settles it."""
+    text = one.attrs.get("survey")
+    try:
+        survey = Survey.from_text(text) if text else None
+    except SurveyError:
+        survey = None
+    return unsettled_interval(
+        survey, modulation_frequency=one["modulation_frequency"].values
+    )
 
 
 def phase_errors(
@@ -159,6 +182,8 @@ def image_of_path(
         variance = variance - apart + together
         variables["slant_range_common_uncertainty"] = slope * np.sqrt(together)
     variables["slant_range"] = slant_range
+    if frequency.size > 1:
+        variables["slant_range_wrong_interval"] = path.wrong
     variables["slant_range_uncertainty"] = slope * np.sqrt(variance)
     if "photon_noise_volt" in one.attrs:
         variables["slant_range_photon_limit"] = _photon_limit(one, medium.group_index)

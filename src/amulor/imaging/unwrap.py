@@ -108,6 +108,7 @@ def unwrapped_range_image(
         uncertainty=sigma[0] * wavelength / (2 * np.pi),
         weight=np.ones((1, *phase.shape)),
         settled=settled,
+        wrong=np.where(settled, 0.0, 1.0),
     )
     image = image_of_path(one, chosen, interval=interval)
     return cubes.note(

@@ -33,6 +33,8 @@ class Path:
     """Weight of each frequency in the result, first axis the frequencies [1]."""
     settled: NDArray[np.bool_]
     """False where another interval fits about as well, or none fits."""
+    wrong: Floats
+    """Probability of another interval within the limits, for normal errors [1]."""
 
 
 def optical_path(
@@ -73,8 +75,10 @@ def optical_path(
     Each candidate is the path of the most precise frequency plus whole wavelengths of
     the modulation. It is refined by the weighted mean of all frequencies, unwrapped
     about it, and judged by the sum of squared phase errors: maximum likelihood for
-    normal errors. At the ends of a full ambiguity interval both ends are candidates,
-    so a path within a few standard errors of them is not settled.
+    normal errors. The same sums give the probability that another candidate is the
+    right one, all of them alike beforehand. At the ends of a full ambiguity interval
+    both ends are candidates, so a path within a few standard errors of them is not
+    settled.
     """
     wavelength = speed_of_light / modulation_frequency
     each = wavelength.reshape(-1, *[1] * (phase.ndim - 1))
@@ -96,6 +100,8 @@ def optical_path(
     lowest = np.full(nearest.shape, np.inf)
     second = np.full(nearest.shape, np.inf)
     strain = np.full(nearest.shape, np.inf)
+    # Likelihoods of all candidates over that of the best one so far.
+    total = np.zeros(nearest.shape)
     excused = 1 / (sigma**2 + (doubt * each / (2 * np.pi)) ** 2)
     for count in range(int(np.ceil(span + 1)) + 1):
         candidate = nearest + count * step
@@ -106,6 +112,10 @@ def optical_path(
         misfit = np.sum(error * precision, axis=0)
         misfit = np.where(candidate <= longest + slack, misfit, np.inf)
         better = misfit < lowest
+        with np.errstate(invalid="ignore"):
+            ratio = np.exp(-np.abs(misfit - lowest) / 2)
+        ratio = np.where(np.isfinite(misfit) & np.isfinite(lowest), ratio, 0.0)
+        total = np.where(better, 1 + ratio * total, total + ratio)
         second = np.where(better, lowest, np.minimum(second, misfit))
         length = np.where(better, refined, length)
         strain = np.where(better, np.sum(error * excused, axis=0), strain)
@@ -120,6 +130,7 @@ def optical_path(
         uncertainty=precision.sum(axis=0) ** -0.5,
         weight=weight,
         settled=settled,
+        wrong=np.where(total > 0, 1 - 1 / np.maximum(total, 1.0), 1.0),
     )
 
 

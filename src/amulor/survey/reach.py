@@ -1,4 +1,4 @@
-"""How near and how far the beams of a survey meet its own targets."""
+"""How near and how far a survey has its targets, and whether phases can tell."""
 
 from __future__ import annotations
 
@@ -6,9 +6,10 @@ import math
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
-from amulor.optics import rays
+from amulor.errors import SurveyError
+from amulor.optics import ranging, rays
 from amulor.survey.properties import water_properties
 from amulor.survey.survey import Survey
 from amulor.survey.target import Disc, Mesh, Plate, Staircase
@@ -63,6 +64,68 @@ def target_reach(survey: Survey) -> tuple[float, float] | None:
     met = np.concatenate([each.ravel() for each in ranges])
     met = met[np.isfinite(met)]
     return (float(met.min()), float(met.max())) if met.size else None
+
+
+def unsettled_interval(
+    survey: Survey | None, *, modulation_frequency: ArrayLike
+) -> str:
+    """Return why phases alone do not tell how far the targets of a survey are.
+
+    Parameters
+    ----------
+    survey : Survey or None
+        What is known of the targets; None if nothing is.
+    modulation_frequency : array_like, shape (n,)
+        Modulation frequencies, increasing [Hz].
+
+    Returns
+    -------
+    str
+        Empty if all targets that the survey describes lie within the range that the
+        frequencies settle; else what is known and what is missing.
+
+    Notes
+    -----
+    Phases repeat with the ambiguity interval of the smallest frequency, or of the
+    smallest difference of two. Which of the repetitions is right must be known: from
+    limits of the slant range that somebody states, or from the targets of the survey.
+    """
+    if survey is None:
+        return "nothing says how far the targets are"
+    try:
+        reach = target_reach(survey)
+        water = water_properties(survey)
+    except SurveyError as error:
+        return f"nothing says how far the targets are ({error})"
+    if reach is None:
+        return "the survey does not say how far the targets are"
+    period = repetition(modulation_frequency, group_index=water.group_index)
+    if reach[1] < period:
+        return ""
+    return (
+        f"the phases repeat after {period:.4g} m, and the targets of the survey are "
+        f"{reach[0]:.4g} to {reach[1]:.4g} m away"
+    )
+
+
+def repetition(modulation_frequency: ArrayLike, *, group_index: float) -> float:
+    """Return the distance after which the phases at all frequencies repeat.
+
+    Parameters
+    ----------
+    modulation_frequency : array_like, shape (n,)
+        Modulation frequencies, increasing [Hz].
+    group_index : float
+        Group index of the water [1].
+
+    Returns
+    -------
+    float
+        Ambiguity interval of the smallest frequency or difference of two [m].
+    """
+    frequency = np.atleast_1d(np.asarray(modulation_frequency, dtype=float))
+    smallest = np.min(np.append(np.diff(frequency), frequency[0]))
+    return float(ranging.ambiguity_interval(smallest, group_index=group_index))
 
 
 def _beams(survey: Survey) -> rays.Beam:

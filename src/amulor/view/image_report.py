@@ -94,7 +94,9 @@ def flag_sentence(image: xr.Dataset) -> str:
     ]
     listed = "; ".join(counts) if counts else "none"
     pixels = image["quality_flag"].size
-    return f"Grey pixels hold no range. Flags, of {pixels} pixels: {listed}."
+    reason = image.attrs.get("interval_unsettled", "")
+    unsettled = f" No range is settled: {reason}." if reason else ""
+    return f"Grey pixels hold no range. Flags, of {pixels} pixels: {listed}.{unsettled}"
 
 
 def _is_surface(image: xr.Dataset) -> bool:

@@ -124,3 +124,29 @@ def test_an_interval_without_end_is_refused() -> None:
             shortest=np.zeros(1),
             longest=np.full(1, 1e6),
         )
+
+
+@pytest.mark.parametrize("sigma", [0.25, 0.35])
+def test_the_stated_probability_of_a_wrong_interval_is_how_often_it_is_wrong(
+    sigma: float,
+) -> None:
+    rng = np.random.default_rng(8)
+    frequency = np.array([20e6, 80e6])
+    wavelength = 299792458.0 / frequency
+    # Four repetitions of 80 MHz in one of 20 MHz.
+    true = rng.uniform(1.0, 1.0 + wavelength[0], 40_000)
+    noise = sigma * rng.standard_normal((2, true.size))
+    found = optical_path(
+        2 * np.pi * true / wavelength[:, None] + noise,
+        np.full((2, true.size), sigma),
+        modulation_frequency=frequency,
+        shortest=np.full(true.size, 1.0),
+        longest=np.full(true.size, 1.0 + wavelength[0]),
+    )
+    wrong = np.abs(found.length - true) > wavelength[1] / 2
+    # Ten thousand and more in the middle, away from the ends of the limits.
+    inside = (true > 3.0) & (true < wavelength[0] - 1.0)
+    stated, happened = found.wrong[inside].mean(), wrong[inside].mean()
+    assert happened > 2e-3
+    chance = np.sqrt(happened / inside.sum())
+    assert abs(stated - happened) < 4 * chance + 0.05 * happened

@@ -10,6 +10,7 @@ from amulor.optics import ambiguity, detection, rays
 from amulor.rejection.covariance import Covariance
 from amulor.rejection.reference import column_fraction
 from amulor.survey import Survey, WaterProperties, water_properties
+from amulor.survey.reach import unsettled_interval
 from amulor.survey.view import medium
 
 
@@ -61,6 +62,10 @@ def hidden_fraction(
     survey = Survey.from_text(text, name="survey in the cube")
     water = water_properties(survey)
     depth = _depth(cube, target_signal, uncertainty, survey, water, interval)
+    if interval is None and unsettled_interval(
+        survey, modulation_frequency=cube["modulation_frequency"].values
+    ):
+        depth = np.full_like(depth, np.nan)
     settled = np.isfinite(depth)
     frequency = cube["modulation_frequency"].values
     fraction = np.full((frequency.size, *depth.shape), np.nan, dtype=complex)

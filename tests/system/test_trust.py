@@ -1,0 +1,87 @@
+"""Trust: what a user may believe of scenes that the methods were not made for."""
+
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from amulor import imaging, io, rejection
+from amulor.cli import main
+from amulor.cube import QualityFlag
+from amulor.studies.trust.scenes import models
+from amulor.studies.trust.study import run
+from amulor.studies.trust.surveys import plate, survey
+
+# Ambiguity --------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("count", [1, 2])
+def test_a_target_beyond_the_repetition_of_the_phases_is_never_trusted(
+    count: int,
+) -> None:
+    # 50 MHz repeat after 2.17 m and the plate stands at 3.0 m; 20 and 80 MHz repeat
+    # after 5.43 m and it stands at 6.2 m. Nobody states an interval.
+    methods = ["open-water 20 %", "polarization", "combined"]
+    for row in run(["far" if count == 1 else "far two"], methods):
+        assert row.score.pixels == 384
+        assert row.score.trusted == 0, row
+
+
+def test_the_same_pixels_are_right_once_the_interval_is_stated() -> None:
+    case = models.far(1, 1)
+    target = rejection.open_water(
+        case.samples, interval=(2.2, 3.8), column_uncertainty=0.2
+    )
+    image = imaging.range_image(target, polarization="VV", interval=(2.2, 3.8))
+    # Half a metre would be a wrong interval; noise and column are centimetres.
+    assert np.nanmax(np.abs(image["slant_range"] - case.surfaces[0])) < 0.1
+    assert (image["quality_flag"].values == 0).mean() > 0.9
+
+
+def test_commands_compare_the_interval_with_the_targets_of_the_survey(
+    tmp_path: Path, capsys
+) -> None:
+    text = survey(1, plate(3.0), columns=6, rows=4).to_toml()
+    (tmp_path / "far.toml").write_text(text)
+    assert main(["survey", "check", str(tmp_path / "far.toml")]) == 0
+    warned = " ".join(capsys.readouterr().out.split())
+    # c / 2 n f with n = 1.38: 2.172 m; the corner beams lean by 2.5 degrees.
+    assert "phases repeat after 2.172 m" in warned
+    farthest = 3 / math.cos(math.radians(2)) / math.cos(math.radians(1.5))
+    assert f"to {farthest:.4g} m away" in warned
+    cube, signal, image = (tmp_path / f"{name}.nc" for name in ("cube", "signal", "i"))
+    assert main(["simulate", str(tmp_path / "far.toml"), "-o", str(cube)]) == 0
+    assert "need --nearest and --farthest" in capsys.readouterr().out
+    options = ["--method", "open-water", "-o", str(signal)]
+    assert main(["reject", str(cube), *options]) == 0
+    chosen = ["image", str(signal), "--polarization", "VH", "-o"]
+    assert main([*chosen, str(image)]) == 0
+    said = " ".join(capsys.readouterr().out.split())
+    assert "without a settled pixel" in said
+    flags = io.read_cube(image)["quality_flag"].values
+    assert (flags & QualityFlag.AMBIGUOUS).all()
+    assert main(["report", str(image), "-o", str(tmp_path / "r.html")]) == 0
+    assert "No range is settled" in (tmp_path / "r.html").read_text()
+    limits = ["--nearest", "2.2 m", "--farthest", "3.8 m", "--overwrite"]
+    assert main([*chosen, str(image), *limits]) == 0
+    found = io.read_cube(image)["slant_range"].values
+    assert np.nanmedian(found) == pytest.approx(3.0, abs=0.05)
+
+
+def test_survey_check_says_the_reach_and_the_repetition_as_json(
+    tmp_path: Path, capsys
+) -> None:
+    file = tmp_path / "two.toml"
+    file.write_text(survey(2, plate(2.0)).to_toml())
+    assert main(["survey", "check", str(file), "--json"]) == 0
+    said = json.loads(capsys.readouterr().out)
+    assert said["interval_unsettled"] == ""
+    # 20 MHz is the smallest frequency and 60 MHz the difference.
+    assert said["phases_repeat_after_m"] == pytest.approx(
+        299792458.0 / (2 * 1.38 * 20e6)
+    )
+    assert said["target_reach_m"][0] == pytest.approx(2.0, rel=2e-3)
