@@ -12,6 +12,7 @@ import pytest
 from amulor import imaging, io, rejection
 from amulor.cli import main
 from amulor.cube import QualityFlag
+from amulor.simulation import simulate
 from amulor.studies.trust.scenes import models
 from amulor.studies.trust.study import run
 from amulor.studies.trust.surveys import plate, survey
@@ -85,3 +86,39 @@ def test_survey_check_says_the_reach_and_the_repetition_as_json(
         299792458.0 / (2 * 1.38 * 20e6)
     )
     assert said["target_reach_m"][0] == pytest.approx(2.0, rel=2e-3)
+
+
+# Phantoms ---------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("count", [1, 2, 4])
+def test_empty_water_shows_no_target(count: int) -> None:
+    methods = ["open-water 20 %", "combined"]
+    for seed in (1, 2):
+        for row in run(["empty"], methods, [count], seed=seed):
+            assert row.score.empty == 384
+            # 1 in 100,000 is what is promised, of some 4,600 pixels in all.
+            assert row.score.phantoms == 0, row
+
+
+@pytest.mark.parametrize("count", [1, 2])
+def test_a_black_surface_ends_the_water_and_is_no_target(count: int) -> None:
+    cube = simulate(survey(count, plate(2.6, lean=20)), rng=1)
+    dark = cube.assign(
+        {
+            part: cube[part].copy(data=cube[part] - cube[f"truth_target_{part}"])
+            for part in ("in_phase", "quadrature")
+        }
+    )
+    target = rejection.open_water(dark, interval=(1.7, 3.5), column_uncertainty=0.2)
+    flags = target["quality_flag"].values
+    assert ((flags & QualityFlag.NO_TARGET) != 0).mean() > 0.999
+    image = imaging.range_image(target, polarization="VV", interval=(1.7, 3.5))
+    assert np.isnan(image["slant_range"]).all()
+
+
+def test_weak_targets_are_still_seen() -> None:
+    # A plate of 1 % sends back less than the water in front of it.
+    rows = run(["dark"], ["open-water 20 %", "combined"], [1, 4])
+    assert all(row.score.trusted > 0.98 for row in rows), rows
+    assert all(row.score.inside_95 > 0.93 for row in rows), rows

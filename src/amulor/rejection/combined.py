@@ -132,6 +132,11 @@ def combined(
         open_water_drift=left.attrs["open_water_drift"],
         open_water_drift_uncertainty=left.attrs["open_water_drift_uncertainty"],
     )
+    # Whether there is a target was decided before a column was put back.
+    hidden = [part["quality_flag"].values & QualityFlag.NO_TARGET for part in parts]
+    result = quality.add(
+        result, QualityFlag.NO_TARGET, ((hidden[0] & hidden[1]) != 0)[:, None]
+    )
     if water_change == 0:
         # Nothing here makes up for a reference that is doubtful.
         flags = [

@@ -11,6 +11,7 @@ from amulor.rejection import quality
 from amulor.rejection.build import target_cube
 from amulor.rejection.covariance import along, covariance_of
 from amulor.rejection.reference.before_target import water_before_target
+from amulor.rejection.reference.presence import shows_target
 
 
 def open_water(
@@ -66,7 +67,8 @@ def open_water(
     is spread evenly over its size, and flags `WATER_RESIDUAL` where half of it moves
     the phase by more than all other errors. So does, with two frequencies or channels
     at least, a remainder that has the shape of the water signal itself: the reference
-    is of other water there.
+    is of other water there. `NO_TARGET` is decided before any column is put back, see
+    `amulor.rejection.reference.presence.shows_target`.
 
     References
     ----------
@@ -76,6 +78,7 @@ def open_water(
     cube = cubes.checked(cube, "samples")
     _refuse_odd_fraction(column_uncertainty)
     water = water_before_target(cube, interval=interval)
+    seen = shows_target(cube, water, interval=interval)
     target, water_signal, common = water.difference, water.to_the_end, water.common
     known = covariance_of(cube) + common
     residual = None
@@ -109,7 +112,8 @@ def open_water(
             [abs(fit.drift.uncertainty) for fit in water.fits]
         ),
     )
-    return quality.add(result, QualityFlag.WATER_RESIDUAL, moved | other)
+    result = quality.add(result, QualityFlag.WATER_RESIDUAL, moved | other)
+    return quality.add(result, QualityFlag.NO_TARGET, ~seen)
 
 
 def _refuse_odd_fraction(column_uncertainty: float | None) -> None:

@@ -1,0 +1,267 @@
+"""Whether samples show a target at all, or only water that ends somewhere."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+from scipy.constants import speed_of_light
+
+from amulor.rejection.covariance import Covariance, along, covariance_of
+from amulor.rejection.reference import column_fraction
+from amulor.rejection.reference.before_target import WaterBeforeTarget
+from amulor.rejection.reference.shots import fluctuation_of
+from amulor.survey import Survey, water_properties
+
+Floats = NDArray[np.float64]
+Complex = NDArray[np.complex128]
+
+#: Empty water passes for a target with this probability, for normal errors [1].
+SIZE = 1e-5
+#: Relative standard deviation by which open water may depart from the shots [1].
+DEPARTURE = 0.05
+#: Steps of the depth at which the water may end, in a period of the highest frequency.
+_PER_PERIOD = 12
+#: Beyond this depth nothing is taken to end the water, in lengths of 1 / k' [1].
+_DEEPEST = 8.0
+#: Directions along each side of the scan at which cut columns are computed.
+_DIRECTIONS = 5
+#: Pixels worked on at once: this bounds the memory.
+_AT_ONCE = 8192
+
+
+def shows_target(
+    cube: xr.Dataset,
+    water: WaterBeforeTarget,
+    *,
+    interval: tuple[float, float] | None,
+) -> NDArray[np.bool_]:
+    r"""Return which pixels no open water explains.
+
+    Parameters
+    ----------
+    cube : xarray.Dataset
+        Level `samples`.
+    water : WaterBeforeTarget
+        Its open water, and what subtracting all of it left.
+    interval : tuple of float, optional
+        Nearest and farthest slant range at which anything may stand [m].
+
+    Returns
+    -------
+    ndarray of bool, shape (row, column)
+        False where the samples are open water as the shots have it, of up to a few
+        times `DEPARTURE` more or less, or the same water cut off by something that
+        sends nothing back (a shadow, a black surface).
+
+    Notes
+    -----
+    The hypothesis "no target" is tested before any column is put back: the smallest
+    chi-square over the depths at which the water may end, with a common factor of the
+    water that has the standard deviation `DEPARTURE`, against twice as many degrees of
+    freedom as there are samples. It is refused in `SIZE` of the pixels at most where
+    it is true. Errors are those of the samples and of the reference, the fluctuation
+    and the drift of the whole column. Cut columns come from the survey of the cube;
+    without one, only the whole column counts.
+    """
+    from scipy.stats import chi2
+
+    whole = water.to_the_end
+    frequencies, channels, *shape = whole.shape
+    errors = covariance_of(cube) + water.common + fluctuation_of(water.fits, whole)
+    saturated = cube["saturated"].values != 0 if "saturated" in cube else None
+    cut = _cut_columns(cube, interval)
+    largest = None if cut is None else np.abs(cut.fractions).max(axis=(1, 2, 3))
+    which = np.repeat(np.arange(frequencies), channels)
+
+    def flat(values: NDArray[Any]) -> NDArray[Any]:
+        return values.reshape(frequencies * channels, -1)
+
+    left, column = flat(water.difference), flat(whole)
+    drift = flat(water.drift)
+    parts = [flat(each) for each in (errors.in_phase, errors.quadrature, errors.cross)]
+    seen = np.zeros(left.shape[1], dtype=bool)
+    for first in range(0, seen.size, _AT_ONCE):
+        chosen = slice(first, first + _AT_ONCE)
+        own = _problem(
+            left[:, chosen],
+            column[:, chosen],
+            Covariance(*(each[:, chosen] for each in parts))
+            + along(drift * column[:, chosen], 12**-0.5),
+            which,
+            None if saturated is None else flat(saturated)[:, chosen],
+        )
+        limit = chi2.isf(SIZE, 2 * np.arange(len(which) + 1))[own.count]
+        found = (own.misfit(np.zeros((1, 1))) > limit) & (own.count > 0)
+        if cut is not None and largest is not None:
+            open_to_doubt = found & ~(own.surely_more_than(largest) > limit)
+            some = np.flatnonzero(open_to_doubt)
+            if some.size:
+                few = own.part(some)
+                best = np.min(
+                    [few.misfit(each) for each in cut.at(first + some)], axis=0
+                )
+                found[some] = best > limit[some]
+        seen[chosen] = found
+    return seen.reshape(shape)
+
+
+def _problem(
+    left: Complex,
+    water: Complex,
+    errors: Covariance,
+    frequency: NDArray[np.intp],
+    saturated: NDArray[np.bool_] | None,
+) -> _Problem:
+    """Return samples with the inverse covariances of those that count."""
+    determinant = errors.in_phase * errors.quadrature - errors.cross**2
+    use = np.isfinite(left) & np.isfinite(water) & (determinant > 0)
+    if saturated is not None:
+        use &= ~saturated
+    scale = np.divide(1.0, determinant, out=np.zeros(left.shape), where=use)
+    return _Problem(
+        left=np.where(use, left, 0),
+        water=np.where(use, water, 0),
+        in_phase=scale * errors.quadrature,
+        quadrature=scale * errors.in_phase,
+        cross=-scale * errors.cross,
+        frequency=frequency,
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Problem:
+    """Samples of many pixels, arrays over (sample, pixel)."""
+
+    left: Complex
+    """Samples less the whole column, 0 where one does not count [V]."""
+    water: Complex
+    """The whole column, likewise [V]."""
+    in_phase: Floats
+    """Elements of the inverse covariances, 0 where a sample does not count [1/V^2]."""
+    quadrature: Floats
+    cross: Floats
+    frequency: NDArray[np.intp]
+    """Which modulation frequency each sample has."""
+
+    @property
+    def count(self) -> NDArray[np.intp]:
+        """Samples that count, pixel by pixel."""
+        return np.asarray((self.in_phase > 0).sum(axis=0))
+
+    def part(self, chosen: NDArray[np.intp]) -> _Problem:
+        """Return some of the pixels."""
+        return _Problem(
+            left=self.left[:, chosen],
+            water=self.water[:, chosen],
+            in_phase=self.in_phase[:, chosen],
+            quadrature=self.quadrature[:, chosen],
+            cross=self.cross[:, chosen],
+            frequency=self.frequency,
+        )
+
+    def misfit(self, fractions: Complex | Floats) -> Floats:
+        """Return the chi-square of water without a fraction of its column.
+
+        `fractions` are over (frequency, pixel), or one for all.
+        """
+        hidden = fractions if fractions.size == 1 else fractions[self.frequency]
+        rest = self.left + hidden * self.water
+        front = self.water - hidden * self.water
+        along_front = self._product(front, rest)
+        own = self._product(front, front) + DEPARTURE**-2
+        misfit: Floats = self._product(rest, rest) - along_front**2 / own
+        return misfit
+
+    def surely_more_than(self, fractions: Floats) -> Floats:
+        """Return a chi-square that no cut within the given fractions can undercut."""
+        # The water in front of a cut may depart by five times what is expected.
+        allowed = fractions[self.frequency][:, None] + 5 * DEPARTURE
+        free = np.maximum(np.abs(self.left) - allowed * np.abs(self.water), 0.0)
+        # The smallest eigenvalue of the inverse covariance.
+        mean = (self.in_phase + self.quadrature) / 2
+        spread = np.hypot((self.in_phase - self.quadrature) / 2, self.cross)
+        total: Floats = np.sum((mean - spread) * free**2, axis=0)
+        return total
+
+    def _product(self, first: Complex, second: Complex) -> Floats:
+        each = (
+            self.in_phase * first.real * second.real
+            + self.quadrature * first.imag * second.imag
+            + self.cross * (first.real * second.imag + first.imag * second.real)
+        )
+        summed: Floats = each.sum(axis=0)
+        return summed
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Cut:
+    """Fractions of the open water from behind cuts, on a grid of directions."""
+
+    fractions: Complex
+    """Shape (frequency, depth, elevation node, azimuth node) [1]."""
+    up: Floats
+    """Place of each pixel among the nodes of the elevation, from 0 on [1]."""
+    across: Floats
+    """Place among those of the azimuth [1]."""
+
+    def at(self, chosen: NDArray[np.intp]) -> list[Complex]:
+        """Return fractions over (frequency, pixel), one array for each depth."""
+        i, u = _between(self.up[chosen], self.fractions.shape[2])
+        j, v = _between(self.across[chosen], self.fractions.shape[3])
+        last = self.fractions.shape[2] - 1, self.fractions.shape[3] - 1
+        below, right = np.minimum(i + 1, last[0]), np.minimum(j + 1, last[1])
+        return [
+            (1 - u) * ((1 - v) * each[:, i, j] + v * each[:, i, right])
+            + u * ((1 - v) * each[:, below, j] + v * each[:, below, right])
+            for each in self.fractions.transpose(1, 0, 2, 3)
+        ]
+
+
+def _between(place: Floats, count: int) -> tuple[NDArray[np.intp], Floats]:
+    first = np.clip(np.floor(place).astype(np.intp), 0, max(count - 2, 0))
+    return first, place - first
+
+
+def _cut_columns(cube: xr.Dataset, interval: tuple[float, float] | None) -> _Cut | None:
+    """Return cut columns from the survey of a cube; None without one."""
+    text = cube.attrs.get("survey")
+    if not text:
+        return None
+    survey = Survey.from_text(text, name="survey in the cube")
+    properties = water_properties(survey)
+    frequency = cube["modulation_frequency"].values
+    nearest, farthest = (0.0, np.inf) if interval is None else interval
+    loss = max(properties.reduced_attenuation, 1e-3)
+    end = np.inf if survey.water.column_end is None else survey.water.column_end
+    deepest = min(farthest, nearest + _DEEPEST / loss, end)
+    period = speed_of_light / (2 * properties.group_index * frequency.max())
+    count = int(np.ceil((deepest - nearest) / period * _PER_PERIOD)) + 2
+    depth = np.linspace(nearest, max(deepest, nearest), count)
+    up, elevation = _nodes(cube["elevation"].values)
+    across, azimuth = _nodes(cube["azimuth"].values)
+    grid = np.meshgrid(depth, elevation, azimuth, indexing="ij")
+    fractions = column_fraction.fractions(
+        survey,
+        grid[2].ravel(),
+        grid[1].ravel(),
+        grid[0].ravel(),
+        modulation_frequency=frequency,
+    )
+    return _Cut(
+        fractions=fractions.reshape(frequency.size, *grid[0].shape),
+        up=up,
+        across=across,
+    )
+
+
+def _nodes(values: Floats) -> tuple[Floats, Floats]:
+    """Return where pixels stand among even nodes over their span, and the nodes."""
+    low, high = float(values.min()), float(values.max())
+    if high - low < 1e-9:
+        return np.zeros(values.size), np.array([low])
+    nodes = np.linspace(low, high, _DIRECTIONS)
+    return (values.ravel() - low) / (high - low) * (_DIRECTIONS - 1), nodes
