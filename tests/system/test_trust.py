@@ -122,3 +122,37 @@ def test_weak_targets_are_still_seen() -> None:
     rows = run(["dark"], ["open-water 20 %", "combined"], [1, 4])
     assert all(row.score.trusted > 0.98 for row in rows), rows
     assert all(row.score.inside_95 > 0.93 for row in rows), rows
+
+
+# Interpolation between the shots ----------------------------------------------------
+
+
+@pytest.mark.parametrize("count", [1, 2])
+def test_three_rows_of_shots_on_a_tall_scan_state_what_they_cannot_know(
+    count: int,
+) -> None:
+    # 9 x 3 shots on 9 x 19 degrees: the field of view falls off within half of that.
+    for row in run(["tall"], ["open-water 20 %", "combined"], [count]):
+        assert row.score.trusted > 0.9, row
+        assert row.score.inside_95 > 0.93, row
+        assert row.score.far < 0.003, row
+        assert row.score.phantoms < 0.01, row
+
+
+def test_survey_check_asks_for_denser_shots_where_the_scan_is_tall(
+    tmp_path: Path, capsys
+) -> None:
+    said = {}
+    for name, options in {
+        "small": {},
+        "tall": {"wide": 4, "tall": 12},
+        "too tall": {"wide": 9, "tall": 19},
+    }.items():
+        file = tmp_path / f"{name}.toml"
+        file.write_text(survey(1, plate(1.5), **options).to_toml())
+        assert main(["survey", "check", str(file)]) == 0
+        said[name] = " ".join(capsys.readouterr().out.split())
+    assert "open-water shots miss" not in said["small"]
+    assert "9 x 3 open-water shots miss up to" in said["tall"]
+    assert "plan at least 9 x 5 directions" in said["tall"]
+    assert "split it into parts" in said["too tall"]

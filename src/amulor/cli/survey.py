@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import Parameter
 
 from amulor.cli._output import print_json
+
+if TYPE_CHECKING:
+    from amulor.rejection.reference.grid import Plan
+    from amulor.survey import Scan
 
 
 def check(
@@ -25,6 +29,7 @@ def check(
     from dataclasses import asdict
 
     from amulor.optics import ranging
+    from amulor.rejection.reference.grid import LARGEST_ERROR, judge_plan
     from amulor.survey import Survey, water_properties
     from amulor.survey.reach import repetition, target_reach, unsettled_interval
 
@@ -37,6 +42,7 @@ def check(
     ]
     reach = target_reach(survey)
     reason = unsettled_interval(survey, modulation_frequency=frequencies)
+    plan = judge_plan(survey)
     scan = survey.scan
     samples = len(frequencies) * len(survey.instrument.polarizations)
     seconds = scan.rows * scan.columns * samples * scan.dwell
@@ -51,6 +57,7 @@ def check(
                 ),
                 "target_reach_m": reach,
                 "interval_unsettled": reason,
+                "open_water_plan": None if plan is None else asdict(plan),
                 "scan_time_s": seconds,
             }
         )
@@ -68,11 +75,26 @@ def check(
         print(f"  {value / 1e6:g} MHz: unambiguous over {interval:.3f} m")
     if reach is not None:
         print(f"  beams meet targets at {reach[0]:.4g} to {reach[1]:.4g} m")
+    if plan is not None and plan.error > LARGEST_ERROR:
+        _warn_of_sparse_shots(scan, plan)
     if reason and survey.targets:
         print(
             f"  warning: {reason}; add a frequency, or state --nearest and --farthest "
             "in amulor image"
         )
+
+
+def _warn_of_sparse_shots(scan: Scan, plan: Plan) -> None:
+    shots = scan.open_water
+    assert shots is not None
+    remedy = "no grid of shots is enough for so wide a scan: split it into parts"
+    if plan.enough is not None:
+        columns, rows = plan.enough
+        remedy = f"plan at least {columns} x {rows} directions (scan.open_water)"
+    print(
+        f"  warning: {shots.columns} x {shots.rows} open-water shots miss up to "
+        f"{plan.error:.1%} of the water signal between them; {remedy}"
+    )
 
 
 def schema() -> None:

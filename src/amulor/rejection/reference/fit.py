@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from amulor.rejection.covariance import Covariance
+from amulor.rejection.reference import interpolation
 
 Floats = NDArray[np.float64]
 Complex = NDArray[np.complex128]
@@ -91,7 +92,9 @@ def fit(
     the scatter of repeated shots, passes an F test: a misfit that the test does not
     see is as large as the error itself, and the next degree takes most of it. What
     the shots scatter beyond their stated error is a fluctuation of the water, taken as
-    proportional to its signal.
+    proportional to its signal. How far the polynomial may be off between the shots is
+    told by a second one through their logarithms: the difference of the two counts as
+    a standard error, see `interpolation.disagreement`.
     """
     if len(shots) < FEWEST_SHOTS:
         raise ValueError(f"a reference needs {FEWEST_SHOTS} shots, got {len(shots)}")
@@ -121,9 +124,17 @@ def fit(
         unsure * (gain * part) @ gain.T
         for part in (total.in_phase, total.quadrature, total.cross)
     ]
-    # One product of real matrices for all: coefficients, then the three covariances.
+    second = _logarithmic(shots, variance, where, chosen)
+    along = np.zeros(len(chosen), dtype=complex) if second is None else second[0]
+    # One product of real matrices for all: coefficients, logarithms, covariances.
     table = np.hstack(
-        [coefficients.real[:, None], coefficients.imag[:, None], *spreads]
+        [
+            coefficients.real[:, None],
+            coefficients.imag[:, None],
+            along.real[:, None],
+            along.imag[:, None],
+            *spreads,
+        ]
     )
     signal = np.empty(len(pixel_direction), dtype=complex)
     common = [np.empty(len(pixel_direction)) for _ in spreads]
@@ -132,9 +143,16 @@ def fit(
         at_pixels = _design((pixel_direction[part] - centre) / scale, chosen)
         product = at_pixels @ table
         signal[part] = product[:, 0] + 1j * product[:, 1]
-        sides = product[:, 2:].reshape(len(at_pixels), len(spreads), -1)
+        sides = product[:, 4:].reshape(len(at_pixels), len(spreads), -1)
         for k, values in enumerate(common):
             values[part] = np.einsum("ij,ij->i", sides[:, k], at_pixels)
+        if second is not None:
+            off = interpolation.disagreement(
+                signal[part], product[:, 2] + 1j * product[:, 3], second[1]
+            )
+            common[0][part] += off.real**2
+            common[1][part] += off.imag**2
+            common[2][part] += off.real * off.imag
     return Reference(
         signal=signal,
         common=Covariance(*common),
@@ -142,6 +160,54 @@ def fit(
         degree=int(degree),
         drift=_drift(shots, level, where),
     )
+
+
+def noiseless(
+    signal: Complex, repeats: int, shot_direction: Floats, pixel_direction: Floats
+) -> Complex:
+    """Return what the polynomial of the highest degree makes of shots without noise.
+
+    Parameters
+    ----------
+    signal : ndarray of complex, shape (k, n)
+        Water signals at the directions of the shots [V].
+    repeats : int
+        Shots in each direction.
+    shot_direction : ndarray, shape (n, 2)
+        Azimuth and elevation of the shots [rad].
+    pixel_direction : ndarray, shape (m, 2)
+        Azimuth and elevation of the pixels [rad].
+
+    Returns
+    -------
+    ndarray of complex, shape (k, m)
+        The polynomials at the pixels [V].
+    """
+    centre, scale = _frame(shot_direction)
+    where = (shot_direction - centre) / scale
+    powers = _powers(where)
+    order = powers.sum(axis=1)
+    shots = repeats * len(where)
+    highest = max(d for d in range(int(order.max()) + 1) if _fits(order, d, shots))
+    chosen = powers[order <= highest]
+    coefficients = np.linalg.lstsq(_design(where, chosen), signal.T, rcond=None)[0]
+    at_pixels = _design((pixel_direction - centre) / scale, chosen)
+    return np.asarray((at_pixels @ coefficients).T)
+
+
+def _logarithmic(
+    shots: Complex, variance: Floats, where: Floats, powers: NDArray[np.intp]
+) -> tuple[Complex, complex] | None:
+    """Return the polynomial of the logarithms, and what they are relative to."""
+    places, group = np.unique(np.round(where, 9), axis=0, return_inverse=True)
+    if len(places) < max(2, len(powers)):
+        return None
+    found = interpolation.logarithms(shots, variance, group.ravel())
+    if found is None:
+        return None
+    design = _design(places, powers)
+    coefficients = np.linalg.lstsq(design, found[0], rcond=None)[0]
+    return np.asarray(coefficients, dtype=np.complex128), found[1]
 
 
 def _drift(shots: Complex, level: Complex, where: Floats) -> Drift:

@@ -1,0 +1,65 @@
+"""What a polynomial misses between the shots is stated by a second one."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from amulor.rejection.covariance import Covariance
+from amulor.rejection.reference import interpolation
+from amulor.rejection.reference.fit import fit
+
+
+def _directions(columns: int, rows: int, wide: float, tall: float) -> np.ndarray:
+    across, up = np.meshgrid(
+        np.linspace(-wide, wide, columns), np.linspace(-tall, tall, rows)
+    )
+    return np.stack([across.ravel(), up.ravel()], axis=1)
+
+
+def _gaussian(places: np.ndarray, width: float) -> np.ndarray:
+    """Return a signal that falls off as a Gaussian, with a phase that turns a bit."""
+    square = (places**2).sum(axis=1)
+    return np.exp(-square / width**2 + 0.4j * places[:, 0] / width)
+
+
+@pytest.mark.parametrize("tall", [0.7, 1.0, 1.5])
+def test_the_error_between_three_rows_is_within_what_is_stated(tall: float) -> None:
+    rng = np.random.default_rng(1)
+    places = np.repeat(_directions(9, 3, 0.5, tall), 10, axis=0)
+    noise = 1e-3 * rng.standard_normal((2, len(places)))
+    shots = _gaussian(places, 1.0) + noise[0] + 1j * noise[1]
+    variance = np.full(len(shots), 1e-6)
+    pixels = _directions(21, 41, 0.5, tall)
+    found = fit(shots, Covariance(variance, variance, 0 * variance), places, pixels)
+    off = found.signal - _gaussian(pixels, 1.0)
+    stated = np.sqrt(found.common.in_phase + found.common.quadrature)
+    # The exact curve lies next to the second polynomial: one sigma, and its noise.
+    assert np.max(np.abs(off) / np.hypot(stated, 5e-4)) < 2
+    # From 2 % to a third of the signal, and none of it was stated before.
+    assert np.abs(off).max() > 0.01
+
+
+def test_dense_shots_state_no_more_than_their_noise() -> None:
+    rng = np.random.default_rng(2)
+    places = np.repeat(_directions(9, 5, 0.2, 0.2), 10, axis=0)
+    noise = 1e-3 * rng.standard_normal((2, len(places)))
+    shots = _gaussian(places, 1.0) + noise[0] + 1j * noise[1]
+    variance = np.full(len(shots), 1e-6)
+    pixels = _directions(21, 21, 0.2, 0.2)
+    found = fit(shots, Covariance(variance, variance, 0 * variance), places, pixels)
+    stated = np.sqrt(found.common.in_phase)
+    # 450 shots of 1e-3 for up to 15 coefficients.
+    assert np.median(stated) < 3e-4
+
+
+def test_what_drowns_in_noise_has_no_logarithm() -> None:
+    rng = np.random.default_rng(3)
+    shots = rng.standard_normal(60) + 1j * rng.standard_normal(60)
+    group = np.repeat(np.arange(6), 10)
+    assert interpolation.logarithms(shots, np.full(60, 2.0), group) is None
+    strong = interpolation.logarithms(shots + 100, np.full(60, 2.0), group)
+    assert strong is not None
+    np.testing.assert_allclose(
+        strong[1] * np.exp(strong[0]), (shots + 100).reshape(6, 10).mean(axis=1)
+    )
