@@ -156,3 +156,34 @@ def test_survey_check_asks_for_denser_shots_where_the_scan_is_tall(
     assert "9 x 3 open-water shots miss up to" in said["tall"]
     assert "plan at least 9 x 5 directions" in said["tall"]
     assert "split it into parts" in said["too tall"]
+
+
+# The column behind the target -------------------------------------------------------
+
+
+@pytest.mark.parametrize("scene", ["flat", "a, b doubled", "a, b halved", "coastal"])
+def test_open_water_by_default_is_trusted_and_holds_whatever_the_survey_says(
+    scene: str,
+) -> None:
+    # Nothing was trusted by default; with a survey twice off, 12 sigma were.
+    for row in run([scene], ["open-water", "combined"], [1, 2, 16]):
+        assert row.score.trusted > 0.95, row
+        # 384 pixels, and an error that they share: three points of chance.
+        assert row.score.inside_95 > 0.92, row
+        assert row.score.inside_68 > 0.60, row
+        assert row.score.worst < 4.2, row
+
+
+def test_water_of_another_model_is_in_the_error_of_the_column() -> None:
+    # The whole phase function, where 95 % intervals held in 0 to 1 % of the pixels.
+    for row in run(["small-angle 90"], ["open-water", "combined"], [2, 16]):
+        assert row.score.trusted > 0.95, row
+        assert row.score.inside_95 > 0.93, row
+        assert row.score.worst < 3.8, row
+
+
+def test_dark_treads_and_risers_are_right_or_flagged() -> None:
+    for row in run(["stairs"], ["open-water", "combined"], [2, 16]):
+        assert row.score.trusted > 0.9, row
+        assert row.score.inside_95 > 0.92, row
+        assert row.score.worst < 4.2, row

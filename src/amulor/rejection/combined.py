@@ -29,7 +29,7 @@ def combined(
     target_ratio: float | None = None,
     target_ratio_uncertainty: float = 0.0,
     water_change: float = 0.0,
-    column_uncertainty: float = 0.2,
+    column_uncertainty: float | None = None,
 ) -> xr.Dataset:
     r"""Subtract open water in each channel, then unmix what is left.
 
@@ -49,7 +49,7 @@ def combined(
         Relative standard deviation by which the water signal at a pixel may differ from
         the reference in both channels alike, beyond its fluctuation from sample to
         sample [1]. The larger, the more the result rests on polarization.
-    column_uncertainty : float
+    column_uncertainty : float, optional
         As in `open_water` [1].
 
     Returns

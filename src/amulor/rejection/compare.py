@@ -24,8 +24,6 @@ from amulor.rejection.polarization import cross_polarized, unmix
 Floats = NDArray[np.float64]
 Interval = tuple[float, float] | None
 
-#: What the survey says about the water behind a target is taken as that sure [1].
-_COLUMN_UNCERTAINTY = 0.2
 #: A method must use this fraction of the pixels that the best one uses [1].
 _USES_ENOUGH = 0.9
 #: Errors closer than this count as equal: the simpler method wins [1].
@@ -104,15 +102,6 @@ def _cross_polarized(cube: xr.Dataset, interval: Interval) -> xr.Dataset:
     return cross_polarized(cube)
 
 
-def _open_water(cube: xr.Dataset, interval: Interval) -> xr.Dataset:
-    described = bool(cube.attrs.get("survey"))
-    return open_water(
-        cube,
-        interval=interval,
-        column_uncertainty=_COLUMN_UNCERTAINTY if described else None,
-    )
-
-
 def _repeat_distance(cube: xr.Dataset) -> float:
     """Return the distance after which the only frequency of a cube repeats [m]."""
     return float(
@@ -126,7 +115,7 @@ def _repeat_distance(cube: xr.Dataset) -> float:
 #: The simplest first.
 _METHODS = (
     _Method("cross-polarized", _cross_polarized),
-    _Method("open-water", _open_water),
+    _Method("open-water", lambda cube, interval: open_water(cube, interval=interval)),
     _Method(
         "frequency",
         lambda cube, interval: frequency(cube, interval=interval),
@@ -165,8 +154,7 @@ def compare(cube: xr.Dataset, *, interval: Interval = None) -> Comparison:
     Recommended is the smallest error, bias and noise together, among the methods that
     use at least nine tenths of the pixels that the best of them uses. Of errors within
     a twentieth of each other the simpler method wins. A bias that nothing tells counts
-    as infinite. Where the survey describes the water, open water is subtracted up to
-    the target only, and what the survey says about the rest counts as sure to a fifth.
+    as infinite.
     """
     cube = cubes.checked(cube, "samples")
     rows: list[Row] = []

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import xarray as xr
 
@@ -12,6 +14,7 @@ from amulor.rejection.build import target_cube
 from amulor.rejection.covariance import along, covariance_of
 from amulor.rejection.reference.before_target import water_before_target
 from amulor.rejection.reference.presence import shows_target
+from amulor.rejection.reference.turbidity import Turbidity
 
 
 def open_water(
@@ -19,6 +22,7 @@ def open_water(
     *,
     interval: tuple[float, float] | None = None,
     column_uncertainty: float | None = None,
+    put_back: bool = True,
 ) -> xr.Dataset:
     r"""Subtract the open-water signal from samples, phasor by phasor.
 
@@ -33,9 +37,11 @@ def open_water(
         stands behind the target. From 0 to the unambiguous range by default.
     column_uncertainty : float, optional
         Relative standard uncertainty of what the survey says about the water behind
-        the target, such as 0.2 [1]. If it is given, that water is put back, for it was
-        never there to be subtracted, and this fraction of it stays as an error that all
-        pixels have in common. By default the water behind the target is only stated.
+        the target, such as 0.2 [1]. By default the shots tell: they correct the
+        survey's turbidity, and what they leave open is the error.
+    put_back : bool
+        Whether the water behind the target is put back, for it was never there to be
+        subtracted. If not, it is only stated, in the `residual_` variables.
 
     Returns
     -------
@@ -77,17 +83,22 @@ def open_water(
     """
     cube = cubes.checked(cube, "samples")
     _refuse_odd_fraction(column_uncertainty)
-    water = water_before_target(cube, interval=interval)
+    water = water_before_target(
+        cube, interval=interval, survey_is_right=column_uncertainty is not None
+    )
     seen = shows_target(cube, water, interval=interval)
     target, water_signal, common = water.difference, water.to_the_end, water.common
     known = covariance_of(cube) + common
     residual = None
+    corrected = put_back and water.hidden_fraction is not None
     if water.hidden_fraction is not None:
         residual = -water.hidden_fraction * water_signal
-        if column_uncertainty is not None:
+        if put_back:
             settled = np.nan_to_num(residual)
             target, water_signal = target - settled, water_signal + settled
-            shared = along(settled, column_uncertainty)
+            shared = water.hidden_error
+            if shared is None:
+                shared = along(settled, column_uncertainty or 0.0)
             common, known = common + shared, known + shared
             residual = np.where(np.isnan(residual), residual, 0)
     # Only the water in front of the target fluctuates.
@@ -104,16 +115,28 @@ def open_water(
         residual=residual,
         common=common + by_drift,
         step="reject, open water"
-        + ("" if column_uncertainty is None else ", column behind the target put back"),
+        + (", column behind the target put back" if corrected else ""),
         frequencies_share_errors=np.int32(0),
         open_water_degree=np.array([fit.degree for fit in water.fits], dtype=np.int32),
         open_water_drift=np.array([abs(fit.drift.change) for fit in water.fits]),
         open_water_drift_uncertainty=np.array(
             [abs(fit.drift.uncertainty) for fit in water.fits]
         ),
+        **_turbidity_attributes(water.turbidity),
     )
     result = quality.add(result, QualityFlag.WATER_RESIDUAL, moved | other)
     return quality.add(result, QualityFlag.NO_TARGET, ~seen)
+
+
+def _turbidity_attributes(turbidity: Turbidity | None) -> dict[str, Any]:
+    """Return what the shots say about the water, as attributes of a cube."""
+    if turbidity is None:
+        return {}
+    return {
+        "open_water_turbidity": turbidity.factor,
+        "open_water_turbidity_uncertainty": turbidity.factor * turbidity.uncertainty,
+        "open_water_misfit": turbidity.misfit,
+    }
 
 
 def _refuse_odd_fraction(column_uncertainty: float | None) -> None:

@@ -30,7 +30,7 @@ def samples(plate: Survey) -> xr.Dataset:
 def test_open_water_leaves_the_target_and_names_what_is_left(
     samples: xr.Dataset,
 ) -> None:
-    found = rejection.open_water(samples)
+    found = rejection.open_water(samples, put_back=False)
     cubes.check(found, "target_signal")
     target, water = _true(samples, "target"), _true(samples, "water")
     left = found["residual_in_phase"].values + 1j * found["residual_quadrature"].values
@@ -49,7 +49,7 @@ def test_the_residual_is_the_tail_of_the_column(plate_text: str) -> None:
     text = text.replace('"0.06 deg"', '"0 deg"').replace('"20 mW"', '"2e6 W"')
     text = text.replace('"10 %"', '"10 %"\nsaturation = "1e20 V"')
     cube = simulate(Survey.from_text(text), rng=1)
-    found = rejection.open_water(cube)
+    found = rejection.open_water(cube, put_back=False)
     left = found["residual_in_phase"].values + 1j * found["residual_quadrature"].values
     true_left = found.amulor.signal.values - _true(cube, "target")
     # The distance comes from the phase, two passes; the polynomial over the scan
@@ -59,8 +59,10 @@ def test_the_residual_is_the_tail_of_the_column(plate_text: str) -> None:
 
 def test_a_tank_wall_ends_the_open_water(plate_text: str) -> None:
     text = plate_text.replace("[water]", '[water]\ncolumn_end = "1.56 m"')
-    near = rejection.open_water(simulate(Survey.from_text(text), rng=3))
-    far = rejection.open_water(simulate(Survey.from_text(plate_text), rng=3))
+    near, far = (
+        rejection.open_water(simulate(Survey.from_text(each), rng=3), put_back=False)
+        for each in (text, plate_text)
+    )
     size = [
         np.hypot(cube["residual_in_phase"], cube["residual_quadrature"]).mean()
         for cube in (near, far)
@@ -231,7 +233,7 @@ def test_a_strong_residual_is_flagged_and_a_weak_one_is_not(plate_text: str) -> 
     # Quiet water: the noise is small, so the few millimetres of the tail stand out.
     quiet = plate_text.replace('signal_fluctuation = "5 %"', "")
     flags = [
-        rejection.open_water(simulate(Survey.from_text(text), rng=1))[
+        rejection.open_water(simulate(Survey.from_text(text), rng=1), put_back=False)[
             "quality_flag"
         ].values[0, 0]
         for text in (quiet, plate_text)
@@ -357,7 +359,9 @@ def test_a_receiver_that_turns_with_the_beam_needs_no_spread_of_shots(
 
 def test_water_without_backscatter_leaves_nothing_in(plate_text: str) -> None:
     text = plate_text.replace('"0.001 1/sr"', '"0 1/sr"')
-    found = rejection.open_water(simulate(Survey.from_text(text), rng=1))
+    found = rejection.open_water(
+        simulate(Survey.from_text(text), rng=1), put_back=False
+    )
     assert not (found["quality_flag"].values & cubes.UNUSABLE).any()
 
 

@@ -102,16 +102,38 @@ def test_the_column_behind_the_target_is_put_back(plate_text: str) -> None:
     text = text.replace('"1.5 m"', '"1 m"')
     cube = simulate(Survey.from_text(text), rng=1)
     error, bias = {}, {}
-    for share in (None, 0.2):
-        target = rejection.open_water(cube, column_uncertainty=share)
+    for name, options in {
+        "stated": {"put_back": False},
+        "from the shots": {},
+        "from the survey": {"column_uncertainty": 0.2},
+    }.items():
+        target = rejection.open_water(cube, **options)
         image = imaging.range_image(target, polarization="VV")
         found = abs(image["slant_range"] - image["truth_slant_range"])
-        error[share], bias[share] = float(found.mean()), image["slant_range_bias"]
+        error[name], bias[name] = float(found.mean()), image["slant_range_bias"]
     # The share follows from a distance that the column itself has moved by a percent.
-    assert error[None] > 1e-3
-    assert error[0.2] < error[None] / 30
-    assert float(abs(bias[0.2]).max()) < 1e-12
-    assert abs(float(abs(bias[None]).mean()) - error[None]) < 0.05 * error[None]
+    assert error["stated"] > 1e-3
+    for name in ("from the shots", "from the survey"):
+        assert error[name] < error["stated"] / 30
+        assert float(abs(bias[name]).max()) < 1e-12
+    off = float(abs(bias["stated"]).mean()) - error["stated"]
+    assert abs(off) < 0.05 * error["stated"]
+
+
+@pytest.mark.parametrize("believed", [0.5, 1.0, 2.0])
+def test_the_shots_correct_a_survey_of_other_water(
+    plate_text: str, believed: float
+) -> None:
+    cube = simulate(Survey.from_text(plate_text), rng=2)
+    text = plate_text.replace('"0.255 1/m"', f'"{0.255 * believed} 1/m"')
+    text = text.replace('"0.595 1/m"', f'"{0.595 * believed} 1/m"')
+    wrong = cube.assign_attrs(survey=Survey.from_text(text).to_toml())
+    found = rejection.open_water(wrong)
+    factor = found.attrs["open_water_turbidity"]
+    sigma = found.attrs["open_water_turbidity_uncertainty"]
+    # One frequency: the phase of the water says how deep its light comes from.
+    assert abs(factor * believed - 1) < 4 * sigma * believed
+    assert sigma * believed < 0.2
 
 
 def test_what_is_put_back_keeps_its_share_as_an_error(plate: Survey) -> None:
@@ -119,7 +141,7 @@ def test_what_is_put_back_keeps_its_share_as_an_error(plate: Survey) -> None:
     sure, unsure = (
         rejection.open_water(cube, column_uncertainty=share) for share in (0.0, 0.5)
     )
-    stated = rejection.open_water(cube)
+    stated = rejection.open_water(cube, column_uncertainty=0.0, put_back=False)
     left = stated["residual_in_phase"].values
     grown = (
         unsure["common_in_phase_uncertainty"].values ** 2

@@ -128,9 +128,7 @@ def target_ratio(
     """
     cube = cubes.checked(cube, "samples")
     co, cross = pair_of(cube)
-    # Where the survey describes the water, so much of it was never there.
-    put_back = 0.0 if cube.attrs.get("survey") else None
-    left = open_water(cube, interval=interval, column_uncertainty=put_back)
+    left = open_water(cube, interval=interval)
     first, second = left.sel(polarization=co), left.sel(polarization=cross)
     flags = first["quality_flag"].values | second["quality_flag"].values
     usable = (flags & cubes.UNUSABLE) == 0

@@ -18,6 +18,8 @@ from amulor.rejection.reference.shots import (
     fluctuation_of,
     shots_of,
 )
+from amulor.rejection.reference.turbidity import Turbidity, turbidity_of
+from amulor.survey import Survey
 
 Complex = NDArray[np.complex128]
 
@@ -35,6 +37,13 @@ class WaterBeforeTarget:
     hidden_fraction: Complex | None
     """Fraction of `to_the_end` from behind the target; NaN where the distance is not
     settled, None if no survey describes the water [1]."""
+    hidden_error: Covariance | None
+    """Error of that fraction times `to_the_end`, from what the shots tell of the
+    water, which all pixels share; None where the survey is taken as it stands [V^2]."""
+    survey: Survey | None
+    """The survey that the fraction was computed from."""
+    turbidity: Turbidity | None
+    """How the shots corrected it."""
     signal: Complex
     """Water signal up to the target, or to the end where that is not known [V]."""
     fluctuation: Covariance
@@ -49,7 +58,10 @@ class WaterBeforeTarget:
 
 
 def water_before_target(
-    cube: xr.Dataset, *, interval: tuple[float, float] | None
+    cube: xr.Dataset,
+    *,
+    interval: tuple[float, float] | None,
+    survey_is_right: bool = False,
 ) -> WaterBeforeTarget:
     """Return the water signal in front of the target of every sample.
 
@@ -59,6 +71,9 @@ def water_before_target(
         Level `samples`, with open-water shots.
     interval : tuple of float, optional
         Nearest and farthest slant range that are possible [m].
+    survey_is_right : bool
+        Whether the survey's absorption and scattering are taken as they stand, not
+        corrected by what the shots show.
 
     Returns
     -------
@@ -74,15 +89,31 @@ def water_before_target(
     samples = cube.amulor.signal.values
     water, common = expected_at_pixels(fits, samples.shape)
     difference = subtract(samples, water)
-    hidden = column.hidden_fraction(
-        cube, difference, covariance_of(cube) + common, interval=interval
-    )
+    text = cube.attrs.get("survey")
+    survey, turbidity, hidden, steeper = None, None, None, None
+    if text:
+        survey = Survey.from_text(text, name="survey in the cube")
+        if not survey_is_right:
+            turbidity = turbidity_of(cube, survey, water, common)
+            survey = turbidity.survey
+        errors = covariance_of(cube) + common
+        depth = column.depth(cube, difference, errors, survey, interval=interval)
+        hidden = column.hidden_fraction(cube, survey, depth)
+        if turbidity is not None:
+            steeper = column.hidden_fraction(cube, turbidity.steeper, depth)
     signal = water if hidden is None else (1 - np.nan_to_num(hidden)) * water
     return WaterBeforeTarget(
         fits=fits,
         to_the_end=water,
         difference=difference,
         hidden_fraction=hidden,
+        hidden_error=(
+            None
+            if turbidity is None or hidden is None or steeper is None
+            else column.hidden_error(water, hidden, steeper, misfit=turbidity.misfit)
+        ),
+        survey=survey,
+        turbidity=turbidity,
         signal=signal,
         fluctuation=fluctuation_of(fits, signal),
         common=common,

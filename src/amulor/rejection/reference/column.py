@@ -7,45 +7,33 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from amulor.optics import ambiguity, detection, rays
-from amulor.rejection.covariance import Covariance
+from amulor.rejection.covariance import Covariance, along
 from amulor.rejection.reference import column_fraction
-from amulor.survey import Survey, WaterProperties, water_properties
+from amulor.survey import Survey, water_properties
 from amulor.survey.reach import unsettled_interval
 from amulor.survey.view import medium
 
 
 def hidden_fraction(
-    cube: xr.Dataset,
-    target_signal: NDArray[np.complex128],
-    uncertainty: Covariance,
-    *,
-    interval: tuple[float, float] | None,
-) -> NDArray[np.complex128] | None:
+    cube: xr.Dataset, survey: Survey, depth: NDArray[np.float64]
+) -> NDArray[np.complex128]:
     """Return which part of the open-water signal comes from behind the target.
 
     Parameters
     ----------
     cube : xarray.Dataset
-        Samples whose attribute `survey` describes the water; the description is what
-        the user knew beforehand, not the truth of a simulation.
-    target_signal : ndarray, shape (modulation_frequency, polarization, row, column)
-        Target signal so far, from whose phase the distance is taken [V].
-    uncertainty : Covariance
-        Its errors.
-    interval : tuple of float, optional
-        Nearest and farthest slant range that are possible [m].
+        Samples; their directions, frequencies and channels count.
+    survey : Survey
+        Describes the water: what the user knew beforehand, perhaps corrected by the
+        shots, not the truth of a simulation.
+    depth : ndarray, shape (row, column)
+        Water in front of the target; NaN where it is not settled [m].
 
     Returns
     -------
-    ndarray of the same shape, or None
+    ndarray, shape (modulation_frequency, polarization, row, column)
         Fraction of the open-water signal, a complex number since it comes later [1];
-        NaN where the distance is not settled. None if the cube has no survey to take
-        the water from.
-
-    Raises
-    ------
-    ValueError
-        If the interval is empty or holds far too many ambiguity intervals.
+        NaN where the distance is not settled.
 
     Notes
     -----
@@ -56,16 +44,6 @@ def hidden_fraction(
     be worth. Large scans take the fraction from a table over directions and depths, see
     `column_fraction.fractions`.
     """
-    text = cube.attrs.get("survey")
-    if not text:
-        return None
-    survey = Survey.from_text(text, name="survey in the cube")
-    water = water_properties(survey)
-    depth = _depth(cube, target_signal, uncertainty, survey, water, interval)
-    if interval is None and unsettled_interval(
-        survey, modulation_frequency=cube["modulation_frequency"].values
-    ):
-        depth = np.full_like(depth, np.nan)
     settled = np.isfinite(depth)
     frequency = cube["modulation_frequency"].values
     fraction = np.full((frequency.size, *depth.shape), np.nan, dtype=complex)
@@ -76,18 +54,95 @@ def hidden_fraction(
         depth[settled],
         modulation_frequency=frequency,
     )
-    return np.broadcast_to(fraction[:, None], target_signal.shape)
+    shape = (frequency.size, cube.sizes["polarization"], *depth.shape)
+    return np.broadcast_to(fraction[:, None], shape)
 
 
-def _depth(
+def hidden_error(
+    water_signal: NDArray[np.complex128],
+    fraction: NDArray[np.complex128],
+    steeper: NDArray[np.complex128],
+    *,
+    misfit: float,
+) -> Covariance:
+    """Return the error of the water that is put back behind targets.
+
+    Parameters
+    ----------
+    water_signal : ndarray of complex
+        The whole column [V].
+    fraction, steeper : ndarray of complex
+        Which part of it is behind the target, and the same in water that is more
+        turbid by one standard uncertainty [1].
+    misfit : float
+        Departure of the model from the open water, in parts of it [1].
+
+    Returns
+    -------
+    Covariance
+        Of the shape of the signal; zero where the fraction is not known [V^2].
+
+    Notes
+    -----
+    The turbidity moves the column along a known direction. A model that is off by so
+    much of the whole column is off by as much of a part of it, at most by all of that
+    part, in any direction; compared at the lowest frequency.
+    """
+    known = np.nan_to_num(fraction)
+    # Both errors belong to the model, so that frequencies share them: stated for each
+    # sample as if they did not, they must be larger by what a mean would take off.
+    frequencies = len(water_signal)
+    by_turbidity = (np.nan_to_num(steeper) - known) * water_signal * frequencies**0.5
+    size = np.abs(known * water_signal)
+    # At high frequencies the whole column cancels itself and the part behind an edge
+    # does not, so the lowest frequency tells how wrong the model is of that part.
+    allowed = misfit * np.abs(water_signal[:1])
+    relative = np.divide(
+        allowed, size[:1], out=np.ones(size[:1].shape), where=size[:1] > allowed
+    )
+    own = (relative * size) ** 2 / 2 * frequencies
+    return along(by_turbidity, 1.0) + Covariance(own, own, np.zeros(own.shape))
+
+
+def depth(
     cube: xr.Dataset,
     signal: NDArray[np.complex128],
     uncertainty: Covariance,
     survey: Survey,
-    water: WaterProperties,
+    *,
     interval: tuple[float, float] | None,
 ) -> NDArray[np.float64]:
-    """Return the water in front of the target; NaN where it is not settled [m]."""
+    """Return how much water stands in front of the target.
+
+    Parameters
+    ----------
+    cube : xarray.Dataset
+        Samples.
+    signal : ndarray, shape (modulation_frequency, polarization, row, column)
+        Target signal so far, from whose phase the distance is taken [V].
+    uncertainty : Covariance
+        Its errors.
+    survey : Survey
+        Its instrument and the indices of its water count.
+    interval : tuple of float, optional
+        Nearest and farthest slant range that are possible [m].
+
+    Returns
+    -------
+    ndarray, shape (row, column)
+        Depth; NaN where the distance is not settled [m].
+
+    Raises
+    ------
+    ValueError
+        If the interval is empty or holds far too many ambiguity intervals.
+    """
+    shape = signal.shape[2:]
+    if interval is None and unsettled_interval(
+        survey, modulation_frequency=cube["modulation_frequency"].values
+    ):
+        return np.full(shape, np.nan)
+    water = water_properties(survey)
     surroundings = medium(survey, water)
     beam = rays.enter_water(
         survey.instrument.emitter.position,
@@ -124,5 +179,5 @@ def _depth(
     slant_range = rays.slant_range_of_path(
         path.length, beam, receiver, medium=surroundings
     )
-    depth = np.maximum(slant_range - beam.length_before, 0.0)
-    return np.where(seen & path.settled, depth, np.nan)
+    found = np.maximum(slant_range - beam.length_before, 0.0)
+    return np.where(seen & path.settled, found, np.nan)

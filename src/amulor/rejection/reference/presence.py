@@ -64,7 +64,7 @@ def shows_target(
     water that has the standard deviation `DEPARTURE`, against twice as many degrees of
     freedom as there are samples. It is refused in `SIZE` of the pixels at most where
     it is true. Errors are those of the samples and of the reference, the fluctuation
-    and the drift of the whole column. Cut columns come from the survey of the cube;
+    and the drift of the whole column. Cut columns come from the survey;
     without one, only the whole column counts.
     """
     from scipy.stats import chi2
@@ -73,8 +73,8 @@ def shows_target(
     frequencies, channels, *shape = whole.shape
     errors = covariance_of(cube) + water.common + fluctuation_of(water.fits, whole)
     saturated = cube["saturated"].values != 0 if "saturated" in cube else None
-    cut = _cut_columns(cube, interval)
-    largest = None if cut is None else np.abs(cut.fractions).max(axis=(1, 2, 3))
+    cut = _cut_columns(cube, water.survey, interval)
+    largest = None if cut is None else np.abs(cut.smooth).max(axis=(1, 2, 3))
     which = np.repeat(np.arange(frequencies), channels)
 
     def flat(values: NDArray[Any]) -> NDArray[Any]:
@@ -83,6 +83,7 @@ def shows_target(
     left, column = flat(water.difference), flat(whole)
     drift = flat(water.drift)
     parts = [flat(each) for each in (errors.in_phase, errors.quadrature, errors.cross)]
+    model_error = 0.0 if water.turbidity is None else water.turbidity.misfit
     seen = np.zeros(left.shape[1], dtype=bool)
     for first in range(0, seen.size, _AT_ONCE):
         chosen = slice(first, first + _AT_ONCE)
@@ -100,11 +101,16 @@ def shows_target(
             open_to_doubt = found & ~(own.surely_more_than(largest) > limit)
             some = np.flatnonzero(open_to_doubt)
             if some.size:
-                few = own.part(some)
-                best = np.min(
-                    [few.misfit(each) for each in cut.at(first + some)], axis=0
+                few = _problem(
+                    left[:, first + some],
+                    column[:, first + some],
+                    Covariance(*(each[:, first + some] for each in parts))
+                    + along(drift * column[:, first + some], 12**-0.5)
+                    + _isotropic(model_error * np.abs(column[:, first + some])),
+                    which,
+                    None if saturated is None else flat(saturated)[:, first + some],
                 )
-                found[some] = best > limit[some]
+                found[some] = cut.lowest(few, first + some) > limit[some]
         seen[chosen] = found
     return seen.reshape(shape)
 
@@ -152,17 +158,6 @@ class _Problem:
         """Samples that count, pixel by pixel."""
         return np.asarray((self.in_phase > 0).sum(axis=0))
 
-    def part(self, chosen: NDArray[np.intp]) -> _Problem:
-        """Return some of the pixels."""
-        return _Problem(
-            left=self.left[:, chosen],
-            water=self.water[:, chosen],
-            in_phase=self.in_phase[:, chosen],
-            quadrature=self.quadrature[:, chosen],
-            cross=self.cross[:, chosen],
-            frequency=self.frequency,
-        )
-
     def misfit(self, fractions: Complex | Floats) -> Floats:
         """Return the chi-square of water without a fraction of its column.
 
@@ -201,24 +196,56 @@ class _Problem:
 class _Cut:
     """Fractions of the open water from behind cuts, on a grid of directions."""
 
-    fractions: Complex
-    """Shape (frequency, depth, elevation node, azimuth node) [1]."""
+    smooth: Complex
+    """Fractions without the phase of their depth, shape (frequency, depth, elevation
+    node, azimuth node) [1]."""
+    depth: Floats
+    """Depths of the nodes, evenly spaced [m]."""
+    wavenumber: Floats
+    """Phase per depth of each frequency, one way [rad/m]."""
     up: Floats
     """Place of each pixel among the nodes of the elevation, from 0 on [1]."""
     across: Floats
     """Place among those of the azimuth [1]."""
 
-    def at(self, chosen: NDArray[np.intp]) -> list[Complex]:
-        """Return fractions over (frequency, pixel), one array for each depth."""
-        i, u = _between(self.up[chosen], self.fractions.shape[2])
-        j, v = _between(self.across[chosen], self.fractions.shape[3])
-        last = self.fractions.shape[2] - 1, self.fractions.shape[3] - 1
+    def lowest(self, pixels: _Problem, chosen: NDArray[np.intp]) -> Floats:
+        """Return the smallest chi-square of pixels over the depths of the cut."""
+        i, u = _between(self.up[chosen], self.smooth.shape[2])
+        j, v = _between(self.across[chosen], self.smooth.shape[3])
+        last = self.smooth.shape[2] - 1, self.smooth.shape[3] - 1
         below, right = np.minimum(i + 1, last[0]), np.minimum(j + 1, last[1])
-        return [
-            (1 - u) * ((1 - v) * each[:, i, j] + v * each[:, i, right])
-            + u * ((1 - v) * each[:, below, j] + v * each[:, below, right])
-            for each in self.fractions.transpose(1, 0, 2, 3)
-        ]
+        smooth = (1 - u) * ((1 - v) * self.smooth[:, :, i, j])
+        smooth += (1 - u) * (v * self.smooth[:, :, i, right])
+        smooth += u * ((1 - v) * self.smooth[:, :, below, j])
+        smooth += u * (v * self.smooth[:, :, below, right])
+        pixel = np.arange(len(chosen))
+        best = np.full(len(chosen), np.inf)
+        place = np.zeros(len(chosen))
+
+        def try_at(places: Floats) -> None:
+            """Look between the nodes, where only the phase turns quickly."""
+            k, share = _between(places, smooth.shape[1])
+            after = np.minimum(k + 1, smooth.shape[1] - 1)
+            value = (1 - share) * smooth[:, k, pixel] + share * smooth[:, after, pixel]
+            step = self.depth[1] - self.depth[0]
+            turn = np.outer(2j * self.wavenumber, self.depth[0] + places * step)
+            misfit = pixels.misfit(value * np.exp(turn))
+            better = misfit < best
+            best[better], place[better] = misfit[better], places[better]
+
+        for node in range(smooth.shape[1]):
+            try_at(np.full(len(chosen), float(node)))
+        for width in (0.5, 0.125, 0.03125):
+            centre = place.copy()
+            for off in (-1.5, -1.0, -0.5, 0.5, 1.0, 1.5):
+                try_at(np.clip(centre + off * width, 0.0, smooth.shape[1] - 1.0))
+        return best
+
+
+def _isotropic(size: Floats) -> Covariance:
+    """Return the covariance of an error of a given size in any direction."""
+    half = size**2 / 2
+    return Covariance(half, half, np.zeros(half.shape))
 
 
 def _between(place: Floats, count: int) -> tuple[NDArray[np.intp], Floats]:
@@ -226,12 +253,12 @@ def _between(place: Floats, count: int) -> tuple[NDArray[np.intp], Floats]:
     return first, place - first
 
 
-def _cut_columns(cube: xr.Dataset, interval: tuple[float, float] | None) -> _Cut | None:
-    """Return cut columns from the survey of a cube; None without one."""
-    text = cube.attrs.get("survey")
-    if not text:
+def _cut_columns(
+    cube: xr.Dataset, survey: Survey | None, interval: tuple[float, float] | None
+) -> _Cut | None:
+    """Return cut columns from a survey; None without one."""
+    if survey is None:
         return None
-    survey = Survey.from_text(text, name="survey in the cube")
     properties = water_properties(survey)
     frequency = cube["modulation_frequency"].values
     nearest, farthest = (0.0, np.inf) if interval is None else interval
@@ -251,8 +278,12 @@ def _cut_columns(cube: xr.Dataset, interval: tuple[float, float] | None) -> _Cut
         grid[0].ravel(),
         modulation_frequency=frequency,
     )
+    wavenumber = 2 * np.pi * frequency * properties.group_index / speed_of_light
+    turn = np.exp(-2j * np.outer(wavenumber, grid[0].ravel()))
     return _Cut(
-        fractions=fractions.reshape(frequency.size, *grid[0].shape),
+        smooth=(fractions * turn).reshape(frequency.size, *grid[0].shape),
+        depth=depth,
+        wavenumber=wavenumber,
         up=up,
         across=across,
     )
