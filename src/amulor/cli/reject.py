@@ -73,7 +73,8 @@ def reject(
         Frequency to keep, such as "39 MHz", for frequency; the best one by default.
     column_uncertainty
         How sure the survey's water behind the target is, such as "20 %", for
-        open-water: puts that water back, which a target hides.
+        open-water, which puts that water back. By default the shots tell, and correct
+        the survey's turbidity.
     nearest
         Nearest possible slant range, such as "0.5 m"; with --farthest.
     farthest
