@@ -187,3 +187,21 @@ def test_dark_treads_and_risers_are_right_or_flagged() -> None:
         assert row.score.trusted > 0.9, row
         assert row.score.inside_95 > 0.92, row
         assert row.score.worst < 4.2, row
+
+
+# Mixed pixels -----------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("scene", ["mixed 2 cm", "mixed 5 cm"])
+def test_pixels_that_see_two_plates_are_not_called_good(scene: str) -> None:
+    # Three columns between the plates; all were trusted, 91 to 137 sigma off.
+    for row in run([scene], ["open-water", "combined"], [16]):
+        assert row.score.pixels == 48
+        assert row.score.trusted == 0, row
+
+
+def test_surfaces_without_an_edge_have_no_mixed_pixels() -> None:
+    for scene in ("flat", "slope 75"):
+        for row in run([scene], ["open-water"], [16]):
+            # Five sigma from both sides at once do not happen in 384 pixels.
+            assert row.score.trusted == 1, row

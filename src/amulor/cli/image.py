@@ -37,6 +37,7 @@ def image(
     """
     from amulor import imaging, io
     from amulor.cli._arguments import interval_of
+    from amulor.cube import QualityFlag
 
     interval = interval_of(nearest, farthest)
     io.check_output(output, overwrite=overwrite, inputs=[cube])
@@ -45,7 +46,8 @@ def image(
     io.write_cube(result, output, overwrite=overwrite)
     usable = result["slant_range"].notnull()
     flags = result["quality_flag"]
-    if "interval_unsettled" in result.attrs:
+    ambiguous = result["quality_flag"].values & QualityFlag.AMBIGUOUS
+    if "interval_unsettled" in result.attrs and ambiguous.any():
         print(
             f"{output}: range image without a settled pixel: "
             f"{result.attrs['interval_unsettled']}; state --nearest and --farthest, no "

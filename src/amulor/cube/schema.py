@@ -27,6 +27,8 @@ class QualityFlag(enum.IntFlag):
     """What is left of the water signal moves the range by more than its uncertainty."""
     NO_OPEN_WATER = 32
     """No water signal was taken out: the range still holds it."""
+    MIXED = 64
+    """The beam meets two surfaces at once: the range lies between them."""
 
 
 #: A pixel with one of these has no range; with the others it has one, with care.

@@ -7,6 +7,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from amulor import cube as cubes
+from amulor.cube import QualityFlag
 
 Floats = NDArray[np.float64]
 
@@ -15,7 +16,7 @@ MIXED = "user_mixed"
 
 
 def mixed_pixels(
-    image: xr.Dataset, *, significance: float = 5.0, reach: int = 2
+    image: xr.Dataset, *, significance: float = 5.0, reach: int = 3
 ) -> NDArray[np.bool_]:
     r"""Return which pixels lie between two surfaces, where nothing is.
 
@@ -66,7 +67,7 @@ def mixed_pixels(
 
 
 def flag_mixed(
-    image: xr.Dataset, *, significance: float = 5.0, reach: int = 2
+    image: xr.Dataset, *, significance: float = 5.0, reach: int = 3
 ) -> xr.Dataset:
     """Return a range image with a map of the pixels whose beam meets two surfaces.
 
@@ -78,7 +79,8 @@ def flag_mixed(
     Returns
     -------
     xarray.Dataset
-        The image with the variable `user_mixed`, 1 where a pixel is mixed.
+        The image with the variable `user_mixed`, 1 where a pixel is mixed; there its
+        `quality_flag` says `MIXED` as well.
 
     Raises
     ------
@@ -92,7 +94,12 @@ def flag_mixed(
         mixed.astype(np.int8),
         {"long_name": "1 where a beam meets two surfaces at once", "units": "1"},
     )
-    return cubes.note(image.assign({MIXED: variable}), "mixed pixels marked")
+    flag = image["quality_flag"]
+    marked = np.where(found, flag.values | QualityFlag.MIXED, flag.values)
+    image = image.assign(
+        {MIXED: variable, "quality_flag": flag.copy(data=marked.astype(np.int16))}
+    )
+    return cubes.note(image, "mixed pixels marked")
 
 
 def _between(

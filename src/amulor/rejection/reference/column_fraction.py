@@ -135,8 +135,9 @@ class _Table:
         value *= np.exp(-1j * np.outer(self._phase_per_range, places[2]))
         value = value.reshape(len(self._frequency), *self._count)
         coefficients = np.einsum("fijk,ai,bj,ck->abcf", value, *inverse, optimize=True)
-        self._coefficients = coefficients.reshape(
-            self._count[0] * self._count[1], self.width
+        # Contiguous even where an axis has one node: it is viewed as real numbers.
+        self._coefficients = np.ascontiguousarray(
+            coefficients.reshape(self._count[0] * self._count[1], self.width)
         )
 
     def at(self, places: Floats) -> Complex:

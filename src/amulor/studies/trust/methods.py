@@ -67,10 +67,12 @@ def outcome(method: str, case: Case) -> Outcome:
     """
     try:
         target = METHODS[method](case)
-        image = imaging.range_image(
-            target,
-            polarization=str(target["polarization"].values[0]),
-            interval=case.interval,
+        image = imaging.flag_mixed(
+            imaging.range_image(
+                target,
+                polarization=str(target["polarization"].values[0]),
+                interval=case.interval,
+            )
         )
     except (AmulorError, ValueError) as error:
         return Outcome(target=None, image=None, note=f"refused: {error}")

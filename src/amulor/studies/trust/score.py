@@ -64,7 +64,7 @@ def score(case: Case, outcome: Outcome) -> Score:
     Score
         The interval of a pixel is `slant_range - slant_range_bias` plus or minus
         `slant_range_uncertainty`. Trusted is a pixel without any flag in target signal
-        and image, and without a mark of mixing. Of several surfaces the nearest to the
+        and image. Of several surfaces the nearest to the
         result counts.
     """
     met = np.isfinite(case.surfaces).any(axis=0) & case.judged
@@ -113,8 +113,6 @@ def _trusted(outcome: Outcome, shape: tuple[int, ...]) -> NDArray[np.bool_]:
     channel = str(outcome.image.attrs["polarization"])
     flags = outcome.target.sel(polarization=channel)["quality_flag"].values
     good = (flags == 0).all(axis=0) & (outcome.image["quality_flag"].values == 0)
-    if "user_mixed" in outcome.image:
-        good &= outcome.image["user_mixed"].values == 0
     return np.asarray(good & np.isfinite(outcome.image["slant_range"].values))
 
 

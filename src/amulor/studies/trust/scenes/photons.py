@@ -40,6 +40,8 @@ PHASE_FUNCTIONS: dict[str, Callable[[], PhaseFunction]] = {
 #: All frequencies that the scenes take, 0 for the mean light [Hz].
 _ALL = np.unique([0.0, *(f for listed in FREQUENCIES.values() for f in listed)])
 _COLUMNS_EACH = 3
+#: Near and far in turn, so that no plate looks like the edge between its neighbours.
+_ORDER = np.array([0, 7, 1, 6, 2, 5, 3, 4])
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -136,7 +138,7 @@ def photon_water(
     light = photons(function, histories)
     frequency = np.array(made.instrument.modulation_frequencies)
     chosen = np.searchsorted(_ALL, frequency)
-    column = np.repeat(np.arange(len(DISTANCES)), _COLUMNS_EACH)
+    column = np.repeat(_ORDER, _COLUMNS_EACH)
     shape = (made.scan.rows, len(column))
     paint, haze = made.targets[0].mueller, made.water.backscatter_mueller
     target = _light(made, reflectance * light.echo[:, column], chosen, paint, shape)
