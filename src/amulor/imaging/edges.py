@@ -95,7 +95,7 @@ def flag_mixed(
         {"long_name": "1 where a beam meets two surfaces at once", "units": "1"},
     )
     flag = image["quality_flag"]
-    marked = np.where(found, flag.values | QualityFlag.MIXED, flag.values)
+    marked = np.where(mixed, flag.values | QualityFlag.MIXED, flag.values)
     image = image.assign(
         {MIXED: variable, "quality_flag": flag.copy(data=marked.astype(np.int16))}
     )
