@@ -16,7 +16,7 @@ MIXED = "user_mixed"
 
 
 def mixed_pixels(
-    image: xr.Dataset, *, significance: float = 5.0, reach: int = 3
+    image: xr.Dataset, *, significance: float = 5.0, reach: int = 2
 ) -> NDArray[np.bool_]:
     r"""Return which pixels lie between two surfaces, where nothing is.
 
@@ -67,7 +67,7 @@ def mixed_pixels(
 
 
 def flag_mixed(
-    image: xr.Dataset, *, significance: float = 5.0, reach: int = 3
+    image: xr.Dataset, *, significance: float = 5.0, reach: int = 2
 ) -> xr.Dataset:
     """Return a range image with a map of the pixels whose beam meets two surfaces.
 

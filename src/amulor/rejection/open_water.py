@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 import xarray as xr
+from numpy.typing import NDArray
 
 from amulor import cube as cubes
 from amulor.cube import QualityFlag
@@ -15,6 +16,11 @@ from amulor.rejection.covariance import along, covariance_of
 from amulor.rejection.reference.before_target import water_before_target
 from amulor.rejection.reference.presence import shows_target
 from amulor.rejection.reference.turbidity import Turbidity
+
+Complex = NDArray[np.complex128]
+
+#: At one frequency the column must be weaker than this, in parts of the target [1].
+_TOO_STRONG = 0.3
 
 
 def open_water(
@@ -90,11 +96,13 @@ def open_water(
     target, water_signal, common = water.difference, water.to_the_end, water.common
     known = covariance_of(cube) + common
     residual = None
+    circular = np.zeros(target.shape[2:], dtype=bool)
     corrected = put_back and water.hidden_fraction is not None
     if water.hidden_fraction is not None:
         residual = -water.hidden_fraction * water_signal
         if put_back:
             settled = np.nan_to_num(residual)
+            circular = _circular(target - settled, settled)
             target, water_signal = target - settled, water_signal + settled
             shared = water.hidden_error
             if shared is None:
@@ -124,8 +132,26 @@ def open_water(
         ),
         **_turbidity_attributes(water.turbidity),
     )
-    result = quality.add(result, QualityFlag.WATER_RESIDUAL, moved | other)
+    result = quality.add(result, QualityFlag.WATER_RESIDUAL, moved | other | circular)
     return quality.add(result, QualityFlag.NO_TARGET, ~seen)
+
+
+def _circular(target: Complex, column: Complex) -> NDArray[np.bool_]:
+    """Return where one frequency leaves target and column to explain each other.
+
+    The distance that cuts the column off comes from what subtraction left. Where the
+    column is more than a third as strong as the target, it is the column that sets this
+    distance, and a single frequency cannot contradict it.
+    """
+    if len(target) > 1:
+        return np.zeros(target.shape[2:], dtype=bool)
+    size = np.abs(column)
+    # In a shadow the column may come out short: what others have counts as well.
+    usual = np.array(
+        [[np.median(c[c > 0]) if c.any() else 0.0 for c in f] for f in size]
+    )
+    weak = np.maximum(size, usual[..., None, None]) > _TOO_STRONG * np.abs(target)
+    return np.asarray(weak.any(axis=(0, 1)))
 
 
 def _turbidity_attributes(turbidity: Turbidity | None) -> dict[str, Any]:

@@ -79,7 +79,7 @@ def particles(count: int, seed: int, *, fraction: float = 0.04) -> Case:
 def mixed(count: int, seed: int, *, gap: float) -> Case:
     """Return two plates that face the beam with a smeared edge between them.
 
-    Three columns see both, a quarter, a half and three quarters of the farther one.
+    Two columns see both, with 0.4 and 0.6 of the farther one.
     Only these are judged. Either surface counts as right.
     """
     near = simulate(survey(count, plate(2.4)), rng=seed)
@@ -88,7 +88,7 @@ def mixed(count: int, seed: int, *, gap: float) -> Case:
     share = np.zeros(columns)
     middle = columns // 2
     share[middle + 2 :] = 1
-    share[middle - 1 : middle + 2] = (0.25, 0.5, 0.75)
+    share[middle : middle + 2] = (0.4, 0.6)
     change = sum(_true(far, part) - _true(near, part) for part in ("target", "water"))
     surfaces = np.stack([each["truth_slant_range"].values for each in (near, far)])
     surfaces[1, :, share == 0] = np.nan
