@@ -37,7 +37,6 @@ def image(
     """
     from amulor import imaging, io
     from amulor.cli._arguments import interval_of
-    from amulor.cube import QualityFlag
 
     interval = interval_of(nearest, farthest)
     io.check_output(output, overwrite=overwrite, inputs=[cube])
@@ -46,17 +45,16 @@ def image(
     io.write_cube(result, output, overwrite=overwrite)
     usable = result["slant_range"].notnull()
     flags = result["quality_flag"]
-    ambiguous = result["quality_flag"].values & QualityFlag.AMBIGUOUS
-    if "interval_unsettled" in result.attrs and ambiguous.any():
-        print(
-            f"{output}: range image without a settled pixel: "
-            f"{result.attrs['interval_unsettled']}; state --nearest and --farthest, no "
-            "farther apart than that"
-        )
-        return
     if not usable.any():
         print(
             f"{output}: range image without a usable pixel; see: amulor info {output}"
+        )
+        return
+    if "interval_unsettled" in result.attrs:
+        print(
+            f"{output}: ranges relative to an unknown number of intervals, all pixels "
+            f"flagged: {result.attrs['interval_unsettled']}; state --nearest and "
+            "--farthest, no farther apart than the phases repeat"
         )
         return
     median = float(result["slant_range_uncertainty"].median())

@@ -29,6 +29,10 @@ class QualityFlag(enum.IntFlag):
     """No water signal was taken out: the range still holds it."""
     MIXED = 64
     """The beam meets two surfaces at once: the range lies between them."""
+    OUTLIER = 128
+    """A sample disagrees with the rest of its pixel or of the scan."""
+    RELATIVE = 256
+    """The range may be off by whole intervals after which the phases repeat."""
 
 
 #: A pixel with one of these has no range; with the others it has one, with care.

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -42,8 +41,9 @@ def range_image(
     -------
     xarray.Dataset
         Level `range_image`. Pixels with an unusable flag hold no number. Where neither
-        an interval nor the survey says which repetition of the phases is right, all
-        pixels are flagged `AMBIGUOUS`, and the attribute `interval_unsettled` says why.
+        an interval nor the survey says which repetition of the phases is right, ranges
+        are those of the first, all pixels are flagged `RELATIVE`, and the attribute
+        `interval_unsettled` says why.
 
     Raises
     ------
@@ -86,11 +86,11 @@ def range_image(
         longest=longest,
         doubt=np.nan_to_num(np.abs(shift), nan=np.inf),
     )
+    image = image_of_path(one, path, interval=interval)
     reason = "" if interval is not None else _unsettled(one)
     if reason:
-        path = replace(path, settled=np.zeros_like(path.settled))
-    image = image_of_path(one, path, interval=interval)
-    if reason:
+        flagged = image["quality_flag"] | np.int16(QualityFlag.RELATIVE)
+        image["quality_flag"] = flagged.assign_attrs(image["quality_flag"].attrs)
         image = image.assign_attrs(interval_unsettled=reason)
     return cubes.note(image, f"image, channel {image.attrs['polarization']}")
 

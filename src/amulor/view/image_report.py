@@ -95,7 +95,7 @@ def flag_sentence(image: xr.Dataset) -> str:
     listed = "; ".join(counts) if counts else "none"
     pixels = image["quality_flag"].size
     reason = image.attrs.get("interval_unsettled", "")
-    unsettled = f" No range is settled: {reason}." if reason else ""
+    unsettled = f" Ranges may be off by whole intervals: {reason}." if reason else ""
     return f"Grey pixels hold no range. Flags, of {pixels} pixels: {listed}.{unsettled}"
 
 

@@ -64,10 +64,13 @@ def test_an_interval_leads_past_the_first_ambiguity(plate_text: str) -> None:
     # At 390 MHz the interval is 0.28 m; the plate stands in the sixth one.
     text = _dry(plate_text).replace('["39 MHz"]', '["390 MHz"]')
     target = rejection.keep_water(simulate(Survey.from_text(text), rng=1))
-    # The survey's own plate lies beyond it: no range is settled, and the image says so.
+    # The survey's own plate lies beyond it: ranges are off by whole intervals, all of
+    # them flagged, and the image says so.
     first = imaging.range_image(target, polarization="VV")
-    assert np.isnan(first["slant_range"]).all()
-    assert (first["quality_flag"].values & QualityFlag.AMBIGUOUS).all()
+    late = first["truth_slant_range"] - first["slant_range"]
+    # Five of them, but for the baseline of the instrument.
+    assert_allclose(late, 5 * 299792458.0 / (2 * 1.38 * 390e6), rtol=0.01)
+    assert (first["quality_flag"].values & QualityFlag.RELATIVE).all()
     assert "repeat after 0.2785 m" in first.attrs["interval_unsettled"]
     right = imaging.range_image(target, polarization="VV", interval=(1.4, 1.65))
     assert_allclose(right["slant_range"], right["truth_slant_range"], atol=1e-8)
@@ -190,7 +193,7 @@ def test_a_parallel_scan_puts_points_side_by_side() -> None:
     )
     # Without a survey nothing says that the wall is in the first interval of 3 m.
     unsettled = imaging.range_image(cube)
-    assert (unsettled["quality_flag"].values & QualityFlag.AMBIGUOUS).all()
+    assert (unsettled["quality_flag"].values & QualityFlag.RELATIVE).all()
     assert unsettled.attrs["interval_unsettled"].startswith("nothing says")
     cloud = imaging.point_cloud(imaging.range_image(cube, interval=(0.0, 2.9)))
     assert_allclose(cloud["z"], 1.2, rtol=1e-12)
