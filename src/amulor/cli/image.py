@@ -42,6 +42,7 @@ def image(
     io.check_output(output, overwrite=overwrite, inputs=[cube])
     target = io.read_cube(cube)
     result = imaging.range_image(target, polarization=polarization, interval=interval)
+    result = imaging.flag_outliers(imaging.flag_mixed(result))
     io.write_cube(result, output, overwrite=overwrite)
     usable = result["slant_range"].notnull()
     flags = result["quality_flag"]

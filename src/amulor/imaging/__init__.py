@@ -2,6 +2,7 @@
 
 from amulor.imaging import correlation, metrics
 from amulor.imaging.edges import flag_mixed, mixed_pixels
+from amulor.imaging.outliers import flag_outliers, outlying_pixels
 from amulor.imaging.point_cloud import point_cloud
 from amulor.imaging.range_image import range_image
 from amulor.imaging.unwrap import unwrapped_range_image
@@ -9,8 +10,10 @@ from amulor.imaging.unwrap import unwrapped_range_image
 __all__ = [
     "correlation",
     "flag_mixed",
+    "flag_outliers",
     "metrics",
     "mixed_pixels",
+    "outlying_pixels",
     "point_cloud",
     "range_image",
     "unwrapped_range_image",

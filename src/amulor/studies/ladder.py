@@ -132,6 +132,7 @@ def run(
             )
             for stage in STAGES:
                 image = imaging.range_image(stages[stage], polarization=channel)
+                image = imaging.flag_outliers(imaging.flag_mixed(image))
                 cases.append(
                     evaluate(survey, image, water=water, channel=channel, stage=stage)
                 )

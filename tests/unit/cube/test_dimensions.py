@@ -253,6 +253,8 @@ IMAGING: dict[str, Step] = {
     "point_cloud": imaging.point_cloud,
     "flag_mixed": imaging.flag_mixed,
     "mixed_pixels": imaging.mixed_pixels,
+    "flag_outliers": imaging.flag_outliers,
+    "outlying_pixels": imaging.outlying_pixels,
     "covariance": lambda image: imaging.correlation.covariance(image, ROW),
     "mean_range": lambda image: imaging.correlation.mean_range(image, ROW),
     "range_difference": lambda image: imaging.correlation.range_difference(

@@ -67,13 +67,12 @@ def outcome(method: str, case: Case) -> Outcome:
     """
     try:
         target = METHODS[method](case)
-        image = imaging.flag_mixed(
-            imaging.range_image(
-                target,
-                polarization=str(target["polarization"].values[0]),
-                interval=case.interval,
-            )
+        image = imaging.range_image(
+            target,
+            polarization=str(target["polarization"].values[0]),
+            interval=case.interval,
         )
+        image = imaging.flag_outliers(imaging.flag_mixed(image))
     except (AmulorError, ValueError) as error:
         return Outcome(target=None, image=None, note=f"refused: {error}")
     except (ArithmeticError, SystemError) as error:
