@@ -109,6 +109,9 @@ def unwrapped_range_image(
         weight=np.ones((1, *phase.shape)),
         settled=settled,
         wrong=np.where(settled, 0.0, 1.0),
+        residual=np.zeros((1, *phase.shape)),
+        strain=np.zeros(phase.shape),
+        left_out=np.zeros((1, *phase.shape), dtype=bool),
     )
     image = image_of_path(one, chosen, interval=interval)
     return cubes.note(

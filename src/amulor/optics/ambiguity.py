@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +18,13 @@ _SLACK = 4.0
 #: Frequencies that disagree with the best path by more than this chance say so.
 _DISAGREEMENT = 1e-4
 _MOST_CANDIDATES = 10_000
+#: One phase is an outlier if the others agree without it, and if they fit better than
+#: without any other one by this much in chi-square.
+_CULPRIT = 16.0
+#: At most this fraction of the frequencies can be left out of a pixel [1].
+_BREAKDOWN = 1 / 3
+#: What so many pixels have in common is no outlier but a wrong model [1].
+_RARE = 0.15
 #: Phases stated to be without any error still need weights [rad].
 _SMALLEST_PHASE_ERROR = 1e-9
 
@@ -35,6 +43,13 @@ class Path:
     """False where another interval fits about as well, or none fits."""
     wrong: Floats
     """Probability of another interval within the limits, for normal errors [1]."""
+    residual: Floats
+    """Phases at all frequencies less those of the path, first axis the frequencies, as
+    optical paths; zero where one was left out [m]."""
+    strain: Floats
+    """Sum of their squares in units of their errors, doubts included [1]."""
+    left_out: NDArray[np.bool_]
+    """Outliers among the frequencies, first axis the frequencies."""
 
 
 def optical_path(
@@ -79,13 +94,138 @@ def optical_path(
     right one, all of them alike beforehand. At the ends of a full ambiguity interval
     both ends are candidates, so a path within a few standard errors of them is not
     settled.
+
+    With three frequencies at least, where all of them disagree and all but one agree,
+    that one is an outlier and is left out; up to a third of the frequencies, one after
+    the other. Where more than 15 % of the pixels would lose a frequency, none does:
+    what they have in common is no chance.
     """
+    doubts = np.broadcast_to(np.asarray(doubt, dtype=float), phase.shape)
+    known = _Phases(
+        phase=phase,
+        uncertainty=uncertainty,
+        modulation_frequency=modulation_frequency,
+        shortest=np.broadcast_to(shortest, phase.shape[1:]),
+        longest=np.broadcast_to(longest, phase.shape[1:]),
+        doubt=doubts,
+    )
+    path = _best_path(known)
+    unsettled = np.isfinite(path.length) & ~path.settled
+    if len(modulation_frequency) > 2 and unsettled.any():
+        _leave_out(path, unsettled, known)
+    return path
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Phases:
+    """What `optical_path` is given, all of it over (frequencies, ...) or (...)."""
+
+    phase: Floats
+    uncertainty: Floats
+    modulation_frequency: Floats
+    shortest: Floats
+    longest: Floats
+    doubt: Floats
+
+    def part(
+        self, pixels: tuple[NDArray[np.intp], ...], left_out: NDArray[np.bool_]
+    ) -> _Phases:
+        """Return some pixels, without the phases that are left out there."""
+        every: tuple[Any, ...] = (slice(None), *pixels)
+        return replace(
+            self,
+            phase=self.phase[every],
+            uncertainty=np.where(left_out, np.inf, self.uncertainty[every]),
+            shortest=self.shortest[pixels],
+            longest=self.longest[pixels],
+            doubt=self.doubt[every],
+        )
+
+
+def _leave_out(path: Path, unsettled: NDArray[np.bool_], known: _Phases) -> None:
+    """Leave out the phases without which unsettled pixels are settled, in place."""
+    gone = path.left_out[:, unsettled]
+    strain = path.strain[unsettled]
+    cured = np.zeros(strain.size, dtype=bool)
+    going_on = np.ones(strain.size, dtype=bool)
+    for _ in range(int(len(gone) * _BREAKDOWN)):
+        here = np.flatnonzero(going_on)
+        if here.size == 0:
+            break
+        pixels = np.zeros(unsettled.shape, dtype=bool)
+        pixels.reshape(-1)[np.flatnonzero(unsettled)[here]] = True
+        strains, settled = _without_each(known, pixels, gone[:, here])
+        order = np.argsort(strains, axis=0)
+        column = np.arange(here.size)
+        best, next_best = (strains[order[k], column] for k in (0, 1))
+        with np.errstate(invalid="ignore"):
+            better = strain[here] - best > _CULPRIT
+            sure = settled[order[0], column] & (next_best - best > _CULPRIT)
+        gone[order[0][better], here[better]] = True
+        strain[here] = best
+        cured[here] = better & sure
+        going_on[here] = better & ~sure
+    everywhere = path.left_out.copy()
+    everywhere[:, unsettled] = gone & cured
+    usable = np.isfinite(path.length)
+    often = everywhere[:, usable].sum(axis=1).max()
+    if not cured.any() or often > max(_RARE * usable.sum(), 1):
+        return
+    places = np.zeros(usable.shape, dtype=bool)
+    places[unsettled] = cured
+    solved = _grouped(known, places, gone[:, cured])
+    for name in ("length", "uncertainty", "settled", "wrong", "strain"):
+        getattr(path, name)[places] = getattr(solved, name)
+    for name in ("weight", "residual", "left_out"):
+        getattr(path, name)[:, places] = getattr(solved, name)
+
+
+def _without_each(
+    known: _Phases, pixels: NDArray[np.bool_], gone: NDArray[np.bool_]
+) -> tuple[Floats, NDArray[np.bool_]]:
+    """Return strain, and whether it is settled, with each one phase more left out."""
+    strains = np.full(gone.shape, np.inf)
+    settled = np.zeros(gone.shape, dtype=bool)
+    for index in range(len(gone)):
+        without = gone.copy()
+        without[index] = True
+        tried = _grouped(known, pixels, without)
+        # Leaving out what is out already is no cure.
+        strains[index] = np.where(gone[index], np.inf, tried.strain)
+        settled[index] = tried.settled & ~gone[index]
+    return strains, settled
+
+
+def _grouped(
+    known: _Phases, pixels: NDArray[np.bool_], left_out: NDArray[np.bool_]
+) -> Path:
+    """Return the best paths of pixels, those that leave out the same ones together."""
+    masks, group = np.unique(left_out, axis=1, return_inverse=True)
+    places = np.flatnonzero(pixels)
+    parts: dict[str, NDArray[Any]] = {}
+    for number, mask in enumerate(masks.T):
+        here = np.flatnonzero(group.ravel() == number)
+        chosen = np.unravel_index(places[here], pixels.shape)
+        solved = _best_path(known.part(chosen, mask[:, None]))
+        for name, values in vars(solved).items():
+            whole = parts.setdefault(
+                name, np.empty((*values.shape[:-1], len(places)), values.dtype)
+            )
+            whole[..., here] = values
+    return Path(**parts)
+
+
+def _best_path(known: _Phases) -> Path:
+    """Return the path of the smallest misfit; phases of infinite error are left out."""
+    phase, modulation_frequency = known.phase, known.modulation_frequency
+    shortest, longest = known.shortest, known.longest
     wavelength = speed_of_light / modulation_frequency
     each = wavelength.reshape(-1, *[1] * (phase.ndim - 1))
-    sigma = np.maximum(uncertainty, _SMALLEST_PHASE_ERROR) * each / (2 * np.pi)
+    sigma = np.maximum(known.uncertainty, _SMALLEST_PHASE_ERROR) * each / (2 * np.pi)
     measured = np.mod(phase, 2 * np.pi) * each / (2 * np.pi)
     precision = sigma**-2
-    best = int(np.argmin(np.nanmedian(sigma.reshape(len(sigma), -1), axis=1)))
+    flat = sigma.reshape(len(sigma), -1)
+    best = int(np.argmin(np.nanmedian(flat, axis=1)))
     step = wavelength[best]
     span = float(np.nanmax(longest - shortest)) / step
     if span > _MOST_CANDIDATES:
@@ -102,7 +242,7 @@ def optical_path(
     strain = np.full(nearest.shape, np.inf)
     # Likelihoods of all candidates over that of the best one so far.
     total = np.zeros(nearest.shape)
-    excused = 1 / (sigma**2 + (doubt * each / (2 * np.pi)) ** 2)
+    excused = 1 / (sigma**2 + (known.doubt * each / (2 * np.pi)) ** 2)
     for count in range(int(np.ceil(span + 1)) + 1):
         candidate = nearest + count * step
         turns = np.round((candidate - measured) / each)
@@ -120,21 +260,26 @@ def optical_path(
         length = np.where(better, refined, length)
         strain = np.where(better, np.sum(error * excused, axis=0), strain)
         lowest = np.where(better, misfit, lowest)
-    freedom = len(modulation_frequency) - 1
+    turns = np.round((length - measured) / each)
+    residual = np.where(precision > 0, measured + turns * each - length, 0.0)
+    freedom = (precision > 0).sum(axis=0) - 1
     with np.errstate(invalid="ignore"):
         settled = np.isfinite(lowest) & (second - lowest > _MARGIN)
-        if freedom:
-            settled &= strain < _chi_square_limit(freedom)
+        settled &= (freedom == 0) | (strain < _chi_square_limits(len(phase))[freedom])
     return Path(
         length=length,
         uncertainty=precision.sum(axis=0) ** -0.5,
         weight=weight,
         settled=settled,
         wrong=np.where(total > 0, 1 - 1 / np.maximum(total, 1.0), 1.0),
+        residual=residual,
+        strain=strain,
+        left_out=precision == 0,
     )
 
 
-def _chi_square_limit(freedom: int) -> float:
+def _chi_square_limits(count: int) -> Floats:
+    """Return the largest misfit by the degrees of freedom, from 0 on."""
     from scipy.stats import chi2
 
-    return float(chi2.isf(_DISAGREEMENT, freedom))
+    return np.asarray(chi2.isf(_DISAGREEMENT, np.arange(count)), dtype=float)

@@ -150,3 +150,73 @@ def test_the_stated_probability_of_a_wrong_interval_is_how_often_it_is_wrong(
     assert happened > 2e-3
     chance = np.sqrt(happened / inside.sum())
     assert abs(stated - happened) < 4 * chance + 0.05 * happened
+
+
+_SWEEP = 5e6 + 9.4e6 * np.arange(16)
+
+
+@given(
+    seed=st.integers(0, 2**32 - 1),
+    spoiled=st.lists(st.integers(0, 15), min_size=1, max_size=3, unique=True),
+    turn=st.floats(0.3, 2.8),
+)
+def test_phases_that_stand_alone_are_left_out_and_the_rest_decides(
+    seed: int, spoiled: list[int], turn: float
+) -> None:
+    rng = np.random.default_rng(seed)
+    sigma = 5e-3
+    path = rng.uniform(4.0, 7.0, 40)
+    phase = _phases(path, _SWEEP) + sigma * rng.standard_normal((16, 40))
+    phase[spoiled, 7] += turn
+    found = optical_path(
+        phase,
+        np.full(phase.shape, sigma),
+        modulation_frequency=_SWEEP,
+        shortest=np.full(40, 3.0),
+        longest=np.full(40, 8.0),
+    )
+    assert found.settled.all()
+    assert_allclose(np.flatnonzero(found.left_out[:, 7]), sorted(spoiled))
+    assert found.left_out.sum() == len(spoiled)
+    # What the others say with these samples gone, by textbook least squares.
+    rest = np.setdiff1d(np.arange(16), spoiled)
+    wavenumber = 2 * np.pi * _SWEEP[rest] / speed_of_light
+    off = np.angle(np.exp(1j * (phase[rest, 7] - wavenumber * path[7])))
+    expected = path[7] + (wavenumber @ off) / (wavenumber @ wavenumber)
+    assert_allclose(found.length[7], expected, rtol=0, atol=1e-9)
+    error = sigma / np.sqrt(wavenumber @ wavenumber)
+    assert_allclose(found.uncertainty[7], error, rtol=1e-9)
+    assert_allclose(found.weight[spoiled, 7], 0)
+    assert_allclose(found.residual[spoiled, 7], 0)
+
+
+def test_what_many_pixels_have_in_common_is_not_left_out() -> None:
+    rng = np.random.default_rng(4)
+    path = rng.uniform(4.0, 7.0, 100)
+    phase = _phases(path, _SWEEP) + 5e-3 * rng.standard_normal((16, 100))
+    phase[0, :40] += 0.4
+    found = optical_path(
+        phase,
+        np.full(phase.shape, 5e-3),
+        modulation_frequency=_SWEEP,
+        shortest=np.full(100, 3.0),
+        longest=np.full(100, 8.0),
+    )
+    assert not found.left_out.any()
+    assert not found.settled[:40].any()
+    assert found.settled[40:].all()
+
+
+def test_two_frequencies_that_disagree_do_not_tell_which_one_is_wrong() -> None:
+    frequency = np.array([20e6, 80e6])
+    phase = _phases(np.array([5.0, 5.0]), frequency)
+    phase[1, 1] += 0.3
+    found = optical_path(
+        phase,
+        np.full(phase.shape, 5e-3),
+        modulation_frequency=frequency,
+        shortest=np.full(2, 3.0),
+        longest=np.full(2, 8.0),
+    )
+    assert found.settled.tolist() == [True, False]
+    assert not found.left_out.any()
