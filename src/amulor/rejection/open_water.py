@@ -15,6 +15,7 @@ from amulor.rejection.build import target_cube
 from amulor.rejection.covariance import along, covariance_of
 from amulor.rejection.reference.before_target import water_before_target
 from amulor.rejection.reference.presence import shows_target
+from amulor.rejection.reference.strength import strength_of
 from amulor.rejection.reference.turbidity import Turbidity
 
 Complex = NDArray[np.complex128]
@@ -111,10 +112,20 @@ def open_water(
             residual = np.where(np.isnan(residual), residual, 0)
     # Only the water in front of the target fluctuates.
     total = known + water.fluctuation
-    drift = water.drift * water.signal
-    moved = quality.moves_the_phase(target, drift / 2, total)
-    by_drift = along(drift, 12**-0.5)
+    drift = along(water.drift * water.signal, 12**-0.5)
+    strength = strength_of(
+        target,
+        water.signal,
+        covariance_of(cube) + water.fluctuation,
+        common + drift,
+        modulation_frequency=cube["modulation_frequency"].values,
+        path=water.path,
+    )
+    target = target - strength.change * water.signal
+    water_signal = water_signal + strength.change * water.signal
+    departure = along(water.signal, strength.uncertainty)
     other = quality.looks_like_water(cube, target, water.signal, total)
+    by_drift = drift + departure
     result = target_cube(
         cube,
         target,
@@ -132,7 +143,7 @@ def open_water(
         ),
         **_turbidity_attributes(water.turbidity),
     )
-    result = quality.add(result, QualityFlag.WATER_RESIDUAL, moved | other | circular)
+    result = quality.add(result, QualityFlag.WATER_RESIDUAL, other | circular)
     return quality.add(result, QualityFlag.NO_TARGET, ~seen)
 
 

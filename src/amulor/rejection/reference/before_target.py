@@ -50,6 +50,8 @@ class WaterBeforeTarget:
     """How `signal` fluctuates from sample to sample [V^2]."""
     common: Covariance
     """Error of the reference, which the pixels share [V^2]."""
+    path: NDArray[np.float64]
+    """Optical path out and back of every pixel, NaN where it is not settled [m]."""
 
     @property
     def drift(self) -> Complex:
@@ -91,13 +93,14 @@ def water_before_target(
     difference = subtract(samples, water)
     text = cube.attrs.get("survey")
     survey, turbidity, hidden, steeper = None, None, None, None
+    path = np.full(samples.shape[2:], np.nan)
     if text:
         survey = Survey.from_text(text, name="survey in the cube")
         if not survey_is_right:
             turbidity = turbidity_of(cube, survey, water, common)
             survey = turbidity.survey
         errors = covariance_of(cube) + common
-        depth = column.depth(cube, difference, errors, survey, interval=interval)
+        depth, path = column.depth(cube, difference, errors, survey, interval=interval)
         hidden = column.hidden_fraction(cube, survey, depth)
         if turbidity is not None:
             steeper = column.hidden_fraction(cube, turbidity.steeper, depth)
@@ -117,6 +120,7 @@ def water_before_target(
         signal=signal,
         fluctuation=fluctuation_of(fits, signal),
         common=common,
+        path=path,
     )
 
 

@@ -111,8 +111,8 @@ def depth(
     survey: Survey,
     *,
     interval: tuple[float, float] | None,
-) -> NDArray[np.float64]:
-    """Return how much water stands in front of the target.
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return how much water stands in front of the target, and the optical path.
 
     Parameters
     ----------
@@ -129,8 +129,8 @@ def depth(
 
     Returns
     -------
-    ndarray, shape (row, column)
-        Depth; NaN where the distance is not settled [m].
+    tuple of two ndarrays, shape (row, column)
+        Depth, and optical path out and back; NaN where the distance is not settled [m].
 
     Raises
     ------
@@ -141,7 +141,7 @@ def depth(
     if interval is None and unsettled_interval(
         survey, modulation_frequency=cube["modulation_frequency"].values
     ):
-        return np.full(shape, np.nan)
+        return np.full(shape, np.nan), np.full(shape, np.nan)
     water = water_properties(survey)
     surroundings = medium(survey, water)
     beam = rays.enter_water(
@@ -180,4 +180,5 @@ def depth(
         path.length, beam, receiver, medium=surroundings
     )
     found = np.maximum(slant_range - beam.length_before, 0.0)
-    return np.where(seen & path.settled, found, np.nan)
+    settled = seen & path.settled
+    return np.where(settled, found, np.nan), np.where(settled, path.length, np.nan)
