@@ -11,12 +11,9 @@ from amulor.rejection import quality
 from amulor.rejection.build import saturated_in_any, target_cube
 from amulor.rejection.channels import mixing, ratios
 from amulor.rejection.channels.names import pair_of
-from amulor.rejection.covariance import (
-    along,
-    common_covariance_of,
-    covariance_of,
-)
-from amulor.rejection.open_water import open_water
+from amulor.rejection.covariance import along
+from amulor.rejection.open_water import reference_attributes
+from amulor.rejection.subtraction import subtract_open_water
 
 #: Adds the axis of the one channel of the result.
 _WITH_CHANNEL = (slice(None), None)
@@ -81,39 +78,36 @@ def combined(
         estimate = ratios.target_ratio(cube, interval=interval)
         target_ratio = estimate.value
         target_ratio_uncertainty = estimate.uncertainty
-    left = open_water(cube, interval=interval, column_uncertainty=column_uncertainty)
-    parts = [left.sel(polarization=name) for name in (co, cross)]
-    signals = [part.amulor.signal.values for part in parts]
-    water = [part.amulor.water_signal.values for part in parts]
-    shared = [common_covariance_of(part) for part in parts]
-    own = [
-        covariance_of(part).without(common)
-        for part, common in zip(parts, shared, strict=True)
-    ]
-    water_weight = np.divide(
+    left = subtract_open_water(
+        cube, interval=interval, column_uncertainty=column_uncertainty
+    )
+    present = list(cube["polarization"].values)
+    channel = [(slice(None), present.index(name)) for name in (co, cross)]
+    water = [left.water_signal[index] for index in channel]
+    reference = [left.reference.part(index) for index in channel]
+    water_ratio = np.divide(
         (water[1] * water[0].conj()).real,
         np.abs(water[0]) ** 2,
         out=np.zeros(water[0].shape),
         where=np.abs(water[0]) > 0,
     )
-    prior = along(water[0], water_change)
+    # What is wrong with the water is wrong in both channels, in their proportion.
+    of_water = left.of_water.part(channel[0])
     solved = mixing.unmix(
-        signals,
-        [a + b for a, b in zip(own, shared, strict=True)],
+        [left.target[index] for index in channel],
+        [left.own.part(index) + left.reference.part(index) for index in channel],
         target_weights=[1.0, target_ratio],
-        water_weights=[1.0, water_weight],
-        water_prior=prior,
+        water_weights=[1.0, water_ratio],
+        water_prior=of_water + along(water[0], water_change),
     )
     target = solved.target
     # A wrong ratio moves the crossed channel away from the estimate.
     slope = solved.shift_by([np.zeros_like(target), -target])
     by_ratio = along(slope, target_ratio_uncertainty)
-    common = solved.error_of(shared) + by_ratio
-    residual = None
-    if "residual_in_phase" in left:
-        # Put back where the distance is settled; where it is not, it is not known.
-        known = [np.isfinite(part["residual_in_phase"].values) for part in parts]
-        residual = np.where(known[0] & known[1], 0.0, np.nan) + 0j * target
+    common = solved.error_of(reference) + by_ratio
+    common = common + solved.error_of_water([1.0, water_ratio], of_water)
+    # Put back where the distance is settled; where it is not, it is not known.
+    residual = None if left.residual is None else left.residual[channel[0]]
     first = saturated_in_any(
         cube.sel(polarization=[co]), cube.sel(polarization=[co, cross])
     )
@@ -129,22 +123,15 @@ def combined(
         frequencies_share_errors=np.int32(0),
         target_ratio=target_ratio,
         target_ratio_uncertainty=target_ratio_uncertainty,
-        open_water_drift=left.attrs["open_water_drift"],
-        open_water_drift_uncertainty=left.attrs["open_water_drift_uncertainty"],
+        **reference_attributes(left),
     )
     # Whether there is a target was decided before a column was put back.
-    hidden = [part["quality_flag"].values & QualityFlag.NO_TARGET for part in parts]
-    result = quality.add(
-        result, QualityFlag.NO_TARGET, ((hidden[0] & hidden[1]) != 0)[:, None]
-    )
+    result = quality.add(result, QualityFlag.NO_TARGET, ~left.seen)
+    outlying = left.outlying[channel[0]] | left.outlying[channel[1]]
+    result = quality.add(result, QualityFlag.OUTLIER, outlying[:, None])
     if water_change == 0:
         # Nothing here makes up for a reference that is doubtful.
-        flags = [
-            part["quality_flag"].values & QualityFlag.WATER_RESIDUAL for part in parts
-        ]
-        result = quality.add(
-            result, QualityFlag.WATER_RESIDUAL, ((flags[0] | flags[1]) != 0)[:, None]
-        )
+        result = quality.add(result, QualityFlag.WATER_RESIDUAL, left.doubtful)
     return result
 
 

@@ -6,22 +6,12 @@ from typing import Any
 
 import numpy as np
 import xarray as xr
-from numpy.typing import NDArray
 
 from amulor import cube as cubes
 from amulor.cube import QualityFlag
 from amulor.rejection import quality
 from amulor.rejection.build import target_cube
-from amulor.rejection.covariance import along, covariance_of
-from amulor.rejection.reference.before_target import water_before_target
-from amulor.rejection.reference.presence import shows_target
-from amulor.rejection.reference.strength import strength_of
-from amulor.rejection.reference.turbidity import Turbidity
-
-Complex = NDArray[np.complex128]
-
-#: At one frequency the column must be weaker than this, in parts of the target [1].
-_TOO_STRONG = 0.3
+from amulor.rejection.subtraction import Subtraction, subtract_open_water
 
 
 def open_water(
@@ -62,6 +52,9 @@ def open_water(
         water. The attributes `open_water_drift` and `open_water_drift_uncertainty`
         hold the size of the relative change, frequency by frequency; infinite
         uncertainty says that no direction was repeated, or none is stated.
+        `open_water_change` is how much stronger the water of the scan was than the
+        shots, as its own phases tell, with `open_water_change_uncertainty`; it is
+        taken into account.
 
     Raises
     ------
@@ -77,10 +70,13 @@ def open_water(
     -----
     (55)-(58) of [1]_ as a difference of phasors, which has no branch to go wrong. A
     drift that is larger than chance makes it in 1 of 1000 scans counts as an error that
-    is spread evenly over its size, and flags `WATER_RESIDUAL` where half of it moves
-    the phase by more than all other errors. So does, with two frequencies or channels
-    at least, a remainder that has the shape of the water signal itself: the reference
-    is of other water there. `NO_TARGET` is decided before any column is put back, see
+    is spread evenly over its size. Water that is stronger than its reference is told by
+    phases that disagree, see `amulor.rejection.reference.strength`. `WATER_RESIDUAL`
+    is flagged where, with two frequencies or channels at least, a remainder has the
+    shape of the water signal itself, and where at a single frequency the column behind
+    the target is as strong as a third of the target. Channels see the same distance:
+    where their phases disagree the sample is an `OUTLIER`. `NO_TARGET` is decided
+    before any column is put back, see
     `amulor.rejection.reference.presence.shows_target`.
 
     References
@@ -89,96 +85,56 @@ def open_water(
        :doi:`10.1155/2010/958360`.
     """
     cube = cubes.checked(cube, "samples")
-    _refuse_odd_fraction(column_uncertainty)
-    water = water_before_target(
-        cube, interval=interval, survey_is_right=column_uncertainty is not None
+    left = subtract_open_water(
+        cube,
+        interval=interval,
+        column_uncertainty=column_uncertainty,
+        put_back=put_back,
     )
-    seen = shows_target(cube, water, interval=interval)
-    target, water_signal, common = water.difference, water.to_the_end, water.common
-    known = covariance_of(cube) + common
-    residual = None
-    circular = np.zeros(target.shape[2:], dtype=bool)
-    corrected = put_back and water.hidden_fraction is not None
-    if water.hidden_fraction is not None:
-        residual = -water.hidden_fraction * water_signal
-        if put_back:
-            settled = np.nan_to_num(residual)
-            circular = _circular(target - settled, settled)
-            target, water_signal = target - settled, water_signal + settled
-            shared = water.hidden_error
-            if shared is None:
-                shared = along(settled, column_uncertainty or 0.0)
-            common, known = common + shared, known + shared
-            residual = np.where(np.isnan(residual), residual, 0)
-    # Only the water in front of the target fluctuates.
-    total = known + water.fluctuation
-    drift = along(water.drift * water.signal, 12**-0.5)
-    strength = strength_of(
-        target,
-        water.signal,
-        covariance_of(cube) + water.fluctuation,
-        common + drift,
-        modulation_frequency=cube["modulation_frequency"].values,
-        path=water.path,
-    )
-    target = target - strength.change * water.signal
-    water_signal = water_signal + strength.change * water.signal
-    departure = along(water.signal, strength.uncertainty)
-    other = quality.looks_like_water(cube, target, water.signal, total)
-    by_drift = drift + departure
     result = target_cube(
         cube,
-        target,
-        total + by_drift,
-        water_signal=water_signal,
-        residual=residual,
-        common=common + by_drift,
+        left.target,
+        left.own + left.shared,
+        water_signal=left.water_signal,
+        residual=left.residual,
+        common=left.shared,
         step="reject, open water"
-        + (", column behind the target put back" if corrected else ""),
+        + (", column behind the target put back" if left.put_back else ""),
         frequencies_share_errors=np.int32(0),
-        open_water_degree=np.array([fit.degree for fit in water.fits], dtype=np.int32),
-        open_water_drift=np.array([abs(fit.drift.change) for fit in water.fits]),
-        open_water_drift_uncertainty=np.array(
-            [abs(fit.drift.uncertainty) for fit in water.fits]
-        ),
-        **_turbidity_attributes(water.turbidity),
+        **reference_attributes(left),
     )
-    result = quality.add(result, QualityFlag.WATER_RESIDUAL, other | circular)
-    return quality.add(result, QualityFlag.NO_TARGET, ~seen)
+    result = quality.add(result, QualityFlag.WATER_RESIDUAL, left.doubtful)
+    result = quality.add(result, QualityFlag.OUTLIER, left.outlying)
+    return quality.add(result, QualityFlag.NO_TARGET, ~left.seen)
 
 
-def _circular(target: Complex, column: Complex) -> NDArray[np.bool_]:
-    """Return where one frequency leaves target and column to explain each other.
+def reference_attributes(left: Subtraction) -> dict[str, Any]:
+    """Return what the shots say about the water, as attributes of a cube.
 
-    The distance that cuts the column off comes from what subtraction left. Where the
-    column is more than a third as strong as the target, it is the column that sets this
-    distance, and a single frequency cannot contradict it.
+    Parameters
+    ----------
+    left : Subtraction
+        What was subtracted.
+
+    Returns
+    -------
+    dict
+        Degree, drift, strength and turbidity of the reference.
     """
-    if len(target) > 1:
-        return np.zeros(target.shape[2:], dtype=bool)
-    size = np.abs(column)
-    # In a shadow the column may come out short: what others have counts as well.
-    usual = np.array(
-        [[np.median(c[c > 0]) if c.any() else 0.0 for c in f] for f in size]
-    )
-    weak = np.maximum(size, usual[..., None, None]) > _TOO_STRONG * np.abs(target)
-    return np.asarray(weak.any(axis=(0, 1)))
-
-
-def _turbidity_attributes(turbidity: Turbidity | None) -> dict[str, Any]:
-    """Return what the shots say about the water, as attributes of a cube."""
+    fits, turbidity = left.water.fits, left.water.turbidity
+    told = {
+        "open_water_degree": np.array([fit.degree for fit in fits], dtype=np.int32),
+        "open_water_drift": np.array([abs(fit.drift.change) for fit in fits]),
+        "open_water_drift_uncertainty": np.array(
+            [abs(fit.drift.uncertainty) for fit in fits]
+        ),
+        "open_water_change": left.strength.change,
+        "open_water_change_uncertainty": left.strength.uncertainty,
+    }
     if turbidity is None:
-        return {}
-    return {
+        return told
+    return told | {
         "open_water_turbidity": turbidity.factor,
         "open_water_turbidity_uncertainty": turbidity.factor * turbidity.uncertainty,
         "open_water_misfit": turbidity.misfit,
     }
-
-
-def _refuse_odd_fraction(column_uncertainty: float | None) -> None:
-    if column_uncertainty is not None and not 0 <= column_uncertainty <= 1:
-        raise ValueError(
-            "column_uncertainty must lie between 0 and 1 (a fraction of the water "
-            f"behind the target), got {column_uncertainty:g}"
-        )

@@ -153,6 +153,53 @@ def looks_like_water(
     return np.asarray((count > 1) & (explained > DETECTION_THRESHOLD**2) & likely)
 
 
+#: Phases of two channels that differ by so many standard errors do not see the same.
+_DISAGREE = 4.0
+#: What so many pixels have in common is no outlier [1].
+_RARE = 0.15
+
+
+def channels_disagree(
+    signal: NDArray[np.complex128], uncertainty: Covariance
+) -> NDArray[np.bool_]:
+    """Return samples whose phase differs from that of another channel.
+
+    Parameters
+    ----------
+    signal : ndarray, shape (modulation_frequency, polarization, row, column)
+        Target signal [V].
+    uncertainty : Covariance
+        Its errors.
+
+    Returns
+    -------
+    ndarray of bool
+        Both samples of a pair are marked, for nothing tells which one is wrong. None
+        are where more than 15 % of the samples of a pair disagree, which is no chance,
+        and with three frequencies at least, which tell by themselves later.
+
+    Notes
+    -----
+    Every analyser passes some fraction of the same echo: their phases are one.
+    """
+    marked = np.zeros(signal.shape, dtype=bool)
+    if len(signal) > 2:
+        return marked
+    seen = np.isfinite(signal) & (signal != 0)
+    sigma = phase_error(signal, uncertainty, seen)
+    seen &= sigma < LARGEST_PHASE_ERROR
+    for first in range(signal.shape[1]):
+        for second in range(first):
+            pair = [first, second]
+            both = seen[:, pair].all(axis=1)
+            turn = np.angle(signal[:, first] * signal[:, second].conj())
+            error = np.hypot(sigma[:, first], sigma[:, second])
+            off = both & (np.abs(turn) > _DISAGREE * error)
+            often = off.sum(axis=(1, 2)) > _RARE * both.sum(axis=(1, 2))
+            marked[:, pair] |= (off & ~often[:, None, None])[:, None]
+    return marked
+
+
 #: What is explained leaves a rest that chance makes at least so often [1].
 _PLAUSIBLE = 1e-3
 

@@ -47,6 +47,26 @@ class Unmixed:
             total = total + part
         return total
 
+    def error_of_water(
+        self, weights: list[Floats | float], errors: Covariance
+    ) -> Covariance:
+        """Return what water that the channels share makes of the target signal.
+
+        Parameters
+        ----------
+        weights : list of ndarray or float
+            What each channel holds of that water [1].
+        errors : Covariance
+            How far the water may be from zero [V^2].
+
+        Returns
+        -------
+        Covariance
+            Of the shape of the target signal.
+        """
+        gain = sum(self.gain[:, c] * weight for c, weight in enumerate(weights))
+        return _turned(np.asarray(gain), errors)
+
     def shift_by(self, channels: list[Complex]) -> Complex:
         """Return by how much the target signal moves if the channels do.
 

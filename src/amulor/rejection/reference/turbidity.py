@@ -23,7 +23,7 @@ _FACTORS = np.geomspace(0.25, 4.0, 49)
 _DIRECTIONS = 9
 #: What the model may be off by where too few frequencies could show it, in parts of
 #: the open water, by the number of frequencies [1].
-_UNSEEN = {1: 0.02, 2: 0.01, 3: 0.005}
+_UNSEEN = {1: 0.05, 2: 0.01, 3: 0.005}
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -1,0 +1,180 @@
+"""What subtracting open water leaves, and each of its errors."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+
+from amulor.rejection import quality
+from amulor.rejection.covariance import Covariance, along, covariance_of
+from amulor.rejection.reference.before_target import (
+    WaterBeforeTarget,
+    water_before_target,
+)
+from amulor.rejection.reference.presence import shows_target
+from amulor.rejection.reference.strength import Strength, strength_of
+
+Complex = NDArray[np.complex128]
+
+#: At one frequency the column must be weaker than this, in parts of the target [1].
+_TOO_STRONG = 0.3
+
+
+@dataclass(frozen=True, kw_only=True)
+class Subtraction:
+    """What is left of samples; arrays of their shape unless said otherwise."""
+
+    target: Complex
+    """Target signal [V]."""
+    water_signal: Complex
+    """Water signal that was taken out [V]."""
+    residual: Complex | None
+    """Water signal estimated to be left in, NaN where nothing tells; None if no survey
+    describes the water [V]."""
+    put_back: bool
+    """Whether the column behind the target was put back."""
+    counting: Covariance
+    """Stated errors of the samples [V^2]."""
+    fluctuation: Covariance
+    """Of the water from sample to sample [V^2]."""
+    reference: Covariance
+    """Of the fit of the shots; the pixels share it, the channels do not [V^2]."""
+    column: Covariance
+    """Of the column that was put back; pixels and channels share it [V^2]."""
+    change: Covariance
+    """Of drift and strength of the water; pixels and channels share it [V^2]."""
+    seen: NDArray[np.bool_]
+    """Pixels that show a target, shape (row, column)."""
+    doubtful: NDArray[np.bool_]
+    """Pixels in which nothing tells target from water, shape (row, column)."""
+    outlying: NDArray[np.bool_]
+    """Samples whose phase differs from that of another channel."""
+    water: WaterBeforeTarget
+    """What the shots and the survey say."""
+    strength: Strength
+    """How much stronger than the shots the water was."""
+
+    @property
+    def own(self) -> Covariance:
+        """Errors that each sample has for itself [V^2]."""
+        return self.counting + self.fluctuation
+
+    @property
+    def of_water(self) -> Covariance:
+        """Errors that pixels and channels share, in proportion to the water [V^2]."""
+        return self.column + self.change
+
+    @property
+    def shared(self) -> Covariance:
+        """All errors that the pixels share [V^2]."""
+        return self.reference + self.of_water
+
+
+def subtract_open_water(
+    cube: xr.Dataset,
+    *,
+    interval: tuple[float, float] | None = None,
+    column_uncertainty: float | None = None,
+    put_back: bool = True,
+) -> Subtraction:
+    """Subtract the open-water signal from samples, phasor by phasor.
+
+    Parameters
+    ----------
+    cube : xarray.Dataset
+        Level `samples`, checked.
+    interval, column_uncertainty, put_back
+        As in `amulor.rejection.open_water`.
+
+    Returns
+    -------
+    Subtraction
+        Signals, errors one by one, and doubts.
+
+    Raises
+    ------
+    CubeError, ValueError
+        As `amulor.rejection.open_water`.
+    """
+    _refuse_odd_fraction(column_uncertainty)
+    water = water_before_target(
+        cube, interval=interval, survey_is_right=column_uncertainty is not None
+    )
+    seen = shows_target(cube, water, interval=interval)
+    target, water_signal = water.difference, water.to_the_end
+    counting = covariance_of(cube)
+    nothing = np.zeros(target.shape)
+    column = Covariance(nothing, nothing, nothing)
+    residual = None
+    doubtful = np.zeros(target.shape[2:], dtype=bool)
+    if water.hidden_fraction is not None:
+        residual = -water.hidden_fraction * water_signal
+        if put_back:
+            known = np.nan_to_num(residual)
+            doubtful = _circular(target - known, known)
+            target, water_signal = target - known, water_signal + known
+            column = (
+                along(known, column_uncertainty or 0.0)
+                if water.hidden_error is None
+                else water.hidden_error
+            )
+            residual = np.where(np.isnan(residual), residual, 0)
+    change = along(water.drift * water.signal, 12**-0.5)
+    # Only the water in front of the target fluctuates, drifts and departs.
+    strength = strength_of(
+        target,
+        water.signal,
+        counting + water.fluctuation,
+        water.common + column + change,
+        modulation_frequency=cube["modulation_frequency"].values,
+        path=water.path,
+    )
+    target = target - strength.change * water.signal
+    change = change + along(water.signal, strength.uncertainty)
+    errors = counting + water.fluctuation + water.common + column
+    doubtful |= quality.looks_like_water(cube, target, water.signal, errors)
+    return Subtraction(
+        target=target,
+        water_signal=water_signal + strength.change * water.signal,
+        residual=residual,
+        put_back=put_back and residual is not None,
+        counting=counting,
+        fluctuation=water.fluctuation,
+        reference=water.common,
+        column=column,
+        change=change,
+        seen=seen,
+        doubtful=doubtful,
+        outlying=quality.channels_disagree(target, errors + change),
+        water=water,
+        strength=strength,
+    )
+
+
+def _circular(target: Complex, column: Complex) -> NDArray[np.bool_]:
+    """Return where one frequency leaves target and column to explain each other.
+
+    The distance that cuts the column off comes from what subtraction left. Where the
+    column is more than a third as strong as the target, it is the column that sets this
+    distance, and a single frequency cannot contradict it.
+    """
+    if len(target) > 1:
+        return np.zeros(target.shape[2:], dtype=bool)
+    size = np.abs(column)
+    # In a shadow the column may come out short: what others have counts as well.
+    usual = np.array(
+        [[np.median(c[c > 0]) if c.any() else 0.0 for c in f] for f in size]
+    )
+    weak = np.maximum(size, usual[..., None, None]) > _TOO_STRONG * np.abs(target)
+    return np.asarray(weak.any(axis=(0, 1)))
+
+
+def _refuse_odd_fraction(column_uncertainty: float | None) -> None:
+    if column_uncertainty is not None and not 0 <= column_uncertainty <= 1:
+        raise ValueError(
+            "column_uncertainty must lie between 0 and 1 (a fraction of the water "
+            f"behind the target), got {column_uncertainty:g}"
+        )
