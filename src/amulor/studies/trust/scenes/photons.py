@@ -46,7 +46,7 @@ _ORDER = np.array([0, 7, 1, 6, 2, 5, 3, 4])
 
 @dataclass(frozen=True, kw_only=True)
 class Photons:
-    """Received per launched light, of a plate of reflectance 1."""
+    """Received per launched light."""
 
     open_water: Complex
     """Shape (frequencies of `_ALL`,)."""
@@ -57,7 +57,7 @@ class Photons:
 
 
 @functools.lru_cache(maxsize=8)
-def photons(name: str, histories: int) -> Photons:
+def photons(name: str, histories: int, reflectance: float) -> Photons:
     """Return echo and water signal against the distance of a plate.
 
     Parameters
@@ -66,6 +66,8 @@ def photons(name: str, histories: int) -> Photons:
         Of `PHASE_FUNCTIONS`.
     histories : int
         Histories for each distance; the open water takes four times as many.
+    reflectance : float
+        Of the plate: light goes to and fro between a bright one and the water [1].
 
     Returns
     -------
@@ -97,7 +99,7 @@ def photons(name: str, histories: int) -> Photons:
             _ALL,
             histories=histories,
             seed=10 * k + 1,
-            target=PlaneTarget(position=(0, 0, distance), reflectance=1.0),
+            target=PlaneTarget(position=(0, 0, distance), reflectance=reflectance),
         )
         for k, distance in enumerate(DISTANCES)
     ]
@@ -135,13 +137,13 @@ def photon_water(
         The survey says a and b rightly, and the moments of another phase function.
     """
     made = _survey(count, reflectance=reflectance)
-    light = photons(function, histories)
+    light = photons(function, histories, reflectance)
     frequency = np.array(made.instrument.modulation_frequencies)
     chosen = np.searchsorted(_ALL, frequency)
     column = np.repeat(_ORDER, _COLUMNS_EACH)
     shape = (made.scan.rows, len(column))
     paint, haze = made.targets[0].mueller, made.water.backscatter_mueller
-    target = _light(made, reflectance * light.echo[:, column], chosen, paint, shape)
+    target = _light(made, light.echo[:, column], chosen, paint, shape)
     water = _light(made, light.water[:, column], chosen, haze, shape)
     frame = simulate(made, rng=seed)
     number = frame.sizes["shot"]
@@ -163,7 +165,9 @@ def photon_water(
     )
     wide = np.ones((shape[0], 1))
     return case_of(
-        cubes.note(samples, "light from photon transport"),
+        cubes.note(samples, "light from photon transport").assign_attrs(
+            late_echo="present"
+        ),
         interval=(1.2, 3.3),
         surfaces=(wide * DISTANCES[column])[None],
         late=wide * late[column],
