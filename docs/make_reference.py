@@ -27,6 +27,7 @@ TABLES = {
     "[instrument.window]": survey.Window,
     "[scan]": survey.Scan,
     "[scan.open_water]": survey.OpenWater,
+    "[calibration]": survey.Calibration,
 }
 
 

@@ -227,6 +227,46 @@ def return_length(
 _NEWTON_STEPS = 8
 
 
+def optical_path(
+    slant_range: ArrayLike,
+    beam: Beam,
+    receiver: ArrayLike,
+    *,
+    medium: Medium,
+) -> NDArray[np.float64]:
+    """Return the two-way optical path to a point of a beam.
+
+    Parameters
+    ----------
+    slant_range : array_like
+        Distance from the start of the beam along the (bent) beam; below that of the
+        start of the water it counts as there [m].
+    beam : Beam
+        The beam in the water, from `enter_water`.
+    receiver : array_like, last axis (3,)
+        Where the light is collected [m].
+    medium : Medium
+        Indices and window.
+
+    Returns
+    -------
+    ndarray
+        Group index times length, out along the beam and back to the receiver [m].
+
+    See Also
+    --------
+    slant_range_of_path : The inverse.
+    """
+    distance = finite(slant_range, name="slant_range", unit="m")
+    water = np.maximum(distance - beam.length_before, 0.0)
+    point = beam.entry + water[..., None] * beam.direction
+    back = return_length(point, receiver, medium=medium)
+    path: NDArray[np.float64] = (
+        beam.optical_length_before + medium.group_index * water + back
+    )
+    return path
+
+
 def slant_range_of_path(
     optical_path: ArrayLike,
     beam: Beam,
@@ -344,13 +384,7 @@ def path_limits(
         )
 
     def path_at(slant_range: float) -> NDArray[np.float64]:
-        water = np.maximum(slant_range - beam.length_before, 0.0)
-        point = beam.entry + water[..., None] * beam.direction
-        back = return_length(point, receiver, medium=medium)
-        path: NDArray[np.float64] = (
-            beam.optical_length_before + medium.group_index * water + back
-        )
-        return path
+        return optical_path(slant_range, beam, receiver, medium=medium)
 
     shortest = path_at(nearest)
     if interval is not None:

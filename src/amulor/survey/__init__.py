@@ -1,5 +1,6 @@
 """What is described before anything is measured: one TOML file, strictly checked."""
 
+from amulor.survey.calibration import Calibration
 from amulor.survey.instrument import (
     Detector,
     Emitter,
@@ -15,6 +16,7 @@ from amulor.survey.target import Disc, Mesh, Plate, Staircase
 from amulor.survey.water import Water
 
 __all__ = [
+    "Calibration",
     "Detector",
     "Disc",
     "Emitter",

@@ -11,6 +11,7 @@ from pydantic import Field, ValidationError, model_validator
 
 from amulor.errors import SurveyError
 from amulor.survey import messages
+from amulor.survey.calibration import Calibration
 from amulor.survey.changes import changed
 from amulor.survey.instrument import Instrument
 from amulor.survey.quantity import Description
@@ -36,6 +37,8 @@ class Survey(Description):
     """The instrument."""
     scan: Scan
     """The scan."""
+    calibration: Calibration | None = None
+    """How well delay, geometry and index are known; not known if left out."""
 
     @model_validator(mode="after")
     def _dwell_lets_the_lock_in_settle(self) -> Self:

@@ -1,0 +1,66 @@
+"""How well the instrument's delay and geometry and the water's index are known."""
+
+from __future__ import annotations
+
+import datetime
+from typing import Annotated, Self
+
+from pydantic import Field, model_validator
+
+from amulor.survey.quantity import (
+    Angle,
+    Description,
+    Fraction,
+    Length,
+    Temperature,
+    Time,
+)
+
+
+class Calibration(Description):
+    """Standard uncertainties of what no sample can show; left out means not known."""
+
+    date: datetime.date | None = None
+    """Day on which the delay was measured, such as 2026-05-01."""
+    delay_uncertainty: Annotated[Time, Field(ge=0, le=1e-6)] | None = None
+    """Standard uncertainty of the instrument's own delay at the time of the
+    measurement, of all channels and frequencies alike: 0.1 ns is 11 mm [s]."""
+    receiver_position_uncertainty: Annotated[Length, Field(ge=0, le=0.5)] | None = None
+    """Standard uncertainty of each coordinate of the receiver against the emitter
+    [m]."""
+    direction_uncertainty: Annotated[Angle, Field(ge=0, le=0.5)] | None = None
+    """Standard uncertainty of the direction of the beams, of all of them alike, across
+    and upwards, against the line from emitter to receiver [rad]."""
+    group_index_uncertainty: Annotated[float, Field(ge=0, le=0.1)] | None = None
+    """Standard uncertainty of the group index [1]; or those of temperature and
+    salinity."""
+    temperature_uncertainty: Annotated[Temperature, Field(ge=0, le=30)] | None = None
+    """Standard uncertainty of the water's temperature, from which the group index
+    follows [degC]."""
+    salinity_uncertainty: Annotated[float, Field(ge=0, le=43)] | None = None
+    """Standard uncertainty of the water's practical salinity [1]."""
+    scattering_uncertainty: Annotated[Fraction, Field(ge=0, le=2)] | None = None
+    """Relative standard uncertainty of the scattering coefficient, for the light that
+    arrives late [1]."""
+
+    @model_validator(mode="after")
+    def _states_the_index_once(self) -> Self:
+        indirect = (self.temperature_uncertainty, self.salinity_uncertainty)
+        if self.group_index_uncertainty is not None and any(
+            value is not None for value in indirect
+        ):
+            raise ValueError(
+                "the uncertainty of the group index is stated twice; give either "
+                "group_index_uncertainty, or temperature_uncertainty and "
+                "salinity_uncertainty"
+            )
+        return self
+
+    @model_validator(mode="after")
+    def _dates_what_ages(self) -> Self:
+        if self.date is not None and self.delay_uncertainty is None:
+            raise ValueError(
+                "date is that of the delay, but delay_uncertainty is missing; state "
+                'it, such as "0.1 ns", or leave out the date'
+            )
+        return self
