@@ -6,6 +6,8 @@ import enum
 from dataclasses import dataclass
 from typing import Any
 
+from amulor.cube.terms import PHASE_PREFIX, RANGE_PREFIX, SIGNAL_TERMS, TERMS
+
 #: Raised when a file written by an older amulor can no longer be read as it is.
 SCHEMA_VERSION = "1"
 CONVENTIONS = "CF-1.11"
@@ -154,6 +156,20 @@ _JOINT = {
     ),
     "joint_misfit": _optional(_PIXEL, "1", "chi-square over its degrees of freedom"),
 }
+#: One standard uncertainty of the phase for each part of a target signal's errors.
+_PHASE_TERMS = {
+    f"{PHASE_PREFIX}{name}": _optional(
+        _SAMPLE, "rad", f"standard uncertainty by {TERMS[name].meaning}"
+    )
+    for name in SIGNAL_TERMS
+}
+#: One standard uncertainty of the slant range for each term; their squares add up.
+_RANGE_TERMS = {
+    f"{RANGE_PREFIX}{term.name}": _optional(
+        _PIXEL, "m", f"standard uncertainty by {term.meaning}"
+    )
+    for term in TERMS.values()
+}
 #: Names that variables had in files of version 1 before they had a place in a level.
 FORMER_NAMES = {
     "user_joint_slant_range": "joint_slant_range",
@@ -197,6 +213,7 @@ LEVELS = {
                 ),
                 "quality_flag": _needed(_SAMPLE, "1", "reason why a pixel is doubtful"),
                 **_JOINT,
+                **_PHASE_TERMS,
             },
             _SAMPLE_COORDINATES,
         ),
@@ -221,6 +238,13 @@ LEVELS = {
                 "slant_range_photon_limit": _optional(
                     _PIXEL, "m", "uncertainty by photon counting alone"
                 ),
+                "slant_range_bound": _optional(
+                    _PIXEL, "m", "Cramer-Rao bound of the slant range"
+                ),
+                "slant_range_late_echo": _optional(
+                    _PIXEL, "m", "delay by light scattered on its way, taken off"
+                ),
+                **_RANGE_TERMS,
                 "intensity": _needed(_PIXEL, "V", "amplitude of the target signal"),
                 "quality_flag": _needed(_PIXEL, "1", "reason why a pixel is doubtful"),
             },
@@ -235,6 +259,9 @@ LEVELS = {
                 "intensity": _needed(_POINT, "V", "amplitude of the target signal"),
                 "slant_range_uncertainty": _needed(
                     _POINT, "m", "standard uncertainty of the slant range"
+                ),
+                "slant_range_common_uncertainty": _optional(
+                    _POINT, "m", "part of the uncertainty that all points share"
                 ),
                 "quality_flag": _optional(
                     _POINT, "1", "reason why a point is doubtful"

@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from amulor import cube as cubes
 from amulor.cube import UNUSABLE
+from amulor.cube.terms import RANGE_PREFIX
 from amulor.errors import CubeError
 from amulor.imaging.point_cloud import point_cloud
 
@@ -124,7 +125,9 @@ def step_heights(image: xr.Dataset, regions: ArrayLike) -> list[StepHeight]:
     weighted by the stated uncertainties; where the scatter is larger than they say,
     the errors are enlarged in proportion. The error shared by all pixels is counted in
     full and the difference of the bias estimates of the two planes is added, both in
-    quadrature: an upper limit, since neighbours share most of either.
+    quadrature: an upper limit, since neighbours share most of either. Of late light,
+    delay, group index and geometry, which move all pixels the same way, the difference
+    between the two planes counts.
     """
     image = cubes.checked(image, "range_image")
     label = np.asarray(regions)
@@ -151,7 +154,12 @@ def step_heights(image: xr.Dataset, regions: ArrayLike) -> list[StepHeight]:
     inverse = np.linalg.inv((design * root[:, None]).T @ (design * root[:, None]))
     covariance = inverse * scatter
     lean = np.hypot(1.0, np.hypot(*solution[-2:]))
-    shared = _mean_of(image, "slant_range_common_uncertainty", number, pixel, numbers)
+    common = _mean_of(image, "slant_range_common_uncertainty", number, pixel, numbers)
+    alike = [
+        _mean_of(image, f"{RANGE_PREFIX}{name}", number, pixel, numbers)
+        for name in _ALIKE
+    ]
+    shared = np.sqrt(np.maximum(common**2 - sum(term**2 for term in alike), 0.0))
     bias = _mean_of(image, "slant_range_bias", number, pixel, numbers)
     steps = []
     for i in range(len(numbers) - 1):
@@ -163,6 +171,7 @@ def step_heights(image: xr.Dataset, regions: ArrayLike) -> list[StepHeight]:
             + shared[i] ** 2
             + shared[i + 1] ** 2
             + (bias[i + 1] - bias[i]) ** 2
+            + sum((term[i + 1] - term[i]) ** 2 for term in alike)
         )
         steps.append(
             StepHeight(
@@ -224,7 +233,7 @@ def contrast(image: xr.Dataset, target: ArrayLike, surround: ArrayLike) -> Contr
 def _regions(
     image: xr.Dataset, label: NDArray[np.intp], numbers: list[int]
 ) -> tuple[Floats, NDArray[np.intp], Floats, tuple[NDArray[np.intp], ...]]:
-    """Return points, region, uncertainty and pixel of what is usable and labelled."""
+    """Return points, region, own uncertainty and pixel of what is usable, labelled."""
     if label.shape != image["quality_flag"].shape:
         raise CubeError(
             f"the regions have the shape {label.shape}, the image "
@@ -235,9 +244,17 @@ def _regions(
     keep = np.isin(label[row, column], numbers)
     points = np.stack([cloud[axis].values for axis in "xyz"], axis=1)[keep]
     row, column = row[keep], column[keep]
-    sigma = cloud["slant_range_uncertainty"].values[keep]
+    variance = cloud["slant_range_uncertainty"].values[keep] ** 2
+    for name in _ALIKE:
+        if f"{RANGE_PREFIX}{name}" in image:
+            variance -= image[f"{RANGE_PREFIX}{name}"].values[row, column] ** 2
+    sigma = np.sqrt(variance)
     assert not np.any(image["quality_flag"].values[row, column] & UNUSABLE)
     return points, label[row, column], sigma, (row, column)
+
+
+#: Terms of the error budget that move all pixels of an image the same way.
+_ALIKE = ("late_echo", "delay", "group_index", "geometry")
 
 
 def _mean_of(

@@ -11,8 +11,10 @@ from numpy.typing import NDArray
 from amulor import cube as cubes
 from amulor.cube import UNUSABLE, QualityFlag
 from amulor.errors import CubeError, SurveyError
+from amulor.imaging import budget
 from amulor.imaging.geometry import beams_of, medium_of, receivers_of
-from amulor.optics import ambiguity, detection, ranging, rays
+from amulor.imaging.ranges import Ranges, phase_errors, ranges_of_joint, ranges_of_path
+from amulor.optics import ambiguity, ranging, rays
 from amulor.survey import Survey
 from amulor.survey.reach import unsettled_interval
 
@@ -67,18 +69,40 @@ def range_image(
        :doi:`10.1155/2010/958360`.
     """
     cube = cubes.checked(cube, "target_signal")
+    joint = "joint_slant_range" in cube
+    if joint and polarization is None:
+        polarization = cube.amulor.polarizations[0]
     one = channel_of(cube, polarization)
-    medium = medium_of(one)
+    if joint:
+        ranges = ranges_of_joint(one, interval=interval)
+    else:
+        ranges = ranges_of_path(one, _settled_path(one, interval))
+    image = _image(one, ranges, interval=interval)
+    reason = "" if interval is not None else _unsettled(one)
+    if reason:
+        flagged = image["quality_flag"] | np.int16(QualityFlag.RELATIVE)
+        image["quality_flag"] = flagged.assign_attrs(image["quality_flag"].attrs)
+        image = image.assign_attrs(interval_unsettled=reason)
+    step = f"image, channel {image.attrs['polarization']}"
+    return cubes.note(
+        image, f"{step}, ranges of the joint estimation" if joint else step
+    )
+
+
+def _settled_path(
+    one: xr.Dataset, interval: tuple[float, float] | None
+) -> ambiguity.Path:
+    """Return the optical path that fits the phases of a channel best."""
     frequency = one["modulation_frequency"].values
     shortest, longest = rays.path_limits(
         interval,
         beams_of(one),
         receivers_of(one),
-        medium=medium,
+        medium=medium_of(one),
         modulation_frequency=frequency,
     )
     flag, sigma, shift = phase_errors(one)
-    path = ambiguity.optical_path(
+    return ambiguity.optical_path(
         np.where((flag & UNUSABLE) == 0, np.angle(one.amulor.signal.values), 0.0),
         sigma,
         modulation_frequency=frequency,
@@ -86,47 +110,22 @@ def range_image(
         longest=longest,
         doubt=np.nan_to_num(np.abs(shift), nan=np.inf),
     )
-    image = image_of_path(one, path, interval=interval)
-    reason = "" if interval is not None else _unsettled(one)
-    if reason:
-        flagged = image["quality_flag"] | np.int16(QualityFlag.RELATIVE)
-        image["quality_flag"] = flagged.assign_attrs(image["quality_flag"].attrs)
-        image = image.assign_attrs(interval_unsettled=reason)
-    return cubes.note(image, f"image, channel {image.attrs['polarization']}")
 
 
 def _unsettled(one: xr.Dataset) -> str:
     """Return why phases alone do not tell the range; empty if the survey settles it."""
-    text = one.attrs.get("survey")
-    try:
-        survey = Survey.from_text(text) if text else None
-    except SurveyError:
-        survey = None
     return unsettled_interval(
-        survey, modulation_frequency=one["modulation_frequency"].values
+        _survey_of(one), modulation_frequency=one["modulation_frequency"].values
     )
 
 
-def phase_errors(
-    one: xr.Dataset,
-) -> tuple[NDArray[np.int16], Floats, Floats]:
-    """Return flags, phase errors and phase shifts by water of one channel.
-
-    Parameters
-    ----------
-    one : xarray.Dataset
-        Level `target_signal` without the dimension polarization.
-
-    Returns
-    -------
-    tuple of three ndarrays
-        Flags over (row, column), all frequencies together; phase error and shift by
-        the water left in, over (modulation_frequency, row, column) [rad].
-    """
-    signal = one.amulor.signal.values
-    flag = np.bitwise_or.reduce(one["quality_flag"].values, axis=0).astype(np.int16)
-    sigma = _phase_uncertainty(one, signal, (flag & UNUSABLE) == 0, "")
-    return flag, sigma, _phase_left_in(one, signal)
+def _survey_of(one: xr.Dataset) -> Survey | None:
+    """Return the survey of a cube, None if it has none that can be read."""
+    text = one.attrs.get("survey")
+    try:
+        return Survey.from_text(text) if text else None
+    except SurveyError:
+        return None
 
 
 def image_of_path(
@@ -148,51 +147,31 @@ def image_of_path(
     xarray.Dataset
         Level `range_image`.
     """
-    medium = medium_of(one)
-    frequency = one["modulation_frequency"].values
-    beam, receiver = beams_of(one), receivers_of(one)
-    signal = one.amulor.signal.values
-    flag, _, shift = phase_errors(one)
-    usable = (flag & UNUSABLE) == 0
-    # The optical path, out and back, is twice the range at a group index of 1.
-    to_path = 2 * ranging.range_per_phase(frequency[:, None, None], group_index=1.0)
+    return _image(one, ranges_of_path(one, path), interval=interval)
 
-    def to_range(length: Floats) -> Floats:
-        return rays.slant_range_of_path(length, beam, receiver, medium=medium)
 
-    slant_range = to_range(path.length)
-    slope = (to_range(path.length + _DIFFERENCE) - slant_range) / _DIFFERENCE
-    settled = path.settled & np.isfinite(slant_range) & np.isfinite(slope)
-    flag[usable & ~settled] |= QualityFlag.AMBIGUOUS
-    usable = (flag & UNUSABLE) == 0
-    variance = path.uncertainty**2
-    variables: dict[str, NDArray[Any]] = {}
-    if "residual_in_phase" in one:
-        bias = np.sum(path.weight * to_path * shift, axis=0)
-        variables["slant_range_bias"] = slope * bias
-    if "common_covariance" in one:
-        shared = _phase_uncertainty(one, signal, usable, "common_")
-        # Errors that pixels share may be shared by the frequencies as well: a wrong
-        # depolarization ratio is. Added as such, they make an upper limit. References
-        # are measured anew at each frequency.
-        apart = np.sum((path.weight * to_path * shared) ** 2, axis=0)
-        together = apart
-        if one.attrs.get("frequencies_share_errors", 1):
-            together = np.sum(path.weight * to_path * shared, axis=0) ** 2
-        variance = variance - apart + together
-        variables["slant_range_common_uncertainty"] = slope * np.sqrt(together)
-    variables["slant_range"] = slant_range
-    if frequency.size > 1:
-        variables["slant_range_wrong_interval"] = path.wrong
-    variables["slant_range_uncertainty"] = slope * np.sqrt(variance)
+def _image(
+    one: xr.Dataset, ranges: Ranges, *, interval: tuple[float, float] | None
+) -> xr.Dataset:
+    """Return the range image of a channel, with its whole error budget."""
+    ranges, said = budget.completed(one, ranges, survey=_survey_of(one))
+    usable = ranges.usable
+    variables: dict[str, NDArray[Any]] = {
+        "slant_range": ranges.slant_range,
+        **budget.uncertainties(ranges),
+        **ranges.others,
+    }
     if "photon_noise_volt" in one.attrs:
-        variables["slant_range_photon_limit"] = _photon_limit(one, medium.group_index)
+        variables["slant_range_photon_limit"] = _photon_limit(
+            one, medium_of(one).group_index
+        )
     variables = {
         name: np.where(usable, values, np.nan) for name, values in variables.items()
     }
+    intensity = np.abs(one.amulor.signal.values[0])
     image = cubes.build(
         "range_image",
-        variables | {"intensity": np.abs(signal[0]), "quality_flag": flag},
+        variables | {"intensity": intensity, "quality_flag": ranges.flag},
         {
             str(name): one[name].values
             for name in one.coords
@@ -203,8 +182,9 @@ def image_of_path(
             **one.attrs,
             "level": "range_image",
             "polarization": str(one["polarization"].item()),
-            "modulation_frequencies": frequency,
+            "modulation_frequencies": one["modulation_frequency"].values,
             **({} if interval is None else {"interval": np.array(interval)}),
+            **said,
         },
     )
     truth = one.amulor.truth
@@ -212,10 +192,6 @@ def image_of_path(
         pixel_truth = truth[[n for n in truth if truth[n].dims == ("row", "column")]]
         image = cubes.attach(image, pixel_truth, "truth")
     return image
-
-
-#: Step of the optical path for the derivative of the slant range [m].
-_DIFFERENCE = 1e-5
 
 
 def channel_of(cube: xr.Dataset, polarization: str | None) -> xr.Dataset:
@@ -250,39 +226,6 @@ def channel_of(cube: xr.Dataset, polarization: str | None) -> xr.Dataset:
             f"the cube has no channel {chosen!r}, but {', '.join(present)}; choose one"
         )
     return cube.sel(polarization=chosen)
-
-
-def _phase_left_in(cube: xr.Dataset, signal: NDArray[np.complex128]) -> Floats:
-    """Return the phase shift by water left in, NaN where it is not known."""
-    if "residual_in_phase" in cube:
-        left = (
-            cube["residual_in_phase"].values + 1j * cube["residual_quadrature"].values
-        )
-        return ranging.phase_shift(signal, residual=left)
-    taken_out = (cube["quality_flag"].values & QualityFlag.NO_OPEN_WATER) == 0
-    return np.where(taken_out, 0.0, np.nan)
-
-
-def _phase_uncertainty(
-    cube: xr.Dataset,
-    signal: NDArray[np.complex128],
-    usable: NDArray[np.bool_],
-    prefix: str,
-) -> Floats:
-    """Return the phase error from the errors of the outputs, infinite if unusable."""
-    in_phase = cube[f"{prefix}in_phase_uncertainty"].values ** 2
-    quadrature = cube[f"{prefix}quadrature_uncertainty"].values ** 2
-    if prefix:
-        cross = cube[f"{prefix}covariance"].values
-    else:
-        cross = cube.amulor.covariance.values
-    good = np.broadcast_to(usable, signal.shape)
-    return detection.phase_uncertainty(
-        np.where(good, signal, 1.0),
-        in_phase_variance=np.where(good, in_phase, 1.0),
-        quadrature_variance=np.where(good, quadrature, 1.0),
-        covariance=np.where(good, cross, 0.0),
-    )
 
 
 def _photon_limit(cube: xr.Dataset, group_index: float) -> Floats:

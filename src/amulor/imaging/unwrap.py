@@ -13,7 +13,8 @@ from amulor import cube as cubes
 from amulor.cube import UNUSABLE
 from amulor.errors import CubeError, MissingExtraError
 from amulor.imaging.geometry import beams_of, medium_of, receivers_of
-from amulor.imaging.range_image import channel_of, image_of_path, phase_errors
+from amulor.imaging.range_image import channel_of, image_of_path
+from amulor.imaging.ranges import phase_errors
 from amulor.optics import ambiguity, rays
 
 Floats = NDArray[np.float64]

@@ -96,6 +96,29 @@ def test_shared_error_and_bias_count() -> None:
     assert step.random < 1e-6
 
 
+def test_a_delay_moves_both_planes_and_no_step() -> None:
+    rng = np.random.default_rng(3)
+    noise = 2e-3 * rng.standard_normal(LABEL.shape)
+    z = 1.5 - 0.01 * (LABEL - 1.0) + noise
+    alone = metrics.step_heights(_image(z, 2e-3), LABEL)[0]
+    delay = np.full(z.shape, 11e-3)
+    # The group index moves a farther plane by more.
+    index = np.where(LABEL == 1, 2e-3, 2.5e-3)
+    common = np.sqrt(delay**2 + index**2)
+    image = _image(
+        z,
+        0.0,
+        slant_range_common_uncertainty=common,
+        slant_range_uncertainty_delay=delay,
+        slant_range_uncertainty_group_index=index,
+    )
+    image["slant_range_uncertainty"][:] = np.sqrt(common**2 + 2e-3**2)
+    step = metrics.step_heights(image, LABEL)[0]
+    assert step.height == pytest.approx(alone.height, rel=1e-9)
+    assert step.random == pytest.approx(alone.random, rel=1e-6)
+    assert step.uncertainty == pytest.approx(np.hypot(step.random, 0.5e-3), rel=1e-3)
+
+
 def test_flagged_pixels_are_left_out() -> None:
     z = 1.5 - 0.01 * (LABEL - 1.0)
     flag = np.zeros(z.shape, dtype=np.int16)

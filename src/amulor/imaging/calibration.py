@@ -1,0 +1,147 @@
+"""What delay, geometry and group index add to the error of slant ranges."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+from scipy.constants import speed_of_light
+
+from amulor.errors import SurveyError
+from amulor.imaging.geometry import beams_of, medium_of, receivers_of
+from amulor.optics import rays
+from amulor.optics.water import seawater
+from amulor.survey import Survey
+from amulor.survey.calibration import Calibration
+
+Floats = NDArray[np.float64]
+
+#: Terms of the error budget that a calibration states.
+CALIBRATION_TERMS = ("delay", "group_index", "geometry")
+#: Steps of temperature and salinity for the derivative of the index [degC, 1].
+_STEP = 0.5
+
+
+def calibration_terms(
+    one: xr.Dataset, path: Floats, slope: Floats, *, survey: Survey | None
+) -> dict[str, Floats]:
+    """Return the standard uncertainties that the survey's calibration states.
+
+    Parameters
+    ----------
+    one : xarray.Dataset
+        A cube with the geometry that its ranges were made with.
+    path : ndarray, shape (row, column)
+        Two-way optical path, not a number where there is none [m].
+    slope : ndarray, shape (row, column)
+        Derivative of the slant range by the path [1].
+    survey : Survey or None
+        Its calibration counts.
+
+    Returns
+    -------
+    dict of str to ndarray
+        Term to standard uncertainty of the slant range, shape (row, column) [m]; a
+        term is left out if the calibration does not say all that it needs.
+
+    Notes
+    -----
+    By central differences of the slant range of a fixed path: by the group index, by
+    each coordinate of the receiver and by azimuth and elevation of the beams. The
+    errors are one and the same for all pixels.
+    """
+    calibration = None if survey is None else survey.calibration
+    if survey is None or calibration is None:
+        return {}
+    terms: dict[str, Floats] = {}
+    if calibration.delay_uncertainty is not None:
+        terms["delay"] = slope * speed_of_light * calibration.delay_uncertainty
+    index = _index_uncertainty(survey, calibration)
+    if index is not None:
+        terms["group_index"] = _by_index(one, path, index)
+    place = calibration.receiver_position_uncertainty
+    turn = calibration.direction_uncertainty
+    if place is not None and turn is not None:
+        terms["geometry"] = _by_geometry(one, path, place=place, turn=turn)
+    return terms
+
+
+def _index_uncertainty(survey: Survey, calibration: Calibration) -> float | None:
+    """Return the standard uncertainty of the group index, None if not known."""
+    if calibration.group_index_uncertainty is not None:
+        return calibration.group_index_uncertainty
+    warmth, salt = (
+        calibration.temperature_uncertainty,
+        calibration.salinity_uncertainty,
+    )
+    if warmth is None or salt is None:
+        return None
+    water, wavelength = survey.water, survey.instrument.wavelength
+
+    def index(temperature: float, salinity: float) -> float:
+        return float(
+            seawater.group_index(wavelength, temperature=temperature, salinity=salinity)
+        )
+
+    # One-sided at the ends of what the formula holds for.
+    low, high = max(water.temperature - _STEP, 0.0), min(water.temperature + _STEP, 30)
+    less, more = max(water.salinity - _STEP, 0.0), water.salinity + _STEP
+    if more > 43:
+        less, more = 42.0, 43.0
+    try:
+        by_warmth = index(high, water.salinity) - index(low, water.salinity)
+        by_salt = index(water.temperature, more) - index(water.temperature, less)
+    except ValueError as error:
+        raise SurveyError(
+            f"calibration: the group index does not follow from temperature and "
+            f"salinity here ({error}); state group_index_uncertainty"
+        ) from None
+    return math.hypot(by_warmth / (high - low) * warmth, by_salt / (more - less) * salt)
+
+
+def _by_index(one: xr.Dataset, path: Floats, uncertainty: float) -> Floats:
+    """Return the error of the range by that of the group index of the water."""
+    beam, receiver, medium = beams_of(one), receivers_of(one), medium_of(one)
+    step = max(uncertainty, 1e-6)
+    ends = [
+        rays.slant_range_of_path(
+            path,
+            beam,
+            receiver,
+            medium=replace(medium, group_index=medium.group_index + side * step),
+        )
+        for side in (1, -1)
+    ]
+    return np.abs(ends[0] - ends[1]) / (2 * step) * uncertainty
+
+
+def _by_geometry(one: xr.Dataset, path: Floats, *, place: float, turn: float) -> Floats:
+    """Return the error of the range by receiver's place and beams' direction."""
+    beam, receiver, medium = beams_of(one), receivers_of(one), medium_of(one)
+    total = np.zeros(path.shape)
+    if place > 0:
+        for axis in np.eye(3):
+            ends = [
+                rays.slant_range_of_path(
+                    path, beam, receiver + side * place * axis, medium=medium
+                )
+                for side in (1, -1)
+            ]
+            total = total + ((ends[0] - ends[1]) / 2) ** 2
+    if turn > 0:
+        for name in ("azimuth", "elevation"):
+            angle = one[name]
+            ends = [
+                rays.slant_range_of_path(
+                    path,
+                    beams_of(one.assign_coords({name: angle + side * turn})),
+                    receiver,
+                    medium=medium,
+                )
+                for side in (1, -1)
+            ]
+            total = total + ((ends[0] - ends[1]) / 2) ** 2
+    return np.sqrt(total)

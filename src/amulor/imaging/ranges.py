@@ -1,0 +1,253 @@
+"""Slant ranges of one channel before delay, geometry and late light are counted."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+
+from amulor.cube import UNUSABLE, QualityFlag
+from amulor.cube.terms import PHASE_PREFIX, SIGNAL_TERMS
+from amulor.imaging.geometry import beams_of, medium_of, receivers_of
+from amulor.optics import ambiguity, detection, ranging, rays
+
+Floats = NDArray[np.float64]
+
+#: Step of the optical path for the derivative of the slant range [m].
+_DIFFERENCE = 1e-5
+#: A range may lie this many standard errors outside the interval: it was measured.
+_SLACK = 4.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class Ranges:
+    """Slant ranges by the phases alone, arrays over (row, column)."""
+
+    slant_range: Floats
+    """Distance from the emitter along the beam [m]."""
+    path: Floats
+    """Two-way optical path [m]."""
+    slope: Floats
+    """Derivative of the slant range by the path [1]."""
+    flag: NDArray[np.int16]
+    """Quality flags."""
+    weight: Floats
+    """Weight of each frequency, shape (frequencies,), 1 in all [1]."""
+    terms: dict[str, Floats]
+    """Standard uncertainty of the slant range by its terms [m]."""
+    common: Floats | None
+    """Part of all of these that the pixels share; None if not known [m]."""
+    others: dict[str, Floats] = field(default_factory=dict)
+    """Further variables of the image."""
+
+    @property
+    def usable(self) -> NDArray[np.bool_]:
+        """Where there is a range."""
+        return np.asarray((self.flag & UNUSABLE) == 0)
+
+
+def ranges_of_path(one: xr.Dataset, path: ambiguity.Path) -> Ranges:
+    """Return the ranges that belong to optical paths, with the errors of the phases.
+
+    Parameters
+    ----------
+    one : xarray.Dataset
+        Level `target_signal` without the dimension polarization.
+    path : amulor.optics.ambiguity.Path
+        Optical path of every pixel.
+
+    Returns
+    -------
+    Ranges
+        With the bias by water left in, where the cube estimates it.
+    """
+    frequency = one["modulation_frequency"].values
+    flag, sigma, shift = phase_errors(one)
+    usable = (flag & UNUSABLE) == 0
+    # The optical path, out and back, is twice the range at a group index of 1.
+    to_path = 2 * ranging.range_per_phase(frequency[:, None, None], group_index=1.0)
+    slant_range, slope = _ranges_and_slopes(one, path.length)
+    settled = path.settled & np.isfinite(slant_range) & np.isfinite(slope)
+    flag[usable & ~settled] |= QualityFlag.AMBIGUOUS
+    usable = (flag & UNUSABLE) == 0
+    per_phase = path.weight * to_path
+    variance = path.uncertainty**2
+    together = None
+    if "common_covariance" in one:
+        shared = _phase_uncertainty(one, one.amulor.signal.values, usable, "common_")
+        # Errors that pixels share may be shared by the frequencies as well: a wrong
+        # depolarization ratio is. Added as such, they make an upper limit. References
+        # are measured anew at each frequency.
+        apart = np.sum((per_phase * shared) ** 2, axis=0)
+        together = apart
+        if one.attrs.get("frequencies_share_errors", 1):
+            together = np.sum(per_phase * shared, axis=0) ** 2
+        variance = variance - apart + together
+    others = {}
+    if "residual_in_phase" in one:
+        others["slant_range_bias"] = slope * np.sum(per_phase * shift, axis=0)
+    if frequency.size > 1:
+        others["slant_range_wrong_interval"] = path.wrong
+    return Ranges(
+        slant_range=slant_range,
+        path=path.length,
+        slope=slope,
+        flag=flag,
+        weight=_weight(frequency, sigma, usable),
+        terms=_terms(one, per_phase, slope * np.sqrt(variance)),
+        common=None if together is None else slope * np.sqrt(together),
+        others=others,
+    )
+
+
+def ranges_of_joint(one: xr.Dataset, *, interval: tuple[float, float] | None) -> Ranges:
+    """Return the ranges that the joint estimation found, with their errors.
+
+    Parameters
+    ----------
+    one : xarray.Dataset
+        Level `target_signal` of the joint estimation, one channel.
+    interval : tuple of float, optional
+        Nearest and farthest slant range that are possible [m].
+
+    Returns
+    -------
+    Ranges
+        Those of all channels and frequencies together; nothing is estimated anew.
+    """
+    found = {
+        name: one[f"joint_{name}"].values
+        for name in (
+            "slant_range",
+            "slant_range_uncertainty",
+            "slant_range_common_uncertainty",
+            "slant_range_bound",
+            "wrong_interval_probability",
+        )
+    }
+    distance, total = found["slant_range"], found["slant_range_uncertainty"]
+    common = found["slant_range_common_uncertainty"]
+    flag, sigma, _ = phase_errors(one)
+    usable = (flag & UNUSABLE) == 0
+    settled = np.isfinite(distance) & np.isfinite(total)
+    if interval is not None:
+        with np.errstate(invalid="ignore"):
+            settled &= distance >= interval[0] - _SLACK * total
+            settled &= distance <= interval[1] + _SLACK * total
+    flag[usable & ~settled] |= QualityFlag.AMBIGUOUS
+    beam = beams_of(one)
+    path = rays.optical_path(
+        np.where(np.isfinite(distance), distance, beam.length_before + 1.0),
+        beam,
+        receivers_of(one),
+        medium=medium_of(one),
+    )
+    _, slope = _ranges_and_slopes(one, path)
+    with np.errstate(invalid="ignore"):
+        own = np.sqrt(np.maximum(total**2 - common**2, 0.0))
+    return Ranges(
+        slant_range=distance,
+        path=path,
+        slope=slope,
+        flag=flag,
+        weight=_weight(
+            one["modulation_frequency"].values, sigma, (flag & UNUSABLE) == 0
+        ),
+        terms={"signal": own, "water_model": common},
+        common=common,
+        others={
+            "slant_range_wrong_interval": found["wrong_interval_probability"],
+            "slant_range_bound": found["slant_range_bound"],
+        },
+    )
+
+
+def _ranges_and_slopes(one: xr.Dataset, path: Floats) -> tuple[Floats, Floats]:
+    """Return slant ranges and their derivative by the path."""
+    medium, beam, receiver = medium_of(one), beams_of(one), receivers_of(one)
+
+    def to_range(length: Floats) -> Floats:
+        return rays.slant_range_of_path(length, beam, receiver, medium=medium)
+
+    slant_range = to_range(path)
+    return slant_range, (to_range(path + _DIFFERENCE) - slant_range) / _DIFFERENCE
+
+
+def _weight(frequency: Floats, sigma: Floats, usable: NDArray[np.bool_]) -> Floats:
+    """Return how much each frequency counts in the ranges of most pixels."""
+    if not usable.any():
+        return np.full(frequency.size, 1 / frequency.size)
+    error = np.maximum(np.median(sigma[:, usable], axis=1), 1e-9)
+    precision = (frequency / error) ** 2
+    return np.asarray(precision / precision.sum())
+
+
+def _terms(one: xr.Dataset, per_phase: Floats, total: Floats) -> dict[str, Floats]:
+    """Return the terms of a known total, in the proportion of their squares."""
+    parts = {
+        name: np.sum((per_phase * one[f"{PHASE_PREFIX}{name}"].values) ** 2, axis=0)
+        for name in SIGNAL_TERMS
+        if f"{PHASE_PREFIX}{name}" in one
+    }
+    if not parts:
+        return {"signal": total}
+    whole = np.sum(list(parts.values()), axis=0)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return {name: total * np.sqrt(part / whole) for name, part in parts.items()}
+
+
+def phase_errors(
+    one: xr.Dataset,
+) -> tuple[NDArray[np.int16], Floats, Floats]:
+    """Return flags, phase errors and phase shifts by water of one channel.
+
+    Parameters
+    ----------
+    one : xarray.Dataset
+        Level `target_signal` without the dimension polarization.
+
+    Returns
+    -------
+    tuple of three ndarrays
+        Flags over (row, column), all frequencies together; phase error and shift by
+        the water left in, over (modulation_frequency, row, column) [rad].
+    """
+    signal = one.amulor.signal.values
+    flag = np.bitwise_or.reduce(one["quality_flag"].values, axis=0).astype(np.int16)
+    sigma = _phase_uncertainty(one, signal, (flag & UNUSABLE) == 0, "")
+    return flag, sigma, _phase_left_in(one, signal)
+
+
+def _phase_left_in(cube: xr.Dataset, signal: NDArray[np.complex128]) -> Floats:
+    """Return the phase shift by water left in, NaN where it is not known."""
+    if "residual_in_phase" in cube:
+        left = (
+            cube["residual_in_phase"].values + 1j * cube["residual_quadrature"].values
+        )
+        return ranging.phase_shift(signal, residual=left)
+    taken_out = (cube["quality_flag"].values & QualityFlag.NO_OPEN_WATER) == 0
+    return np.where(taken_out, 0.0, np.nan)
+
+
+def _phase_uncertainty(
+    cube: xr.Dataset,
+    signal: NDArray[np.complex128],
+    usable: NDArray[np.bool_],
+    prefix: str,
+) -> Floats:
+    """Return the phase error from the errors of the outputs, infinite if unusable."""
+    in_phase = cube[f"{prefix}in_phase_uncertainty"].values ** 2
+    quadrature = cube[f"{prefix}quadrature_uncertainty"].values ** 2
+    if prefix:
+        cross = cube[f"{prefix}covariance"].values
+    else:
+        cross = cube.amulor.covariance.values
+    good = np.broadcast_to(usable, signal.shape)
+    return detection.phase_uncertainty(
+        np.where(good, signal, 1.0),
+        in_phase_variance=np.where(good, in_phase, 1.0),
+        quadrature_variance=np.where(good, quadrature, 1.0),
+        covariance=np.where(good, cross, 0.0),
+    )
