@@ -14,7 +14,7 @@ from scipy.optimize import brentq
 
 from amulor.errors import SurveyError
 from amulor.imaging.geometry import beams_of
-from amulor.optics import late_echo, phase_functions
+from amulor.optics import late_echo, phase_functions, ranging
 from amulor.optics.phase_functions.models import henyey_greenstein_function
 from amulor.optics.phase_functions.phase_function import PhaseFunction
 from amulor.survey import Survey, WaterProperties, water_properties
@@ -112,6 +112,57 @@ def late_light(
     )
 
 
+def dispersion(
+    one: xr.Dataset,
+    slant_range: Floats,
+    *,
+    survey: Survey | None,
+    weight: Floats,
+) -> tuple[Floats, Floats] | None:
+    """Return by how much late light turns the phases of frequencies differently.
+
+    Parameters
+    ----------
+    one, slant_range, survey, weight
+        As in `late_light`.
+
+    Returns
+    -------
+    tuple of two ndarrays, shape (frequencies, row, column), or None
+        Phase at each frequency beyond that of the delay which all of them share, and
+        its standard uncertainty [rad]; None where no late light is known.
+
+    Notes
+    -----
+    The higher the frequency, the less light that took many ways counts: a delay that
+    differs with the frequency, which is no other distance and no other interval.
+    """
+    usable = np.isfinite(slant_range)
+    if len(weight) < 2 or survey is None or _has_no_late_light(one):
+        return None
+    if not usable.any():
+        return None
+    try:
+        water = water_properties(survey)
+        lowest, highest = _between(
+            one,
+            slant_range,
+            survey=survey,
+            water=water,
+            weight=np.eye(len(weight)) - weight,
+            known=_phase_functions(survey),
+        )
+    except SurveyError:
+        return None
+    to_phase = ranging.phase_per_range(
+        one["modulation_frequency"].values[:, None, None],
+        group_index=water.group_index,
+    )
+    turn = np.nan_to_num(to_phase * (lowest + highest) / 2)
+    spread = np.nan_to_num(to_phase * (highest - lowest) / 2)
+    return turn, np.hypot(_SHAPE_UNCERTAINTY * turn, spread)
+
+
 def _unknown(nothing: Floats, why: str) -> LateLight:
     return LateLight(late=nothing, uncertainty=None, note=f"not known: {why}")
 
@@ -133,7 +184,10 @@ def _between(
     weight: Floats,
     known: tuple[tuple[PhaseFunction, float, float], ...],
 ) -> tuple[Floats, Floats]:
-    """Return least and largest delay of each pixel that the known water allows [m]."""
+    """Return least and largest delay of each pixel that the known water allows [m].
+
+    Of delays at all frequencies, weighted by one row or by several.
+    """
     depth = slant_range - beams_of(one).length_before
     usable = np.isfinite(depth) & (depth > 0)
     ends = float(depth[usable].min()), float(depth[usable].max())
@@ -163,10 +217,15 @@ def _between(
             cross_tilt=seen.cross_tilt[..., None],
             standoff=seen.standoff[..., None],
         )
-        mean = np.tensordot(weight, each, axes=1)
+        mean = np.tensordot(np.atleast_2d(weight), each, axes=1)
         # Over the square of the distance it is nearly even, and so well interpolated.
-        even = RegularGridInterpolator((*sides, np.log(way)), mean / way**2)
-        found.append(even(place) * np.where(usable, depth, np.nan) ** 2)
+        even = RegularGridInterpolator(
+            (*sides, np.log(way)), np.moveaxis(mean / way**2, 0, -1)
+        )
+        delay = even(place) * np.where(usable, depth, np.nan)[..., None] ** 2
+        found.append(
+            np.moveaxis(delay, -1, 0).reshape(*weight.shape[:-1], *usable.shape)
+        )
     return np.min(found, axis=0), np.max(found, axis=0)
 
 

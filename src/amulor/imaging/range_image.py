@@ -13,7 +13,15 @@ from amulor.cube import UNUSABLE, QualityFlag
 from amulor.errors import CubeError, SurveyError
 from amulor.imaging import budget
 from amulor.imaging.geometry import beams_of, medium_of, receivers_of
-from amulor.imaging.ranges import Ranges, phase_errors, ranges_of_joint, ranges_of_path
+from amulor.imaging.late_light import dispersion
+from amulor.imaging.ranges import (
+    Ranges,
+    first_ranges,
+    phase_errors,
+    ranges_of_joint,
+    ranges_of_path,
+    weight_of,
+)
 from amulor.optics import ambiguity, ranging, rays
 from amulor.survey import Survey
 from amulor.survey.reach import unsettled_interval
@@ -102,14 +110,28 @@ def _settled_path(
         modulation_frequency=frequency,
     )
     flag, sigma, shift = phase_errors(one)
-    return ambiguity.optical_path(
-        np.where((flag & UNUSABLE) == 0, np.angle(one.amulor.signal.values), 0.0),
-        sigma,
-        modulation_frequency=frequency,
-        shortest=shortest,
-        longest=longest,
-        doubt=np.nan_to_num(np.abs(shift), nan=np.inf),
+    usable = (flag & UNUSABLE) == 0
+    phase = np.where(usable, np.angle(one.amulor.signal.values), 0.0)
+    doubt = np.nan_to_num(np.abs(shift), nan=np.inf)
+
+    def path_of(phase: Floats, doubt: Floats) -> ambiguity.Path:
+        return ambiguity.optical_path(
+            phase,
+            sigma,
+            modulation_frequency=frequency,
+            shortest=shortest,
+            longest=longest,
+            doubt=doubt,
+        )
+
+    path = path_of(phase, doubt)
+    late = dispersion(
+        one,
+        np.where(usable, first_ranges(one, path), np.nan),
+        survey=_survey_of(one),
+        weight=weight_of(frequency, sigma, usable),
     )
+    return path if late is None else path_of(phase - late[0], np.hypot(doubt, late[1]))
 
 
 def _unsettled(one: xr.Dataset) -> str:

@@ -95,7 +95,7 @@ def ranges_of_path(one: xr.Dataset, path: ambiguity.Path) -> Ranges:
         path=path.length,
         slope=slope,
         flag=flag,
-        weight=_weight(frequency, sigma, usable),
+        weight=weight_of(frequency, sigma, usable),
         terms=_terms(one, per_phase, slope * np.sqrt(variance)),
         common=None if together is None else slope * np.sqrt(together),
         others=others,
@@ -152,7 +152,7 @@ def ranges_of_joint(one: xr.Dataset, *, interval: tuple[float, float] | None) ->
         path=path,
         slope=slope,
         flag=flag,
-        weight=_weight(
+        weight=weight_of(
             one["modulation_frequency"].values, sigma, (flag & UNUSABLE) == 0
         ),
         terms={"signal": own, "water_model": common},
@@ -161,6 +161,26 @@ def ranges_of_joint(one: xr.Dataset, *, interval: tuple[float, float] | None) ->
             "slant_range_wrong_interval": found["wrong_interval_probability"],
             "slant_range_bound": found["slant_range_bound"],
         },
+    )
+
+
+def first_ranges(one: xr.Dataset, path: ambiguity.Path) -> Floats:
+    """Return the slant ranges of optical paths, not a number where there is none.
+
+    Parameters
+    ----------
+    one : xarray.Dataset
+        Level `target_signal` without the dimension polarization.
+    path : amulor.optics.ambiguity.Path
+        Optical path of every pixel.
+
+    Returns
+    -------
+    ndarray, shape (row, column)
+        Distance from the emitter along the beam [m].
+    """
+    return rays.slant_range_of_path(
+        path.length, beams_of(one), receivers_of(one), medium=medium_of(one)
     )
 
 
@@ -175,8 +195,23 @@ def _ranges_and_slopes(one: xr.Dataset, path: Floats) -> tuple[Floats, Floats]:
     return slant_range, (to_range(path + _DIFFERENCE) - slant_range) / _DIFFERENCE
 
 
-def _weight(frequency: Floats, sigma: Floats, usable: NDArray[np.bool_]) -> Floats:
-    """Return how much each frequency counts in the ranges of most pixels."""
+def weight_of(frequency: Floats, sigma: Floats, usable: NDArray[np.bool_]) -> Floats:
+    """Return how much each frequency counts in the ranges of most pixels.
+
+    Parameters
+    ----------
+    frequency : ndarray, shape (frequencies,)
+        Modulation frequencies [Hz].
+    sigma : ndarray, shape (frequencies, row, column)
+        Phase errors [rad].
+    usable : ndarray of bool, shape (row, column)
+        Pixels that count.
+
+    Returns
+    -------
+    ndarray, shape (frequencies,)
+        1 in all [1].
+    """
     if not usable.any():
         return np.full(frequency.size, 1 / frequency.size)
     error = np.maximum(np.median(sigma[:, usable], axis=1), 1e-9)
