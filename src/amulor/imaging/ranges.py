@@ -17,6 +17,8 @@ Floats = NDArray[np.float64]
 
 #: Step of the optical path for the derivative of the slant range [m].
 _DIFFERENCE = 1e-5
+#: Fraction of the frequencies of a pixel that may show no target [1].
+_HALF = 0.5
 #: A range may lie this many standard errors outside the interval: it was measured.
 _SLACK = 4.0
 
@@ -250,8 +252,14 @@ def phase_errors(
         the water left in, over (modulation_frequency, row, column) [rad].
     """
     signal = one.amulor.signal.values
-    flag = np.bitwise_or.reduce(one["quality_flag"].values, axis=0).astype(np.int16)
+    each = one["quality_flag"].values
+    unseen = (each & QualityFlag.NO_TARGET) != 0
+    # A target that half of the frequencies show is there: the others are left out.
+    shown = unseen.mean(axis=0) <= _HALF
+    each = np.where(unseen & shown, each & ~QualityFlag.NO_TARGET, each)
+    flag = np.bitwise_or.reduce(each, axis=0).astype(np.int16)
     sigma = _phase_uncertainty(one, signal, (flag & UNUSABLE) == 0, "")
+    sigma = np.where(unseen & shown, np.inf, sigma)
     return flag, sigma, _phase_left_in(one, signal)
 
 

@@ -21,6 +21,7 @@ def target_cube(
     water_signal: NDArray[np.complex128],
     residual: NDArray[np.complex128] | None = None,
     common: Covariance | None = None,
+    proportional: Covariance | None = None,
     water_is_in: bool = False,
     step: str,
     **attributes: Any,
@@ -39,6 +40,8 @@ def target_cube(
         Water signal that is estimated to be left in [V].
     common : Covariance, optional
         The part of the errors that the pixels share.
+    proportional : Covariance, optional
+        The part of the errors in proportion to the target signal.
     water_is_in : bool
         True if no water signal was taken out.
     step : str
@@ -64,6 +67,7 @@ def target_cube(
             target_signal,
             uncertainty,
             residual=residual,
+            proportional=proportional,
             water_is_in=water_is_in,
         ),
     }

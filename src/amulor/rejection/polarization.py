@@ -243,15 +243,15 @@ def unmix(
     ).scaled((water_ratio / contrast) ** 2)
     first = saturated_in_any(first, cube.sel(polarization=[co, cross]))
     # dT/dr_t = -T / contrast and dT/dr_w = -W / contrast.
-    common = along(target, target_ratio_uncertainty / contrast) + along(
-        water, water_ratio_uncertainty / contrast
-    )
+    by_target_ratio = along(target, target_ratio_uncertainty / contrast)
+    common = by_target_ratio + along(water, water_ratio_uncertainty / contrast)
     return target_cube(
         first,
         target,
         independent + fluctuations[0] + fluctuations[1] + common,
         water_signal=water,
         common=common,
+        proportional=by_target_ratio,
         step=f"reject, unmix {co} and {cross}, ratios of target {target_ratio:g}, "
         f"of water {water_ratio:g}",
         target_ratio=target_ratio,

@@ -22,6 +22,7 @@ def flags(
     uncertainty: Covariance,
     *,
     residual: NDArray[np.complex128] | None = None,
+    proportional: Covariance | None = None,
     water_is_in: bool = False,
 ) -> NDArray[np.int16]:
     """Return the quality flag of every sample.
@@ -37,6 +38,9 @@ def flags(
     residual : ndarray of complex, optional
         Water signal that is estimated to be left in [V]; where it is NaN,
         it is not known, and flagged as if it were large.
+    proportional : Covariance, optional
+        The part of the errors that is in proportion to the target signal, such as that
+        of its depolarization ratio: it cannot make a target out of nothing.
     water_is_in : bool
         True if no water signal was taken out at all.
 
@@ -52,6 +56,8 @@ def flags(
     # Water that is left in must not pass for a target: it counts as an error too.
     known = np.zeros_like(target_signal) if residual is None else residual
     left = np.nan_to_num(np.abs(known) ** 2)
+    if proportional is not None:
+        uncertainty = uncertainty.without(proportional)
     blurred = Covariance(
         uncertainty.in_phase + left, uncertainty.quadrature + left, uncertainty.cross
     )

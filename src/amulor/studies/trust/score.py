@@ -63,8 +63,8 @@ def score(case: Case, outcome: Outcome) -> Score:
     -------
     Score
         The interval of a pixel is `slant_range - slant_range_bias` plus or minus
-        `slant_range_uncertainty`. Trusted is a pixel without any flag in target signal
-        and image. Of several surfaces the nearest to the
+        `slant_range_uncertainty`. Trusted is a pixel of the image without any flag;
+        flags of the target signal go into it. Of several surfaces the nearest to the
         result counts.
     """
     met = np.isfinite(case.surfaces).any(axis=0) & case.judged
@@ -110,9 +110,7 @@ def score(case: Case, outcome: Outcome) -> Score:
 def _trusted(outcome: Outcome, shape: tuple[int, ...]) -> NDArray[np.bool_]:
     if outcome.target is None or outcome.image is None:
         return np.zeros(shape, dtype=bool)
-    channel = str(outcome.image.attrs["polarization"])
-    flags = outcome.target.sel(polarization=channel)["quality_flag"].values
-    good = (flags == 0).all(axis=0) & (outcome.image["quality_flag"].values == 0)
+    good = outcome.image["quality_flag"].values == 0
     return np.asarray(good & np.isfinite(outcome.image["slant_range"].values))
 
 

@@ -139,7 +139,8 @@ def photon_water(
     made = _survey(count, reflectance=reflectance)
     light = photons(function, histories, reflectance)
     frequency = np.array(made.instrument.modulation_frequencies)
-    chosen = np.searchsorted(_ALL, frequency)
+    # Frequencies that went through a text differ in the last bit.
+    chosen = np.abs(_ALL - frequency[:, None]).argmin(axis=1)
     column = np.repeat(_ORDER, _COLUMNS_EACH)
     shape = (made.scan.rows, len(column))
     paint, haze = made.targets[0].mueller, made.water.backscatter_mueller
