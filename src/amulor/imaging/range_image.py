@@ -14,9 +14,11 @@ from amulor.errors import CubeError, SurveyError
 from amulor.imaging import budget
 from amulor.imaging.geometry import beams_of, medium_of, receivers_of
 from amulor.imaging.late_light import dispersion
+from amulor.imaging.noise import noise_scale, with_noise_scaled
 from amulor.imaging.ranges import (
     Ranges,
     first_ranges,
+    own_phase_errors,
     phase_errors,
     ranges_of_joint,
     ranges_of_path,
@@ -69,7 +71,9 @@ def range_image(
     uncertainty of the samples, `slant_range_photon_limit` is (2) with the photons that
     the target alone sent, `slant_range_bias` the shift by the water signal estimated
     to be left in, `slant_range_wrong_interval` the probability that another interval
-    within the limits is the right one.
+    within the limits is the right one. Where the phases of several frequencies scatter
+    more than stated, the stated noise is enlarged, and the attribute `noise_scale` says
+    by what factor.
 
     References
     ----------
@@ -84,6 +88,13 @@ def range_image(
     if joint:
         ranges = ranges_of_joint(one, interval=interval)
     else:
+        if one.sizes["modulation_frequency"] > 1:
+            factor = noise_scale(
+                _settled_path(one, interval, leave_out=False),
+                own_phase_errors(one),
+                modulation_frequency=one["modulation_frequency"].values,
+            )
+            one = with_noise_scaled(one, factor)
         ranges = ranges_of_path(one, _settled_path(one, interval))
     image = _image(one, ranges, interval=interval)
     reason = "" if interval is not None else _unsettled(one)
@@ -98,7 +109,10 @@ def range_image(
 
 
 def _settled_path(
-    one: xr.Dataset, interval: tuple[float, float] | None
+    one: xr.Dataset,
+    interval: tuple[float, float] | None,
+    *,
+    leave_out: bool = True,
 ) -> ambiguity.Path:
     """Return the optical path that fits the phases of a channel best."""
     frequency = one["modulation_frequency"].values
@@ -122,9 +136,12 @@ def _settled_path(
             shortest=shortest,
             longest=longest,
             doubt=doubt,
+            leave_out=leave_out,
         )
 
     path = path_of(phase, doubt)
+    if not leave_out:
+        return path
     late = dispersion(
         one,
         np.where(usable, first_ranges(one, path), np.nan),

@@ -263,6 +263,27 @@ def phase_errors(
     return flag, sigma, _phase_left_in(one, signal)
 
 
+def own_phase_errors(one: xr.Dataset) -> Floats:
+    """Return the phase error of each sample without what the pixels share.
+
+    Parameters
+    ----------
+    one : xarray.Dataset
+        Level `target_signal` without the dimension polarization.
+
+    Returns
+    -------
+    ndarray, shape (modulation_frequency, row, column)
+        Infinite where a sample does not count [rad].
+    """
+    flag, sigma, _ = phase_errors(one)
+    if "common_covariance" not in one:
+        return sigma
+    usable = (flag & UNUSABLE) == 0
+    shared = _phase_uncertainty(one, one.amulor.signal.values, usable, "common_")
+    return np.sqrt(np.maximum(sigma**2 - shared**2, 0.0))
+
+
 def _phase_left_in(cube: xr.Dataset, signal: NDArray[np.complex128]) -> Floats:
     """Return the phase shift by water left in, NaN where it is not known."""
     if "residual_in_phase" in cube:

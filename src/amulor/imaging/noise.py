@@ -1,0 +1,123 @@
+"""Whether the stated noise of a cube is as large as its phases scatter."""
+
+from __future__ import annotations
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+
+from amulor.cube.terms import PHASE_PREFIX
+from amulor.optics import ambiguity
+
+Floats = NDArray[np.float64]
+
+#: Pairs of neighbours that are enough to tell.
+_FEWEST = 30
+#: The scatter must stand out of chance by this many standard errors [1].
+_SURE = 4.0
+#: Median of chi-square with one degree of freedom, and the relative standard error of
+#: such a median times the root of the number of values [1].
+_MEDIAN, _OF_MEDIAN = 0.45494, 2.326
+#: Terms of the error that are drawn anew for each sample.
+_OWN_TERMS = ("counting", "fluctuation")
+
+
+def noise_scale(
+    path: ambiguity.Path, own: Floats, *, modulation_frequency: Floats
+) -> float:
+    r"""Return by which factor the noise of the phases exceeds what is stated.
+
+    Parameters
+    ----------
+    path : amulor.optics.ambiguity.Path
+        Optical paths over (row, column), with their residuals.
+    own : ndarray, shape (frequencies, row, column)
+        Stated phase error of each sample by itself, without what pixels share [rad].
+    modulation_frequency : ndarray, shape (frequencies,)
+        Modulation frequencies [Hz].
+
+    Returns
+    -------
+    float
+        At least 1; 1 with a single frequency, for too few pixels, and where chance
+        explains the excess.
+
+    Notes
+    -----
+    Phases at n frequencies leave n - 1 residuals a pixel when the range is taken out.
+    In the difference of two neighbours everything cancels that they share: water of
+    another shape, late light, errors of the reference. What is left is noise, and the
+    median of its chi-square over that of chance is the square of the factor (Birge
+    ratio). Edges, outliers and mixed pixels do not move a median.
+    """
+    to_path = 299792458.0 / (2 * np.pi * modulation_frequency[:, None, None])
+    error = own * to_path
+    there = np.isfinite(path.length)
+    there &= np.isfinite(error).all(axis=0) & (error > 0).all(axis=0)
+    freedom = len(modulation_frequency) - 1
+    if freedom < 1:
+        return 1.0
+    scores = []
+    for axis in (0, 1):
+        one, other = _pairs(axis)
+        both = there[one] & there[other]
+        every = (slice(None), *one), (slice(None), *other)
+        square = (path.residual[every[0]] - path.residual[every[1]])[:, both] ** 2
+        first, second = (_expected(path.weight[e], error[e])[:, both] for e in every)
+        scores.append(square / (first + second))
+    score = np.concatenate(scores, axis=1)
+    if score.shape[1] < _FEWEST:
+        return 1.0
+    each = np.median(score, axis=1) / _MEDIAN
+    # That of n - 1 residuals is known beside the others; pairs overlap two by two.
+    chance = _OF_MEDIAN * np.sqrt(2 / score.shape[1] / freedom)
+    factor = float(np.mean(each))
+    return float(np.sqrt(factor)) if factor > 1 + _SURE * chance else 1.0
+
+
+def with_noise_scaled(one: xr.Dataset, factor: float) -> xr.Dataset:
+    """Return a target signal whose samples have larger errors of their own.
+
+    Parameters
+    ----------
+    one : xarray.Dataset
+        Level `target_signal`, one channel.
+    factor : float
+        At least 1.
+
+    Returns
+    -------
+    xarray.Dataset
+        What pixels share stays as it is; the attribute `noise_scale` says the factor.
+    """
+    if factor == 1:
+        return one
+    more = factor**2 - 1
+    changed: dict[str, xr.DataArray] = {}
+    for name in ("in_phase_uncertainty", "quadrature_uncertainty"):
+        own = one[name] ** 2 - one.get(f"common_{name}", 0.0) ** 2
+        changed[name] = (one[name] ** 2 + more * own.clip(min=0.0)) ** 0.5
+    if "in_phase_quadrature_covariance" in one:
+        cross = one["in_phase_quadrature_covariance"]
+        own = cross - one.get("common_covariance", 0.0)
+        changed["in_phase_quadrature_covariance"] = cross + more * own
+    for name in _OWN_TERMS:
+        if f"{PHASE_PREFIX}{name}" in one:
+            changed[f"{PHASE_PREFIX}{name}"] = factor * one[f"{PHASE_PREFIX}{name}"]
+    kept = {
+        name: values.assign_attrs(one[name].attrs) for name, values in changed.items()
+    }
+    return one.assign(kept).assign_attrs(noise_scale=factor)
+
+
+def _pairs(axis: int) -> tuple[tuple[slice, slice], tuple[slice, slice]]:
+    """Return where a pixel and its next one along an axis are."""
+    first, second = [slice(None)] * 2, [slice(None)] * 2
+    first[axis], second[axis] = slice(None, -1), slice(1, None)
+    return (first[0], first[1]), (second[0], second[1])
+
+
+def _expected(weight: Floats, error: Floats) -> Floats:
+    """Return the variance of residuals about a weighted mean of independent errors."""
+    of_mean = np.sum((weight * np.where(np.isfinite(error), error, 0.0)) ** 2, axis=0)
+    return np.asarray((1 - 2 * weight) * error**2 + of_mean)
