@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -26,9 +27,10 @@ def info(
     from amulor import io
 
     cube = io.read_cube(file)
+    level = str(cube.attrs["level"])
     found: dict[str, Any] = {
         "file": str(file),
-        "level": cube.attrs["level"],
+        "level": level,
         "title": cube.attrs.get("title", ""),
         "sizes": {str(name): size for name, size in cube.sizes.items()},
         "modulation_frequencies_hz": (
@@ -43,13 +45,73 @@ def info(
         ),
         "simulated": bool(cube.attrs.get("simulated", 0)),
         "flags": cubes.flag_counts(cube),
+        "uncertainty": _uncertainty(cube) if level == "range_image" else {},
         "history": str(cube.attrs.get("history", "")).splitlines(),
     }
     if json:
         print_json(found)
         return
+    budget = found.pop("uncertainty")
     for name, value in found.items():
         if value not in ([], {}, ""):
             lines = value if isinstance(value, list) and name == "history" else [value]
             for line in lines:
                 print(f"{name:>26}: {line}")
+    for line in _lines(budget):
+        print(f"{'uncertainty':>26}: {line}")
+
+
+def _uncertainty(image: Any) -> dict[str, Any]:
+    """Return the error budget of a range image for other programs [m]."""
+    from amulor.imaging.budget import COVERAGE_FACTOR, error_budget
+
+    budget = error_budget(image)
+    return {
+        "combined_m": budget.combined,
+        "common_m": budget.common,
+        "expanded_m": budget.expanded,
+        "coverage_factor": COVERAGE_FACTOR,
+        "terms": {
+            line.term.name: {
+                "standard_uncertainty_m": line.uncertainty,
+                "share_of_variance": line.share,
+                "type": line.term.kind,
+                "measurements": line.samples,
+            }
+            for line in budget.lines
+        },
+        "unknown": [term.name for term in budget.unknown],
+        "late_echo": budget.late_echo,
+        "late_echo_taken_off_m": budget.late,
+        "delay_calibrated": budget.calibrated,
+    }
+
+
+def _lines(budget: dict[str, Any]) -> list[str]:
+    """Return the error budget as a person reads it."""
+    if not budget or not math.isfinite(budget["combined_m"]):
+        return []
+    lines = [
+        f"{budget['combined_m'] * 1e3:.3g} mm combined standard uncertainty (median), "
+        f"{budget['expanded_m'] * 1e3:.3g} mm with k = {budget['coverage_factor']:g}"
+    ]
+    if math.isfinite(budget["common_m"]):
+        lines.append(f"{budget['common_m'] * 1e3:.3g} mm of it shared by all pixels")
+    for name, term in budget["terms"].items():
+        number = term["measurements"]
+        found = "" if number is None else f", from {number} shots"
+        lines.append(
+            f"{term['standard_uncertainty_m'] * 1e3:.3g} mm {name} "
+            f"({term['share_of_variance']:.0%} of the variance, type {term['type']}"
+            f"{found})"
+        )
+    if budget["unknown"]:
+        lines.append(f"not known, and not in it: {', '.join(budget['unknown'])}")
+    if math.isfinite(budget["late_echo_taken_off_m"]):
+        late = f"{budget['late_echo_taken_off_m'] * 1e3:.3g} mm"
+        lines.append(f"late echo: {late} {budget['late_echo']}")
+    elif budget["late_echo"]:
+        lines.append(f"late echo: {budget['late_echo']}")
+    if budget["delay_calibrated"]:
+        lines.append(f"delay calibrated on {budget['delay_calibrated']}")
+    return lines

@@ -79,5 +79,7 @@ SIGNAL_TERMS = (
     "water_model",
     "polarization_optics",
 )
+#: Terms that move all pixels of an image the same way.
+ALIKE_TERMS = ("late_echo", "delay", "group_index", "geometry")
 #: Start of the names of variables that hold one term.
 RANGE_PREFIX, PHASE_PREFIX = "slant_range_uncertainty_", "phase_uncertainty_"

@@ -1,6 +1,7 @@
 """From the target signal to range images, point clouds and their quality."""
 
 from amulor.imaging import correlation, metrics
+from amulor.imaging.budget import ErrorBudget, error_budget
 from amulor.imaging.edges import flag_mixed, mixed_pixels
 from amulor.imaging.outliers import flag_outliers, outlying_pixels
 from amulor.imaging.point_cloud import point_cloud
@@ -8,7 +9,9 @@ from amulor.imaging.range_image import range_image
 from amulor.imaging.unwrap import unwrapped_range_image
 
 __all__ = [
+    "ErrorBudget",
     "correlation",
+    "error_budget",
     "flag_mixed",
     "flag_outliers",
     "metrics",

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+import math
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from amulor.cube.terms import RANGE_PREFIX
+from amulor.cube.terms import RANGE_PREFIX, TERMS, Term
 from amulor.imaging.calibration import CALIBRATION_TERMS, calibration_terms
 from amulor.imaging.late_light import late_light
 from amulor.imaging.ranges import Ranges
@@ -102,3 +103,107 @@ def uncertainties(ranges: Ranges) -> dict[str, Floats]:
     return found | {
         f"{RANGE_PREFIX}{name}": term for name, term in ranges.terms.items()
     }
+
+
+@dataclass(frozen=True, kw_only=True)
+class BudgetLine:
+    """One term of the error budget of an image, medians over its usable pixels."""
+
+    term: Term
+    """Which one, and whether it is of type A or B."""
+    uncertainty: float
+    """Standard uncertainty [m]."""
+    share: float
+    """Part of the combined variance [1]."""
+    samples: int | None
+    """Measurements that a term of type A was found from, where the image says so."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class ErrorBudget:
+    """The error budget of a range image in the words of the GUM."""
+
+    lines: tuple[BudgetLine, ...]
+    """All terms that are known, in the order of `amulor.cube.terms`."""
+    combined: float
+    """Combined standard uncertainty, median over the usable pixels [m]."""
+    common: float
+    """Part of it that all pixels share; not a number if the image does not say [m]."""
+    unknown: tuple[Term, ...]
+    """Terms that nobody knows, and that the combined uncertainty does not hold."""
+    late_echo: str
+    """Whether late light was taken off, or why not."""
+    late: float
+    """What was taken off, median; not a number if nothing was [m]."""
+    calibrated: str
+    """Day on which the delay was calibrated; empty if the survey has none."""
+
+    @property
+    def expanded(self) -> float:
+        """Expanded uncertainty with the coverage factor `COVERAGE_FACTOR` [m]."""
+        return COVERAGE_FACTOR * self.combined
+
+
+#: Coverage factor of expanded uncertainties: about 95 of 100 for normal errors [1].
+COVERAGE_FACTOR = 2.0
+
+
+def error_budget(image: xr.Dataset) -> ErrorBudget:
+    """Return the error budget of a range image.
+
+    Parameters
+    ----------
+    image : xarray.Dataset
+        Level `range_image`.
+
+    Returns
+    -------
+    ErrorBudget
+        Medians over the pixels that have a range; not a number without any.
+
+    Notes
+    -----
+    Shares are medians of the ratios, so that they need not add up to 1 exactly. An
+    image that was made before there were terms has no lines.
+    """
+    total = image["slant_range_uncertainty"].values
+    usable = np.isfinite(total) & (total > 0)
+    shots = image.attrs.get("open_water_shots")
+    lines = []
+    for term in TERMS.values():
+        name = f"{RANGE_PREFIX}{term.name}"
+        if name not in image:
+            continue
+        values = image[name].values
+        counted = term.name in _FROM_SHOTS and shots is not None
+        lines.append(
+            BudgetLine(
+                term=term,
+                uncertainty=_median(values[usable]),
+                share=_median((values[usable] / total[usable]) ** 2),
+                samples=int(shots) if counted and shots is not None else None,
+            )
+        )
+    unknown = str(image.attrs.get("uncertainty_unknown", "")).split()
+    return ErrorBudget(
+        lines=tuple(lines),
+        combined=_median(total[usable]),
+        common=_median_of(image, "slant_range_common_uncertainty", usable),
+        unknown=tuple(TERMS[name] for name in unknown if name in TERMS),
+        late_echo=str(image.attrs.get("late_echo_correction", "")),
+        late=_median_of(image, "slant_range_late_echo", usable),
+        calibrated=str(image.attrs.get("delay_calibrated", "")),
+    )
+
+
+#: Terms whose size comes from the scatter of the open-water shots.
+_FROM_SHOTS = ("fluctuation", "reference")
+
+
+def _median_of(image: xr.Dataset, name: str, usable: NDArray[np.bool_]) -> float:
+    return _median(image[name].values[usable]) if name in image else math.nan
+
+
+def _median(values: Floats) -> float:
+    finite = values[np.isfinite(values)]
+    return float(np.median(finite)) if finite.size else math.nan

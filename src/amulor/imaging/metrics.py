@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from amulor import cube as cubes
 from amulor.cube import UNUSABLE
-from amulor.cube.terms import RANGE_PREFIX
+from amulor.cube.terms import ALIKE_TERMS, RANGE_PREFIX
 from amulor.errors import CubeError
 from amulor.imaging.point_cloud import point_cloud
 
@@ -157,7 +157,7 @@ def step_heights(image: xr.Dataset, regions: ArrayLike) -> list[StepHeight]:
     common = _mean_of(image, "slant_range_common_uncertainty", number, pixel, numbers)
     alike = [
         _mean_of(image, f"{RANGE_PREFIX}{name}", number, pixel, numbers)
-        for name in _ALIKE
+        for name in ALIKE_TERMS
     ]
     shared = np.sqrt(np.maximum(common**2 - sum(term**2 for term in alike), 0.0))
     bias = _mean_of(image, "slant_range_bias", number, pixel, numbers)
@@ -245,16 +245,12 @@ def _regions(
     points = np.stack([cloud[axis].values for axis in "xyz"], axis=1)[keep]
     row, column = row[keep], column[keep]
     variance = cloud["slant_range_uncertainty"].values[keep] ** 2
-    for name in _ALIKE:
+    for name in ALIKE_TERMS:
         if f"{RANGE_PREFIX}{name}" in image:
             variance -= image[f"{RANGE_PREFIX}{name}"].values[row, column] ** 2
     sigma = np.sqrt(variance)
     assert not np.any(image["quality_flag"].values[row, column] & UNUSABLE)
     return points, label[row, column], sigma, (row, column)
-
-
-#: Terms of the error budget that move all pixels of an image the same way.
-_ALIKE = ("late_echo", "delay", "group_index", "geometry")
 
 
 def _mean_of(

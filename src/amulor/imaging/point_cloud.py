@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import xarray as xr
+from numpy.typing import NDArray
 
 from amulor import cube as cubes
 from amulor.cube import UNUSABLE
@@ -43,6 +44,7 @@ def point_cloud(image: xr.Dataset) -> xr.Dataset:
             "slant_range_uncertainty": image["slant_range_uncertainty"].values[
                 row, column
             ],
+            **_common(image, row, column),
             "quality_flag": flag[row, column],
             "row": row.astype(np.int32),
             "column": column.astype(np.int32),
@@ -56,3 +58,11 @@ def point_cloud(image: xr.Dataset) -> xr.Dataset:
         },
     )
     return cubes.note(cloud, "point cloud")
+
+
+def _common(
+    image: xr.Dataset, row: NDArray[np.intp], column: NDArray[np.intp]
+) -> dict[str, NDArray[np.float64]]:
+    """Return the part of the uncertainty that all points share, if the image has it."""
+    name = "slant_range_common_uncertainty"
+    return {name: image[name].values[row, column]} if name in image else {}

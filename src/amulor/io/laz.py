@@ -31,6 +31,12 @@ _EXTRA = (
         "slant_range_uncertainty",
         "standard uncertainty [m]",
     ),
+    (
+        "common_uncertainty",
+        np.float64,
+        "slant_range_common_uncertainty",
+        "part that points share [m]",
+    ),
     ("quality_flag", np.uint16, "quality_flag", "amulor flag bits, 0: good [1]"),
     ("row", np.uint32, "row", "row of the scan [1]"),
     ("column", np.uint32, "column", "column of the scan [1]"),

@@ -20,6 +20,12 @@ _PROPERTIES = (
     ("z", "double", "<f8", "z"),
     ("scalar_intensity", "double", "<f8", "intensity"),
     ("scalar_slant_range_uncertainty", "double", "<f8", "slant_range_uncertainty"),
+    (
+        "scalar_slant_range_common_uncertainty",
+        "double",
+        "<f8",
+        "slant_range_common_uncertainty",
+    ),
     ("scalar_quality_flag", "int", "<i4", "quality_flag"),
     ("scalar_row", "int", "<i4", "row"),
     ("scalar_column", "int", "<i4", "column"),

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from amulor import cube as cubes
 from amulor.view import figures
+from amulor.view.error_budget import error_budgets
 from amulor.view.report import (
     Heading,
     Listing,
@@ -47,6 +48,7 @@ def write(
         cubes.check(image, "range_image", name=name)
     first = next(iter(images.values()))
     parts: list[Part] = [Paragraph(_origin(images)), _numbers(images)]
+    parts += error_budgets(images)
     for name, image in images.items():
         parts += [
             Heading(name),
@@ -140,8 +142,9 @@ def _numbers(images: Mapping[str, xr.Dataset]) -> Table:
             "bias [mm]",
         ],
         rows,
-        "Medians over the usable pixels. The uncertainty is random; the bias is what "
-        "water signal left in is expected to add, and is not taken off.",
+        "Medians over the usable pixels. The uncertainty is the combined standard "
+        "uncertainty of all terms that are known; the bias is what water signal left "
+        "in is expected to add, and is not taken off.",
     )
 
 
