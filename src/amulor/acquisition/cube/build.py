@@ -238,7 +238,27 @@ def _open_water(
         "azimuth": _mean(samples.azimuth, otherwise=np.zeros((1, len(shots))))[0],
         "elevation": _mean(samples.elevation, otherwise=np.zeros((1, len(shots))))[0],
     }
-    return cubes.open_water({**outputs, **where})
+    # Shots of one direction are known by what was asked for: read-backs never repeat.
+    asked = {
+        f"user_{name}": values.squeeze("row").rename({"column": "shot"})
+        for name, values in _commanded(samples).items()
+    }
+    return cubes.open_water({**outputs, **where}).assign(asked)
+
+
+def _commanded(samples: Samples) -> dict[str, xr.DataArray]:
+    """Return the directions that were asked for, over row and column."""
+    return {
+        f"commanded_{angle}": xr.DataArray(
+            _mean(
+                getattr(samples, f"commanded_{angle}"),
+                otherwise=np.full((1, 1), np.nan),
+            ),
+            dims=_PIXEL,
+            attrs={"long_name": f"direction asked for, {which}", "units": "rad"},
+        )
+        for angle, which in (("azimuth", "to the right"), ("elevation", "upwards"))
+    }
 
 
 def _user_variables(
@@ -254,23 +274,15 @@ def _user_variables(
     ) -> xr.Variable:
         return xr.Variable(dims, values, {"long_name": name, "units": units, **more})
 
-    commanded = {
-        name: _mean(getattr(samples, name), otherwise=np.full((1, 1), np.nan))
-        for name in ("commanded_azimuth", "commanded_elevation")
-    }
     return {
         "user_sample_flag": variable(
             "what stood in the way of a sample, 0 if nothing did", _SAMPLE, flag, "1",
             flag_masks=masks, flag_values=masks, flag_meanings=words,
         ),
-        "user_commanded_azimuth": variable(
-            "direction asked for, to the right", _PIXEL, commanded["commanded_azimuth"],
-            "rad",
-        ),
-        "user_commanded_elevation": variable(
-            "direction asked for, upwards", _PIXEL, commanded["commanded_elevation"],
-            "rad",
-        ),
+        **{
+            f"user_{name}": values.variable
+            for name, values in _commanded(samples).items()
+        },
         "user_takes": variable(
             "how often a sample was taken; the last take stands", _SAMPLE,
             samples.takes, "1",

@@ -14,6 +14,7 @@ from amulor.rejection.reference import fit as reference
 from amulor.rejection.reference.fit import FEWEST_SHOTS, NO_DRIFT, fluctuation
 from amulor.survey import Survey
 
+Floats = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
 #: Drift of the reference that chance makes in less than 1 of 1000 scans is real [1].
@@ -22,9 +23,13 @@ _REAL_DRIFT = 1e-3
 LARGEST_DRIFT = 0.2
 #: It must exceed that by so many of its own standard uncertainties [1].
 _SURE = 3.0
+_AXES = ("azimuth", "elevation")
 #: How far the scan may go beyond the shots: a fraction of their span, at least that
 #: [rad].
 _BEYOND, _BEYOND_AT_LEAST = 0.1, 1e-4
+#: Directions count as one that are nearer than this fraction of the span of all [1], or
+#: than so many standard deviations by which a scanner misses what it is sent to [1].
+_NEAR, _MISSES = 1 / 50, 8.0
 
 
 def shots_of(cube: xr.Dataset) -> xr.Dataset:
@@ -83,9 +88,9 @@ def fit_shots(cube: xr.Dataset, shots: xr.Dataset) -> list[reference.Reference]:
     pixels = np.stack(
         [cube["azimuth"].values.ravel(), cube["elevation"].values.ravel()], axis=1
     )
-    known = "azimuth" in shots and "elevation" in shots
+    known = all(name in shots for name in _AXES)
     places = (
-        np.stack([shots["azimuth"].values, shots["elevation"].values], axis=1)
+        np.stack([_alike(cube, shots, name) for name in _AXES], axis=1)
         if known
         else np.zeros((shots.sizes["shot"], 2))
     )
@@ -176,6 +181,50 @@ def drift_of(fits: list[reference.Reference], shape: tuple[int, ...]) -> Complex
     """
     changes = [fit.drift.change if _is_real(fit.drift, fits) else 0j for fit in fits]
     return np.array(changes).reshape(*shape[:2], 1, 1)
+
+
+def _alike(cube: xr.Dataset, shots: xr.Dataset, name: str) -> Floats:
+    """Return one angle of the shots, equal where they were sent to the same.
+
+    A scanner comes to stand a little off, another little each time: without this no
+    direction would be repeated. The angle is the mean of what was read back.
+    """
+    stands = shots[name].values
+    meant = f"user_commanded_{name}"
+    if meant in shots:
+        group = _groups(np.round(shots[meant].values, 9))
+    else:
+        group = _near_each_other(stands, at_least=_MISSES * _jitter(cube, name))
+    # Relative to one of them, so that equal angles stay as they are to the last bit.
+    first = stands[np.unique(group, return_index=True)[1]]
+    off = np.bincount(group, stands - first[group]) / np.bincount(group)
+    return np.asarray(first + off)[group]
+
+
+def _near_each_other(angle: Floats, *, at_least: float) -> NDArray[np.intp]:
+    """Return numbers of groups that gaps keep apart; of each angle, if none do so."""
+    order = np.argsort(angle, kind="stable")
+    gaps = np.diff(angle[order])
+    near = max(_NEAR * float(np.ptp(angle)), at_least)
+    group = np.empty(angle.size, dtype=np.intp)
+    group[order] = np.concatenate([[0], np.cumsum(gaps > near)])
+    widths = [np.ptp(angle[group == number]) for number in range(group.max() + 1)]
+    return group if max(widths) <= near else _groups(np.round(angle, 9))
+
+
+def _groups(values: Floats) -> NDArray[np.intp]:
+    return np.unique(values, return_inverse=True)[1].ravel()
+
+
+def _jitter(cube: xr.Dataset, name: str) -> float:
+    """Return the standard deviation of read-backs about what was asked for [rad]."""
+    meant = f"user_commanded_{name}"
+    if meant not in cube:
+        return 0.0
+    off = (cube[name] - cube[meant]).values
+    off = np.abs(off - np.nanmedian(off))
+    # What a stage that stuck once is off by does not count.
+    return 1.4826 * float(np.nanmedian(off)) if np.isfinite(off).any() else 0.0
 
 
 def _place(cube: xr.Dataset, index: tuple[int, ...]) -> str:

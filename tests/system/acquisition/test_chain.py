@@ -1,0 +1,156 @@
+"""What was acquired comes out as what is simulated: rejected, imaged and exported."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pytest
+import xarray as xr
+
+from amulor import acquisition, imaging, rejection
+from amulor.acquisition.journal.journal import Journal
+from amulor.acquisition.settings import Settings
+from amulor.cli import main
+from amulor.cube import UNUSABLE
+from amulor.io import read_cube
+from amulor.simulation import scene_light, simulate
+from amulor.survey import Survey
+
+#: Columns, rows and repeats of the open-water shots.
+PLANS = [(2, 2, 3), (3, 2, 4), (5, 3, 4), (2, 3, 6), (9, 3, 10)]
+JITTERS = ["0 rad", "2e-6 rad", "5e-5 rad"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Quality:
+    """What a range image is worth."""
+
+    trusted: float
+    error: float
+    pulls: float
+    drift_uncertainty: float
+
+
+def quality(cube: xr.Dataset, truth: np.ndarray) -> Quality:
+    """Return what the range image of a cube is worth, the truth being known."""
+    target = rejection.open_water(cube)
+    image = imaging.range_image(target.sel(polarization=["VH"]))
+    good = (image["quality_flag"].values & UNUSABLE) == 0
+    off = (image["slant_range"].values - truth)[good]
+    stated = image["slant_range_uncertainty"].values[good]
+    return Quality(
+        trusted=float(good.mean()),
+        error=float(np.sqrt(np.mean(off**2))),
+        pulls=float(np.sqrt(np.mean((off / stated) ** 2))),
+        drift_uncertainty=float(target.attrs["open_water_drift_uncertainty"].max()),
+    )
+
+
+class Broken:
+    """Ends a scan before some sample."""
+
+    def __init__(self, at: int) -> None:
+        self.left = at
+
+    def pause_wanted(self) -> bool:
+        self.left -= 1
+        return self.left == -1
+
+    def go_on(self) -> bool:
+        return False
+
+
+def acquired(survey: Survey, folder: Path, jitter: str, *, breaks: int) -> xr.Dataset:
+    """Return the cube of a scan that was broken off some times."""
+    settings = Settings.model_validate(
+        {
+            "procedure": {"dark_readings": 2, "position_tolerance": "1 mrad"},
+            "simulation": {"position_error": jitter},
+        },
+        context={"from_text": True},
+    )
+    size = survey.scan.rows * survey.scan.columns
+    for number in range(breaks):
+        acquisition.acquire(
+            survey, folder, settings=settings, scene=scene_light,
+            resume=number > 0, control=Broken(size // 2 + 10),
+        )  # fmt: skip
+    outcome = acquisition.acquire(
+        survey, folder, settings=settings, scene=scene_light, resume=breaks > 0
+    )
+    assert outcome.finished
+    with Journal.read(folder) as journal:
+        return acquisition.build(journal)
+
+
+def planned(make: Callable[..., Survey], plan: tuple[int, int, int], size: int):
+    """Return a survey with a plan of shots."""
+    columns, rows, repeats = plan
+    shots = {"columns": columns, "rows": rows, "repeats": repeats}
+    survey = make(columns=2 * size, rows=size)
+    return survey.with_({"scan.open_water": shots})
+
+
+def compare(survey: Survey, cube: xr.Dataset) -> None:
+    """Compare an acquired cube with simulated ones of its survey."""
+    runs = [simulate(survey, rng=seed) for seed in range(3)]
+    truth = runs[0]["truth_slant_range"].values
+    expected = [quality(run, truth) for run in runs]
+    found = quality(cube, truth)
+    trusted = [one.trusted for one in expected]
+    pixels = truth.size
+    # A binomial fraction, five standard errors wide, beside what the runs show.
+    room = 5 * np.sqrt(
+        max(np.mean(trusted) * (1 - np.mean(trusted)), 1 / pixels) / pixels
+    )
+    assert found.trusted >= min(trusted) - room
+    # The error of the reference is shared by all pixels: among simulated runs of the
+    # plan of fewest shots it makes errors that differ by a factor of about 1.5.
+    largest = max(one.error for one in expected)
+    assert found.error < 1.6 * largest
+    assert found.pulls < 1.6 * max(1.0, *(one.pulls for one in expected))
+    assert np.isfinite(found.drift_uncertainty)
+
+
+@pytest.mark.parametrize(
+    ("plan", "jitter", "breaks"),
+    [((2, 2, 3), "5e-5 rad", 1), ((3, 2, 4), "2e-6 rad", 0)],
+)
+def test_a_scan_by_a_scanner_that_jitters_is_worth_what_a_simulated_one_is(
+    sized, folder, plan, jitter, breaks
+) -> None:
+    survey = planned(sized, plan, 6)
+    compare(survey, acquired(survey, folder, jitter, breaks=breaks))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("plan", PLANS)
+@pytest.mark.parametrize("jitter", JITTERS)
+def test_plans_of_shots_and_jitters_with_breaks(sized, folder, plan, jitter) -> None:
+    survey = planned(sized, plan, 8)
+    compare(survey, acquired(survey, folder, jitter, breaks=2))
+
+
+def test_commands_take_an_acquired_cube_to_a_point_cloud(
+    sized, folder, monkeypatch
+) -> None:
+    monkeypatch.chdir(folder)
+    survey = planned(sized, (2, 2, 3), 5)
+    Path("tank.toml").write_text(survey.to_toml())
+    for words in (
+        ["acquire", "tank.toml", "-o", "scan"],
+        ["reject", "scan/cube.nc", "--method", "open-water", "-o", "target.nc"],
+        ["image", "target.nc", "--polarization", "VH", "-o", "range.nc"],
+        ["export", "range.nc", "-o", "cloud.ply"],
+    ):
+        assert main(words) == 0
+    image = read_cube("range.nc")
+    good = (image["quality_flag"].values & UNUSABLE) == 0
+    # The plate fills the scan: with shots that repeat, every pixel sees it.
+    assert good.mean() > 0.9
+    lines = Path("cloud.ply").read_bytes().split(b"end_header")[0].decode().split("\n")
+    (count,) = [int(line.split()[2]) for line in lines if "element vertex" in line]
+    assert count == good.sum()
