@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import socket
 import threading
+from collections.abc import Iterator
 from types import TracebackType
 from typing import Protocol
 
@@ -23,7 +24,38 @@ class Speaker(Protocol):
         ------
         LinkLostError
             To break the link off instead.
+
+        Notes
+        -----
+        A device with an attribute `at_once` (bytes) is handed each of these characters
+        without the end of a line.
         """
+
+
+class _Lines:
+    """Cuts what comes in into lines, and into characters that are commands alone.
+
+    Parameters
+    ----------
+    at_once : bytes
+        Characters that a device takes as soon as they come, without the end of a line.
+    """
+
+    def __init__(self, at_once: bytes) -> None:
+        self._at_once = at_once
+        self._rest = b""
+
+    def taken(self, received: bytes) -> Iterator[str]:
+        """Yield lines and characters in the order in which they came."""
+        for number in received:
+            byte = bytes([number])
+            if byte in self._at_once and not self._rest:
+                yield byte.decode("ascii")
+            elif byte == b"\n":
+                line, self._rest = self._rest, b""
+                yield line.decode("ascii").strip(" \r\t")
+            else:
+                self._rest += byte
 
 
 class DeviceServer:
@@ -97,17 +129,18 @@ class DeviceServer:
             threading.Thread(target=self._serve, args=(link,), daemon=True).start()
 
     def _serve(self, link: socket.socket) -> None:
-        rest = b""
+        lines = _Lines(getattr(self._speaker, "at_once", b""))
         try:
             while received := link.recv(4096):
-                *lines, rest = (rest + received).split(b"\n")
                 answers = [
                     answer
-                    for line in lines
-                    for answer in self._speaker.answer(line.decode("ascii").strip())
+                    for line in lines.taken(received)
+                    for answer in self._speaker.answer(line)
                 ]
                 if answers:
-                    link.sendall("".join(f"{text}\n" for text in answers).encode())
+                    link.sendall(
+                        "".join(f"{text}\n" for text in answers).encode("latin-1")
+                    )
         except (LinkLostError, OSError, UnicodeDecodeError):
             pass
         finally:

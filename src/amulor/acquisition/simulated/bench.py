@@ -206,6 +206,11 @@ class Bench:
         """The modulation frequency [Hz]."""
         return self._frequency
 
+    @property
+    def noise(self) -> float:
+        """Standard deviation of either output, as a peak amplitude [V]."""
+        return self._spread
+
     def locked(self) -> bool:
         """Return whether the reference is locked."""
         with self._lock:

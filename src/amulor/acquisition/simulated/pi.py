@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import threading
+from collections.abc import Callable
 from dataclasses import dataclass
 
 from amulor.acquisition.protocols import SIMULATOR
@@ -15,12 +16,18 @@ from amulor.acquisition.simulated.bench import (
     Bench,
 )
 
-#: Answers of ERR?: nothing, unknown command, position out of limits, unknown axis,
-#: stopped on purpose.
-_GOOD, _UNKNOWN, _LIMITS, _NO_AXIS, _STOPPED = 0, 2, 7, 15, 10
-#: Asks for the axes that move: the one character 5.
-_MOTION = "\x05"
-_QUESTIONS = ("POS?", "ONT?", "FRF?", "TMN?", "TMX?")
+#: Answers of ERR?: nothing, what is no number, unknown command, servo off, position out
+#: of limits, stopped on purpose, unknown axis, value out of range (chapter "Error
+#: codes" of the manuals).
+_GOOD, _SYNTAX, _UNKNOWN, _SERVO_OFF, _LIMITS = 0, 1, 2, 5, 7
+_STOPPED, _NO_AXIS, _BAD_VALUE = 10, 15, 17
+#: Commands of one character, without the end of a line: which axes move, whether the
+#: controller is ready, stop all.
+_MOTION, _READY, _STOP_ALL = "\x05", "\x07", "\x18"
+#: What #7 is answered with by a controller that is ready.
+_IS_READY = "\xb1"
+#: Largest velocity that can be set, in those that are set at the start [1].
+_FASTEST = 2.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -35,6 +42,14 @@ class _Axis:
     """In SI units [1/s]."""
     limit: float
     """Largest position either way, in the unit of the axis."""
+
+
+class _RefusedError(Exception):
+    """A command that is not carried out."""
+
+    def __init__(self, code: int) -> None:
+        super().__init__(code)
+        self.code = code
 
 
 class SimulatedPiController:
@@ -80,79 +95,160 @@ class SimulatedPiController:
             )
             for axis, (name, unit, zero) in position_units.items()
         }
+        self._servo = dict.fromkeys(self._axes, True)
+        self._velocity = {
+            axis: own.speed / abs(own.unit) for axis, own in self._axes.items()
+        }
+        self._error = _GOOD
+        listed = self._listed
+        bench = self.bench
+        self._questions: dict[str, Callable[[list[str]], list[str]]] = {
+            "*IDN?": lambda _: [f"(c) Physik Instrumente, C-884, 0, {SIMULATOR}"],
+            "ERR?": lambda _: [str(self._taken_error())],
+            "CSV?": lambda _: ["2.0"],
+            "VER?": lambda _: [f"FW: {SIMULATOR}"],
+            "SAI?": lambda _: (
+                [f"{axis} " for axis in [*self._axes][:-1]] + [[*self._axes][-1]]
+            ),
+            "CST?": lambda axes: listed(axes, lambda _: "SIMULATED"),
+            "SVO?": lambda axes: listed(axes, lambda axis: str(int(self._servo[axis]))),
+            "FRF?": lambda axes: listed(axes, lambda _: "1"),
+            "ONT?": lambda axes: listed(
+                axes, lambda axis: str(int(bench.arrived(self._axes[axis].name)))
+            ),
+            "POS?": lambda axes: listed(
+                axes, lambda axis: self._position(axis, bench.place)
+            ),
+            "MOV?": lambda axes: listed(
+                axes, lambda axis: self._position(axis, bench.goal)
+            ),
+            "TMN?": lambda axes: listed(axes, lambda axis: self._end(axis, -1)),
+            "TMX?": lambda axes: listed(axes, lambda axis: self._end(axis, 1)),
+            "VEL?": lambda axes: listed(
+                axes, lambda axis: f"{self._velocity[axis]:.7f}"
+            ),
+            "HLP?": lambda _: self._help(),
+        }
+        self._commands: dict[str, Callable[[list[str]], None]] = {
+            "MOV": lambda words: self._move(words, relative=False),
+            "MVR": lambda words: self._move(words, relative=True),
+            "SVO": self._set_servo,
+            "VEL": self._set_velocity,
+            "FRF": self._reference,
+            "HLT": self._halt,
+            "STP": self._halt,
+        }
+
+    #: Characters that are taken without the end of a line.
+    at_once = (_MOTION + _READY + _STOP_ALL).encode()
 
     def answer(self, line: str) -> list[str]:
-        """Return the answer to one line."""
+        """Return the answer to one line, or to one character that is a command."""
         with self._lock:
+            if not line:
+                return []
             self.lines.append(line)
             del self.lines[:-1000]
-            command, *words = line.split() or [""]
-            if command == "*IDN?":
-                return [f"(c) Physik Instrumente, C-884, 0, {SIMULATOR}"]
-            if command == "ERR?":
-                result, self._error = self._error, _GOOD
-                return [str(result)]
-            if command == _MOTION:
-                moving = [
-                    not self.bench.arrived(axis.name) for axis in self._axes.values()
-                ]
-                bits = sum(1 << place for place, one in enumerate(moving) if one)
-                return [f"{bits:x}"]
-            if command in ("STP", "HLT"):
-                self.bench.stop()
-                self._error = _STOPPED
+            if line == _MOTION:
+                return [f"{self._moving():x}"]
+            if line == _READY:
+                return [_IS_READY]
+            if line == _STOP_ALL:
+                self._halt([])
                 return []
-            if command == "MOV":
-                self._move(words)
+            command, *words = line.split()
+            command = command.upper()
+            try:
+                if command in self._questions:
+                    return self._questions[command](words)
+                if command in self._commands:
+                    self._commands[command](words)
+                    return []
+            except _RefusedError as refusal:
+                self._error = refusal.code
                 return []
-            if command == "SVO":
-                self._known(words[::2])
-                return []
-            if command in _QUESTIONS and self._known(words):
-                return self._listed(command, words or [*self._axes])
-            self._error = self._error or _UNKNOWN
+            # A question that is not known is not answered either.
+            self._error = _UNKNOWN
             return []
 
-    def _known(self, axes: list[str]) -> bool:
-        if all(axis in self._axes for axis in axes):
-            return True
-        self._error = _NO_AXIS
-        return False
+    def _taken_error(self) -> int:
+        result, self._error = self._error, _GOOD
+        return result
 
-    def _move(self, words: list[str]) -> None:
+    def _moving(self) -> int:
+        moving = [not self.bench.arrived(axis.name) for axis in self._axes.values()]
+        return sum(1 << place for place, one in enumerate(moving) if one)
+
+    def _known(self, axes: list[str]) -> None:
+        if not all(axis in self._axes for axis in axes):
+            raise _RefusedError(_NO_AXIS)
+
+    def _pairs(self, words: list[str]) -> dict[str, float]:
+        """Return the numbers that a command names for its axes."""
         axes = words[::2]
         try:
-            goals = [float(word) for word in words[1::2]]
+            values = [float(word) for word in words[1::2]]
         except ValueError:
-            goals = []
-        if not axes or len(goals) != len(axes):
-            self._error = _UNKNOWN
-            return
-        if not self._known(axes):
-            return
-        # A line is carried out as a whole or not at all.
-        for axis, goal in zip(axes, goals, strict=True):
-            if abs(goal - self._axes[axis].zero) > self._axes[axis].limit:
-                self._error = _LIMITS
-                return
-        moved = {}
-        for axis, goal in zip(axes, goals, strict=True):
-            own = self._axes[axis]
-            moved[own.name] = (goal - own.zero) * own.unit
-        self.bench.send(moved, speed=self._axes[axes[0]].speed)
+            raise _RefusedError(_SYNTAX) from None
+        if not axes or len(values) != len(axes):
+            raise _RefusedError(_SYNTAX)
+        self._known(axes)
+        return dict(zip(axes, values, strict=True))
 
-    def _listed(self, command: str, axes: list[str]) -> list[str]:
-        lines = []
-        for axis in axes:
+    def _move(self, words: list[str], *, relative: bool) -> None:
+        goals = self._pairs(words)
+        # A line is carried out as a whole or not at all.
+        for axis in goals:
             own = self._axes[axis]
-            if command == "POS?":
-                position = self.bench.place(own.name) / own.unit + own.zero
-                lines.append(f"{axis}={position:.7f}")
-            elif command == "ONT?":
-                lines.append(f"{axis}={int(self.bench.arrived(own.name))}")
-            elif command in ("TMN?", "TMX?"):
-                end = own.limit if command == "TMX?" else -own.limit
-                lines.append(f"{axis}={own.zero + end:.7f}")
-            else:
-                lines.append(f"{axis}=1")
+            if not self._servo[axis]:
+                raise _RefusedError(_SERVO_OFF)
+            if relative:
+                goals[axis] += float(self._position(axis, self.bench.goal))
+            if not abs(goals[axis] - own.zero) <= own.limit:
+                raise _RefusedError(_LIMITS)
+        moved = {
+            self._axes[axis].name: (goal - self._axes[axis].zero)
+            * self._axes[axis].unit
+            for axis, goal in goals.items()
+        }
+        first = next(iter(goals))
+        speed = self._velocity[first] * abs(self._axes[first].unit)
+        self.bench.send(moved, speed=speed)
+
+    def _set_servo(self, words: list[str]) -> None:
+        for axis, value in self._pairs(words).items():
+            self._servo[axis] = bool(value)
+
+    def _set_velocity(self, words: list[str]) -> None:
+        values = self._pairs(words)
+        for axis, value in values.items():
+            fastest = _FASTEST * self._axes[axis].speed / abs(self._axes[axis].unit)
+            if not 0 < value <= fastest:
+                raise _RefusedError(_BAD_VALUE)
+        self._velocity |= values
+
+    def _reference(self, axes: list[str]) -> None:
+        self._known(axes)
+
+    def _halt(self, axes: list[str]) -> None:
+        self._known(axes)
+        self.bench.stop()
+        self._error = _STOPPED
+
+    def _position(self, axis: str, of: Callable[[str], float]) -> str:
+        own = self._axes[axis]
+        return f"{of(own.name) / own.unit + own.zero:.7f}"
+
+    def _end(self, axis: str, sign: int) -> str:
+        own = self._axes[axis]
+        return f"{own.zero + sign * own.limit:.7f}"
+
+    def _help(self) -> list[str]:
+        words = ["#5 ", "#7 ", "#24 ", *self._questions, *self._commands]
+        lines = ["The following commands are valid: ", *words, "end of help"]
+        return [f"{line.strip()} " for line in lines[:-1]] + lines[-1:]
+
+    def _listed(self, axes: list[str], value: Callable[[str], str]) -> list[str]:
+        self._known(axes)
+        lines = [f"{axis}={value(axis)}" for axis in axes or self._axes]
         return [f"{line} " for line in lines[:-1]] + lines[-1:]

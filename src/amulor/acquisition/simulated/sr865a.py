@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import cmath
+import functools
 import math
 
 from amulor.acquisition.simulated.bench import Bench
-from amulor.acquisition.simulated.stanford import SimulatedStanford
+from amulor.acquisition.simulated.stanford import Number, Setting, SimulatedStanford
 
 #: Time constants by the code of OFLT: 1 us to 30 ks, in steps of 1 and 3 [s].
 _TIME_CONSTANTS = (
@@ -19,10 +21,21 @@ _SCALES = (
 )  # fmt: skip
 #: Input ranges by the code of IRNG [V peak].
 _INPUT_RANGES = (1.0, 0.3, 0.1, 0.03, 0.01)
-#: Largest level of the sine output [V rms].
-_LARGEST_LEVEL = 2.0
+#: Equivalent noise bandwidth times time constant, by the code of OFSL: 6 to 24 dB per
+#: octave [1].
+_BANDWIDTHS = (1 / 4, 1 / 8, 3 / 32, 5 / 64)
 #: Bits of LIAS?: scale of channel 1, reference unlocked, input range.
 _CHANNEL_1, _UNLOCKED, _INPUT = 1, 8, 16
+#: Those of them that CUROVLDSTAT? knows.
+_OVERLOADS = 0xF1B
+#: What SNAP?, OUTP? and CDSP call the values, by their code; capitals are needed.
+_PARAMETERS = (
+    "X", "Y", "R", "THeta", "IN1", "IN2", "IN3", "IN4", "XNOise", "YNOise", "OUT1",
+    "OUT2", "PHAse", "SAMp", "LEVel", "FInt", "FExt",
+)  # fmt: skip
+_OFF_ON = ("OFF", "ON")
+#: Channels that are displayed and captured.
+_DATA = 4
 
 
 class SimulatedSr865a(SimulatedStanford):
@@ -31,35 +44,143 @@ class SimulatedSr865a(SimulatedStanford):
     model = "SR865A"
     unlocked_bit = _UNLOCKED
     outputs = (0, 1, 2, 3)
-    codes = {  # noqa: RUF012
-        "RSRC": 3, "HARM": 99, "OFSL": 3, "OFLT": 21, "SYNC": 1, "IRNG": 4, "SCAL": 27,
-        "IVMD": 1, "ISRC": 1, "ICPL": 1,
+    snapped = (2, 3)
+    settings = {  # noqa: RUF012
+        "TBMODE": Setting(1, ("AUTO", "INternal")), "TBSTAT": Setting(1),
+        "REFM": Setting(1, ("COMmon", "DIFference")),
+        "RSRC": Setting(3, ("INTernal", "EXTernal", "DUAL", "CHOP")),
+        "RTRG": Setting(2, ("SIN", "POSttl", "NEGttl")),
+        "REFZ": Setting(1, ("50ohms", "1MEG")),
+        "HARM": Setting(99, first=1), "HARMDUAL": Setting(99, first=1),
+        "IVMD": Setting(1, ("VOLTage", "CURRent")), "ISRC": Setting(1, ("A", "A-B")),
+        "ICPL": Setting(1, ("AC", "DC")), "IGND": Setting(1, ("FLOat", "GROund")),
+        "IRNG": Setting(4), "ICUR": Setting(1), "SCAL": Setting(27),
+        "OFLT": Setting(21), "OFSL": Setting(3), "SYNC": Setting(1, _OFF_ON),
+        "ADVFILT": Setting(1, _OFF_ON), "DBLK": Setting(1, _OFF_ON),
+        "DLAY": Setting(5), "GSPD": Setting(16), "*PSC": Setting(1),
+    }  # fmt: skip
+    numbers = {  # noqa: RUF012
+        "PHAS": Number(-360_000, 360_000), "SLVL": Number(1e-9, 2.0, 1e-9),
+        "SOFF": Number(-5, 5), "BLADESLOTS": Number(0, 1),
+        "PSTF": Number(1e-3, 4e6, 1e5, 4), "PSTA": Number(1e-9, 2.0, 0.1, 4),
+        "PSTL": Number(-5, 5, 0.0, 4),
     }  # fmt: skip
 
     def __init__(self, bench: Bench) -> None:
         super().__init__(bench)
-        self._handlers["SLVL"] = self._set_level
-        self._handlers["SOFF"] = lambda _: []
-        self._handlers["ADVFI"] = lambda _: []  # ADVFILT, by its first letters
-        self._handlers["AUXV"] = self._handlers.pop("AUXO")
-        self._handlers["AUXV?"] = self._handlers.pop("AUXO?")
+        own = self._handlers
+        own["AUXV"], own["AUXV?"] = own.pop("AUXO"), own.pop("AUXO?")
+        own["OUTP?"] = lambda text: [self._shown(self._values()[self._parameter(text)])]
+        own["FREQINT"], own["FREQINT?"] = own["FREQ"], own["FREQ?"]
+        own["FREQDET?"] = own["FREQ?"]
+        own["FREQEXT?"] = lambda _: [self._shown(0.0)]  # nothing is connected to it
+        own["OAUX?"] = lambda code: [self._shown(self._auxiliary(int(code)))]
+        own["OUTR?"] = lambda code: [self._shown(self._channels()[int(code)])]
+        own["SNAPD?"] = lambda _: [",".join(map(self._shown, self._channels()))]
+        own["CDSP"], own["CDSP?"] = self._set_channel, self._channel
+        own["ILVL?"] = lambda _: [str(self._strength())]
+        own["ENBW?"] = lambda _: [self._shown(self._bandwidth())]
+        own["CUROVLDSTAT?"] = lambda _: [str(self._overloads_now())]
+        own["APHS"] = self._auto_phase
+        for name in self.numbers:
+            own[name] = functools.partial(self._set_number, name)
+            own[f"{name}?"] = functools.partial(self._number, name)
 
-    def _set_level(self, argument: str) -> list[str]:
-        if not 0 <= float(argument) <= _LARGEST_LEVEL:
+    def _reset(self, argument: str) -> list[str]:
+        self._numbers = {
+            name: [own.after_reset] * max(own.channels, 1)
+            for name, own in self.numbers.items()
+        }
+        self._shows = list(range(_DATA))
+        return super()._reset(argument)
+
+    def _set_number(self, name: str, argument: str) -> list[str]:
+        own, channel = self.numbers[name], 0
+        if own.channels:
+            place, argument = argument.split(",")
+            channel = int(place)
+        if not own.low <= float(argument) <= own.high:
             raise ValueError(argument)
+        self._numbers[name][channel] = float(argument)
         return []
 
-    def _snapshot(self, argument: str) -> list[str]:
+    def _number(self, name: str, channel: str) -> list[str]:
+        return [self._shown(self._numbers[name][int(channel or 0)])]
+
+    def _parameter(self, text: str) -> int:
+        for code, word in enumerate(_PARAMETERS):
+            needed = "".join(letter for letter in word if not letter.islower())
+            if text.startswith(needed) and word.upper().startswith(text):
+                return code
+        return int(text)
+
+    def _values(self) -> dict[int, float]:
         x, y, mean = self._measured()
-        values = {0: x, 1: y, 4: mean, 5: 0.0, 6: 0.0, 7: 0.0}
-        return [",".join(f"{values[int(code)]:.9e}" for code in argument.split(","))]
+        phase = self._numbers["PHAS"][0]
+        turned = complex(x, y) * cmath.exp(-1j * math.radians(phase))
+        noise = self.bench.noise / math.sqrt(2 * self._bandwidth())
+        shown = (
+            turned.real, turned.imag, abs(turned), math.degrees(cmath.phase(turned)),
+            mean, 0.0, 0.0, 0.0, noise, noise, self._outputs[0], self._outputs[1],
+            phase, self._numbers["SLVL"][0], self._numbers["SOFF"][0],
+            self.bench.frequency, 0.0,
+        )  # fmt: skip
+        return dict(enumerate(shown))
+
+    def _shown(self, value: float) -> str:
+        return f"{value:.9e}"
+
+    def _auxiliary(self, code: int) -> float:
+        if not 0 <= code <= 3:
+            raise ValueError(code)
+        return self._values()[4 + code]
+
+    def _channels(self) -> list[float]:
+        values = self._values()
+        return [values[code] for code in self._shows]
+
+    def _set_channel(self, argument: str) -> list[str]:
+        place, what = argument.split(",")
+        code = self._parameter(what.strip())
+        if not 0 <= code < len(_PARAMETERS):
+            raise ValueError(argument)
+        self._shows[int(place)] = code
+        return []
+
+    def _channel(self, argument: str) -> list[str]:
+        return [str(self._shows[int(argument)])]
+
+    def _strength(self) -> int:
+        """Return the signal strength, from 0 to 4 for an overload."""
+        values = self._values()
+        part = math.sqrt(2) * values[2] / _INPUT_RANGES[self._set["IRNG"]]
+        return min(int(4 * part), 4)
+
+    def _bandwidth(self) -> float:
+        return _BANDWIDTHS[self._set["OFSL"]] / _TIME_CONSTANTS[self._set["OFLT"]]
+
+    def _overloads_now(self) -> int:
+        """Return the overloads of this moment; what latched stays latched."""
+        latched = self._bits["LIAS"]
+        self._bits["LIAS"] = 0
+        self._measured()
+        self._note_unlocked()
+        now = self._bits["LIAS"] & _OVERLOADS
+        self._bits["LIAS"] |= latched
+        return now
+
+    def _auto_phase(self, _: str) -> list[str]:
+        values = self._values()
+        turned = values[3] + self._numbers["PHAS"][0]
+        self._numbers["PHAS"][0] = (turned + 180) % 360 - 180
+        return []
 
     def _latch(self, amplitude: float, overloaded: bool) -> None:
         if amplitude > _SCALES[self._set["SCAL"]]:
-            self._status |= _CHANNEL_1
+            self._bits["LIAS"] |= _CHANNEL_1
         limit = _INPUT_RANGES[self._set["IRNG"]]
         if overloaded or amplitude * math.sqrt(2) > limit:
-            self._status |= _INPUT
+            self._bits["LIAS"] |= _INPUT
 
     def _rounded(self, frequency: float) -> float:
         return float(f"{frequency:.6g}")

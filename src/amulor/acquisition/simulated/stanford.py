@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import functools
 import math
+import re
 import threading
 from collections.abc import Callable
+from typing import NamedTuple
 
 from amulor.acquisition.links.tcp import LinkLostError
 from amulor.acquisition.protocols import SIMULATOR
@@ -14,6 +17,32 @@ from amulor.acquisition.simulated.bench import Bench
 _GATE = 2.0
 #: Bits of *ESR?: a command that is not known, a value that is not allowed.
 _COMMAND_ERROR, _EXECUTION_ERROR = 32, 16
+#: Bits of *STB?: an error, a state of the lock-in, an event that is waited for.
+_ERRORS, _LOCK_IN, _EVENTS = 4, 8, 32
+#: Most lines from clients that are remembered.
+_KEPT = 1000
+_COMMAND = re.compile(r"(?P<word>[*A-Z]+)\s*(?P<query>\?)?\s*(?P<rest>.*)")
+
+
+class Setting(NamedTuple):
+    """One of a few numbered choices, or a number."""
+
+    last: int = 0
+    """Highest code of a choice."""
+    words: tuple[str, ...] = ()
+    """What each code can be called, capitals being needed: "DIFference"."""
+    first: int = 0
+    """Lowest code, which *RST sets."""
+
+
+class Number(NamedTuple):
+    """A number that is set and asked for, once or for several channels."""
+
+    low: float
+    high: float
+    after_reset: float = 0.0
+    channels: int = 0
+    """How many there are, counted from 0; 0 if there is one without a number."""
 
 
 class SimulatedStanford:
@@ -27,10 +56,12 @@ class SimulatedStanford:
 
     model = ""
     unlocked_bit = 0
-    #: What commands call the auxiliary outputs, in the order of the panel.
+    #: What commands call the auxiliary outputs, in the order of the panel, and how far
+    #: they go either way [V].
     outputs: tuple[int, ...] = ()
-    #: Highest code of each setting.
-    codes: dict[str, int] = {}  # noqa: RUF012  replaced as a whole by each model
+    largest_output = 10.5
+    #: What is set by a code.
+    settings: dict[str, Setting] = {}  # noqa: RUF012  replaced as a whole by each model
 
     def __init__(self, bench: Bench) -> None:
         self.bench = bench
@@ -42,22 +73,29 @@ class SimulatedStanford:
             ],
             "*RST": self._reset,
             "*CLS": lambda _: self._clear(),
-            "*ESR?": lambda _: [str(self._taken_error())],
-            "LIAS?": lambda _: [str(self._taken_status())],
+            "*OPC?": lambda _: ["1"],
+            "*TST?": lambda _: ["0"],
+            "*STB?": lambda bit: [_of(self._status_byte(), bit)],
+            "*ESR?": lambda bit: self._taken("*ESR", bit),
+            "ERRS?": lambda bit: self._taken("ERRS", bit),
+            "LIAS?": lambda bit: self._lock_in_status(bit),
             "FREQ": self._set_frequency,
             "FREQ?": lambda _: [f"{self.bench.frequency:.6E}"],
-            "PHAS": lambda _: [],
             "SNAP?": self._snapshot,
+            "OUTP?": lambda code: [self._shown(self._values()[int(code)])],
             "AUXO": self._set_output,
             "AUXO?": self._output,
         }
+        for word in ("*SRE", "*ESE", "ERRE", "LIAE"):
+            self._handlers[word] = functools.partial(self._enable, word)
+            self._handlers[f"{word}?"] = functools.partial(self._is_enabled, word)
         self._reset("")
 
     def answer(self, line: str) -> list[str]:
         """Return the answers to one line, which may hold several commands."""
         with self._lock:
             self.lines.append(line)
-            del self.lines[:-1000]
+            del self.lines[:-_KEPT]
             result: list[str] = []
             for command in line.split(";"):
                 answers = self._one(command.strip())
@@ -67,16 +105,11 @@ class SimulatedStanford:
             return result
 
     def _one(self, command: str) -> list[str] | None:
-        for end in (5, 4):
-            word = command[:end].upper()
-            if word in self._handlers:
-                argument = command[end:].strip()
-                break
-            if word.rstrip("?") in self.codes and len(word.rstrip("?")) == 4:
-                return self._code(word, command[end:].strip())
-        else:
-            self._error |= _COMMAND_ERROR
+        parsed = _COMMAND.fullmatch(command.upper())
+        if parsed is None:
+            self._bits["*ESR"] |= _COMMAND_ERROR * bool(command)
             return []
+        word, rest = parsed["word"] + (parsed["query"] or ""), parsed["rest"]
         number = self.bench.readings + 1
         if word == "SNAP?" and self.bench.faults.active("lost-link", number):
             self.bench.readings += 1
@@ -85,52 +118,91 @@ class SimulatedStanford:
             self.bench.readings += 1
             return None
         try:
-            return self._handlers[word](argument)
+            if word in self._handlers:
+                return self._handlers[word](rest)
+            if parsed["word"] in self.settings:
+                return self._choice(parsed["word"], rest, asked=bool(parsed["query"]))
         except (ValueError, LookupError):
-            self._error |= _EXECUTION_ERROR
+            self._bits["*ESR"] |= _EXECUTION_ERROR
             return []
+        self._bits["*ESR"] |= _COMMAND_ERROR
+        return []
 
-    def _code(self, word: str, argument: str) -> list[str]:
-        name = word.rstrip("?")
-        if word.endswith("?"):
+    def _choice(self, name: str, argument: str, *, asked: bool) -> list[str]:
+        """Answer or set what is set by a code."""
+        if asked:
             return [str(self._set[name])]
-        if not argument.isdigit() or int(argument) > self.codes[name]:
-            self._error |= _EXECUTION_ERROR
-            return []
-        self._set[name] = int(argument)
+        own = self.settings[name]
+        for code, word in enumerate(own.words, start=own.first):
+            needed = "".join(letter for letter in word if not letter.islower())
+            if argument.startswith(needed) and word.upper().startswith(argument):
+                argument = str(code)
+        code = int(argument)
+        if not own.first <= code <= own.last:
+            raise ValueError(argument)
+        self._set[name] = code
         if name == "OFLT":
-            self.bench.set_time_constant(self._time_constant(int(argument)))
+            self.bench.set_time_constant(self._time_constant(code))
         return []
 
     def _reset(self, _: str) -> list[str]:
-        self._set = dict.fromkeys(self.codes, 0)
+        self._set = {name: own.first for name, own in self.settings.items()}
         self._outputs = dict.fromkeys(self.outputs, 0.0)
-        self._status = self._error = 0
+        self._bits = {"*ESR": 0, "ERRS": 0, "LIAS": 0}
+        self._enabled = {"*SRE": 0, "*ESE": 0, "ERRE": 0, "LIAE": 0}
         self.bench.set_laser(False)
         return []
 
     def _clear(self) -> list[str]:
-        self._status = self._error = 0
+        self._bits = dict.fromkeys(self._bits, 0)
         return []
 
-    def _taken_error(self) -> int:
-        result, self._error = self._error, 0
-        return result
+    def _enable(self, word: str, argument: str) -> list[str]:
+        """Set all bits of an enable register, or one."""
+        place, _, value = argument.partition(",")
+        if value:
+            bit = 1 << int(place)
+            kept = self._enabled[word] & ~bit
+            self._enabled[word] = kept | bit * bool(int(value))
+        else:
+            self._enabled[word] = int(place)
+        return []
 
-    def _taken_status(self) -> int:
-        result, self._status = self._status, 0
+    def _is_enabled(self, word: str, bit: str) -> list[str]:
+        return [_of(self._enabled[word], bit)]
+
+    def _status_byte(self) -> int:
+        self._note_unlocked()
+        return (
+            _ERRORS * bool(self._bits["ERRS"] & self._enabled["ERRE"])
+            | _LOCK_IN * bool(self._bits["LIAS"] & self._enabled["LIAE"])
+            | _EVENTS * bool(self._bits["*ESR"] & self._enabled["*ESE"])
+        )
+
+    def _taken(self, word: str, bit: str) -> list[str]:
+        """Return a register or one bit of it, which is cleared by that."""
+        result = _of(self._bits[word], bit)
+        self._bits[word] &= ~(1 << int(bit)) if bit else 0
+        return [result]
+
+    def _lock_in_status(self, bit: str) -> list[str]:
+        self._note_unlocked()
+        return self._taken("LIAS", bit)
+
+    def _note_unlocked(self) -> None:
         if not self.bench.locked():
-            result |= self.unlocked_bit
-        return result
+            self._bits["LIAS"] |= self.unlocked_bit
 
     def _set_frequency(self, argument: str) -> list[str]:
         self.bench.set_frequency(self._rounded(float(argument)))
-        self._status |= self.unlocked_bit
+        self._bits["LIAS"] |= self.unlocked_bit
         return []
 
     def _set_output(self, argument: str) -> list[str]:
         number, voltage = argument.split(",")
         code = self.outputs.index(int(number))
+        if not abs(float(voltage)) <= self.largest_output:
+            raise ValueError(voltage)
         self._outputs[int(number)] = float(voltage)
         if code == 0:  # the laser is wired to the first one
             self.bench.set_laser(float(voltage) > _GATE)
@@ -144,12 +216,29 @@ class SimulatedStanford:
         signal, mean = self.bench.output()
         faults, number = self.bench.faults, self.bench.readings
         if faults.active("unlock", number):
-            self._status |= self.unlocked_bit
+            self._bits["LIAS"] |= self.unlocked_bit
         x, y = signal.real / math.sqrt(2), -signal.imag / math.sqrt(2)
         self._latch(math.hypot(x, y), faults.active("overload", number))
         return x, y, mean
 
     def _snapshot(self, argument: str) -> list[str]:
+        codes = [self._parameter(text.strip()) for text in argument.split(",")]
+        if not self.snapped[0] <= len(codes) <= self.snapped[1]:
+            raise ValueError(argument)
+        values = self._values()
+        return [",".join(self._shown(values[code]) for code in codes)]
+
+    #: Fewest and most values of one SNAP?.
+    snapped = (2, 6)
+
+    def _parameter(self, text: str) -> int:
+        return int(text)
+
+    def _values(self) -> dict[int, float]:
+        """Return what the instrument measures now, by the code of SNAP?."""
+        raise NotImplementedError
+
+    def _shown(self, value: float) -> str:
         raise NotImplementedError
 
     def _latch(self, amplitude: float, overloaded: bool) -> None:
@@ -160,3 +249,8 @@ class SimulatedStanford:
 
     def _time_constant(self, code: int) -> float:
         raise NotImplementedError
+
+
+def _of(register: int, bit: str) -> str:
+    """Return a register, or one bit of it if that is asked for."""
+    return str(register >> int(bit) & 1 if bit else register)

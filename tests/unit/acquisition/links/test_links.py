@@ -115,8 +115,8 @@ def test_simulated_stages_survive_nonsense(small) -> None:
 
 
 def stages_error(line: str) -> str:
-    """Return the code that the manual gives: unknown axis, or unknown command."""
-    return "15" if line == "POS? 77" else "2"
+    """Return the code that the manual gives: none, syntax, axis, or command."""
+    return {"": "0", "POS? 77": "15", "jump": "2"}.get(line, "1")
 
 
 def test_a_rehearsal_is_wired_as_its_simulators_are(small) -> None:
