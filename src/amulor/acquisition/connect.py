@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Callable
+from typing import Any, cast
 
+from amulor.acquisition import plugins
 from amulor.acquisition.clock import Clock, RealClock, VirtualClock
 from amulor.acquisition.devices import Devices
 from amulor.acquisition.drivers.pi_gcs import (
@@ -13,6 +15,7 @@ from amulor.acquisition.drivers.pi_gcs import (
     PiScanner,
     PiTargetStage,
 )
+from amulor.acquisition.drivers.scpi import ScpiLaser, ScpiSource
 from amulor.acquisition.drivers.stanford_sr844 import Sr844
 from amulor.acquisition.drivers.stanford_sr865a import Sr865a
 from amulor.acquisition.drivers.zurich import ZurichLockIn
@@ -21,14 +24,21 @@ from amulor.acquisition.links.direct import SCHEME, DirectLink
 from amulor.acquisition.links.exclusive import hold
 from amulor.acquisition.links.visa import Conversation, Link, SerialPort
 from amulor.acquisition.operator import OperatorTargetStage
-from amulor.acquisition.protocols import RotationMount, TargetStage
+from amulor.acquisition.protocols import (
+    Laser,
+    LockIn,
+    RotationMount,
+    Scanner,
+    Source,
+    TargetStage,
+)
 from amulor.acquisition.settings import (
-    LockInSettings,
     MountSettings,
     ScannerSettings,
     Settings,
     TargetSettings,
 )
+from amulor.acquisition.settings_parts import Linked
 from amulor.acquisition.simulated.bench import Bench
 from amulor.acquisition.simulated.devices import (
     SimulatedLaser,
@@ -160,11 +170,7 @@ def open_link(
     return Link.open(address, timeout=timeout, serial=serial)
 
 
-def _linked(
-    own: LockInSettings | ScannerSettings | MountSettings | TargetSettings,
-    *,
-    serial_end: str,
-) -> Conversation:
+def _linked(own: Linked, *, serial_end: str = "\n") -> Conversation:
     """Open the link that a part of the devices file states."""
     assert own.address is not None
     port = SerialPort(
@@ -205,10 +211,16 @@ def _real(settings: Settings, ask: Callable[[str], None] | None) -> Devices:
         lock_in = _lock_in(settings, clock)
         opened.callback(lock_in.close)
         stages = _Stages(clock, opened)
+        laser = _laser(settings, lock_in, clock)
+        opened.callback(laser.close)
+        source = _source(settings, clock)
+        if source is not None:
+            opened.callback(source.close)
         devices = Devices(
-            laser=LockInGate(lock_in, settings.laser),
+            laser=laser,
             lock_in=lock_in,
-            scanner=PiScanner(stages.at(settings.scanner), settings.scanner),
+            source=source,
+            scanner=_scanner(settings, stages, clock),
             launch=_mount(settings.launch, stages),
             analyser=_mount(settings.analyser, stages),
             target=_target(settings.target, stages, ask),
@@ -227,6 +239,8 @@ def _addresses(settings: Settings) -> list[str]:
         settings.launch,
         settings.analyser,
         settings.target,
+        settings.laser,
+        settings.source,
     )
     return sorted(
         {
@@ -254,8 +268,52 @@ class _Stages:
         return self._known[own.address]
 
 
-def _lock_in(settings: Settings, clock: Clock) -> Sr844 | Sr865a | ZurichLockIn:
+def _other(part: str, settings: Settings, clock: Clock) -> Any:
+    """Return a device of another package."""
+    own = getattr(settings, part)
+    wiring = plugins.Wiring(
+        address=own.address, timeout=own.timeout, clock=clock, options=own.options or {}
+    )
+    return plugins.make(part, own.driver, wiring)
+
+
+def _laser(settings: Settings, lock_in: LockIn, clock: Clock) -> Laser:
+    own = settings.laser
+    if own.driver == "scpi":
+        return ScpiLaser(_linked(own), own)
+    if own.driver != "lock_in_output":
+        return cast(Laser, _other("laser", settings, clock))
+    for word in ("set_output", "reconnect", *["input"] * bool(own.interlock_input)):
+        if not hasattr(lock_in, word):
+            raise InstrumentError(
+                f"the lock-in {settings.lock_in.driver!r} has no {word!r} to drive and "
+                "watch the laser by; choose another laser.driver, or take "
+                "laser.interlock_input out"
+            )
+    return LockInGate(cast(Any, lock_in), own)
+
+
+def _source(settings: Settings, clock: Clock) -> Source | None:
+    own = settings.source
+    if own.driver == "none":
+        return None
+    if own.driver == "scpi":
+        return ScpiSource(_linked(own), own, clock=clock)
+    return cast(Source, _other("source", settings, clock))
+
+
+def _scanner(settings: Settings, stages: _Stages, clock: Clock) -> Scanner:
+    own = settings.scanner
+    if own.driver == "pi_gcs":
+        return PiScanner(stages.at(own), own)
+    return cast(Scanner, _other("scanner", settings, clock))
+
+
+def _lock_in(settings: Settings, clock: Clock) -> LockIn:
     own = settings.lock_in
+    if own.driver not in ("sr844", "sr865a", "zurich"):
+        return cast(LockIn, _other("lock_in", settings, clock))
+    external = own.reference == "external"
     assert own.address is not None
     if own.driver == "zurich":
         assert own.modulation_amplitude is not None
@@ -269,12 +327,18 @@ def _lock_in(settings: Settings, clock: Clock) -> Sr844 | Sr865a | ZurichLockIn:
     link = _linked(own, serial_end=driver.serial_end)
     try:
         if own.modulation_amplitude is None:
-            return Sr844(link, mean_output_input=own.mean_output_input, clock=clock)
+            return Sr844(
+                link,
+                mean_output_input=own.mean_output_input,
+                clock=clock,
+                external=external,
+            )
         return Sr865a(
             link,
             mean_output_input=own.mean_output_input,
             modulation_amplitude=own.modulation_amplitude,
             clock=clock,
+            external=external,
         )
     except BaseException:
         link.close()

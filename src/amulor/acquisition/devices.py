@@ -16,6 +16,7 @@ from amulor.acquisition.protocols import (
     LockIn,
     RotationMount,
     Scanner,
+    Source,
     TargetStage,
 )
 from amulor.acquisition.settings import Settings
@@ -26,7 +27,9 @@ _NO_PART_OF_IT = (
     "darkness_patience",
 )  # fmt: skip
 #: Settings that older journals do not know; left out where they say nothing.
-_SINCE_LATER = ("modulation_amplitude",)
+_SINCE_LATER = (
+    "modulation_amplitude", "options", "reference", "scpi", "interlock_input",
+)  # fmt: skip
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -47,12 +50,22 @@ class Devices:
     """What takes the target out of the beam."""
     clock: Clock
     """What the devices go by."""
+    source: Source | None = None
+    """What modulates the laser, None if the lock-in does."""
     release: Callable[[], None] = lambda: None
     """Lets other scans have the devices, once they are closed."""
 
     def all(self) -> Iterator[tuple[str, Device]]:
         """Yield name and device; the laser first, since it is made safe first."""
-        for name in ("laser", "scanner", "target", "launch", "analyser", "lock_in"):
+        for name in (
+            "laser",
+            "source",
+            "scanner",
+            "target",
+            "launch",
+            "analyser",
+            "lock_in",
+        ):
             device = getattr(self, name)
             if device is not None:
                 yield name, device
@@ -105,6 +118,10 @@ def digest(settings: Settings, identities: dict[str, str]) -> str:
         scan stops.
     """
     content = settings.model_dump(mode="json", exclude={"simulation": True})
+    if settings.source.driver == "none":
+        del content["source"]
+    if settings.laser.interlock_input is None:
+        del content["laser"]["interlock_voltage"]
     for part in content.values():
         for name in [*part]:
             later = name in _SINCE_LATER and part[name] is None

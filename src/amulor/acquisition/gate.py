@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Protocol
 
-from amulor.acquisition.settings import LaserSettings
+from amulor.acquisition.settings_light import LaserSettings
 from amulor.errors import InstrumentError
 
 #: Largest voltage that counts as off; an enable input of TTL levels needs 0.8 V [V].
@@ -15,6 +15,8 @@ class _HasOutputs(Protocol):
     def identity(self) -> str: ...
 
     def set_output(self, number: int, voltage: float) -> float: ...
+
+    def input(self, number: int) -> float: ...
 
     def reconnect(self) -> None: ...
 
@@ -39,7 +41,8 @@ class LockInGate:
         return f"output {self._settings.output} of {self._lock_in.identity()}"
 
     def on(self) -> None:
-        """Let light out."""
+        """Let light out, if the interlock is closed."""
+        self.check()
         self._lock_in.set_output(self._settings.output, self._settings.on_voltage)
 
     def off(self) -> None:
@@ -49,6 +52,19 @@ class LockInGate:
             raise InstrumentError(
                 f"output {self._settings.output} of the lock-in stands at {left:g} V "
                 "and not at 0 V: the laser may be on; switch it off by hand"
+            )
+
+    def check(self) -> None:
+        """Raise if the interlock is open."""
+        own = self._settings
+        if own.interlock_input is None:
+            return
+        voltage = self._lock_in.input(own.interlock_input)
+        if not voltage >= own.interlock_voltage:
+            raise InstrumentError(
+                f"the interlock of the laser is open: input {own.interlock_input} of "
+                f"the lock-in stands at {voltage:g} V, closed it has at least "
+                f"{own.interlock_voltage:g} V; see who opened it, and close it"
             )
 
     def make_safe(self) -> None:

@@ -78,6 +78,16 @@ class LockIn(Device, Protocol):
         """Return the largest peak amplitude of the present setting [V]."""
 
 
+class Source(Device, Protocol):
+    """A generator that modulates the laser; no output is its safe state.
+
+    The lock-in then takes its reference from the generator.
+    """
+
+    def set_frequency(self, frequency: float, *, timeout: float) -> float:
+        """Put out a frequency [Hz] within a time [s]; return what it is [Hz]."""
+
+
 class Scanner(Device, Protocol):
     """What turns the beam, or the instrument with it."""
 
@@ -95,7 +105,11 @@ class RotationMount(Device, Protocol):
 
 
 class Laser(Device, Protocol):
-    """The light source; off is its safe state."""
+    """The light source; off is its safe state.
+
+    One that also has a method ``check()`` is asked in every sample with light; it
+    raises an `InstrumentError` if the interlock is open, which ends the scan.
+    """
 
     def on(self) -> None:
         """Let light out."""

@@ -112,6 +112,8 @@ class Sampler:
         """
         azimuth, elevation = self._arrange(step)
         readings, flags = self._read()
+        if step.key.kind != DARK:
+            self._refuse_open_interlock()
         flags |= self._compare(step, azimuth, elevation, readings[-1])
         signal = sum(reading.signal for reading in readings) / len(readings)
         means = [reading.mean for reading in readings if reading.mean == reading.mean]
@@ -146,6 +148,10 @@ class Sampler:
     def _arrange(self, step: Step) -> tuple[float, float]:
         devices, settings = self._devices, self._settings
         if step.key.frequency != self._frequency:
+            if devices.source is not None:
+                devices.source.set_frequency(
+                    step.key.frequency, timeout=settings.source.timeout
+                )
             set_to = devices.lock_in.set_frequency(
                 step.key.frequency, timeout=settings.lock_in.lock_timeout
             )
@@ -158,6 +164,12 @@ class Sampler:
         return devices.scanner.move(
             step.azimuth, step.elevation, timeout=settings.scanner.move_timeout
         )
+
+    def _refuse_open_interlock(self) -> None:
+        """Raise if the laser knows that its interlock is open."""
+        check = getattr(self._devices.laser, "check", None)
+        if check is not None:
+            check()
 
     def _refuse_one_for_two(self, asked: float, set_to: float) -> None:
         """Raise if the instrument makes the same frequency of two of the survey."""

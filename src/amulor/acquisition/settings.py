@@ -9,6 +9,15 @@ from typing import Annotated, Literal, Self
 
 from pydantic import Field, ValidationError, model_validator
 
+from amulor.acquisition.settings_light import LaserSettings, SourceSettings
+from amulor.acquisition.settings_parts import (
+    Axis,
+    Linked,
+    Options,
+    Patience,
+    known,
+    need,
+)
 from amulor.errors import InstrumentError
 from amulor.survey import messages
 from amulor.survey.quantity import (
@@ -18,10 +27,6 @@ from amulor.survey.quantity import (
     Time,
     Voltage,
 )
-
-Address = Annotated[str, Field(min_length=1, max_length=200)]
-Axis = Annotated[str, Field(pattern=r"^[A-Za-z0-9_]{1,16}$")]
-Patience = Annotated[Time, Field(gt=0, le=3600)]
 
 #: Drivers that can stand in one file with devices that are not simulated.
 _ANYWHERE = ("simulated", "none", "operator")
@@ -37,45 +42,20 @@ _LINEAR_POLARIZER = {
 }
 
 
-def _need(there: bool, what: str) -> None:
-    if not there:
-        raise ValueError(f"{what} is needed; state it")
+LockInDriver = Annotated[
+    str, known("lock_in", "simulated", "sr844", "sr865a", "zurich")
+]
+ScannerDriver = Annotated[str, known("scanner", "simulated", "pi_gcs")]
 
 
-class _Linked(Description):
-    address: Address | None = None
-    """VISA resource name, such as "GPIB0::8::INSTR" or
-    "TCPIP::10.0.0.5::50000::SOCKET"; "tcp://10.0.0.5:50000" for a socket without a VISA
-    library; of Zurich Instruments "server:device", such as "localhost:dev2006"."""
-    timeout: Patience = 5.0
-    """How long one answer may take [s]."""
-    baud_rate: Annotated[int, Field(ge=50, le=10_000_000)] | None = None
-    """Bits per second of a serial port; what the VISA library takes, 9600, if left
-    out [1/s]."""
-    flow_control: Literal["none", "xon_xoff", "rts_cts", "dtr_dsr"] | None = None
-    """Flow control of a serial port; what the VISA library takes, none, if left out."""
-
-    @model_validator(mode="after")
-    def _only_serial_ports_have_it(self) -> Self:
-        stated = [
-            name
-            for name in ("baud_rate", "flow_control")
-            if getattr(self, name) is not None
-        ]
-        serial = self.address is not None and self.address.upper().startswith("ASRL")
-        if stated and not serial:
-            raise ValueError(
-                f"{stated[0]} is that of a serial port, but the address is "
-                f"{self.address!r}; take it out, or state a port such as ASRL3::INSTR"
-            )
-        return self
-
-
-class LockInSettings(_Linked):
+class LockInSettings(Linked):
     """The lock-in amplifier."""
 
-    driver: Literal["simulated", "sr844", "sr865a", "zurich"] = "simulated"
-    """Which instrument it is."""
+    driver: LockInDriver = "simulated"
+    """Which instrument it is: simulated, sr844, sr865a, zurich, or the name of one that
+    an installed package offers (entry point amulor.lock_ins)."""
+    options: Options = None
+    """What a lock-in of another package wants to be told."""
     mean_output_input: Annotated[int, Field(ge=1, le=4)] | None = None
     """Auxiliary input that the mean output of the detector is wired to [1]."""
     modulation_amplitude: Annotated[Voltage, Field(gt=0, le=2)] | None = None
@@ -83,10 +63,14 @@ class LockInSettings(_Linked):
     it can be set (sr865a, zurich) [V]."""
     lock_timeout: Patience = 10.0
     """How long the reference may take to lock [s]."""
+    reference: Literal["external"] | None = None
+    """"external": the frequency comes from the part `source`; of its own oscillator if
+    left out."""
 
     @model_validator(mode="after")
     def _address_is_stated(self) -> Self:
-        _need(self.address is not None or self.driver == "simulated", "lock_in.address")
+        own = self.driver in _INPUTS and self.driver != "simulated"
+        need(self.address is not None or not own, "lock_in.address")
         return self
 
     @model_validator(mode="after")
@@ -98,7 +82,7 @@ class LockInSettings(_Linked):
                 "lock_in.modulation_amplitude is needed: what the modulation input of "
                 'the laser takes, such as "0.5 V"'
             )
-        if stated and not settable:
+        if stated and not settable and self.driver in _INPUTS:
             raise ValueError(
                 f"the driver {self.driver!r} cannot set lock_in.modulation_amplitude; "
                 "take it out"
@@ -107,7 +91,7 @@ class LockInSettings(_Linked):
 
     @model_validator(mode="after")
     def _input_is_there(self) -> Self:
-        last = _INPUTS[self.driver]
+        last = _INPUTS.get(self.driver, 4)
         if self.mean_output_input is not None and self.mean_output_input > last:
             raise ValueError(
                 f"the driver {self.driver!r} has auxiliary inputs 1 to {last}, stated "
@@ -116,11 +100,14 @@ class LockInSettings(_Linked):
         return self
 
 
-class ScannerSettings(_Linked):
+class ScannerSettings(Linked):
     """What turns the beam."""
 
-    driver: Literal["simulated", "pi_gcs"] = "simulated"
-    """Which controller it is."""
+    driver: ScannerDriver = "simulated"
+    """Which controller it is: simulated, pi_gcs, or the name of one that an installed
+    package offers (entry point amulor.scanners)."""
+    options: Options = None
+    """What a scanner of another package wants to be told."""
     azimuth_axis: Axis = "1"
     """Axis of the controller that turns to the right."""
     elevation_axis: Axis = "2"
@@ -141,16 +128,16 @@ class ScannerSettings(_Linked):
 
     @model_validator(mode="after")
     def _address_is_stated(self) -> Self:
-        _need(self.address is not None or self.driver == "simulated", "scanner.address")
-        _need(self.angle_per_unit != 0, "scanner.angle_per_unit, not 0,")
-        _need(
+        need(self.address is not None or self.driver != "pi_gcs", "scanner.address")
+        need(self.angle_per_unit != 0, "scanner.angle_per_unit, not 0,")
+        need(
             (self.park_azimuth is None) == (self.park_elevation is None),
             "both or none of scanner.park_azimuth and scanner.park_elevation",
         )
         return self
 
 
-class MountSettings(_Linked):
+class MountSettings(Linked):
     """A rotation mount with a polarizer or a retarder."""
 
     driver: Literal["simulated", "pi_gcs", "none"] = "simulated"
@@ -167,25 +154,11 @@ class MountSettings(_Linked):
 
     @model_validator(mode="after")
     def _address_is_stated(self) -> Self:
-        _need(self.address is not None or self.driver != "pi_gcs", "address of a mount")
+        need(self.address is not None or self.driver != "pi_gcs", "address of a mount")
         return self
 
 
-class LaserSettings(Description):
-    """What lets light out."""
-
-    driver: Literal["simulated", "lock_in_output"] = "simulated"
-    """"lock_in_output": an auxiliary output of the lock-in is wired to the enable input
-    of the laser."""
-    output: Annotated[int, Field(ge=1, le=4)] = 1
-    """Which auxiliary output [1]."""
-    on_voltage: Annotated[Voltage, Field(gt=0, le=10)] = 5.0
-    """Voltage that lets light out; 0 V lets none out [V]."""
-    warm_up: Annotated[Time, Field(ge=0, le=3600)] = 0.0
-    """Wait after it was switched on [s]."""
-
-
-class TargetSettings(_Linked):
+class TargetSettings(Linked):
     """What takes the target out of the beam for open-water shots."""
 
     driver: Literal["simulated", "pi_gcs", "operator"] = "simulated"
@@ -201,7 +174,7 @@ class TargetSettings(_Linked):
 
     @model_validator(mode="after")
     def _address_is_stated(self) -> Self:
-        _need(self.address is not None or self.driver != "pi_gcs", "target.address")
+        need(self.address is not None or self.driver != "pi_gcs", "target.address")
         return self
 
 
@@ -250,7 +223,7 @@ class SimulationSettings(Description):
         Annotated[
             str,
             Field(
-                pattern=r"^(overload|saturation|unlock|lost-link|timeout|stuck|darkness)"
+                pattern=r"^(overload|saturation|unlock|lost-link|timeout|stuck|darkness|interlock)"
                 r"@\d+(x\d+)?$"
             ),
         ],
@@ -275,6 +248,8 @@ class Settings(Description):
     """What lets light out."""
     target: TargetSettings = TargetSettings()
     """What takes the target out of the beam."""
+    source: SourceSettings = SourceSettings()
+    """What modulates the laser, if the lock-in does not."""
     procedure: Procedure = Procedure()
     """How each sample is taken."""
     simulation: SimulationSettings = SimulationSettings()
@@ -302,12 +277,28 @@ class Settings(Description):
 
     @model_validator(mode="after")
     def _output_is_there(self) -> Self:
-        last = _OUTPUTS[self.lock_in.driver]
+        last = _OUTPUTS.get(self.lock_in.driver, 4)
         if self.laser.driver == "lock_in_output" and self.laser.output > last:
             raise ValueError(
                 f"the lock-in {self.lock_in.driver!r} has auxiliary outputs 1 to "
                 f"{last}, stated is laser.output = {self.laser.output}; wire another "
                 "one"
+            )
+        return self
+
+    @model_validator(mode="after")
+    def _reference_and_source_agree(self) -> Self:
+        external = self.lock_in.reference == "external"
+        if external and self.source.driver == "none":
+            raise ValueError(
+                'lock_in.reference is "external", but nothing says what makes the '
+                "frequency; add the part source"
+            )
+        own = self.lock_in.driver in ("sr844", "sr865a")
+        if self.source.driver != "none" and own and not external:
+            raise ValueError(
+                "the part source makes the frequency, but the lock-in takes its own; "
+                'set lock_in.reference = "external"'
             )
         return self
 

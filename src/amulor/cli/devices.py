@@ -41,7 +41,8 @@ def simulate(
         How much faster than real the simulated time goes.
     fault
         What goes wrong at which reading, such as "unlock@500x3"; several are allowed.
-        Kinds: overload, saturation, unlock, lost-link, timeout, stuck, darkness.
+        Kinds: overload, saturation, unlock, lost-link, timeout, stuck, darkness,
+        interlock.
     host
         Address to listen at.
     lock_in_port
@@ -75,7 +76,8 @@ def simulate(
         raise UsageError(
             f"--fault {error.errors()[0]['input']}: needed is kind@reading, or "
             "kind@reading and x and how many readings, such as unlock@500x3; kinds: "
-            "overload, saturation, unlock, lost-link, timeout, stuck, darkness"
+            "overload, saturation, unlock, lost-link, timeout, stuck, darkness, "
+            "interlock"
         ) from None
     ports = (lock_in_port, stage_port)
     try:

@@ -123,7 +123,7 @@ def test_pymeasure_reads_an_sr860_in_all_forms(sr865a: Rehearsal) -> None:
             math.degrees(np.angle(expected)), abs=math.degrees(noise / abs(expected))
         )
         assert device.aux_in_1 == pytest.approx(mean, rel=1e-6)
-        assert device.aux_in_2 == 0
+        assert device.aux_in_3 == 0
         for codes in (
             ("X", "Y"),
             ("THeta", "IN1", "FInt"),

@@ -24,6 +24,8 @@ class Stanford:
         Auxiliary input that the mean output of the detector is wired to [1].
     clock : Clock
         What waits go by.
+    external : bool
+        Whether the frequency comes from a generator at the reference input.
     """
 
     model = ""
@@ -34,9 +36,16 @@ class Stanford:
     #: Number of the first auxiliary output in commands, and how many there are.
     _first_output, _outputs = 1, 0
     _set_output = ""
+    #: What an auxiliary input is asked by, and its first number.
+    _get_input, _first_input = "", 1
 
     def __init__(
-        self, link: Conversation, *, mean_output_input: int | None, clock: Clock
+        self,
+        link: Conversation,
+        *,
+        mean_output_input: int | None,
+        clock: Clock,
+        external: bool = False,
     ) -> None:
         if mean_output_input is not None and not 1 <= mean_output_input <= self._inputs:
             raise InstrumentError(
@@ -47,6 +56,7 @@ class Stanford:
         self._link = link
         self._clock = clock
         self._mean_input = mean_output_input
+        self._external = external
         self._choose_interface()
         self._identity = self._identify()
 
@@ -81,6 +91,21 @@ class Stanford:
             )
         word, code = self._set_output, number - 1 + self._first_output
         return self.number(f"{word} {code},{voltage:.3f};{word}? {code}")
+
+    def input(self, number: int) -> float:
+        """Return the voltage at an auxiliary input, counted from 1 as on the panel [V].
+
+        Raises
+        ------
+        InstrumentError
+            If there is no such input, or the answer is none.
+        """
+        if not 1 <= number <= self._inputs:
+            raise InstrumentError(
+                f"{self.model} has auxiliary inputs 1 to {self._inputs}, asked for was "
+                f"{number}; wire another one, and change laser.interlock_input"
+            )
+        return self.number(f"{self._get_input}? {number - 1 + self._first_input}")
 
     def reconnect(self) -> None:
         """Open the link again after it was lost."""

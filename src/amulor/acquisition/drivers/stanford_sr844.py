@@ -45,6 +45,7 @@ class Sr844(Stanford):
     serial_end = "\r"  # so it ends its answers (manual, page 4-8)
     _inputs, _outputs = 2, 2
     _set_output = "AUXO"
+    _get_input = "AUXI"
 
     def _choose_interface(self) -> None:
         """Let answers come over this link (manual, page 4-10)."""
@@ -56,7 +57,14 @@ class Sr844(Stanford):
         self._sensitivity = len(SENSITIVITIES) - 1
         self._wide = self._close = _NORMAL
         # After *RST neither ratio nor offset is in what SNAP? answers.
-        lines = ["*RST", "FMOD 1", "HARM 0", "PHAS 0", "OFSL 1", f"OFLT {code}"]
+        lines = [
+            "*RST",
+            f"FMOD {int(not self._external)}",
+            "HARM 0",
+            "PHAS 0",
+            "OFSL 1",
+            f"OFLT {code}",
+        ]
         lines += [f"WRSV {self._wide}", f"CRSV {self._close}"]
         self.configure([*lines, f"SENS {self._sensitivity}"])
 
@@ -68,7 +76,8 @@ class Sr844(Stanford):
                 f"SR844 has no {frequency:g} Hz, it goes from {low:g} to {high:g} Hz; "
                 "change the modulation frequencies of the survey"
             )
-        self._link.send(f"FREQ {frequency:.6g}")
+        if not self._external:
+            self._link.send(f"FREQ {frequency:.6g}")
         end = Deadline(self._clock, timeout)
         self.number("LIAS?")  # clears what was before
         while int(self.number("LIAS?")) & (UNLOCKED | OUT_OF_RANGE):

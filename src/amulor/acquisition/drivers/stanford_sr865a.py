@@ -52,11 +52,14 @@ class Sr865a(Stanford):
         Root mean square of the modulation output [V].
     clock : Clock
         What waits go by.
+    external : bool
+        Whether the frequency comes from a generator at the reference input.
     """
 
     model = "SR865A"
     _inputs, _first_output, _outputs = 4, 0, 4
     _set_output = "AUXV"
+    _get_input, _first_input = "OAUX", 0
 
     def __init__(
         self,
@@ -65,8 +68,14 @@ class Sr865a(Stanford):
         mean_output_input: int | None,
         modulation_amplitude: float,
         clock: Clock,
+        external: bool = False,
     ) -> None:
-        super().__init__(link, mean_output_input=mean_output_input, clock=clock)
+        super().__init__(
+            link,
+            mean_output_input=mean_output_input,
+            clock=clock,
+            external=external,
+        )
         self._amplitude = modulation_amplitude
 
     def prepare(self, *, time_constant: float) -> None:
@@ -74,7 +83,14 @@ class Sr865a(Stanford):
         code = self.index_of(time_constant, TIME_CONSTANTS, "time constant")
         self._scale = self._range = 0
         self._frequency = math.nan
-        lines = ["*RST", "RSRC 0", "HARM 1", "PHAS 0", "OFSL 0", f"OFLT {code}"]
+        lines = [
+            "*RST",
+            f"RSRC {int(self._external)}",
+            "HARM 1",
+            "PHAS 0",
+            "OFSL 0",
+            f"OFLT {code}",
+        ]
         lines += ["ADVFILT 0", "SYNC 0", f"IRNG {self._range}", f"SCAL {self._scale}"]
         # Voltage input A, AC, and the modulation output at the stated level.
         lines += ["IVMD 0", "ISRC 0", "ICPL 0", f"SLVL {self._amplitude:.6g}", "SOFF 0"]
@@ -88,7 +104,8 @@ class Sr865a(Stanford):
                 f"SR865A has no {frequency:g} Hz, it goes from {low:g} to {high:g} Hz; "
                 "change the modulation frequencies of the survey"
             )
-        self._link.send(f"FREQ {frequency:.7g}")
+        if not self._external:
+            self._link.send(f"FREQ {frequency:.7g}")
         end = Deadline(self._clock, timeout)
         self.number("LIAS?")  # clears what was before
         while int(self.number("LIAS?")) & UNLOCKED:
@@ -97,7 +114,7 @@ class Sr865a(Stanford):
                     f"SR865A has not locked to {frequency:g} Hz within {timeout:g} s"
                 )
             self._clock.sleep(_POLL)
-        self._frequency = self.number("FREQ?")
+        self._frequency = self.number("FREQEXT?" if self._external else "FREQ?")
         return self._frequency
 
     def read(self) -> Reading:

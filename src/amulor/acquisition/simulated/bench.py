@@ -207,6 +207,11 @@ class Bench:
         return self._frequency
 
     @property
+    def interlock_is_closed(self) -> bool:
+        """Whether the interlock lets the laser have its light."""
+        return not self.faults.active("interlock", max(self.readings, 1))
+
+    @property
     def noise(self) -> float:
         """Standard deviation of either output, as a peak amplitude [V]."""
         return self._spread
@@ -224,7 +229,8 @@ class Bench:
         with self._lock:
             self.readings += 1
             self._advance()
-            if self.faults.active("darkness", self.readings) != self._blocked:
+            dark = self.faults.active("darkness", self.readings)
+            if (dark or not self.interlock_is_closed) != self._blocked:
                 self._blocked = not self._blocked
                 self._renew()
             output = self._level + self._noise

@@ -162,6 +162,14 @@ class SimulatedLaser(_Simulated):
         self.log.append("on")
         self.bench.set_laser(True)
 
+    def check(self) -> None:
+        """Raise if the interlock is open."""
+        if not self.bench.interlock_is_closed:
+            raise InstrumentError(
+                "the interlock of the simulated laser is open; see who opened it, and "
+                "close it"
+            )
+
     def off(self) -> None:
         """Let no light out."""
         self.log.append("off")

@@ -11,8 +11,8 @@ class Fault:
     """One thing that goes wrong."""
 
     kind: str
-    """overload, saturation, unlock, lost-link, timeout, stuck or darkness (the light is
-    blocked behind the laser)."""
+    """overload, saturation, unlock, lost-link, timeout, stuck, darkness (the light is
+    blocked behind the laser) or interlock (it is open)."""
     first: int
     """Number of the reading that it begins at, counted from 1 [1]."""
     count: int

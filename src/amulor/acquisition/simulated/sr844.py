@@ -6,7 +6,10 @@ import cmath
 import math
 
 from amulor.acquisition.simulated.bench import Bench
-from amulor.acquisition.simulated.stanford import Setting, SimulatedStanford
+from amulor.acquisition.simulated.stanford import (
+    Setting,
+    SimulatedStanford,
+)
 
 #: Time constants by the code of OFLT: 100 us to 30 ks, in steps of 1 and 3 [s].
 _TIME_CONSTANTS = (
@@ -54,7 +57,7 @@ class SimulatedSr844(SimulatedStanford):
     def _auxiliary(self, code: str) -> float:
         if code not in ("1", "2"):
             raise ValueError(code)
-        return self._values()[5 + int(code)]
+        return self._monitor() if code == "2" else self._values()[6]
 
     def _values(self) -> dict[int, float]:
         x, y, mean = self._measured()
@@ -73,7 +76,7 @@ class SimulatedSr844(SimulatedStanford):
             4: 10 * math.log10(power) if power > 0 else -math.inf,
             5: math.degrees(math.atan2(y, x)),
             6: mean,
-            7: 0.0,
+            7: self._monitor(),
             8: self.bench.frequency,
             # The displays show X and Y after *RST.
             9: x / over,

@@ -7,7 +7,11 @@ import functools
 import math
 
 from amulor.acquisition.simulated.bench import Bench
-from amulor.acquisition.simulated.stanford import Number, Setting, SimulatedStanford
+from amulor.acquisition.simulated.stanford import (
+    Number,
+    Setting,
+    SimulatedStanford,
+)
 
 #: Time constants by the code of OFLT: 1 us to 30 ks, in steps of 1 and 3 [s].
 _TIME_CONSTANTS = (
@@ -119,9 +123,10 @@ class SimulatedSr865a(SimulatedStanford):
         phase = self._numbers["PHAS"][0]
         turned = complex(x, y) * cmath.exp(-1j * math.radians(phase))
         noise = self.bench.noise / math.sqrt(2 * self._bandwidth())
+        monitor = self._monitor()
         shown = (
             turned.real, turned.imag, abs(turned), math.degrees(cmath.phase(turned)),
-            mean, 0.0, 0.0, 0.0, noise, noise, self._outputs[0], self._outputs[1],
+            mean, monitor, 0.0, 0.0, noise, noise, self._outputs[0], self._outputs[1],
             phase, self._numbers["SLVL"][0], self._numbers["SOFF"][0],
             self.bench.frequency, 0.0,
         )  # fmt: skip
@@ -133,7 +138,7 @@ class SimulatedSr865a(SimulatedStanford):
     def _auxiliary(self, code: int) -> float:
         if not 0 <= code <= 3:
             raise ValueError(code)
-        return self._values()[4 + code]
+        return self._monitor() if code == 1 else self._values()[4 + code]
 
     def _channels(self) -> list[float]:
         values = self._values()

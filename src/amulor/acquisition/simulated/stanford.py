@@ -13,6 +13,8 @@ from amulor.acquisition.links.tcp import LinkLostError
 from amulor.acquisition.protocols import SIMULATOR
 from amulor.acquisition.simulated.bench import Bench
 
+#: Voltage of the interlock's monitor while it is closed; it is wired to input 2 [V].
+INTERLOCK = 5.0
 #: Voltage of the laser's gate from which on light is let out [V].
 _GATE = 2.0
 #: Bits of *ESR?: a command that is not known, a value that is not allowed.
@@ -210,6 +212,10 @@ class SimulatedStanford:
 
     def _output(self, argument: str) -> list[str]:
         return [f"{self._outputs[int(argument)]:.3f}"]
+
+    def _monitor(self) -> float:
+        """Return what the monitor of the interlock puts out [V]."""
+        return INTERLOCK * self.bench.interlock_is_closed
 
     def _measured(self) -> tuple[float, float, float]:
         """Return X and Y [V rms] and the mean output [V], and latch what is wrong."""
