@@ -39,6 +39,10 @@ COMMANDS = {
         "transients:transients",
         "Turn single-photon histograms into a measurement cube.",
     ),
+    "import recordings": (
+        "recordings:recordings",
+        "Turn a recording of other software into a measurement cube.",
+    ),
     "info": ("info:info", "Say what a file holds."),
     "reject": ("reject:reject", "Take the water signal out of a measurement cube."),
     "image": ("image:image", "Turn a target signal into a range image."),

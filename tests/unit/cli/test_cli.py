@@ -17,6 +17,7 @@ from amulor import io
 from amulor.cli import COMMANDS, main
 from amulor.studies.ladder import survey_text
 
+RECORDINGS = ["import", "recordings", "none.csv"]
 TRANSIENTS = ["import", "transients", "none.npz", "--frequency", "9MHz", "-o", "b.nc"]
 UNMIX = ["reject", "none.nc", "--method", "unmix", "-o", "b.nc"]
 COLUMN = ["reject", "none.nc", "--method", "open-water", "-o", "b.nc"]
@@ -188,6 +189,7 @@ def test_wrong_use_ends_with_2_and_one_line(words: list[str], capsys) -> None:
         ["devices", "simulate", "none.toml", "-o", "b.toml"],
         ["devices", "calibrate", "none.nc", "--distance", "1 m", "-o", "b.toml"],
         TRANSIENTS,
+        [*RECORDINGS, "--survey", "none.toml", "--columns", "none.toml", "-o", "b.nc"],
         ["info", "none.nc"],
         ["water", "fit", "none.nc"],
         [*UNMIX, *RATIOS],

@@ -1,0 +1,204 @@
+"""Samples of a recording one after the other: channel, direction, place on the scan."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from amulor.errors import FormatError
+from amulor.io.recording_map import RecordingMap
+from amulor.io.recording_table import Table
+from amulor.optics.polarization import stokes
+from amulor.survey import Survey
+from amulor.survey.directions import scan_directions
+
+Floats = NDArray[np.float64]
+Complex = NDArray[np.complex128]
+
+#: Turns rms into peak amplitudes [1].
+_PEAK = 2**0.5
+#: Frequencies that differ by less count as one [1]; temperatures, in degC.
+_SAME_FREQUENCY, _SAME_TEMPERATURE = 1e-6, 0.05
+#: Temperatures of one scan may differ by so much [degC].
+_SPREAD = 1.0
+#: How far a sample may be off the grid of the scan, in steps [1].
+_OFF_GRID = 0.5
+
+
+@dataclass(frozen=True, kw_only=True)
+class Samples:
+    """Samples one after the other."""
+
+    signal: Complex
+    mean: Floats
+    frequency: Floats
+    polarization: NDArray[np.str_]
+    azimuth: Floats
+    elevation: Floats
+    row: Floats
+    column: Floats
+    temperature: Floats
+    water: NDArray[np.bool_]
+
+    def part(self, chosen: NDArray[np.bool_]) -> Samples:
+        """Return some of them."""
+        return Samples(**{name: value[chosen] for name, value in vars(self).items()})
+
+
+def samples_of(table: Table, described: RecordingMap, survey: Survey) -> Samples:
+    """Return all samples of a table, in SI units, as peak amplitudes."""
+    columns, own = described.columns, described.constants
+    count = len(table)
+
+    def numbers(name: str | None, otherwise: float = np.nan) -> Floats:
+        if name is None:
+            return np.full(count, otherwise)
+        return table.numbers(name, decimal=described.table.decimal)
+
+    if columns.in_phase is not None:
+        signal = numbers(columns.in_phase) + 1j * numbers(columns.quadrature)
+    else:
+        turn = np.exp(1j * own.radians(own.phase_unit) * numbers(columns.phase))
+        signal = numbers(columns.amplitude) * turn
+    signal = signal * own.scale * (_PEAK if own.root_mean_square else 1.0)
+    instrument = survey.instrument
+    only = instrument.modulation_frequencies
+    frequency = numbers(
+        columns.frequency, own.frequency or (only[0] if len(only) == 1 else np.nan)
+    )
+    if not np.all(frequency > 0):
+        number = int(np.argmin(frequency > 0))
+        raise FormatError(
+            f"{table.place(number)}: the modulation frequency is not known; state "
+            "columns.frequency or constants.frequency in the map"
+        )
+    angle = own.radians(own.angle_unit)
+    water = np.zeros(count, dtype=bool)
+    if columns.what is not None:
+        water = table.texts(columns.what) == own.open_water
+    return Samples(
+        signal=np.asarray(
+            signal.conj() if own.phase_falls_with_delay else signal, dtype=complex
+        ),
+        mean=numbers(columns.mean),
+        frequency=frequency,
+        polarization=_polarizations(table, described, survey),
+        azimuth=angle * numbers(columns.azimuth),
+        elevation=angle * numbers(columns.elevation),
+        row=numbers(columns.row),
+        column=numbers(columns.column),
+        temperature=numbers(columns.temperature),
+        water=water,
+    )
+
+
+def _polarizations(
+    table: Table, described: RecordingMap, survey: Survey
+) -> NDArray[np.str_]:
+    name, constant = described.columns.polarization, described.constants.polarization
+    only = survey.instrument.polarizations
+    if name is not None:
+        pairs = table.texts(name)
+    elif constant is not None or len(only) == 1:
+        pairs = np.full(len(table), constant or only[0])
+    else:
+        raise FormatError(
+            "the polarization of the samples is not known: the survey has "
+            f"{', '.join(only)}; state columns.polarization or constants.polarization"
+        )
+    for number, pair in enumerate(pairs):
+        if re.fullmatch(stokes.PAIR_PATTERN, str(pair)) is None:
+            raise FormatError(
+                f"{table.place(number)}: the polarization is {str(pair)!r}, needed is "
+                '"none" or two of the letters V, H, P, M, R, L'
+            )
+    return pairs
+
+
+def of_one_temperature(
+    path: Path, samples: Samples, temperature: float | None
+) -> Samples:
+    """Return the samples of one temperature, refusing to mix several."""
+    known = samples.temperature[np.isfinite(samples.temperature)]
+    rounded = np.unique(np.round(known / (2 * _SAME_TEMPERATURE))) * 2
+    listed = ", ".join(f"{value * _SAME_TEMPERATURE:g}" for value in rounded)
+    if temperature is None:
+        if known.size and np.ptp(known) > _SPREAD:
+            raise FormatError(
+                f"{path}: was recorded at several temperatures ({listed} degC); choose "
+                "one (--temperature), and import the others into cubes of their own"
+            )
+        return samples
+    chosen = np.abs(samples.temperature - temperature) <= _SPREAD / 2
+    if not chosen.any():
+        raise FormatError(
+            f"{path}: holds no sample at {temperature:g} degC; there are "
+            f"{listed or 'none with a temperature'}"
+        )
+    return samples.part(chosen)
+
+
+def distinct(values: Floats) -> tuple[Floats, NDArray[np.intp]]:
+    """Return the frequencies that differ, rising, and which one each sample has."""
+    order = np.argsort(values, kind="stable")
+    ordered = values[order]
+    border = np.diff(ordered) > _SAME_FREQUENCY * ordered[:-1]
+    group = np.empty(values.size, dtype=np.intp)
+    group[order] = np.concatenate([[0], np.cumsum(border)])
+    means = np.bincount(group, values) / np.bincount(group)
+    return np.asarray(means), group
+
+
+def pixels(
+    path: Path,
+    samples: Samples,
+    channel: tuple[NDArray[np.intp], NDArray[np.intp]],
+    survey: Survey,
+) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Return row and column of each sample; by the order of the scan if need be."""
+    rows, columns = survey.scan.rows, survey.scan.columns
+    if np.isfinite(samples.row).any():
+        row, column = samples.row, samples.column
+    elif np.isfinite(samples.azimuth).any():
+        azimuth, elevation, _ = scan_directions(survey)
+        row = _steps(samples.elevation, elevation[:, 0])
+        column = _steps(samples.azimuth, azimuth[0])
+    else:
+        order = turn(channel)
+        row, column = order // columns, order % columns
+        if survey.scan.order == "serpentine":
+            column = np.where(row % 2 == 1, columns - 1 - column, column)
+    near = np.abs(row - np.round(row)) <= _OFF_GRID
+    near &= np.abs(column - np.round(column)) <= _OFF_GRID
+    row, column = np.round(row), np.round(column)
+    inside = near & (row >= 0) & (row < rows) & (column >= 0) & (column < columns)
+    if not inside.all():
+        number = int(np.argmin(inside))
+        raise FormatError(
+            f"{path}: {(~inside).sum()} of {inside.size} samples of the scan lie "
+            f"between or beyond its {rows} x {columns} pixels, the first one at row "
+            f"{row[number]:g}, column {column[number]:g}; check [scan] of the survey "
+            "and constants.angle_unit"
+        )
+    return row.astype(np.intp), column.astype(np.intp)
+
+
+def _steps(angle: Floats, grid: Floats) -> Floats:
+    """Return the place of angles on a grid of even steps, counted from 0."""
+    if len(grid) == 1:
+        return np.zeros(len(angle))
+    return np.asarray((angle - grid[0]) / (grid[-1] - grid[0]) * (len(grid) - 1))
+
+
+def turn(channel: tuple[NDArray[np.intp], NDArray[np.intp]]) -> NDArray[np.float64]:
+    """Return how many samples of its channel come before each one."""
+    counted: dict[tuple[int, int], int] = {}
+    result = np.empty(len(channel[0]))
+    for number, key in enumerate(zip(*map(np.ndarray.tolist, channel), strict=True)):
+        result[number] = counted.setdefault(key, 0)
+        counted[key] += 1
+    return result
