@@ -1,0 +1,220 @@
+"""Maximum permissible exposure and hazard distance of a visible beam (IEC 60825-1).
+
+A calculation for planning. It is no classification and no certificate.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Literal
+
+from amulor.survey import Survey, water_properties
+
+LaserClass = Literal["1", "2", "3R", "3B", "4"]
+
+#: Wavelengths for which the limits below hold [m].
+_VISIBLE = (400e-9, 700e-9)
+#: Exposures for which they hold [s].
+_EXPOSURES = (18e-6, 3e4)
+#: Pupil that light is collected by [m].
+APERTURE = 7e-3
+#: Light that comes and goes faster than this counts by its mean [s].
+_ONE_PULSE = 5e-6
+#: Powers that a class allows of a continuous visible point source, above class 1 [W].
+_CLASS_POWERS = {"2": 1e-3, "3R": 5e-3, "3B": 0.5, "4": math.inf}
+#: Class 1 is judged over this time [s].
+_CLASS_1_EXPOSURE = 3e4
+#: How exact a distance is [m], and beyond which it is called infinite [m].
+_EXACT, _FARTHEST = 1e-4, 1e6
+
+
+@dataclass(frozen=True, kw_only=True)
+class Hazard:
+    """What a beam can do to an eye in it."""
+
+    permissible_irradiance: float
+    """Maximum permissible exposure at the cornea, its mean over the time [W/m2]."""
+    irradiance: float
+    """Mean over the pupil, at the instrument [W/m2]."""
+    distance_in_air: float
+    """From where on an eye in the beam gets less than is permissible, in air [m]."""
+    distance_in_water: float
+    """The same in the water of the survey, by absorption and divergence alone [m]."""
+    class_power: float
+    """Largest power that the stated class allows [W]."""
+    exceeds_class: bool
+    """Whether the survey's power is larger."""
+
+
+def permissible_irradiance(wavelength: float, *, exposure: float) -> float:
+    r"""Return the maximum permissible exposure of an eye to a visible point source.
+
+    Parameters
+    ----------
+    wavelength : float
+        In air, from 400 nm to 700 nm [m].
+    exposure : float
+        How long the eye is in the beam, from 18 us to 30000 s [s].
+
+    Returns
+    -------
+    float
+        Mean irradiance over a pupil of 7 mm [W/m2].
+
+    Raises
+    ------
+    ValueError
+        Beyond these ranges.
+
+    Notes
+    -----
+    IEC 60825-1:2014, table A.1, for an angular subtense of at most 1.5 mrad: by heat
+    :math:`18\, t^{3/4}` J/m2 up to 10 s and 10 W/m2 beyond; by photochemistry, from
+    10 s on and below 600 nm, :math:`100\, C_3` J/m2 up to 100 s and :math:`C_3` W/m2
+    beyond, with :math:`C_3 = 10^{0.02 (\lambda / \mathrm{nm} - 450)}` and at least 1.
+    The smaller one counts.
+
+    Examples
+    --------
+    The aversion response, 0.25 s, and the power through the pupil:
+
+    >>> limit = permissible_irradiance(532e-9, exposure=0.25)
+    >>> print(f"{limit:.1f} W/m2, {limit * 3.85e-5 * 1e3:.2f} mW")
+    25.5 W/m2, 0.98 mW
+    """
+    if not _VISIBLE[0] <= wavelength <= _VISIBLE[1]:
+        raise ValueError(
+            f"wavelength must lie between 400 nm and 700 nm, got {wavelength * 1e9:g} "
+            "nm; take the limits of another one from the standard"
+        )
+    if not _EXPOSURES[0] <= exposure <= _EXPOSURES[1]:
+        raise ValueError(
+            f"exposure must lie between 18 us and 30000 s, got {exposure:g} s"
+        )
+    thermal = 18 * exposure**-0.25 if exposure < 10 else 10.0
+    if exposure < 10 or wavelength >= 600e-9:
+        return thermal
+    blue = max(1.0, 10 ** (0.02 * (wavelength * 1e9 - 450)))
+    return min(thermal, 100 * blue / min(exposure, 100.0))
+
+
+def pupil_irradiance(power: float, *, diameter: float) -> float:
+    r"""Return the irradiance of a Gaussian beam, as a mean over a pupil in its middle.
+
+    Parameters
+    ----------
+    power : float
+        Of the beam, not negative [W].
+    diameter : float
+        Of the beam, at 1/e of its largest irradiance, above zero [m].
+
+    Returns
+    -------
+    float
+        :math:`P (1 - e^{-(7\,\mathrm{mm} / d)^2})` over the area of the pupil [W/m2].
+
+    Raises
+    ------
+    ValueError
+        If one of them is out of its range.
+    """
+    if not (power >= 0 and diameter > 0):
+        raise ValueError(
+            f"power must not be negative and diameter above 0, got {power:g} W and "
+            f"{diameter:g} m"
+        )
+    seen = -math.expm1(-((APERTURE / diameter) ** 2))
+    return power * seen / (math.pi / 4 * APERTURE**2)
+
+
+def hazard(
+    survey: Survey,
+    *,
+    beam_diameter: float,
+    divergence: float,
+    laser_class: LaserClass,
+    exposure: float = 0.25,
+) -> Hazard:
+    """Return how near to the instrument an eye in its beam is in danger.
+
+    Parameters
+    ----------
+    survey : Survey
+        Wavelength, power, modulation frequencies and water.
+    beam_diameter : float
+        Where the beam leaves the instrument, at 1/e of its largest irradiance [m]; that
+        at 1/e2 is larger by the square root of 2.
+    divergence : float
+        Full angle in air, likewise at 1/e [rad].
+    laser_class : str
+        What the maker of the laser states; it is not worked out.
+    exposure : float
+        How long an eye may be in the beam: 0.25 s where people look away [s].
+
+    Returns
+    -------
+    Hazard
+        For a beam that stands still, and an eye without telescope.
+
+    Raises
+    ------
+    ValueError
+        If the wavelength is not visible, the modulation so slow that each period would
+        count by itself, or an argument is out of its range.
+
+    Notes
+    -----
+    The beam grows by its divergence, in water by that over the refractive index; water
+    absorbs. What it scatters forward may still reach the eye, so scattering counts as
+    no protection. A modulation period below 5 us is one pulse with its neighbours, so
+    that the mean power counts.
+    """
+    if not (beam_diameter > 0 and divergence >= 0):
+        raise ValueError(
+            "beam_diameter must be above 0 and divergence not negative, got "
+            f"{beam_diameter:g} m and {divergence:g} rad"
+        )
+    slowest = min(survey.instrument.modulation_frequencies)
+    if slowest * _ONE_PULSE < 1:
+        raise ValueError(
+            f"a modulation of {slowest:g} Hz is so slow that each period counts by "
+            "itself; take the rules for pulses from the standard"
+        )
+    power, wavelength = survey.instrument.power, survey.instrument.wavelength
+    limit = permissible_irradiance(wavelength, exposure=exposure)
+    water = water_properties(survey)
+
+    def distance(growth: float, absorption: float) -> float:
+        def seen(way: float) -> float:
+            return pupil_irradiance(
+                power * math.exp(-absorption * way),
+                diameter=beam_diameter + growth * way,
+            )
+
+        near, far = 0.0, 1.0
+        if seen(near) <= limit:
+            return 0.0
+        while seen(far) > limit:
+            near, far = far, 2 * far
+            if far > _FARTHEST:
+                return math.inf
+        while far - near > _EXACT:
+            middle = (near + far) / 2
+            near, far = (middle, far) if seen(middle) > limit else (near, middle)
+        return far
+
+    allowed = _CLASS_POWERS.get(laser_class)
+    if allowed is None:
+        class_1 = permissible_irradiance(wavelength, exposure=_CLASS_1_EXPOSURE)
+        allowed = class_1 * math.pi / 4 * APERTURE**2
+    return Hazard(
+        permissible_irradiance=limit,
+        irradiance=pupil_irradiance(power, diameter=beam_diameter),
+        distance_in_air=distance(divergence, 0.0),
+        distance_in_water=distance(
+            divergence / water.refractive_index, survey.water.absorption
+        ),
+        class_power=allowed,
+        exceeds_class=power > allowed,
+    )
