@@ -29,6 +29,7 @@ _NO_PART_OF_IT = (
 #: Settings that older journals do not know; left out where they say nothing.
 _SINCE_LATER = (
     "modulation_amplitude", "options", "reference", "scpi", "interlock_input",
+    "output_filter",
 )  # fmt: skip
 
 

@@ -11,7 +11,11 @@ from amulor.acquisition.journal.record import Record
 from amulor.acquisition.plan import DARK, OPEN_WATER, SCAN, Step
 from amulor.acquisition.protocols import Overload, Reading
 from amulor.acquisition.settings import Settings
-from amulor.acquisition.uncertainty import readings_of
+from amulor.acquisition.uncertainty import (
+    filtered_input,
+    intervals_of,
+    readings_of,
+)
 from amulor.errors import InstrumentError
 from amulor.optics.polarization import stokes
 from amulor.survey import Survey
@@ -68,7 +72,9 @@ class Sampler:
         self._devices = devices
         self._constant = survey.instrument.lock_in.time_constant
         self._saturation = survey.instrument.detector.saturation
+        self._dwell = survey.scan.dwell
         self._readings = readings_of(survey, settling=settings.procedure.settling)
+        self._intervals = intervals_of(survey)
         self._overloaded_in_a_row = self._dark_in_a_row = 0
         self._dark_level = DarkLevel()
         self._calm = 0
@@ -82,6 +88,9 @@ class Sampler:
 
     def forget(self) -> None:
         """Take nothing for granted any more, after devices were made safe."""
+        #: Whether more than the direction has changed since the last reading.
+        self._new = True
+        self._moments: list[float] = []
         self._frequency: float | None = None
         self._polarization: str | None = None
         self._laser: bool | None = None
@@ -115,7 +124,7 @@ class Sampler:
         if step.key.kind != DARK:
             self._refuse_open_interlock()
         flags |= self._compare(step, azimuth, elevation, readings[-1])
-        signal = sum(reading.signal for reading in readings) / len(readings)
+        signal, count = self._signal(readings)
         means = [reading.mean for reading in readings if reading.mean == reading.mean]
         mean = statistics.fmean(means) if means else None
         if mean is not None and mean > self._saturation:
@@ -133,7 +142,7 @@ class Sampler:
             in_phase=signal.real,
             quadrature=signal.imag,
             mean=mean,
-            readings=len(readings),
+            readings=count,
             full_scale=scale,
             flags=int(flags),
             commanded_azimuth=step.azimuth,
@@ -157,6 +166,7 @@ class Sampler:
             )
             self._refuse_one_for_two(step.key.frequency, set_to)
             self._frequency = step.key.frequency
+            self._new = True
         if step.key.polarization != self._polarization:
             self._set_polarization(step.key.polarization)
         self._move_target(step.key.kind)
@@ -197,6 +207,7 @@ class Sampler:
                 )
             mount.rotate(own.angles[state], timeout=own.move_timeout)
         self._polarization = pair
+        self._new = True
 
     def _switch_laser(self, on: bool) -> None:
         if on == self._laser:
@@ -207,6 +218,7 @@ class Sampler:
         else:
             self._devices.laser.off()
         self._laser = on
+        self._new = True
 
     def _move_target(self, kind: str) -> None:
         if kind == DARK or (kind == SCAN) == self._target_is_in:
@@ -220,15 +232,12 @@ class Sampler:
         else:
             self._devices.target.bring_in(timeout=timeout)
         self._target_is_in = kind == SCAN
+        self._new = True
 
     def _read(self) -> tuple[list[Reading], SampleFlag]:
         lock_in, flags, lost, tries = self._devices.lock_in, SampleFlag.NONE, 0, 0
         while True:
-            self._devices.clock.sleep(self._procedure.settling * self._constant)
-            readings = [lock_in.read()]
-            for _ in range(self._readings - 1):
-                self._devices.clock.sleep(self._constant)
-                readings.append(lock_in.read())
+            readings = self._readings_of_a_dwell()
             overload = Overload.NONE
             for reading in readings:
                 overload |= reading.overload
@@ -249,8 +258,38 @@ class Sampler:
                 continue
             elif lock_in.relieve(overload):
                 flags |= SampleFlag.RESCALED
+                self._new = True
             else:
                 return readings, flags | SampleFlag.OVERLOAD
+
+    def _readings_of_a_dwell(self) -> list[Reading]:
+        """Return readings, after what must settle has settled."""
+        clock, lock_in = self._devices.clock, self._devices.lock_in
+        known, first = self._procedure.output_filter == "known", self._new
+        if first or not known:
+            clock.sleep(self._procedure.settling * self._constant)
+        self._new = False
+        spacing = self._constant
+        number = self._readings
+        if known:
+            # One more: what the filter holds at the start is to be known.
+            number, spacing = self._intervals + 1, self._dwell / self._intervals
+        readings, self._moments = [], []
+        for place in range(number):
+            if place:
+                clock.sleep(spacing)
+            asked = clock.now()
+            readings.append(lock_in.read())
+            self._moments.append((asked + clock.now()) / 2)
+        return readings
+
+    def _signal(self, readings: list[Reading]) -> tuple[complex, int]:
+        """Return what entered the filter, and of how many parts it is the mean."""
+        signals = [reading.signal for reading in readings]
+        if self._procedure.output_filter != "known":
+            return sum(signals) / len(signals), len(signals)
+        mean = filtered_input(signals, self._moments, time_constant=self._constant)
+        return mean, len(signals) - 1
 
     def _compare(
         self, step: Step, azimuth: float, elevation: float, last: Reading
@@ -312,3 +351,4 @@ class Sampler:
         self._calm = 0 if flags & SampleFlag.RESCALED else self._calm + 1
         if self._calm >= _CALM and self._devices.lock_in.sharpen(amplitude):
             self._calm = 0
+            self._new = True

@@ -183,6 +183,11 @@ class Procedure(Description):
 
     settling: Annotated[float, Field(ge=3, le=50)] = 5.0
     """Wait after each change, in time constants of the lock-in [1]."""
+    output_filter: Literal["known"] | None = None
+    """"known": the lock-in's filter is a single pole of the survey's time constant, and
+    what it still holds of the last direction is taken off: nothing is waited for after
+    a move, and the dwell is filled with readings. Left out: readings are taken after
+    `settling`."""
     references: Annotated[int, Field(ge=1, le=10_000)] = 2
     """Times at which dark readings and open-water shots are taken, spread evenly from
     before the scan to after it; the repeats are dealt out among them [1]."""

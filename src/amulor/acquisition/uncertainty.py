@@ -80,6 +80,119 @@ def variance_ratio(readings: ArrayLike, *, spacing: float) -> NDArray[np.float64
     return fraction
 
 
+def intervals_of(survey: Survey) -> int:
+    """Return into how many parts a dwell is cut, none longer than a time constant.
+
+    Parameters
+    ----------
+    survey : Survey
+        Its dwell and its lock-in count.
+
+    Returns
+    -------
+    int
+        At least 1 [1].
+    """
+    parts = survey.scan.dwell / survey.instrument.lock_in.time_constant
+    return max(1, int(np.ceil(parts - 1e-9)))
+
+
+def filtered_input(
+    outputs: ArrayLike, times: ArrayLike, *, time_constant: float
+) -> complex:
+    r"""Return the mean of what entered a one-pole filter, from what came out of it.
+
+    Parameters
+    ----------
+    outputs : array_like of complex, shape (n + 1,)
+        Output at n + 1 moments, at least two [V].
+    times : array_like, shape (n + 1,)
+        The moments, rising [s].
+    time_constant : float
+        Of the filter, above zero [s].
+
+    Returns
+    -------
+    complex
+        Mean over the n intervals, nothing of what was before the first moment [V].
+
+    Raises
+    ------
+    ValueError
+        If there are fewer than two moments, or they do not rise.
+
+    Notes
+    -----
+    A constant input u moves the output from :math:`y_{k-1}` to
+    :math:`u + (y_{k-1} - u) r` with :math:`r = e^{-\Delta t / T}`, so that
+
+    .. math:: u_k = \frac{y_k - r_k y_{k-1}}{1 - r_k}.
+
+    White noise makes independent errors of the :math:`u_k`.
+
+    Examples
+    --------
+    A filter that still forgets 5 V while 1 V enters it:
+
+    >>> import numpy as np
+    >>> t = np.array([0.0, 0.4, 1.0])
+    >>> u = filtered_input(1 + 4 * np.exp(-t), t, time_constant=1.0)
+    >>> print(f"{u.real:.6f} V")
+    1.000000 V
+    """
+    output = np.asarray(outputs, dtype=complex)
+    passed = np.diff(np.asarray(times, dtype=float))
+    if output.size < 2 or passed.size != output.size - 1 or not np.all(passed > 0):
+        raise ValueError(
+            f"needed are outputs at two rising moments at least, got {output.size} "
+            f"outputs and steps of {passed.tolist()} s"
+        )
+    kept = np.exp(-passed / time_constant)
+    return complex(np.mean((output[1:] - kept * output[:-1]) / (1 - kept)))
+
+
+def input_variance_ratio(
+    intervals: ArrayLike, *, spacing: ArrayLike
+) -> NDArray[np.float64]:
+    r"""Return the variance of `filtered_input` over that of one settled output.
+
+    Parameters
+    ----------
+    intervals : array_like of int
+        How many intervals there are, at least 1 [1].
+    spacing : array_like
+        Length of each in time constants, above zero [1].
+
+    Returns
+    -------
+    ndarray
+        :math:`\frac{1}{n} \frac{1 + r}{1 - r}` with :math:`r = e^{-s}` [1].
+
+    Raises
+    ------
+    ValueError
+        If there is no interval, or it has no length.
+
+    Notes
+    -----
+    One settled output counts for two time constants, so n intervals count for
+    :math:`2 n T \tanh(s / 2)`: of one time constant each, for 0.92 of their time.
+
+    Examples
+    --------
+    >>> print(f"{2 / input_variance_ratio(1, spacing=1.0):.3f}")
+    0.924
+    """
+    number = np.asarray(intervals, dtype=float)
+    length = np.asarray(spacing, dtype=float)
+    if np.any(number < 1) or not np.all(length > 0):
+        raise ValueError(
+            f"intervals must be at least 1 and spacing above 0, got {np.min(number):g} "
+            f"and {np.min(length):g}"
+        )
+    return np.asarray(1 / (number * np.tanh(length / 2)))
+
+
 def readings_of(survey: Survey, *, settling: float) -> int:
     """Return how many readings, one a time constant, fit into a dwell after settling.
 

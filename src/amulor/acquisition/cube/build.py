@@ -21,11 +21,13 @@ from amulor.acquisition.cube.samples import (
     correct,
     counting_variance,
     dark_output,
+    procedure_of,
     read_back_frequencies,
 )
 from amulor.acquisition.devices import is_simulated
 from amulor.acquisition.journal.journal import Journal
 from amulor.acquisition.sampler import SampleFlag
+from amulor.acquisition.settings import Procedure
 from amulor.errors import CubeError, FormatError
 from amulor.io import read_cube, write_cube
 from amulor.optics import detection
@@ -146,7 +148,7 @@ def build(journal: Journal, *, calibration: Calibration | None = None) -> xr.Dat
     measured = cubes.build(
         "samples",
         {
-            **_outputs(scan, dark, survey),
+            **_outputs(scan, dark, survey, procedure_of(journal)),
             "saturated": (scan.flags & SampleFlag.OVERLOAD != 0).astype(np.int8),
         },
         {
@@ -171,9 +173,11 @@ def _outputs(
     samples: Samples,
     dark: tuple[NDArray[np.complex128], Floats],
     survey: Survey,
+    procedure: Procedure,
 ) -> dict[str, NDArray[Any]]:
     signal = samples.signal
-    counting = counting_variance(samples, survey) + dark[1][:, :, None, None]
+    counting = counting_variance(samples, survey, procedure)
+    counting = counting + dark[1][:, :, None, None]
     in_phase, quadrature, covariance = detection.phase_floor_covariance(
         signal, phase_floor=survey.instrument.lock_in.phase_floor
     )
@@ -232,7 +236,9 @@ def _open_water(
     samples.signal[samples.flags & spoiled != 0] = MISSING
     outputs = {
         name: values[:, :, 0, :]
-        for name, values in _outputs(samples, dark, survey).items()
+        for name, values in _outputs(
+            samples, dark, survey, procedure_of(journal)
+        ).items()
     }
     where = {
         "azimuth": _mean(samples.azimuth, otherwise=np.zeros((1, len(shots))))[0],

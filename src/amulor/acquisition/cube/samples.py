@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import tomllib
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -11,7 +13,12 @@ from amulor.acquisition.journal.journal import Journal
 from amulor.acquisition.journal.record import Record
 from amulor.acquisition.plan import Key
 from amulor.acquisition.sampler import SampleFlag
-from amulor.acquisition.uncertainty import reading_variance, variance_ratio
+from amulor.acquisition.settings import Procedure
+from amulor.acquisition.uncertainty import (
+    input_variance_ratio,
+    reading_variance,
+    variance_ratio,
+)
 from amulor.survey import Survey
 
 Floats = NDArray[np.float64]
@@ -106,6 +113,13 @@ def read_back_frequencies(samples: Samples, survey: Survey) -> Floats:
     return frequency if np.all(np.diff(frequency) > 0) else asked
 
 
+def procedure_of(journal: Journal) -> Procedure:
+    """Return how the samples of a journal were taken."""
+    content = tomllib.loads(journal.meta()["devices"]).get("procedure", {})
+    # Not the whole file: devices of other packages need not be there any more.
+    return Procedure.model_validate(content, context={"from_text": True})
+
+
 def dark_output(
     survey: Survey, journal: Journal
 ) -> tuple[NDArray[np.complex128], Floats]:
@@ -139,7 +153,8 @@ def dark_output(
     there = np.isfinite(samples.signal).sum(axis=(2, 3))
     some = np.maximum(there, 1)
     mean = np.nansum(samples.signal, axis=(2, 3)) / some
-    one = np.nanmean(counting_variance(samples, survey)) if there.any() else 0.0
+    variance = counting_variance(samples, survey, procedure_of(journal))
+    one = np.nanmean(variance) if there.any() else 0.0
     return mean, np.where(there > 0, one / some, 0.0)
 
 
@@ -188,7 +203,7 @@ def correct(
     return outside
 
 
-def counting_variance(samples: Samples, survey: Survey) -> Floats:
+def counting_variance(samples: Samples, survey: Survey, procedure: Procedure) -> Floats:
     """Return the variance of each sample by counting photoelectrons.
 
     Parameters
@@ -197,7 +212,9 @@ def counting_variance(samples: Samples, survey: Survey) -> Floats:
         Mean output, or, where that is not wired, the amplitude, which is a lower
         limit.
     survey : Survey
-        Its detector and its lock-in count.
+        Its detector, its lock-in and its dwell count.
+    procedure : Procedure
+        Whether readings are settled, or what the filter holds was taken off.
 
     Returns
     -------
@@ -215,4 +232,8 @@ def counting_variance(samples: Samples, survey: Survey) -> Floats:
         rate=np.nan_to_num(rate),
         time_constant=survey.instrument.lock_in.time_constant,
     )
+    if procedure.output_filter == "known":
+        constant = survey.instrument.lock_in.time_constant
+        length = survey.scan.dwell / samples.readings / constant
+        return np.asarray(one * input_variance_ratio(samples.readings, spacing=length))
     return np.asarray(one * variance_ratio(samples.readings, spacing=1.0))

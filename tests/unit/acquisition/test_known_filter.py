@@ -1,0 +1,166 @@
+"""Nothing is waited for where the filter of a lock-in is known, and nothing is off."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from amulor import acquisition
+from amulor.acquisition.connect import connect
+from amulor.acquisition.journal.journal import Journal
+from amulor.acquisition.plan import SCAN
+from amulor.acquisition.settings import Settings
+from amulor.acquisition.uncertainty import filtered_input, input_variance_ratio
+from amulor.simulation import scene_light, simulate
+from amulor.survey import Survey
+
+KNOWN = {"procedure": {"output_filter": "known", "dark_readings": 2}}
+SETTLED = {"procedure": {"dark_readings": 2}}
+
+
+def test_the_variance_is_that_of_white_noise_behind_a_filter() -> None:
+    rng = np.random.default_rng(7)
+    # White noise by hand: fine steps of a filter, no formula of the program in it.
+    fine, constant, spacing, intervals, runs = 50, 1.0, 0.8, 5, 4000
+    step = spacing / fine
+    noise = rng.standard_normal((runs, 20 * fine + intervals * fine))
+    output = np.zeros(runs)
+    kept = []
+    for k in range(noise.shape[1]):
+        output += (noise[:, k] - output) * step / constant
+        if k >= 20 * fine - 1 and (k - 20 * fine + 1) % fine == 0:
+            kept.append(output.copy())
+    settled = np.var(kept[0])
+    # The filter by small steps forgets (1 - step)^fine, not quite exp(-spacing).
+    times = -fine * np.log1p(-step / constant) * np.arange(len(kept))
+    means = [
+        filtered_input(row, times, time_constant=constant) for row in np.transpose(kept)
+    ]
+    found = np.var(np.real(means)) / settled
+    # Two variances of 4000 draws each: 2.2 % apiece, five standard errors.
+    expected = float(input_variance_ratio(len(kept) - 1, spacing=spacing))
+    assert found == pytest.approx(expected, rel=5 * 0.032)
+
+
+def test_what_was_before_is_forgotten_at_once() -> None:
+    times = np.array([0.3, 0.8, 1.9])
+    output = (2 - 1j) + (40 + 9j) * np.exp(-times / 0.7)
+    assert filtered_input(output, times, time_constant=0.7) == pytest.approx(2 - 1j)
+    with pytest.raises(ValueError, match="two rising moments"):
+        filtered_input([1.0], [0.0], time_constant=1.0)
+    with pytest.raises(ValueError, match="two rising moments"):
+        filtered_input([1.0, 2.0], [1.0, 1.0], time_constant=1.0)
+    with pytest.raises(ValueError, match="intervals must be at least 1"):
+        input_variance_ratio(0, spacing=1.0)
+
+
+def dwelling(small: Survey, dwell: str, constant: str) -> Survey:
+    """Return a survey of one dwell and time constant, in steady water."""
+    return small.with_(
+        {
+            "scan.columns": 12,
+            "scan.rows": 6,
+            "scan.dwell": dwell,
+            "instrument.lock_in.time_constant": constant,
+            "water.signal_fluctuation": "0 %",
+        }
+    )
+
+
+def efficiency(survey: Survey, settings: Settings, folder) -> float:
+    """Return effective integration over time of a scan, by the clock of the devices."""
+    told: list = []
+    devices = connect(survey, settings, scene=scene_light)
+    outcome = acquisition.acquire(
+        survey, folder, settings=settings, devices=devices, scene=scene_light,
+        acknowledged=lambda key: told.append((key, devices.clock.now())),
+    )  # fmt: skip
+    assert outcome.finished
+    times = [moment for key, moment in told if key.kind == SCAN]
+    # From the end of the first sample to that of the last one of a channel.
+    half = len(times) // 2
+    wall = (times[half - 1] - times[0]) / (half - 1)
+    with Journal.read(folder) as journal:
+        (count,) = {record.readings for _, record in journal.samples(SCAN)}
+    constant = survey.instrument.lock_in.time_constant
+    if settings.procedure.output_filter == "known":
+        ratio = float(
+            input_variance_ratio(count, spacing=survey.scan.dwell / count / constant)
+        )
+    else:
+        ratio = float(acquisition_ratio(count))
+    return 2 * constant / ratio / wall
+
+
+def acquisition_ratio(count: int) -> float:
+    """Return the variance of a mean of correlated readings, a time constant apart."""
+    lags = np.abs(np.subtract.outer(np.arange(count), np.arange(count)))
+    return float(np.exp(-lags.astype(float)).mean())
+
+
+@pytest.mark.parametrize(
+    ("dwell", "constant"), [("10 ms", "2 ms"), ("100 ms", "20 ms")]
+)
+def test_a_dwell_is_integrated_for_at_least_85_percent_of_its_time(
+    small, folder, dwell, constant
+) -> None:
+    # A millimetre at 1.5 m from pixel to pixel, back and forth.
+    survey = dwelling(small, dwell, constant).with_(
+        {
+            "scan.azimuth_span": "7.3 mrad",
+            "scan.elevation_span": "4.7 mrad",
+            "scan.order": "serpentine",
+        }
+    )
+    found = {}
+    for name, content in (("known", KNOWN), ("settled", SETTLED)):
+        place = folder / name
+        found[name] = efficiency(survey, Settings.model_validate(content), place)
+    print(dwell, {name: round(value, 3) for name, value in found.items()})
+    assert found["known"] > 0.85
+    # What it was with the same filter, waiting for it to settle.
+    assert found["settled"] < 0.6
+
+
+def test_errors_are_what_is_stated_and_edges_stay_where_they_are(
+    small, folder, cube_of
+) -> None:
+    # A narrow plate: half of the neighbours differ by all of the target's light.
+    survey = dwelling(small, "50 ms", "10 ms").with_(
+        {
+            "scan.columns": 30,
+            "targets": [
+                {"kind": "plate", "position": ["0 m", "0 m", "1.5 m"],
+                 "width": "3 cm", "height": "30 cm", "reflectance": 0.5},
+            ],
+        }
+    )  # fmt: skip
+    settings = Settings.model_validate(KNOWN)
+    acquisition.acquire(survey, folder, settings=settings, scene=scene_light)
+    cube = cube_of(folder)
+    truth = simulate(survey, rng=1)
+    pulls = []
+    for name in ("in_phase", "quadrature"):
+        expected = truth[f"truth_target_{name}"] + truth[f"truth_water_{name}"]
+        pulls.append(((cube[name] - expected) / cube[f"{name}_uncertainty"]).values)
+    pulls = np.stack(pulls)
+    # 2 x 2 x 30 x 8 pulls: five standard errors are 0.16 for the mean, 0.11 for the
+    # deviation.
+    assert abs(pulls.mean()) < 0.16
+    assert 0.88 < pulls.std() < 1.11
+    assert np.abs(pulls).max() < 5
+
+
+def test_phases_are_settled_after_all_but_a_move(small, folder) -> None:
+    survey = dwelling(small, "50 ms", "10 ms")
+    settings = Settings.model_validate(KNOWN)
+    devices = connect(survey, settings, scene=scene_light)
+    slept: list[float] = []
+    sleep = devices.clock.sleep
+    devices.clock.sleep = lambda time: (slept.append(time), sleep(time))  # type: ignore
+    acquisition.acquire(
+        survey, folder, settings=settings, devices=devices, scene=scene_light
+    )
+    # Once for each change of channel, laser or target, never for a direction.
+    settled = sum(abs(time - 5 * 10e-3) < 1e-9 for time in slept)
+    assert 8 <= settled <= 24
