@@ -121,8 +121,11 @@ class Laser(Device, Protocol):
 class TargetStage(Device, Protocol):
     """What takes the target out of the beam, so that only water is seen."""
 
-    def bring_in(self, *, timeout: float) -> None:
-        """Put the target where it is scanned, within a time [s]."""
+    def bring_in(self, *, timeout: float) -> float | None:
+        """Put the target where it is scanned, within a time [s]; return where [m]."""
 
-    def take_out(self, *, timeout: float) -> None:
-        """Leave open water in every beam of the scan, within a time [s]."""
+    def take_out(self, *, timeout: float) -> float | None:
+        """Leave open water in every beam, within a time [s]; return where it is [m].
+
+        None says that nobody can tell.
+        """

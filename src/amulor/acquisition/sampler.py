@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import enum
+import math
 import statistics
 
 from amulor.acquisition.darkness import DarkLevel
@@ -20,6 +21,8 @@ from amulor.errors import InstrumentError
 from amulor.optics.polarization import stokes
 from amulor.survey import Survey
 
+#: How far a mount may stand from where it was sent [rad].
+_MOUNT_OFF = math.radians(0.5)
 #: Samples in a row that leave room before a finer scale is taken.
 _CALM = 20
 
@@ -91,6 +94,8 @@ class Sampler:
         #: Whether more than the direction has changed since the last reading.
         self._new = True
         self._moments: list[float] = []
+        #: Where mounts and target stand, as they said when they were last moved.
+        self._stands: dict[str, float | None] = {}
         self._frequency: float | None = None
         self._polarization: str | None = None
         self._laser: bool | None = None
@@ -152,6 +157,7 @@ class Sampler:
             modulation_frequency=readings[-1].modulation_frequency,
             elapsed=elapsed,
             segment=segment,
+            **self._stands,
         )
 
     def _arrange(self, step: Step) -> tuple[float, float]:
@@ -205,7 +211,14 @@ class Sampler:
                     f"the devices file states no angle of the {name} mount for the "
                     f"state {state}; add {name}.angles.{state}"
                 )
-            mount.rotate(own.angles[state], timeout=own.move_timeout)
+            stands = mount.rotate(own.angles[state], timeout=own.move_timeout)
+            if not abs(stands - own.angles[state]) <= _MOUNT_OFF:
+                raise InstrumentError(
+                    f"the {name} mount stands at {math.degrees(stands):.2f} degrees "
+                    f"and was sent to {math.degrees(own.angles[state]):.2f}; see what "
+                    "holds it, and reference it"
+                )
+            self._stands[name] = stands
         self._polarization = pair
         self._new = True
 
@@ -228,9 +241,10 @@ class Sampler:
             # Somebody will reach into the beam.
             self._switch_laser(False)
         if kind == OPEN_WATER:
-            self._devices.target.take_out(timeout=timeout)
+            stands = self._devices.target.take_out(timeout=timeout)
         else:
-            self._devices.target.bring_in(timeout=timeout)
+            stands = self._devices.target.bring_in(timeout=timeout)
+        self._stands["target"] = stands
         self._target_is_in = kind == SCAN
         self._new = True
 

@@ -280,7 +280,27 @@ def _user_variables(
     ) -> xr.Variable:
         return xr.Variable(dims, values, {"long_name": name, "units": units, **more})
 
+    stands = {
+        f"user_{name}": variable(text, _SAMPLE, getattr(samples, short), unit)
+        for name, short, text, unit in (
+            (
+                "launch_angle",
+                "launch",
+                "angle of the mount in the launched light",
+                "rad",
+            ),
+            (
+                "analyser_angle",
+                "analyser",
+                "angle of the mount in front of the detector",
+                "rad",
+            ),
+            ("target_position", "target", "where the stage of the target stood", "m"),
+        )
+        if np.isfinite(getattr(samples, short)).any()
+    }
     return {
+        **stands,
         "user_sample_flag": variable(
             "what stood in the way of a sample, 0 if nothing did", _SAMPLE, flag, "1",
             flag_masks=masks, flag_values=masks, flag_meanings=words,

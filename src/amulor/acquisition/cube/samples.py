@@ -59,6 +59,7 @@ class Samples:
         self.azimuth, self.elevation = empty(), empty()
         self.commanded_azimuth, self.commanded_elevation = empty(), empty()
         self.modulation_frequency = empty()
+        self.launch, self.analyser, self.target = empty(), empty(), empty()
         self.flags = np.zeros(shape, dtype=np.int16)
         self.segment = np.zeros(shape, dtype=np.int32)
         self.takes = np.zeros(shape, dtype=np.int32)
@@ -85,6 +86,9 @@ class Samples:
             "flags", "segment",
         ):  # fmt: skip
             getattr(self, name)[at] = getattr(record, name)
+        for name in ("launch", "analyser", "target"):
+            stands = getattr(record, name)
+            getattr(self, name)[at] = np.nan if stands is None else stands
         self.takes[at] += 1
 
 

@@ -335,18 +335,19 @@ class PiTargetStage(_OnController):
         self._settings = settings
         super().__init__(controller, [settings.axis])
 
-    def bring_in(self, *, timeout: float) -> None:
-        """Put the target where it is scanned, within a time [s]."""
-        self._go(self._settings.position_in, timeout)
+    def bring_in(self, *, timeout: float) -> float:
+        """Put the target where it is scanned, within a time [s]; return where [m]."""
+        return self._go(self._settings.position_in, timeout)
 
-    def take_out(self, *, timeout: float) -> None:
-        """Leave open water in every beam of the scan, within a time [s]."""
-        self._go(self._settings.position_out, timeout)
+    def take_out(self, *, timeout: float) -> float:
+        """Leave open water in every beam, within a time [s]; return where it is [m]."""
+        return self._go(self._settings.position_out, timeout)
 
-    def _go(self, position: float, timeout: float) -> None:
+    def _go(self, position: float, timeout: float) -> float:
         goal = position * 1e3
         (stands,) = self._controller.move({self._axes[0]: goal}, timeout=timeout)
         _refuse_elsewhere("the target", stands, goal, near=_TARGET_OFF)
+        return stands / 1e3
 
     def refuse_beyond_reach(self) -> None:
         """Raise if the axis cannot go to one of its two places."""

@@ -8,7 +8,7 @@ import json
 import operator
 import sqlite3
 from collections.abc import Iterator, Mapping
-from dataclasses import fields
+from dataclasses import MISSING, fields
 from pathlib import Path
 from typing import Any
 
@@ -28,6 +28,10 @@ _KEY_COLUMNS = (
 _KEY_NAMES = ", ".join(Key._fields)
 _RECORD_FIELDS = tuple(field.name for field in fields(Record))
 _RECORD_NAMES = ", ".join(_RECORD_FIELDS)
+#: What a journal of an older amulor may lack; added when it is gone on with.
+_SINCE_LATER = tuple(
+    field.name for field in fields(Record) if field.default is not MISSING
+)
 _RECORD_COLUMNS = ", ".join(
     f"{field.name} "
     + ("INTEGER" if field.type == "int" else "REAL")
@@ -178,6 +182,7 @@ class Journal:
             raise
         try:
             journal.refuse_another(meta)
+            journal._add_columns()
         except BaseException:
             journal.close()
             raise
@@ -274,14 +279,30 @@ class Journal:
 
     def samples(self, kind: str) -> Iterator[tuple[Key, Record]]:
         """Yield the samples of one kind in the order in which they were taken."""
-        names = f"{_KEY_NAMES}, {_RECORD_NAMES}"
         split = len(Key._fields)
         with explained(self._path):
+            there = self._columns()
+            known = [name for name in _RECORD_FIELDS if name in there]
+            names = ", ".join([_KEY_NAMES, *known])
             for row in self._connection.execute(
                 f"SELECT {names} FROM samples WHERE kind = ? ORDER BY number", (kind,)
             ):
-                values = dict(zip(_RECORD_FIELDS, row[split:], strict=True))
+                values = dict(zip(known, row[split:], strict=True))
                 yield Key(*row[:split]), Record(**values)
+
+    def _columns(self) -> set[str]:
+        rows = self._connection.execute("PRAGMA table_info(samples)")
+        return {name for _, name, *_ in rows}
+
+    def _add_columns(self) -> None:
+        """Let a journal of an older amulor hold what is recorded now."""
+        with explained(self._path):
+            there = self._columns()
+            for name in _SINCE_LATER:
+                if name not in there:
+                    self._connection.execute(
+                        f"ALTER TABLE samples ADD COLUMN {name} REAL"
+                    )
 
     def count(self) -> int:
         """Return the number of samples [1]."""

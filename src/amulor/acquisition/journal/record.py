@@ -35,3 +35,10 @@ class Record:
     """Time since the scan began, by the clock of the scan [s]."""
     segment: int
     """Which uninterrupted part of the scan it belongs to [1]."""
+    # What older journals do not have follows, each with None as its default.
+    launch: float | None = None
+    """Where the mount of the launched polarization stands, None without one [rad]."""
+    analyser: float | None = None
+    """Where the mount of the analysed polarization stands, None without one [rad]."""
+    target: float | None = None
+    """Where the stage of the target stands, None if nobody can tell [m]."""

@@ -185,17 +185,18 @@ class SimulatedTargetStage(_Simulated):
 
     _kind = "target stage"
 
-    def bring_in(self, *, timeout: float) -> None:
-        """Put the target where it is scanned."""
-        self._go(0.0, timeout=timeout)
+    def bring_in(self, *, timeout: float) -> float:
+        """Put the target where it is scanned; return where that is [m]."""
+        return self._go(0.0, timeout=timeout)
 
-    def take_out(self, *, timeout: float) -> None:
-        """Leave open water in every beam."""
-        self._go(0.2, timeout=timeout)
+    def take_out(self, *, timeout: float) -> float:
+        """Leave open water in every beam; return where the target is [m]."""
+        return self._go(0.2, timeout=timeout)
 
-    def _go(self, place: float, *, timeout: float) -> None:
+    def _go(self, place: float, *, timeout: float) -> float:
         self.bench.send({"target": place}, speed=TARGET_SPEED)
         wait_for(self.bench, "target", what="the simulated target", timeout=timeout)
+        return self.bench.place("target")
 
 
 def wait_for(bench: Bench, name: str, *, what: str, timeout: float) -> None:
