@@ -29,7 +29,7 @@ def _fill_columns(
     real[count - 1], imaginary[count - 1] = -value.imag, value.real
 
 
-@numba.njit(cache=True, nogil=True, fastmath=LANES)
+@numba.njit(cache=True, error_model="numpy", nogil=True, fastmath=LANES)
 def common(begin: int, end: int, model: WaterModel, out: Covariances) -> None:
     """Fill in the covariance of the estimated water signal, which pixels share.
 

@@ -118,7 +118,7 @@ def fill_phasor(path: float, echo: Echo, out: Array) -> None:
         out[1, f] = s * transfer[0, f] + c * transfer[1, f]
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, error_model="numpy")
 def fill_phasors(path: Array, echo: Echo, out: Array) -> None:
     """Fill in H(f) exp(i k p) for many paths, (path, 2, frequency)."""
     for j in range(path.size):
@@ -258,7 +258,7 @@ def descent(
     return downhill, curvature
 
 
-@numba.njit(cache=True, nogil=True)
+@numba.njit(cache=True, error_model="numpy", nogil=True)
 def water_at(
     begin: int,
     end: int,
@@ -290,7 +290,7 @@ def water_at(
         signals.depth[n] = depth
 
 
-@numba.njit(cache=True, nogil=True, fastmath=LANES)
+@numba.njit(cache=True, error_model="numpy", nogil=True, fastmath=LANES)
 def interpolate(
     begin: int,
     end: int,
@@ -325,7 +325,7 @@ def interpolate(
                     )
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, error_model="numpy")
 def integrate(
     profile: Array,
     phasor: Array,

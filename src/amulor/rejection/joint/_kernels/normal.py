@@ -215,7 +215,7 @@ def _eliminate(own: _Own, matrix: Array, vector: Array) -> float:
     return gained
 
 
-@numba.njit(cache=True, nogil=True)
+@numba.njit(cache=True, error_model="numpy", nogil=True)
 def accumulate(
     begin: int, end: int, derivatives: Derivatives, parameters: Parameters, sums: Sums
 ) -> None:

@@ -280,10 +280,16 @@ def _fill_model(
     model: Model,
     work: Workspace,
     solutions: Solutions,
-) -> None:
-    """Fill in information, amplitudes and influence at the path of a pixel."""
+) -> bool:
+    """Fill in information, amplitudes and influence at the path of a pixel.
+
+    Return false, and fill in nothing, where the last step has led to a path at which no
+    sample depends on the path any more.
+    """
     _, rate = misfit_at(path, pixel, model, work)
     _, information = descent(rate, pixel, model, work)
+    if not information > 0:
+        return False
     solutions.information[n] = information
     amplitude, influence = solutions.amplitude[n], solutions.influence[n]
     for c in range(amplitude.size):
@@ -291,6 +297,7 @@ def _fill_model(
         for f in range(influence.shape[2]):
             influence[c, 0, f] = work.influence[c, 0, f] / information
             influence[c, 1, f] = work.influence[c, 1, f] / information
+    return True
 
 
 @inner()
@@ -334,10 +341,11 @@ def _estimate_one(
                 solutions.lower[n] = width
             else:
                 solutions.upper[n] = width
-    _fill_model(n, path, pixel, model, work, solutions)
+    if not _fill_model(n, path, pixel, model, work, solutions):
+        _fill_nothing(n, solutions)
 
 
-@numba.njit(cache=True, nogil=True)
+@numba.njit(cache=True, error_model="numpy", nogil=True)
 def estimate(
     begin: int,
     end: int,

@@ -58,7 +58,7 @@ def two_amplitudes(
     return yy - t * ye - s * yw, s
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, error_model="numpy")
 def starting_costs(
     samples: Samples,
     places: Places,
