@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import itertools
 
 import numpy as np
@@ -14,7 +15,6 @@ from amulor.cube import QualityFlag
 from amulor.imaging import range_image
 from amulor.optics import small_angle
 from amulor.optics.phase_functions import henyey_greenstein
-from amulor.rejection.joint.estimate import joint
 from amulor.simulation import geometry as geometry_of
 from amulor.simulation import simulate
 from amulor.survey import Survey, water_properties
@@ -70,6 +70,13 @@ repeats = 4
 """
 FREQUENCIES = np.linspace(5e6, 146e6, 16)
 INTERVAL = (1.0, 8.0)
+#: Joint estimation with an instrument that is what the survey says, to the last bit.
+joint = functools.partial(
+    rejection.joint,
+    delay_uncertainty=0.0,
+    group_index_uncertainty=0.0,
+    receiver_position_uncertainty=0.0,
+)
 SPLIT = np.pi / 2
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -16,7 +17,6 @@ from amulor.optics import rays
 from amulor.optics.phase_functions.models import fournier_forand, two_term
 from amulor.optics.phase_functions.phase_function import PhaseFunction
 from amulor.optics.phase_functions.tables import petzold
-from amulor.rejection.joint.estimate import joint
 from amulor.simulation import simulate
 from amulor.survey import Survey
 from amulor.transport import GaussianReceiver, Medium, PlaneTarget, Source
@@ -70,6 +70,13 @@ repeats = 12
 FREQUENCIES = np.linspace(5e6, 146e6, 16)
 DISTANCES = np.array([2.4, 3.0, 3.7, 4.5, 5.2])
 INTERVAL = (1.0, 8.0)
+#: Joint estimation with an instrument that is what the survey says, to the last bit.
+joint = functools.partial(
+    rejection.joint,
+    delay_uncertainty=0.0,
+    group_index_uncertainty=0.0,
+    receiver_position_uncertainty=0.0,
+)
 RATIOS = (0.1, 0.3, 1.0, 2.0)
 #: Lock-in noise over the target's amplitude.
 NOISE = 2e-3

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -14,6 +15,7 @@ from amulor.optics import rays
 from amulor.rejection.build import target_cube
 from amulor.rejection.covariance import Covariance, covariance_of
 from amulor.rejection.joint.frame import Frame
+from amulor.rejection.joint.instrument import Instrument, range_variance
 from amulor.rejection.joint.priors import Shared
 from amulor.rejection.joint.solve import Result
 
@@ -31,16 +33,27 @@ _MATTERS = 0.3
 _DIFFERENCE = 1e-5
 
 
+@dataclass(frozen=True)
+class Scan:
+    """Samples and where their pixels look."""
+
+    cube: xr.Dataset
+    """Level `samples`."""
+    frame: Frame
+    """How the receiver looks at the scan."""
+    azimuth: Floats
+    """Of the pixels, flat [rad]."""
+    elevation: Floats
+    """Of the pixels, flat [rad]."""
+    enough: NDArray[np.bool_]
+    """Pixels with usable samples at two frequencies, flat."""
+
+
 def cube_of(
-    cube: xr.Dataset,
-    frame: Frame,
-    parts: list[Result],
-    shared: Shared,
-    enough: NDArray[np.bool_],
-    azimuth: Floats,
-    elevation: Floats,
+    scan: Scan, parts: list[Result], shared: Shared, instrument: Instrument
 ) -> xr.Dataset:
     """Return the target-signal cube of all results."""
+    cube, frame = scan.cube, scan.frame
     rows_columns = cube["azimuth"].shape
     shape = cube["in_phase"].shape
 
@@ -62,7 +75,13 @@ def cube_of(
     signal = cube.amulor.signal.values
     water = over_samples([part.water_signal for part in parts])
     common = covariances([part.common for part in parts])
-    total = covariance_of(cube) + common
+    stated = covariance_of(cube)
+    if shared.noise_scale > 1:
+        square = shared.noise_scale**2
+        stated = Covariance(
+            square * stated.in_phase, square * stated.quadrature, square * stated.cross
+        )
+    total = stated + common
     if shared.fluctuation > 0:
         deviation = over_samples(
             [part.deviation for part in parts if part.deviation is not None]
@@ -72,7 +91,9 @@ def cube_of(
         )
     path = over_pixels([part.estimates.path for part in parts])
     detected = over_pixels([part.detected for part in parts])
-    beam = frame.beam(azimuth.reshape(rows_columns), elevation.reshape(rows_columns))
+    beam = frame.beam(
+        scan.azimuth.reshape(rows_columns), scan.elevation.reshape(rows_columns)
+    )
 
     def to_range(length: Floats) -> Floats:
         return rays.slant_range_of_path(
@@ -84,7 +105,8 @@ def cube_of(
     shared_variance = over_pixels([part.shared_variance for part in parts])
     information = over_pixels([part.estimates.information for part in parts])
     with np.errstate(divide="ignore", invalid="ignore"):
-        sigma = np.sqrt(1 / information + shared_variance)
+        own = 1 / np.sqrt(information)
+        sigma = np.hypot(own, np.sqrt(shared_variance))
         departure = over_pixels([part.departure for part in parts])
         matters = departure > _MATTERS * sigma
     freedom, cost, p_value = _misfit(parts, detected, rows_columns)
@@ -96,7 +118,7 @@ def cube_of(
     if shared.evidence > _DECISIVE:
         flag[detected & matters] |= QualityFlag.WATER_RESIDUAL
     flag[~detected] |= QualityFlag.NO_TARGET
-    flag[~enough.reshape(rows_columns)] |= QualityFlag.NO_TARGET
+    flag[~scan.enough.reshape(rows_columns)] |= QualityFlag.NO_TARGET
     target = target_cube(
         cube,
         signal - water,
@@ -104,7 +126,7 @@ def cube_of(
         water_signal=water,
         common=common,
         step="reject, joint estimation",
-        **_attributes(shared, frame),
+        **_attributes(shared, instrument),
     )
     missing = ~np.isfinite(signal)
     flags = np.broadcast_to(flag, shape).copy()
@@ -112,21 +134,25 @@ def cube_of(
         flags[cube["saturated"].values != 0] |= QualityFlag.SATURATED
     flags[missing] = QualityFlag.MISSING
     target["quality_flag"].values[...] = flags
+    known = range_variance(instrument, path, beam, frame.receiver, frame.medium)
+    seen = known[detected & np.isfinite(known)]
+    target.attrs["joint_instrument_uncertainty_m"] = float(
+        np.sqrt(np.median(seen)) if seen.size else 0.0
+    )
+    sigma_common = np.sqrt(slope**2 * shared_variance + known)
     half = [
         np.hypot(
-            over_pixels([getattr(part.estimates, side) for part in parts]),
-            np.sqrt(shared_variance),
+            slope * over_pixels([getattr(part.estimates, side) for part in parts]),
+            sigma_common,
         )
-        * slope
         for side in ("lower", "upper")
     ]
     usable = detected & np.isfinite(slant_range)
-    sigma_shared = np.sqrt(shared_variance)
     bound = np.sqrt(over_pixels([part.bound for part in parts]))
     ranges = {
         "slant_range": slant_range,
-        "slant_range_uncertainty": slope * sigma,
-        "slant_range_common_uncertainty": slope * sigma_shared,
+        "slant_range_uncertainty": np.hypot(slope * own, sigma_common),
+        "slant_range_common_uncertainty": sigma_common,
         "slant_range_bound": slope * bound,
         "slant_range_lower": slant_range - half[0],
         "slant_range_upper": slant_range + half[1],
@@ -166,7 +192,7 @@ def _misfit(
     return freedom, cost, p_value
 
 
-def _attributes(shared: Shared, frame: Frame) -> dict[str, Any]:
+def _attributes(shared: Shared, instrument: Instrument) -> dict[str, Any]:
     """Return what the pixels share as attributes of a cube."""
     channels = len(shared.strength)
     errors = np.sqrt(np.diag(shared.covariance)[: channels + 3])
@@ -182,6 +208,12 @@ def _attributes(shared: Shared, frame: Frame) -> dict[str, Any]:
         "joint_forward_scattering_per_m": forward,
         "joint_forward_scattering_uncertainty_per_m": forward * errors[channels + 2],
         "joint_fluctuation": shared.fluctuation,
+        "joint_noise_scale": shared.noise_scale,
+        "joint_receiver_turn_rad": shared.shape.turn,
+        "joint_delay_uncertainty_s": instrument.delay,
+        "joint_group_index_uncertainty": instrument.group_index,
+        "joint_receiver_position_uncertainty_m": instrument.position,
+        "joint_receiver_direction_uncertainty_rad": instrument.direction,
         "joint_departure_widths": np.array(shared.widths),
         "joint_departure_evidence": shared.evidence,
         "joint_misfit": shared.misfit,

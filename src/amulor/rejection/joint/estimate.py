@@ -11,8 +11,15 @@ from amulor.errors import CubeError
 from amulor.rejection.covariance import Covariance
 from amulor.rejection.joint import pixels as joint_pixels
 from amulor.rejection.joint import shared as joint_shared
-from amulor.rejection.joint.cube import cube_of
+from amulor.rejection.joint.cube import Scan, cube_of
 from amulor.rejection.joint.frame import frame_of
+from amulor.rejection.joint.instrument import (
+    DELAY,
+    DIRECTION,
+    GROUP_INDEX,
+    POSITION,
+    Instrument,
+)
 from amulor.rejection.joint.pixels import Pixels
 from amulor.rejection.joint.samples import (
     FEWEST_FREQUENCIES,
@@ -38,6 +45,10 @@ def joint(
     *,
     interval: tuple[float, float] | None = None,
     echo_transfer: NDArray[np.complex128] | None = None,
+    delay_uncertainty: float = DELAY,
+    group_index_uncertainty: float = GROUP_INDEX,
+    receiver_position_uncertainty: float = POSITION,
+    receiver_direction_uncertainty: float = DIRECTION,
 ) -> xr.Dataset:
     r"""Estimate target and water signal together, by maximum likelihood.
 
@@ -53,6 +64,18 @@ def joint(
     echo_transfer : ndarray of complex, optional
         What the echo of the target has beyond its delay at each frequency, such as
         the spread of its arrival times, if it is known [1]; 1 by default.
+    delay_uncertainty : float, optional
+        Standard uncertainty of the delay of the instrument, which all channels share
+        [s]; 0.1 ns by default, that of an instrument whose zero was never measured.
+    group_index_uncertainty : float, optional
+        Standard uncertainty of the group index of the water [1]; 0.002 by default,
+        half of what it changes by from fresh to salt water.
+    receiver_position_uncertainty : float, optional
+        Standard uncertainty of the receiver's place to the right and down [m]; 5 mm by
+        default. Where it stands forward of the emitter is part of the delay.
+    receiver_direction_uncertainty : float, optional
+        Standard uncertainty of the axis of the receiver in azimuth and elevation
+        [rad]; 1 degree by default.
 
     Returns
     -------
@@ -88,6 +111,11 @@ def joint(
     the scatter. Light that is scattered on its way to the target arrives late; what
     `echo_transfer` does not hold of that is in the slant range.
 
+    What the samples cannot tell widens the intervals: delay, group index and place of
+    the receiver move all ranges together (`slant_range_common_uncertainty`). The
+    direction of the receiver is estimated with its prior, and the scale of the stated
+    noise from differences between neighbouring pixels; see decision 11.
+
     Flags: `NO_TARGET` where open water explains the samples about as well;
     `AMBIGUOUS` where another interval is likelier than 3e-4; `WATER_RESIDUAL` where
     the samples contradict the model (chi-square beyond chance 1e-4) or the departures
@@ -102,6 +130,12 @@ def joint(
     frequency = cube["modulation_frequency"].values
     refuse_what_cannot_be_told_apart(cube)
     transfer = _checked_transfer(echo_transfer, frequency)
+    instrument = Instrument.checked(
+        delay=delay_uncertainty,
+        group_index=group_index_uncertainty,
+        position=receiver_position_uncertainty,
+        direction=receiver_direction_uncertainty,
+    )
     signal, errors, usable = flat(cube)
     refuse_errors_of_zero(errors, usable)
     azimuth = cube["azimuth"].values.ravel().astype(float)
@@ -146,12 +180,14 @@ def joint(
         shot_pixels(frame, shots, places, frequency),
         transfer=transfer,
         deepest=float(some.depths.max()),
+        turn_width=instrument.direction,
     )
     parts = [
         solve(frame, pixels(slice(begin, begin + _AT_ONCE)), shared, transfer)
         for begin in range(0, len(signal), _AT_ONCE)
     ]
-    return cube_of(cube, frame, parts, shared, enough, azimuth, elevation)
+    scan = Scan(cube, frame, azimuth, elevation, enough)
+    return cube_of(scan, parts, shared, instrument)
 
 
 def _checked_transfer(

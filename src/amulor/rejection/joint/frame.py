@@ -33,6 +33,8 @@ _SMALLEST_COMPONENT = 1e-5
 #: Depths behind which less than this fraction of the water signal is left [1].
 _NOTHING_LEFT = 1e-7
 _ORDER = 4
+#: Directions of the receiver whose arguments are kept.
+_KEPT = 8
 #: Length of a cell behind the last target, in periods of the highest frequency [1].
 _BEHIND = 0.3
 
@@ -68,6 +70,7 @@ class Frame:
         self.end = np.inf if end is None else end
         self._properties = properties
         self._frequency = modulation_frequency
+        self._turned: dict[tuple[float, ...], dict[str, Any]] = {}
         self._box = [
             (float(np.min(values)), float(np.max(values)))
             for values in (azimuth, elevation)
@@ -84,7 +87,7 @@ class Frame:
             0.5 * (low + high) + 0.5 * (high - low) * at[:, axis]
             for axis, (low, high) in enumerate(self._box)
         ]
-        exact = self._overlap(depth, shape, self._arguments(*test))
+        exact = self._overlap(depth, shape, self._arguments(test[0], test[1]))
         for degree in _DEGREES:
             axes = []
             for low, high in self._box:
@@ -103,10 +106,39 @@ class Frame:
             "split the scan into smaller ones"
         )
 
-    def _arguments(self, azimuth: Floats, elevation: Floats) -> dict[str, Any]:
+    def _nodes_of(self, shape: Shape) -> dict[str, Any]:
+        """Return the arguments at the nodes for a receiver turned as a shape says."""
+        if not np.any(shape.turn):
+            return self._nodes
+        turn = tuple(float(value) for value in shape.turn)
+        if turn not in self._turned:
+            if len(self._turned) >= _KEPT:
+                self._turned.clear()
+            instrument = self.survey.instrument
+            receiver = instrument.receiver.model_copy(
+                update={
+                    "azimuth": instrument.receiver.azimuth + turn[0],
+                    "elevation": instrument.receiver.elevation + turn[1],
+                }
+            )
+            turned = self.survey.model_copy(
+                update={
+                    "instrument": instrument.model_copy(update={"receiver": receiver})
+                }
+            )
+            both = np.meshgrid(*self._axes, indexing="ij")
+            self._turned[turn] = self._arguments(
+                both[0].ravel(), both[1].ravel(), turned
+            )
+        return self._turned[turn]
+
+    def _arguments(
+        self, azimuth: Floats, elevation: Floats, survey: Survey | None = None
+    ) -> dict[str, Any]:
         """Return the arguments of the overlap, without those of the water."""
-        where = view(self.survey, azimuth, elevation, medium=self.medium)
-        arguments = kernel_arguments(self.survey, self._properties, where)
+        survey = self.survey if survey is None else survey
+        where = view(survey, azimuth, elevation, medium=self.medium)
+        arguments = kernel_arguments(survey, self._properties, where)
         for name in (
             "absorption",
             "forward_scattering",
@@ -193,7 +225,7 @@ class Frame:
     def nothing_left(self, shape: Shape) -> float:
         """Return the depth that all but a trace of the water signal comes from [m]."""
         depth = np.geomspace(1e-2, 2e3, 1500)
-        light = self._overlap(depth, shape, self._nodes).max(axis=0)
+        light = self._overlap(depth, shape, self._nodes_of(shape)).max(axis=0)
         left = np.cumsum((light * depth)[::-1])[::-1]
         if left[0] < _SMALLEST_STRENGTH:
             raise _unseen()
@@ -202,7 +234,7 @@ class Frame:
     def quantiles(self, shape: Shape, fraction: Floats) -> Floats:
         """Return the depths in front of which given fractions of the light arise."""
         depth = np.linspace(0, min(self.nothing_left(shape), self.end), 4000)
-        light = self._overlap(depth, shape, self._nodes).mean(axis=0)
+        light = self._overlap(depth, shape, self._nodes_of(shape)).mean(axis=0)
         total = np.cumsum(light)
         return np.asarray(np.interp(fraction, total / total[-1], depth))
 
@@ -212,7 +244,9 @@ class Frame:
             0
         ]
         factor = np.exp(shape.correction @ hats(depth, shape.knots))
-        overlap: Floats = centre @ self._overlap(depth, shape, self._nodes) * factor
+        overlap: Floats = (
+            centre @ self._overlap(depth, shape, self._nodes_of(shape)) * factor
+        )
         return overlap
 
     def table(self, shape: Shape, *, deepest: float, derivatives: bool = True) -> Table:
@@ -300,7 +334,7 @@ class Frame:
         factor = np.exp(shape.correction @ hat)
 
         def light(of: Shape) -> Floats:
-            overlap: Floats = self._overlap(depth, of, self._nodes) * factor
+            overlap: Floats = self._overlap(depth, of, self._nodes_of(of)) * factor
             # Subnormal numbers make every product below slow.
             overlap[overlap < _NEGLIGIBLE * overlap.max()] = 0.0
             return overlap
@@ -309,8 +343,8 @@ class Frame:
         if not derivatives:
             return base[None]
         changes = [-2 * shape.reduced_attenuation * depth * base]
-        for parameter in range(1, COEFFICIENTS):
-            step = np.zeros(COEFFICIENTS + len(shape.knots))
+        for parameter in range(1, COEFFICIENTS + len(shape.turn)):
+            step = np.zeros(shape.size)
             step[parameter] = _SMALL
             changes.append((light(shape.moved(step)) - base) / _SMALL)
         return np.stack([base, *changes, *(base * row for row in hat)])

@@ -163,7 +163,7 @@ def normal_equations(
     is_target = np.isfinite(fitted.path)
     derivatives = Derivatives(
         residual=parts.residual,
-        weight=weight(pixels, deviation),
+        weight=weight(pixels, deviation, state.noise_scale),
         base=parts.water[:, None] + state.departure * parts.foreground[:, None],
         changes=shape_changes(pixels, parts.depth, state.table, phase_per_path),
         foreground=parts.foreground,

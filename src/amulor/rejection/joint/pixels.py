@@ -138,7 +138,9 @@ def pixels_of(
     )
 
 
-def weight(pixels: Pixels, deviation: Complex | None = None) -> Floats:
+def weight(
+    pixels: Pixels, deviation: Complex | None = None, scale: float = 1.0
+) -> Floats:
     """Return the inverse covariance of the samples.
 
     Parameters
@@ -148,6 +150,8 @@ def weight(pixels: Pixels, deviation: Complex | None = None) -> Floats:
     deviation : ndarray of complex, optional
         One standard deviation of a random change of the water signal, along the
         direction of that change [V].
+    scale : float, optional
+        How many times the stated errors are too small [1].
 
     Returns
     -------
@@ -156,6 +160,8 @@ def weight(pixels: Pixels, deviation: Complex | None = None) -> Floats:
     """
     errors = pixels.covariance
     xx, yy, xy = errors.in_phase, errors.quadrature, errors.cross
+    if scale != 1:
+        xx, yy, xy = scale**2 * xx, scale**2 * yy, scale**2 * xy
     if deviation is not None:
         xx = xx + deviation.real**2
         yy = yy + deviation.imag**2

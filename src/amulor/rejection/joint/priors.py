@@ -52,6 +52,10 @@ class Shared:
     """Relative departure of the target's echo from a delay, (frequency,) [1]."""
     fluctuation: float
     """Relative random change of the water signal from sample to sample [1]."""
+    noise_scale: float
+    """How many times the stated errors are too small, 1 or more [1]."""
+    turn_width: float
+    """Prior standard deviation of the direction of the receiver [rad]."""
     covariance: Floats
     """Covariance of all parameters, in the order of `Layout`."""
     parametric: Floats
@@ -95,6 +99,13 @@ class Shared:
         return self.strength[:, None] * self.departure
 
 
+def layout_of(state: Shared) -> Layout:
+    """Return where the parameters of a state stand."""
+    channels, frequencies = state.departure.shape
+    shape = state.shape
+    return Layout(channels, frequencies, len(shape.knots), len(shape.turn))
+
+
 @dataclass(frozen=True)
 class Layout:
     """Where each group of parameters stands in a vector of all of them."""
@@ -102,6 +113,7 @@ class Layout:
     channels: int
     frequencies: int
     knots: int
+    turns: int = 0
 
     @property
     def strength(self) -> slice:
@@ -110,8 +122,18 @@ class Layout:
 
     @property
     def shape(self) -> slice:
-        """Logarithms of k' and spread, then the correction."""
-        return slice(self.channels, self.channels + COEFFICIENTS + self.knots)
+        """Logarithms of k' and spread, the turn, then the correction."""
+        return slice(self.channels, self.blocks[0].stop)
+
+    @property
+    def turn(self) -> slice:
+        """Direction of the receiver against the stated one."""
+        return slice(self.parametric.stop, self.rigid)
+
+    @property
+    def rigid(self) -> int:
+        """Number of parameters before those for what the model does not know."""
+        return self.channels + COEFFICIENTS + self.turns
 
     @property
     def parametric(self) -> slice:
@@ -121,7 +143,7 @@ class Layout:
     @property
     def blocks(self) -> tuple[slice, slice, slice]:
         """Correction, departure of the water, departure of the echo."""
-        a = self.channels + COEFFICIENTS
+        a = self.rigid
         b = a + self.knots
         c = b + 2 * self.channels * self.frequencies
         return slice(a, b), slice(b, c), slice(c, c + 2 * self.frequencies)
@@ -169,6 +191,8 @@ def prior_of(state: Shared, layout: Layout, widths: Widths) -> tuple[Floats, Flo
         np.log([shape.reduced_attenuation, shape.spread, shape.forward_scattering])
         - _CENTRE
     )
+    precision[layout.turn] = 1 / max(state.turn_width, 1e-9) ** 2
+    origin[layout.turn] = shape.turn
     current = (
         state.shape.correction,
         np.concatenate([state.departure.real.ravel(), state.departure.imag.ravel()]),

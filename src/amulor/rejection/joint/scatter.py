@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import NDArray
 
 from amulor.rejection.joint.normal import Fitted, modelled
-from amulor.rejection.joint.pixels import weight
-from amulor.rejection.joint.priors import Shared, whitened
+from amulor.rejection.joint.pixels import Pixels, weight
+from amulor.rejection.joint.priors import Shared, whitened, whitened_columns
 from amulor.rejection.joint.search import Estimates
 
 Floats = NDArray[np.float64]
@@ -17,7 +19,15 @@ Complex = NDArray[np.complex128]
 DETECTION = 25.0
 #: Pixels whose p-value is below this have no say in what all share [1].
 _OUTLIER = 1e-6
-_BISECTIONS = 30
+#: Fluctuations over the scale of the noise that are tried first [1].
+_RATIOS = (0.0, 2e-3, 5e-3, 0.01, 0.02, 0.04, 0.08, 0.16, 0.4, 1.0)
+_LAST = len(_RATIOS) - 1
+_GOLDEN, _SECTIONS = 0.618, 7
+#: A fluctuation that explains less, in twice the logarithm of odds, is none [1].
+_REAL = 9.0
+#: Pixels that are looked at, and fewer than have neighbours to compare with.
+_JUDGED, _FEWEST_NEIGHBOURS = 384, 12
+_TINY = 1e-300
 
 
 def is_detected(estimates: Estimates) -> NDArray[np.bool_]:
@@ -67,10 +77,20 @@ def are_inliers(estimates: Estimates) -> NDArray[np.bool_]:
     return kept
 
 
-def fluctuation_of(
+@dataclass(frozen=True, kw_only=True)
+class Scatter:
+    """What differs from pixel to pixel beyond what the errors state."""
+
+    noise_scale: float
+    """How many times the stated errors are too small, 1 or more [1]."""
+    fluctuation: float
+    """Relative random change of the water signal from sample to sample [1]."""
+
+
+def scatter_of(
     state: Shared, groups: list[Fitted], *, transfer: Complex, phase_per_path: Floats
-) -> float:
-    """Return the relative change of the water signal that explains the scatter.
+) -> Scatter:
+    r"""Return the scale of the noise and the fluctuation that explain the scatter.
 
     Parameters
     ----------
@@ -85,32 +105,128 @@ def fluctuation_of(
 
     Returns
     -------
-    float
-        0 where the stated errors explain the scatter alone; 1 at most [1].
+    Scatter
+        Scale 1 and fluctuation 0 where the stated errors explain the scatter alone.
+
+    Notes
+    -----
+    Restricted maximum likelihood of :math:`s^2 C + \phi^2 w w^T` over the scale s and
+    the fluctuation :math:`\phi`, with the stated covariance C and the water signal w,
+    paths and amplitudes projected out. The sum of squares is that of differences
+    between pixels at neighbouring distances: what is random differs from one to the
+    next, what the model does not know is the same in both and passes for no noise.
     """
-    parts, rows = [], 0
-    for group in groups:
-        model = modelled(state, group, transfer=transfer, phase_per_path=phase_per_path)
-        parts.append((group.pixels, model.residual, model.water_signal))
-        own = 1 + group.amplitude.shape[1]
-        rows += 2 * int(group.pixels.usable.sum())
-        rows -= own * int(np.isfinite(group.path).sum())
+    parts = [
+        _part_of(state, group, transfer=transfer, phase_per_path=phase_per_path)
+        for group in groups
+    ]
 
-    def excess(level: float) -> float:
-        total = 0.0
-        for pixels, residual, water_signal in parts:
-            deviation = level * water_signal if level > 0 else None
-            weights = weight(pixels, deviation)
-            total += float(np.sum(whitened(weights, residual) ** 2))
-        return total / rows - 1
+    def cost(ratio: float) -> tuple[float, float]:
+        """Return minus twice the log likelihood, and the squared scale."""
+        square, freedom, volume = np.sum([part.sums(ratio) for part in parts], axis=0)
+        scale = max(square / max(freedom, 1), 1.0)
+        return float(freedom * np.log(scale) + square / scale + volume), float(scale)
 
-    # Within what chance does, the stated errors explain the scatter alone.
-    if excess(0.0) < 3 * np.sqrt(2 / rows):
-        return 0.0
-    low, high = 0.0, 1.0
-    if excess(high) > 0:
-        return high
-    for _ in range(_BISECTIONS):
-        middle = 0.5 * (low + high)
-        low, high = (middle, high) if excess(middle) > 0 else (low, middle)
-    return 0.5 * (low + high)
+    costs = [cost(ratio)[0] for ratio in _RATIOS]
+    k = int(np.argmin(costs))
+    if costs[0] - costs[k] < _REAL:
+        return Scatter(noise_scale=_real(cost(0.0)[1], parts), fluctuation=0.0)
+    low, high = (np.log(_RATIOS[max(min(j, _LAST), 1)]) for j in (k - 1, k + 1))
+    for _ in range(_SECTIONS):
+        inner = (high - _GOLDEN * (high - low), low + _GOLDEN * (high - low))
+        if cost(np.exp(inner[0]))[0] < cost(np.exp(inner[1]))[0]:
+            high = inner[1]
+        else:
+            low = inner[0]
+    ratio = float(np.exp(0.5 * (low + high)))
+    scale = _real(cost(ratio)[1], parts)
+    return Scatter(noise_scale=scale, fluctuation=min(ratio * scale, 1.0))
+
+
+def _real(square: float, parts: list[_Part]) -> float:
+    """Return the scale of the noise; 1 within three standard errors of chance."""
+    freedom = sum(part.freedom for part in parts)
+    # Differences of neighbours share every pixel with another one: 3/2 of the variance.
+    chance = 3 * np.sqrt(3 / max(freedom, 1))
+    return float(np.sqrt(square)) if square > 1 + chance else 1.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Part:
+    """Residuals of one group of pixels in the order of their distance."""
+
+    pixels: Pixels
+    """Samples."""
+    residual: Complex
+    """Samples less the model [V]."""
+    water_signal: Complex
+    """Water signal [V]."""
+    own: Complex
+    """Derivatives by amplitudes and path, (pixel, channel, frequency, own)."""
+    freedom: int
+    """Outputs that count, less the pixels' own parameters."""
+
+    def sums(self, ratio: float) -> tuple[float, float, float]:
+        """Return squares of differences, degrees of freedom, log determinants.
+
+        For a fluctuation of `ratio` times the scale of the noise.
+        """
+        deviation = ratio * self.water_signal if ratio > 0 else None
+        weights = weight(self.pixels, deviation)
+        count = len(self.pixels)
+        left = whitened(weights, self.residual).reshape(count, -1)
+        determinant = weights[..., 0, :] * weights[..., 2, :] - weights[..., 1, :] ** 2
+        volume = -float(np.sum(np.log(determinant[determinant > 0])))
+        if self.own.shape[-1]:
+            columns = whitened_columns(weights, self.own)
+            transposed = np.swapaxes(columns, 1, 2)
+            gram = transposed @ columns
+            size = np.sqrt(np.maximum(np.einsum("nii->ni", gram), _TINY))
+            gram /= size[:, :, None] * size[:, None, :]
+            gram += 1e-9 * np.eye(gram.shape[1])
+            along = (transposed @ left[..., None])[..., 0] / size
+            best = np.linalg.solve(gram, along[..., None])[..., 0] / size
+            left = left - (columns @ best[..., None])[..., 0]
+            volume += float(
+                np.sum(np.linalg.slogdet(gram)[1] + 2 * np.log(size).sum(1))
+            )
+        if count < _FEWEST_NEIGHBOURS:
+            return float(np.sum(left**2)), self.freedom, volume
+        # Two samples that both count; the others have no weight and no difference.
+        usable = np.repeat(self.pixels.usable.reshape(count, -1), 2, axis=1)
+        both = usable[1:] & usable[:-1]
+        square = 0.5 * float(np.sum(np.where(both, np.diff(left, axis=0), 0.0) ** 2))
+        share = float(np.sum(both)) / max(float(np.sum(usable)), 1.0)
+        return square / max(share, 1e-9), self.freedom, volume
+
+
+def _part_of(
+    state: Shared, group: Fitted, *, transfer: Complex, phase_per_path: Floats
+) -> _Part:
+    """Return what the scatter of a group of pixels is judged by."""
+    model = modelled(state, group, transfer=transfer, phase_per_path=phase_per_path)
+    pixels = group.pixels
+    count, channels, frequencies = pixels.signal.shape
+    is_target = np.isfinite(group.path)
+    few = np.linspace(0, count - 1, min(count, _JUDGED)).astype(np.intp)
+    key = np.where(is_target, group.path, pixels.longest.max() + np.arange(count))
+    order = few[np.argsort(key[few], kind="stable")]
+    own = np.zeros((count, channels, frequencies, 0), dtype=complex)
+    if is_target.any():
+        own = np.zeros((count, channels, frequencies, channels + 1), dtype=complex)
+        echo = model.echo * (1 + state.echo)
+        for c in range(channels):
+            own[:, c, :, c] = echo
+            own[:, c, :, channels] = (
+                1j * phase_per_path * group.amplitude[:, c, None] * echo
+                + state.strength[c] * model.slope
+            )
+        own[~is_target] = 0
+    used = 2 * int(pixels.usable[order].sum())
+    return _Part(
+        pixels=pixels.part(order),
+        residual=model.residual[order],
+        water_signal=model.water_signal[order],
+        own=own[order],
+        freedom=used - (channels + 1) * int(is_target[order].sum()),
+    )

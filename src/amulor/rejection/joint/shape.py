@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,16 +27,26 @@ class Shape:
     """How the overlap departs from the model, in units of its prior's width [1]."""
     knots: Floats
     """Depths between which the logarithm of the departure is linear [m]."""
+    turn: Floats = field(default_factory=lambda: np.zeros(0))
+    """By how much the receiver looks past the direction that the survey states, in
+    azimuth and elevation; empty where it is taken as exact [rad]."""
+
+    @property
+    def size(self) -> int:
+        """Number of parameters."""
+        return COEFFICIENTS + len(self.turn) + len(self.knots)
 
     def moved(self, step: Floats) -> Shape:
-        """Return the shape after a step in the logarithms and the correction."""
+        """Return the shape after a step in logarithms, turn and correction."""
         loss, spread, forward = np.exp(step[:COEFFICIENTS])
+        smooth = COEFFICIENTS + len(self.turn)
         return Shape(
             float(self.reduced_attenuation * loss),
             float(self.spread * spread),
             float(self.forward_scattering * forward),
-            self.correction + step[COEFFICIENTS:],
+            self.correction + step[smooth:],
             self.knots,
+            self.turn + step[COEFFICIENTS:smooth],
         )
 
 

@@ -17,10 +17,16 @@ from amulor.rejection.joint.priors import (
     Shared,
     Widths,
     inverse_of,
+    layout_of,
     prior_of,
     widths_of,
 )
-from amulor.rejection.joint.scatter import are_inliers, fluctuation_of, is_detected
+from amulor.rejection.joint.scatter import (
+    Scatter,
+    are_inliers,
+    is_detected,
+    scatter_of,
+)
 from amulor.rejection.joint.search import Estimates, estimate, without_foreground
 from amulor.rejection.joint.shape import COEFFICIENTS
 from amulor.rejection.joint.start import start
@@ -50,6 +56,7 @@ def fit(
     *,
     transfer: Complex,
     deepest: float,
+    turn_width: float = 0.0,
 ) -> Shared:
     """Estimate what the pixels share, by maximum likelihood over all of them.
 
@@ -65,6 +72,9 @@ def fit(
         What the echo has beyond its delay, as known [1].
     deepest : float
         Depth beyond which no target stands [m].
+    turn_width : float, optional
+        Standard uncertainty of the direction of the receiver, each way; 0 takes that
+        of the survey as exact [rad].
 
     Returns
     -------
@@ -82,6 +92,8 @@ def fit(
     """
     shape, strength = start(frame, targets, shots, transfer=transfer, deepest=deepest)
     channels, frequencies = targets.signal.shape[1:]
+    if turn_width > 0:
+        shape = replace(shape, turn=np.zeros(2))
     state = Shared(
         shape=shape,
         table=frame.table(shape, deepest=deepest),
@@ -89,6 +101,8 @@ def fit(
         departure=np.zeros((channels, frequencies), dtype=complex),
         echo=np.zeros(frequencies, dtype=complex),
         fluctuation=0.0,
+        noise_scale=1.0,
+        turn_width=turn_width,
         covariance=np.zeros((0, 0)),
         parametric=np.zeros((0, 0)),
         widths=NONE,
@@ -114,10 +128,14 @@ def fit(
     # Only what no departure explains is a fluctuation; looked at before, a model that
     # is wrong would pass for one.
     for _ in range(_ROUNDS):
-        level = problem.fluctuation(state, problem.local(state, paths))
-        if abs(level - state.fluctuation) <= _STEADY * level:
+        scatter = problem.scatter(state, problem.local(state, paths))
+        level, scale = scatter.fluctuation, scatter.noise_scale
+        if (
+            abs(level - state.fluctuation) <= _STEADY * level
+            and abs(scale - state.noise_scale) <= _STEADY * scale
+        ):
             break
-        state = replace(state, fluctuation=level)
+        state = replace(state, fluctuation=level, noise_scale=scale)
         state, paths = problem.descend(state, _FREE_STEPS, free=True, paths=paths)
     return state
 
@@ -143,9 +161,8 @@ class _Problem:
         self, state: Shared, steps: int, *, free: bool, paths: Floats | None = None
     ) -> tuple[Shared, Floats]:
         """Take Gauss-Newton steps until they are small against their own errors."""
-        channels, frequencies = state.departure.shape
-        layout = Layout(channels, frequencies, len(state.shape.knots))
-        used = layout.size if free else layout.parametric.stop
+        layout = layout_of(state)
+        used = layout.size if free else layout.rigid
         estimates = self.local(state, paths)
         normal = self.normal(state, estimates, layout, used)
         damping = 0.0
@@ -221,7 +238,11 @@ class _Problem:
                 strength=state.foreground,
                 phase_per_path=self.frame.phase_per_path,
             ),
-            weight(self.targets, self.deviation(state, self.targets, paths)),
+            weight(
+                self.targets,
+                self.deviation(state, self.targets, paths),
+                state.noise_scale,
+            ),
             state.table,
             gain=state.gain,
             transfer=self.transfer * (1 + state.echo),
@@ -269,9 +290,9 @@ class _Problem:
             )
         return total
 
-    def fluctuation(self, state: Shared, estimates: Estimates) -> float:
-        """Return the relative change of the water signal that explains the scatter."""
-        return fluctuation_of(
+    def scatter(self, state: Shared, estimates: Estimates) -> Scatter:
+        """Return what explains the scatter from pixel to pixel."""
+        return scatter_of(
             state,
             self.groups(estimates),
             transfer=self.transfer,
@@ -284,8 +305,11 @@ class _Problem:
         The fluctuation of the water is allowed for.
         """
         estimates = self.local(state, None)
-        level = self.fluctuation(state, estimates)
-        estimates = self.local(replace(state, fluctuation=level), estimates.path)
+        found = self.scatter(state, estimates)
+        state = replace(
+            state, fluctuation=found.fluctuation, noise_scale=found.noise_scale
+        )
+        estimates = self.local(state, estimates.path)
         return are_inliers(estimates), estimates.path
 
 

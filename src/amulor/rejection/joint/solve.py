@@ -16,7 +16,7 @@ from amulor.rejection.joint._kernels.bundles import Covariances, WaterModel
 from amulor.rejection.joint._kernels.threads import spread
 from amulor.rejection.joint.frame import Frame
 from amulor.rejection.joint.pixels import Pixels
-from amulor.rejection.joint.priors import Layout, Shared
+from amulor.rejection.joint.priors import Shared, layout_of
 from amulor.rejection.joint.scatter import is_detected
 from amulor.rejection.joint.search import Estimates
 
@@ -80,7 +80,7 @@ def solve(frame: Frame, pixels: Pixels, shared: Shared, transfer: Complex) -> Re
         deviation = shared.fluctuation * water_signal
     echo = np.exp(1j * np.where(detected, path, 0.0)[:, None] * rate) * transfer
     slopes = _path_slopes(shared, estimates, water, foreground, changes, echo)
-    layout = _layout(shared)
+    layout = layout_of(shared)
     own = np.divide(
         1.0,
         estimates.information,
@@ -120,7 +120,7 @@ def _estimates(
         joint_search.without_foreground(
             pixels, shared.table, strength=shared.foreground, phase_per_path=rate
         ),
-        joint_pixels.weight(pixels, deviation),
+        joint_pixels.weight(pixels, deviation, shared.noise_scale),
         shared.table,
         gain=shared.gain,
         transfer=transfer * (1 + shared.echo),
@@ -132,11 +132,6 @@ def _variance(slopes: Floats, covariance: Floats) -> Floats:
     """Return the variances that follow from that of the parameters, (pixel,)."""
     variance: Floats = np.einsum("ni,ni->n", slopes @ covariance, slopes)
     return variance
-
-
-def _layout(shared: Shared) -> Layout:
-    channels, frequencies = shared.departure.shape
-    return Layout(channels, frequencies, len(shared.shape.knots))
 
 
 def _free_parameters(shared: Shared) -> Floats:
@@ -160,7 +155,7 @@ def _path_slopes(
     echo: Complex,
 ) -> Floats:
     """Return how the paths move with the shared parameters, (pixel, parameter)."""
-    layout = _layout(shared)
+    layout = layout_of(shared)
     channels = len(shared.strength)
     out = np.zeros((len(water), layout.size))
     pull = np.conj(estimates.influence)
@@ -183,7 +178,7 @@ def _common(
     shared: Shared, water: Complex, foreground: Complex, changes: Complex
 ) -> Covariance:
     """Return the covariance of the estimated water signal, which pixels share."""
-    layout = _layout(shared)
+    layout = layout_of(shared)
     channels, frequencies = shared.departure.shape
     shape = (len(water), channels, frequencies)
     out = Covariances(np.empty(shape), np.empty(shape), np.empty(shape))

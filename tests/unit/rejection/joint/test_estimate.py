@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable
 
 import numpy as np
@@ -11,14 +12,21 @@ from numpy.testing import assert_allclose
 from scipy.constants import speed_of_light
 
 from amulor import cube as cubes
+from amulor import rejection
 from amulor.cube import QualityFlag
 from amulor.errors import CubeError
-from amulor.rejection import joint
 from amulor.simulation import simulate
 from amulor.survey import Survey
 
 Sweep = Callable[..., Survey]
 INTERVAL = (0.8, 4.0)
+#: Joint estimation with an instrument that is what the survey says, to the last bit.
+joint = functools.partial(
+    rejection.joint,
+    delay_uncertainty=0.0,
+    group_index_uncertainty=0.0,
+    receiver_position_uncertainty=0.0,
+)
 
 
 @pytest.fixture(scope="module")
