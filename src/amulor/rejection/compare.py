@@ -269,7 +269,10 @@ def _errors(target: xr.Dataset, usable: NDArray[np.bool_]) -> tuple[Floats, Floa
     """Return uncertainty and estimated bias of the slant range of usable pixels [m]."""
     if "joint_slant_range_uncertainty" in target:
         own = target["joint_slant_range_uncertainty"].values[usable]
-        return own[np.isfinite(own)], np.zeros(1)
+        own = own[np.isfinite(own)]
+        # What is not known of the instrument is in no other method's error.
+        known = target.attrs["joint_instrument_uncertainty_m"]
+        return np.sqrt(np.maximum(own**2 - known**2, 0.0)), np.zeros(1)
     signal = target.amulor.signal.values[:, 0][:, usable]
     errors = covariance_of(target).part((slice(None), 0))
     to_range = ranging.range_per_phase(
