@@ -121,7 +121,8 @@ def test_weak_targets_are_still_seen() -> None:
     # A plate of 1 % sends back less than the water in front of it.
     rows = run(["dark"], ["open-water 20 %", "combined"], [1, 4])
     assert all(row.score.trusted > 0.98 for row in rows), rows
-    assert all(row.score.inside_95 > 0.93 for row in rows), rows
+    # 384 pixels: 1.1 % by chance, three of them.
+    assert all(row.score.inside_95 > 0.917 for row in rows), rows
 
 
 # Interpolation between the shots ----------------------------------------------------

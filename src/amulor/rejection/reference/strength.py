@@ -60,7 +60,8 @@ def strength_of(
     modulation_frequency : ndarray, shape (modulation_frequency,)
         Modulation frequencies [Hz].
     path : ndarray, shape (row, column)
-        Optical path out and back, roughly; NaN where it is not known [m].
+        Optical path out and back, roughly; NaN where it is not known. One frequency
+        needs none [m].
 
     Returns
     -------
@@ -81,6 +82,10 @@ def strength_of(
     spread over it count.
     """
     frequency = modulation_frequency.reshape(-1, 1, 1)
+    if len(frequency) == 1:
+        # Any path will do that has the phase of all channels together.
+        phase = np.angle(np.nansum(target[0], axis=0))
+        path = phase * speed_of_light / (2 * np.pi * modulation_frequency[0])
     pixels = np.flatnonzero(np.isfinite(path))
     if pixels.size > _ENOUGH:
         pixels = pixels[np.linspace(0, pixels.size - 1, _ENOUGH).astype(np.intp)]
