@@ -79,6 +79,9 @@ SIGNAL_TERMS = (
     "water_model",
     "polarization_optics",
 )
+#: Those of them that the pixels of a scan share. Water that may change, in a
+#: combination of channels, is a matter of each sample.
+SHARED_TERMS = ("reference", "drift", "column", "polarization_optics")
 #: Terms that move all pixels of an image the same way.
 ALIKE_TERMS = ("late_echo", "delay", "group_index", "geometry")
 #: Start of the names of variables that hold one term.

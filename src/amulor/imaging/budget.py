@@ -44,16 +44,17 @@ def completed(
     seen = np.where(ranges.usable, ranges.slant_range, np.nan)
     light = late_light(one, seen, survey=survey, weight=ranges.weight)
     shared = calibration_terms(one, ranges.path, ranges.slope, survey=survey)
-    unknown = [name for name in CALIBRATION_TERMS if name not in shared]
+    unknown = _unknown_of_water(one)
+    unknown += [name for name in CALIBRATION_TERMS if name not in shared]
     others = dict(ranges.others)
     if light.uncertainty is None:
-        unknown.insert(0, "late_echo")
+        unknown.append("late_echo")
     elif light.note == "taken off":
         shared["late_echo"] = light.uncertainty
         others["slant_range_late_echo"] = light.late
     attributes: dict[str, Any] = {
         "late_echo_correction": light.note,
-        "uncertainty_unknown": " ".join(unknown),
+        "uncertainty_unknown": " ".join(name for name in TERMS if name in unknown),
     }
     calibration = None if survey is None else survey.calibration
     if calibration is not None and calibration.date is not None:
@@ -74,6 +75,19 @@ def completed(
         ),
         attributes,
     )
+
+
+def _unknown_of_water(one: xr.Dataset) -> list[str]:
+    """Return the terms of the water signal that open-water shots leave open."""
+    unknown = []
+    drift = one.attrs.get("open_water_drift_uncertainty")
+    if drift is not None and not np.all(np.isfinite(drift)):
+        # Shots that repeat no direction show no change.
+        unknown.append("drift")
+    if "open_water_degree" in one.attrs and "residual_in_phase" not in one:
+        # No survey tells how much water is behind a target.
+        unknown.append("column")
+    return unknown
 
 
 def uncertainties(ranges: Ranges) -> dict[str, Floats]:

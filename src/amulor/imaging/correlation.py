@@ -9,6 +9,7 @@ import xarray as xr
 from numpy.typing import ArrayLike, NDArray
 
 from amulor import cube as cubes
+from amulor.cube.terms import ALIKE_TERMS, RANGE_PREFIX
 from amulor.errors import CubeError
 from amulor.optics import ranging
 
@@ -59,6 +60,7 @@ def covariance(image: xr.Dataset, pixels: ArrayLike) -> Floats:
     its part across the target's phasor, which turns itself with the range, so
     pixels at different ranges share less: a factor of the cosine of their difference
     in phase, averaged over the frequencies. Without a stated degree, all share alike.
+    Late light, delay, group index and geometry move all pixels the same way.
     """
     image = cubes.checked(image, "range_image")
     which = _usable(image, pixels)
@@ -71,8 +73,15 @@ def covariance(image: xr.Dataset, pixels: ArrayLike) -> Floats:
     total = image["slant_range_uncertainty"].values[which] ** 2
     if "slant_range_common_uncertainty" not in image:
         return np.diag(total)
-    shared = image["slant_range_common_uncertainty"].values[which]
+    alike = [
+        image[f"{RANGE_PREFIX}{name}"].values[which]
+        for name in ALIKE_TERMS
+        if f"{RANGE_PREFIX}{name}" in image
+    ]
+    squares = image["slant_range_common_uncertainty"].values[which] ** 2
+    shared = np.sqrt(np.maximum(squares - sum(term**2 for term in alike), 0.0))
     matrix = np.outer(shared, shared) * _correlation(image, which)
+    matrix += sum(np.outer(term, term) for term in alike)
     matrix[np.diag_indices(count)] = total
     return matrix
 

@@ -25,7 +25,7 @@ Floats = NDArray[np.float64]
 #: Directions along each side of the scan, and distances, that are worked out.
 _DIRECTIONS, _DISTANCES = 5, 16
 #: Relative standard uncertainty of a Henyey-Greenstein function in place of the
-#: water's own: natural ones of the same asymmetry are 5 to 40 % less late [1].
+#: water's own: natural ones of the same asymmetry are 20 to 35 % less late [1].
 _SHAPE_UNCERTAINTY = 0.3
 #: Asymmetries between which natural waters lie, where the survey has moments only [1].
 _ASYMMETRIES = (0.87, 0.97)

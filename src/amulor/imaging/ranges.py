@@ -9,7 +9,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from amulor.cube import UNUSABLE, QualityFlag
-from amulor.cube.terms import PHASE_PREFIX, SIGNAL_TERMS
+from amulor.cube.terms import PHASE_PREFIX, SHARED_TERMS, SIGNAL_TERMS
 from amulor.imaging.geometry import beams_of, medium_of, receivers_of
 from amulor.optics import ambiguity, detection, ranging, rays
 
@@ -98,7 +98,12 @@ def ranges_of_path(one: xr.Dataset, path: ambiguity.Path) -> Ranges:
         slope=slope,
         flag=flag,
         weight=weight_of(frequency, sigma, usable),
-        terms=_terms(one, per_phase, slope * np.sqrt(variance)),
+        terms=_terms(
+            one,
+            per_phase,
+            slope * np.sqrt(variance),
+            None if together is None else slope**2 * together,
+        ),
         common=None if together is None else slope * np.sqrt(together),
         others=others,
     )
@@ -221,18 +226,36 @@ def weight_of(frequency: Floats, sigma: Floats, usable: NDArray[np.bool_]) -> Fl
     return np.asarray(precision / precision.sum())
 
 
-def _terms(one: xr.Dataset, per_phase: Floats, total: Floats) -> dict[str, Floats]:
-    """Return the terms of a known total, in the proportion of their squares."""
-    parts = {
-        name: np.sum((per_phase * one[f"{PHASE_PREFIX}{name}"].values) ** 2, axis=0)
-        for name in SIGNAL_TERMS
-        if f"{PHASE_PREFIX}{name}" in one
-    }
-    if not parts:
+def _terms(
+    one: xr.Dataset, per_phase: Floats, total: Floats, together: Floats | None
+) -> dict[str, Floats]:
+    """Return the terms of a known total, in the proportion of their squares.
+
+    Terms that pixels and perhaps frequencies share divide what is `together`.
+    """
+    own: dict[str, Floats] = {}
+    for name in SIGNAL_TERMS:
+        if f"{PHASE_PREFIX}{name}" in one:
+            phase = one[f"{PHASE_PREFIX}{name}"].values
+            own[name] = np.sum((per_phase * phase) ** 2, axis=0)
+    if not own:
         return {"signal": total}
-    whole = np.sum(list(parts.values()), axis=0)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        return {name: total * np.sqrt(part / whole) for name, part in parts.items()}
+    groups = [list(own)]
+    amounts = [total**2]
+    if together is not None:
+        shared = [name for name in own if name in SHARED_TERMS]
+        groups = [[name for name in own if name not in shared], shared]
+        amounts = [np.maximum(total**2 - together, 0.0), together]
+    terms: dict[str, Floats] = {}
+    rest = np.zeros(total.shape)
+    for names, amount in zip(groups, amounts, strict=True):
+        whole = np.sum([own[name] for name in names], axis=0, initial=0.0)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            scale = np.where(whole > 0, amount / whole, 0.0)
+        rest += np.where(whole > 0, 0.0, amount)
+        terms |= {name: np.sqrt(own[name] * scale) for name in names}
+    found = {name: terms[name] for name in own}
+    return found | {"signal": np.sqrt(rest)} if np.nanmax(rest) > 0 else found
 
 
 def phase_errors(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -9,8 +10,9 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from amulor import cube as cubes
+from amulor.cube.terms import PHASE_PREFIX
 from amulor.rejection import quality
-from amulor.rejection.covariance import Covariance
+from amulor.rejection.covariance import Covariance, phase_uncertainties
 
 
 def target_cube(
@@ -22,6 +24,7 @@ def target_cube(
     residual: NDArray[np.complex128] | None = None,
     common: Covariance | None = None,
     proportional: Covariance | None = None,
+    terms: Mapping[str, Covariance] | None = None,
     water_is_in: bool = False,
     step: str,
     **attributes: Any,
@@ -42,6 +45,9 @@ def target_cube(
         The part of the errors that the pixels share.
     proportional : Covariance, optional
         The part of the errors in proportion to the target signal.
+    terms : mapping of str to Covariance, optional
+        All errors by their terms, of `amulor.cube.terms.SIGNAL_TERMS`; those that are
+        zero everywhere are left out.
     water_is_in : bool
         True if no water signal was taken out.
     step : str
@@ -84,6 +90,15 @@ def target_cube(
             "common_quadrature_uncertainty": np.sqrt(common.quadrature),
             "common_covariance": common.cross,
         }
+    known = {
+        name: errors
+        for name, errors in (terms or {}).items()
+        if errors.in_phase.any() or errors.quadrature.any()
+    }
+    for name, phase in phase_uncertainties(target_signal, known).items():
+        variables[f"{PHASE_PREFIX}{name}"] = phase
+    if "shot" in samples.sizes:
+        attributes.setdefault("open_water_shots", np.int32(samples.sizes["shot"]))
     geometry = samples.amulor.geometry
     target = cubes.build(
         "target_signal",

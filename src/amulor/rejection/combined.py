@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import xarray as xr
+from numpy.typing import NDArray
 
 from amulor import cube as cubes
 from amulor.cube import QualityFlag
@@ -14,6 +15,8 @@ from amulor.rejection.channels.names import pair_of
 from amulor.rejection.covariance import along
 from amulor.rejection.open_water import reference_attributes
 from amulor.rejection.subtraction import subtract_open_water
+
+Floats = NDArray[np.float64]
 
 #: Adds the axis of the one channel of the result.
 _WITH_CHANNEL = (slice(None), None)
@@ -104,10 +107,29 @@ def combined(
     # A wrong ratio moves the crossed channel away from the estimate.
     slope = solved.shift_by([np.zeros_like(target), -target])
     by_ratio = along(slope, target_ratio_uncertainty)
-    common = solved.error_of(reference) + by_ratio
-    common = common + solved.error_of_water([1.0, water_ratio], of_water)
+    both: list[Floats | float] = [1.0, water_ratio]
+    of_reference = solved.error_of(reference)
+    by_water = solved.error_of_water(both, of_water)
+    common = of_reference + by_ratio + by_water
     # Put back where the distance is settled; where it is not, it is not known.
     residual = None if left.residual is None else left.residual[channel[0]]
+    # Errors turn alike, so one of each sum is what the others leave of it.
+    column = solved.error_of_water(both, left.column.part(channel[0]))
+    counting = solved.error_of([left.counting.part(at) for at in channel])
+    rest = counting + of_reference + by_water
+    terms = {}
+    if water_change > 0:
+        by_change = solved.error_of_water(both, along(water[0], water_change))
+        terms["water_model"] = by_change
+        rest = rest + by_change
+    terms |= {
+        "counting": counting,
+        "fluctuation": solved.independent.without(rest),
+        "reference": of_reference,
+        "column": column,
+        "drift": by_water.without(column),
+        "polarization_optics": by_ratio,
+    }
     first = saturated_in_any(
         cube.sel(polarization=[co]), cube.sel(polarization=[co, cross])
     )
@@ -119,6 +141,7 @@ def combined(
         residual=None if residual is None else residual[:, None],
         common=common.part(_WITH_CHANNEL),
         proportional=by_ratio.part(_WITH_CHANNEL),
+        terms={name: errors.part(_WITH_CHANNEL) for name, errors in terms.items()},
         step=f"reject, combine {co} and {cross} after open water, ratio of the target "
         f"{target_ratio:g}",
         frequencies_share_errors=np.int32(0),

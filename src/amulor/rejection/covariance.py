@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -11,6 +12,9 @@ from numpy.typing import NDArray
 
 Floats = NDArray[np.float64]
 Complex = NDArray[np.complex128]
+
+#: Samples that are worked on at once.
+_BLOCK = 32_768
 
 
 @dataclass(frozen=True)
@@ -155,3 +159,46 @@ def stacked(parts: list[Covariance], shape: tuple[int, ...]) -> Covariance:
             for name in ("in_phase", "quadrature", "cross")
         )
     )
+
+
+def phase_uncertainties(
+    signal: Complex, terms: Mapping[str, Covariance]
+) -> dict[str, NDArray[np.float32]]:
+    """Return what errors make of the phase of a signal, each by itself.
+
+    Parameters
+    ----------
+    signal : ndarray of complex
+        What has the phase [V].
+    terms : mapping of str to Covariance
+        Errors of the signal, of its shape [V^2].
+
+    Returns
+    -------
+    dict of str to ndarray
+        Standard uncertainty of the phase, of the shape of the signal [rad]; not a
+        number where the signal is zero. Single precision: they are many.
+    """
+    flat = signal.reshape(-1)
+    parts = {
+        name: [
+            np.broadcast_to(getattr(errors, output), signal.shape).reshape(-1)
+            for output in ("in_phase", "quadrature", "cross")
+        ]
+        for name, errors in terms.items()
+    }
+    found = {name: np.empty(flat.size, dtype=np.float32) for name in terms}
+    with np.errstate(divide="ignore", invalid="ignore"):
+        # In blocks that stay in the cache: cubes are larger than it.
+        for begin in range(0, flat.size, _BLOCK):
+            block = slice(begin, begin + _BLOCK)
+            real, imaginary = flat[block].real, flat[block].imag
+            power = (real**2 + imaginary**2) ** 2
+            by = (imaginary**2 / power, real**2 / power, -2 * real * imaginary / power)
+            for name, outputs in parts.items():
+                variance = by[0] * outputs[0][block]
+                variance += by[1] * outputs[1][block]
+                variance += by[2] * outputs[2][block]
+                np.sqrt(np.maximum(variance, 0.0, out=variance), out=variance)
+                found[name][block] = variance
+    return {name: error.reshape(signal.shape) for name, error in found.items()}

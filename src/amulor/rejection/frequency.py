@@ -207,6 +207,11 @@ def frequency(
         water_signal=np.zeros_like(signal),
         residual=residual[which],
         common=water.common.part(which),
+        terms={
+            "counting": covariance_of(one),
+            "fluctuation": water.fluctuation.part(which),
+            "reference": water.common.part(which),
+        },
         step=f"reject, keep {modulation_frequency / 1e6:g} MHz alone",
         frequencies_share_errors=np.int32(0),
         frequency_choice=reason,

@@ -98,6 +98,13 @@ def open_water(
         water_signal=left.water_signal,
         residual=left.residual,
         common=left.shared,
+        terms={
+            "counting": left.counting,
+            "fluctuation": left.fluctuation,
+            "reference": left.reference,
+            "column": left.column,
+            "drift": left.change,
+        },
         step="reject, open water"
         + (", column behind the target put back" if left.put_back else ""),
         frequencies_share_errors=np.int32(0),

@@ -252,6 +252,11 @@ def unmix(
         water_signal=water,
         common=common,
         proportional=by_target_ratio,
+        terms={
+            "counting": independent,
+            "fluctuation": fluctuations[0] + fluctuations[1],
+            "polarization_optics": common,
+        },
         step=f"reject, unmix {co} and {cross}, ratios of target {target_ratio:g}, "
         f"of water {water_ratio:g}",
         target_ratio=target_ratio,
@@ -301,6 +306,7 @@ def _unchanged(cube: xr.Dataset, *, step: str) -> xr.Dataset:
         cube,
         signal,
         covariance_of(cube),
+        terms={"counting": covariance_of(cube)},
         water_signal=np.zeros_like(signal),
         water_is_in=True,
         step=step,

@@ -138,6 +138,8 @@ def unmix_stokes(
     errors = covariance_of(part)
     signals = [signal[:, c] for c in range(len(chosen))]
 
+    fluctuation = None
+
     def solve(total: Covariance) -> mixing.Unmixed:
         return mixing.unmix(
             signals,
@@ -152,13 +154,21 @@ def unmix_stokes(
     if shots is not None:
         # Each channel's water follows from what is left of it.
         water = signal - np.stack([w * solved.target for w in weights[0]], axis=1)
-        solved = solve(errors + fluctuation_of(fit_shots(part, shots), water))
+        fluctuation = fluctuation_of(fit_shots(part, shots), water)
+        solved = solve(errors + fluctuation)
     first = saturated_in_any(cube.sel(polarization=[chosen[0]]), part)
     target = solved.target[:, None]
     return target_cube(
         first,
         target,
         solved.independent.part((slice(None), None)),
+        terms={
+            name: solved.error_of(
+                [own.part((slice(None), c)) for c in range(len(chosen))]
+            ).part((slice(None), None))
+            for name, own in (("counting", errors), ("fluctuation", fluctuation))
+            if own is not None
+        },
         water_signal=first.amulor.signal.values - target,
         step=f"reject, unmix {', '.join(chosen)} by Mueller matrices",
     )
