@@ -59,16 +59,16 @@ def completed(
     calibration = None if survey is None else survey.calibration
     if calibration is not None and calibration.date is not None:
         attributes["delay_calibrated"] = calibration.date.isoformat()
-    common = ranges.common
+    common, total = ranges.common, ranges.total
     if shared:
-        squares = [term**2 for term in shared.values()]
-        if common is not None:
-            squares.append(common**2)
-        common = np.sqrt(np.sum(squares, axis=0))
+        added = np.sum([term**2 for term in shared.values()], axis=0)
+        common = np.sqrt(added if common is None else added + common**2)
+        total = np.sqrt(added + total**2)
     return (
         replace(
             ranges,
             slant_range=ranges.slant_range - light.late,
+            total=total,
             terms={**ranges.terms, **shared},
             common=common,
             others=others,
@@ -104,14 +104,7 @@ def uncertainties(ranges: Ranges) -> dict[str, Floats]:
         The combined standard uncertainty, the part that pixels share, and one variable
         for each term; the squares of the terms add up to that of the combined one [m].
     """
-    squares = [term**2 for term in ranges.terms.values()]
-    found = {
-        "slant_range_uncertainty": (
-            next(iter(ranges.terms.values()))
-            if len(squares) == 1
-            else np.sqrt(np.sum(squares, axis=0))
-        )
-    }
+    found = {"slant_range_uncertainty": ranges.total}
     if ranges.common is not None:
         found["slant_range_common_uncertainty"] = ranges.common
     return found | {

@@ -25,7 +25,7 @@ _SLACK = 4.0
 
 @dataclass(frozen=True, kw_only=True)
 class Ranges:
-    """Slant ranges by the phases alone, arrays over (row, column)."""
+    """Slant ranges and their errors, arrays over (row, column)."""
 
     slant_range: Floats
     """Distance from the emitter along the beam [m]."""
@@ -37,6 +37,8 @@ class Ranges:
     """Quality flags."""
     weight: Floats
     """Weight of each frequency, shape (frequencies,), 1 in all [1]."""
+    total: Floats
+    """Combined standard uncertainty of the slant range [m]."""
     terms: dict[str, Floats]
     """Standard uncertainty of the slant range by its terms [m]."""
     common: Floats | None
@@ -87,6 +89,7 @@ def ranges_of_path(one: xr.Dataset, path: ambiguity.Path) -> Ranges:
         if one.attrs.get("frequencies_share_errors", 1):
             together = np.sum(per_phase * shared, axis=0) ** 2
         variance = variance - apart + together
+    total = slope * np.sqrt(variance)
     others = {}
     if "residual_in_phase" in one:
         others["slant_range_bias"] = slope * np.sum(per_phase * shift, axis=0)
@@ -98,10 +101,11 @@ def ranges_of_path(one: xr.Dataset, path: ambiguity.Path) -> Ranges:
         slope=slope,
         flag=flag,
         weight=weight_of(frequency, sigma, usable),
+        total=total,
         terms=_terms(
             one,
             per_phase,
-            slope * np.sqrt(variance),
+            total,
             None if together is None else slope**2 * together,
         ),
         common=None if together is None else slope * np.sqrt(together),
@@ -162,6 +166,7 @@ def ranges_of_joint(one: xr.Dataset, *, interval: tuple[float, float] | None) ->
         weight=weight_of(
             one["modulation_frequency"].values, sigma, (flag & UNUSABLE) == 0
         ),
+        total=total,
         terms={"signal": own, "water_model": common},
         common=common,
         others={
