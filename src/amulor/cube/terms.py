@@ -84,5 +84,7 @@ SIGNAL_TERMS = (
 SHARED_TERMS = ("reference", "drift", "column", "polarization_optics")
 #: Terms that move all pixels of an image the same way.
 ALIKE_TERMS = ("late_echo", "delay", "group_index", "geometry")
+#: Terms in proportion to the water, the same part of it at all pixels.
+WATER_TERMS = ("drift", "column")
 #: Start of the names of variables that hold one term.
 RANGE_PREFIX, PHASE_PREFIX = "slant_range_uncertainty_", "phase_uncertainty_"

@@ -9,7 +9,7 @@ import xarray as xr
 from numpy.typing import ArrayLike, NDArray
 
 from amulor import cube as cubes
-from amulor.cube.terms import ALIKE_TERMS, RANGE_PREFIX
+from amulor.cube.terms import ALIKE_TERMS, RANGE_PREFIX, WATER_TERMS
 from amulor.errors import CubeError
 from amulor.optics import ranging
 
@@ -60,6 +60,8 @@ def covariance(image: xr.Dataset, pixels: ArrayLike) -> Floats:
     its part across the target's phasor, which turns itself with the range, so
     pixels at different ranges share less: a factor of the cosine of their difference
     in phase, averaged over the frequencies. Without a stated degree, all share alike.
+    So do they the drift of the water and the column behind the target, but for that
+    cosine.
     Late light, delay, group index and geometry move all pixels the same way.
     """
     image = cubes.checked(image, "range_image")
@@ -73,14 +75,20 @@ def covariance(image: xr.Dataset, pixels: ArrayLike) -> Floats:
     total = image["slant_range_uncertainty"].values[which] ** 2
     if "slant_range_common_uncertainty" not in image:
         return np.diag(total)
-    alike = [
-        image[f"{RANGE_PREFIX}{name}"].values[which]
-        for name in ALIKE_TERMS
-        if f"{RANGE_PREFIX}{name}" in image
-    ]
+    alike, of_water = (
+        [
+            image[f"{RANGE_PREFIX}{name}"].values[which]
+            for name in names
+            if f"{RANGE_PREFIX}{name}" in image
+        ]
+        for names in (ALIKE_TERMS, WATER_TERMS)
+    )
     squares = image["slant_range_common_uncertainty"].values[which] ** 2
-    shared = np.sqrt(np.maximum(squares - sum(term**2 for term in alike), 0.0))
-    matrix = np.outer(shared, shared) * _correlation(image, which)
+    known = sum(term**2 for term in alike + of_water)
+    shared = np.sqrt(np.maximum(squares - known, 0.0))
+    turn = _turn(image, which)
+    matrix = np.outer(shared, shared) * _along_the_scan(image, which) * turn
+    matrix += sum(np.outer(term, term) for term in of_water) * turn
     matrix += sum(np.outer(term, term) for term in alike)
     matrix[np.diag_indices(count)] = total
     return matrix
@@ -173,8 +181,8 @@ def _usable(image: xr.Dataset, pixels: ArrayLike) -> NDArray[np.bool_]:
     return which
 
 
-def _correlation(image: xr.Dataset, which: NDArray[np.bool_]) -> Floats:
-    """Return the correlation of the shared errors of some pixels."""
+def _turn(image: xr.Dataset, which: NDArray[np.bool_]) -> Floats:
+    """Return the cosines of the differences in phase, the mean of all frequencies."""
     distance = image["slant_range"].values[which]
     group_index = float(image["geometry"].attrs["group_index"])
     frequency = np.atleast_1d(image.attrs["modulation_frequencies"])
@@ -182,8 +190,13 @@ def _correlation(image: xr.Dataset, which: NDArray[np.bool_]) -> Floats:
     for each in frequency:
         to_phase = ranging.phase_per_range(each, group_index=group_index)
         turn += np.cos(to_phase * (distance[:, None] - distance)) / len(frequency)
+    return turn
+
+
+def _along_the_scan(image: xr.Dataset, which: NDArray[np.bool_]) -> Floats:
+    """Return the correlation of the polynomial of the reference at some pixels."""
     if "open_water_degree" not in image.attrs:
-        return turn
+        return np.ones((int(which.sum()), int(which.sum())))
     degree = int(np.max(image.attrs["open_water_degree"]))
     axes = []
     for name in ("azimuth", "elevation"):
@@ -202,4 +215,4 @@ def _correlation(image: xr.Dataset, which: NDArray[np.bool_]) -> Floats:
     basis = basis[:, singular > 1e-9 * singular[0]]
     own = basis[which.ravel()]
     own /= np.linalg.norm(own, axis=1, keepdims=True)
-    return np.asarray(own @ own.T * turn)
+    return np.asarray(own @ own.T)

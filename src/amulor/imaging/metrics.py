@@ -10,9 +10,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from amulor import cube as cubes
 from amulor.cube import UNUSABLE
-from amulor.cube.terms import ALIKE_TERMS, RANGE_PREFIX
+from amulor.cube.terms import ALIKE_TERMS, RANGE_PREFIX, WATER_TERMS
 from amulor.errors import CubeError
 from amulor.imaging.point_cloud import point_cloud
+from amulor.optics import ranging
 
 Floats = NDArray[np.float64]
 
@@ -127,7 +128,8 @@ def step_heights(image: xr.Dataset, regions: ArrayLike) -> list[StepHeight]:
     full and the difference of the bias estimates of the two planes is added, both in
     quadrature: an upper limit, since neighbours share most of either. Of late light,
     delay, group index and geometry, which move all pixels the same way, the difference
-    between the two planes counts.
+    between the two planes counts; so does that of drift and column, which turn with the
+    phase of the target.
     """
     image = cubes.checked(image, "range_image")
     label = np.asarray(regions)
@@ -155,11 +157,16 @@ def step_heights(image: xr.Dataset, regions: ArrayLike) -> list[StepHeight]:
     covariance = inverse * scatter
     lean = np.hypot(1.0, np.hypot(*solution[-2:]))
     common = _mean_of(image, "slant_range_common_uncertainty", number, pixel, numbers)
-    alike = [
-        _mean_of(image, f"{RANGE_PREFIX}{name}", number, pixel, numbers)
-        for name in ALIKE_TERMS
-    ]
-    shared = np.sqrt(np.maximum(common**2 - sum(term**2 for term in alike), 0.0))
+    alike, of_water = (
+        [
+            _mean_of(image, f"{RANGE_PREFIX}{name}", number, pixel, numbers)
+            for name in names
+        ]
+        for names in (ALIKE_TERMS, WATER_TERMS)
+    )
+    known = sum(term**2 for term in alike + of_water)
+    shared = np.sqrt(np.maximum(common**2 - known, 0.0))
+    distance = _mean_of(image, "slant_range", number, pixel, numbers)
     bias = _mean_of(image, "slant_range_bias", number, pixel, numbers)
     steps = []
     for i in range(len(numbers) - 1):
@@ -172,6 +179,12 @@ def step_heights(image: xr.Dataset, regions: ArrayLike) -> list[StepHeight]:
             + shared[i + 1] ** 2
             + (bias[i + 1] - bias[i]) ** 2
             + sum((term[i + 1] - term[i]) ** 2 for term in alike)
+            + sum(
+                term[i] ** 2
+                + term[i + 1] ** 2
+                - 2 * term[i] * term[i + 1] * _cosine(image, distance[i : i + 2])
+                for term in of_water
+            )
         )
         steps.append(
             StepHeight(
@@ -245,12 +258,24 @@ def _regions(
     points = np.stack([cloud[axis].values for axis in "xyz"], axis=1)[keep]
     row, column = row[keep], column[keep]
     variance = cloud["slant_range_uncertainty"].values[keep] ** 2
-    for name in ALIKE_TERMS:
+    for name in (*ALIKE_TERMS, *WATER_TERMS):
         if f"{RANGE_PREFIX}{name}" in image:
             variance -= image[f"{RANGE_PREFIX}{name}"].values[row, column] ** 2
-    sigma = np.sqrt(variance)
+    sigma = np.sqrt(np.maximum(variance, np.finfo(float).tiny))
     assert not np.any(image["quality_flag"].values[row, column] & UNUSABLE)
     return points, label[row, column], sigma, (row, column)
+
+
+def _cosine(image: xr.Dataset, distance: Floats) -> float:
+    """Return the cosine of the phase between two distances, mean of all frequencies."""
+    frequency = image.attrs.get("modulation_frequencies")
+    if frequency is None:
+        return 0.0
+    to_phase = ranging.phase_per_range(
+        np.atleast_1d(frequency),
+        group_index=float(image["geometry"].attrs["group_index"]),
+    )
+    return float(np.mean(np.cos(to_phase * (distance[1] - distance[0]))))
 
 
 def _mean_of(
