@@ -24,11 +24,11 @@ Floats = NDArray[np.float64]
 
 #: Directions along each side of the scan, and distances, that are worked out.
 _DIRECTIONS, _DISTANCES = 5, 16
-#: Relative standard uncertainty of a Henyey-Greenstein function in place of the
-#: water's own: natural ones of the same asymmetry are 20 to 35 % less late [1].
-_SHAPE_UNCERTAINTY = 0.3
-#: Asymmetries between which natural waters lie, where the survey has moments only [1].
-_ASYMMETRIES = (0.87, 0.97)
+#: Natural waters are 0.52 to 0.83 times as late as a Henyey-Greenstein function of
+#: their asymmetry, Petzold's eight stations and Fournier-Forand functions [1].
+_LEAST_PART = 0.5
+#: Asymmetries of the Henyey-Greenstein functions that are as late as those waters [1].
+_ASYMMETRIES = (0.90, 0.98)
 #: Below this asymmetry small angles do not describe the light [1].
 _LEAST_ASYMMETRY = 0.6
 
@@ -73,10 +73,11 @@ def late_light(
 
     Notes
     -----
-    The water is that of the survey: with its asymmetry a Henyey-Greenstein function,
-    30 % uncertain as a stand-in for that of the water; with moments of the forward
-    part alone the middle of what Henyey-Greenstein functions with these moments and
-    with asymmetries of 0.87 to 0.97 give, a rectangular distribution between them.
+    The water is that of the survey, a rectangular distribution between two ends: with
+    an asymmetry between the Henyey-Greenstein function and half of its delay, since
+    natural waters of the same asymmetry are less late; with moments of the forward
+    part alone between Henyey-Greenstein functions with these moments and with
+    asymmetries of 0.90 to 0.98.
     """
     nothing = np.zeros(slant_range.shape)
     if _has_no_late_light(one):
@@ -96,14 +97,14 @@ def late_light(
         )
     except SurveyError as error:
         return _unknown(nothing, str(error))
+    if len(known) == 1:
+        lowest = _LEAST_PART * highest
     if not np.all(np.isfinite(lowest[usable]) & np.isfinite(highest[usable])):
         return _unknown(nothing, "the receiver looks past some of the echoes")
     middle = np.where(usable, (lowest + highest) / 2, 0.0)
     calibration = survey.calibration
     own = None if calibration is None else calibration.scattering_uncertainty
     relative = math.hypot(late_echo.RELATIVE_UNCERTAINTY, own or 0.0)
-    if len(known) == 1:
-        relative = math.hypot(relative, _SHAPE_UNCERTAINTY)
     spread = np.where(usable, highest - lowest, 0.0) / math.sqrt(12)
     return LateLight(
         late=middle,

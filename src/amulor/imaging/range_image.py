@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -161,8 +162,14 @@ def _unsettled(one: xr.Dataset) -> str:
 def _survey_of(one: xr.Dataset) -> Survey | None:
     """Return the survey of a cube, None if it has none that can be read."""
     text = one.attrs.get("survey")
+    return _read_survey(str(text)) if text else None
+
+
+@lru_cache(maxsize=4)
+def _read_survey(text: str) -> Survey | None:
+    """Return the survey of a text; images of one scan read it once."""
     try:
-        return Survey.from_text(text) if text else None
+        return Survey.from_text(text)
     except SurveyError:
         return None
 
