@@ -214,9 +214,10 @@ def _print_comparison(comparison: Comparison) -> None:
                 _millimetres(row.noise),
                 f"{row.usable:.0%}",
                 f"{row.flagged:.0%}",
+                f"{row.trusted:.0%}",
             ]
         )
-    header = ["method", "channel", "bias", "noise", "usable", "flagged"]
+    header = ["method", "channel", "bias", "noise", "usable", "flagged", "trusted"]
     print_table("Rejection methods", header, rows)
     for row in comparison.rows:
         if row.note and not row.recommended:

@@ -29,6 +29,8 @@ _DIRECTIONS, _DISTANCES = 5, 16
 _LEAST_PART = 0.5
 #: Asymmetries of the Henyey-Greenstein functions that are as late as those waters [1].
 _ASYMMETRIES = (0.90, 0.98)
+#: Relative standard uncertainty of the differences between frequencies [1].
+_UNEVEN = 0.3
 #: Below this asymmetry small angles do not describe the light [1].
 _LEAST_ASYMMETRY = 0.6
 
@@ -161,7 +163,7 @@ def dispersion(
     )
     turn = np.nan_to_num(to_phase * (lowest + highest) / 2)
     spread = np.nan_to_num(to_phase * (highest - lowest) / 2)
-    return turn, np.hypot(_SHAPE_UNCERTAINTY * turn, spread)
+    return turn, np.hypot(_UNEVEN * turn, spread)
 
 
 def _unknown(nothing: Floats, why: str) -> LateLight:

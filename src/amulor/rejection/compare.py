@@ -9,11 +9,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
+from scipy.constants import speed_of_light
+from scipy.stats import chi2
 
 from amulor import cube as cubes
 from amulor.cube import UNUSABLE, QualityFlag
 from amulor.errors import AmulorError, CubeError
-from amulor.optics import detection, ranging
+from amulor.optics import ambiguity, detection, ranging
 from amulor.rejection.combined import combined
 from amulor.rejection.covariance import covariance_of
 from amulor.rejection.frequency import frequency
@@ -26,6 +28,10 @@ Interval = tuple[float, float] | None
 
 #: A method must use this fraction of the pixels that the best one uses [1].
 _USES_ENOUGH = 0.9
+#: A joint estimation that trusts fewer pixels is tried without the shots [1].
+_FEW = 0.8
+#: Frequencies that disagree by more than this chance do not agree [1].
+_DISAGREEMENT = 1e-4
 #: Errors closer than this count as equal: the simpler method wins [1].
 _EQUAL = 0.05
 
@@ -62,6 +68,9 @@ class Row:
     """Fraction of the pixels that have a range [1]."""
     flagged: float
     """Fraction of the pixels that have any flag [1]."""
+    trusted: float
+    """Fraction of the pixels that have a range without a flag, and whose frequencies
+    agree on it [1]."""
     caution: Caution = Caution.NONE
     """What speaks against it; the recommendation decides by this."""
     recommended: bool = False
@@ -112,6 +121,12 @@ def _repeat_distance(cube: xr.Dataset) -> float:
     )
 
 
+def _without_shots(cube: xr.Dataset, interval: Interval) -> xr.Dataset:
+    shots = [name for name in cube.data_vars if str(name).startswith("open_water_")]
+    return joint(cube.drop_vars(shots), interval=interval)
+
+
+_WITHOUT_SHOTS = _Method("joint without shots", _without_shots)
 #: The simplest first.
 _METHODS = (
     _Method("cross-polarized", _cross_polarized),
@@ -124,7 +139,15 @@ _METHODS = (
     _Method("polarization", lambda cube, interval: unmix(cube)),
     _Method("combined", lambda cube, interval: combined(cube, interval=interval)),
     _Method("joint", lambda cube, interval: joint(cube, interval=interval)),
+    _WITHOUT_SHOTS,
 )
+
+
+def _shots_are_doubted(cube: xr.Dataset, rows: list[Row]) -> bool:
+    """Return whether the joint estimation has shots and trusts few pixels with them."""
+    trusted = max((row.trusted for row in rows if row.method == "joint"), default=0.0)
+    ran = any(row.method == "joint" and row.polarization for row in rows)
+    return ran and cube.amulor.open_water is not None and trusted < _FEW
 
 
 def compare(cube: xr.Dataset, *, interval: Interval = None) -> Comparison:
@@ -152,13 +175,16 @@ def compare(cube: xr.Dataset, *, interval: Interval = None) -> Comparison:
     Notes
     -----
     Recommended is the smallest error, bias and noise together, among the methods that
-    use at least nine tenths of the pixels that the best of them uses. Of errors within
-    a twentieth of each other the simpler method wins. A bias that nothing tells counts
-    as infinite.
+    trust at least nine tenths of the pixels that the best of them trusts: those without
+    a flag whose frequencies agree. Of errors within a twentieth of each other the
+    simpler method wins. A bias that nothing tells counts as infinite. The joint
+    estimation is tried without the shots, too, where with them it trusts few pixels.
     """
     cube = cubes.checked(cube, "samples")
     rows: list[Row] = []
     for method in _METHODS:
+        if method is _WITHOUT_SHOTS and not _shots_are_doubted(cube, rows):
+            continue
         try:
             target = method.run(cube, interval)
         except (AmulorError, ValueError) as error:
@@ -172,7 +198,7 @@ def compare(cube: xr.Dataset, *, interval: Interval = None) -> Comparison:
     if best is None:
         listed = "; ".join(f"{row.method}: {row.note or 'no pixel'}" for row in rows)
         raise CubeError(f"no method has a pixel that it can use ({listed})")
-    reason = _reason(rows, best)
+    reason = _reason(rows, best, has_shots=cube.amulor.open_water is not None)
     rows[best] = replace(rows[best], recommended=True, note=reason)
     return Comparison(
         rows=tuple(rows),
@@ -227,6 +253,7 @@ def _not_run(name: str, reason: str) -> Row:
         noise=float("nan"),
         usable=0.0,
         flagged=1.0,
+        trusted=0.0,
         caution=Caution.NOT_RUN,
         note=reason,
     )
@@ -238,11 +265,12 @@ def _row(method: _Method, target: xr.Dataset, interval: Interval) -> Row:
     usable = (flag & UNUSABLE) == 0
     caution, note = Caution.NONE, ""
     bias, noise = float("nan"), float("nan")
+    agree = np.zeros(usable.shape, dtype=bool)
     if usable.any():
-        noises, biases = _errors(target, usable)
+        noises, biases, agree[usable] = _errors(target, usable)
         water_is_in = bool((flag[usable] & QualityFlag.NO_OPEN_WATER).any())
         bias = float(np.sqrt(np.mean(biases**2)))
-        noise = float(np.median(noises))
+        noise = float(np.median(noises)) if noises.size else float("nan")
         if water_is_in or not np.isfinite(bias):
             bias = float("inf")
             caution = Caution.BIAS_UNKNOWN
@@ -260,19 +288,27 @@ def _row(method: _Method, target: xr.Dataset, interval: Interval) -> Row:
         noise=noise,
         usable=float(usable.mean()),
         flagged=float((flag != 0).mean()),
+        trusted=float((agree & (flag == 0)).mean()),
         caution=caution,
         note=note,
     )
 
 
-def _errors(target: xr.Dataset, usable: NDArray[np.bool_]) -> tuple[Floats, Floats]:
-    """Return uncertainty and estimated bias of the slant range of usable pixels [m]."""
+def _errors(
+    target: xr.Dataset, usable: NDArray[np.bool_]
+) -> tuple[Floats, Floats, NDArray[np.bool_]]:
+    """Return what usable pixels say of themselves.
+
+    Uncertainty and estimated bias of the slant range [m], and whether the frequencies
+    agree.
+    """
     if "joint_slant_range_uncertainty" in target:
         own = target["joint_slant_range_uncertainty"].values[usable]
-        own = own[np.isfinite(own)]
+        settled = np.isfinite(own)
         # What is not known of the instrument is in no other method's error.
         known = target.attrs["joint_instrument_uncertainty_m"]
-        return np.sqrt(np.maximum(own**2 - known**2, 0.0)), np.zeros(1)
+        rest = np.sqrt(np.maximum(own[settled] ** 2 - known**2, 0.0))
+        return rest, np.zeros(1), settled
     signal = target.amulor.signal.values[:, 0][:, usable]
     errors = covariance_of(target).part((slice(None), 0))
     to_range = ranging.range_per_phase(
@@ -295,15 +331,35 @@ def _errors(target: xr.Dataset, usable: NDArray[np.bool_]) -> tuple[Floats, Floa
         turned = ranging.phase_shift(signal, residual=left)
         shift = to_range * np.where(left == 0, 0.0, turned)
         bias = np.sum(weight * shift, axis=0)
-    return noise, bias
+    frequency = target["modulation_frequency"].values
+    path = ambiguity.optical_path(
+        np.angle(signal),
+        sigma / to_range,
+        modulation_frequency=frequency,
+        shortest=np.zeros(noise.shape),
+        # As far as the phases do not repeat.
+        longest=np.full(noise.shape, 0.999 * _repeated_path(frequency)),
+    )
+    # Only whether they agree: which interval is right is a matter of its limits.
+    few = len(frequency) - path.left_out.sum(axis=0) - 1
+    agree = path.strain <= chi2.isf(_DISAGREEMENT, np.maximum(few, 1))
+    return noise, bias, np.asarray(agree | (few < 1))
+
+
+def _repeated_path(frequency: Floats) -> float:
+    """Return the optical path after which the phases repeat, out and back [m]."""
+    return float(speed_of_light / np.min(np.append(np.diff(frequency), frequency[0])))
 
 
 def _best(rows: list[Row]) -> int | None:
     """Return the row to recommend; None if no row has a usable pixel."""
-    most = max((row.usable for row in rows), default=0.0)
-    if most == 0:
+    if not any(row.usable for row in rows):
         return None
-    enough = [k for k, row in enumerate(rows) if row.usable >= _USES_ENOUGH * most]
+    # Flagged pixels are no argument, unless no method has any others.
+    counted = [row.trusted for row in rows]
+    if not any(counted):
+        counted = [row.usable for row in rows]
+    enough = [k for k, n in enumerate(counted) if n >= _USES_ENOUGH * max(counted)]
     clear = [k for k in enough if rows[k].caution is not Caution.AMBIGUOUS] or enough
     lowest = min(rows[k].error for k in clear)
     if not np.isfinite(lowest):
@@ -311,17 +367,22 @@ def _best(rows: list[Row]) -> int | None:
     return next(k for k in clear if rows[k].error <= (1 + _EQUAL) * lowest)
 
 
-def _reason(rows: list[Row], best: int) -> str:
+def _reason(rows: list[Row], best: int, *, has_shots: bool) -> str:
     row = rows[best]
     if not np.isfinite(row.error):
+        remedy = (
+            "the notes of the other methods say why"
+            if has_shots
+            else "record open-water shots"
+        )
         return (
             f"{row.method} {row.polarization}: nothing tells how much water is left, "
-            "and no other method can run; record open-water shots"
+            f"and no other method can run; {remedy}"
         )
     text = (
         f"{row.method} {row.polarization}: error {_length(row.error)} (bias "
-        f"{_length(row.bias)}, noise {_length(row.noise)}) with {row.usable:.0%} of "
-        "the pixels"
+        f"{_length(row.bias)}, noise {_length(row.noise)}) with {row.trusted:.0%} of "
+        "the pixels trusted"
     )
     others = [
         other
@@ -332,7 +393,7 @@ def _reason(rows: list[Row], best: int) -> str:
         next_one = min(others, key=lambda other: other.error)
         text += (
             f"; {next_one.method} {next_one.polarization} "
-            f"{_length(next_one.error)} with {next_one.usable:.0%}"
+            f"{_length(next_one.error)} with {next_one.trusted:.0%}"
         )
     if row.flagged > 0.5:
         text += f"; {row.flagged:.0%} of the pixels carry a flag, see there"
