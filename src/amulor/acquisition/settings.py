@@ -222,6 +222,9 @@ class SimulationSettings(Description):
     """Change of the phase in one second [rad]."""
     phase_walk: Angle = 0.0
     """Change of the phase when the amplitude is ten times as large [rad]."""
+    water_drift: Annotated[float, Field(gt=-1, lt=1)] = 0.0
+    """Change of the water signal in one second, in parts of what it was at the start
+    [1/s]."""
     position_error: Angle = 2e-6
     """Random error of where the scanner comes to stand [rad]."""
     faults: tuple[

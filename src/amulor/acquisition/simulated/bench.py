@@ -114,7 +114,7 @@ class Bench:
         self._goal = dict(self._place)
         self._arrival = dict.fromkeys(self._place, _STANDS)
         self._next_arrival = math.inf
-        self._time = clock.now()
+        self._time = self._begun = clock.now()
         self._level = 0j
         self._noise = 0j
         self._spread = 0.0
@@ -308,7 +308,8 @@ class Bench:
                 places.nearest(self._place["azimuth"], self._place["elevation"]),
             )
             light = places.light
-            change = 1 + self._fluctuation()
+            drift = self._settings.water_drift * (self.clock.now() - self._begun)
+            change = max(1 + drift, 0.0) * (1 + self._fluctuation())
             level = complex(light.target[index] + change * light.water[index])
             rate = float(
                 light.target_rate[index] + max(change, 0.0) * light.water_rate[index]
