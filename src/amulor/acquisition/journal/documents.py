@@ -1,0 +1,145 @@
+"""A scan as documents of the event model, which bluesky and databroker understand."""
+
+from __future__ import annotations
+
+import datetime
+import json
+import uuid
+from collections.abc import Iterator
+from dataclasses import fields
+from typing import Any
+
+from amulor.acquisition.journal.journal import Journal
+from amulor.acquisition.journal.record import Record
+from amulor.acquisition.plan import DARK, OPEN_WATER, SCAN, Key
+
+#: Streams, in the order in which their descriptors come.
+_STREAMS = (DARK, OPEN_WATER, SCAN)
+#: Names of event documents and of the identifiers in them come from here.
+_SPACE = uuid.UUID("5f0c1f7e-6f0a-4f6f-9d0e-2f1c7a2d9b13")
+_UNITS = {
+    "in_phase": "V", "quadrature": "V", "mean": "V", "full_scale": "V",
+    "commanded_azimuth": "rad", "commanded_elevation": "rad", "azimuth": "rad",
+    "elevation": "rad", "modulation_frequency": "Hz", "frequency": "Hz",
+    "elapsed": "s", "launch": "rad", "analyser": "rad", "target": "m",
+}  # fmt: skip
+
+
+def documents(journal: Journal) -> Iterator[tuple[str, dict[str, Any]]]:
+    """Yield a scan as documents: start, descriptors, an event a sample, and stop.
+
+    Parameters
+    ----------
+    journal : Journal
+        Of a scan, finished or not.
+
+    Yields
+    ------
+    tuple of str and dict
+        Name of the document and its content, as callbacks of bluesky take them:
+        ``for name, document in documents(journal): callback(name, document)``. Streams
+        are `dark`, `open_water` and `scan`; key and record of a sample are its data,
+        with nan for what was not recorded. The identifiers are the same each time.
+
+    Raises
+    ------
+    FormatError
+        If the journal cannot be read.
+
+    Notes
+    -----
+    The time of an event is that of the start of its part of the scan and what the clock
+    of the scan has counted since.
+    """
+    meta, parts = journal.meta(), journal.segments()
+    start = str(uuid.uuid5(_SPACE, meta["survey_digest"] + parts[0]["started"]))
+    began = {part["number"]: _moment(part["started"]) for part in parts}
+    identities = json.loads(meta["identities"])
+    yield (
+        "start",
+        {
+            "uid": start,
+            "time": began[parts[0]["number"]],
+            "plan_name": "amulor_scan",
+            "detectors": ["lock_in"],
+            "motors": ["azimuth", "elevation"],
+            "survey": meta["survey"],
+            "identities": identities,
+        },
+    )
+    counted: dict[str, int] = {}
+    first: dict[int, float] = {}
+    for kind in _STREAMS:
+        for _, record in journal.samples(kind):
+            if record.segment not in first or record.elapsed < first[record.segment]:
+                first[record.segment] = record.elapsed
+    latest = max(began.values())
+    for kind in _STREAMS:
+        descriptor = str(uuid.uuid5(uuid.UUID(start), kind))
+        for number, (key, record) in enumerate(journal.samples(kind), start=1):
+            moment = began[record.segment] + record.elapsed - first[record.segment]
+            if number == 1:
+                yield "descriptor", _descriptor(descriptor, start, kind, moment)
+            data = _data(key, record)
+            latest = max(latest, moment)
+            counted[kind] = number
+            yield (
+                "event",
+                {
+                    "uid": str(uuid.uuid5(uuid.UUID(descriptor), repr(tuple(key)))),
+                    "descriptor": descriptor,
+                    "seq_num": number,
+                    "time": moment,
+                    "data": data,
+                    "timestamps": dict.fromkeys(data, moment),
+                },
+            )
+    finished = parts[-1]["reason"] == "finished"
+    yield (
+        "stop",
+        {
+            "uid": str(uuid.uuid5(uuid.UUID(start), "stop")),
+            "run_start": start,
+            "time": latest,
+            "exit_status": "success" if finished else "abort",
+            "reason": str(parts[-1]["reason"] or "broken off without notice"),
+            "num_events": counted,
+        },
+    )
+
+
+def _descriptor(uid: str, start: str, kind: str, moment: float) -> dict[str, Any]:
+    names = [*Key._fields[1:], *(field.name for field in fields(Record))]
+    return {
+        "uid": uid,
+        "run_start": start,
+        "name": kind,
+        "time": moment,
+        "data_keys": {
+            name: {
+                "source": f"amulor:{name}",
+                "dtype": "string" if name == "polarization" else "number",
+                "shape": [],
+                **({"units": _UNITS[name]} if name in _UNITS else {}),
+            }
+            for name in names
+        },
+        "configuration": {},
+        "hints": {},
+        "object_keys": {"amulor": names},
+    }
+
+
+def _data(key: Key, record: Record) -> dict[str, Any]:
+    """Return what a sample holds, the kind apart, which is the stream."""
+    content = {**key._asdict(), **vars(record)}
+    del content["kind"]
+    return {
+        name: float("nan") if value is None else value
+        for name, value in content.items()
+    }
+
+
+def _moment(text: str) -> float:
+    """Return a time of the journal, counted from 1970 [s]."""
+    return datetime.datetime.fromisoformat(text).timestamp()
