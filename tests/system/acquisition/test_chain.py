@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from importlib.resources import files
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -34,10 +36,10 @@ class Quality:
     drift_uncertainty: float
 
 
-def quality(cube: xr.Dataset, truth: np.ndarray) -> Quality:
+def quality(cube: xr.Dataset, truth: np.ndarray, channel: str = "VH") -> Quality:
     """Return what the range image of a cube is worth, the truth being known."""
     target = rejection.open_water(cube)
-    image = imaging.range_image(target.sel(polarization=["VH"]))
+    image = imaging.range_image(target.sel(polarization=[channel]))
     good = (image["quality_flag"].values & UNUSABLE) == 0
     off = (image["slant_range"].values - truth)[good]
     stated = image["slant_range_uncertainty"].values[good]
@@ -63,12 +65,15 @@ class Broken:
         return False
 
 
-def acquired(survey: Survey, folder: Path, jitter: str, *, breaks: int) -> xr.Dataset:
+def acquired(
+    survey: Survey, folder: Path, jitter: str, *, breaks: int, **more: Any
+) -> xr.Dataset:
     """Return the cube of a scan that was broken off some times."""
     settings = Settings.model_validate(
         {
             "procedure": {"dark_readings": 2, "position_tolerance": "1 mrad"},
             "simulation": {"position_error": jitter},
+            **more,
         },
         context={"from_text": True},
     )
@@ -94,12 +99,12 @@ def planned(make: Callable[..., Survey], plan: tuple[int, int, int], size: int):
     return survey.with_({"scan.open_water": shots})
 
 
-def compare(survey: Survey, cube: xr.Dataset) -> None:
+def compare(survey: Survey, cube: xr.Dataset, channel: str = "VH") -> None:
     """Compare an acquired cube with simulated ones of its survey."""
     runs = [simulate(survey, rng=seed) for seed in range(3)]
     truth = runs[0]["truth_slant_range"].values
-    expected = [quality(run, truth) for run in runs]
-    found = quality(cube, truth)
+    expected = [quality(run, truth, channel) for run in runs]
+    found = quality(cube, truth, channel)
     trusted = [one.trusted for one in expected]
     pixels = truth.size
     # A binomial fraction, five standard errors wide, beside what the runs show.
@@ -132,6 +137,40 @@ def test_a_scan_by_a_scanner_that_jitters_is_worth_what_a_simulated_one_is(
 def test_plans_of_shots_and_jitters_with_breaks(sized, folder, plan, jitter) -> None:
     survey = planned(sized, plan, 8)
     compare(survey, acquired(survey, folder, jitter, breaks=2))
+
+
+SMALL = {
+    "scan.columns": 14,
+    "scan.rows": 8,
+    "scan.open_water": {"columns": 3, "rows": 2, "repeats": 6},
+}
+CIRCULAR = {"R": "45 deg", "L": "135 deg"}
+
+
+@pytest.mark.study
+@pytest.mark.parametrize(
+    ("name", "change", "channel"),
+    [
+        ("ladder_clear", {}, "VH"),
+        ("ladder_milk", {}, "VH"),
+        ("plate", {"instrument.modulation_frequencies": ["30 MHz", "41 MHz"]}, "VH"),
+        ("plate", {"instrument.polarizations": ["RR", "RL"]}, "RR"),
+        ("plate", {"scan.moves": "both"}, "VH"),
+        ("plate", {"scan.order": "serpentine", "water.scattering": "0.2 1/m"}, "VV"),
+    ],
+)
+def test_six_surveys_are_worth_as_much_as_their_simulations(
+    plate, folder, name, change, channel
+) -> None:
+    if name == "plate":
+        survey = plate
+    else:
+        examples = files("amulor.survey") / "examples"
+        survey = Survey.from_text((examples / f"{name}.toml").read_text("utf-8"))
+    survey = survey.with_({**SMALL, **change})
+    angles = {"V": "0 deg", "H": "90 deg", **CIRCULAR}
+    more = {"launch": {"angles": angles}, "analyser": {"angles": angles}}
+    compare(survey, acquired(survey, folder, "2e-5 rad", breaks=2, **more), channel)
 
 
 def test_commands_take_an_acquired_cube_to_a_point_cloud(
