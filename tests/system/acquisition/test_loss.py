@@ -27,6 +27,7 @@ from amulor.acquisition.journal.journal import Journal
 from amulor.acquisition.journal.record import Record
 from amulor.acquisition.plan import SCAN, Key
 from amulor.acquisition.settings import Settings
+from amulor.acquisition.simulated.scene import SceneLight
 from amulor.errors import AmulorError
 from amulor.simulation import scene_light
 from amulor.survey import Survey
@@ -41,22 +42,37 @@ FEW = Settings.model_validate({"procedure": {"dark_readings": 2}})
 # -- killed ----------------------------------------------------------------------------
 
 
-def _child(survey: Survey, folder: Path, told: int) -> None:
+def _known_light(survey: Survey) -> SceneLight:
+    """Return the light of a survey, worked out before any process was forked.
+
+    The library that casts rays has threads of its own, and a child has none of them: it
+    would wait for them for ever, now and then.
+    """
+    if survey not in _LIGHT:
+        _LIGHT[survey] = scene_light(survey)
+    return _LIGHT[survey]
+
+
+_LIGHT: dict[Survey, SceneLight] = {}
+
+
+def _child(survey: Survey, folder: Path, told: int, settings: Settings) -> None:
     """Scan in a process of its own and tell each acknowledged sample."""
-    numbers = {step.key: n for n, step in enumerate(plan.steps(survey, FEW.procedure))}
+    steps = plan.steps(survey, settings.procedure)
+    numbers = {step.key: n for n, step in enumerate(steps)}
 
     def tell(key: Key) -> None:
         os.write(told, struct.pack("i", numbers.get(key, -1)))
 
     acquisition.acquire(
-        survey, folder, settings=FEW, resume=(folder / FILE_NAME).exists(),
+        survey, folder, settings=settings, resume=(folder / FILE_NAME).exists(),
         acknowledged=tell,
-        scene=scene_light,
+        scene=_known_light,
     )  # fmt: skip
 
 
 def _killed(
-    survey: Survey, folder: Path, after: float, *, begun: bool
+    survey: Survey, folder: Path, after: float, *, begun: bool, settings: Settings
 ) -> tuple[list[int], bool]:
     """Return the samples that a scan acknowledged before it was killed.
 
@@ -67,7 +83,7 @@ def _killed(
     if child == 0:
         code = 1
         try:
-            _child(survey, folder, told_in)
+            _child(survey, folder, told_in, settings)
             code = 0
         finally:
             os._exit(code)
@@ -85,12 +101,14 @@ def _killed(
     return numbers, not ended
 
 
-def _kill_loop(survey: Survey, home: Path, kills: int) -> dict[str, int]:
+def _kill_loop(
+    survey: Survey, home: Path, kills: int, settings: Settings = FEW
+) -> dict[str, int]:
     rng = random.Random(7)
-    planned = [step.key for step in plan.steps(survey, FEW.procedure)]
+    planned = [step.key for step in plan.steps(survey, settings.procedure)]
     for name in ("first", "whole"):  # the first one loads compiled code, too
         start = time.monotonic()
-        acquisition.acquire(survey, home / name, settings=FEW, scene=scene_light)
+        acquisition.acquire(survey, home / name, settings=settings, scene=_known_light)
         whole = time.monotonic() - start
     counts = {"kills": 0, "acknowledged": 0, "folders": 0, "lost": 0, "twice": 0}
     while counts["kills"] < kills:
@@ -99,8 +117,9 @@ def _kill_loop(survey: Survey, home: Path, kills: int) -> dict[str, int]:
         acknowledged: list[int] = []
         while counts["kills"] < kills:
             numbers, was_killed = _killed(
-                survey, folder, rng.uniform(0, whole), begun=rng.random() < 0.75
-            )
+                survey, folder, rng.uniform(0, whole), begun=rng.random() < 0.75,
+                settings=settings,
+            )  # fmt: skip
             counts["kills"] += was_killed
             acknowledged += [number for number in numbers if number >= 0]
             counts["acknowledged"] += len(numbers)
@@ -114,7 +133,7 @@ def _kill_loop(survey: Survey, home: Path, kills: int) -> dict[str, int]:
         counts["twice"] += len(acknowledged) - len({*acknowledged})
         resume = (folder / FILE_NAME).exists()
         outcome = acquisition.acquire(
-            survey, folder, settings=FEW, resume=resume, scene=scene_light
+            survey, folder, settings=settings, resume=resume, scene=_known_light
         )
         assert outcome.finished
         with Journal.read(folder) as journal:
@@ -145,10 +164,35 @@ def test_ten_kills_lose_no_acknowledged_sample(tiny, folder) -> None:
 @needs_fork
 @pytest.mark.study
 @pytest.mark.filterwarnings("ignore:.*fork.*:DeprecationWarning")
-def test_two_hundred_kills_lose_no_acknowledged_sample(tiny, folder) -> None:
-    counts = _kill_loop(tiny, folder, 200)
-    print(counts)
-    assert counts["kills"] == 200
+@pytest.mark.parametrize(
+    ("name", "procedure", "faults"),
+    [
+        ("as it is", {}, ()),
+        ("without waiting for the filter", {"output_filter": "known"}, ()),
+        ("with faults", {}, ("unlock@9x2", "overload@15", "overload@40x2")),
+        ("two frequencies in four polarizations", {"references": 3}, ()),
+    ],
+    ids=lambda value: value if isinstance(value, str) else "",
+)
+def test_a_thousand_kills_lose_no_acknowledged_sample(
+    tiny, folder, name, procedure, faults
+) -> None:
+    settings = Settings.model_validate(
+        {
+            "procedure": {"dark_readings": 2, **procedure},
+            "simulation": {"faults": faults},
+        }
+    )
+    if "four" in name:
+        tiny = tiny.with_(
+            {
+                "instrument.modulation_frequencies": ["30 MHz", "41 MHz"],
+                "instrument.polarizations": ["VV", "VH", "HV", "HH"],
+            }
+        )
+    counts = _kill_loop(tiny, folder, 250, settings)
+    print(name, counts)
+    assert counts["kills"] == 250
     assert (counts["lost"], counts["twice"]) == (0, 0)
     assert counts["acknowledged"] > 2000
 
