@@ -64,11 +64,15 @@ def noise_scale(
         every = (slice(None), *one), (slice(None), *other)
         square = (path.residual[every[0]] - path.residual[every[1]])[:, both] ** 2
         first, second = (_expected(path.weight[e], error[e])[:, both] for e in every)
-        scores.append(square / (first + second))
+        left_out = (path.left_out[every[0]] | path.left_out[every[1]])[:, both]
+        scores.append(np.where(left_out, np.nan, square / (first + second)))
     score = np.concatenate(scores, axis=1)
     if score.shape[1] < _FEWEST:
         return 1.0
-    each = np.median(score, axis=1) / _MEDIAN
+    known = np.isfinite(score).sum(axis=1) >= _FEWEST
+    if not known.any():
+        return 1.0
+    each = np.nanmedian(score[known], axis=1) / _MEDIAN
     # That of n - 1 residuals is known beside the others; pairs overlap two by two.
     chance = _OF_MEDIAN * np.sqrt(2 / score.shape[1] / freedom)
     factor = float(np.mean(each))

@@ -89,14 +89,16 @@ def range_image(
     if joint:
         ranges = ranges_of_joint(one, interval=interval)
     else:
-        if one.sizes["modulation_frequency"] > 1:
-            factor = noise_scale(
-                _settled_path(one, interval, leave_out=False),
-                own_phase_errors(one),
-                modulation_frequency=one["modulation_frequency"].values,
-            )
+        path = _settled_path(one, interval)
+        factor = noise_scale(
+            path,
+            own_phase_errors(one),
+            modulation_frequency=one["modulation_frequency"].values,
+        )
+        if factor > 1:
             one = with_noise_scaled(one, factor)
-        ranges = ranges_of_path(one, _settled_path(one, interval))
+            path = _settled_path(one, interval)
+        ranges = ranges_of_path(one, path)
     image = _image(one, ranges, interval=interval)
     reason = "" if interval is not None else _unsettled(one)
     if reason:
@@ -110,10 +112,7 @@ def range_image(
 
 
 def _settled_path(
-    one: xr.Dataset,
-    interval: tuple[float, float] | None,
-    *,
-    leave_out: bool = True,
+    one: xr.Dataset, interval: tuple[float, float] | None
 ) -> ambiguity.Path:
     """Return the optical path that fits the phases of a channel best."""
     frequency = one["modulation_frequency"].values
@@ -137,12 +136,9 @@ def _settled_path(
             shortest=shortest,
             longest=longest,
             doubt=doubt,
-            leave_out=leave_out,
         )
 
     path = path_of(phase, doubt)
-    if not leave_out:
-        return path
     late = dispersion(
         one,
         np.where(usable, first_ranges(one, path), np.nan),

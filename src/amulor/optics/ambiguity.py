@@ -60,7 +60,6 @@ def optical_path(
     shortest: Floats,
     longest: Floats,
     doubt: Floats | float = 0.0,
-    leave_out: bool = True,
 ) -> Path:
     """Return the optical path that fits the phases at all frequencies best.
 
@@ -75,8 +74,6 @@ def optical_path(
     doubt : ndarray or float
         Phase errors that the frequencies may have beyond their uncertainty, such as
         water signal left in; they excuse disagreement and change nothing else [rad].
-    leave_out : bool
-        Whether phases that disagree with all others are left out.
 
     Returns
     -------
@@ -114,7 +111,7 @@ def optical_path(
     )
     path = _best_path(known)
     unsettled = np.isfinite(path.length) & ~path.settled
-    if leave_out and len(modulation_frequency) > 2 and unsettled.any():
+    if len(modulation_frequency) > 2 and unsettled.any():
         _leave_out(path, unsettled, known)
     return path
 

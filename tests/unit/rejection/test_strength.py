@@ -1,0 +1,119 @@
+"""Water that is stronger than its shots is told by phases that disagree."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from amulor.rejection.covariance import Covariance
+from amulor.rejection.quality import channels_disagree
+from amulor.rejection.reference.strength import DEPARTURE, strength_of
+
+SPEED = 299792458.0
+SHAPE = (12, 20)
+
+
+def _scan(
+    seed: int, *, frequency: np.ndarray, channels: list[float], change: float
+) -> tuple[np.ndarray, np.ndarray, Covariance, Covariance, np.ndarray]:
+    """Return what is left of a wall when its water is understated by `change`."""
+    rng = np.random.default_rng(seed)
+    path = 5.0 + 0.2 * rng.random(SHAPE)
+    turn = 2j * np.pi * frequency[:, None, None, None] / SPEED
+    target = np.array(channels)[:, None, None] * np.exp(turn * path)
+    # Water from before the target, as much of it in every channel.
+    water = 0.4 * np.exp(turn * 2.0) / (1 + frequency[:, None, None, None] / 40e6)
+    water = np.broadcast_to(water, target.shape)
+    noise = 1e-3
+    left = target + change * water
+    left = left + noise * rng.standard_normal(left.shape)
+    left = left + 1j * noise * rng.standard_normal(left.shape)
+    own = np.full(left.shape, noise**2)
+    none = np.zeros(left.shape)
+    return (
+        left,
+        water,
+        Covariance(own, own, none),
+        Covariance(none, none, none),
+        path + 0.01,
+    )
+
+
+@settings(max_examples=20)
+@given(
+    seed=st.integers(0, 2**32 - 1),
+    change=st.floats(-0.1, 0.1),
+    case=st.sampled_from(
+        [
+            (np.array([50e6]), [1.0, 0.3]),
+            (np.array([20e6, 80e6]), [1.0]),
+            (np.array([20e6, 50e6, 80e6]), [1.0, 0.3]),
+        ]
+    ),
+)
+def test_the_change_is_found_within_its_own_error(
+    seed: int, change: float, case: tuple[np.ndarray, list[float]]
+) -> None:
+    frequency, channels = case
+    left, water, own, common, path = _scan(
+        seed, frequency=frequency, channels=channels, change=change
+    )
+    found = strength_of(
+        left, water, own, common, modulation_frequency=frequency, path=path
+    )
+    # First order in the change: of a tenth a hundredth is of second order.
+    assert abs(found.change - change) < 5 * found.uncertainty + change**2
+    assert found.uncertainty < 0.006
+
+
+def test_one_sample_a_pixel_tells_nothing() -> None:
+    frequency = np.array([50e6])
+    left, water, own, common, path = _scan(
+        1, frequency=frequency, channels=[1.0], change=0.08
+    )
+    found = strength_of(
+        left, water, own, common, modulation_frequency=frequency, path=path
+    )
+    assert (found.change, found.uncertainty) == (0.0, DEPARTURE)
+
+
+def test_errors_that_pixels_share_do_not_average_out() -> None:
+    frequency = np.array([20e6, 80e6])
+    left, water, own, _, path = _scan(
+        1, frequency=frequency, channels=[1.0], change=0.0
+    )
+    size = np.full(left.shape, (0.01) ** 2)
+    shared = Covariance(size, size, np.zeros(size.shape))
+    found = strength_of(
+        left, water, own, shared, modulation_frequency=frequency, path=path
+    )
+    # A hundredth of the target, of water that is 0.27 of it at 20 MHz.
+    assert found.uncertainty > 0.01
+
+
+def test_spikes_do_not_move_the_change() -> None:
+    frequency = np.array([20e6, 50e6, 80e6])
+    left, water, own, common, path = _scan(
+        2, frequency=frequency, channels=[1.0], change=0.05
+    )
+    rng = np.random.default_rng(5)
+    left[rng.random(left.shape) < 0.03] *= 1.5j
+    found = strength_of(
+        left, water, own, common, modulation_frequency=frequency, path=path
+    )
+    assert found.change == pytest.approx(0.05, abs=0.004)
+
+
+def test_channels_see_one_distance() -> None:
+    frequency = np.array([50e6])
+    left, _, own, _, _ = _scan(1, frequency=frequency, channels=[1.0, 0.3], change=0)
+    assert not channels_disagree(left, own).any()
+    left[0, 1, 4, 7] *= np.exp(0.1j)
+    marked = channels_disagree(left, own)
+    assert marked[0, :, 4, 7].all()
+    assert marked.sum() == 2
+    # What half of the pixels have in common is no spike.
+    left[0, 1, :6] *= np.exp(0.1j)
+    assert not channels_disagree(left, own).any()
