@@ -27,10 +27,10 @@ _DIRECTIONS, _DISTANCES = 5, 16
 #: Natural waters are 0.52 to 0.83 times as late as a Henyey-Greenstein function of
 #: their asymmetry, Petzold's eight stations and Fournier-Forand functions [1].
 _LEAST_PART = 0.5
+#: Relative standard uncertainty of how the delay falls with the frequency [1].
+_DISPERSION_UNCERTAINTY = 0.3
 #: Asymmetries of the Henyey-Greenstein functions that are as late as those waters [1].
 _ASYMMETRIES = (0.90, 0.98)
-#: Relative standard uncertainty of the differences between frequencies [1].
-_UNEVEN = 0.3
 #: Below this asymmetry small angles do not describe the light [1].
 _LEAST_ASYMMETRY = 0.6
 
@@ -99,8 +99,6 @@ def late_light(
         )
     except SurveyError as error:
         return _unknown(nothing, str(error))
-    if len(known) == 1:
-        lowest = _LEAST_PART * highest
     if not np.all(np.isfinite(lowest[usable]) & np.isfinite(highest[usable])):
         return _unknown(nothing, "the receiver looks past some of the echoes")
     middle = np.where(usable, (lowest + highest) / 2, 0.0)
@@ -163,7 +161,7 @@ def dispersion(
     )
     turn = np.nan_to_num(to_phase * (lowest + highest) / 2)
     spread = np.nan_to_num(to_phase * (highest - lowest) / 2)
-    return turn, np.hypot(_UNEVEN * turn, spread)
+    return turn, np.hypot(_DISPERSION_UNCERTAINTY * turn, spread)
 
 
 def _unknown(nothing: Floats, why: str) -> LateLight:
@@ -229,6 +227,8 @@ def _between(
         found.append(
             np.moveaxis(delay, -1, 0).reshape(*weight.shape[:-1], *usable.shape)
         )
+    if len(found) == 1:
+        found.append(_LEAST_PART * found[0])
     return np.min(found, axis=0), np.max(found, axis=0)
 
 
