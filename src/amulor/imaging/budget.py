@@ -11,7 +11,11 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from amulor.cube.terms import RANGE_PREFIX, TERMS, Term
-from amulor.imaging.calibration import CALIBRATION_TERMS, calibration_terms
+from amulor.imaging.calibration import (
+    CALIBRATION_TERMS,
+    calibration_terms,
+    joint_instrument_terms,
+)
 from amulor.imaging.late_light import late_light
 from amulor.imaging.ranges import Ranges
 from amulor.survey import Survey
@@ -43,7 +47,9 @@ def completed(
     """
     seen = np.where(ranges.usable, ranges.slant_range, np.nan)
     light = late_light(one, seen, survey=survey, weight=ranges.weight)
-    shared = calibration_terms(one, ranges.path, ranges.slope, survey=survey)
+    ranges, shared = _without_instrument(one, ranges)
+    # What the survey states wins over what the estimation took for lack of it.
+    shared |= calibration_terms(one, ranges.path, ranges.slope, survey=survey)
     unknown = _unknown_of_water(one)
     unknown += [name for name in CALIBRATION_TERMS if name not in shared]
     others = dict(ranges.others)
@@ -75,6 +81,26 @@ def completed(
         ),
         attributes,
     )
+
+
+def _without_instrument(
+    one: xr.Dataset, ranges: Ranges
+) -> tuple[Ranges, dict[str, Floats]]:
+    """Return ranges less what a joint estimation put in for the instrument, and that.
+
+    It counts delay, index and place of the receiver in the common error of its ranges.
+    """
+    terms = joint_instrument_terms(one, ranges.path, ranges.slope)
+    if not terms or ranges.common is None:
+        return ranges, {}
+    known = np.sum([term**2 for term in terms.values()], axis=0)
+    with np.errstate(invalid="ignore"):
+        common, total = (
+            np.sqrt(np.maximum(values**2 - known, 0.0))
+            for values in (ranges.common, ranges.total)
+        )
+    divided = {**ranges.terms, "water_model": common}
+    return replace(ranges, common=common, total=total, terms=divided), terms
 
 
 def _unknown_of_water(one: xr.Dataset) -> list[str]:

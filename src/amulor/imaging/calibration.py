@@ -69,6 +69,41 @@ def calibration_terms(
     return terms
 
 
+def joint_instrument_terms(
+    one: xr.Dataset, path: Floats, slope: Floats
+) -> dict[str, Floats]:
+    """Return what a joint estimation has counted for the instrument, term by term.
+
+    Parameters
+    ----------
+    one : xarray.Dataset
+        Level `target_signal`; its attributes that begin with `joint_` count.
+    path, slope : ndarray, shape (row, column)
+        As in `calibration_terms`.
+
+    Returns
+    -------
+    dict of str to ndarray
+        As `calibration_terms`; empty if no joint estimation says so. The place of the
+        receiver counts to the right and down.
+    """
+    names = (
+        "joint_delay_uncertainty_s",
+        "joint_group_index_uncertainty",
+        "joint_receiver_position_uncertainty_m",
+    )
+    if "joint_slant_range" not in one or any(name not in one.attrs for name in names):
+        return {}
+    delay, index, place = (float(one.attrs[name]) for name in names)
+    terms = {
+        "delay": slope * speed_of_light * delay,
+        "group_index": _by_index(one, path, index),
+        "geometry": _by_geometry(one, path, place=place, turn=0.0, axes=2),
+    }
+    stated = {"delay": delay, "group_index": index, "geometry": place}
+    return {name: term for name, term in terms.items() if stated[name] > 0}
+
+
 def _index_uncertainty(survey: Survey, calibration: Calibration) -> float | None:
     """Return the standard uncertainty of the group index, None if not known."""
     if calibration.group_index_uncertainty is not None:
@@ -118,12 +153,14 @@ def _by_index(one: xr.Dataset, path: Floats, uncertainty: float) -> Floats:
     return np.abs(ends[0] - ends[1]) / (2 * step) * uncertainty
 
 
-def _by_geometry(one: xr.Dataset, path: Floats, *, place: float, turn: float) -> Floats:
+def _by_geometry(
+    one: xr.Dataset, path: Floats, *, place: float, turn: float, axes: int = 3
+) -> Floats:
     """Return the error of the range by receiver's place and beams' direction."""
     beam, receiver, medium = beams_of(one), receivers_of(one), medium_of(one)
     total = np.zeros(path.shape)
     if place > 0:
-        for axis in np.eye(3):
+        for axis in np.eye(3)[:axes]:
             ends = [
                 rays.slant_range_of_path(
                     path, beam, receiver + side * place * axis, medium=medium

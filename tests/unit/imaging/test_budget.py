@@ -399,3 +399,45 @@ def test_what_shots_leave_open_is_not_known(text):
     assert np.isinf(target.attrs["open_water_drift_uncertainty"]).any()
     image = imaging.range_image(target, polarization="VH")
     assert image.attrs["uncertainty_unknown"].split()[0] == "drift"
+
+
+def test_what_a_joint_estimation_counts_of_the_instrument_counts_once(target, text):
+    cube = joint_cube(target)
+    plain = imaging.range_image(cube)
+    # The same errors, with those of the instrument in the common part.
+    stated = CALIBRATION.format(delay=0.1, place=5, turn=0, index=0.002)
+    terms = terms_of(imaging.range_image(surveyed(cube, text + stated)))
+    instrument = sum(
+        np.nan_to_num(terms[name]) ** 2 for name in ("delay", "group_index")
+    )
+    for name in ("uncertainty", "common_uncertainty"):
+        values = cube[f"joint_slant_range_{name}"].values
+        cube[f"joint_slant_range_{name}"].values[...] = np.sqrt(values**2 + instrument)
+    cube = cube.assign_attrs(
+        joint_delay_uncertainty_s=1e-10,
+        joint_group_index_uncertainty=0.002,
+        joint_receiver_position_uncertainty_m=0.0,
+    )
+    usable = plain["slant_range"].notnull().values
+    image = imaging.range_image(cube)
+    assert image.attrs["uncertainty_unknown"] == "geometry"
+    found = terms_of(image)
+    for name in ("delay", "group_index"):
+        assert_allclose(found[name][usable], terms[name][usable], rtol=1e-5)
+    assert_allclose(found["water_model"][usable], 3e-4, rtol=1e-3)
+    for name in ("uncertainty", "common_uncertainty"):
+        assert_allclose(
+            image[f"slant_range_{name}"].values[usable],
+            cube[f"joint_slant_range_{name}"].values[usable],
+            rtol=1e-6,
+        )
+    # A survey that knows the delay better takes the place of what was assumed.
+    known = text + '[calibration]\ndelay_uncertainty = "0.01 ns"\n'
+    better = imaging.range_image(surveyed(cube, known))
+    assert_allclose(
+        terms_of(better)["delay"][usable], found["delay"][usable] / 10, rtol=1e-6
+    )
+    assert np.all(
+        better["slant_range_uncertainty"].values[usable]
+        < 0.6 * image["slant_range_uncertainty"].values[usable]
+    )
