@@ -94,7 +94,11 @@ def _without_instrument(
     if not terms or ranges.common is None:
         return ranges, {}
     known = np.sum([term**2 for term in terms.values()], axis=0)
-    with np.errstate(invalid="ignore"):
+    with np.errstate(invalid="ignore", divide="ignore"):
+        # Its derivatives and those here differ in their last digits.
+        scale = np.fmin(ranges.common / np.sqrt(known), 1.0)
+        terms = {name: term * scale for name, term in terms.items()}
+        known = known * scale**2
         common, total = (
             np.sqrt(np.maximum(values**2 - known, 0.0))
             for values in (ranges.common, ranges.total)
