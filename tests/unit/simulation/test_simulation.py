@@ -12,6 +12,7 @@ from amulor.errors import SurveyError
 from amulor.optics import small_angle_diffusion
 from amulor.simulation import simulate
 from amulor.survey import Survey, water_properties
+from amulor.survey.counting import integration_time
 from amulor.survey.view import kernel_arguments, medium, view
 
 #: A survey without any noise.
@@ -283,3 +284,22 @@ def test_a_survey_without_open_water_stays_without(plate: Survey) -> None:
     assert Survey.from_text(survey.to_toml()) == survey
     assert simulate(survey, rng=np.int64(3)).amulor.open_water is None
     assert simulate(survey, rng=np.int64(3)).attrs["seed"] == 3
+
+
+def test_an_output_that_sees_no_light_is_uncertain_by_one_photoelectron(
+    plate_text: str,
+) -> None:
+    # Water that keeps polarization altogether: the crossed channel sees none of it.
+    survey = Survey.from_text(plate_text).with_(
+        {"water.backscatter_mueller": [1, -1, -1], "instrument.detector.dark_rate": 0.0}
+    )
+    cube = simulate(survey, rng=1)
+    shots = cube["open_water_in_phase_uncertainty"].sel(polarization="VH").values
+    detector, scan = survey.instrument.detector, survey.scan
+    # Five time constants settle, the rest of the dwell counts; 2 / T for an amplitude.
+    time = integration_time(survey)
+    assert 0 < time <= scan.dwell
+    one = 2 * detector.excess_noise_factor / time * (1 / time)
+    volt = detector.volt_per_photoelectron_rate
+    # The phase floor adds its part, of almost nothing.
+    assert_allclose(shots, volt * np.sqrt(one), rtol=1e-4)
