@@ -15,8 +15,8 @@ from amulor.optics import rays
 from amulor.rejection.build import target_cube
 from amulor.rejection.covariance import Covariance, covariance_of
 from amulor.rejection.joint.frame import Frame
-from amulor.rejection.joint.instrument import Instrument, range_variance
-from amulor.rejection.joint.priors import Shared
+from amulor.rejection.joint.instrument import Instrument, late_echo, range_variance
+from amulor.rejection.joint.priors import DECISIVE, Shared
 from amulor.rejection.joint.solve import Result
 
 Floats = NDArray[np.float64]
@@ -25,8 +25,6 @@ Floats = NDArray[np.float64]
 _WRONG = 3e-4
 #: A p-value of the samples below this says that the model is wrong [1].
 _DISAGREEMENT = 1e-4
-#: Twice the logarithm of odds beyond which the model's departures are real [1].
-_DECISIVE = 10.0
 #: Departures matter when they move a path by this much of its uncertainty [1].
 _MATTERS = 0.3
 #: Step of the optical path for the derivative of the slant range [m].
@@ -47,6 +45,8 @@ class Scan:
     """Of the pixels, flat [rad]."""
     enough: NDArray[np.bool_]
     """Pixels with usable samples at two frequencies, flat."""
+    span: float
+    """Difference of the longest and the shortest optical path [m]."""
 
 
 def cube_of(
@@ -102,20 +102,26 @@ def cube_of(
 
     slant_range = np.where(detected, to_range(path), np.nan)
     slope = (to_range(path + _DIFFERENCE) - to_range(path)) / _DIFFERENCE
+    known = range_variance(instrument, path, beam, frame.receiver, frame.medium)
+    depth = over_pixels([part.depth for part in parts])
+    late = late_echo(np.where(detected, depth, np.nan), shared.shape.spread)
+    known = known + (instrument.late_echo * late) ** 2
     shared_variance = over_pixels([part.shared_variance for part in parts])
     information = over_pixels([part.estimates.information for part in parts])
     with np.errstate(divide="ignore", invalid="ignore"):
         own = 1 / np.sqrt(information)
         sigma = np.hypot(own, np.sqrt(shared_variance))
         departure = over_pixels([part.departure for part in parts])
-        matters = departure > _MATTERS * sigma
+        matters = slope * departure > _MATTERS * np.hypot(slope * sigma, np.sqrt(known))
     freedom, cost, p_value = _misfit(parts, detected, rows_columns)
     flag = np.zeros(rows_columns, dtype=np.int16)
     wrong = over_pixels([part.estimates.wrong for part in parts])
     flag[detected & (wrong > _WRONG)] |= QualityFlag.AMBIGUOUS
+    if _intervals_look_alike(shared, frame.phase_per_path, scan.span):
+        flag[detected] |= QualityFlag.AMBIGUOUS
     contradicted = p_value < _DISAGREEMENT
     flag[contradicted] |= QualityFlag.WATER_RESIDUAL
-    if shared.evidence > _DECISIVE:
+    if shared.evidence > DECISIVE:
         flag[detected & matters] |= QualityFlag.WATER_RESIDUAL
     flag[~detected] |= QualityFlag.NO_TARGET
     flag[~scan.enough.reshape(rows_columns)] |= QualityFlag.NO_TARGET
@@ -134,7 +140,6 @@ def cube_of(
         flags[cube["saturated"].values != 0] |= QualityFlag.SATURATED
     flags[missing] = QualityFlag.MISSING
     target["quality_flag"].values[...] = flags
-    known = range_variance(instrument, path, beam, frame.receiver, frame.medium)
     seen = known[detected & np.isfinite(known)]
     target.attrs["joint_instrument_uncertainty_m"] = float(
         np.sqrt(np.median(seen)) if seen.size else 0.0
@@ -161,6 +166,22 @@ def cube_of(
     maps = {name: np.where(usable, values, np.nan) for name, values in ranges.items()}
     maps["misfit"] = cost / np.maximum(freedom, 1)
     return target.assign(_variables(maps))
+
+
+def _intervals_look_alike(shared: Shared, rate: Floats, span: float) -> bool:
+    """Return whether another interval is within the departures that the scan shows.
+
+    The paths of all pixels were moved into one by them.
+    """
+    width = shared.widths[2]
+    if shared.evidence <= DECISIVE or not span > 0:
+        return False
+    # From half a period of the highest frequency on, in small steps.
+    period = 2 * np.pi / rate.max()
+    shift = np.arange(0.5 * period, max(span, period) + period, period / 48)
+    turned = np.exp(1j * rate * shift[:, None])
+    apart = np.sum(np.abs(turned - 1) ** 2, axis=1) / width**2
+    return bool(np.any(apart < -2 * np.log(_WRONG)))
 
 
 def _variables(maps: dict[str, Floats]) -> dict[str, xr.Variable]:
@@ -208,8 +229,10 @@ def _attributes(shared: Shared, instrument: Instrument) -> dict[str, Any]:
         "joint_forward_scattering_per_m": forward,
         "joint_forward_scattering_uncertainty_per_m": forward * errors[channels + 2],
         "joint_fluctuation": shared.fluctuation,
+        "joint_shot_strength": shared.shot_factor,
         "joint_noise_scale": shared.noise_scale,
         "joint_receiver_turn_rad": shared.shape.turn,
+        "joint_late_echo_uncertainty": instrument.late_echo,
         "joint_delay_uncertainty_s": instrument.delay,
         "joint_group_index_uncertainty": instrument.group_index,
         "joint_receiver_position_uncertainty_m": instrument.position,

@@ -17,6 +17,7 @@ from amulor.rejection.joint.instrument import (
     DELAY,
     DIRECTION,
     GROUP_INDEX,
+    LATE_ECHO,
     POSITION,
     Instrument,
 )
@@ -49,6 +50,7 @@ def joint(
     group_index_uncertainty: float = GROUP_INDEX,
     receiver_position_uncertainty: float = POSITION,
     receiver_direction_uncertainty: float = DIRECTION,
+    late_echo_uncertainty: float = LATE_ECHO,
 ) -> xr.Dataset:
     r"""Estimate target and water signal together, by maximum likelihood.
 
@@ -76,6 +78,10 @@ def joint(
     receiver_direction_uncertainty : float, optional
         Standard uncertainty of the axis of the receiver in azimuth and elevation
         [rad]; 1 degree by default.
+    late_echo_uncertainty : float, optional
+        Standard uncertainty of how late the echo is by scattering on its way, over the
+        mean detour that the estimated spread of the light would make [1]; 0.5 by
+        default, 0 where `echo_transfer` holds it or the range of the echo is asked for.
 
     Returns
     -------
@@ -109,12 +115,15 @@ def joint(
     stand for what the model does not know; their uncertainty is part of that of the
     result. A random change of the water signal from sample to sample is estimated from
     the scatter. Light that is scattered on its way to the target arrives late; what
-    `echo_transfer` does not hold of that is in the slant range.
+    `echo_transfer` does not hold of that is in the slant range, and in its uncertainty.
 
-    What the samples cannot tell widens the intervals: delay, group index and place of
-    the receiver move all ranges together (`slant_range_common_uncertainty`). The
-    direction of the receiver is estimated with its prior, and the scale of the stated
-    noise from differences between neighbouring pixels; see decision 11.
+    Open-water shots may be of other water: their strength and, at each frequency, a
+    departure from the water of the scan have priors whose widths the data choose.
+    What the samples cannot tell widens the intervals: delay, group index, place of
+    the receiver and late echoes move all ranges together
+    (`slant_range_common_uncertainty`). The direction of the receiver is estimated with
+    its prior, and the scale of the stated noise from differences between neighbouring
+    pixels; see decision 11.
 
     Flags: `NO_TARGET` where open water explains the samples about as well;
     `AMBIGUOUS` where another interval is likelier than 3e-4; `WATER_RESIDUAL` where
@@ -135,6 +144,7 @@ def joint(
         group_index=group_index_uncertainty,
         position=receiver_position_uncertainty,
         direction=receiver_direction_uncertainty,
+        late_echo=late_echo_uncertainty,
     )
     signal, errors, usable = flat(cube)
     refuse_errors_of_zero(errors, usable)
@@ -186,7 +196,8 @@ def joint(
         solve(frame, pixels(slice(begin, begin + _AT_ONCE)), shared, transfer)
         for begin in range(0, len(signal), _AT_ONCE)
     ]
-    scan = Scan(cube, frame, azimuth, elevation, enough)
+    span = float((some.longest - some.shortest).max())
+    scan = Scan(cube, frame, azimuth, elevation, enough, span)
     return cube_of(scan, parts, shared, instrument)
 
 

@@ -62,6 +62,8 @@ class Fitted:
     """Optical paths; infinite for open water [m]."""
     amplitude: Floats
     """Amplitude of the target in each channel, 0 for open water [V]."""
+    is_shot: bool = False
+    """Whether they are open-water shots, which may be of other water."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -109,6 +111,8 @@ def modelled(
     depth, water, slope = water_at(pixels, fitted.path, state.table, phase_per_path)
     front = foreground(pixels, state.table, phase_per_path)
     water_signal = state.water_signal(water, front)
+    if fitted.is_shot:
+        water_signal = state.shot_signal(water_signal, front)
     is_target = np.isfinite(fitted.path)
     path = np.where(is_target, fitted.path, 0.0)
     echo = np.exp(1j * path[:, None] * phase_per_path) * transfer
@@ -161,11 +165,16 @@ def normal_equations(
     if state.fluctuation > 0:
         deviation = state.fluctuation * parts.water_signal
     is_target = np.isfinite(fitted.path)
+    base = parts.water[:, None] + state.departure * parts.foreground[:, None]
+    changes = shape_changes(pixels, parts.depth, state.table, phase_per_path)
+    if fitted.is_shot:
+        base = state.shot_factor * base
+        changes = state.shot_factor * changes
     derivatives = Derivatives(
         residual=parts.residual,
         weight=weight(pixels, deviation, state.noise_scale),
-        base=parts.water[:, None] + state.departure * parts.foreground[:, None],
-        changes=shape_changes(pixels, parts.depth, state.table, phase_per_path),
+        base=base,
+        changes=changes,
         foreground=parts.foreground,
         echo=parts.echo,
         slope=parts.slope,
@@ -178,6 +187,7 @@ def normal_equations(
         phase_per_path=phase_per_path,
         first_departure=layout.blocks[1].start,
         first_echo=layout.blocks[2].start,
+        first_doubt=layout.doubt.start if fitted.is_shot and layout.doubts else -1,
         is_free=used == layout.size,
     )
     sums = Sums(

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 from dataclasses import dataclass
 
 import numpy as np
@@ -14,8 +13,8 @@ from amulor.rejection.joint.table import Table
 
 Floats = NDArray[np.float64]
 Complex = NDArray[np.complex128]
-#: Standard deviations of correction, departure and echo [1].
-Widths = tuple[float, float, float]
+#: Standard deviations of correction, departure, echo and of the shots' departure [1].
+Widths = tuple[float, float, float, float]
 
 #: Weak knowledge of natural waters: centre and standard deviation of the logarithms of
 #: k' [1/m], b_f <theta^2> [rad^2/m] and b_f [1/m]; a factor of 7 either way.
@@ -28,10 +27,17 @@ _TRIED = (
     (1e-3, 0.01, 0.03, 0.1, 0.3, 1.0),
     (1e-6, 3e-4, 1e-3, 3e-3, 0.01, 0.03, 0.1),
     (1e-6, 3e-4, 1e-3, 3e-3, 0.01, 0.03),
+    (1e-6, 3e-4, 1e-3, 3e-3, 0.01, 0.03, 0.1, 1.0),
 )
+#: The strength of the shots may be off by this much more than their shape [1].
+_STRENGTH = 30.0
+#: Where the search for the widths starts: a model that is right, and one that is not.
+_STARTS: tuple[Widths, ...] = ((1e-3, 1e-6, 1e-6, 1e-6), (0.1, 3e-3, 1e-3, 0.01))
 
+#: Twice the logarithm of odds beyond which the model's departures are real [1].
+DECISIVE = 10.0
 #: No widths yet.
-NONE: Widths = (0.0, 0.0, 0.0)
+NONE: Widths = (0.0, 0.0, 0.0, 0.0)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -50,6 +56,11 @@ class Shared:
     [1]."""
     echo: Complex
     """Relative departure of the target's echo from a delay, (frequency,) [1]."""
+    shot_change: float
+    """Logarithm of the strength of the open-water shots over that of the scan [1]."""
+    shot_departure: Complex
+    """Departure of the shots from the water of the scan, over the strength, (channel,
+    frequency); empty where they are not doubted [1]."""
     fluctuation: float
     """Relative random change of the water signal from sample to sample [1]."""
     noise_scale: float
@@ -94,6 +105,32 @@ class Shared:
         )
 
     @property
+    def shot_factor(self) -> float:
+        """Strength of the open-water shots over that of the scan [1]."""
+        return float(np.exp(self.shot_change))
+
+    def shot_signal(self, water_signal: Complex, foreground: Complex) -> Complex:
+        """Return the signal of open-water shots, which may be of other water [V].
+
+        Parameters
+        ----------
+        water_signal : ndarray of complex, shape (pixel, channel, frequency)
+            That of the water of the scan [V].
+        foreground : ndarray of complex, shape (pixel, frequency)
+            Light of unit strength from in front of all targets [1].
+
+        Returns
+        -------
+        ndarray of complex
+            With its change of strength and its departure.
+        """
+        signal: Complex = self.shot_factor * water_signal
+        if self.shot_departure.size:
+            own = self.strength[:, None] * self.shot_departure
+            signal = signal + own * foreground[:, None]
+        return signal
+
+    @property
     def foreground(self) -> Complex:
         """Light from in front of all targets, (channel, frequency) [V]."""
         return self.strength[:, None] * self.departure
@@ -103,7 +140,13 @@ def layout_of(state: Shared) -> Layout:
     """Return where the parameters of a state stand."""
     channels, frequencies = state.departure.shape
     shape = state.shape
-    return Layout(channels, frequencies, len(shape.knots), len(shape.turn))
+    return Layout(
+        channels,
+        frequencies,
+        len(shape.knots),
+        len(shape.turn),
+        bool(state.shot_departure.size),
+    )
 
 
 @dataclass(frozen=True)
@@ -114,6 +157,7 @@ class Layout:
     frequencies: int
     knots: int
     turns: int = 0
+    doubts: bool = False
 
     @property
     def strength(self) -> slice:
@@ -151,7 +195,14 @@ class Layout:
     @property
     def size(self) -> int:
         """Number of parameters."""
-        return int(self.blocks[2].stop)
+        return int(self.doubt.stop)
+
+    @property
+    def doubt(self) -> slice:
+        """Departure of the shots from the water of the scan, and their strength."""
+        begin = self.blocks[2].stop
+        count = 2 * self.channels * self.frequencies + 1 if self.doubts else 0
+        return slice(begin, begin + count)
 
 
 def whitened(weights: Floats, values: Complex) -> Floats:
@@ -198,10 +249,18 @@ def prior_of(state: Shared, layout: Layout, widths: Widths) -> tuple[Floats, Flo
         np.concatenate([state.departure.real.ravel(), state.departure.imag.ravel()]),
         np.concatenate([state.echo.real, state.echo.imag]),
     )
-    for block, width, values in zip(layout.blocks, widths, current, strict=True):
+    for block, width, values in zip(layout.blocks, widths[:3], current, strict=True):
         if width > 0:
             precision[block] = width**-2
         origin[block] = values
+    if layout.doubts:
+        own = state.shot_departure
+        origin[layout.doubt] = np.concatenate(
+            [own.real.ravel(), own.imag.ravel(), [state.shot_change]]
+        )
+        if widths[3] > 0:
+            precision[layout.doubt] = widths[3] ** -2
+            precision[layout.size - 1] = (_STRENGTH * widths[3]) ** -2
     return precision, origin
 
 
@@ -228,25 +287,37 @@ def widths_of(
 
     def value(widths: Widths) -> float:
         if widths not in known:
-            known[widths] = _cost_of(matrix, vector, state, layout, widths)
+            known[widths] = cost_of(matrix, vector, state, layout, widths)
         return known[widths]
 
-    if state.widths == NONE:
-        chosen = min(((a, b, c) for a, b, c in itertools.product(*_TRIED)), key=value)
-    else:
-        chosen, before = state.widths, NONE
+    def best(start: Widths, free: tuple[int, ...]) -> Widths:
+        """Return the widths with the highest evidence, one after the other."""
+        chosen, before = start, NONE
         while chosen != before:
             before = chosen
-            a, b, c = chosen
-            a = min(_TRIED[0], key=lambda width: value((width, b, c)))
-            b = min(_TRIED[1], key=lambda width: value((a, width, c)))
-            c = min(_TRIED[2], key=lambda width: value((a, b, width)))
-            chosen = (a, b, c)
-    plain = min(value((width, _TRIED[1][0], _TRIED[2][0])) for width in _TRIED[0])
-    return chosen, plain - value(chosen)
+            for k in free:
+                tried = [_with(chosen, k, width) for width in _TRIED[k]]
+                chosen = min(tried, key=value)
+        return chosen
+
+    # Doubt falls on the shots first: they were taken at another time.
+    every: tuple[int, ...] = (3, 0, 1, 2) if layout.doubts else (0, 1, 2)
+    starts = _STARTS if state.widths == NONE else (state.widths,)
+    chosen = min((best(start, every) for start in starts), key=value)
+    # The shots may be of other water, the model of the water be right for all that.
+    harmless = tuple(k for k in every if k in (0, 3))
+    plain = best((chosen[0], _TRIED[1][0], _TRIED[2][0], chosen[3]), harmless)
+    return chosen, value(plain) - value(chosen)
 
 
-def _cost_of(
+def _with(widths: Widths, place: int, width: float) -> Widths:
+    """Return widths with another one in a place."""
+    changed = list(widths)
+    changed[place] = width
+    return changed[0], changed[1], changed[2], changed[3]
+
+
+def cost_of(
     matrix: Floats, vector: Floats, state: Shared, layout: Layout, widths: Widths
 ) -> float:
     """Return minus twice the logarithm of the evidence, but for a constant."""

@@ -27,6 +27,8 @@ _GOLDEN, _SECTIONS = 0.618, 7
 _REAL = 9.0
 #: Pixels that are looked at, and fewer than have neighbours to compare with.
 _JUDGED, _FEWEST_NEIGHBOURS = 384, 12
+#: Pixels whose distances count as alike.
+_ALIKE = 24
 _TINY = 1e-300
 
 
@@ -88,7 +90,12 @@ class Scatter:
 
 
 def scatter_of(
-    state: Shared, groups: list[Fitted], *, transfer: Complex, phase_per_path: Floats
+    state: Shared,
+    groups: list[Fitted],
+    *,
+    transfer: Complex,
+    phase_per_path: Floats,
+    neighbours: bool = True,
 ) -> Scatter:
     r"""Return the scale of the noise and the fluctuation that explain the scatter.
 
@@ -102,6 +109,9 @@ def scatter_of(
         What the echo has beyond its delay, as known [1].
     phase_per_path : ndarray
         2 pi f / c_0 of each frequency [rad/m].
+    neighbours : bool, optional
+        Whether only what differs between neighbours is random. If not, all that the
+        model leaves is, such as a drift that follows the distance.
 
     Returns
     -------
@@ -117,7 +127,9 @@ def scatter_of(
     next, what the model does not know is the same in both and passes for no noise.
     """
     parts = [
-        _part_of(state, group, transfer=transfer, phase_per_path=phase_per_path)
+        _part_of(
+            state, group, neighbours, transfer=transfer, phase_per_path=phase_per_path
+        )
         for group in groups
     ]
 
@@ -165,6 +177,8 @@ class _Part:
     """Derivatives by amplitudes and path, (pixel, channel, frequency, own)."""
     freedom: int
     """Outputs that count, less the pixels' own parameters."""
+    neighbours: bool
+    """Whether only what differs between neighbours is random."""
 
     def sums(self, ratio: float) -> tuple[float, float, float]:
         """Return squares of differences, degrees of freedom, log determinants.
@@ -190,7 +204,7 @@ class _Part:
             volume += float(
                 np.sum(np.linalg.slogdet(gram)[1] + 2 * np.log(size).sum(1))
             )
-        if count < _FEWEST_NEIGHBOURS:
+        if not self.neighbours or count < _FEWEST_NEIGHBOURS:
             return float(np.sum(left**2)), self.freedom, volume
         # Two samples that both count; the others have no weight and no difference.
         usable = np.repeat(self.pixels.usable.reshape(count, -1), 2, axis=1)
@@ -200,8 +214,26 @@ class _Part:
         return square / max(share, 1e-9), self.freedom, volume
 
 
+def _mixed(order: NDArray[np.intp], is_target: NDArray[np.bool_]) -> NDArray[np.intp]:
+    """Return pixels at similar distances, one after the other by chance.
+
+    Open water is at one distance. What drifts through the scan counts as random.
+    """
+    rng = np.random.default_rng(0)
+    targets, others = order[is_target[order]], order[~is_target[order]]
+    blocks = np.array_split(targets, max(len(targets) // _ALIKE, 1))
+    return np.concatenate(
+        [*(rng.permutation(block) for block in blocks), rng.permutation(others)]
+    )
+
+
 def _part_of(
-    state: Shared, group: Fitted, *, transfer: Complex, phase_per_path: Floats
+    state: Shared,
+    group: Fitted,
+    neighbours: bool,
+    *,
+    transfer: Complex,
+    phase_per_path: Floats,
 ) -> _Part:
     """Return what the scatter of a group of pixels is judged by."""
     model = modelled(state, group, transfer=transfer, phase_per_path=phase_per_path)
@@ -210,7 +242,7 @@ def _part_of(
     is_target = np.isfinite(group.path)
     few = np.linspace(0, count - 1, min(count, _JUDGED)).astype(np.intp)
     key = np.where(is_target, group.path, pixels.longest.max() + np.arange(count))
-    order = few[np.argsort(key[few], kind="stable")]
+    order = _mixed(few[np.argsort(key[few], kind="stable")], is_target)
     own = np.zeros((count, channels, frequencies, 0), dtype=complex)
     if is_target.any():
         own = np.zeros((count, channels, frequencies, channels + 1), dtype=complex)
@@ -229,4 +261,5 @@ def _part_of(
         water_signal=model.water_signal[order],
         own=own[order],
         freedom=used - (channels + 1) * int(is_target[order].sum()),
+        neighbours=neighbours,
     )

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,10 +12,12 @@ from amulor.rejection.joint.model import foreground, water_at
 from amulor.rejection.joint.normal import Fitted, Normal, normal_equations
 from amulor.rejection.joint.pixels import Pixels, weight
 from amulor.rejection.joint.priors import (
+    DECISIVE,
     NONE,
     Layout,
     Shared,
     Widths,
+    cost_of,
     inverse_of,
     layout_of,
     prior_of,
@@ -45,6 +47,9 @@ _SETTLED = 0.02
 _FEW_TRIALS = 3
 #: How often the fluctuation is estimated anew, unless it changes by less than this [1].
 _ROUNDS, _STEADY = 4, 0.02
+#: Prior standard deviations that the receiver may be turned by: further off, it is the
+#: water that is not as the model has it [1].
+_FURTHEST = 3.0
 #: Pixels that settle the coefficients before the departures are looked for.
 _FIRST = 256
 
@@ -90,54 +95,55 @@ def fit(
     are eliminated at every step (Schur complement). The widths of the priors maximise
     the evidence in Laplace's approximation, so they vanish where the model is right.
     """
-    shape, strength = start(frame, targets, shots, transfer=transfer, deepest=deepest)
-    channels, frequencies = targets.signal.shape[1:]
-    if turn_width > 0:
-        shape = replace(shape, turn=np.zeros(2))
-    state = Shared(
-        shape=shape,
-        table=frame.table(shape, deepest=deepest),
-        strength=strength,
-        departure=np.zeros((channels, frequencies), dtype=complex),
-        echo=np.zeros(frequencies, dtype=complex),
-        fluctuation=0.0,
-        noise_scale=1.0,
-        turn_width=turn_width,
-        covariance=np.zeros((0, 0)),
-        parametric=np.zeros((0, 0)),
-        widths=NONE,
-        evidence=0.0,
-        misfit=np.nan,
-    )
-    few = np.linspace(0, len(targets) - 1, min(_FIRST, len(targets))).astype(np.intp)
-    problem = _Problem(frame, targets.part(few), shots, transfer, deepest)
-    state, _ = problem.descend(state, _PARAMETRIC_STEPS, free=False)
     problem = _Problem(frame, targets, shots, transfer, deepest)
-    kept, paths = problem.inliers(state)
-    if not kept.all():
-        some = targets.part(np.flatnonzero(kept))
-        problem = _Problem(frame, some, shots, transfer, deepest)
-        paths = paths[kept]
-    state, paths = problem.descend(state, _PARAMETRIC_STEPS, free=False, paths=paths)
+    by_shots = shots is not None
+    found = _followed(problem, turn_width, by_shots=by_shots)
+    if not len(targets) or found.state.evidence <= DECISIVE:
+        return found.state
+    # A drift that follows the distance looks like a model that is wrong.
+    other = _followed(problem, turn_width, by_shots=by_shots, neighbours=False)
+    judge = problem.part(np.flatnonzero(found.kept & other.kept))
+    return min((found.state, other.state), key=judge.cost)
+
+
+@dataclass(frozen=True)
+class _Found:
+    """Where a search has ended."""
+
+    state: Shared
+    """What the pixels share."""
+    kept: NDArray[np.bool_]
+    """Pixels that had a say."""
+
+
+def _followed(
+    whole: _Problem, turn_width: float, *, by_shots: bool, neighbours: bool = True
+) -> _Found:
+    """Return where the search ends: departures, and what is random in the samples."""
+    state, paths, kept = whole.begin(turn_width, by_shots=by_shots)
+    problem = whole.part(np.flatnonzero(kept))
+    frame, deepest = problem.frame, problem.deepest
     knots = frame.quantiles(state.shape, _KNOTS)
     free_shape = replace(state.shape, knots=knots, correction=np.zeros(len(knots)))
     state = replace(
-        state, shape=free_shape, table=frame.table(free_shape, deepest=deepest)
+        state,
+        shape=free_shape,
+        table=frame.table(free_shape, deepest=deepest),
     )
-    state, paths = problem.descend(state, _FREE_STEPS, free=True, paths=paths)
-    # Only what no departure explains is a fluctuation; looked at before, a model that
-    # is wrong would pass for one.
-    for _ in range(_ROUNDS):
-        scatter = problem.scatter(state, problem.local(state, paths))
+    for number in range(_ROUNDS):
+        scatter = problem.scatter(
+            state, problem.local(state, paths), neighbours=neighbours
+        )
         level, scale = scatter.fluctuation, scatter.noise_scale
         if (
-            abs(level - state.fluctuation) <= _STEADY * level
+            number
+            and abs(level - state.fluctuation) <= _STEADY * level
             and abs(scale - state.noise_scale) <= _STEADY * scale
         ):
             break
-        state = replace(state, fluctuation=level, noise_scale=scale)
+        state = replace(state, fluctuation=level, noise_scale=scale, widths=NONE)
         state, paths = problem.descend(state, _FREE_STEPS, free=True, paths=paths)
-    return state
+    return _Found(state, kept)
 
 
 class _Problem:
@@ -156,6 +162,70 @@ class _Problem:
         self.shots = shots
         self.transfer = transfer
         self.deepest = deepest
+
+    def part(self, which: NDArray[np.intp], *, shots: bool = True) -> _Problem:
+        """Return the problem with some of the pixels, with or without the shots."""
+        some = self.targets.part(which)
+        chosen = self.shots if shots else None
+        return _Problem(self.frame, some, chosen, self.transfer, self.deepest)
+
+    def begin(
+        self, turn_width: float, *, by_shots: bool
+    ) -> tuple[Shared, Floats, NDArray[np.bool_]]:
+        """Return coefficients without departures, paths, and who is no outlier.
+
+        From the open-water shots and the samples, or from the samples alone.
+        """
+        every = np.arange(len(self.targets))
+        chosen = self.shots if by_shots else None
+        shape, strength = start(
+            self.frame, self.targets, chosen, transfer=self.transfer,
+            deepest=self.deepest,
+        )  # fmt: skip
+        channels, frequencies = self.targets.signal.shape[1:]
+        doubts = channels if self.shots is not None and len(every) else 0
+        if turn_width > 0:
+            shape = replace(shape, turn=np.zeros(2))
+        state = Shared(
+            shape=shape,
+            table=self.frame.table(shape, deepest=self.deepest),
+            strength=strength,
+            departure=np.zeros((channels, frequencies), dtype=complex),
+            echo=np.zeros(frequencies, dtype=complex),
+            shot_change=0.0,
+            shot_departure=np.zeros((doubts, frequencies), dtype=complex),
+            fluctuation=0.0,
+            noise_scale=1.0,
+            turn_width=turn_width,
+            covariance=np.zeros((0, 0)),
+            parametric=np.zeros((0, 0)),
+            widths=NONE,
+            evidence=0.0,
+            misfit=np.nan,
+        )
+        few = every[np.linspace(0, len(every) - 1, min(_FIRST, len(every))).astype(int)]
+        problem = self.part(few, shots=by_shots)
+        state, _ = problem.descend(state, _PARAMETRIC_STEPS, free=False)
+        kept, paths = self.part(every, shots=by_shots).inliers(state)
+        problem = self.part(np.flatnonzero(kept), shots=by_shots)
+        state, paths = problem.descend(
+            state, _PARAMETRIC_STEPS, free=False, paths=paths[kept]
+        )
+        return state, paths, kept
+
+    def cost(self, state: Shared) -> float:
+        """Return minus twice the logarithm of the evidence, but for a constant."""
+        layout = layout_of(state)
+        estimates = self.local(state, None)
+        normal = self.normal(state, estimates, layout, layout.size)
+        own = cost_of(normal.matrix, normal.vector, state, layout, state.widths)
+        volume = 0.0
+        for group in self.groups(estimates):
+            deviation = self.deviation(state, group.pixels, group.path)
+            inverse = weight(group.pixels, deviation, state.noise_scale)
+            square = inverse[:, :, 0] * inverse[:, :, 2] - inverse[:, :, 1] ** 2
+            volume -= float(np.sum(np.log(square[square > 0])))
+        return normal.square + own + volume
 
     def descend(
         self, state: Shared, steps: int, *, free: bool, paths: Floats | None = None
@@ -215,13 +285,23 @@ class _Problem:
         # Logarithms of coefficients: no more than a factor of e at once.
         bounded[:COEFFICIENTS] = np.clip(bounded[:COEFFICIENTS], -1, 1)
         shape = state.shape.moved(bounded)
+        limit = _FURTHEST * state.turn_width
+        shape = replace(shape, turn=np.clip(shape.turn, -limit, limit))
         channels, frequencies = state.departure.shape
         _, water, echo = layout.blocks
         water_step = full[water].reshape(2, channels, frequencies)
         echo_step = full[echo].reshape(2, frequencies)
+        shot_change, shot_departure = state.shot_change, state.shot_departure
+        if layout.doubts:
+            own = full[layout.doubt]
+            parts = own[:-1].reshape(2, channels, frequencies)
+            shot_change = shot_change + float(np.clip(own[-1], -1, 1))
+            shot_departure = shot_departure + parts[0] + 1j * parts[1]
         return replace(
             state,
             shape=shape,
+            shot_change=shot_change,
+            shot_departure=shot_departure,
             table=self.frame.table(shape, deepest=self.deepest),
             strength=np.maximum(state.strength + full[layout.strength], 0.0),
             departure=state.departure + water_step[0] + 1j * water_step[1],
@@ -271,7 +351,7 @@ class _Problem:
         if self.shots is not None:
             count = len(self.shots)
             none = np.zeros((count, amplitude.shape[1]))
-            groups.append(Fitted(self.shots, np.full(count, np.inf), none))
+            groups.append(Fitted(self.shots, np.full(count, np.inf), none, True))
         return [group for group in groups if len(group.pixels)]
 
     def normal(
@@ -290,13 +370,16 @@ class _Problem:
             )
         return total
 
-    def scatter(self, state: Shared, estimates: Estimates) -> Scatter:
+    def scatter(
+        self, state: Shared, estimates: Estimates, *, neighbours: bool = True
+    ) -> Scatter:
         """Return what explains the scatter from pixel to pixel."""
         return scatter_of(
             state,
             self.groups(estimates),
             transfer=self.transfer,
             phase_per_path=self.frame.phase_per_path,
+            neighbours=neighbours,
         )
 
     def inliers(self, state: Shared) -> tuple[NDArray[np.bool_], Floats]:

@@ -88,7 +88,7 @@ def solve(frame: Frame, pixels: Pixels, shared: Shared, transfer: Complex) -> Re
         where=estimates.information > 0,
     )
     basic = slopes[:, layout.parametric]
-    free = slice(layout.blocks[1].start, layout.size)
+    free = slice(layout.blocks[1].start, layout.blocks[2].stop)
     moved = np.abs(slopes[:, free] @ _free_parameters(shared))
     unsure = _variance(slopes[:, free], shared.covariance[free, free])
     return Result(

@@ -20,12 +20,14 @@ from amulor.survey import Survey
 
 Sweep = Callable[..., Survey]
 INTERVAL = (0.8, 4.0)
-#: Joint estimation with an instrument that is what the survey says, to the last bit.
+#: Joint estimation with an instrument that is what the survey says, to the last bit,
+#: and light that is not late: so it is simulated.
 joint = functools.partial(
     rejection.joint,
     delay_uncertainty=0.0,
     group_index_uncertainty=0.0,
     receiver_position_uncertainty=0.0,
+    late_echo_uncertainty=0.0,
 )
 
 

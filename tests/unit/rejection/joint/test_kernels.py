@@ -123,8 +123,9 @@ def summed() -> Results:
         is_target=np.arange(PIXELS) % 3 > 0,
     )
     found: Results = {}
-    for is_free in (False, True):
+    for is_free, doubts in ((False, False), (True, False), (True, True)):
         size = used if is_free else first
+        size += 2 * CHANNELS * FREQUENCIES + 1 if doubts else 0
         sums = Sums(np.zeros((2, size, size)), np.zeros((2, size)), np.zeros(2))
         parameters = Parameters(
             strength=rng.uniform(1, 2, CHANNELS),
@@ -132,10 +133,11 @@ def summed() -> Results:
             phase_per_path=rng.uniform(1, 3, FREQUENCIES),
             first_departure=first,
             first_echo=first + 2 * CHANNELS * FREQUENCIES,
+            first_doubt=used if doubts else -1,
             is_free=is_free,
         )
         accumulate(0, 2, derivatives, parameters, sums)
-        found |= named(f"normal, free {is_free}", sums)
+        found |= named(f"normal, free {is_free}, shots {doubts}", sums)
     root = rng.standard_normal((CHANNELS, FREQUENCIES, shapes + 3, shapes + 3))
     water = WaterModel(
         strength=rng.random(CHANNELS),

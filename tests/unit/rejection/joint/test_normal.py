@@ -10,7 +10,10 @@ from amulor.rejection.joint._kernels.bundles import Derivatives, Parameters, Sum
 from amulor.rejection.joint._kernels.normal import accumulate
 
 
-def test_normal_equations_are_those_of_the_written_out_least_squares() -> None:
+@pytest.mark.parametrize("doubts", [False, True])
+def test_normal_equations_are_those_of_the_written_out_least_squares(
+    doubts: bool,
+) -> None:
     rng = np.random.default_rng(8)
     count, channels, frequencies, parameters = 3, 2, 4, 2
 
@@ -28,7 +31,8 @@ def test_normal_equations_are_those_of_the_written_out_least_squares() -> None:
     weight[:, :, 1] -= 1.5
     first_departure = channels + parameters
     first_echo = first_departure + 2 * channels * frequencies
-    used = first_echo + 2 * frequencies
+    first_doubt = first_echo + 2 * frequencies
+    used = first_doubt + (2 * channels * frequencies + 1 if doubts else 0)
     sums = Sums(np.zeros((2, used, used)), np.zeros((2, used)), np.zeros(2))
     derivatives = Derivatives(
         residual=left,
@@ -47,6 +51,7 @@ def test_normal_equations_are_those_of_the_written_out_least_squares() -> None:
         phase_per_path=rate,
         first_departure=first_departure,
         first_echo=first_echo,
+        first_doubt=first_doubt if doubts else -1,
         is_free=True,
     )
     accumulate(0, 2, derivatives, shared, sums)
@@ -61,8 +66,14 @@ def test_normal_equations_are_those_of_the_written_out_least_squares() -> None:
                 at = first_departure + c * frequencies + f
                 row[at] = strength[c] * foreground[n, f]
                 row[at + channels * frequencies] = 1j * strength[c] * foreground[n, f]
-                row[first_echo + f] = amplitude[n, c] * echo[n, f]
-                row[first_echo + frequencies + f] = 1j * amplitude[n, c] * echo[n, f]
+                late = amplitude[n, c] * echo[n, f]
+                row[first_echo + f] = late
+                row[first_echo + frequencies + f] = 1j * late
+                if doubts:
+                    at = first_doubt + c * frequencies + f
+                    row[at] = strength[c] * foreground[n, f]
+                    row[at + channels * frequencies] = 1j * row[at]
+                    row[used - 1] = strength[c] * base[n, c, f]
                 full = echo[n, f] * factor[f]
                 mine = np.zeros(channels + 1, dtype=complex)
                 mine[c] = full

@@ -203,6 +203,8 @@ class Parameters(NamedTuple):
     """Index of the first departure of the water signal."""
     first_echo: int
     """Index of the first departure of the echo."""
+    first_doubt: int
+    """Index of the first departure of open-water shots; -1 for other samples."""
     is_free: bool
     """Whether the departures are parameters too."""
 

@@ -64,7 +64,8 @@ def _fill_row(
     """Fill in the derivatives of a sample: one row of the Jacobian.
 
     By the strength of its channel, the shape of the water signal and, where they are
-    free, the departures of water and echo, real and imaginary.
+    free, the departures of water and echo, real and imaginary; for open-water shots
+    also by departures of their own and their strength over that of the scan.
     """
     parameter, values = row.parameter, row.values
     channels, frequencies = derivatives.base.shape[1], derivatives.base.shape[2]
@@ -83,6 +84,13 @@ def _fill_row(
         values[at + 1] = 1j * values[at]
         values[at + 2] = derivatives.amplitude[n, c] * derivatives.echo[n, f]
         values[at + 3] = 1j * values[at + 2]
+        if parameters.first_doubt >= 0:
+            parameter[at + 4] = parameters.first_doubt + c * frequencies + f
+            parameter[at + 5] = parameter[at + 4] + channels * frequencies
+            parameter[at + 6] = parameters.first_doubt + 2 * channels * frequencies
+            values[at + 4] = values[at]
+            values[at + 5] = values[at + 1]
+            values[at + 6] = parameters.strength[c] * values[0]
 
 
 @inner(fastmath=LANES, forceinline=True)
@@ -228,7 +236,9 @@ def accumulate(
     """
     count, portions = derivatives.residual.shape[0], sums.matrix.shape[0]
     channels, shapes = derivatives.residual.shape[1], derivatives.changes.shape[1]
-    columns = 1 + shapes + (4 if parameters.is_free else 0)
+    columns = 1 + shapes
+    if parameters.is_free:
+        columns += 7 if parameters.first_doubt >= 0 else 4
     row = _Row(
         np.empty(columns, dtype=np.int64),
         np.zeros(columns, dtype=np.complex128),
