@@ -50,6 +50,8 @@ _ROUNDS, _STEADY = 4, 0.02
 #: Prior standard deviations that the receiver may be turned by: further off, it is the
 #: water that is not as the model has it [1].
 _FURTHEST = 3.0
+#: A model whose chi-square over its degrees of freedom is below this fits [1].
+_FITS = 1.2
 #: Pixels that settle the coefficients before the departures are looked for.
 _FIRST = 256
 
@@ -97,6 +99,13 @@ def fit(
     """
     problem = _Problem(frame, targets, shots, transfer, deepest)
     by_shots = shots is not None
+    if not by_shots:
+        # Is there a target at all? Not where water alone explains every sample.
+        nothing = targets.part(slice(0, 0))
+        water = _Problem(frame, nothing, targets, transfer, deepest)
+        empty = _followed(water, turn_width, by_shots=True).state
+        if empty.evidence <= DECISIVE and empty.misfit < _FITS:
+            return empty
     found = _followed(problem, turn_width, by_shots=by_shots)
     if not len(targets) or found.state.evidence <= DECISIVE:
         return found.state

@@ -8,6 +8,7 @@ import pytest
 from amulor.rejection import joint
 from amulor.simulation import simulate
 from amulor.simulation.models import SmallAngleModel
+from amulor.studies.trust.scenes import models
 from amulor.studies.trust.surveys import survey
 
 WATER = {"absorption": 0.15, "scattering": 0.35, "asymmetry": 0.95, "split_angle": 15.0}
@@ -40,3 +41,10 @@ def test_empty_water_of_another_model_ends_without_a_target(
     )
     # Of 48 pixels 0.05 lie beyond five standard errors by chance.
     assert np.count_nonzero(trusted.all(axis=(0, 1))) == 0
+
+
+def test_water_without_a_target_and_without_shots_shows_no_wall() -> None:
+    case = models.empty(2, 1)
+    names = [n for n in case.samples.data_vars if str(n).startswith("open_water")]
+    found = joint(case.samples.drop_vars(names), interval=case.interval)
+    assert not np.isfinite(found["joint_slant_range"].values).any()
