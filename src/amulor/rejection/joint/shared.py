@@ -54,6 +54,9 @@ _FURTHEST = 3.0
 _FITS = 1.2
 #: Pixels that settle the coefficients before the departures are looked for.
 _FIRST = 256
+#: Pixels and steps that tell whether a scan is mostly water, and the fraction of the
+#: square of its samples that water must leave unexplained at most.
+_LOOK, _LOOK_STEPS, _MOSTLY = 64, 3, 0.02
 
 
 def fit(
@@ -103,9 +106,10 @@ def fit(
         # Is there a target at all? Not where water alone explains every sample.
         nothing = targets.part(slice(0, 0))
         water = _Problem(frame, nothing, targets, transfer, deepest)
-        empty = _followed(water, turn_width, by_shots=True).state
-        if empty.evidence <= DECISIVE and empty.misfit < _FITS:
-            return empty
+        if water.may_be_all(turn_width):
+            empty = _followed(water, turn_width, by_shots=True).state
+            if empty.evidence <= DECISIVE and empty.misfit < _FITS:
+                return empty
     found = _followed(problem, turn_width, by_shots=by_shots)
     if not len(targets) or found.state.evidence <= DECISIVE:
         return found.state
@@ -185,17 +189,45 @@ class _Problem:
 
         From the open-water shots and the samples, or from the samples alone.
         """
+        state = self.first(turn_width, by_shots=by_shots)
         every = np.arange(len(self.targets))
+        few = every[np.linspace(0, len(every) - 1, min(_FIRST, len(every))).astype(int)]
+        problem = self.part(few, shots=by_shots)
+        state, _ = problem.descend(state, _PARAMETRIC_STEPS, free=False)
+        kept, paths = self.part(every, shots=by_shots).inliers(state)
+        problem = self.part(np.flatnonzero(kept), shots=by_shots)
+        state, paths = problem.descend(
+            state, _PARAMETRIC_STEPS, free=False, paths=paths[kept]
+        )
+        return state, paths, kept
+
+    def may_be_all(self, turn_width: float) -> bool:
+        """Return whether shots, of which some are looked at, are mostly water."""
+        assert self.shots is not None
+        count = len(self.shots)
+        which = np.unique(np.linspace(0, count - 1, min(_LOOK, count)).astype(np.intp))
+        some = self.shots.part(which)
+        few = _Problem(self.frame, self.targets, some, self.transfer, self.deepest)
+        state = few.first(turn_width, by_shots=True)
+        layout = layout_of(state)
+        dark = replace(state, strength=np.zeros_like(state.strength))
+        power = few.normal(dark, few.local(dark, None), layout, layout.rigid).square
+        state, paths = few.descend(state, _LOOK_STEPS, free=False)
+        rest = few.normal(state, few.local(state, paths), layout, layout.rigid).square
+        return rest < _MOSTLY * power
+
+    def first(self, turn_width: float, *, by_shots: bool) -> Shared:
+        """Return the first guess, without departures."""
         chosen = self.shots if by_shots else None
         shape, strength = start(
             self.frame, self.targets, chosen, transfer=self.transfer,
             deepest=self.deepest,
         )  # fmt: skip
         channels, frequencies = self.targets.signal.shape[1:]
-        doubts = channels if self.shots is not None and len(every) else 0
+        doubts = channels if self.shots is not None and len(self.targets) else 0
         if turn_width > 0:
             shape = replace(shape, turn=np.zeros(2))
-        state = Shared(
+        return Shared(
             shape=shape,
             table=self.frame.table(shape, deepest=self.deepest),
             strength=strength,
@@ -212,15 +244,6 @@ class _Problem:
             evidence=0.0,
             misfit=np.nan,
         )
-        few = every[np.linspace(0, len(every) - 1, min(_FIRST, len(every))).astype(int)]
-        problem = self.part(few, shots=by_shots)
-        state, _ = problem.descend(state, _PARAMETRIC_STEPS, free=False)
-        kept, paths = self.part(every, shots=by_shots).inliers(state)
-        problem = self.part(np.flatnonzero(kept), shots=by_shots)
-        state, paths = problem.descend(
-            state, _PARAMETRIC_STEPS, free=False, paths=paths[kept]
-        )
-        return state, paths, kept
 
     def cost(self, state: Shared) -> float:
         """Return minus twice the logarithm of the evidence, but for a constant."""
