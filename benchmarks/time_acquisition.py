@@ -46,9 +46,12 @@ def measured(survey: Survey, output_filter: str | None) -> tuple[float, float]:
 
 
 def main() -> None:
-    """Print the two ways beside each other, for a dwell of 10 and of 100 ms."""
+    """Print the two ways beside each other, and add the figures to the history."""
+    import history
+
     base = Survey.from_toml(EXAMPLE)
     print("dwell    constant  settled          known filter")
+    figures: dict[str, float] = {}
     for dwell, constant in (
         ("10 ms", "2 ms"),
         ("100 ms", "20 ms"),
@@ -66,11 +69,12 @@ def main() -> None:
                 "scan.open_water.repeats": 2,
             }
         )
-        shown = [
-            f"{part:5.1%} ({1e3 * wall:.1f} ms)"
-            for part, wall in (measured(survey, None), measured(survey, "known"))
-        ]
+        both = (measured(survey, None), measured(survey, "known"))
+        shown = [f"{part:5.1%} ({1e3 * wall:.1f} ms)" for part, wall in both]
+        for name, (part, _) in zip(("settled", "known filter"), both, strict=True):
+            figures[f"{name}, dwell {dwell}, constant {constant}"] = part
         print(f"{dwell:<9}{constant:<10}{shown[0]:<17}{shown[1]}")
+    history.append("time_acquisition", figures)
 
 
 if __name__ == "__main__":

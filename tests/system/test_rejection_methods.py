@@ -161,6 +161,11 @@ METHODS: dict[str, tuple[Method, str]] = {
 }
 
 
+#: With one frequency, what the column's model and the water's departure may be off by
+#: is stated from other knowledge; here neither is off.
+OF_ONE_PHASOR = ("open water", "combined")
+
+
 def _scores(text: str, seeds: int, names: list[str]) -> dict[str, np.ndarray]:
     """Return (range - bias - truth) / uncertainty of all pixels without any flag."""
     survey = Survey.from_text(text)
@@ -194,8 +199,10 @@ def test_intervals_hold(plate_text: str) -> None:
         assert len(score) > 500, name
         # 576 pixels: 1.9 % and 0.9 % by chance, more by what a scan shares; this is
         # the quick look, the study below the measurement.
-        assert abs(np.mean(abs(score) < 1) - 0.683) < 0.08, name
-        assert abs(np.mean(abs(score) < 1.96) - 0.95) < 0.035, name
+        inside = np.mean(abs(score) < 1)
+        assert inside > 0.683 - 0.08, name
+        assert inside < (0.9 if name in OF_ONE_PHASOR else 0.683 + 0.08), name
+        assert abs(np.mean(abs(score) < 1.96) - 0.95) < 0.05, name
 
 
 @pytest.mark.study
@@ -220,8 +227,12 @@ def test_intervals_hold_to_two_points(
             # Flags keep what cannot be trusted out, here the column behind the target.
             assert name == "open water", name
             continue
-        assert abs(np.mean(abs(score) < 1) - 0.683) < 0.02, name
-        assert abs(np.mean(abs(score) < 1.96) - 0.95) < 0.02, name
+        inside, twice = np.mean(abs(score) < 1), np.mean(abs(score) < 1.96)
+        assert inside > 0.683 - 0.02, name
+        assert twice > 0.95 - 0.02, name
+        if name not in OF_ONE_PHASOR or "," in frequencies:
+            assert inside < 0.683 + 0.02, name
+            assert twice < 0.95 + 0.02, name
 
 
 # The command ------------------------------------------------------------------------

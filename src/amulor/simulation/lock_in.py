@@ -91,9 +91,10 @@ def sample(
     )
     light = target + Light(water.modulated * change, water.mean * np.maximum(change, 0))
     rate = counting.full_rate(survey) * light.mean
-    variance = counting.counting_variance(
-        survey, rate=rate, integration_time=counting.integration_time(survey)
-    )
+    time = counting.integration_time(survey)
+    # Who counts nothing does not know that there is nothing, but for one photoelectron.
+    counted = np.maximum(rate, 1 / time - detector.dark_rate)
+    variance = counting.counting_variance(survey, rate=counted, integration_time=time)
     noise = np.sqrt(variance) * (
         rng.standard_normal(variance.shape) + 1j * rng.standard_normal(variance.shape)
     )

@@ -71,22 +71,15 @@ def counting_variance(
     -------
     ndarray
         Variance of the peak amplitude, of the shape of the rate [V^2].
-
-    Notes
-    -----
-    Nobody who counts nothing knows that there is nothing: the variance is never below
-    that of one photoelectron in the integration time.
     """
     detector = survey.instrument.detector
-    dark_rate = detector.dark_rate
-    rate = np.maximum(np.asarray(rate, dtype=float), 1 / integration_time - dark_rate)
     return np.asarray(
         detector.volt_per_photoelectron_rate**2
         * detection.quadrature_variance(
             rate,
             integration_time=integration_time,
             excess_noise_factor=detector.excess_noise_factor,
-            dark_rate=dark_rate,
+            dark_rate=detector.dark_rate,
         )
     )
 

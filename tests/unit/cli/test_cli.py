@@ -59,7 +59,9 @@ def test_the_chain_of_commands_leaves_every_level(folder: Path) -> None:
     }
     history = io.read_cube(folder / "cloud.nc").attrs["history"].splitlines()
     for line, step in zip(
-        history, ("simulate", "reject", "image", "point cloud"), strict=True
+        history,
+        ("simulate", "reject", "image", "mixed", "outliers", "point cloud"),
+        strict=True,
     ):
         assert step in line
     assert "data:image/png" in (folder / "report.html").read_text()

@@ -39,15 +39,19 @@ def _outcome(distance: np.ndarray, sigma: float, *, flagged: int = 0) -> Outcome
         {
             "slant_range": (pixel, distance),
             "slant_range_uncertainty": (pixel, np.full(SHAPE, sigma)),
-            "quality_flag": (pixel, np.zeros(SHAPE, dtype=np.int16)),
+            "quality_flag": (pixel, flag),
         },
         attrs={"polarization": "VV"},
     )
     target = xr.Dataset(
-        {"quality_flag": (("modulation_frequency", "polarization", *pixel),
-                          flag[None, None])},
+        {
+            "quality_flag": (
+                ("modulation_frequency", "polarization", *pixel),
+                np.zeros((1, 1, *SHAPE), dtype=np.int16),
+            )
+        },
         coords={"polarization": ["VV"]},
-    )  # fmt: skip
+    )
     return Outcome(target=target, image=image, note="")
 
 
