@@ -14,11 +14,8 @@ from amulor.rejection.joint import shared as joint_shared
 from amulor.rejection.joint.cube import Scan, cube_of
 from amulor.rejection.joint.frame import frame_of
 from amulor.rejection.joint.instrument import (
-    DELAY,
     DIRECTION,
-    GROUP_INDEX,
     LATE_ECHO,
-    POSITION,
     Instrument,
 )
 from amulor.rejection.joint.pixels import Pixels
@@ -46,11 +43,11 @@ def joint(
     *,
     interval: tuple[float, float] | None = None,
     echo_transfer: NDArray[np.complex128] | None = None,
-    delay_uncertainty: float = DELAY,
-    group_index_uncertainty: float = GROUP_INDEX,
-    receiver_position_uncertainty: float = POSITION,
+    delay_uncertainty: float = 0.0,
+    group_index_uncertainty: float = 0.0,
+    receiver_position_uncertainty: float = 0.0,
     receiver_direction_uncertainty: float = DIRECTION,
-    late_echo_uncertainty: float = LATE_ECHO,
+    late_echo_uncertainty: float | None = None,
 ) -> xr.Dataset:
     r"""Estimate target and water signal together, by maximum likelihood.
 
@@ -68,20 +65,21 @@ def joint(
         the spread of its arrival times, if it is known [1]; 1 by default.
     delay_uncertainty : float, optional
         Standard uncertainty of the delay of the instrument, which all channels share
-        [s]; 0.1 ns by default, that of an instrument whose zero was never measured.
+        [s]. By default this and the next two are not counted here: a range image counts
+        what the survey's `[calibration]` states, and says what nobody states.
     group_index_uncertainty : float, optional
-        Standard uncertainty of the group index of the water [1]; 0.002 by default,
-        half of what it changes by from fresh to salt water.
+        Standard uncertainty of the group index of the water [1].
     receiver_position_uncertainty : float, optional
-        Standard uncertainty of the receiver's place to the right and down [m]; 5 mm by
-        default. Where it stands forward of the emitter is part of the delay.
+        Standard uncertainty of the receiver's place to the right and down [m]. Where it
+        stands forward of the emitter is part of the delay.
     receiver_direction_uncertainty : float, optional
         Standard uncertainty of the axis of the receiver in azimuth and elevation
         [rad]; 1 degree by default.
     late_echo_uncertainty : float, optional
         Standard uncertainty of how late the echo is by scattering on its way, over the
-        mean detour that the estimated spread of the light would make [1]; 0.5 by
-        default, 0 where `echo_transfer` holds it or the range of the echo is asked for.
+        mean detour that the estimated spread of the light would make [1]. By default
+        0.5, and 0 for a simulation without late light; 0 is right where `echo_transfer`
+        holds it, or the range of the echo is asked for.
 
     Returns
     -------
@@ -144,7 +142,9 @@ def joint(
         group_index=group_index_uncertainty,
         position=receiver_position_uncertainty,
         direction=receiver_direction_uncertainty,
-        late_echo=late_echo_uncertainty,
+        late_echo=_late_echo(cube)
+        if late_echo_uncertainty is None
+        else late_echo_uncertainty,
     )
     signal, errors, usable = flat(cube)
     refuse_errors_of_zero(errors, usable)
@@ -215,3 +215,9 @@ def _checked_transfer(
             f"{frequency.size} modulation frequencies, got shape {given.shape}"
         )
     return given
+
+
+def _late_echo(cube: xr.Dataset) -> float:
+    """Return how uncertain the delay of scattered light is, over its theory."""
+    absent = str(cube.attrs.get("late_echo", "")) == "absent"
+    return 0.0 if absent else LATE_ECHO

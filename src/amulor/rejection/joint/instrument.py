@@ -13,9 +13,8 @@ from amulor.optics import rays
 
 Floats = NDArray[np.float64]
 
-#: Standard uncertainties of an instrument about which nothing else is said: delay [s],
-#: group index [1], the receiver's place to the right and down [m], its axis [rad].
-DELAY, GROUP_INDEX, POSITION, DIRECTION = 1e-10, 2e-3, 5e-3, float(np.radians(1.0))
+#: Standard uncertainty of the axis of a receiver about which nothing is said [rad].
+DIRECTION = float(np.radians(1.0))
 #: Standard uncertainty of what light that is scattered on its way adds to the range,
 #: over what small angles at a spread that grows with the depth would add [1].
 LATE_ECHO = 0.5
