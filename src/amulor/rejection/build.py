@@ -44,7 +44,8 @@ def target_cube(
     common : Covariance, optional
         The part of the errors that the pixels share.
     proportional : Covariance, optional
-        The part of the errors in proportion to the target signal.
+        The part of the errors that cannot make a target out of nothing, see
+        `quality.flags`.
     terms : mapping of str to Covariance, optional
         All errors by their terms, of `amulor.cube.terms.SIGNAL_TERMS`; those that are
         zero everywhere are left out.

@@ -140,7 +140,7 @@ def combined(
         water_signal=first.amulor.signal.values - target[:, None],
         residual=None if residual is None else residual[:, None],
         common=common.part(_WITH_CHANNEL),
-        proportional=by_ratio.part(_WITH_CHANNEL),
+        proportional=(by_ratio + by_water).part(_WITH_CHANNEL),
         terms={name: errors.part(_WITH_CHANNEL) for name, errors in terms.items()},
         step=f"reject, combine {co} and {cross} after open water, ratio of the target "
         f"{target_ratio:g}",

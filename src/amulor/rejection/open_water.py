@@ -98,6 +98,7 @@ def open_water(
         water_signal=left.water_signal,
         residual=left.residual,
         common=left.shared,
+        proportional=left.of_water,
         terms={
             "counting": left.counting,
             "fluctuation": left.fluctuation,

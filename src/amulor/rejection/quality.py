@@ -39,8 +39,9 @@ def flags(
         Water signal that is estimated to be left in [V]; where it is NaN,
         it is not known, and flagged as if it were large.
     proportional : Covariance, optional
-        The part of the errors that is in proportion to the target signal, such as that
-        of its depolarization ratio: it cannot make a target out of nothing.
+        The part of the errors that cannot make a target out of nothing: in proportion
+        to the target signal, such as that of its depolarization ratio, or to water that
+        was looked at before, by `amulor.rejection.reference.presence`.
     water_is_in : bool
         True if no water signal was taken out at all.
 
@@ -56,13 +57,17 @@ def flags(
     # Water that is left in must not pass for a target: it counts as an error too.
     known = np.zeros_like(target_signal) if residual is None else residual
     left = np.nan_to_num(np.abs(known) ** 2)
+    certain = uncertainty
     if proportional is not None:
-        uncertainty = uncertainty.without(proportional)
+        certain = uncertainty.without(proportional)
     blurred = Covariance(
         uncertainty.in_phase + left, uncertainty.quadrature + left, uncertainty.cross
     )
+    standing = Covariance(
+        certain.in_phase + left, certain.quadrature + left, certain.cross
+    )
     with np.errstate(invalid="ignore", divide="ignore"):
-        far = blurred.mahalanobis(target_signal) >= DETECTION_THRESHOLD**2
+        far = standing.mahalanobis(target_signal) >= DETECTION_THRESHOLD**2
     seen = far & ~missing
     phase = phase_error(target_signal, blurred, seen)
     # An error that lies along one direction can leave the strength sure and the phase

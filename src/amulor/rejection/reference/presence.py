@@ -25,6 +25,8 @@ SIZE = 1e-5
 DEPARTURE = 0.05
 #: Steps of the depth at which the water may end, in a period of the highest frequency.
 _PER_PERIOD = 12
+#: What the model of a cut column may be off by, in parts of the open water [1].
+MODEL_ERROR = 0.02
 #: Beyond this depth nothing is taken to end the water, in lengths of 1 / k' [1].
 _DEEPEST = 8.0
 #: Directions along each side of the scan at which cut columns are computed.
@@ -83,7 +85,11 @@ def shows_target(
     left, column = flat(water.difference), flat(whole)
     drift = flat(water.drift)
     parts = [flat(each) for each in (errors.in_phase, errors.quadrature, errors.cross)]
-    model_error = 0.0 if water.turbidity is None else water.turbidity.misfit
+    model_error = (
+        0.0
+        if water.turbidity is None
+        else float(np.hypot(water.turbidity.shown, MODEL_ERROR))
+    )
     seen = np.zeros(left.shape[1], dtype=bool)
     for first in range(0, seen.size, _AT_ONCE):
         chosen = slice(first, first + _AT_ONCE)

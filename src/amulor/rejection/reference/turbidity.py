@@ -41,6 +41,8 @@ class Turbidity:
     misfit: float
     """Root mean square departure of the model from the open water, which chance does
     not explain, or what could not be seen, in parts of the open water [1]."""
+    shown: float
+    """The part of it that the shots do show [1]."""
 
 
 def turbidity_of(
@@ -115,6 +117,7 @@ def turbidity_of(
         uncertainty=uncertainty,
         steeper=scaled(survey, factor * float(np.exp(uncertainty))),
         misfit=min(misfit, 1.0),
+        shown=min(float(np.sqrt(left)), 1.0),
     )
 
 
