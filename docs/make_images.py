@@ -16,7 +16,7 @@ def main() -> None:
     """Run the demo with its own seed and keep two of its figures."""
     FOLDER.mkdir(exist_ok=True)
     with tempfile.TemporaryDirectory() as folder:
-        cases = ladder.run(Path(folder), seed=1)
+        cases = ladder.run(Path(folder), rng=1)
     images: dict[str, dict[str, object]] = {}
     for case in cases:
         images.setdefault(case.name, {})[case.stage] = case.image

@@ -95,6 +95,12 @@ SCENES: tuple[Scene, ...] = (
     _scene("axis", "receiver points 1 degree beside the survey's axis",
            knowledge.wrong_axis),
     _scene("index", "group index 0.002 too large in the survey", knowledge.wrong_index),
+    _scene("delay stated", "the same delay, and a calibration that states 0.1 ns",
+           partial(knowledge.calibrated, make=samples.late_instrument)),
+    _scene("baseline stated", "the same baseline, and a calibration that states 5 mm",
+           partial(knowledge.calibrated, make=knowledge.wrong_baseline)),
+    _scene("index stated", "the same index, and a calibration that states 0.002",
+           partial(knowledge.calibrated, make=knowledge.wrong_index)),
 )  # fmt: skip
 
 BY_NAME = {scene.name: scene for scene in SCENES}

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import xarray as xr
@@ -67,3 +69,20 @@ def wrong_axis(count: int, seed: int, *, by: float = 1.0) -> Case:
 def wrong_index(count: int, seed: int, *, by: float = 0.002) -> Case:
     """Return a plate in water whose group index the survey has too large."""
     return _wrong(count, seed, group_index=1.38 + by)
+
+
+#: What a careful user states of the instrument, one standard uncertainty each.
+_CALIBRATION = {
+    "delay_uncertainty": "0.1 ns",
+    "receiver_position_uncertainty": "5 mm",
+    "direction_uncertainty": "0.2 deg",
+    "group_index_uncertainty": 0.002,
+}
+
+
+def calibrated(count: int, seed: int, *, make: Callable[[int, int], Case]) -> Case:
+    """Return another case whose survey states how well the instrument is known."""
+    case = make(count, seed)
+    believed = Survey.from_text(case.samples.attrs["survey"])
+    stated = believed.with_({"calibration": _CALIBRATION})
+    return replace(case, samples=case.samples.assign_attrs(survey=stated.to_toml()))
