@@ -23,6 +23,8 @@ _MOST_CANDIDATES = 10_000
 _CULPRIT = 16.0
 #: At most this fraction of the frequencies can be left out of a pixel [1].
 _BREAKDOWN = 1 / 3
+#: Outliers are looked for where at most this fraction of the pixels is unsettled [1].
+_MOST_SPOILED = 0.7
 #: What so many pixels have in common is no outlier but a wrong model [1].
 _RARE = 0.15
 #: Phases stated to be without any error still need weights [rad].
@@ -110,8 +112,11 @@ def optical_path(
         doubt=doubts,
     )
     path = _best_path(known)
-    unsettled = np.isfinite(path.length) & ~path.settled
-    if len(modulation_frequency) > 2 and unsettled.any():
+    usable = np.isfinite(path.length)
+    unsettled = usable & ~path.settled
+    # Where hardly any pixel agrees, it is the errors that are stated too small.
+    some = 0 < unsettled.sum() <= max(_MOST_SPOILED * usable.sum(), 1)
+    if len(modulation_frequency) > 2 and some:
         _leave_out(path, unsettled, known)
     return path
 

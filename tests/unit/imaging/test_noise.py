@@ -35,7 +35,7 @@ def _path(
     return path, stated
 
 
-@settings(max_examples=10)
+@settings(max_examples=4)
 @given(seed=st.integers(0, 2**32 - 1), factor=st.sampled_from([1.5, 2.0, 3.0]))
 @pytest.mark.parametrize("count", [2, 4, 16])
 def test_the_factor_is_found(seed: int, factor: float, count: int) -> None:
