@@ -221,7 +221,10 @@ def _experiment(
     every = cubes.without_groups(cube).isel(
         modulation_frequency=slice(None, None, len(frequency) // _JOINT_COUNT)
     )
-    joint = rejection.joint(every, interval=interval)
+    # One pixel cannot tell where the receiver points; here it is known.
+    joint = rejection.joint(
+        every, interval=interval, receiver_direction_uncertainty=0.0
+    )
     shots = cube.amulor.open_water
     water = (shots["in_phase"] + 1j * shots["quadrature"]).mean("shot")
     water_signal = water.values.ravel()
