@@ -307,6 +307,7 @@ def missing_and_flagged(
     return missing, flagged, cube["azimuth"].size * len(turbidities)
 
 
+@pytest.mark.slow
 def test_a_reference_of_other_water_is_seen_through_or_flagged() -> None:
     missing, flagged, count = missing_and_flagged(
         (0.5,), fluctuation=0.0, reflectance=0.1

@@ -174,6 +174,7 @@ def test_slant_range_uncertainties_are_true_over_200_seeds() -> None:
                 assert 0.9 < spread < 1.1, (channel, water)
 
 
+@pytest.mark.slow
 def test_slant_range_uncertainties_are_true_over_seeds(plate: Survey) -> None:
     # The same claim on a small plate, so that each run of the tests checks it.
     survey = plate.with_({"scan.open_water.repeats": 30})
