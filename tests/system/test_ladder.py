@@ -176,7 +176,6 @@ def test_slant_range_uncertainties_are_true_over_200_seeds() -> None:
 
 @pytest.mark.slow
 def test_slant_range_uncertainties_are_true_over_seeds(plate: Survey) -> None:
-    # The same claim on a small plate, so that each run of the tests checks it.
     survey = plate.with_({"scan.open_water.repeats": 30})
     scores = []
     for seed in range(60):

@@ -124,6 +124,7 @@ def test_a_day_in_which_all_goes_wrong_ends_in_a_true_range_image(
         f"errors {error.mean() * 1e3:+.1f} +- {error.std() * 1e3:.1f} mm, stated "
         f"{stated.mean() * 1e3:.1f} mm, water changed by {changed:.0%}"
     )
-    # 95 % of normal errors are within 1.96; part of them is common to all pixels.
-    assert np.mean(np.abs(error) < 2 * stated) > 0.9
+    # 95 % of normal errors are within 1.96; of 30 pixels 4 % by chance, two of them,
+    # and part of the errors is common to all.
+    assert np.mean(np.abs(error) < 2 * stated) > 0.85
     assert np.sqrt(np.mean((error / stated) ** 2)) < 1.4
