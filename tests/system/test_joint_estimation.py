@@ -245,6 +245,7 @@ def other() -> OtherModel:
         2.0,
     ],
 )
+@pytest.mark.slow
 @pytest.mark.parametrize("shots", [pytest.param(True, marks=pytest.mark.study), False])
 def test_water_of_another_kind_biases_ten_times_less_than_raw_phases(
     other: OtherModel, ratio: float, shots: bool

@@ -97,6 +97,7 @@ def test_two_frequencies_that_would_be_one_are_refused(survey, folder, few) -> N
         acquisition.acquire(survey, folder, settings=rehearsal.settings)
 
 
+@pytest.mark.slow
 def test_the_same_scan_goes_over_pyvisa(survey, folder, few, ranges) -> None:
     pytest.importorskip("pyvisa_py", reason="PyVISA-py is not installed")
     with rehearse(survey, few, speed=1000, scene=scene_light) as rehearsal:

@@ -180,6 +180,7 @@ def test_the_command_writes_pictures_checks_and_a_report(
     assert "synthetic" in (folder / "figure_09.svg").read_text()
 
 
+@pytest.mark.slow
 def test_several_processes_find_what_one_finds() -> None:
     chosen = {
         name: entry
