@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import math
-import tomllib
 from pathlib import Path
 from typing import Annotated, Literal, Self
 
-from pydantic import Field, ValidationError, model_validator
+from pydantic import Field, model_validator
 
 from amulor.acquisition.settings_light import LaserSettings, SourceSettings
 from amulor.acquisition.settings_parts import (
@@ -19,7 +18,7 @@ from amulor.acquisition.settings_parts import (
     need,
 )
 from amulor.errors import InstrumentError
-from amulor.survey import messages
+from amulor.survey import toml_file
 from amulor.survey.quantity import (
     Angle,
     Description,
@@ -334,22 +333,13 @@ class Settings(Description):
         InstrumentError
             With one line for each thing that is wrong.
         """
-        path = Path(path)
-        try:
-            content = tomllib.loads(path.read_text("utf-8-sig"))
-        except OSError as error:
-            raise InstrumentError(
-                f"{path}: cannot be read ({error.strerror}); check the name"
-            ) from None
-        except (UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
-            raise InstrumentError(f"{path}: is no valid TOML: {error}") from None
-        try:
-            return cls.model_validate(content, context={"from_text": True})
-        except ValidationError as error:
-            lines = messages.lines(
-                error, content, model=cls, name=str(path), what="a devices file"
-            )
-            raise InstrumentError("\n".join(lines)) from None
+        return toml_file.described(
+            toml_file.text_of(path, error=InstrumentError),
+            cls,
+            name=str(Path(path)),
+            what="a devices file",
+            error=InstrumentError,
+        )
 
     def to_toml(self) -> str:
         """Write the settings as TOML, each quantity with its SI unit.

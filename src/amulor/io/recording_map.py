@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import tomllib
 from pathlib import Path
 from typing import Annotated, Literal, Self
 
-from pydantic import Field, ValidationError, model_validator
+from pydantic import Field, model_validator
 
 from amulor.errors import FormatError
-from amulor.survey import messages
+from amulor.survey import toml_file
 from amulor.survey.quantity import Description, Frequency, Voltage
 
 Column = Annotated[str, Field(min_length=1, max_length=500)]
@@ -151,19 +150,10 @@ class RecordingMap(Description):
         FormatError
             With one line for each thing that is wrong.
         """
-        path = Path(path)
-        try:
-            content = tomllib.loads(path.read_text("utf-8-sig"))
-        except OSError as error:
-            raise FormatError(
-                f"{path}: cannot be read ({error.strerror}); check the name"
-            ) from None
-        except (UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
-            raise FormatError(f"{path}: is no valid TOML: {error}") from None
-        try:
-            return cls.model_validate(content, context={"from_text": True})
-        except ValidationError as error:
-            lines = messages.lines(
-                error, content, model=cls, name=str(path), what="a column map"
-            )
-            raise FormatError("\n".join(lines)) from None
+        return toml_file.described(
+            toml_file.text_of(path, error=FormatError),
+            cls,
+            name=str(Path(path)),
+            what="a column map",
+            error=FormatError,
+        )

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import tomllib
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any, Self
@@ -10,7 +9,7 @@ from typing import Annotated, Any, Self
 from pydantic import Field, ValidationError, model_validator
 
 from amulor.errors import SurveyError
-from amulor.survey import messages
+from amulor.survey import messages, toml_file
 from amulor.survey.calibration import Calibration
 from amulor.survey.changes import changed
 from amulor.survey.instrument import Instrument
@@ -132,15 +131,9 @@ class Survey(Description):
         SurveyError
             As `from_toml`.
         """
-        try:
-            content = tomllib.loads(text)
-        except tomllib.TOMLDecodeError as error:
-            raise SurveyError(f"{name}: is no valid TOML: {error}") from None
-        try:
-            survey = cls.model_validate(content, context={"from_text": True})
-        except ValidationError as error:
-            lines = messages.lines(error, content, model=cls, name=name)
-            raise SurveyError("\n".join(lines)) from None
+        survey = toml_file.described(
+            text, cls, name=name, what="a survey", error=SurveyError
+        )
         return survey._with_mesh_files_in(folder or Path(), name=name)
 
     def with_(self, changes: Mapping[str, Any]) -> Self:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import tomllib
 from collections.abc import Sequence
 from itertools import pairwise
 from pathlib import Path
@@ -12,13 +11,13 @@ from typing import Annotated, Self
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
-from pydantic import Field, ValidationError, model_validator
+from pydantic import Field, model_validator
 from scipy.constants import speed_of_light
 
 from amulor import cube as cubes
 from amulor.errors import CubeError, FormatError
 from amulor.optics import rays
-from amulor.survey import messages
+from amulor.survey import toml_file
 from amulor.survey.quantity import Angle, Description, Frequency, Voltage
 
 #: Relative difference up to which two frequencies are one: what is read back moves in
@@ -77,16 +76,8 @@ class Calibration(Description):
         FormatError
             If it cannot be read, with one line for each thing that is wrong.
         """
-        path = Path(path)
-        try:
-            text = path.read_text("utf-8-sig")
-        except OSError as error:
-            raise FormatError(
-                f"{path}: cannot be read ({error.strerror}); check the name"
-            ) from None
-        except UnicodeDecodeError as error:
-            raise FormatError(f"{path}: is no valid TOML: {error}") from None
-        return cls.from_text(text, name=str(path))
+        text = toml_file.text_of(path, error=FormatError)
+        return cls.from_text(text, name=str(Path(path)))
 
     @classmethod
     def from_text(cls, text: str, *, name: str = "calibration") -> Self:
@@ -109,16 +100,9 @@ class Calibration(Description):
         FormatError
             As `from_toml`.
         """
-        try:
-            content = tomllib.loads(text)
-            return cls.model_validate(content, context={"from_text": True})
-        except tomllib.TOMLDecodeError as error:
-            raise FormatError(f"{name}: is no valid TOML: {error}") from None
-        except ValidationError as error:
-            lines = messages.lines(
-                error, content, model=cls, name=name, what="a calibration"
-            )
-            raise FormatError("\n".join(lines)) from None
+        return toml_file.described(
+            text, cls, name=name, what="a calibration", error=FormatError
+        )
 
     def to_toml(self) -> str:
         """Write the calibration as TOML, each quantity with its SI unit.
