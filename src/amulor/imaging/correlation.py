@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from amulor import cube as cubes
 from amulor.cube.terms import ALIKE_TERMS, RANGE_PREFIX, WATER_TERMS
 from amulor.errors import CubeError
-from amulor.optics import ranging
+from amulor.imaging.common import phase_cosines
 
 Floats = NDArray[np.float64]
 
@@ -86,7 +86,7 @@ def covariance(image: xr.Dataset, pixels: ArrayLike) -> Floats:
     squares = image["slant_range_common_uncertainty"].values[which] ** 2
     known = sum(term**2 for term in alike + of_water)
     shared = np.sqrt(np.maximum(squares - known, 0.0))
-    turn = _turn(image, which)
+    turn = phase_cosines(image, image["slant_range"].values[which])
     matrix = np.outer(shared, shared) * _along_the_scan(image, which) * turn
     matrix += sum(np.outer(term, term) for term in of_water) * turn
     matrix += sum(np.outer(term, term) for term in alike)
@@ -179,18 +179,6 @@ def _usable(image: xr.Dataset, pixels: ArrayLike) -> NDArray[np.bool_]:
     if not which.any():
         raise CubeError("the region has no usable pixel; enlarge it")
     return which
-
-
-def _turn(image: xr.Dataset, which: NDArray[np.bool_]) -> Floats:
-    """Return the cosines of the differences in phase, the mean of all frequencies."""
-    distance = image["slant_range"].values[which]
-    group_index = float(image["geometry"].attrs["group_index"])
-    frequency = np.atleast_1d(image.attrs["modulation_frequencies"])
-    turn = np.zeros((len(distance), len(distance)))
-    for each in frequency:
-        to_phase = ranging.phase_per_range(each, group_index=group_index)
-        turn += np.cos(to_phase * (distance[:, None] - distance)) / len(frequency)
-    return turn
 
 
 def _along_the_scan(image: xr.Dataset, which: NDArray[np.bool_]) -> Floats:

@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from amulor import cube as cubes
 from amulor.cube import QualityFlag
+from amulor.imaging.common import own_variance, with_flag
 
 Floats = NDArray[np.float64]
 
@@ -61,10 +62,7 @@ def mixed_pixels(
     if reach < 1:
         raise ValueError(f"reach must be at least 1 pixel, got {reach}")
     distance = image["slant_range"].values
-    variance = image["slant_range_uncertainty"].values ** 2
-    if "slant_range_common_uncertainty" in image:
-        shared = image["slant_range_common_uncertainty"].values ** 2
-        variance = np.maximum(variance - shared, 0.0)
+    variance = own_variance(image)
     mixed = np.zeros(distance.shape, dtype=bool)
     for axis in (0, 1):
         for step in range(1, reach + 1):
@@ -100,11 +98,7 @@ def flag_mixed(
         mixed.astype(np.int8),
         {"long_name": "1 where a beam meets two surfaces at once", "units": "1"},
     )
-    flag = image["quality_flag"]
-    marked = np.where(mixed, flag.values | QualityFlag.MIXED, flag.values)
-    image = image.assign(
-        {MIXED: variable, "quality_flag": flag.copy(data=marked.astype(np.int16))}
-    )
+    image = with_flag(image.assign({MIXED: variable}), QualityFlag.MIXED, mixed)
     return cubes.note(image, "mixed pixels marked")
 
 

@@ -12,8 +12,8 @@ from amulor import cube as cubes
 from amulor.cube import UNUSABLE
 from amulor.cube.terms import ALIKE_TERMS, RANGE_PREFIX, WATER_TERMS
 from amulor.errors import CubeError
+from amulor.imaging.common import phase_cosines
 from amulor.imaging.point_cloud import point_cloud
-from amulor.optics import ranging
 
 Floats = NDArray[np.float64]
 
@@ -167,6 +167,9 @@ def step_heights(image: xr.Dataset, regions: ArrayLike) -> list[StepHeight]:
     known = sum(term**2 for term in alike + of_water)
     shared = np.sqrt(np.maximum(common**2 - known, 0.0))
     distance = _mean_of(image, "slant_range", number, pixel, numbers)
+    # Images that do not say their frequencies have no such terms either.
+    said = "modulation_frequencies" in image.attrs
+    cosines = phase_cosines(image, distance) if said else np.eye(len(numbers))
     bias = _mean_of(image, "slant_range_bias", number, pixel, numbers)
     steps = []
     for i in range(len(numbers) - 1):
@@ -182,7 +185,7 @@ def step_heights(image: xr.Dataset, regions: ArrayLike) -> list[StepHeight]:
             + sum(
                 term[i] ** 2
                 + term[i + 1] ** 2
-                - 2 * term[i] * term[i + 1] * _cosine(image, distance[i : i + 2])
+                - 2 * term[i] * term[i + 1] * cosines[i, i + 1]
                 for term in of_water
             )
         )
@@ -264,18 +267,6 @@ def _regions(
     sigma = np.sqrt(np.maximum(variance, np.finfo(float).tiny))
     assert not np.any(image["quality_flag"].values[row, column] & UNUSABLE)
     return points, label[row, column], sigma, (row, column)
-
-
-def _cosine(image: xr.Dataset, distance: Floats) -> float:
-    """Return the cosine of the phase between two distances, mean of all frequencies."""
-    frequency = image.attrs.get("modulation_frequencies")
-    if frequency is None:
-        return 0.0
-    to_phase = ranging.phase_per_range(
-        np.atleast_1d(frequency),
-        group_index=float(image["geometry"].attrs["group_index"]),
-    )
-    return float(np.mean(np.cos(to_phase * (distance[1] - distance[0]))))
 
 
 def _mean_of(

@@ -7,7 +7,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from amulor.cube.terms import PHASE_PREFIX
-from amulor.optics import ambiguity
+from amulor.optics import ambiguity, ranging
 
 Floats = NDArray[np.float64]
 
@@ -50,8 +50,10 @@ def noise_scale(
     median of its chi-square over that of chance is the square of the factor (Birge
     ratio). Edges, outliers and mixed pixels do not move a median.
     """
-    to_path = 299792458.0 / (2 * np.pi * modulation_frequency[:, None, None])
-    error = own * to_path
+    to_range = ranging.range_per_phase(
+        modulation_frequency[:, None, None], group_index=1.0
+    )
+    error = own * 2 * to_range
     there = np.isfinite(path.length)
     there &= np.isfinite(error).all(axis=0) & (error > 0).all(axis=0)
     freedom = len(modulation_frequency) - 1

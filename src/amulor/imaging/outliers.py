@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from amulor import cube as cubes
 from amulor.cube import QualityFlag
+from amulor.imaging.common import own_variance, with_flag
 
 Floats = NDArray[np.float64]
 
@@ -56,10 +57,7 @@ def outlying_pixels(
     if not significance > 0:
         raise ValueError(f"significance must be above 0, got {significance:g}")
     distance = image["slant_range"].values
-    variance = image["slant_range_uncertainty"].values ** 2
-    if "slant_range_common_uncertainty" in image:
-        shared = image["slant_range_common_uncertainty"].values ** 2
-        variance = np.maximum(variance - shared, 0.0)
+    variance = own_variance(image)
     off, average, score, ways = _standing(distance, variance)
     above = (ways >= 2) & (score > significance)
     for place in np.argwhere(above):
@@ -90,9 +88,7 @@ def flag_outliers(image: xr.Dataset, *, significance: float = 3.0) -> xr.Dataset
     """
     image = cubes.checked(image, "range_image")
     outlying = outlying_pixels(image, significance=significance)
-    flag = image["quality_flag"]
-    marked = np.where(outlying, flag.values | QualityFlag.OUTLIER, flag.values)
-    image = image.assign({"quality_flag": flag.copy(data=marked.astype(np.int16))})
+    image = with_flag(image, QualityFlag.OUTLIER, outlying)
     return cubes.note(image, "outliers flagged")
 
 

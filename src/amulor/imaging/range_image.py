@@ -13,6 +13,7 @@ from amulor import cube as cubes
 from amulor.cube import UNUSABLE, QualityFlag
 from amulor.errors import CubeError, SurveyError
 from amulor.imaging import budget
+from amulor.imaging.common import with_flag
 from amulor.imaging.geometry import beams_of, medium_of, receivers_of
 from amulor.imaging.late_light import dispersion
 from amulor.imaging.noise import noise_scale, with_noise_scaled
@@ -102,8 +103,7 @@ def range_image(
     image = _image(one, ranges, interval=interval)
     reason = "" if interval is not None else _unsettled(one)
     if reason:
-        flagged = image["quality_flag"] | np.int16(QualityFlag.RELATIVE)
-        image["quality_flag"] = flagged.assign_attrs(image["quality_flag"].attrs)
+        image = with_flag(image, QualityFlag.RELATIVE, True)
         image = image.assign_attrs(interval_unsettled=reason)
     step = f"image, channel {image.attrs['polarization']}"
     return cubes.note(

@@ -138,6 +138,23 @@ def along(signal: Complex, size: float) -> Covariance:
     )
 
 
+def isotropic(size: Floats) -> Covariance:
+    """Return the covariance of an error of a given size in any direction.
+
+    Parameters
+    ----------
+    size : ndarray
+        Root mean square of the error, both outputs together [V].
+
+    Returns
+    -------
+    Covariance
+        Arrays of the shape of the size.
+    """
+    half = size**2 / 2
+    return Covariance(half, half, np.zeros(half.shape))
+
+
 def stacked(parts: list[Covariance], shape: tuple[int, ...]) -> Covariance:
     """Put the covariances of frequencies and channels together.
 

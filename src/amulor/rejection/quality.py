@@ -57,15 +57,10 @@ def flags(
     # Water that is left in must not pass for a target: it counts as an error too.
     known = np.zeros_like(target_signal) if residual is None else residual
     left = np.nan_to_num(np.abs(known) ** 2)
-    certain = uncertainty
-    if proportional is not None:
-        certain = uncertainty.without(proportional)
     blurred = Covariance(
         uncertainty.in_phase + left, uncertainty.quadrature + left, uncertainty.cross
     )
-    standing = Covariance(
-        certain.in_phase + left, certain.quadrature + left, certain.cross
-    )
+    standing = blurred if proportional is None else blurred.without(proportional)
     with np.errstate(invalid="ignore", divide="ignore"):
         far = standing.mahalanobis(target_signal) >= DETECTION_THRESHOLD**2
     seen = far & ~missing

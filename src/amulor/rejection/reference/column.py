@@ -7,7 +7,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from amulor.optics import ambiguity, detection, rays
-from amulor.rejection.covariance import Covariance, along
+from amulor.rejection.covariance import Covariance, along, isotropic
 from amulor.rejection.reference import column_fraction
 from amulor.survey import Survey, water_properties
 from amulor.survey.reach import unsettled_interval
@@ -100,8 +100,8 @@ def hidden_error(
     relative = np.divide(
         allowed, size[:1], out=np.ones(size[:1].shape), where=size[:1] > allowed
     )
-    own = (relative * size) ** 2 / 2 * frequencies
-    return along(by_turbidity, 1.0) + Covariance(own, own, np.zeros(own.shape))
+    own = isotropic(relative * size).scaled(frequencies)
+    return along(by_turbidity, 1.0) + own
 
 
 def depth(

@@ -10,7 +10,12 @@ import xarray as xr
 from numpy.typing import NDArray
 from scipy.constants import speed_of_light
 
-from amulor.rejection.covariance import Covariance, along, covariance_of
+from amulor.rejection.covariance import (
+    Covariance,
+    along,
+    covariance_of,
+    isotropic,
+)
 from amulor.rejection.reference import column_fraction
 from amulor.rejection.reference.before_target import WaterBeforeTarget
 from amulor.rejection.reference.shots import fluctuation_of
@@ -112,7 +117,7 @@ def shows_target(
                     column[:, first + some],
                     Covariance(*(each[:, first + some] for each in parts))
                     + along(drift * column[:, first + some], 12**-0.5)
-                    + _isotropic(model_error * np.abs(column[:, first + some])),
+                    + isotropic(model_error * np.abs(column[:, first + some])),
                     which,
                     None if saturated is None else flat(saturated)[:, first + some],
                 )
@@ -246,12 +251,6 @@ class _Cut:
             for off in (-1.5, -1.0, -0.5, 0.5, 1.0, 1.5):
                 try_at(np.clip(centre + off * width, 0.0, smooth.shape[1] - 1.0))
         return best
-
-
-def _isotropic(size: Floats) -> Covariance:
-    """Return the covariance of an error of a given size in any direction."""
-    half = size**2 / 2
-    return Covariance(half, half, np.zeros(half.shape))
 
 
 def _between(place: Floats, count: int) -> tuple[NDArray[np.intp], Floats]:

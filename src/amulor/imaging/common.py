@@ -1,0 +1,80 @@
+"""What several steps ask of a range image: own errors, flags, turns of the phase."""
+
+from __future__ import annotations
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+
+from amulor.cube import QualityFlag
+from amulor.optics import ranging
+
+Floats = NDArray[np.float64]
+
+
+def own_variance(image: xr.Dataset) -> Floats:
+    """Return the variance of slant ranges without what the pixels share.
+
+    Parameters
+    ----------
+    image : xarray.Dataset
+        Level `range_image`.
+
+    Returns
+    -------
+    ndarray, shape (row, column)
+        Not below zero [m^2].
+    """
+    variance: Floats = image["slant_range_uncertainty"].values ** 2
+    if "slant_range_common_uncertainty" in image:
+        shared = image["slant_range_common_uncertainty"].values ** 2
+        variance = np.maximum(variance - shared, 0.0)
+    return variance
+
+
+def with_flag(
+    image: xr.Dataset, flag: QualityFlag, where: NDArray[np.bool_] | bool
+) -> xr.Dataset:
+    """Return a range image with one more flag.
+
+    Parameters
+    ----------
+    image : xarray.Dataset
+        Level `range_image`.
+    flag : QualityFlag
+        What to add.
+    where : ndarray of bool, shape (row, column), or bool
+        Pixels that get it.
+
+    Returns
+    -------
+    xarray.Dataset
+        The same data.
+    """
+    old = image["quality_flag"]
+    new = np.where(where, old.values | flag, old.values).astype(np.int16)
+    return image.assign(quality_flag=old.copy(data=new))
+
+
+def phase_cosines(image: xr.Dataset, distance: Floats) -> Floats:
+    """Return the cosines of phases between distances, the mean of all frequencies.
+
+    Parameters
+    ----------
+    image : xarray.Dataset
+        Level `range_image`; its frequencies and its group index count.
+    distance : ndarray, shape (n,)
+        Slant ranges [m].
+
+    Returns
+    -------
+    ndarray, shape (n, n)
+        How much of an error of the water two distances share [1].
+    """
+    group_index = float(image["geometry"].attrs["group_index"])
+    frequency = np.atleast_1d(image.attrs["modulation_frequencies"])
+    turn = np.zeros((len(distance), len(distance)))
+    for each in frequency:
+        to_phase = ranging.phase_per_range(each, group_index=group_index)
+        turn += np.cos(to_phase * (distance[:, None] - distance)) / len(frequency)
+    return turn
