@@ -13,7 +13,7 @@ from amulor.rejection.build import saturated_in_any, target_cube
 from amulor.rejection.channels import mixing, ratios
 from amulor.rejection.channels.names import pair_of
 from amulor.rejection.covariance import along
-from amulor.rejection.open_water import reference_attributes
+from amulor.rejection.open_water import cube_of, reference_attributes
 from amulor.rejection.subtraction import subtract_open_water
 
 Floats = NDArray[np.float64]
@@ -77,13 +77,18 @@ def combined(
     cube = cubes.checked(cube, "samples")
     _refuse_odd(target_ratio, water_change)
     co, cross = pair_of(cube)
-    if target_ratio is None:
-        estimate = ratios.target_ratio(cube, interval=interval)
-        target_ratio = estimate.value
-        target_ratio_uncertainty = estimate.uncertainty
     left = subtract_open_water(
         cube, interval=interval, column_uncertainty=column_uncertainty
     )
+    if target_ratio is None:
+        # The shots' own column, whatever is said of it for the rest.
+        estimate = (
+            ratios.ratio_of(cube_of(cube, left))
+            if column_uncertainty is None
+            else ratios.target_ratio(cube, interval=interval)
+        )
+        target_ratio = estimate.value
+        target_ratio_uncertainty = estimate.uncertainty
     present = list(cube["polarization"].values)
     channel = [(slice(None), present.index(name)) for name in (co, cross)]
     water = [left.water_signal[index] for index in channel]

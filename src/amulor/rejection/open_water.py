@@ -91,6 +91,24 @@ def open_water(
         column_uncertainty=column_uncertainty,
         put_back=put_back,
     )
+    return cube_of(cube, left)
+
+
+def cube_of(cube: xr.Dataset, left: Subtraction) -> xr.Dataset:
+    """Return what a subtraction left as a cube.
+
+    Parameters
+    ----------
+    cube : xarray.Dataset
+        Level `samples`.
+    left : Subtraction
+        Of these samples.
+
+    Returns
+    -------
+    xarray.Dataset
+        Level `target_signal`, with errors, terms and flags.
+    """
     result = target_cube(
         cube,
         left.target,

@@ -127,8 +127,29 @@ def target_ratio(
     reference, which all pixels share, is carried through with its sign unknown.
     """
     cube = cubes.checked(cube, "samples")
-    co, cross = pair_of(cube)
-    left = open_water(cube, interval=interval)
+    pair_of(cube)
+    return ratio_of(open_water(cube, interval=interval))
+
+
+def ratio_of(left: xr.Dataset) -> Ratio:
+    """Estimate the depolarization ratio from what open water leaves.
+
+    Parameters
+    ----------
+    left : xarray.Dataset
+        Level `target_signal`, with a co-polarized channel and its partner.
+
+    Returns
+    -------
+    Ratio
+        As `target_ratio`.
+
+    Raises
+    ------
+    CubeError
+        If no pixel shows a target in both channels.
+    """
+    co, cross = pair_of(left)
     first, second = left.sel(polarization=co), left.sel(polarization=cross)
     flags = first["quality_flag"].values | second["quality_flag"].values
     usable = (flags & cubes.UNUSABLE) == 0
