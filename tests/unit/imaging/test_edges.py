@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 import pytest
 import xarray as xr
@@ -11,29 +13,9 @@ from hypothesis import strategies as st
 from amulor import cube as cubes
 from amulor import imaging
 
+Make = Callable[..., xr.Dataset]
+#: Of the images of `written` [m].
 SIGMA = 1e-3
-
-
-def _image(distance: np.ndarray, *, common: float = 0.0) -> xr.Dataset:
-    shape = distance.shape
-    return cubes.build(
-        "range_image",
-        {
-            "slant_range": distance,
-            "slant_range_uncertainty": np.full(shape, np.hypot(SIGMA, common)),
-            "slant_range_common_uncertainty": np.full(shape, common),
-            "intensity": np.ones(shape),
-            "quality_flag": np.where(np.isfinite(distance), 0, 4).astype(np.int16),
-        },
-        {"azimuth": np.zeros(shape), "elevation": np.zeros(shape)},
-        geometry={
-            "group_index": 1.38,
-            "refractive_index": 1.34,
-            "emitter_position": np.zeros(3),
-            "receiver_position": np.zeros(3),
-        },
-        attributes=cubes.attributes("range_image", title="edge", source="by hand"),
-    )
 
 
 def _step(width: float, *, turned: bool) -> np.ndarray:
@@ -53,11 +35,13 @@ def _step(width: float, *, turned: bool) -> np.ndarray:
 
 @pytest.mark.parametrize("turned", [False, True])
 @pytest.mark.parametrize("width", [1.0, 2.0])
-def test_mixed_pixels_of_an_edge_are_found(width: float, turned: bool) -> None:
+def test_mixed_pixels_of_an_edge_are_found(
+    written: Make, width: float, turned: bool
+) -> None:
     distance = _step(width, turned=turned)
     rng = np.random.default_rng(1)
     noisy = distance + SIGMA * rng.standard_normal(distance.shape)
-    found = imaging.mixed_pixels(_image(noisy))
+    found = imaging.mixed_pixels(written(noisy))
     off = np.minimum(abs(distance - distance.max()), abs(distance - distance.min()))
     clearly = off > 2e-2
     assert clearly.sum() >= 8
@@ -74,30 +58,32 @@ def test_mixed_pixels_of_an_edge_are_found(width: float, turned: bool) -> None:
     ],
     ids=["sharp step", "slope", "bowl"],
 )
-def test_clean_surfaces_have_none(surface: np.ndarray) -> None:
+def test_clean_surfaces_have_none(written: Make, surface: np.ndarray) -> None:
     rng = np.random.default_rng(2)
     noisy = surface + SIGMA * rng.standard_normal(surface.shape)
-    assert not imaging.mixed_pixels(_image(noisy)).any()
+    assert not imaging.mixed_pixels(written(noisy)).any()
 
 
 @settings(max_examples=20)
 @given(shift=st.floats(-1, 1), common=st.floats(0, 0.1))
-def test_what_pixels_share_changes_nothing(shift: float, common: float) -> None:
+def test_what_pixels_share_changes_nothing(
+    written: Make, shift: float, common: float
+) -> None:
     distance = _step(2.0, turned=False)
-    plain = imaging.mixed_pixels(_image(distance))
-    moved = imaging.mixed_pixels(_image(distance + shift, common=common))
+    plain = imaging.mixed_pixels(written(distance))
+    moved = imaging.mixed_pixels(written(distance + shift, common=common))
     np.testing.assert_array_equal(plain, moved)
 
 
-def test_a_missing_neighbour_decides_nothing() -> None:
+def test_a_missing_neighbour_decides_nothing(written: Make) -> None:
     distance = _step(1.0, turned=False).copy()
     distance[:, 8] = np.nan
     distance[:, 12] = np.nan
-    assert not imaging.mixed_pixels(_image(distance), reach=1)[:, 9:12].any()
+    assert not imaging.mixed_pixels(written(distance), reach=1)[:, 9:12].any()
 
 
-def test_the_mark_is_written_into_the_image() -> None:
-    image = imaging.flag_mixed(_image(_step(1.0, turned=False)))
+def test_the_mark_is_written_into_the_image(written: Make) -> None:
+    image = imaging.flag_mixed(written(_step(1.0, turned=False)))
     cubes.check(image, "range_image")
     np.testing.assert_array_equal(
         image["user_mixed"].values == 1, imaging.mixed_pixels(image)
@@ -109,6 +95,6 @@ def test_the_mark_is_written_into_the_image() -> None:
     ("arguments", "words"),
     [({"significance": 0.0}, "above 0"), ({"reach": 0}, "at least 1 pixel")],
 )
-def test_odd_arguments_are_refused(arguments: dict, words: str) -> None:
+def test_odd_arguments_are_refused(written: Make, arguments: dict, words: str) -> None:
     with pytest.raises(ValueError, match=words):
-        imaging.mixed_pixels(_image(_step(1.0, turned=False)), **arguments)
+        imaging.mixed_pixels(written(_step(1.0, turned=False)), **arguments)

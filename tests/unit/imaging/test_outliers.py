@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 import pytest
 import xarray as xr
@@ -12,30 +14,10 @@ from amulor import cube as cubes
 from amulor import imaging
 from amulor.cube import QualityFlag
 
+Make = Callable[..., xr.Dataset]
+#: Of the images of `written` [m].
 SIGMA = 1e-3
 SHAPE = (12, 20)
-
-
-def _image(distance: np.ndarray, *, common: float = 0.0) -> xr.Dataset:
-    shape = distance.shape
-    return cubes.build(
-        "range_image",
-        {
-            "slant_range": distance,
-            "slant_range_uncertainty": np.full(shape, np.hypot(SIGMA, common)),
-            "slant_range_common_uncertainty": np.full(shape, common),
-            "intensity": np.ones(shape),
-            "quality_flag": np.where(np.isfinite(distance), 0, 4).astype(np.int16),
-        },
-        {"azimuth": np.zeros(shape), "elevation": np.zeros(shape)},
-        geometry={
-            "group_index": 1.38,
-            "refractive_index": 1.34,
-            "emitter_position": np.zeros(3),
-            "receiver_position": np.zeros(3),
-        },
-        attributes=cubes.attributes("range_image", title="wall", source="by hand"),
-    )
 
 
 def _noise(seed: int) -> np.ndarray:
@@ -51,13 +33,13 @@ def _noise(seed: int) -> np.ndarray:
     common=st.floats(0, 0.1),
 )
 def test_a_spike_on_a_leaning_wall_is_found_wherever_it_is(
-    row: int, column: int, size: float, lean: float, common: float
+    written: Make, row: int, column: int, size: float, lean: float, common: float
 ) -> None:
     distance = 1.5 + lean * np.arange(SHAPE[1]) + _noise(3)
-    clean = imaging.outlying_pixels(_image(distance, common=common))
+    clean = imaging.outlying_pixels(written(distance, common=common))
     assert not clean.any()
     distance[row, column] += size * SIGMA
-    outlying = imaging.outlying_pixels(_image(distance, common=common))
+    outlying = imaging.outlying_pixels(written(distance, common=common))
     corner = row in (0, SHAPE[0] - 1) or column in (0, SHAPE[1] - 1)
     # At the rim the line is continued, with five times the variance.
     if abs(size) > 20 or not corner:
@@ -65,10 +47,10 @@ def test_a_spike_on_a_leaning_wall_is_found_wherever_it_is(
     assert outlying.sum() <= 1
 
 
-def test_the_rate_of_false_alarms_is_below_one_in_ten_thousand() -> None:
+def test_the_rate_of_false_alarms_is_below_one_in_ten_thousand(written: Make) -> None:
     rng = np.random.default_rng(5)
     noisy = 1.5 + SIGMA * rng.standard_normal((400, 500))
-    assert imaging.outlying_pixels(_image(noisy)).mean() < 1e-4
+    assert imaging.outlying_pixels(written(noisy)).mean() < 1e-4
 
 
 @pytest.mark.parametrize(
@@ -81,32 +63,32 @@ def test_the_rate_of_false_alarms_is_below_one_in_ten_thousand() -> None:
     ],
     ids=["step", "rope", "slanting rope", "bowl"],
 )
-def test_shapes_that_go_on_are_no_outliers(surface: np.ndarray) -> None:
-    assert not imaging.outlying_pixels(_image(surface + _noise(7))).any()
+def test_shapes_that_go_on_are_no_outliers(written: Make, surface: np.ndarray) -> None:
+    assert not imaging.outlying_pixels(written(surface + _noise(7))).any()
 
 
-def test_rough_ground_has_few() -> None:
+def test_rough_ground_has_few(written: Make) -> None:
     rng = np.random.default_rng(11)
     gravel = 1.5 + 20 * SIGMA * rng.standard_normal((200, 200))
-    assert imaging.outlying_pixels(_image(gravel)).mean() < 0.01
+    assert imaging.outlying_pixels(written(gravel)).mean() < 0.01
 
 
-def test_missing_pixels_and_lone_ones_decide_nothing() -> None:
+def test_missing_pixels_and_lone_ones_decide_nothing(written: Make) -> None:
     distance = np.full(SHAPE, np.nan)
     distance[5, 5] = 1.0
-    assert not imaging.outlying_pixels(_image(distance)).any()
+    assert not imaging.outlying_pixels(written(distance)).any()
 
 
-def test_the_flag_is_added_to_those_that_are_there() -> None:
+def test_the_flag_is_added_to_those_that_are_there(written: Make) -> None:
     distance = 1.5 + _noise(1)
     distance[4, 7] += 0.05
-    image = imaging.flag_outliers(_image(distance))
+    image = imaging.flag_outliers(written(distance))
     cubes.check(image, "range_image")
     flags = image["quality_flag"].values
     assert flags[4, 7] == QualityFlag.OUTLIER
     assert np.count_nonzero(flags) == 1
 
 
-def test_an_odd_significance_is_refused() -> None:
+def test_an_odd_significance_is_refused(written: Make) -> None:
     with pytest.raises(ValueError, match="above 0"):
-        imaging.outlying_pixels(_image(np.ones(SHAPE)), significance=0.0)
+        imaging.outlying_pixels(written(np.ones(SHAPE)), significance=0.0)
