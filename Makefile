@@ -28,7 +28,7 @@ help:
 	@touch $@
 
 .venv/installed-test: .venv/installed-all
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[all,test]'
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[all,test,clients]'
 	@touch $@
 
 demo: .venv/installed-all
