@@ -249,6 +249,24 @@ def test_what_no_data_can_show_is_covered_where_it_is_stated(scene: str) -> None
         assert row.score.worst < 2.5, row
 
 
+def test_what_was_acquired_is_worth_what_was_simulated() -> None:
+    # Stages that jitter by 20 microradians, dark readings, takes; the scan is broken
+    # off in its middle and taken up again.
+    for row in run(["acquired twice"], ["open-water", "combined"], [2]):
+        assert row.score.trusted > 0.97, row
+        assert row.score.inside_95 > 0.91, row
+        assert row.score.worst < 4.5, row
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("scene", ["photons c 0.25 1/m", "photons c 1 1/m"])
+def test_intervals_hold_from_half_to_three_attenuation_lengths(scene: str) -> None:
+    for row in run([scene], ["open-water", "combined", "polarization"], [2, 4]):
+        assert row.score.trusted > 0.95, row
+        assert row.score.inside_95 > 0.92, row
+        assert row.score.worst < 4, row
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("function", ["petzold", "fournier-forand", "two-term"])
 def test_intervals_hold_the_surface_in_water_made_of_photons(function: str) -> None:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from functools import partial
 
 from amulor.studies.trust.case import Case
-from amulor.studies.trust.scenes import knowledge, models, photons, samples
+from amulor.studies.trust.scenes import acquired, knowledge, models, photons, samples
 
 #: Makes a case from the number of frequencies and a seed.
 Maker = Callable[[int, int], Case]
@@ -41,6 +41,21 @@ def _photon_scenes() -> list[Scene]:
                     ),
                 )
             )
+    # One to six attenuation lengths to the plate and as many back, in four waters.
+    for turbidity, histories in ((0.5, 400_000), (2.0, 1_600_000), (4.0, 6_400_000)):
+        scenes.append(
+            Scene(
+                name=f"photons c {0.5 * turbidity:g} 1/m",
+                title=f"photons, petzold, c = {0.5 * turbidity:g} 1/m, plates of 10 % "
+                "at 1.6 to 3.2 m",
+                make=partial(
+                    photons.photon_water,
+                    function="petzold",
+                    turbidity=turbidity,
+                    histories=histories,
+                ),
+            )
+        )
     return scenes
 
 
@@ -67,6 +82,10 @@ SCENES: tuple[Scene, ...] = (
     _scene("circular", "plate seen with circular light", models.circular),
     _scene("empty", "water without a target, right survey", models.empty),
     *_photon_scenes(),
+    _scene("acquired", "acquired by the simulated bench with stages that jitter",
+           acquired.plate_scanned),
+    _scene("acquired twice", "the same, broken off and taken up again",
+           partial(acquired.plate_scanned, broken=True)),
     _scene("small-angle 90", "small-angle model, split at 90 degrees",
            partial(models.small_angle, split=90.0)),
     _scene("small-angle 15", "small-angle model, split at 15 degrees",

@@ -19,7 +19,7 @@ from amulor.optics.polarization import mueller
 from amulor.simulation import lock_in, simulate
 from amulor.simulation.signal import Light
 from amulor.studies.trust.case import Case, Floats, case_of, lateness
-from amulor.studies.trust.surveys import FREQUENCIES, plate, survey
+from amulor.studies.trust.surveys import FREQUENCIES, plate, scaled, survey
 from amulor.survey import Survey
 from amulor.survey.mueller import matrix
 from amulor.transport import GaussianReceiver, Medium, PlaneTarget, Source
@@ -29,7 +29,7 @@ Complex = NDArray[np.complex128]
 
 #: Distances of the plate, three columns of the scan for each [m].
 DISTANCES = np.array([1.6, 1.8, 2.0, 2.2, 2.5, 2.8, 3.0, 3.2])
-#: Phase functions of the water, a = 0.15 and b = 0.35 1/m.
+#: Phase functions of the water, a = 0.15 and b = 0.35 1/m where nothing else is said.
 PHASE_FUNCTIONS: dict[str, Callable[[], PhaseFunction]] = {
     "petzold": lambda: petzold("HAOCE 11"),
     "fournier-forand": lambda: fournier_forand(relative_index=1.1, slope=3.5835),
@@ -57,7 +57,9 @@ class Photons:
 
 
 @functools.lru_cache(maxsize=8)
-def photons(name: str, histories: int, reflectance: float) -> Photons:
+def photons(
+    name: str, histories: int, reflectance: float, turbidity: float = 1.0
+) -> Photons:
     """Return echo and water signal against the distance of a plate.
 
     Parameters
@@ -68,13 +70,15 @@ def photons(name: str, histories: int, reflectance: float) -> Photons:
         Histories for each distance; the open water takes four times as many.
     reflectance : float
         Of the plate: light goes to and fro between a bright one and the water [1].
+    turbidity : float
+        Absorption and scattering over those of the tank [1].
 
     Returns
     -------
     Photons
         From the fixed seeds, so that all scenes of a run see the same light.
     """
-    made = _survey(1, reflectance=0.1)
+    made = _survey(1, reflectance=0.1, turbidity=turbidity)
     seen = made.instrument.receiver
     receiver = GaussianReceiver(
         position=np.array(seen.position),
@@ -116,6 +120,7 @@ def photon_water(
     *,
     function: str,
     reflectance: float = 0.1,
+    turbidity: float = 1.0,
     histories: int = 400_000,
 ) -> Case:
     """Return plates at eight distances under a fixed beam, in water made of photons.
@@ -128,7 +133,7 @@ def photon_water(
         Of `PHASE_FUNCTIONS`.
     reflectance : float
         Of the plates: the smaller, the more the water counts [1].
-    histories : int
+    turbidity, histories : float, int
         Of `photons`.
 
     Returns
@@ -136,8 +141,8 @@ def photon_water(
     Case
         The survey says a and b rightly, and the moments of another phase function.
     """
-    made = _survey(count, reflectance=reflectance)
-    light = photons(function, histories, reflectance)
+    made = _survey(count, reflectance=reflectance, turbidity=turbidity)
+    light = photons(function, histories, reflectance, turbidity)
     frequency = np.array(made.instrument.modulation_frequencies)
     # Frequencies that went through a text differ in the last bit.
     chosen = np.abs(_ALL - frequency[:, None]).argmin(axis=1)
@@ -175,10 +180,11 @@ def photon_water(
     )
 
 
-def _survey(count: int, *, reflectance: float) -> Survey:
+def _survey(count: int, *, reflectance: float, turbidity: float) -> Survey:
     return survey(
         count,
         plate(2.5, reflectance=reflectance),
+        water=scaled("tank", turbidity),
         wide=0,
         tall=0,
         shot_columns=1,
