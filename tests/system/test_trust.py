@@ -249,6 +249,7 @@ def test_what_no_data_can_show_is_covered_where_it_is_stated(scene: str) -> None
         assert row.score.worst < 2.5, row
 
 
+@pytest.mark.slow
 def test_what_was_acquired_is_worth_what_was_simulated() -> None:
     # Stages that jitter by 20 microradians, dark readings, takes; the scan is broken
     # off in its middle and taken up again.
