@@ -1,19 +1,22 @@
 """Draws the gallery of redrawn figures: runs the whole study, then writes its page.
 
-Run with ``python docs/make_gallery.py``, which takes some minutes; with ``--page`` the
-page is written again from the checks of the last run.
+Run with ``python docs/make_gallery.py``, which takes some twenty minutes of a
+processor, most for what the conclusions depend on. ``--figure 7`` draws one anew,
+``--keep-dependences`` leaves that table as it is, and ``--page`` writes the page again
+from the checks of the last run.
 """
 
 from __future__ import annotations
 
+import argparse
 import json
 import shutil
-import sys
 import tempfile
 from pathlib import Path
 from typing import Any
 
-from amulor.studies.ricci2010 import reproduce
+from amulor.studies.ricci2010 import reproduce, tables
+from amulor.studies.ricci2010.checks import Check
 from amulor.studies.ricci2010.report import FOREWORD
 
 DOCS = Path(__file__).parent
@@ -24,20 +27,60 @@ CODE = "../../src/amulor/studies/ricci2010"
 
 
 def main() -> None:
-    """Run the study unless asked not to, and write the page."""
-    if "--page" not in sys.argv[1:]:
-        results = reproduce.run(progress=lambda step, share: print(step, flush=True))
+    """Run what is asked for, and write the page."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("--figure", type=int, nargs="+", default=reproduce.FIGURES)
+    parser.add_argument("--keep-dependences", action="store_true")
+    parser.add_argument("--page", action="store_true")
+    asked = parser.parse_args()
+    if not asked.page:
+        results = reproduce.run(
+            asked.figure,
+            depend=not asked.keep_dependences,
+            progress=lambda step, share: print(f"{share:4.0%} {step}", flush=True),
+        )
         IMAGES.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryDirectory() as folder:
             for name in reproduce.write(Path(folder), results):
                 if name not in ("report.html", "checks.json"):
                     shutil.copy(Path(folder) / name, IMAGES / name)
-        found = results.plain()
-        for entry in found["sensitivity"]:
-            del entry["changes"]  # the page shows the flips only
-        CHECKS.write_text(json.dumps(found, indent=1) + "\n")
+        CHECKS.write_text(json.dumps(merged(results.plain()), indent=1) + "\n")
     PAGE.parent.mkdir(exist_ok=True)
     PAGE.write_text(page(json.loads(CHECKS.read_text())))
+
+
+def merged(found: dict[str, Any]) -> dict[str, Any]:
+    """Return a run with what it left out taken from the run before.
+
+    Parameters
+    ----------
+    found : dict
+        `Results.plain()` of a run, perhaps of some figures only.
+
+    Returns
+    -------
+    dict
+        What `checks.json` holds. Dependences are kept while their statement is.
+    """
+    kept = json.loads(CHECKS.read_text()) if CHECKS.exists() else {}
+    figures = {f["number"]: f for f in [*kept.get("figures", []), *found["figures"]]}
+    anew = {f["number"] for f in found["figures"]}
+    if found["sensitivity"] is None:
+        anew = set()
+    stated = {(n, c["statement"]) for n, f in figures.items() for c in f["checks"]}
+    entries = [
+        entry
+        for entry in kept.get("sensitivity") or []
+        if entry["figure"] not in anew
+        and (entry["figure"], entry["statement"]) in stated
+    ] + (found["sensitivity"] or [])
+    for entry in entries:
+        entry.pop("changes", None)  # the page shows the flips only
+    return {
+        "figures": [figures[number] for number in sorted(figures)],
+        "sensitivity": sorted(entries, key=lambda entry: entry["figure"]),
+        "parameters": found["parameters"],
+    }
 
 
 def page(study: dict[str, Any]) -> str:
@@ -53,18 +96,16 @@ def page(study: dict[str, Any]) -> str:
     str
         Markdown.
     """
-    every = [check for figure in study["figures"] for check in figure["checks"]]
-    tests = [check for check in every if check["role"] == "test"]
-    chosen = [check for check in every if check["role"] == "set"]
+    every = [
+        Check(**check) for figure in study["figures"] for check in figure["checks"]
+    ]
     parts = [
         "# The figures of Ricci et al. 2010, redrawn",
         "Made by `python docs/make_gallery.py`; `amulor reproduce ricci2010` makes the "
         "same figures, tables and a report in a folder of yours (`--figure 7` for one "
         "of them, `--quick` for a first look in less than a minute).",
         FOREWORD,
-        f"Of {len(tests)} statements {sum(c['passed'] for c in tests)} hold; of "
-        f"{len(chosen)} more, for which a number of the study was chosen, "
-        f"{sum(c['passed'] for c in chosen)} hold. What fails is discussed "
+        f"{tables.tally(every)} What fails is discussed "
         "[below](#what-does-not-hold-and-why).",
     ]
     for figure in study["figures"]:
@@ -76,10 +117,10 @@ def page(study: dict[str, Any]) -> str:
             f"([code]({CODE}/figures/{stem}.py), "
             f"[SVG](../images/ricci2010/{stem}.svg))",
             _table(
-                ["statement", "found", "needed", "result"],
+                list(tables.CHECK_HEADER),
                 [
-                    [c["statement"], c["found"], c["wanted"], _verdict(c)]
-                    for c in figure["checks"]
+                    [*row[:-1], row[-1].replace("FAIL", "**FAIL**")]
+                    for row in tables.check_rows(Check(**c) for c in figure["checks"])
                 ],
             ),
         ]
@@ -125,11 +166,6 @@ def page(study: dict[str, Any]) -> str:
         ),
     ]
     return "\n\n".join(parts) + "\n"
-
-
-def _verdict(check: dict[str, Any]) -> str:
-    text = "pass" if check["passed"] else "**FAIL**"
-    return f"{text} (set)" if check["role"] == "set" else text
 
 
 def _table(header: list[str], rows: list[list[str]]) -> str:

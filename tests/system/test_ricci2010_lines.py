@@ -241,11 +241,11 @@ def test_open_water_takes_most_of_the_drift_away(quick):
 
 
 def test_without_milk_or_without_a_baseline_nothing_drifts(quick):
-    statement, limits = "VV drifts", {"low": 1.0, "high": 1.6}
+    statement, limits = "VV drifts", {"low": 1.0, "high": 1.6, "place": ""}
     assert line_checks.drifts(quick, statement, "b", "VV", **limits).passed
     assert not line_checks.drifts(quick, statement, "tap", "VV", **limits).passed
     straight = changed(quick, short_baseline=1e-6)
-    check = line_checks.moves(straight, statement, "b", "VV")
+    check = line_checks.moves(straight, statement, "b", "VV", place="")
     assert not check.passed
 
 

@@ -72,8 +72,10 @@ def ricci2010(
         return
     for redrawn in results.figures:
         print(f"Figure {redrawn.number}. {redrawn.title}")
-        for statement, found, wanted, verdict in tables.check_rows(redrawn.checks):
-            print(f"  {verdict:<10}  {statement}")
+        for statement, place, found, wanted, verdict in tables.check_rows(
+            redrawn.checks
+        ):
+            print(f"  {verdict:<10}  {statement}{f' ({place})' if place else ''}")
             print(f"              found {found}; needed {wanted}")
         print()
     if results.dependence is not None:

@@ -106,21 +106,21 @@ def test_noise_is_the_same_for_a_label_and_another_for_others() -> None:
     ("value", "passes"), [(1.0, True), (2.0, True), (2.1, False), (math.nan, False)]
 )
 def test_a_number_passes_between_its_limits(value: float, passes: bool) -> None:
-    check = within("x", value, 1.0, 2.0, unit="m", uncertainty=0.1)
+    check = within("x", value, 1.0, 2.0, place="here", unit="m", uncertainty=0.1)
     assert check.passed is passes
     assert "± 0.1 m" in check.found
     assert check.wanted == "1 to 2 m"
-    assert within("x", 1.0, -math.inf, 2.0).wanted == "at most 2"
-    assert within("x", 1.0, 2.0, math.inf).wanted == "at least 2"
+    assert within("x", 1.0, -math.inf, 2.0, place="").wanted == "at most 2"
+    assert within("x", 1.0, 2.0, math.inf, place="").wanted == "at least 2"
 
 
 def _checks(study: Study) -> list[Check]:
     if study["width"] > 0.03:
         raise SurveyError("too wide")
     return [
-        within("narrow", study["width"], 0.0, 0.025),
-        within("not too narrow", study["width"], 0.015, 1.0),
-        holds("always", True, found="yes", wanted="yes", role="set"),
+        within("narrow", study["width"], 0.0, 0.025, place="here"),
+        within("not too narrow", study["width"], 0.015, 1.0, place=""),
+        holds("always", True, place="here", found="yes", wanted="yes", role="set"),
     ]
 
 
@@ -138,10 +138,23 @@ def test_a_conclusion_that_flips_is_said_to_flip() -> None:
     assert rows[1] == ["3", "not too narrow", "holds", "width = 1 cm; width = 4 cm"]
 
 
-def test_the_tally_counts_set_statements_apart() -> None:
+def test_the_tally_counts_set_statements_and_those_of_ours_apart() -> None:
     checks = _checks(Study(parameters.parse(ENTRY)))
     text = tables.tally(checks)
-    assert text.startswith("2 of 2 statements hold; of 1 more")
+    assert text.startswith("1 of 1 statements of the paper hold; of 1 more")
+    assert text.endswith("of 1 checks that the paper does not state, 1 hold.")
+
+
+def test_a_statement_of_the_paper_says_where_it_stands_there() -> None:
+    assert [c.role for c in _checks(Study(parameters.parse(ENTRY)))] == [
+        "test",
+        "own",
+        "set",
+    ]
+    with pytest.raises(ValueError, match="says where it stands"):
+        within("x", 1.0, 0.0, 2.0, place="", role="set")
+    with pytest.raises(ValueError, match="says where it stands"):
+        within("x", 1.0, 0.0, 2.0, place="section 7", role="own")
 
 
 def test_every_figure_is_there_with_a_caption() -> None:
@@ -171,7 +184,7 @@ def test_the_command_writes_pictures_checks_and_a_report(
     assert main([*words, "--figure", "9"]) == 0
     text = capsys.readouterr().out
     assert "Figure 9. Contrast" in text
-    assert "statements hold" in text
+    assert "statements of the paper hold" in text
     names = {"figure_09.png", "figure_09.svg", "checks.json", "report.html"}
     assert {path.name for path in folder.iterdir()} == names
     written = json.loads((folder / "checks.json").read_text())

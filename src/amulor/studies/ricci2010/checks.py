@@ -1,4 +1,4 @@
-"""What the paper says of a figure, beside what was found."""
+"""What the paper says of a figure, and where, beside what was found."""
 
 from __future__ import annotations
 
@@ -6,17 +6,27 @@ import math
 from dataclasses import dataclass
 from typing import Any, Literal
 
-#: What a statement is worth here. `test`: nothing was chosen to meet it. `set`: a
-#: number of the study was chosen so that it holds, so that it proves nothing.
-Role = Literal["test", "set"]
+#: What a statement is worth here. `test`: the paper says it, and nothing was chosen to
+#: meet it. `set`: a number of the study was chosen so that it holds, so that it proves
+#: nothing. `own`: the paper does not say it; it is asked here besides.
+Role = Literal["test", "set", "own"]
 
 
 @dataclass(frozen=True, kw_only=True)
 class Check:
-    """A statement and whether it holds."""
+    """A statement and whether it holds.
+
+    Raises
+    ------
+    ValueError
+        If a statement of the paper does not say where it stands there, or one of ours
+        does.
+    """
 
     statement: str
     """What is stated, in a sentence."""
+    place: str
+    """Where the paper says it; empty for a check of ours."""
     found: str
     """What was found, with its unit and, where it is random, its standard error."""
     wanted: str
@@ -27,6 +37,15 @@ class Check:
     """Whether it is a test, or was used to choose a number."""
     value: float | None = None
     """What was found, in the unit of `found`."""
+
+    def __post_init__(self) -> None:
+        """Refuse a statement of the paper without its place."""
+        if (self.role == "own") == bool(self.place):
+            raise ValueError(
+                f"check {self.statement!r}: a statement of the paper says where it "
+                f"stands there, a check of ours does not; got role {self.role!r} and "
+                f"place {self.place!r}"
+            )
 
     def plain(self) -> dict[str, Any]:
         """Return the check for other programs.
@@ -45,10 +64,11 @@ def within(
     low: float,
     high: float,
     *,
+    place: str,
     unit: str = "",
     digits: int = 3,
     uncertainty: float | None = None,
-    role: Role = "test",
+    role: Role | None = None,
 ) -> Check:
     """Return the check that a number lies between two others.
 
@@ -60,14 +80,16 @@ def within(
         What was found; not-a-number does not pass.
     low, high : float
         What would do, each of them infinite where there is no limit.
+    place : str
+        Where the paper says it; empty for a check of ours.
     unit : str
         Unit of all of them.
     digits : int
         Significant digits to show.
     uncertainty : float, optional
         Standard error of what was found.
-    role : {"test", "set"}
-        Whether it is a test, or was used to choose a number.
+    role : {"test", "set", "own"}, optional
+        Worth of the statement; by default a test, or our own without a place.
 
     Returns
     -------
@@ -91,13 +113,20 @@ def within(
         found=f"{text(value)}{error}{space}",
         wanted=wanted,
         passed=bool(low <= value <= high),
-        role=role,
+        place=place,
+        role=role or _role(place),
         value=float(value),
     )
 
 
 def holds(
-    statement: str, truth: bool, *, found: str, wanted: str, role: Role = "test"
+    statement: str,
+    truth: bool,
+    *,
+    place: str,
+    found: str,
+    wanted: str,
+    role: Role | None = None,
 ) -> Check:
     """Return the check of a statement that is no single number.
 
@@ -107,10 +136,12 @@ def holds(
         What is stated.
     truth : bool
         Whether it holds.
+    place : str
+        Where the paper says it; empty for a check of ours.
     found, wanted : str
         What was found and what would do.
-    role : {"test", "set"}
-        Whether it is a test, or was used to choose a number.
+    role : {"test", "set", "own"}, optional
+        Worth of the statement; by default a test, or our own without a place.
 
     Returns
     -------
@@ -122,5 +153,11 @@ def holds(
         found=found,
         wanted=wanted,
         passed=bool(truth),
-        role=role,
+        place=place,
+        role=role or _role(place),
     )
+
+
+def _role(place: str) -> Role:
+    """Return what a statement is worth unless it was used to choose a number."""
+    return "test" if place else "own"

@@ -15,7 +15,7 @@ FOREWORD = (
     "models of amulor from the numbers listed at the end, with the noise that they "
     'state. "FAIL" means that the statement could not be met with these physics. '
     '"(set)" marks statements from which a number of the study was deduced, so that '
-    "they prove nothing."
+    'they prove nothing; "(own)" marks checks that the paper does not state.'
 )
 
 

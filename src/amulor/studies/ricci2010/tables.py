@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 
-from amulor.studies.ricci2010.checks import Check
+from amulor.studies.ricci2010.checks import Check, Role
 from amulor.studies.ricci2010.parameters import Parameter
 from amulor.studies.ricci2010.sensitivity import Dependence
 
 Rows = list[list[str]]
 
-CHECK_HEADER = ("statement", "found", "needed", "result")
+CHECK_HEADER = ("statement", "in the paper", "found", "needed", "result")
 DEPENDENCE_HEADER = ("figure", "statement", "as it is", "flips when")
 PARAMETER_HEADER = ("number", "value", "basis", "range", "why")
 
@@ -26,10 +26,10 @@ def verdict(check: Check) -> str:
     Returns
     -------
     str
-        "pass" or "FAIL", and whether a number was chosen for it.
+        "pass" or "FAIL", and whether a number was chosen for it, or it is ours.
     """
     text = "pass" if check.passed else "FAIL"
-    return f"{text} (set)" if check.role == "set" else text
+    return text if check.role == "test" else f"{text} ({check.role})"
 
 
 def check_rows(checks: Iterable[Check]) -> Rows:
@@ -45,7 +45,7 @@ def check_rows(checks: Iterable[Check]) -> Rows:
     list of list of str
         Cells.
     """
-    return [[c.statement, c.found, c.wanted, verdict(c)] for c in checks]
+    return [[c.statement, c.place, c.found, c.wanted, verdict(c)] for c in checks]
 
 
 def dependence_rows(dependence: Iterable[Dependence]) -> Rows:
@@ -109,15 +109,23 @@ def tally(checks: Iterable[Check]) -> str:
     Returns
     -------
     str
-        Tests and set statements are counted apart.
+        Tests, set statements and checks of ours are counted apart.
     """
     every = list(checks)
-    tests = [check for check in every if check.role == "test"]
-    chosen = [check for check in every if check.role == "set"]
-    text = f"{sum(c.passed for c in tests)} of {len(tests)} statements hold"
-    if not chosen:
-        return f"{text}."
-    return (
-        f"{text}; of {len(chosen)} more, for which a number of the study was chosen, "
-        f"{sum(c.passed for c in chosen)} hold."
-    )
+
+    def count(role: Role) -> tuple[int, int]:
+        chosen = [check.passed for check in every if check.role == role]
+        return sum(chosen), len(chosen)
+
+    held, tests = count("test")
+    met, chosen = count("set")
+    right, own = count("own")
+    text = f"{held} of {tests} statements of the paper hold"
+    if chosen:
+        text += (
+            f"; of {chosen} more, for which a number of the study was chosen, {met} "
+            "hold"
+        )
+    if own:
+        text += f"; of {own} checks that the paper does not state, {right} hold"
+    return f"{text}."

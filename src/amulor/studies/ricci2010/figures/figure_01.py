@@ -36,6 +36,8 @@ CAPTION = (
 Floats = NDArray[np.float64]
 #: Depths at which the integrand is taken.
 _DEPTHS = 2501
+#: Where the paper says that only the first few metres count.
+_FEW_METRES = "section 3, end, on figure 1"
 
 
 @dataclass(frozen=True)
@@ -132,6 +134,7 @@ def checks(study: Study) -> list[Check]:
             min(float(p.diffusion.min()) for p in both) * 1e6,
             0.0,
             np.inf,
+            place="",
             unit="µsr",
         ),
         within(
@@ -139,12 +142,14 @@ def checks(study: Study) -> list[Check]:
             max(float(p.diffusion[0] / p.diffusion.max()) for p in both),
             0.0,
             1e-6,
+            place="",
         ),
         within(
             "the integrand has one maximum, at both turbidities",
             max(both, key=lambda p: abs(p.maxima - 1)).maxima,
             1,
             1,
+            place="",
         ),
     ]
     for turbidity, p in profiles.items():
@@ -155,13 +160,15 @@ def checks(study: Study) -> list[Check]:
                 p.peak,
                 0.5,
                 3.0,
+                place=_FEW_METRES,
                 unit="m",
                 role="set",
             )
         )
-        for name, integrand in (
-            ("diffusion", p.diffusion),
-            ("small-angle", p.small_angle),
+        # The paper speaks of (46).
+        for name, integrand, place in (
+            ("diffusion", p.diffusion, _FEW_METRES),
+            ("small-angle", p.small_angle, ""),
         ):
             result.append(
                 within(
@@ -170,6 +177,7 @@ def checks(study: Study) -> list[Check]:
                     p.reach(integrand),
                     0.0,
                     5.0,
+                    place=place,
                     unit="m",
                 )
             )

@@ -47,6 +47,7 @@ def checks(study: Study) -> list[Check]:
         least,
         1.0,
         np.inf,
+        place="section 7, on figures 4 and 6",
         uncertainty=error or None,
     )
     shown = ", ".join(f"{ratio:.2f}" for ratio, _ in ratios)
@@ -62,6 +63,7 @@ def checks(study: Study) -> list[Check]:
             found=f"{moments[0]:.3g} to {moments[1]:.3g} rad², "
             f"{asymmetries[0]:.4f} to {asymmetries[1]:.4f}",
             wanted="larger, smaller",
+            place="section 7, on figure 4",
             role="set",
         ),
     ]

@@ -25,6 +25,8 @@ CAPTION = (
     "the model's water, which has no end. Gaps: no range, hidden from the receiver by "
     "a step. The colour gives the height above the farthest tread."
 )
+#: Where the paper speaks of it.
+_PLACE = "section 7, on figures 5 and 6"
 #: Heights that are drawn [mm], and the directions from which [degree].
 _LIMITS = (-5.0, 75.0)
 _SIDES = {
@@ -56,6 +58,7 @@ def checks(study: Study) -> list[Check]:
             cut_off(scan.survey) / 1e6,
             0.0,
             megahertz,
+            place=_PLACE,
             unit="MHz",
         ),
         within(
@@ -63,17 +66,20 @@ def checks(study: Study) -> list[Check]:
             cut_off(scan.survey, end=study["short_length"]) / 1e6,
             0.0,
             megahertz,
+            place="",
             unit="MHz",
         ),
         steps_agree(
             study,
             "the frequency alone, nothing subtracted, gives the steps",
             scan.steps(image),
+            place=_PLACE,
         ),
         steps_agree(
             study,
             "subtraction of open water gives the steps",
             scan.steps(scan.subtracted["none"]),
+            place="",
         ),
     ]
 

@@ -29,6 +29,8 @@ CAPTION = (
     "are far too low, since the water signal exceeds that of the ladder. (b) The same "
     "samples after subtraction of open water: noisier, with the right steps."
 )
+#: Where the paper speaks of it.
+_PLACE = "section 7, on figures 5 and 6"
 #: Heights that are drawn [mm].
 _LIMITS = (-29.0, 99.0)
 
@@ -59,21 +61,28 @@ def checks(study: Study) -> list[Check]:
             above,
             1.0,
             1.5,
+            place=_PLACE,
         ),
         steps_agree(
-            study, "the frequency alone, nothing subtracted, gives the steps", left
+            study,
+            "the frequency alone, nothing subtracted, gives the steps",
+            left,
+            place=_PLACE,
         ),
-        steps_agree(study, "subtraction of open water gives the steps", taken),
+        steps_agree(
+            study, "subtraction of open water gives the steps", taken, place=""
+        ),
         *[
             holds(
                 f"range error (rms) larger than in clear water, {stage}",
                 turbid.error > other.error,
                 found=f"{turbid.error * 1e3:.3g} against {other.error * 1e3:.3g} mm",
                 wanted="larger",
+                place=place,
             )
-            for stage, turbid, other in (
-                ("nothing subtracted", left, clear_left),
-                ("open water subtracted", taken, clear_taken),
+            for stage, turbid, other, place in (
+                ("nothing subtracted", left, clear_left, _PLACE),
+                ("open water subtracted", taken, clear_taken, ""),
             )
         ],
     ]

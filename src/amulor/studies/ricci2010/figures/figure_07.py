@@ -30,6 +30,8 @@ CAPTION = (
 #: Successive maxima, and minima, of experiment 2 stand 33.5 to 43.4 MHz apart, read to
 #: 2 MHz; those of experiment 3 about 25 MHz [MHz].
 _SECOND, _THIRD, _READING = (33.5, 43.4), 25.0, 2.0
+#: Where the paper speaks of each experiment.
+_PLACES = tuple(f"section 8, on figure 7({panel})" for panel in "abc")
 
 
 def checks(study: Study) -> list[Check]:
@@ -54,6 +56,7 @@ def checks(study: Study) -> list[Check]:
             float(100 * gap),
             -np.inf,
             25,
+            place=_PLACES[0],
             unit="%",
         ),
         holds(
@@ -61,6 +64,7 @@ def checks(study: Study) -> list[Check]:
             len(apart[0]) >= 3 and bool(np.all((apart[0] > low) & (apart[0] < high))),
             found=_spread(apart[0]),
             wanted=f"at least 3, all {low:g} to {high:g} MHz",
+            place=_PLACES[1],
             role="set",
         ),
         within(
@@ -68,6 +72,7 @@ def checks(study: Study) -> list[Check]:
             float(np.mean(apart[1])) if len(apart[1]) else np.nan,
             _THIRD - _READING,
             _THIRD + _READING,
+            place=_PLACES[2],
             unit="MHz",
             role="set",
         ),
@@ -76,18 +81,21 @@ def checks(study: Study) -> list[Check]:
             subtracted[1] / raw[1],
             -np.inf,
             0.2,
+            place=_PLACES[1],
         ),
         within(
             "experiment 3: subtraction takes the oscillation out (ripple over raw)",
             subtracted[2] / raw[2],
             -np.inf,
             0.1,
+            place=_PLACES[2],
         ),
         within(
             "joint estimate without open water, all experiments (largest ripple)",
             max(joint),
             -np.inf,
             0.2 * min(raw[1:]),
+            place="",
         ),
         *[_range(sweep) for sweep in (first, second, third)],
         *[_white(sweep) for sweep in (first, second, third)],
@@ -176,6 +184,7 @@ def _in_better_water(study: Study) -> list[Check]:
                 name + "maxima, and minima, stand as far apart (mean)",
                 len(apart) >= 3 and low < float(np.mean(apart)) < high,
                 found=_spread(apart),
+                place=_PLACES[sweep.number - 1],
                 wanted=f"mean of at least 3 from {low:g} to {high:g} MHz",
             ),
             within(
@@ -183,6 +192,7 @@ def _in_better_water(study: Study) -> list[Check]:
                 extrema.ripple(np.abs(sweep.subtracted)) / extrema.ripple(amplitude),
                 -np.inf,
                 0.2 if sweep.number == 2 else 0.1,
+                place=_PLACES[sweep.number - 1],
             ),
             _range(sweep, name),
         ]
@@ -206,6 +216,7 @@ def _range(sweep: shared.Sweep, name: str | None = None) -> Check:
         abs(result - true) < 3 * sigma and sweep.joint_flags == 0,
         found=f"{1e3 * (result - true):+.2f} ± {1e3 * sigma:.2f} mm"
         + (", flagged" if sweep.joint_flags else ""),
+        place="",
         wanted="0 mm within 3 standard errors, no flag",
     )
 
@@ -217,5 +228,6 @@ def _white(sweep: shared.Sweep) -> Check:
         sweep.reflectance,
         0.6,
         1.0,
+        place="section 8, second paragraph on the set-up",
         digits=2,
     )

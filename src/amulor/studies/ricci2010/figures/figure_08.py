@@ -42,6 +42,7 @@ def checks(study: Study) -> list[Check]:
             min(float(sweep.corrected_ratio.min()) for sweep in sweeps),
             -np.inf,
             1.0,
+            place="section 8, after figure 9",
         ),
         within(
             "correction takes the oscillation out of the ratio: turns left in SNR_t of "
@@ -49,6 +50,7 @@ def checks(study: Study) -> list[Check]:
             float(sum(_turns(sweep) for sweep in sweeps[1:])),
             -np.inf,
             0,
+            place=ratio_panels.PLACE,
         ),
     ]
 
@@ -77,6 +79,7 @@ def _goes_together(sweeps: tuple[shared.Sweep, ...]) -> Check:
         same and below[0] == 0 and below[1] > 0 and below[2] > 0,
         found=f"{below[0]}, {below[1]}, {below[2]} of {len(sweeps[0].frequency)}"
         + (" frequencies" if same else " frequencies, not the same ones"),
+        place="section 8, after figure 9",
         wanted="0, some, some; the same ones",
     )
 

@@ -30,6 +30,7 @@ def checks(study: Study) -> list[Check]:
             "(least contrast)",
             lowest[0] > 0 > max(lowest[1:]),
             found=", ".join(f"{value:+.2f}" for value in lowest),
+            place="section 8, after figure 9",
             wanted="above 0, below 0, below 0",
         ),
         holds(
@@ -37,6 +38,7 @@ def checks(study: Study) -> list[Check]:
             "last tenth)",
             all(_last(sweep) > 0.5 for sweep in sweeps),
             found=", ".join(f"{_last(sweep):.2f}" for sweep in sweeps),
+            place="",
             wanted="above 0.5 in all",
         ),
     ]

@@ -30,6 +30,11 @@ CAPTION = (
     "laser."
 )
 
+#: Where the paper speaks of each panel.
+_AT = {
+    step: f"section 9, on figure 10({panel})"
+    for step, panel in zip(lines.TURBIDITIES, "abcd", strict=True)
+}
 #: Drifts of (d) that the text states [degrees].
 _CROSSED, _PARALLEL = 3.0, 7.0
 
@@ -52,29 +57,40 @@ def checks(study: Study) -> list[Check]:
     }
     crossed_share = lines.rejected_share(study, "d", ("VH", "VV"))
     crossed = line_checks.drifts(
-        study, "(d) VH drifts by about 3 degrees", "d", "VH", low=2.5, high=3.5
+        study,
+        "(d) VH drifts by about 3 degrees",
+        "d",
+        "VH",
+        low=2.5,
+        high=3.5,
+        place=_AT["d"],
     )
     return [
         line_checks.stays_flat(
-            study, "(a) VV does not drift in tap water", "tap", "VV", role="set"
+            study, "(a) VV does not drift in tap water", "tap", "VV",
+            place=_AT["tap"], role="set",
         ),
         line_checks.stays_flat(
-            study, "(a) VH does not drift in tap water", "tap", "VH", role="set"
+            study, "(a) VH does not drift in tap water", "tap", "VH",
+            place=_AT["tap"], role="set",
         ),
         line_checks.drifts(
             study, "(b) VV drifts by 1.3 degrees", "b", "VV",
-            low=1.0, high=1.6, role="set",
+            low=1.0, high=1.6, place=_AT["b"], role="set",
         ),
-        line_checks.stays_flat(study, "(b) VH does not drift", "b", "VH"),
+        line_checks.stays_flat(study, "(b) VH does not drift", "b", "VH", place=_AT["b"]
+        ),
         within(
             "(c) VV drifts by more than in (b) and less than in (d)",
-            drift["c"], drift["b"], drift["d"], unit="deg",
+            drift["c"], drift["b"], drift["d"],
+            place=_AT["c"], unit="deg",
             uncertainty=lines.line(study, "c", "VV").error,
         ),
-        line_checks.stays_flat(study, "(c) VH does not drift", "c", "VH"),
+        line_checks.stays_flat(study, "(c) VH does not drift", "c", "VH", place=_AT["c"]
+        ),
         line_checks.drifts(
             study, "(d) VV drifts by about 7 degrees", "d", "VV",
-            low=6.0, high=8.0, role="set",
+            low=6.0, high=8.0, place=_AT["d"], role="set",
         ),
         replace(
             crossed,
@@ -82,7 +98,11 @@ def checks(study: Study) -> list[Check]:
             f"{100 * crossed_share:.2g} % of the water's light, and "
             f"{100 * needed_crossed_share(study):.2g} % would be needed",
         ),
-        *(line_checks.is_straight(study, step, "VV") for step in ("b", "c", "d")),
+        *(
+            line_checks.is_straight(study, step, "VV", place=place)
+            # The text says it of (b), and of (c) by analogy.
+            for step, place in (("b", _AT["b"]), ("c", _AT["c"]), ("d", ""))
+        ),
         holds(
             "optical thickness below 1 in (c) and above 1 in (d)",
             study["attenuation_c"] * study["short_distance"]
@@ -93,6 +113,7 @@ def checks(study: Study) -> list[Check]:
                 for step in ("c", "d")
             ),
             wanted="below and above 1",
+            place="section 9, on figures 10(c) and 10(d)",
             role="set",
         ),
     ]  # fmt: skip

@@ -24,6 +24,12 @@ CAPTION = (
     "Nothing was chosen for this figure."
 )
 
+#: Where the paper speaks of each panel.
+_AT = {
+    step: f"section 9, on figure 11({panel})"
+    for step, panel in zip(lines.TURBIDITIES, "abcd", strict=True)
+}
+
 
 def checks(study: Study) -> list[Check]:
     """Return what the text says of figure 11.
@@ -43,18 +49,22 @@ def checks(study: Study) -> list[Check]:
     return [
         within(
             "(a) RL and RR do not differ beyond the phase error in tap water",
-            apart, -line_checks.FLAT, line_checks.FLAT, unit="deg", uncertainty=error,
+            apart, -line_checks.FLAT, line_checks.FLAT,
+            place=_AT["tap"], unit="deg", uncertainty=error,
         ),
         *(
-            line_checks.moves(study, f"({step}) RL drifts", step, "RL")
+            line_checks.moves(study, f"({step}) RL drifts", step, "RL", place=_AT[step])
             for step in ("b", "c", "d")
         ),
-        line_checks.stays_flat(study, "(b) RR does not drift", "b", "RR"),
-        line_checks.stays_flat(study, "(c) RR does not drift", "c", "RR"),
-        line_checks.moves(study, "(d) RR drifts", "d", "RR"),
+        line_checks.stays_flat(study, "(b) RR does not drift", "b", "RR", place=_AT["b"]
+        ),
+        line_checks.stays_flat(study, "(c) RR does not drift", "c", "RR", place=_AT["c"]
+        ),
+        line_checks.moves(study, "(d) RR drifts", "d", "RR", place=_AT["d"]),
         within(
             "(d) RR drifts by less than 3 degrees",
-            abs(turbid.drift), -np.inf, 3.0, unit="deg", uncertainty=turbid.error,
+            abs(turbid.drift), -np.inf, 3.0,
+            place=_AT["d"], unit="deg", uncertainty=turbid.error,
         ),
     ]  # fmt: skip
 

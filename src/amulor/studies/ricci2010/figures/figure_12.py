@@ -44,6 +44,7 @@ def checks(study: Study) -> list[Check]:
         margin,
         line_checks.FLAT,
         np.inf,
+        place="section 9, on figures 11(d) and 12",
         unit="deg",
         uncertainty=error,
     )

@@ -64,12 +64,24 @@ def checks(study: Study) -> list[Check]:
         panel = f"({letter_of}) {title}"
         steps = scan.steps(scan.subtracted[channel])
         if scan_of is PANELS[0][1]:
-            result += _phases(study, panel, steps)
+            result += _phases(
+                study, panel, steps, place=f"section 9, on figure 13({letter_of})"
+            )
         else:
             left = scan.steps(scan.raw[channel])
             result += [
-                steps_agree(study, f"{panel}: steps, open water subtracted", steps),
-                steps_agree(study, f"{panel}: steps, the polarizers alone", left),
+                steps_agree(
+                    study,
+                    f"{panel}: steps, open water subtracted",
+                    steps,
+                    place="",
+                ),
+                steps_agree(
+                    study,
+                    f"{panel}: steps, the polarizers alone",
+                    left,
+                    place=f"section 9, on figure 13({letter_of})",
+                ),
             ]
         noises.append(steps.noise * 1e3)
         result.append(
@@ -77,6 +89,7 @@ def checks(study: Study) -> list[Check]:
                 f"{panel}: range error of a pixel",
                 noises[-1],
                 *wanted,
+                place=f"section 9, on figure 13({letter_of})",
                 unit="mm",
                 uncertainty=noises[-1] / math.sqrt(2 * max(steps.pixels, 1)),
                 role=role,
@@ -88,12 +101,13 @@ def checks(study: Study) -> list[Check]:
             noises[0] <= noises[1] < noises[2] < noises[3],
             found=", ".join(f"{noise:.2g}" for noise in noises) + " mm",
             wanted="a ≤ b < c < d",
+            place="section 9, on figure 13",
         )
     )
     return result
 
 
-def _phases(study: Study, panel: str, steps: Steps) -> list[Check]:
+def _phases(study: Study, panel: str, steps: Steps, *, place: str) -> list[Check]:
     """Return the checks of the phases that the steps stand for, 5 % either way."""
     first = phase_step(study, steps.heights[0])
     other = phase_step(study, float(np.mean(steps.heights[1:])))
@@ -105,6 +119,7 @@ def _phases(study: Study, panel: str, steps: Steps) -> list[Check]:
             math.degrees(first),
             0.95 * 5.0,
             1.05 * 5.0,
+            place=place,
             unit="deg",
             uncertainty=math.degrees(phase_step(study, steps.uncertainties[0])),
         ),
@@ -113,6 +128,7 @@ def _phases(study: Study, panel: str, steps: Steps) -> list[Check]:
             math.degrees(other),
             0.95 * 1.25,
             1.05 * 1.25,
+            place=place,
             unit="deg",
             uncertainty=math.degrees(phase_step(study, error)),
         ),

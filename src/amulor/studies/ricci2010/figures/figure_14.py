@@ -41,7 +41,10 @@ def checks(study: Study) -> list[Check]:
         Order of the surface errors.
     """
     result = []
-    for stage in ("open water subtracted", "the polarizers alone"):
+    for stage, place in (
+        ("open water subtracted", ""),
+        ("the polarizers alone", "section 9, on figure 14"),
+    ):
         errors = []
         for _, scan_of, channel in PANELS:
             scan = study.once(scan_of)
@@ -53,6 +56,7 @@ def checks(study: Study) -> list[Check]:
                 errors[0] <= errors[1] < errors[2] < errors[3],
                 found=", ".join(f"{error:.2g}" for error in errors) + " mm",
                 wanted="a ≤ b < c < d",
+                place=place,
             )
         )
     return result

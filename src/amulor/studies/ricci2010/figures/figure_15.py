@@ -60,9 +60,9 @@ def checks(study: Study) -> list[Check]:
     for channel, image in scan.subtracted.items():
         seen = outlines(image, distance=study["short_distance"])
         result += _outlines(study, scan, channel, seen)
-    for stage, images in (
-        ("the polarizers alone", scan.raw),
-        ("open water subtracted", scan.subtracted),
+    for stage, images, place in (
+        ("the polarizers alone", scan.raw, "section 9, on figure 15"),
+        ("open water subtracted", scan.subtracted, ""),
     ):
         crossed, parallel = (scan.contrast(images[name]) for name in ("VH", "VV"))
         difference = crossed.value - parallel.value
@@ -74,6 +74,7 @@ def checks(study: Study) -> list[Check]:
                 found=f"{crossed.value:.4f} against {parallel.value:.4f}, "
                 f"± {error:.2g}",
                 wanted="larger by 2 standard errors",
+                place=place,
             )
         )
         rms = {name: scan.error(image)[0] * 1e3 for name, image in images.items()}
@@ -83,6 +84,7 @@ def checks(study: Study) -> list[Check]:
                 rms["VH"] < rms["VV"],
                 found=f"{rms['VH']:.2g} against {rms['VV']:.2g} mm",
                 wanted="smaller",
+                place=place,
             )
         )
     return result
@@ -105,6 +107,7 @@ def _outlines(
             math.nan if outline is None else outline.diameter * 1e3,
             (true - scan.pitch) * 1e3,
             (true + scan.pitch) * 1e3,
+            place="",
             unit="mm",
             uncertainty=None if outline is None else outline.uncertainty * 1e3,
         )
@@ -119,6 +122,7 @@ def _outlines(
             len(seen.small_holes) == 4,
             found=str(len(seen.small_holes)),
             wanted="4",
+            place="",
         )
     ]
 

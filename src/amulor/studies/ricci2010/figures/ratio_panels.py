@@ -27,6 +27,8 @@ from amulor.view.style import COLOURS, new_figure, style
 
 Floats = NDArray[np.float64]
 Curve = Callable[[Sweep], Floats]
+#: Where the paper speaks of both figures.
+PLACE = "section 8, on figures 8 and 9"
 
 
 def same_extrema(sweep: Sweep, value: Floats, name: str) -> Check:
@@ -67,6 +69,7 @@ def same_extrema(sweep: Sweep, value: Floats, name: str) -> Check:
         median <= limit,
         found=f"{len(shifts)} extrema, median shift {median:.1f} MHz, largest "
         f"{max(shifts, default=np.nan):.1f} MHz",
+        place=PLACE,
         wanted=f"median at most {limit:.1f} MHz, a tenth of the period",
     )
 
@@ -102,6 +105,7 @@ def grows(sweep: Sweep, value: Floats, name: str) -> Check:
         "of the interference)",
         bool(np.all(np.diff(means) > 0)),
         found=", ".join(f"{mean:.3g}" for mean in means),
+        place=PLACE,
         wanted="each above the one before",
     )
 

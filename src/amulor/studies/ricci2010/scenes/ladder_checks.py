@@ -56,7 +56,12 @@ def phase_step(study: Study, height: float) -> float:
 
 
 def steps_agree(
-    study: Study, statement: str, steps: Steps, *, significance: float = 3.0
+    study: Study,
+    statement: str,
+    steps: Steps,
+    *,
+    place: str,
+    significance: float = 3.0,
 ) -> Check:
     """Return the check that the steps of the ladder are right.
 
@@ -68,6 +73,8 @@ def steps_agree(
         What is stated.
     steps : Steps
         What was found.
+    place : str
+        Where the paper says it; empty for a check of ours.
     significance : float
         How many of its standard uncertainties each may be off.
 
@@ -89,6 +96,7 @@ def steps_agree(
         statement,
         bool((off <= significance).all()),
         found=result if "no range" in result else f"{result} mm",
+        place=place,
         wanted=f"{wanted} mm, each within {significance:g} standard errors",
     )
     return replace(check, value=float(np.max(off)))

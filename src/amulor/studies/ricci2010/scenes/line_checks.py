@@ -26,7 +26,8 @@ def drifts(
     *,
     low: float,
     high: float,
-    role: Role = "test",
+    place: str,
+    role: Role | None = None,
 ) -> Check:
     """Return the check of a drift.
 
@@ -42,7 +43,9 @@ def drifts(
         Launched and analysed state.
     low, high : float
         What would do, at most [degrees].
-    role : {"test", "set"}
+    place : str
+        Where the paper says it; empty for a check of ours.
+    role : {"test", "set", "own"}, optional
         Whether a number of the study was chosen for it.
 
     Returns
@@ -57,6 +60,7 @@ def drifts(
         abs(result.drift),
         low,
         high,
+        place=place,
         unit="deg",
         uncertainty=result.error,
         role=role,
@@ -69,7 +73,13 @@ def drifts(
 
 
 def stays_flat(
-    study: Study, statement: str, step: str, pair: str, *, role: Role = "test"
+    study: Study,
+    statement: str,
+    step: str,
+    pair: str,
+    *,
+    place: str,
+    role: Role | None = None,
 ) -> Check:
     """Return the check that a drift stays within the phase error of the apparatus.
 
@@ -83,7 +93,9 @@ def stays_flat(
         Water, a key of `TURBIDITIES`.
     pair : str
         Launched and analysed state.
-    role : {"test", "set"}
+    place : str
+        Where the paper says it; empty for a check of ours.
+    role : {"test", "set", "own"}, optional
         Whether a number of the study was chosen for it.
 
     Returns
@@ -92,11 +104,13 @@ def stays_flat(
         Failed where the drift is above by more than twice its standard error.
     """
     result = line(study, step, pair)
-    check = drifts(study, statement, step, pair, low=-np.inf, high=FLAT, role=role)
+    check = drifts(
+        study, statement, step, pair, low=-np.inf, high=FLAT, place=place, role=role
+    )
     return allowing(check, abs(result.drift) - SURE * result.error <= FLAT)
 
 
-def is_straight(study: Study, step: str, pair: str) -> Check:
+def is_straight(study: Study, step: str, pair: str, *, place: str) -> Check:
     """Return the check that a line drifts evenly.
 
     Parameters
@@ -107,6 +121,8 @@ def is_straight(study: Study, step: str, pair: str) -> Check:
         Water, a key of `TURBIDITIES`.
     pair : str
         Launched and analysed state.
+    place : str
+        Where the paper says it; empty for a check of ours.
 
     Returns
     -------
@@ -119,12 +135,13 @@ def is_straight(study: Study, step: str, pair: str) -> Check:
         result.bend,
         0.0,
         STRAIGHT,
+        place=place,
         uncertainty=result.bend_error,
     )
     return allowing(check, result.bend - SURE * result.bend_error <= STRAIGHT)
 
 
-def moves(study: Study, statement: str, step: str, pair: str) -> Check:
+def moves(study: Study, statement: str, step: str, pair: str, *, place: str) -> Check:
     """Return the check that a line drifts beyond the phase error of the apparatus.
 
     Parameters
@@ -137,6 +154,8 @@ def moves(study: Study, statement: str, step: str, pair: str) -> Check:
         Water, a key of `TURBIDITIES`.
     pair : str
         Launched and analysed state.
+    place : str
+        Where the paper says it; empty for a check of ours.
 
     Returns
     -------
@@ -144,7 +163,7 @@ def moves(study: Study, statement: str, step: str, pair: str) -> Check:
         Passed where the drift is above by more than twice its standard error.
     """
     result = line(study, step, pair)
-    check = drifts(study, statement, step, pair, low=FLAT, high=np.inf)
+    check = drifts(study, statement, step, pair, low=FLAT, high=np.inf, place=place)
     return surely(check, abs(result.drift) - SURE * result.error >= FLAT)
 
 
