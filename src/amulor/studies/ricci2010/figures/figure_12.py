@@ -17,10 +17,10 @@ from amulor.view.style import new_figure, style
 
 TITLE = "Crossed linear against same circular polarization"
 CAPTION = (
-    "Phase along a line at the highest turbidity of figures 10 and 11: crossed linear "
-    "(VH, filled) and same circular (RR, open) polarization. Marks are synthetic "
-    "measurements: polarized Monte Carlo in Mie spheres of milk, with the phase error "
-    "of the apparatus added. Black: without noise."
+    "Advance of the phase along a line at the highest turbidity of figures 10 and 11: "
+    "crossed linear (VH, filled) and same circular (RR, open) polarization. Marks are "
+    "synthetic measurements: polarized Monte Carlo in Mie spheres of milk, with the "
+    "phase error of the apparatus added. Black: without noise."
 )
 
 

@@ -1,4 +1,4 @@
-"""Panels of figures 10 to 12: two lines of one water over the pixels."""
+"""Panels of figures 10 to 12: two lines of one water, advance over the pixels."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ def panel(
             zorder=2,
         )
         axis.plot(
-            pixel, result.phase + result.offset, color="black", linewidth=0.8, zorder=3,
+            pixel, result.phase, color="black", linewidth=0.8, zorder=3,
             label=None if filled else "model, without noise",
         )  # fmt: skip
     if subtracted:
@@ -62,7 +62,7 @@ def panel(
             label=f"{pairs[0]} less open water",
             zorder=3,
         )
-    axis.set(xlim=(0, PIXELS + 1), xlabel="pixel", ylabel="phase [degree]")
+    axis.set(xlim=(0, PIXELS + 1), xlabel="pixel", ylabel="phase advance [degree]")
     axis.xaxis.set_major_locator(FixedLocator([1, 20, 40, 60, 80]))
     axis.grid(axis="y")
 

@@ -51,13 +51,13 @@ def drifts(
     Returns
     -------
     Check
-        Of the size of the drift without noise: which way the paper scanned is not
-        preserved. What the fit to the synthetic measurement gives is said beside it.
+        Of the drift without noise. What the fit to the synthetic measurement gives is
+        said beside it.
     """
     result = line(study, step, pair)
     check = within(
         statement,
-        abs(result.drift),
+        result.drift,
         low,
         high,
         place=place,
@@ -68,7 +68,7 @@ def drifts(
     return replace(
         check,
         found=f"{check.found} (fit to the synthetic line: "
-        f"{abs(result.fitted):.2f} ± {result.fitted_error:.2f} deg)",
+        f"{result.fitted:.2f} ± {result.fitted_error:.2f} deg)",
     )
 
 
@@ -105,7 +105,7 @@ def stays_flat(
     """
     result = line(study, step, pair)
     check = drifts(
-        study, statement, step, pair, low=-np.inf, high=FLAT, place=place, role=role
+        study, statement, step, pair, low=-FLAT, high=FLAT, place=place, role=role
     )
     return allowing(check, abs(result.drift) - SURE * result.error <= FLAT)
 
@@ -164,7 +164,7 @@ def moves(study: Study, statement: str, step: str, pair: str, *, place: str) -> 
     """
     result = line(study, step, pair)
     check = drifts(study, statement, step, pair, low=FLAT, high=np.inf, place=place)
-    return surely(check, abs(result.drift) - SURE * result.error >= FLAT)
+    return surely(check, result.drift - SURE * result.error >= FLAT)
 
 
 def surely(check: Check, passed: bool) -> Check:

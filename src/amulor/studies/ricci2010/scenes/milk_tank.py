@@ -85,10 +85,11 @@ def places(count: int = PIXELS) -> Array:
     Returns
     -------
     ndarray
-        From the side of the receiver to that of the laser: which way the paper
-        scanned is not preserved, and this way its phase grows.
+        From the side of the laser to that of the receiver: the text of section 9 says
+        that the receiver sees least of the beam's way through the water at the first
+        pixel, and all of it at the last.
     """
-    return np.linspace(LINE / 2, -LINE / 2, count)
+    return np.linspace(-LINE / 2, LINE / 2, count)
 
 
 def milk(study: Study) -> mie.Suspension:

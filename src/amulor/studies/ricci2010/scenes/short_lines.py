@@ -24,12 +24,14 @@ TURBIDITIES: dict[str, str] = {
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Line:
-    """Phase along a line behind one pair of polarizers."""
+    """Phase along a line behind one pair of polarizers, advance counted upwards.
+
+    Light of the water comes back before that of the plate, and the phase that the paper
+    draws grows with its share: what it counts is an advance, not a delay.
+    """
 
     phase: Array
     """Without noise, from zero at the first pixel, shape (80,) [degrees]."""
-    offset: float
-    """What the noise of the first pixel moves all of `measured` by [degrees]."""
     measured: Array
     """Synthetic measurement, from zero at its first pixel, shape (80,) [degrees]."""
     drift: float
@@ -87,7 +89,7 @@ def line(study: Study, step: str, pair: str) -> Line:
         With its drift.
     """
     light = study.once(LIGHT[step])[pair]
-    phase = phase_along(light.signal)
+    phase = advance_along(light.signal)
     sigma = float(np.degrees(study["phase_noise"]))
     noise = study.rng(f"line {step} {pair}").normal(0.0, sigma, PIXELS)
     measured = phase + noise
@@ -100,7 +102,6 @@ def line(study: Study, step: str, pair: str) -> Line:
     furthest = int(np.argmax(np.abs(departure)))
     return Line(
         phase=phase,
-        offset=-float(noise[0]),
         measured=measured - measured[0],
         drift=drift,
         error=standard_error(light.phase_batches @ rise),
@@ -161,7 +162,7 @@ def corrected(study: Study, step: str, pair: str) -> Array:
     """
     light = study.once(LIGHT[step])[pair]
     water = study.once(OPEN_WATER[step])[pair]
-    return phase_along(light.signal - water)
+    return advance_along(light.signal - water)
 
 
 def rejected_share(study: Study, step: str, pairs: tuple[str, str]) -> float:
@@ -186,11 +187,33 @@ def rejected_share(study: Study, step: str, pairs: tuple[str, str]) -> float:
     return float(np.mean(little / (little + much)))
 
 
-def phase_along(signal: Complex) -> Array:
-    """Return the phase of a line from zero at its first pixel [degrees]."""
-    phase: Array = np.degrees(np.unwrap(np.angle(signal)))
-    zeroed: Array = phase - phase[0]
-    return zeroed
+def water_over_plate(study: Study, step: str, pair: str) -> Array:
+    """Return the light of the water over that of the plate at each pixel.
+
+    Parameters
+    ----------
+    study : Study
+        Numbers.
+    step : str
+        Water, a key of `TURBIDITIES`.
+    pair : str
+        Launched and analysed state.
+
+    Returns
+    -------
+    ndarray
+        Ratio of amplitudes, shape (80,) [1].
+    """
+    light = study.once(LIGHT[step])[pair]
+    ratio: Array = np.abs(light.water) / np.abs(light.target)
+    return ratio
+
+
+def advance_along(signal: Complex) -> Array:
+    """Return how far a line is in advance of its first pixel [degrees]."""
+    delay: Array = np.degrees(np.unwrap(np.angle(signal)))
+    advance: Array = delay[0] - delay
+    return advance
 
 
 def rise_weight() -> Array:
