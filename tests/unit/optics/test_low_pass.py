@@ -15,6 +15,7 @@ from amulor.optics.low_pass import (
     first_order_response,
     fit,
     fit_if_shown,
+    fit_of_power,
 )
 
 SWEEP = np.linspace(0.5e6, 138e6, 276)
@@ -225,3 +226,62 @@ def test_a_fit_is_shown_where_the_sweep_reaches_beyond_the_cut_off(last, shown):
 def test_data_that_fix_no_cut_off_show_none():
     assert fit_if_shown([1.0, 2.0, 3.0], [1.0, 2.0, 3.0]) is None
     assert fit_if_shown([1.0, 2.0], [1.0, 2.0]) is None
+
+
+# ---------------------------------------------------------------- fit of power
+
+
+@given(corner=st.floats(2e6, 2e8), unit=st.floats(1e-9, 1e9))
+@drawn
+def test_fit_of_power_returns_what_the_data_were_made_with(corner, unit):
+    frequency = np.concatenate([[0.0], SWEEP])
+    found = fit_of_power(frequency, unit / np.sqrt(1 + (frequency / corner) ** 2))
+    assert_allclose(found.cut_off, corner, rtol=1e-9)
+    assert_allclose(found.amplitude_at_zero, unit, rtol=1e-12)
+
+
+def test_fit_of_power_finds_the_root_of_its_own_condition():
+    # Three points of no low-pass. With t = (f / f_c)^2 the sum of (s - 1 / (1 + t))^2
+    # is least where the sum of (s - 1 / (1 + t)) t / (1 + t)^2 is 0.
+    frequency, square = np.array([0.0, 10e6, 40e6]), np.array([1.0, 0.5, 0.3])
+    found = fit_of_power(frequency, 7.0 * np.sqrt(square))
+    turned = (frequency / found.cut_off) ** 2
+    condition = np.sum((square - 1 / (1 + turned)) * turned / (1 + turned) ** 2)
+    assert abs(condition) < 1e-9
+    grid = np.geomspace(1e6, 1e9, 20_001)[:, None]
+    squares = np.sum((square - 1 / (1 + (frequency / grid) ** 2)) ** 2, axis=1)
+    assert_allclose(found.cut_off, grid[np.argmin(squares), 0], rtol=1e-3)
+
+
+def test_fit_of_power_takes_the_maximum_of_the_data_as_the_level():
+    corner = 20e6
+    sweep = 1 / np.sqrt(1 + (SWEEP / corner) ** 2)
+    # A first sample 10 % too high lowers all others: the free fit hardly minds it.
+    high = np.concatenate([[1.1], sweep])
+    frequency = np.concatenate([[0.0], SWEEP])
+    assert fit_of_power(frequency, high).amplitude_at_zero == 1.1
+    assert fit_of_power(frequency, high).cut_off < 0.95 * corner
+    assert abs(fit(frequency, high).cut_off / corner - 1) < 0.02
+
+
+def test_standard_error_of_the_fit_of_power_is_the_scatter_of_repeated_fits():
+    rng = np.random.default_rng(3)
+    frequency = np.concatenate([[0.0], SWEEP])
+    square = 1 / (1 + (frequency / 20e6) ** 2)
+    results = []
+    for _ in range(300):
+        noise = rng.normal(0.0, 0.01, frequency.size)
+        # The level is held: the largest of noisy data would be another one each time.
+        noise[0], noise[1:] = 0.0, np.minimum(noise[1:], 1 - square[1:])
+        results.append(fit_of_power(frequency, np.sqrt(np.abs(square + noise))))
+    spread = np.std([result.cut_off for result in results])
+    stated = np.mean([result.cut_off_standard_error for result in results])
+    # 300 fits: a standard deviation is found within 4 %.
+    assert_allclose(stated, spread, rtol=0.15)
+
+
+def test_fit_of_power_refuses_what_the_free_fit_refuses():
+    with pytest.raises(ValueError, match="at least 3 different"):
+        fit_of_power([1e6, 1e6, 2e6], [1.0, 1.0, 0.5])
+    with pytest.raises(ValueError, match="do not show where"):
+        fit_of_power([1e6, 2e6, 3e6], [1.0, 1.0, 1.0])

@@ -9,7 +9,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
-from amulor.studies.ricci2010.checks import Check, Role, within
+from amulor.optics import low_pass
+from amulor.studies.ricci2010.checks import Check, Role, holds, within
 from amulor.studies.ricci2010.figures.drawing import (
     SYNTHETIC,
     WIDE,
@@ -30,10 +31,13 @@ CAPTION = (
     "(band: two standard errors) are of the same realistic water, with the "
     "Henyey-Greenstein phase function that has its second moment. Squares: SYNTHETIC "
     "measurement, the realistic diffusion form with noise. Dots mark half power. (b) "
-    "Cut-off of each by half power (filled) and by a free fit of the first-order "
-    "low-pass (71) (open), with standard errors where they show. The lowest row is a "
-    "synthetic measurement made with (71) itself. Attenuation, absorption, second "
-    "moment, acceptance and noise are deduced or assumed."
+    "Cut-off of each by half power (filled), by a free fit of the first-order low-pass "
+    "(71) to amplitudes (open circles) and by a fit of (71) to their squares, the "
+    "largest taken as 1 (diamonds), with standard errors where they show. The paper "
+    "fits measured data, normalised to their maximum; which of both fits it made is "
+    "not preserved. The lowest row is a synthetic measurement made with (71) itself. "
+    "Attenuation, absorption, second moment, acceptance and noise are deduced or "
+    "assumed."
 )
 _Dashes = str | tuple[float, tuple[float, ...]]
 
@@ -41,6 +45,9 @@ _Dashes = str | tuple[float, tuple[float, ...]]
 ACCORDANCE = 0.15
 #: How near a fit of (71) has to come to the half-power frequency.
 RECOVERY = 0.05
+#: The two ways to fit (71): level and cut-off free, to amplitudes; the cut-off free, to
+#: squares over the largest of them.
+FREE, OF_POWER = "a free fit of (71)", "a fit of (71) to power"
 #: Where the paper compares the fit of (71) with the cut-offs of both models.
 FITTED = "section 7, at (71), on figures 3 and 4"
 
@@ -134,12 +141,18 @@ def sweep_checks(found: Sweep) -> list[Check]:
             photons,
             simple,
         ),
-        _ratio(
-            "cut-offs of simple and realistic water agree, both by the diffusion form "
-            "and by fits of (71)",
-            realistic.fitted,
-            simple.fitted,
-            ACCORDANCE,
+        *(
+            _ratio(
+                "cut-offs of simple and realistic water agree, both by the diffusion "
+                f"form and by {fit}",
+                second,
+                first,
+                ACCORDANCE,
+            )
+            for fit, first, second in (
+                (FREE, simple.fitted, realistic.fitted),
+                (OF_POWER, simple.of_power, realistic.of_power),
+            )
         ),
         _accordance(
             "the realistic diffusion form agrees with transport of all orders within "
@@ -152,27 +165,71 @@ def sweep_checks(found: Sweep) -> list[Check]:
             found.small_angle,
             photons,
         ),
-        *(
-            _ratio(
-                f"a fit of (71) finds the half-power frequency: {curve.name}",
-                curve.fitted,
-                curve.cut_off,
-                RECOVERY,
-                error=curve.ratio_error,
-            )
-            for curve in found.curves
-        ),
-        _recovery(
-            "a fit of (71) finds the half-power frequency: squares, made with the "
-            "realistic diffusion form",
-            found.squares,
+        *(check for name in (FREE, OF_POWER) for check in _fits(found, name)),
+    ]
+
+
+def _fits(found: Sweep, name: str) -> list[Check]:
+    """Return what one way to fit (71) finds: in measurements, then in the curves."""
+    squares, own = (
+        _fit_of(sweep, name) for sweep in (found.squares, found.first_order)
+    )
+    simple, realistic = found.simple.cut_off, found.realistic.cut_off
+    apart = abs(squares.cut_off - realistic) / squares.cut_off_standard_error
+    shown = (
+        f"{squares.cut_off / 1e6:.2f} ± {squares.cut_off_standard_error / 1e6:.2f} "
+        f"against {realistic / 1e6:.2f} MHz: {apart:.1f} standard errors"
+    )
+    curves = [_of_curve(curve, name) for curve in found.curves]
+    farthest = max(curves, key=lambda pair: abs(pair[0] - 1))
+    every = ", ".join(f"{ratio:.2f}" for ratio, _ in curves)
+    check = within(
+        f"curves: {name} finds the half-power frequency; quotient of the one farthest "
+        "off",
+        farthest[0],
+        1 - RECOVERY,
+        1 + RECOVERY,
+        place="",
+        uncertainty=farthest[1] or None,
+    )
+    return [
+        _ratio(
+            f"measurement: {name} is in accordance with the cut-off of simple water",
+            squares.cut_off,
+            simple,
+            ACCORDANCE,
+            error=squares.cut_off_standard_error / simple,
             place=FITTED,
         ),
-        _recovery(
-            "a fit of (71) finds the half-power frequency: squares made with (71)",
-            found.first_order,
+        holds(
+            f"measurement: {name} coincides with the cut-off of realistic water within "
+            "its error",
+            apart <= 3,
+            found=shown,
+            wanted="within 3 standard errors",
+            place=FITTED,
         ),
+        _ratio(
+            f"measurement made with (71): {name} finds what it was made with",
+            own.cut_off,
+            found.first_order.made_with,
+            RECOVERY,
+            error=own.cut_off_standard_error / found.first_order.made_with,
+        ),
+        replace(check, found=f"{check.found} (of {every})"),
     ]
+
+
+def _fit_of(squares: Squares, name: str) -> low_pass.LowPassFit:
+    """Return the fit of that name to a synthetic measurement."""
+    return squares.fit if name == FREE else squares.of_power
+
+
+def _of_curve(curve: Curve, name: str) -> tuple[float, float]:
+    """Return fitted over half-power cut-off of a curve, and its standard error."""
+    if name == FREE:
+        return curve.fitted / curve.cut_off, curve.ratio_error
+    return curve.of_power / curve.cut_off, curve.of_power_ratio_error
 
 
 def sweep_figure(found: Sweep) -> Figure:
@@ -225,19 +282,6 @@ def _accordance(
     return replace(check, role=role or check.role)
 
 
-def _recovery(statement: str, squares: Squares, *, place: str = "") -> Check:
-    """Return whether the fit to a synthetic measurement finds what made it."""
-    fit = squares.fit
-    return _ratio(
-        statement,
-        fit.cut_off,
-        squares.made_with,
-        RECOVERY,
-        error=fit.cut_off_standard_error / squares.made_with,
-        place=place,
-    )
-
-
 def _ratio(
     statement: str,
     first: float,
@@ -268,6 +312,10 @@ _LOOKS: tuple[tuple[str, _Dashes, float], ...] = (
     (COLOURS[2], "-", 5.5),
     (COLOURS[1], (0, (1, 1.2)), 3.5),
 )
+
+
+#: Marker of each kind of cut-off, and whether it is filled.
+_MARKS = {"half": ("o", True), "free": ("o", False), "power": ("D", False)}
 
 
 def _draw_curves(axis: Axes, found: Sweep) -> None:
@@ -313,21 +361,27 @@ def _draw_cut_offs(axis: Axes, found: Sweep) -> None:
     for row, (curve, (colour, _, _)) in enumerate(
         zip(found.curves, _LOOKS, strict=True)
     ):
-        _mark(axis, row, curve.cut_off, curve.cut_off_error, colour, filled=True)
-        _mark(axis, row, curve.fitted, curve.fitted_error, colour, filled=False)
+        _mark(axis, row, curve.cut_off, curve.cut_off_error, colour, look="half")
+        _mark(axis, row, curve.fitted, curve.fitted_error, colour, look="free")
+        _mark(axis, row, curve.of_power, curve.of_power_error, colour, look="power")
     for row, squares in enumerate((found.squares, found.first_order), len(_LOOKS)):
-        fit = squares.fit
-        _mark(
-            axis, row, fit.cut_off, fit.cut_off_standard_error, "#777777", filled=False
-        )
-    axis.plot([], [], "o", color="#777777", ms=5, label="half power")
-    axis.plot([], [], "o", color="#777777", ms=5, mfc="white", label="fit of (71)")
+        for look, fit in (("free", squares.fit), ("power", squares.of_power)):
+            error = fit.cut_off_standard_error
+            _mark(axis, row, fit.cut_off, error, "#777777", look=look)
+    for look, label in (
+        ("half", "half power"),
+        ("free", "free fit of (71)"),
+        ("power", "fit of (71) to power"),
+    ):
+        marker, filled = _MARKS[look]
+        face = "#777777" if filled else "white"
+        axis.plot([], [], marker, color="#777777", ms=5, mfc=face, label=label)
     axis.set_yticks(range(len(names)), names)
     axis.set_ylim(len(names) - 0.4, -0.6)
     largest = max(
-        *(max(curve.cut_off, curve.fitted) for curve in found.curves),
-        found.squares.fit.cut_off,
-        found.first_order.fit.cut_off,
+        *(max(curve.cut_off, curve.of_power) for curve in found.curves),
+        found.squares.of_power.cut_off,
+        found.first_order.of_power.cut_off,
     )
     axis.set_xlim(0, 1.1 * largest / 1e6)
     axis.xaxis.set_major_locator(MaxNLocator(6, steps=[1, 2, 5, 10]))
@@ -337,14 +391,15 @@ def _draw_cut_offs(axis: Axes, found: Sweep) -> None:
 
 
 def _mark(
-    axis: Axes, row: int, corner: float, error: float, colour: str, *, filled: bool
+    axis: Axes, row: int, corner: float, error: float, colour: str, *, look: str
 ) -> None:
-    """Draw one cut-off with its value."""
+    """Draw one cut-off with its value; that of the power below its mark."""
+    marker, filled = _MARKS[look]
     axis.errorbar(
         corner / 1e6,
         row,
         xerr=error / 1e6 if error else None,
-        fmt="o",
+        fmt=marker,
         ms=5,
         color=colour,
         mfc=colour if filled else "white",
@@ -353,7 +408,7 @@ def _mark(
     axis.annotate(
         f"{corner / 1e6:.1f}",
         (corner / 1e6, row),
-        xytext=(0, 5),
+        xytext=(0, -10 if look == "power" else 5),
         textcoords="offset points",
         ha="center",
         fontsize=6,

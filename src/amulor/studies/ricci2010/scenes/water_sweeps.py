@@ -86,7 +86,9 @@ class Curve:
     cut_off: float
     """Half-power frequency [Hz]."""
     fitted: float
-    """Cut-off by a free fit of (71) [Hz]."""
+    """Cut-off by a free fit of (71) to amplitudes [Hz]."""
+    of_power: float
+    """Cut-off by a fit of (71) to their squares, the largest taken as 1 [Hz]."""
     at_cut_off: float
     """Amplitude at the cut-off as it is reported, to 10 kHz [1]."""
     cut_off_error: float = 0.0
@@ -95,6 +97,10 @@ class Curve:
     """Standard error of the fitted cut-off [Hz]."""
     ratio_error: float = 0.0
     """Standard error of fitted over half-power cut-off [1]."""
+    of_power_error: float = 0.0
+    """Standard error of the cut-off by squares [Hz]."""
+    of_power_ratio_error: float = 0.0
+    """Standard error of the same over the half-power cut-off [1]."""
     band: Floats | None = None
     """Standard errors of the amplitudes [1]."""
 
@@ -110,7 +116,9 @@ class Squares:
     made_with: float
     """Half-power frequency of what they were made with [Hz]."""
     fit: low_pass.LowPassFit
-    """Free fit of (71)."""
+    """Free fit of (71) to amplitudes."""
+    of_power: low_pass.LowPassFit
+    """Fit of (71) to their squares, the largest taken as 1."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -332,6 +340,7 @@ def _curve(name: str, response: Response, frequency: Floats) -> Curve:
         amplitude=amplitude,
         cut_off=corner,
         fitted=low_pass.fit(frequency, amplitude).cut_off,
+        of_power=low_pass.fit_of_power(frequency, amplitude).cut_off,
         at_cut_off=float(there / still),
     )
 
@@ -341,22 +350,26 @@ def _traced(tally: Tally) -> Curve:
     frequency = tally.modulation_frequency
     corner, error = half_power(tally)
     amplitude = np.abs(tally.signal) / abs(tally.signal[0])
-    fitted = low_pass.fit(frequency[1:], amplitude[1:]).cut_off
+    fits = (low_pass.fit, low_pass.fit_of_power)
+    fitted, of_power = (f(frequency[1:], amplitude[1:]).cut_off for f in fits)
     corners = []
     for kept in _left_out(tally):
         part = np.abs(kept) / abs(kept[0])
         half = float(np.interp(-math.sqrt(0.5), -part, frequency))
-        corners.append((low_pass.fit(frequency[1:], part[1:]).cut_off, half))
-    fits, halves = np.transpose(corners)
+        corners.append([f(frequency[1:], part[1:]).cut_off for f in fits] + [half])
+    free, power, halves = np.transpose(corners)
     return Curve(
         name=MONTE_CARLO,
         amplitude=amplitude[1:],
         cut_off=corner,
         fitted=fitted,
+        of_power=of_power,
         at_cut_off=float(np.interp(round(corner, -4), frequency, amplitude)),
         cut_off_error=error,
-        fitted_error=_jackknife(fits),
-        ratio_error=_jackknife(fits / halves),
+        fitted_error=_jackknife(free),
+        ratio_error=_jackknife(free / halves),
+        of_power_error=_jackknife(power),
+        of_power_ratio_error=_jackknife(power / halves),
         band=relative_amplitude_uncertainty(tally)[1:],
     )
 
@@ -394,6 +407,7 @@ def _measured(study: Study, label: str, response: Response, corner: float) -> Sq
         amplitude=amplitude,
         made_with=corner,
         fit=low_pass.fit(frequency, amplitude),
+        of_power=low_pass.fit_of_power(frequency, amplitude),
     )
 
 
