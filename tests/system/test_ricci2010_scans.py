@@ -51,11 +51,15 @@ FAILURES: dict[ModuleType, set[str]] = {
     figure_05: {"the same, for a column of water that ends with the tank"},
     figure_06: {"the frequency alone, nothing subtracted, gives the steps"},
     figure_13: {
-        "(c) VH, milk: steps, the polarizers alone",
-        "(d) VV, milk: steps, the polarizers alone",
+        "(c) VH, milk: steps are right to the stated 2 mm (the one farthest off)"
     },
     figure_14: set(),
-    figure_15: set(),
+    # The water left in moves the disc nearer, so that it seems smaller.
+    figure_15: {
+        "VH, the polarizers alone: diameter of the disc",
+        "VV, the polarizers alone: diameter of the disc",
+        "VV, the polarizers alone: central hole",
+    },
 }
 
 
@@ -212,6 +216,41 @@ def test_a_surface_stands_in_space_where_the_target_stands(study: Study) -> None
     assert relief.right[scan.treads == 5].min() == pytest.approx(33, abs=1.1)
     # What is hidden by a step has no height.
     assert np.isnan(relief.near).sum() > 20
+
+
+def test_a_median_surface_keeps_steps_and_loses_spikes() -> None:
+    rng = np.random.default_rng(1)
+    column, row = np.meshgrid(np.arange(60.0), np.arange(40.0))
+    step = np.where(column < 30, 0.0, 40.0)
+    near = step + rng.normal(0.0, 2.0, step.shape)
+    spike = rng.random(step.shape) < 0.02
+    near[spike] += 600.0
+    near[:, 50] = np.nan
+    place = column.copy()
+    place[spike] += 15.0
+    found, scatter = surfaces.median(surfaces.Relief(place, row, near))
+    # 25 pixels: the median of normal noise scatters by 1.25 of the mean, 0.25 of each.
+    inner = np.abs(column - 29.5) > 3
+    off = (found.near - step)[inner & np.isfinite(near)]
+    assert off.std() < 0.4 * 2.0
+    assert np.abs(off).max() < 3.0
+    # Within three columns of a step it stands where it stood, half of its height.
+    assert np.all((found.near > 20)[:, 31:50])
+    assert np.all((found.near < 20)[:, :29])
+    assert scatter == pytest.approx(2.0, rel=0.1)
+    assert np.array_equal(np.isnan(found.near), np.isnan(near))
+    assert np.abs(found.right - column)[np.isfinite(near)].max() < 1.6
+
+
+def test_high_meshes_are_cut_into_strips_of_the_same_surface() -> None:
+    quad = np.array([[0, 0, 0], [1, 0, 39], [1, 1, 39], [0, 1, 0]], dtype=float)
+    flat = quad * [1, 1, 0]
+    strips, mesh = surfaces._in_strips(np.stack([quad, flat]))
+    assert mesh.tolist() == [0] * 10 + [1]
+    assert np.ptp(strips[:10, :, 2], axis=1) == pytest.approx(3.9)
+    assert strips[0, 0].tolist() == [0, 0, 0]
+    assert strips[9, 2].tolist() == [1, 1, 39]
+    assert np.array_equal(strips[10], flat)
 
 
 @pytest.mark.parametrize("figure", [figure_06, figure_13])

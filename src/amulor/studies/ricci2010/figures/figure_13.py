@@ -23,13 +23,14 @@ from amulor.view.style import COLOURS, new_figure
 
 TITLE = "Forty profiles of the ladder"
 CAPTION = (
-    "All lines of four synthetic scans of the ladder over each other, open water "
-    "subtracted: (a) crossed and (b) parallel in clear water, (c) crossed and (d) "
-    "parallel in milk. Dashed: the mean of the same lines with the water signal left "
-    "in, which bends the profile in milk. Black: the ladder. Heights are counted from "
-    "the farthest tread of each profile. Gaps: no range, hidden from the receiver by a "
-    "step. The size of the noise was chosen from the published range "
-    "errors; its order and the steps were not."
+    "All lines of four synthetic scans of the ladder over each other, from the phase "
+    "behind polarizers alone, as in the paper: (a) crossed and (b) parallel in clear "
+    "water, (c) crossed and (d) parallel in milk. Dashed: the mean of the same lines "
+    "after subtraction of open water, which the paper did not do here. Black: the "
+    "ladder. Heights are counted from the farthest tread of each profile: the water "
+    "left in also moves the whole ladder nearer, by up to 7 cm in (d). Gaps: hidden "
+    "from the receiver by a step, or no range after subtraction. The size of the noise "
+    "was chosen from the published range errors; its order and the steps were not."
 )
 #: What the text says of the range error in each panel [mm].
 _WANTED = ((0.5 / 1.5, 0.5 * 1.5), (0.5, 2.0), (2 / 1.5, 2 * 1.5), (10 / 1.5, 10 * 1.5))
@@ -38,7 +39,7 @@ _WANTED = ((0.5 / 1.5, 0.5 * 1.5), (0.5, 2.0), (2 / 1.5, 2 * 1.5), (10 / 1.5, 10
 _ROLES: tuple[Role, ...] = ("set", "test", "set", "set")
 
 #: Heights that are drawn [mm].
-_LIMITS = (-25.0, 115.0)
+_LIMITS = (-30.0, 130.0)
 #: Fraction of the lines that must see a column, for its mean to be drawn [1].
 _SEEN = 0.9
 
@@ -61,49 +62,85 @@ def checks(study: Study) -> list[Check]:
     panels = zip("abcd", PANELS, _WANTED, _ROLES, strict=True)
     for letter_of, (title, scan_of, channel), wanted, role in panels:
         scan = study.once(scan_of)
-        panel = f"({letter_of}) {title}"
-        steps = scan.steps(scan.subtracted[channel])
+        panel, place = f"({letter_of}) {title}", f"section 9, on figure 13({letter_of})"
+        steps = scan.steps(scan.raw[channel])
         if scan_of is PANELS[0][1]:
-            result += _phases(
-                study, panel, steps, place=f"section 9, on figure 13({letter_of})"
-            )
-        else:
-            left = scan.steps(scan.raw[channel])
-            result += [
-                steps_agree(
-                    study,
-                    f"{panel}: steps, open water subtracted",
-                    steps,
-                    place="",
-                ),
-                steps_agree(
-                    study,
-                    f"{panel}: steps, the polarizers alone",
-                    left,
-                    place=f"section 9, on figure 13({letter_of})",
-                ),
-            ]
+            result += _phases(study, panel, steps, place=place)
         noises.append(steps.noise * 1e3)
         result.append(
             within(
                 f"{panel}: range error of a pixel",
                 noises[-1],
                 *wanted,
-                place=f"section 9, on figure 13({letter_of})",
+                place=place,
                 unit="mm",
                 uncertainty=noises[-1] / math.sqrt(2 * max(steps.pixels, 1)),
                 role=role,
             )
         )
-    result.append(
+    return [
+        *result,
+        *_in_milk(study),
         holds(
             "the range error grows from (a) to (d)",
             noises[0] <= noises[1] < noises[2] < noises[3],
             found=", ".join(f"{noise:.2g}" for noise in noises) + " mm",
             wanted="a ≤ b < c < d",
             place="section 9, on figure 13",
+        ),
+        *_subtracted(study),
+    ]
+
+
+def _in_milk(study: Study) -> list[Check]:
+    """Return what the text says of the steps in milk, behind polarizers alone."""
+    scan = study.once(PANELS[2][1])
+    crossed, parallel = (scan.off(scan.raw[name]) * 1e3 for name in ("VH", "VV"))
+    steps = scan.steps(scan.raw["VH"])
+    worst = float(crossed[np.argmax(np.abs(crossed))])
+    return [
+        within(
+            "(c) VH, milk: the ladder is well distinguishable (least step over the "
+            "range error of a pixel)",
+            float(steps.heights.min() / steps.noise),
+            2.0,
+            math.inf,
+            place="section 9, on figure 13(c)",
+        ),
+        within(
+            "(c) VH, milk: steps are right to the stated 2 mm (the one farthest off)",
+            worst,
+            -2.0,
+            2.0,
+            unit="mm",
+            place="section 9, on figure 13(c)",
+            uncertainty=float(steps.uncertainties.max()) * 1e3,
+        ),
+        holds(
+            "(d) VV, milk: a significant degradation: the step farthest off is farther "
+            "off than in (c), by more than the stated 2 mm",
+            np.abs(parallel).max() - abs(worst) > 2.0,
+            found=f"{parallel[np.argmax(np.abs(parallel))]:+.1f} against "
+            f"{worst:+.1f} mm",
+            wanted="farther by 2 mm",
+            place="section 9, on figure 13(d)",
+        ),
+    ]
+
+
+def _subtracted(study: Study) -> list[Check]:
+    """Return what subtraction of open water would have added."""
+    result = []
+    for letter_of, (title, scan_of, channel) in zip("abcd", PANELS, strict=True):
+        scan = study.once(scan_of)
+        result.append(
+            steps_agree(
+                study,
+                f"({letter_of}) {title}: steps, open water subtracted",
+                scan.steps(scan.subtracted[channel]),
+                place="",
+            )
         )
-    )
     return result
 
 
@@ -154,30 +191,31 @@ def draw(study: Study) -> Figure:
     for axis, (_, scan_of, channel) in zip(axes.flat, PANELS, strict=True):
         scan = study.once(scan_of)
         surfaces: dict[str, Relief] = {}
-        for name, images in (("taken", scan.subtracted), ("left", scan.raw)):
+        for name, images in (("left", scan.raw), ("taken", scan.subtracted)):
             image = images[channel]
             surfaces[name] = relief(image, origin=scan.farthest(image))
-        closest = surfaces["taken"].near
+        closest = surfaces["left"].near
         shown = (closest > _LIMITS[0]) & (closest < _LIMITS[1])
         lines = axis.plot(
-            surfaces["taken"].right.T,
+            surfaces["left"].right.T,
             np.where(shown, closest, np.nan).T,
             color=COLOURS[0],
             lw=0.5,
             alpha=0.35,
             zorder=2,
         )
-        lines[0].set_label(f"{SYNTHETIC}, {len(lines)} lines, water subtracted")
-        # A pixel without a range after subtraction shows nothing but water before.
-        seen = shown.mean(axis=0) > _SEEN
-        raw = np.where(seen, np.mean(surfaces["left"].near, axis=0), np.nan)
+        lines[0].set_label(f"{SYNTHETIC}, {len(lines)} lines, polarizers alone")
+        known = np.isfinite(surfaces["taken"].near)
+        seen = known.mean(axis=0) > _SEEN
+        taken = np.full(seen.size, np.nan)
+        taken[seen] = np.nanmean(surfaces["taken"].near[:, seen], axis=0)
         axis.plot(
-            np.mean(surfaces["left"].right, axis=0),
-            raw,
+            np.mean(surfaces["taken"].right, axis=0),
+            taken,
             color=COLOURS[1],
             lw=1.2,
             ls=(0, (3, 1.5)),
-            label="their mean with the water left in",
+            label="their mean, open water subtracted",
             zorder=4,
         )
         edges, heights = _ladder(study)

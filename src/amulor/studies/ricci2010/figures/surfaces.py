@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -12,6 +12,7 @@ from matplotlib.figure import Figure
 from matplotlib.gridspec import SubplotSpec
 from matplotlib.ticker import MultipleLocator
 from mpl_toolkits.mplot3d.art3d import Poly3DCollection
+from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
 from amulor.imaging import point_cloud
@@ -30,6 +31,8 @@ _LIGHT = np.array([-0.45, 0.35, 0.82])
 _AMBIENT = 0.45
 #: Below this elevation an axis towards the viewer has no room for ticks [degree].
 _EDGE_ON = 30.0
+#: Meshes higher than this are drawn in strips [mm].
+_STRIP = 4.0
 
 
 @dataclass(frozen=True)
@@ -67,6 +70,64 @@ def relief(image: xr.Dataset, *, origin: float) -> Relief:
     right[place], up[place] = cloud["x"].values, -cloud["y"].values
     closest[place] = origin - cloud["z"].values
     return Relief(right * 1e3, up * 1e3, closest * 1e3)
+
+
+def masked(surface: Relief, keep: NDArray[np.bool_]) -> Relief:
+    """Return a surface of some pixels only.
+
+    Parameters
+    ----------
+    surface : Relief
+        A surface.
+    keep : ndarray of bool, shape (row, column)
+        Which pixels.
+
+    Returns
+    -------
+    Relief
+        No numbers at the others.
+    """
+    return replace(surface, near=np.where(keep, surface.near, np.nan))
+
+
+def median(surface: Relief, *, size: int = 5) -> tuple[Relief, float]:
+    """Return the medians of a surface over small squares, and the scatter about them.
+
+    Parameters
+    ----------
+    surface : Relief
+        A surface.
+    size : int
+        Side of the squares, odd [pixels].
+
+    Returns
+    -------
+    surface : Relief
+        Of the same pixels: edges of steps stay sharp, spikes of single pixels go.
+    scatter : float
+        1.48 times the median of what pixels deviate from it, the standard deviation if
+        they do so normally [mm].
+    """
+    half = size // 2
+    padded = np.pad(surface.near, half, constant_values=np.nan)
+    windows = sliding_window_view(padded, (size, size))
+    known = np.isfinite(surface.near)
+    middle = np.full(surface.near.shape, np.nan)
+    middle[known] = np.nanmedian(windows[known], axis=(1, 2))
+    off = np.abs(surface.near - middle)[known]
+    scatter = 1.4826 * float(np.median(off)) if off.size else np.nan
+    places = []
+    spike = known & (np.abs(surface.near - middle) > 5 * scatter)
+    for place in (surface.right, surface.up):
+        # A spike stands beside its neighbours, too.
+        around = sliding_window_view(
+            np.pad(np.where(spike, np.nan, place), half, constant_values=np.nan),
+            (size, size),
+        )
+        moved = place.copy()
+        moved[spike] = np.nanmean(around[spike], axis=(1, 2))
+        places.append(moved)
+    return Relief(places[0], places[1], middle), scatter
 
 
 def canvas(
@@ -135,10 +196,10 @@ def draw(
     """
     axis: Any = figure.add_subplot(where, projection="3d", computed_zorder=False)
     corners = np.stack([surface.right, surface.up, surface.near], axis=-1)
-    quads = _quads(corners)
+    quads, strips = _in_strips(_quads(corners))
     inside = (quads[..., 2] >= limits[0]) & (quads[..., 2] <= limits[1])
     keep = np.isfinite(quads).all(axis=(1, 2)) & inside.all(axis=1)
-    shade = _quads(_brightness(corners)[..., None])[..., 0].mean(axis=1)
+    shade = _quads(_brightness(corners)[..., None])[..., 0].mean(axis=1)[strips]
     low, high = limits if shades is None else shades
     colours = COPPER((quads[..., 2].mean(axis=1)[keep] - low) / (high - low))
     colours[:, :3] *= shade[keep, None]
@@ -180,9 +241,26 @@ def _quads(grid: Floats) -> Floats:
     return np.stack(around, axis=2).reshape(-1, 4, grid.shape[-1])
 
 
+def _in_strips(quads: Floats) -> tuple[Floats, NDArray[np.intp]]:
+    """Return meshes, high ones cut into strips, and which mesh each strip is of.
+
+    A drawing in space puts nearer meshes over farther ones by their middles, which
+    fails for one as high as a step.
+    """
+    height = np.ptp(quads[..., 2], axis=1)
+    count = np.ceil(np.nan_to_num(height) / _STRIP).astype(int).clip(1, None)
+    mesh = np.repeat(np.arange(len(quads)), count)
+    number = np.arange(mesh.size) - np.repeat(np.cumsum(count) - count, count)
+    start = (number / count[mesh])[:, None, None]
+    end = ((number + 1) / count[mesh])[:, None, None]
+    left, right = quads[mesh][:, [0, 3]], quads[mesh][:, [1, 2]]
+    low, high = left + start * (right - left), left + end * (right - left)
+    return np.stack([low[:, 0], high[:, 0], high[:, 1], low[:, 1]], axis=1), mesh
+
+
 def _brightness(corners: Floats) -> Floats:
     """Return the light on each corner: a diffuse surface under a lamp and a sky."""
-    filled = np.nan_to_num(corners[..., 2])
+    filled = _bridged(corners[..., 2])
     column = corners[..., 0].mean(axis=0)
     row = corners[..., 1].mean(axis=1)
     by_row, by_column = np.gradient(filled, row, column)
@@ -192,3 +270,14 @@ def _brightness(corners: Floats) -> Floats:
     light = np.clip(normal @ lamp, 0.0, None) / lamp[2]
     bright: Floats = np.clip(_AMBIENT + (1 - _AMBIENT) * light, 0.0, 1.0)
     return bright
+
+
+def _bridged(heights: Floats) -> Floats:
+    """Return heights, gaps in a row joined by straight lines, which cast no shade."""
+    filled = np.zeros_like(heights)
+    column = np.arange(heights.shape[1])
+    for row, line in enumerate(heights):
+        known = np.isfinite(line)
+        if known.any():
+            filled[row] = np.interp(column, column[known], line[known])
+    return filled

@@ -12,7 +12,7 @@ from scipy import ndimage
 
 from amulor import imaging, rejection
 from amulor.imaging import metrics
-from amulor.simulation import simulate
+from amulor.simulation import DiffusionModel, simulate
 from amulor.studies.ricci2010.scenes.scan_surveys import (
     ScanField,
     ScanWater,
@@ -112,6 +112,22 @@ class DiscScan:
             return math.nan, math.nan
         return float(np.sqrt(np.mean(error**2))), float(error.std(ddof=1))
 
+    def moved(self, image: xr.Dataset) -> float:
+        """Return how much nearer than it is the disc appears.
+
+        Parameters
+        ----------
+        image : xarray.Dataset
+            One of `raw` or `subtracted`.
+
+        Returns
+        -------
+        float
+            Median of truth less slant range on the disc [m].
+        """
+        error = (self.truth - image["slant_range"].values)[self.inside]
+        return float(np.nanmedian(error))
+
 
 def bent_disc(study: Study) -> DiscScan:
     """Scan the bent disc with holes, crossed and parallel.
@@ -163,7 +179,8 @@ curvature_radius = "{write(study["disc_bend"], "length")}"
         polarizations=["VH", "VV"],
     )
     interval = around(distance)
-    cube = simulate(survey, rng=study.rng("disc"))
+    # The paper's form of the water, whatever the default is.
+    cube = simulate(survey, rng=study.rng("disc"), model=DiffusionModel())
     truth = cube.amulor.truth["slant_range"].values
     met = np.isfinite(truth)
 
@@ -178,6 +195,24 @@ curvature_radius = "{write(study["disc_bend"], "length")}"
             rejection.open_water(cube, interval=interval), interval=interval
         ),
     )
+
+
+def bright(image: xr.Dataset) -> Mask:
+    """Return which pixels are brighter than halfway between bright and dark ones.
+
+    Parameters
+    ----------
+    image : xarray.Dataset
+        Level `range_image`.
+
+    Returns
+    -------
+    ndarray of bool, shape (row, column)
+        True on the disc.
+    """
+    intensity = image["intensity"].values
+    over: Mask = intensity > _halfway(intensity)
+    return over
 
 
 def outlines(image: xr.Dataset, *, distance: float) -> Outlines:
@@ -197,11 +232,11 @@ def outlines(image: xr.Dataset, *, distance: float) -> Outlines:
         brighter than halfway between bright and dark, its holes are the dark patches
         that it surrounds.
     """
-    bright = image["intensity"].values > _halfway(image["intensity"].values)
-    patches, count = ndimage.label(bright)
+    lit = bright(image)
+    patches, count = ndimage.label(lit)
     if count == 0:
         return Outlines(None, None, ())
-    sizes = ndimage.sum_labels(bright, patches, np.arange(1, count + 1))
+    sizes = ndimage.sum_labels(lit, patches, np.arange(1, count + 1))
     disc = patches == 1 + int(np.argmax(sizes))
     filled = ndimage.binary_fill_holes(disc)
     area = _pixel_areas(image, disc, distance=distance)

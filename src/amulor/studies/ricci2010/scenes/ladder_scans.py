@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import xarray as xr
@@ -12,7 +13,7 @@ from numpy.typing import NDArray
 from amulor import imaging, rejection
 from amulor.errors import CubeError
 from amulor.imaging import metrics
-from amulor.simulation import simulate
+from amulor.simulation import DiffusionModel, simulate
 from amulor.studies.ladder_case import treads
 from amulor.studies.ricci2010.scenes.scan_surveys import (
     ScanField,
@@ -83,6 +84,23 @@ class LadderScan:
         tread = self.treads[cloud["row"].values, cloud["column"].values]
         return float(cloud["z"].values[tread == 1].mean())
 
+    def off(self, image: xr.Dataset) -> Floats:
+        """Return how far the steps in one of the images are off.
+
+        Parameters
+        ----------
+        image : xarray.Dataset
+            One of `raw`, `subtracted` or `stated`.
+
+        Returns
+        -------
+        ndarray, shape (steps,)
+            Height found less height of the ladder [m].
+        """
+        true = np.diff(np.concatenate([[0.0], _heights(self.survey)]))
+        wrong: Floats = self.steps(image).heights - true
+        return wrong
+
     def steps(self, image: xr.Dataset) -> Steps:
         """Compare one of the images with the ladder.
 
@@ -120,13 +138,20 @@ class LadderScan:
         )
 
 
+def _heights(survey: Survey) -> Floats:
+    """Return the heights of the treads above the farthest one [m]."""
+    target: Any = survey.targets[0]
+    return np.cumsum(np.asarray(target.step_heights, dtype=np.float64))
+
+
 def _root_mean(squares: Floats) -> float:
     return float(np.sqrt(squares.mean())) if squares.size else math.nan
 
 
 def _scan(study: Study, survey: Survey, *, label: str) -> LadderScan:
     interval = around(survey.targets[0].position[2])
-    cube = simulate(survey, rng=study.rng(label))
+    # The paper's form of the water, whatever the default is.
+    cube = simulate(survey, rng=study.rng(label), model=DiffusionModel())
     truth = cube.amulor.truth
     on = treads(survey)
     water = np.hypot(truth["water_in_phase"], truth["water_quadrature"]).values[0]
