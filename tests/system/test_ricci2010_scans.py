@@ -49,7 +49,12 @@ def failed(checks: list[Check]) -> set[str]:
 #: What honest physics does not meet with the numbers of the study.
 FAILURES: dict[ModuleType, set[str]] = {
     figure_05: {"the same, for a column of water that ends with the tank"},
-    figure_06: {"the frequency alone, nothing subtracted, gives the steps"},
+    # 39 MHz is twice the cut-off of thin water; the water left in adds half a
+    # millimetre to a step, which many pixels are sure of.
+    figure_06: {
+        "the modulation frequency is just above the cut-off: their quotient",
+        "the frequency alone, nothing subtracted, gives the steps",
+    },
     figure_13: {
         "(c) VH, milk: steps are right to the stated 2 mm (the one farthest off)"
     },
@@ -72,14 +77,16 @@ def test_the_statements_hold_but_for_those_that_are_known_to_fail(
     assert len({check.statement for check in found}) == len(found)
 
 
-def test_only_the_range_errors_behind_the_noise_are_no_test(study: Study) -> None:
+def test_only_thin_water_and_the_errors_behind_the_noise_are_no_test(
+    study: Study,
+) -> None:
     fixed = [c.statement for f in FIGURES for c in f.checks(study) if c.role == "set"]
-    assert [text.split(":")[0] for text in fixed] == [
-        "(a) VH, clear water",
-        "(c) VH, milk",
-        "(d) VV, milk",
+    assert fixed == [
+        "the water is optically thin, up to the ladder",
+        "(a) VH, clear water: range error of a pixel",
+        "(c) VH, milk: range error of a pixel",
+        "(d) VV, milk: range error of a pixel",
     ]
-    assert all(text.endswith("range error of a pixel") for text in fixed)
 
 
 # Numbers that do not come from here --------------------------------------------------
@@ -184,7 +191,20 @@ def test_without_backscatter_polarizers_and_subtraction_gain_nothing(
     contrast = "contrast of disc and surround better in VH, open water subtracted"
     assert contrast in failed(figure_15.checks(clean))
     # And the frequency alone then gives the steps in the long tank.
-    assert FAILURES[figure_06] & failed(figure_06.checks(clean)) == set()
+    left = failed(figure_06.checks(clean))
+    assert "the frequency alone, nothing subtracted, gives the steps" not in left
+
+
+def test_water_of_the_sweeps_would_not_be_thin_and_would_flatten_the_ladder(
+    study: Study,
+) -> None:
+    # Section 8 has an optical thickness above 1: at 1 1/m the water outshines a grey
+    # ladder at 3.7 m, and its steps nearly vanish.
+    thick = with_numbers(study, ladder_attenuation=1.0)
+    assert {
+        "the water is optically thin, up to the ladder",
+        "the frequency alone, nothing subtracted, reproduces the ladder",
+    } <= failed(figure_06.checks(thick))
 
 
 def test_a_lower_frequency_is_not_above_the_cut_off(study: Study) -> None:

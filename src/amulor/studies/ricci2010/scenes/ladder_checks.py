@@ -55,6 +55,48 @@ def phase_step(study: Study, height: float) -> float:
     return float(2 * np.pi * height / interval)
 
 
+def steps_are_faithful(
+    study: Study, statement: str, steps: Steps, *, place: str
+) -> Check:
+    """Return the check that no step is off by more than the phase error stands for.
+
+    Parameters
+    ----------
+    study : Study
+        Its ladder and its phase error.
+    statement : str
+        What is stated.
+    steps : Steps
+        What was found.
+    place : str
+        Where the paper says it; empty for a check of ours.
+
+    Returns
+    -------
+    Check
+        Its value is the step farthest off [mm].
+    """
+    interval = ranging.ambiguity_interval(
+        study["frequency"], group_index=study["index"]
+    )
+    limit = float(study["phase_noise"] / (2 * np.pi) * interval) * 1e3
+    true = np.array([study["first_step"], *[study["other_steps"]] * 3])
+    off = (steps.heights - true) * 1e3
+    worst = float(off[np.argmax(np.abs(off))])
+    shown = ", ".join(f"{height * 1e3:.1f}" for height in steps.heights)
+    return replace(
+        holds(
+            statement,
+            abs(worst) <= limit,
+            found=f"{shown} mm",
+            wanted=", ".join(f"{height * 1e3:.0f}" for height in true)
+            + f" mm, each within {limit:.1f} mm, what 0.25 degrees stand for",
+            place=place,
+        ),
+        value=worst,
+    )
+
+
 def steps_agree(
     study: Study,
     statement: str,

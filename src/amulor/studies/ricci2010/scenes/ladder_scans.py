@@ -263,7 +263,7 @@ def unpolarized_clear(study: Study) -> LadderScan:
 
 
 def unpolarized_turbid(study: Study) -> LadderScan:
-    """Scan the ladder in the turbid long tank at 3.7 m without polarizers.
+    """Scan the ladder in thin, turbid water at 3.7 m without polarizers.
 
     Parameters
     ----------
@@ -276,8 +276,8 @@ def unpolarized_turbid(study: Study) -> LadderScan:
         Channel "none".
     """
     water = ScanWater(
-        attenuation=study["attenuation_high"],
-        second_moment=study["second_moment_high"],
+        attenuation=study["ladder_attenuation"],
+        second_moment=study["second_moment_low"],
         backscatter=study["long_backscatter"],
         m22=study["milk_m22"],
         # The water signal of the long tank is as steady as in its sweeps.
