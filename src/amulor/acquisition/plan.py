@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Collection, Container, Iterator, Mapping
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
 
 from amulor.acquisition.settings import Procedure
+from amulor.errors import SurveyError
 from amulor.survey import Survey
 from amulor.survey.directions import open_water_directions, scan_directions
 
@@ -36,13 +37,58 @@ class Key(NamedTuple):
 
 @dataclass(frozen=True)
 class Step:
-    """One sample: its key and the direction that it is taken in."""
+    """One dwell: the samples that it brings and the direction that it is taken in."""
 
     key: Key
+    """Of its first sample."""
     azimuth: float
     """To the right [rad]."""
     elevation: float
     """Upwards [rad]."""
+    others: tuple[Key, ...] = ()
+    """Of samples at other frequencies that the same dwell brings."""
+    together: tuple[float, ...] = ()
+    """All frequencies that modulate the laser in this dwell, if there are several; also
+    those whose samples are not wanted any more [Hz]."""
+
+    @property
+    def keys(self) -> tuple[Key, ...]:
+        """Of all samples of the dwell."""
+        return (self.key, *self.others)
+
+    @property
+    def frequencies(self) -> tuple[float, ...]:
+        """All frequencies that modulate the laser in this dwell [Hz]."""
+        return self.together or (self.key.frequency,)
+
+    def without(self, done: Container[Key]) -> Step | None:
+        """Return the same dwell for what is not done; None if all of it is.
+
+        What modulates the laser stays: the light of one frequency is not to depend on
+        whether the sample of another one was lost.
+        """
+        left = [key for key in self.keys if key not in done]
+        return replace(self, key=left[0], others=tuple(left[1:])) if left else None
+
+
+class Comb(NamedTuple):
+    """What is measured in one dwell."""
+
+    frequencies: tuple[float, ...]
+    """At once [Hz]."""
+    polarization: str
+    """Launched and analysed state, or "none"."""
+
+    def step(
+        self, kind: str, place: tuple[int, int], repeat: int, where: tuple[float, float]
+    ) -> Step:
+        """Return the dwell at a place (row, column), in a direction [rad]."""
+        first, *others = (
+            Key(kind, *place, frequency, self.polarization, repeat)
+            for frequency in self.frequencies
+        )
+        together = self.frequencies if others else ()
+        return Step(first, *where, tuple(others), together)
 
 
 def steps(survey: Survey, procedure: Procedure) -> Iterator[Step]:
@@ -60,11 +106,12 @@ def steps(survey: Survey, procedure: Procedure) -> Iterator[Step]:
     Step
         Reference blocks (dark, then open water, channel by channel) stand before the
         scan, after it, and at row boundaries in between. The scan is taken channel by
-        channel, since a mount turns more slowly than the beam.
+        channel, since a mount turns more slowly than the beam; frequencies that are
+        measured at once count as one channel.
     """
     count = procedure.references
     rows = [
-        (channel, row) for channel in channels(survey) for row in range(_rows(survey))
+        (comb, row) for comb in combs(survey, procedure) for row in range(_rows(survey))
     ]
     # Block 0 first; block k after the k-th of the equal parts of the scan.
     ends = [round(part * len(rows) / max(count - 1, 1)) for part in range(count)]
@@ -72,8 +119,8 @@ def steps(survey: Survey, procedure: Procedure) -> Iterator[Step]:
     directions = scan_directions(survey)[:2]
     done = 0
     for block, end in enumerate(ends[1:] or [len(rows)], start=1):
-        for channel, row in rows[done:end]:
-            yield from _row(survey, directions, channel, row)
+        for comb, row in rows[done:end]:
+            yield from _row(survey, directions, comb, row)
         done = end
         if block < count:
             yield from reference_block(survey, procedure, block=block)
@@ -102,19 +149,17 @@ def extra_reference(
     plan = survey.scan.open_water
     dark = procedure.references * procedure.dark_readings
     first = 0 if plan is None else plan.repeats
-    for channel in channels(survey):
+    for comb in combs(survey, procedure):
         yield from _dark(
             survey,
-            channel,
+            comb,
             range(
                 dark + number * procedure.dark_readings,
                 dark + (number + 1) * procedure.dark_readings,
             ),
         )
-    for channel in channels(survey):
-        yield from _open_water(
-            survey, channel, range(first + number, first + number + 1)
-        )
+    for comb in combs(survey, procedure):
+        yield from _open_water(survey, comb, range(first + number, first + number + 1))
 
 
 def retakes(
@@ -139,8 +184,11 @@ def retakes(
     """
     repeats = {key._replace(repeat=0): key.repeat for key in spoiled}
     for step in steps(survey, procedure):
-        if step.key in repeats:
-            yield replace(step, key=step.key._replace(repeat=repeats[step.key] + 1))
+        again = [
+            key._replace(repeat=repeats[key] + 1) for key in step.keys if key in repeats
+        ]
+        if again:
+            yield replace(step, key=again[0], others=tuple(again[1:]))
 
 
 def reference_block(
@@ -162,16 +210,14 @@ def reference_block(
     Step
         All dark readings before the first shot, so that the target moves once.
     """
-    for channel in channels(survey):
+    for comb in combs(survey, procedure):
         first = block * procedure.dark_readings
         repeats = range(first, first + procedure.dark_readings)
-        yield from _dark(survey, channel, repeats)
+        yield from _dark(survey, comb, repeats)
     plan = survey.scan.open_water
-    for channel in channels(survey):
+    for comb in combs(survey, procedure):
         total = 0 if plan is None else plan.repeats
-        yield from _open_water(
-            survey, channel, range(block, total, procedure.references)
-        )
+        yield from _open_water(survey, comb, range(block, total, procedure.references))
 
 
 def channels(survey: Survey) -> list[tuple[float, str]]:
@@ -191,6 +237,46 @@ def channels(survey: Survey) -> list[tuple[float, str]]:
         (frequency, pair)
         for pair in survey.instrument.polarizations
         for frequency in survey.instrument.modulation_frequencies
+    ]
+
+
+def combs(survey: Survey, procedure: Procedure) -> list[Comb]:
+    """Return what is measured dwell by dwell: frequencies at once, one polarization.
+
+    Parameters
+    ----------
+    survey : Survey
+        Its instrument counts.
+    procedure : Procedure
+        How many frequencies are measured at once.
+
+    Returns
+    -------
+    list of Comb
+        In the order of the scan: the polarization changes last.
+
+    Raises
+    ------
+    SurveyError
+        If the frequencies at once would modulate the laser by more than all of its
+        light.
+    """
+    many = procedure.frequencies_at_once or 1
+    frequencies = survey.instrument.modulation_frequencies
+    depth = survey.instrument.modulation_depth * min(many, len(frequencies))
+    if many > 1 and depth > 1 + 1e-9:
+        raise SurveyError(
+            f"{min(many, len(frequencies))} frequencies at once, each with a "
+            f"modulation depth of {survey.instrument.modulation_depth:g}, would "
+            f"modulate {depth:.3g} of the light; state the depth that each of them "
+            f"has then (instrument.modulation_depth), at most "
+            f"{survey.instrument.modulation_depth / depth:.3g}, or lower "
+            "procedure.frequencies_at_once"
+        )
+    return [
+        Comb(tuple(frequencies[first : first + many]), pair)
+        for pair in survey.instrument.polarizations
+        for first in range(0, len(frequencies), many)
     ]
 
 
@@ -248,36 +334,26 @@ def _rows(survey: Survey) -> int:
 def _row(
     survey: Survey,
     directions: tuple[np.ndarray, ...],
-    channel: tuple[float, str],
+    comb: Comb,
     row: int,
 ) -> Iterator[Step]:
     azimuth, elevation = directions
     columns = range(survey.scan.columns)
     backwards = survey.scan.order == "serpentine" and row % 2 == 1
     for column in reversed(columns) if backwards else columns:
-        yield Step(
-            Key(SCAN, row, column, *channel, 0),
-            float(azimuth[row, column]),
-            float(elevation[row, column]),
-        )
+        where = (float(azimuth[row, column]), float(elevation[row, column]))
+        yield comb.step(SCAN, (row, column), 0, where)
 
 
-def _dark(survey: Survey, channel: tuple[float, str], repeats: range) -> Iterator[Step]:
+def _dark(survey: Survey, comb: Comb, repeats: range) -> Iterator[Step]:
     for repeat in repeats:
-        yield Step(
-            Key(DARK, 0, 0, *channel, repeat),
-            survey.scan.azimuth,
-            survey.scan.elevation,
-        )
+        where = (survey.scan.azimuth, survey.scan.elevation)
+        yield comb.step(DARK, (0, 0), repeat, where)
 
 
-def _open_water(
-    survey: Survey, channel: tuple[float, str], repeats: range
-) -> Iterator[Step]:
+def _open_water(survey: Survey, comb: Comb, repeats: range) -> Iterator[Step]:
     grid = open_water_grid(survey)
     # Round the directions again and again: the repeats of one are spread over time.
     for repeat in repeats:
-        for (row, column), (azimuth, elevation) in grid.items():
-            yield Step(
-                Key(OPEN_WATER, row, column, *channel, repeat), azimuth, elevation
-            )
+        for place, where in grid.items():
+            yield comb.step(OPEN_WATER, place, repeat, where)

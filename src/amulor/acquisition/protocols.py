@@ -3,8 +3,12 @@
 from __future__ import annotations
 
 import enum
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
 
 #: What the identity of every simulated device holds, wherever it runs.
 SIMULATOR = "amulor simulator"
@@ -76,6 +80,54 @@ class LockIn(Device, Protocol):
 
     def full_scale(self) -> float:
         """Return the largest peak amplitude of the present setting [V]."""
+
+
+class CombLockIn(LockIn, Protocol):
+    """A lock-in amplifier that measures several frequencies at once."""
+
+    def set_frequencies(
+        self, frequencies: Sequence[float], *, timeout: float
+    ) -> list[float]:
+        """Modulate by all of them and nothing else [Hz]; return what is set [Hz].
+
+        `set_frequency` does the same for one.
+        """
+
+    def read_all(self) -> list[Reading]:
+        """Return the outputs of one instant, in the order of the frequencies."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Recorded:
+    """What a lock-in has recorded during a dwell, by its own clock."""
+
+    times: NDArray[np.float64]
+    """Moments, rising, of shape (n,) [s]."""
+    signals: NDArray[np.complex128]
+    """Peak amplitude at each of them, of shape (n, frequency), delay as a positive
+    phase [V]."""
+    mean: float
+    """Mean output of the detector, not a number where it is not wired [V]."""
+    modulation_frequencies: tuple[float, ...]
+    """Frequencies that the instrument says it used [Hz]."""
+    overload: Overload = Overload.NONE
+    """What has overloaded meanwhile."""
+    unlocked: bool = False
+    """Whether the reference was lost meanwhile."""
+    spreads: tuple[float, ...] | None = None
+    """Standard deviation of either output of the mean signal, for each frequency, if
+    the record tells it [V]."""
+
+
+class BufferedLockIn(LockIn, Protocol):
+    """A lock-in amplifier that records its outputs by its own clock."""
+
+    def record(self, duration: float) -> Recorded:
+        """Return the outputs of a time [s] that begins with this call.
+
+        Of all frequencies that are set, at least one moment; the first not before the
+        call, and as many as the instrument makes in that time.
+        """
 
 
 class Source(Device, Protocol):

@@ -142,6 +142,7 @@ def acquire(
         What was acknowledged is kept, and all devices have been made safe.
     """
     settings = settings or Settings()
+    plan.combs(survey, settings.procedure)  # refused before anything is touched
     start = {
         "survey": survey.to_toml(),
         "survey_digest": cube.digest(survey.to_toml()),
@@ -245,13 +246,14 @@ class _Run:
                 steps = [*self._again(segment), *missing]
                 self._sampler.prepare()
                 self._begin_to_count()
-                total = len(self._done) + len(steps)
+                total = len(self._done) + sum(len(step.keys) for step in steps)
                 for step in steps:
                     if control.pause_wanted():
                         reason = "paused"
                         break
                     self._take(step, segment)
-                    acknowledged(step.key)
+                    for key in step.keys:
+                        acknowledged(key)
                     progress(self._progress(step, total))
                 else:
                     reason = "finished"
@@ -272,7 +274,7 @@ class _Run:
         return Outcome(
             finished=not missing,
             done=len(self._done),
-            total=len(self._done) + len(missing),
+            total=len(self._done) + sum(len(step.keys) for step in missing),
             flagged=self._flagged,
             unsafe=unsafe,
         )
@@ -280,7 +282,7 @@ class _Run:
     def _missing(self) -> list[Step]:
         planned = plan.steps(self._survey, self._settings.procedure)
         wanted = itertools.chain(planned, self._retakes)
-        return [step for step in wanted if step.key not in self._done]
+        return [left for step in wanted if (left := step.without(self._done))]
 
     def _to_be_retaken(self) -> Iterator[Step]:
         """Return the samples whose newest take was spoiled, to be taken once more."""
@@ -308,14 +310,14 @@ class _Run:
 
     def _take(self, step: Step, segment: int) -> None:
         passed = self._devices.clock.now() - self._clock_start
-        record = self._sampler.take(
+        records = self._sampler.take(
             step, elapsed=self._elapsed + passed, segment=segment
         )
-        self._journal.commit(step.key, record)
-        self._done.add(step.key)
-        self._taken += 1
-        self._flagged += bool(record.flags)
-        self._sampler.refuse_darkness(step.key.kind, record.flags)
+        self._journal.commit_together([*zip(step.keys, records, strict=True)])
+        self._done.update(step.keys)
+        self._taken += len(records)
+        self._flagged += sum(bool(record.flags) for record in records)
+        self._sampler.refuse_darkness(step.key.kind, records[0].flags)
 
     def _progress(self, step: Step, total: int) -> Progress:
         rate = self._taken / max(time.monotonic() - self._started, 1e-9)

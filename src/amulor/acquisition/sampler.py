@@ -5,18 +5,15 @@ from __future__ import annotations
 import enum
 import math
 import statistics
+from typing import cast
 
 from amulor.acquisition.darkness import DarkLevel
 from amulor.acquisition.devices import Devices
+from amulor.acquisition.dwell import Dwell, DwellReader, refuse_lacking
 from amulor.acquisition.journal.record import Record
 from amulor.acquisition.plan import DARK, OPEN_WATER, SCAN, Step
-from amulor.acquisition.protocols import Overload, Reading
+from amulor.acquisition.protocols import CombLockIn
 from amulor.acquisition.settings import Settings
-from amulor.acquisition.uncertainty import (
-    filtered_input,
-    intervals_of,
-    readings_of,
-)
 from amulor.errors import InstrumentError
 from amulor.optics.polarization import stokes
 from amulor.survey import Survey
@@ -75,9 +72,9 @@ class Sampler:
         self._devices = devices
         self._constant = survey.instrument.lock_in.time_constant
         self._saturation = survey.instrument.detector.saturation
-        self._dwell = survey.scan.dwell
-        self._readings = readings_of(survey, settling=settings.procedure.settling)
-        self._intervals = intervals_of(survey)
+        self._reader = DwellReader(
+            survey, settings.procedure, devices.lock_in, devices.clock
+        )
         self._overloaded_in_a_row = self._dark_in_a_row = 0
         self._dark_level = DarkLevel()
         self._calm = 0
@@ -93,16 +90,15 @@ class Sampler:
         """Take nothing for granted any more, after devices were made safe."""
         #: Whether more than the direction has changed since the last reading.
         self._new = True
-        self._moments: list[float] = []
         #: Where mounts and target stand, as they said when they were last moved.
         self._stands: dict[str, float | None] = {}
-        self._frequency: float | None = None
+        self._frequencies: tuple[float, ...] = ()
         self._polarization: str | None = None
         self._laser: bool | None = None
         self._target_is_in: bool | None = None
 
-    def take(self, step: Step, *, elapsed: float, segment: int) -> Record:
-        """Take one sample.
+    def take(self, step: Step, *, elapsed: float, segment: int) -> list[Record]:
+        """Take the samples of one dwell.
 
         Parameters
         ----------
@@ -115,8 +111,9 @@ class Sampler:
 
         Returns
         -------
-        Record
-            What was measured. An overload that no change of scale cured is flagged.
+        list of Record
+            What was measured, in the order of the keys of the step. An overload that no
+            change of scale cured is flagged.
 
         Raises
         ------
@@ -125,12 +122,11 @@ class Sampler:
             a row are overloaded or show no light.
         """
         azimuth, elevation = self._arrange(step)
-        readings, flags = self._read()
+        dwell, flags = self._read()
         if step.key.kind != DARK:
             self._refuse_open_interlock()
-        flags |= self._compare(step, azimuth, elevation, readings[-1])
-        signal, count = self._signal(readings)
-        means = [reading.mean for reading in readings if reading.mean == reading.mean]
+        flags |= self._misplaced(step, azimuth, elevation)
+        means = dwell.means
         mean = statistics.fmean(means) if means else None
         if mean is not None and mean > self._saturation:
             flags |= SampleFlag.OVERLOAD
@@ -142,37 +138,37 @@ class Sampler:
         self._count_overloads(flags)
         scale = self._devices.lock_in.full_scale()
         if step.key.kind != DARK and not flags & SampleFlag.NO_LIGHT:
-            self._sharpen(abs(signal), flags)
-        return Record(
-            in_phase=signal.real,
-            quadrature=signal.imag,
-            mean=mean,
-            readings=count,
-            full_scale=scale,
-            flags=int(flags),
-            commanded_azimuth=step.azimuth,
-            commanded_elevation=step.elevation,
-            azimuth=azimuth,
-            elevation=elevation,
-            modulation_frequency=readings[-1].modulation_frequency,
-            elapsed=elapsed,
-            segment=segment,
-            **self._stands,
-        )
+            # All frequencies share the input.
+            self._sharpen(sum(map(abs, dwell.signals)), flags)
+        records = []
+        for key in step.keys:
+            place = step.frequencies.index(key.frequency)
+            signal, used = dwell.signals[place], dwell.modulation_frequencies[place]
+            record = Record(
+                in_phase=signal.real,
+                quadrature=signal.imag,
+                mean=mean,
+                readings=dwell.readings,
+                interval=dwell.interval,
+                spread=dwell.spreads[place],
+                full_scale=scale,
+                flags=int(flags | _off_frequency(key.frequency, used)),
+                commanded_azimuth=step.azimuth,
+                commanded_elevation=step.elevation,
+                azimuth=azimuth,
+                elevation=elevation,
+                modulation_frequency=used,
+                elapsed=elapsed,
+                segment=segment,
+                **self._stands,
+            )
+            records.append(record)
+        return records
 
     def _arrange(self, step: Step) -> tuple[float, float]:
         devices, settings = self._devices, self._settings
-        if step.key.frequency != self._frequency:
-            if devices.source is not None:
-                devices.source.set_frequency(
-                    step.key.frequency, timeout=settings.source.timeout
-                )
-            set_to = devices.lock_in.set_frequency(
-                step.key.frequency, timeout=settings.lock_in.lock_timeout
-            )
-            self._refuse_one_for_two(step.key.frequency, set_to)
-            self._frequency = step.key.frequency
-            self._new = True
+        if step.frequencies != self._frequencies:
+            self._set_frequencies(step.frequencies)
         if step.key.polarization != self._polarization:
             self._set_polarization(step.key.polarization)
         self._move_target(step.key.kind)
@@ -180,6 +176,25 @@ class Sampler:
         return devices.scanner.move(
             step.azimuth, step.elevation, timeout=settings.scanner.move_timeout
         )
+
+    def _set_frequencies(self, frequencies: tuple[float, ...]) -> None:
+        devices, settings = self._devices, self._settings
+        timeout = settings.lock_in.lock_timeout
+        if len(frequencies) == 1:
+            (one,) = frequencies
+            if devices.source is not None:
+                devices.source.set_frequency(one, timeout=settings.source.timeout)
+            set_to = [devices.lock_in.set_frequency(one, timeout=timeout)]
+        else:
+            lock_in = devices.lock_in
+            words = ("set_frequencies", "read_all")
+            refuse_lacking(lock_in, "procedure.frequencies_at_once", *words)
+            comb = cast(CombLockIn, lock_in)
+            set_to = comb.set_frequencies(frequencies, timeout=timeout)
+        for asked, its in zip(frequencies, set_to, strict=True):
+            self._refuse_one_for_two(asked, its)
+        self._frequencies = frequencies
+        self._new = True
 
     def _refuse_open_interlock(self) -> None:
         """Raise if the laser knows that its interlock is open."""
@@ -248,18 +263,17 @@ class Sampler:
         self._target_is_in = kind == SCAN
         self._new = True
 
-    def _read(self) -> tuple[list[Reading], SampleFlag]:
+    def _read(self) -> tuple[Dwell, SampleFlag]:
         lock_in, flags, lost, tries = self._devices.lock_in, SampleFlag.NONE, 0, 0
         while True:
-            readings = self._readings_of_a_dwell()
-            overload = Overload.NONE
-            for reading in readings:
-                overload |= reading.overload
-            unlocked = any(reading.unlocked for reading in readings)
-            if not overload and not unlocked:
-                return readings, flags
+            several = len(self._frequencies) > 1
+            dwell = self._reader.take(several=several, changed=self._new)
+            self._new = False
+            overload = dwell.overload
+            if not overload and not dwell.unlocked:
+                return dwell, flags
             tries += 1
-            if unlocked:
+            if dwell.unlocked:
                 flags |= SampleFlag.REPEATED
                 lost += 1
                 if lost > self._procedure.attempts:
@@ -274,48 +288,12 @@ class Sampler:
                 flags |= SampleFlag.RESCALED
                 self._new = True
             else:
-                return readings, flags | SampleFlag.OVERLOAD
+                return dwell, flags | SampleFlag.OVERLOAD
 
-    def _readings_of_a_dwell(self) -> list[Reading]:
-        """Return readings, after what must settle has settled."""
-        clock, lock_in = self._devices.clock, self._devices.lock_in
-        known, first = self._procedure.output_filter == "known", self._new
-        if first or not known:
-            clock.sleep(self._procedure.settling * self._constant)
-        self._new = False
-        spacing = self._constant
-        number = self._readings
-        if known:
-            # One more: what the filter holds at the start is to be known.
-            number, spacing = self._intervals + 1, self._dwell / self._intervals
-        readings, self._moments = [], []
-        for place in range(number):
-            if place:
-                clock.sleep(spacing)
-            asked = clock.now()
-            readings.append(lock_in.read())
-            self._moments.append((asked + clock.now()) / 2)
-        return readings
-
-    def _signal(self, readings: list[Reading]) -> tuple[complex, int]:
-        """Return what entered the filter, and of how many parts it is the mean."""
-        signals = [reading.signal for reading in readings]
-        if self._procedure.output_filter != "known":
-            return sum(signals) / len(signals), len(signals)
-        mean = filtered_input(signals, self._moments, time_constant=self._constant)
-        return mean, len(signals) - 1
-
-    def _compare(
-        self, step: Step, azimuth: float, elevation: float, last: Reading
-    ) -> SampleFlag:
-        flags = SampleFlag.NONE
+    def _misplaced(self, step: Step, azimuth: float, elevation: float) -> SampleFlag:
         error = max(abs(azimuth - step.azimuth), abs(elevation - step.elevation))
-        if error > self._procedure.position_tolerance:
-            flags |= SampleFlag.OFF_POSITION
-        off = abs(last.modulation_frequency - step.key.frequency)
-        if off > _FREQUENCY_TOLERANCE * step.key.frequency:
-            flags |= SampleFlag.OFF_FREQUENCY
-        return flags
+        off = error > self._procedure.position_tolerance
+        return SampleFlag.OFF_POSITION if off else SampleFlag.NONE
 
     def _count_overloads(self, flags: SampleFlag) -> None:
         if not flags & SampleFlag.OVERLOAD:
@@ -366,3 +344,8 @@ class Sampler:
         if self._calm >= _CALM and self._devices.lock_in.sharpen(amplitude):
             self._calm = 0
             self._new = True
+
+
+def _off_frequency(asked: float, used: float) -> SampleFlag:
+    off = abs(used - asked) > _FREQUENCY_TOLERANCE * asked
+    return SampleFlag.OFF_FREQUENCY if off else SampleFlag.NONE

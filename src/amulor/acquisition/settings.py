@@ -187,6 +187,12 @@ class Procedure(Description):
     what it still holds of the last direction is taken off: nothing is waited for after
     a move, and the dwell is filled with readings. Left out: readings are taken after
     `settling`."""
+    readings: Literal["buffer"] | None = None
+    """"buffer": the lock-in records its outputs by its own clock and hands them over
+    after each dwell (sr865a, zurich, digitiser); one question a reading if left out."""
+    frequencies_at_once: Annotated[int, Field(ge=2, le=64)] | None = None
+    """How many modulation frequencies are measured in one dwell, by a lock-in with as
+    many oscillators and demodulators; one after the other if left out [1]."""
     references: Annotated[int, Field(ge=1, le=10_000)] = 2
     """Times at which dark readings and open-water shots are taken, spread evenly from
     before the scan to after it; the repeats are dealt out among them [1]."""
@@ -306,6 +312,22 @@ class Settings(Description):
             raise ValueError(
                 "the part source makes the frequency, but the lock-in takes its own; "
                 'set lock_in.reference = "external"'
+            )
+        return self
+
+    @model_validator(mode="after")
+    def _lock_in_takes_a_comb(self) -> Self:
+        if self.procedure.frequencies_at_once is None:
+            return self
+        if self.lock_in.driver in ("sr844", "sr865a"):
+            raise ValueError(
+                f"the lock-in {self.lock_in.driver!r} has one oscillator; take "
+                "procedure.frequencies_at_once out, or use a lock-in with several"
+            )
+        if self.source.driver != "none":
+            raise ValueError(
+                "procedure.frequencies_at_once needs the oscillators of the lock-in, "
+                "but the part source modulates the laser; take one of them out"
             )
         return self
 

@@ -33,14 +33,14 @@ def reading_variance(
     return counting_variance(survey, rate=rate, integration_time=float(time))
 
 
-def variance_ratio(readings: ArrayLike, *, spacing: float) -> NDArray[np.float64]:
+def variance_ratio(readings: ArrayLike, *, spacing: ArrayLike) -> NDArray[np.float64]:
     r"""Return the variance of a mean of readings over that of one of them.
 
     Parameters
     ----------
     readings : array_like of int
         How many readings are averaged, at least 1 [1].
-    spacing : float
+    spacing : array_like
         Time between them in time constants of the filter, above zero [1].
 
     Returns
@@ -70,10 +70,13 @@ def variance_ratio(readings: ArrayLike, *, spacing: float) -> NDArray[np.float64
     number = np.asarray(readings, dtype=float)
     if np.any(number < 1):
         raise ValueError(f"readings must be at least 1, got {np.min(number):g}")
-    if not spacing > 0:
-        raise ValueError(f"spacing must be above 0 time constants, got {spacing:g}")
-    kept = np.exp(-spacing)
-    left = -np.expm1(-spacing)
+    length = np.asarray(spacing, dtype=float)
+    if not np.all(length > 0):
+        raise ValueError(
+            f"spacing must be above 0 time constants, got {np.min(length):g}"
+        )
+    kept = np.exp(-length)
+    left = -np.expm1(-length)
     slow = (1 + kept) / left
     ends = 2 * kept * (1 - kept**number) / (number * left**2)
     fraction: NDArray[np.float64] = np.asarray((slow - ends) / number)

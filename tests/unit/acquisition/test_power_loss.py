@@ -194,7 +194,10 @@ def check(place: Path, files: dict[str, bytes], sure: int, begun: int) -> None:
         journal.commit(Key(SCAN, 1, 0, 39e6, "VV", 0), RECORD)
 
 
-def test_an_acknowledged_sample_survives_a_loss_of_power_at_every_write(folder) -> None:
+@pytest.mark.parametrize("together", [1, 3])
+def test_an_acknowledged_sample_survives_a_loss_of_power_at_every_write(
+    folder, together
+) -> None:
     sqlite = library()
     if sqlite is None:
         pytest.skip(
@@ -207,10 +210,15 @@ def test_an_acknowledged_sample_survives_a_loss_of_power_at_every_write(folder) 
     with logged(sqlite) as log, Journal.resume(home, meta=META) as journal:
         # Every few samples the log is folded into the file: boundaries of each kind.
         journal._connection.execute("PRAGMA wal_autocheckpoint = 6")
-        for number in range(total):
-            log.append(("begin", number))
-            journal.commit(Key(SCAN, 0, number, 39e6, "VV", 0), RECORD)
-            log.append(("acknowledged", number))
+        for number in range(0, total, together):
+            # Those of one dwell are there together, or none of them is.
+            log.append(("begin", number + together - 1))
+            dwell = [
+                (Key(SCAN, 0, number + more, 39e6, "VV", 0), RECORD)
+                for more in range(together)
+            ]
+            journal.commit_together(dwell)
+            log.append(("acknowledged", number + together - 1))
     of_the_scan = {FILE_NAME, f"{FILE_NAME}-wal"}
     entries = [
         entry
@@ -239,5 +247,5 @@ def test_an_acknowledged_sample_survives_a_loss_of_power_at_every_write(folder) 
             last = [*disk.pending[:-1], torn(disk.pending[-1])]
             check(place, disk.left(last), sure, begun)
     assert sure == begun == total
-    assert boundaries > 4 * total
+    assert boundaries > 4 * total // together
     shutil.rmtree(place)

@@ -60,6 +60,7 @@ class Samples:
         self.commanded_azimuth, self.commanded_elevation = empty(), empty()
         self.modulation_frequency = empty()
         self.launch, self.analyser, self.target = empty(), empty(), empty()
+        self.interval, self.spread = empty(), empty()
         self.flags = np.zeros(shape, dtype=np.int16)
         self.segment = np.zeros(shape, dtype=np.int32)
         self.takes = np.zeros(shape, dtype=np.int32)
@@ -86,7 +87,7 @@ class Samples:
             "flags", "segment",
         ):  # fmt: skip
             getattr(self, name)[at] = getattr(record, name)
-        for name in ("launch", "analyser", "target"):
+        for name in ("launch", "analyser", "target", "interval", "spread"):
             stands = getattr(record, name)
             getattr(self, name)[at] = np.nan if stands is None else stands
         self.takes[at] += 1
@@ -236,8 +237,14 @@ def counting_variance(samples: Samples, survey: Survey, procedure: Procedure) ->
         rate=np.nan_to_num(rate),
         time_constant=survey.instrument.lock_in.time_constant,
     )
+    constant = survey.instrument.lock_in.time_constant
     if procedure.output_filter == "known":
-        constant = survey.instrument.lock_in.time_constant
         length = survey.scan.dwell / samples.readings / constant
-        return np.asarray(one * input_variance_ratio(samples.readings, spacing=length))
-    return np.asarray(one * variance_ratio(samples.readings, spacing=1.0))
+        own = samples.interval / constant
+        length = np.where(np.isfinite(own), own, length)
+        ratio = input_variance_ratio(samples.readings, spacing=length)
+    else:
+        length = np.where(np.isfinite(samples.interval), samples.interval / constant, 1)
+        ratio = variance_ratio(samples.readings, spacing=length)
+    # What a record tells about its own noise is better than what counting expects.
+    return np.where(np.isfinite(samples.spread), samples.spread**2, one * ratio)

@@ -1,20 +1,25 @@
-"""UHFLI of Zurich Instruments through zhinst-toolkit; tested against a contract only.
+"""UHFLI of Zurich Instruments through zhinst-toolkit; tested against simulators only.
 
-No instrument and no simulator of one stood behind the tests: they check that these
-nodes are set and read as the manual names them, and nothing more. An HF2LI has a data
-server of its own, another mixer channel and amplitudes that are fractions of the output
-range; that is in here, its input ranges are not.
+No instrument stood behind the tests. They check that nodes are set and read as the
+manuals name them, against a fake that only keeps them and a simulated UHFLI that
+measures. An HF2LI has a data server of its own, another mixer channel, amplitudes that
+are fractions of the output range, and tells overloads by its converters.
 """
 
 from __future__ import annotations
 
+import functools
 import importlib
 import math
-from typing import Any
+from collections.abc import Callable, Sequence
+from typing import Any, TypeVar, cast
+
+import numpy as np
+from numpy.typing import NDArray
 
 from amulor.acquisition.clock import Clock, Deadline
-from amulor.acquisition.protocols import Overload, Reading
-from amulor.errors import InstrumentError, MissingExtraError
+from amulor.acquisition.protocols import Overload, Reading, Recorded
+from amulor.errors import AmulorError, InstrumentError, MissingExtraError
 
 #: Input ranges, peak [V].
 INPUT_RANGES = (0.01, 0.03, 0.1, 0.3, 1.0, 1.5)
@@ -23,6 +28,8 @@ _OUTPUT_RANGES = {"UHF": (0.15, 1.5), "HF2": (0.01, 0.1, 1.0, 10.0)}
 #: Channel of the output mixer that the first oscillator drives, without the option MF;
 #: with it, it is the first one (as `zhinst.utils.default_output_mixer_channel` says).
 _MIXER_CHANNEL = {"UHF": 3, "HF2": 6}
+#: Oscillators, and as many demodulators and mixer channels, with the option MF.
+_OSCILLATORS = {"UHF": 8, "HF2": 6}
 #: What an address of a device behind the data server of HF2 instruments begins with.
 _HF2 = "hf2:"
 #: How long what an auxiliary output puts out may take to be reported, in steps [s], and
@@ -31,12 +38,36 @@ _FOLLOWS, _POLL, _NEAR = 1.0, 0.01, 0.05
 #: Readings per time constant that the instrument is asked to make.
 _RATE = 10.0
 _FINER_BELOW = 0.2
-#: Fraction of the input range that counts as an overload.
-_FULL = 0.99
+#: Fraction of the input range that counts as an overload, and a full converter.
+_FULL, _CONVERTER = 0.99, 127
+#: Longest that one poll waits for data beyond what is recorded, and all of them [s].
+_ANSWER, _LATE = 0.5, 2.0
+#: Largest relative difference of the time constant that is set and the one meant.
+_SAME_CONSTANT = 0.01
+
+_Method = TypeVar("_Method", bound=Callable[..., Any])
+
+
+def _explained(method: _Method) -> _Method:
+    """Turn what the toolkit raises into an error that says what to do."""
+
+    @functools.wraps(method)
+    def called(self: ZurichLockIn, *args: Any, **named: Any) -> Any:
+        try:
+            return method(self, *args, **named)
+        except AmulorError:
+            raise
+        except Exception as error:  # the toolkit raises many kinds
+            raise InstrumentError(
+                f"{self.identity()} has failed to {method.__name__.replace('_', ' ')}: "
+                f"{type(error).__name__}: {error}; check the data server and the cable"
+            ) from error
+
+    return cast(_Method, called)
 
 
 class ZurichLockIn:
-    """The first input, oscillator, demodulator and output of a UHFLI.
+    """The first input and output of a UHFLI, and as many oscillators as are asked for.
 
     Parameters
     ----------
@@ -46,13 +77,17 @@ class ZurichLockIn:
         Auxiliary input, counted from 1, that the mean output of the detector is wired
         to.
     modulation_amplitude : float
-        Root mean square of the modulation output, into 50 ohm [V].
+        Root mean square of the modulation output at each frequency, into 50 ohm [V].
     clock : Clock
         What waits go by.
 
     Notes
     -----
-    Its demodulators count in volts rms, and their phase falls with delay.
+    Its demodulators count in volts rms, and their phase falls with delay. Several
+    frequencies at once need the option MF: oscillator, demodulator and mixer channel n
+    belong together. A record comes from the data server, which streams what it
+    subscribes to; it begins after the moment that the instrument's clock showed when it
+    was asked for, however late the data come.
     """
 
     def __init__(
@@ -68,6 +103,8 @@ class ZurichLockIn:
         self._mean_input = mean_output_input
         self._clock = clock
         self._range = len(INPUT_RANGES) - 1
+        self._frequencies: tuple[float, ...] = ()
+        self._full_scale = INPUT_RANGES[-1]
 
     @classmethod
     def connect(
@@ -134,99 +171,239 @@ class ZurichLockIn:
             clock=clock,
         )
 
+    @property
+    def _family(self) -> str:
+        return str(self._device.device_type)[:3]
+
     def identity(self) -> str:
         """Return maker, kind and serial number."""
         return f"Zurich Instruments,{self._device.device_type},{self._device.serial}"
 
+    @_explained
     def prepare(self, *, time_constant: float) -> None:
         """Set internal reference, one-pole output filter and time constant [s]."""
-        self._range = len(INPUT_RANGES) - 1
-        demodulator = self._device.demods[0]
+        self._constant = time_constant
+        self._clockbase = 0.0
+        self._set_range(len(INPUT_RANGES) - 1)
+        self._demodulate(0)
+        set_to = float(self._device.demods[0].timeconstant())
+        if not abs(set_to / time_constant - 1) <= _SAME_CONSTANT:
+            raise InstrumentError(
+                f"{self.identity()} makes {set_to:g} s of a time constant of "
+                f"{time_constant:g} s; state that in the survey"
+            )
+        self._drive(1)
+        self._frequencies = (math.nan,)
+
+    def _demodulate(self, place: int) -> None:
+        """Let a demodulator follow the oscillator of its own number."""
+        demodulator = self._device.demods[place]
         demodulator.adcselect(0)
-        demodulator.oscselect(0)
+        demodulator.oscselect(place)
         demodulator.harmonic(1)
         demodulator.phaseshift(0.0)
         demodulator.order(1)
         demodulator.sinc(0)
-        demodulator.timeconstant(time_constant)
-        demodulator.rate(_RATE / time_constant)
+        demodulator.timeconstant(self._constant)
+        demodulator.rate(_RATE / self._constant)
         demodulator.enable(1)
-        self._device.sigins[0].range(INPUT_RANGES[self._range])
-        self._drive()
 
-    def _drive(self) -> None:
-        """Let the modulation out: one oscillator at the stated level, nothing else."""
-        output = self._device.sigouts[0]
-        family = str(self._device.device_type)[:3]
+    def _multiple(self) -> bool:
+        return "MF" in str(self._device.features.options()).split()
+
+    def _drive(self, count: int) -> None:
+        """Let the modulation out: so many oscillators at the stated level, no other."""
+        output, family = self._device.sigouts[0], self._family
         peak = math.sqrt(2) * self._amplitude
         ranges = _OUTPUT_RANGES.get(family, _OUTPUT_RANGES["UHF"])
-        wide = [value for value in ranges if value >= peak]
+        wide = [value for value in ranges if value >= count * peak]
         if not wide:
             raise InstrumentError(
                 f"the modulation output ends at {ranges[-1]:g} V peak, stated is "
-                f"{peak:.3g} V (lock_in.modulation_amplitude is its root mean square)"
+                f"{count * peak:.3g} V (lock_in.modulation_amplitude is the root mean "
+                f"square of each of {count} frequencies)"
             )
-        multiple = "MF" in str(self._device.features.options()).split()
+        multiple = self._multiple()
         channel = 0 if multiple else _MIXER_CHANNEL.get(family, 0)
         output.on(0)
         if family != "HF2":
             output.imp50(1)
         output.offset(0.0)
         output.range(wide[0])
-        if multiple:
-            for other in range(1, 8):
-                output.enables[other](0)
         level = peak / wide[0] if family == "HF2" else peak
-        output.amplitudes[channel](level)
-        output.enables[channel](1)
+        if multiple:
+            for other in range(count, _OSCILLATORS.get(family, 8)):
+                output.enables[other](0)
+        for place in range(count):
+            output.amplitudes[channel + place](level)
+            output.enables[channel + place](1)
         output.on(1)
 
+    @_explained
     def set_frequency(self, frequency: float, *, timeout: float) -> float:
         """Set the modulation frequency [Hz] and return what is set [Hz].
 
         The oscillator is the reference itself: there is nothing to lock to.
         """
-        self._device.oscs[0].freq(frequency)
-        return float(self._device.oscs[0].freq())
+        return self.set_frequencies([frequency], timeout=timeout)[0]
+
+    @_explained
+    def set_frequencies(
+        self, frequencies: Sequence[float], *, timeout: float
+    ) -> list[float]:
+        """Modulate by several frequencies at once [Hz], return what is set [Hz]."""
+        count = len(frequencies)
+        there = _OSCILLATORS.get(self._family, 8) if self._multiple() else 1
+        if count > there:
+            raise InstrumentError(
+                f"{self.identity()} modulates by {there} frequencies at once, asked "
+                f"for are {count}; lower procedure.frequencies_at_once"
+                + ("" if there > 1 else ", or have the option MF installed")
+            )
+        if count != len(self._frequencies):
+            for place in range(count):
+                self._demodulate(place)
+            for place in range(count, there):
+                self._device.demods[place].enable(0)
+            self._drive(count)
+            self._clockbase = 0.0  # the subscriptions are others now
+        for place, frequency in enumerate(frequencies):
+            self._device.oscs[place].freq(frequency)
+        set_to = [float(self._device.oscs[place].freq()) for place in range(count)]
+        self._frequencies = tuple(set_to)
+        return set_to
 
     def read(self) -> Reading:
         """Return the outputs and the state of this instant."""
-        sample = self._device.demods[0].sample()
-        signal = complex(float(sample["x"][0]), -float(sample["y"][0]))
-        reached = max(
-            abs(float(self._device.sigins[0].max())),
-            abs(float(self._device.sigins[0].min())),
-        )
-        mean = math.nan
-        if self._mean_input is not None:
-            mean = float(sample[f"auxin{self._mean_input - 1}"][0])
-        return Reading(
-            signal=math.sqrt(2) * signal,
-            mean=mean,
-            modulation_frequency=float(sample["frequency"][0]),
-            overload=Overload.INPUT if reached >= _FULL else Overload.NONE,
+        return self.read_all()[0]
+
+    @_explained
+    def read_all(self) -> list[Reading]:
+        """Return the outputs of every frequency and the state of this instant."""
+        overload = self._overload()
+        readings = []
+        for place in range(max(len(self._frequencies), 1)):
+            sample = self._device.demods[place].sample()
+            signal = complex(float(sample["x"][0]), -float(sample["y"][0]))
+            mean = math.nan
+            if self._mean_input is not None:
+                mean = float(sample[f"auxin{self._mean_input - 1}"][0])
+            reading = Reading(
+                signal=math.sqrt(2) * signal,
+                mean=mean,
+                modulation_frequency=float(sample["frequency"][0]),
+                overload=overload,
+            )
+            readings.append(reading)
+        return readings
+
+    @_explained
+    def record(self, duration: float) -> Recorded:
+        """Return the outputs of a time [s] that begins with this call."""
+        nodes = [
+            self._device.demods[place].sample for place in range(len(self._frequencies))
+        ]
+        if not self._clockbase:
+            for node in nodes:
+                node.subscribe()
+            self._clockbase = float(self._device.clockbase())
+        begin = int(self._device.status.time())
+        end = begin + math.ceil(duration * self._clockbase)
+        parts = self._polled(nodes, end, duration)
+        times, columns, means, used = parts[0]["timestamp"], [], [], []
+        kept = (times >= begin) & (times <= end)
+        # One at least: the first after that moment.
+        kept |= times == times[times >= begin][:1]
+        first, count = int(np.argmax(kept)), int(kept.sum())
+        for part in parts:
+            start = int(np.searchsorted(part["timestamp"], begin))
+            taken = slice(start, start + count)
+            columns.append(np.sqrt(2) * (part["x"] - 1j * part["y"])[taken])
+            used.append(float(part["frequency"][taken][-1]))
+            if self._mean_input is not None:
+                means.append(part[f"auxin{self._mean_input - 1}"][taken].mean())
+        shortest = min(len(column) for column in columns)
+        when = (times[first : first + shortest] - times[first]) / self._clockbase
+        steps = np.diff(when)
+        if steps.size and steps.max() > 1.5 * steps.min():
+            raise InstrumentError(
+                f"{self.identity()} has lost samples on the way to the data server; "
+                "take a longer time constant, or a better network"
+            )
+        return Recorded(
+            times=when,
+            signals=np.stack([column[:shortest] for column in columns], axis=1),
+            mean=float(means[0]) if means else math.nan,
+            modulation_frequencies=tuple(used),
+            overload=self._overload(),
         )
 
+    def _polled(
+        self, nodes: list[Any], end: int, duration: float
+    ) -> list[dict[str, NDArray[Any]]]:
+        """Return what was streamed of each node until a tick of the instrument."""
+        parts: list[list[dict[str, Any]]] = [[] for _ in nodes]
+        # The first sample comes within one interval after the end of no time at all.
+        limit = Deadline(self._clock, duration + _LATE + 2 * self._constant)
+        wait = duration + 2 * self._constant / _RATE
+        while True:
+            found = self._device.session.poll(recording_time=wait, timeout=_ANSWER)
+            for node, got in zip(nodes, parts, strict=True):
+                if node in found:
+                    got.append(found[node])
+            if all(got and got[-1]["timestamp"][-1] >= end for got in parts):
+                break
+            if limit.passed():
+                raise InstrumentError(
+                    f"{self.identity()} has streamed no data for {_LATE:g} s; check "
+                    "that its demodulators are enabled and the data server runs"
+                )
+            wait = self._constant / _RATE
+        return [
+            {
+                name: np.concatenate([np.asarray(one[name]) for one in got])
+                for name in got[0]
+            }
+            for got in parts
+        ]
+
+    def _overload(self) -> Overload:
+        if self._family == "HF2":
+            status = self._device.status
+            largest = max(abs(float(status.adc0max())), abs(float(status.adc0min())))
+            reached = largest / _CONVERTER
+        else:
+            own = self._device.sigins[0]
+            reached = max(abs(float(own.max())), abs(float(own.min())))
+        return Overload.INPUT if reached >= _FULL else Overload.NONE
+
+    def _set_range(self, number: int) -> None:
+        self._range = number
+        self._device.sigins[0].range(INPUT_RANGES[number])
+        # It takes the next range that it has.
+        self._full_scale = float(self._device.sigins[0].range())
+
+    @_explained
     def relieve(self, overload: Overload) -> bool:
         """Take the next larger input range, if there is one."""
         if self._range == len(INPUT_RANGES) - 1:
             return False
-        self._range += 1
-        self._device.sigins[0].range(INPUT_RANGES[self._range])
+        self._set_range(self._range + 1)
         return True
 
+    @_explained
     def sharpen(self, amplitude: float) -> bool:
         """Take the next smaller input range if this peak amplitude [V] leaves room."""
         if self._range == 0 or amplitude > _FINER_BELOW * self.full_scale():
             return False
-        self._range -= 1
-        self._device.sigins[0].range(INPUT_RANGES[self._range])
+        self._set_range(self._range - 1)
         return True
 
     def full_scale(self) -> float:
         """Return the largest peak amplitude of the present setting [V]."""
-        return INPUT_RANGES[self._range]
+        return self._full_scale
 
+    @_explained
     def set_output(self, number: int, voltage: float) -> float:
         """Set an auxiliary output, counted from 1 [V]; return what is read back [V]."""
         output = self._device.auxouts[number - 1]
@@ -241,6 +418,7 @@ class ZurichLockIn:
     def reconnect(self) -> None:
         """Do nothing: the data server holds the link."""
 
+    @_explained
     def make_safe(self) -> None:
         """Switch the modulation output off."""
         self._device.sigouts[0].on(0)

@@ -7,7 +7,7 @@ import datetime
 import json
 import operator
 import sqlite3
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import MISSING, fields
 from pathlib import Path
 from typing import Any
@@ -270,6 +270,34 @@ class Journal:
         with explained(self._path):
             # Without an open transaction the statement is one of its own.
             self._connection.execute(_INSERT, (*key, *_VALUES(record)))
+
+    def commit_together(self, samples: Sequence[tuple[Key, Record]]) -> None:
+        """Write the samples of one dwell; all of them survive, or none.
+
+        Parameters
+        ----------
+        samples : sequence of (Key, Record)
+            Each key must be new.
+
+        Raises
+        ------
+        FormatError
+            As for `commit`; then none of them is in the journal.
+        """
+        if len(samples) == 1:
+            self.commit(*samples[0])
+            return
+        rows = [(*key, *_VALUES(record)) for key, record in samples]
+        with explained(self._path):
+            self._connection.execute("BEGIN IMMEDIATE")
+            try:
+                self._connection.executemany(_INSERT, rows)
+                self._connection.execute("COMMIT")
+            except BaseException:
+                # On a full disk it may have been undone already.
+                if self._connection.in_transaction:
+                    self._connection.execute("ROLLBACK")
+                raise
 
     def keys(self) -> set[Key]:
         """Return the keys of all samples."""

@@ -42,3 +42,8 @@ class Record:
     """Where the mount of the analysed polarization stands, None without one [rad]."""
     target: float | None = None
     """Where the stage of the target stands, None if nobody can tell [m]."""
+    interval: float | None = None
+    """Time between readings by the clock of the lock-in, None without one [s]."""
+    spread: float | None = None
+    """Standard deviation of either output where the record itself tells it, None
+    otherwise [V]."""

@@ -5,7 +5,8 @@ from __future__ import annotations
 import cmath
 import math
 import threading
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -36,6 +37,20 @@ _STANDS = -math.inf
 
 def _or_never(arrival: float) -> float:
     return math.inf if arrival == _STANDS else arrival
+
+
+@dataclass
+class _Tone:
+    """One modulation frequency: the light at it, and the filter behind its mixer."""
+
+    frequency: float
+    scan: _Places
+    open_water: _Places
+    channel: int
+    """Its place in that light [1]."""
+    level: complex = 0j
+    noise: complex = 0j
+    input: complex = 0j
 
 
 class _Places:
@@ -102,9 +117,7 @@ class Bench:
         light = scene(survey)
         self._planned = (_Places(light.with_target), _Places(light.open_water))
         self._others: dict[float, tuple[_Places, _Places]] = {}
-        self._scan, self._open = self._planned
-        frequencies = survey.instrument.modulation_frequencies
-        self._frequency, self._channel = frequencies[0], 0
+        self._tones = [self._tone(survey.instrument.modulation_frequencies[0])]
         self._pairs = _mount_angles(survey, launch, analyser)
         self._locked_at = -math.inf
         self._filter(survey.instrument.lock_in.time_constant)
@@ -115,11 +128,11 @@ class Bench:
         self._arrival = dict.fromkeys(self._place, _STANDS)
         self._next_arrival = math.inf
         self._time = self._begun = clock.now()
-        self._level = 0j
-        self._noise = 0j
         self._spread = 0.0
-        self._input = 0j
         self._mean = 0.0
+        # Outputs that are kept, when they begin, how far apart and how many they are.
+        self._trace: list[list[complex]] = []
+        self._trace_start, self._trace_interval, self._trace_most = 0.0, 1.0, 0
         self._renew()
 
     # -- knobs ---------------------------------------------------------------------
@@ -140,16 +153,19 @@ class Bench:
 
     def set_frequency(self, frequency: float) -> None:
         """Set the modulation frequency [Hz]; the reference is lost for a moment."""
+        self.set_frequencies([frequency])
+
+    def set_frequencies(self, frequencies: Sequence[float]) -> None:
+        """Modulate by several frequencies [Hz], each as deep as the survey says.
+
+        The filters keep what they hold, the first that of the first.
+        """
         with self._lock:
             self._advance()
-            self._frequency = frequency
-            planned = self.survey.instrument.modulation_frequencies
-            if frequency in planned:
-                self._channel = planned.index(frequency)
-                self._scan, self._open = self._planned
-            else:
-                self._channel = 0
-                self._scan, self._open = self._light_at(frequency)
+            before = self._tones
+            self._tones = [self._tone(frequency) for frequency in frequencies]
+            for tone, old in zip(self._tones, before, strict=False):
+                tone.level, tone.noise = old.level, old.noise
             self._locked_at = self.clock.now() + LOCK_TIME
             self._renew()
 
@@ -203,8 +219,13 @@ class Bench:
 
     @property
     def frequency(self) -> float:
-        """The modulation frequency [Hz]."""
-        return self._frequency
+        """The modulation frequency, of several the first [Hz]."""
+        return self._tones[0].frequency
+
+    @property
+    def frequencies(self) -> list[float]:
+        """All modulation frequencies [Hz]."""
+        return [tone.frequency for tone in self._tones]
 
     @property
     def interlock_is_closed(self) -> bool:
@@ -226,6 +247,11 @@ class Bench:
 
         Each call counts as a reading, by which faults are timed.
         """
+        signals, mean = self.outputs()
+        return signals[0], mean
+
+    def outputs(self) -> tuple[list[complex], float]:
+        """Return the filtered peak signal of every frequency [V], and the mean [V]."""
         with self._lock:
             self.readings += 1
             self._advance()
@@ -233,7 +259,7 @@ class Bench:
             if (dark or not self.interlock_is_closed) != self._blocked:
                 self._blocked = not self._blocked
                 self._renew()
-            output = self._level + self._noise
+            output = [tone.level + tone.noise for tone in self._tones]
             if self.faults.active("saturation", self.readings):
                 return output, 2 * self.survey.instrument.detector.saturation
             return output, self._mean
@@ -265,21 +291,54 @@ class Bench:
             return 0.0
         return self._settings.position_error * float(self._rng.standard_normal())
 
+    def start_trace(
+        self, interval: float, *, most: int, start: float | None = None
+    ) -> None:
+        """Begin to keep the outputs of every interval [s], from now or a moment on."""
+        with self._lock:
+            self._advance()
+            self._trace = []
+            self._trace_start = self._time if start is None else start
+            self._trace_interval, self._trace_most = interval, most
+
+    def trace(self) -> list[list[complex]]:
+        """Return what was kept so far: rows of the outputs of every frequency [V]."""
+        with self._lock:
+            self._advance()
+            return self._trace
+
     def _relax(self, until: float) -> None:
+        """Let time run on, and keep the outputs of moments that are to be kept."""
+        while len(self._trace) < self._trace_most:
+            moment = self._trace_start + len(self._trace) * self._trace_interval
+            if moment > until:
+                break
+            self._settle(moment)
+            self._trace.append([tone.level + tone.noise for tone in self._tones])
+        self._settle(until)
+
+    def _settle(self, until: float) -> None:
         """Let the one-pole filter and its noise run on to a time [s]."""
         passed = until - self._time
         if passed <= 0:
             return
         # Far beyond the filter's memory nothing is left of the past.
         keep = math.exp(-min(passed / self._time_constant, 700.0))
-        drift = self._settings.phase_drift * until
-        aim = self._input * cmath.exp(1j * drift) + self._settings.pickup
-        self._level = aim + (self._level - aim) * keep
+        turn = cmath.exp(1j * self._settings.phase_drift * until)
         fresh = math.sqrt(max(1 - keep**2, 0.0)) * self._spread
-        self._noise = keep * self._noise + fresh * complex(
-            self._rng.standard_normal(), self._rng.standard_normal()
-        )
+        for tone in self._tones:
+            aim = tone.input * turn + self._settings.pickup
+            tone.level = aim + (tone.level - aim) * keep
+            tone.noise = keep * tone.noise + fresh * complex(
+                self._rng.standard_normal(), self._rng.standard_normal()
+            )
         self._time = until
+
+    def _tone(self, frequency: float) -> _Tone:
+        planned = self.survey.instrument.modulation_frequencies
+        if frequency in planned:
+            return _Tone(frequency, *self._planned, planned.index(frequency))
+        return _Tone(frequency, *self._light_at(frequency), 0)
 
     def _light_at(self, frequency: float) -> tuple[_Places, _Places]:
         """Return the light at a frequency that is not planned [Hz]."""
@@ -298,26 +357,30 @@ class Bench:
     def _renew(self) -> None:
         """Work out what enters the filter from how all knobs stand now."""
         rate = 0.0
-        level = 0j
-        if self.laser_on and not self._blocked:
+        lit = self.laser_on and not self._blocked
+        if lit:
             out = abs(self._place["target"]) > 0.05
-            places = self._open if out else self._scan
-            index = (
-                self._channel,
-                self._polarization(),
-                places.nearest(self._place["azimuth"], self._place["elevation"]),
-            )
-            light = places.light
+            pair = self._polarization()
+            where = (self._place["azimuth"], self._place["elevation"])
             drift = self._settings.water_drift * (self.clock.now() - self._begun)
+            # Water moves for all frequencies together.
             change = max(1 + drift, 0.0) * (1 + self._fluctuation())
+        for number, tone in enumerate(self._tones):
+            tone.input = 0j
+            if not lit:
+                continue
+            places = tone.open_water if out else tone.scan
+            light, index = places.light, (tone.channel, pair, places.nearest(*where))
             level = complex(light.target[index] + change * light.water[index])
-            rate = float(
-                light.target_rate[index] + max(change, 0.0) * light.water_rate[index]
-            )
-            level *= cmath.exp(1j * self._phase_error(abs(level)))
+            phase = self._phase_error(abs(level), tone.frequency)
+            tone.input = level * cmath.exp(1j * phase)
+            if number == 0:  # the mean light is that of all of them
+                rate = float(
+                    light.target_rate[index]
+                    + max(change, 0.0) * light.water_rate[index]
+                )
         detector = self.survey.instrument.detector
         volt = detector.volt_per_photoelectron_rate
-        self._input = level
         self._mean = volt * (rate + detector.dark_rate)
         # A single reading of a settled one-pole filter counts for two time constants.
         self._spread = math.sqrt(self._dark_variance + rate * self._variance_per_rate)
@@ -341,14 +404,14 @@ class Bench:
         fluctuation = self.survey.water.signal_fluctuation
         return fluctuation * float(self._rng.standard_normal())
 
-    def _phase_error(self, amplitude: float) -> float:
+    def _phase_error(self, amplitude: float, frequency: float) -> float:
         settings = self._settings
         walk = 0.0
         if settings.phase_walk and amplitude > 0:
             walk = settings.phase_walk * math.log10(amplitude)
         floor = self.survey.instrument.lock_in.phase_floor
         return (
-            2 * math.pi * self._frequency * settings.cable_delay
+            2 * math.pi * frequency * settings.cable_delay
             + walk
             + floor * float(self._rng.standard_normal())
         )

@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
-from amulor.acquisition.protocols import SIMULATOR, Overload, Reading
+from collections.abc import Sequence
+
+import numpy as np
+
+from amulor.acquisition.protocols import SIMULATOR, Overload, Reading, Recorded
 from amulor.acquisition.simulated.bench import (
     MOUNT_SPEED,
     SCAN_SPEED,
@@ -49,10 +53,17 @@ class SimulatedLockIn(_Simulated):
     def prepare(self, *, time_constant: float) -> None:
         """Set the time constant of the output filter [s]."""
         self.bench.set_time_constant(time_constant)
+        self._constant = time_constant
 
     def set_frequency(self, frequency: float, *, timeout: float) -> float:
         """Set the modulation frequency [Hz], wait for lock, return it [Hz]."""
-        self.bench.set_frequency(frequency)
+        return self.set_frequencies([frequency], timeout=timeout)[0]
+
+    def set_frequencies(
+        self, frequencies: Sequence[float], *, timeout: float
+    ) -> list[float]:
+        """Modulate by several frequencies [Hz] at once, wait for lock, return them."""
+        self.bench.set_frequencies(frequencies)
         end = self.bench.clock.now() + timeout
         while not self.bench.locked():
             if self.bench.clock.now() > end:
@@ -60,11 +71,15 @@ class SimulatedLockIn(_Simulated):
                     f"the simulated lock-in has not locked within {timeout:g} s"
                 )
             self.bench.clock.sleep(0.01)
-        return frequency
+        return [*frequencies]
 
     def read(self) -> Reading:
         """Return the outputs and the state of this instant."""
-        signal, mean = self.bench.output()
+        return self.read_all()[0]
+
+    def read_all(self) -> list[Reading]:
+        """Return the outputs of every frequency and the state of this instant."""
+        signals, mean = self.bench.outputs()
         number = self.bench.readings
         faults = self.bench.faults
         if faults.active("lost-link", number):
@@ -73,18 +88,47 @@ class SimulatedLockIn(_Simulated):
             raise InstrumentError("the simulated lock-in does not answer in time")
         overload = Overload.NONE
         scale = self.full_scale()
-        if abs(signal) > scale:
+        if max(map(abs, signals)) > scale:
             overload |= Overload.OUTPUT
-            signal *= scale / abs(signal)
+            signals = [
+                signal * min(1.0, scale / max(abs(signal), 1e-300))
+                for signal in signals
+            ]
         if faults.active("overload", number):
             overload |= Overload.INPUT
         unlocked = faults.active("unlock", number) or not self.bench.locked()
-        return Reading(
-            signal=signal,
-            mean=mean,
-            modulation_frequency=self.bench.frequency,
+        return [
+            Reading(
+                signal=signal,
+                mean=mean,
+                modulation_frequency=frequency,
+                overload=overload,
+                unlocked=unlocked,
+            )
+            for signal, frequency in zip(signals, self.bench.frequencies, strict=True)
+        ]
+
+    def record(self, duration: float) -> Recorded:
+        """Return the outputs of every frequency over a time [s]."""
+        bench, interval = self.bench, self._constant / 10
+        count = 1 + round(duration / interval)
+        bench.start_trace(interval, most=count)
+        bench.clock.sleep((count - 1) * interval)
+        while len(bench.trace()) < count:  # the last one may lie beyond rounding
+            bench.clock.sleep(interval / 100)
+        rows = np.array(bench.trace())
+        last = self.read_all()
+        scale = self.full_scale()
+        overload = last[0].overload
+        if np.abs(rows).max() > scale:
+            overload |= Overload.OUTPUT
+        return Recorded(
+            times=np.asarray(np.arange(count) * interval, dtype=float),
+            signals=rows,
+            mean=last[0].mean,
+            modulation_frequencies=tuple(one.modulation_frequency for one in last),
             overload=overload,
-            unlocked=unlocked,
+            unlocked=last[0].unlocked,
         )
 
     def relieve(self, overload: Overload) -> bool:
