@@ -15,7 +15,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
 
-from amulor.optics import small_angle, small_angle_diffusion, target_echo
+from amulor.optics import (
+    small_angle,
+    small_angle_closure,
+    small_angle_diffusion,
+    target_echo,
+)
 from amulor.optics._water_column import Receiver
 from amulor.optics.phase_functions import henyey_greenstein
 from amulor.optics.small_angle import _kernels as gaussian_kernels
@@ -77,6 +82,8 @@ FUNCTIONS = {
     ),
     "Gaussian response": (small_angle.water_response, 2e7, _SMALL | LIGHT),
     "Gaussian overlap": (small_angle.overlap, 2.3, _SMALL),
+    "closure response": (small_angle_closure.water_response, 2e7, _SMALL | LIGHT),
+    "closure overlap": (small_angle_closure.overlap, 2.3, _SMALL),
     "sharp response": (sharp_receiver.water_response, 2e7, _SMALL | LIGHT),
     "sharp overlap": (sharp_receiver.overlap, 2.3, _SMALL),
     "diffusion echo": (
@@ -85,6 +92,7 @@ FUNCTIONS = {
         DIFFUSION | RECEIVER | TARGET,
     ),
     "Gaussian echo": (target_echo.small_angle_target_response, 2e7, _SMALL | TARGET),
+    "closure echo": (target_echo.closure_target_response, 2e7, _SMALL | TARGET),
     "sharp echo": (target_echo.sharp_receiver_target_response, 2e7, _SMALL | TARGET),
 }
 

@@ -90,6 +90,10 @@ def test_henyey_greenstein_is_the_function_whatever_is_imported_first(first):
 
 
 def test_water_response_is_pinned():
-    for module in (amulor.optics.small_angle, amulor.optics.small_angle_diffusion):
+    for module in (
+        amulor.optics.small_angle,
+        amulor.optics.small_angle_closure,
+        amulor.optics.small_angle_diffusion,
+    ):
         assert callable(module.water_response)
         assert callable(module.overlap)

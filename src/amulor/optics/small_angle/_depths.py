@@ -13,7 +13,7 @@ from amulor.optics._quadrature.kernels import ORDER
 from amulor.optics._quadrature.rule import RULE
 from amulor.optics.small_angle import _kernels
 
-__all__ = ["integral", "panels"]
+__all__ = ["depth_rule", "integral", "panels"]
 
 Array = NDArray[np.float64]
 
@@ -51,7 +51,7 @@ def panels(
     square of the depth beyond the length. The first panel is a step wide; at breaks
     F(z) need not be smooth. What is known of the response adds to the scale.
     """
-    node, weight, tail = _depth_rule()
+    node, weight, tail = depth_rule()
 
     def rest(depth: float) -> float:
         """Return more than what all water behind a depth can send."""
@@ -101,7 +101,7 @@ def panels(
 
 
 @cache
-def _depth_rule() -> tuple[Array, Array, Array]:
+def depth_rule() -> tuple[Array, Array, Array]:
     """Return nodes and weights of a panel, and what gives its last Legendre terms."""
     size = 2 * ORDER
     node, weight = legendre.leggauss(size)

@@ -1,0 +1,23 @@
+"""The small-angle form with a Gaussian put for its spread: fast, no free parameter."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from amulor import _lazy
+
+if TYPE_CHECKING:
+    from amulor.optics.small_angle_closure import response
+    from amulor.optics.small_angle_closure.response import overlap, water_response
+
+__all__ = ["overlap", "response", "water_response"]
+
+if not TYPE_CHECKING:
+    __getattr__, __dir__ = _lazy.attach(
+        __name__,
+        __all__,
+        origin={
+            "overlap": "amulor.optics.small_angle_closure.response",
+            "water_response": "amulor.optics.small_angle_closure.response",
+        },
+    )

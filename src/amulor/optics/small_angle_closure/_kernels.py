@@ -1,0 +1,263 @@
+"""Compiled loops of the closure of the small-angle form, and nothing else."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numba
+import numpy as np
+from numpy.typing import NDArray
+
+from amulor.optics._quadrature.kernels import ORDER, Panel, add_panel
+from amulor.optics.small_angle._kernels import LINEAR, PER_OCTAVE, WIDTH, Water
+
+__all__ = ["Layout", "collected", "water_column"]
+
+Array = NDArray[np.float64]
+
+_SETTLED = 1e-12  # relative change of S at which it is found
+_STEPS = 300  # most steps to S
+_SAME = 1e-9  # relative difference of S up to which two are one
+_UNRESOLVED = 1e-10  # of the integral: what a panel may leave unresolved
+_ROUNDING = 1e-14  # of the light on the axis: what counts as rounding
+_NARROWEST = 1e-12  # width of a panel over its depth: F(z) has a step there
+_CAPACITY = 256  # waiting panels
+_DOUBLINGS = 200  # most groups of panels to the end of the water
+
+
+class Layout(NamedTuple):
+    """Where the panels of a column begin, break and end."""
+
+    step: float
+    """Width of the first panel [m]."""
+    nearest: float
+    """Depth at which beam and receiver axis are nearest [m]."""
+    narrow: float
+    """Depth over which they stay near [m]."""
+    end: float
+    """Where the water ends [m]."""
+
+
+@numba.njit(cache=True, error_model="numpy", fastmath={"contract"})
+def _cell(table: Array, cell: int, s: float) -> tuple[float, float]:
+    """Return the polynomial of a cell at s from -1 to 1, and its derivative."""
+    j = np.uint64(cell)
+    value = table[j, 9]
+    slope = 0.0
+    for i in range(8, -1, -1):
+        slope = slope * s + value
+        value = value * s + table[j, i]
+    return value, slope
+
+
+@numba.njit(cache=True, error_model="numpy", fastmath={"contract"})
+def _lost(x: float, split: float, table: Array) -> tuple[float, float]:
+    """Return 1 less the mean transform up to x, and its derivative over x."""
+    t = x * split / WIDTH
+    if t < LINEAR:
+        cell = int(t)
+        value, slope = _cell(table, cell, 2.0 * (t - cell) - 1.0)
+        return x * x * value, 2.0 * value + x * slope * (2.0 * split / WIDTH)
+    t = PER_OCTAVE * math.log2(t / LINEAR)
+    cell = int(t)
+    if cell < table.shape[0] - LINEAR:
+        value, slope = _cell(table, LINEAR + cell, 2.0 * (t - cell) - 1.0)
+        return x * x * value, 2.0 * value + slope * (2.0 * PER_OCTAVE / math.log(2))
+    last = (WIDTH / split) * LINEAR * 2.0 ** ((table.shape[0] - LINEAR) / PER_OCTAVE)
+    value, _ = _cell(table, table.shape[0] - 1, 1.0)
+    mean = 1.0 - last * last * value
+    return 1.0 - mean * last / x, mean * last / (x * x * x)
+
+
+@numba.njit(cache=True, error_model="numpy", fastmath={"contract"})
+def _broadened(
+    area: float, z: float, clear: float, water: Water, table: Array
+) -> float:
+    """Return clear + B for the spatial frequency that an area S stands for."""
+    x = 2.0 * z / math.sqrt(area)
+    _, slope = _lost(x, water.split_angle, table)
+    return clear + 2.0 * water.forward * z * z * z * slope
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _settled(start: float, z: float, clear: float, water: Water, table: Array) -> float:
+    """Return the S = clear + B(S) that is next to a start below or above it.
+
+    The right side rises with S, so the steps go one way only; a longer one is taken
+    along the two before it unless it passes the solution.
+    """
+    area = start
+    following = _broadened(area, z, clear, water, table)
+    for _ in range(_STEPS):
+        change = following - area
+        if abs(change) <= _SETTLED * area:
+            return following
+        after = _broadened(following, z, clear, water, table)
+        next_change = after - following
+        ratio = next_change / change
+        area, following = following, after
+        if 0.0 < ratio < 0.999:
+            far = after + next_change * ratio / (1.0 - ratio)
+            beyond = _broadened(far, z, clear, water, table)
+            if (beyond - far) * change >= 0.0:
+                area, following = far, beyond
+    return following
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _exponent(area: float, z: float, clear: float, water: Water, table: Array) -> float:
+    """Return A of light that is scattered forward, with B = S - clear."""
+    value, _ = _lost(2.0 * z / math.sqrt(area), water.split_angle, table)
+    return water.forward * z * value - (area - clear) / area
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _taken(z: float, water: Water, table: Array) -> float:
+    """Return F(z) / pi R^2 gamma^2."""
+    path = z + water.standoff
+    clear = water.radius_squared + water.angle_squared * path * path
+    offset = (water.baseline - water.tilt * path) ** 2 + (water.cross_tilt * path) ** 2
+    area, lost = clear, 0.0
+    if z > 0.0 and water.forward > 0.0:
+        area = _settled(clear, z, clear, water, table)
+        lost = _exponent(area, z, clear, water, table)
+        _, widest = _lost(0.0, water.split_angle, table)
+        widest = clear + 2.0 * water.forward * z * z * z * widest
+        other = _settled(widest, z, clear, water, table)
+        if other > area * (1.0 + _SAME):
+            # Two solutions: each is a lower bound of the light on the axis.
+            exponent = _exponent(other, z, clear, water, table)
+            if exponent + math.log(other) < lost + math.log(area):
+                area, lost = other, exponent
+    return math.exp(-water.loss * z - lost - offset / area) / area
+
+
+@numba.njit(cache=True, error_model="numpy")
+def collected(depth: Array, water: Water, table: Array, out: Array) -> None:
+    """Fill out with F(z) / pi R^2 gamma^2.
+
+    Compiled, as S(z) is found step by step at each depth, docs/theory/water-signal.md.
+    """
+    for n in range(depth.size):
+        out[n] = _taken(depth[n], water, table)
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _bound(z: float, water: Water) -> float:
+    """Return at least the F(z) / pi R^2 gamma^2 of light on the axis."""
+    path = z + water.standoff
+    area = water.radius_squared + water.angle_squared * path * path
+    return math.exp(-water.loss * z) / area
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _unresolved(value: Array, tail: Array) -> float:
+    """Return the largest of the last Legendre terms of a panel."""
+    largest = 0.0
+    for m in range(tail.shape[1]):
+        total = 0.0
+        for i in range(value.size):
+            total += value[i] * tail[i, m]
+        largest = max(largest, abs(total))
+    return largest
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _edges(start: float, stop: float, layout: Layout, waiting: Array) -> int:
+    """Put what lies between start and stop on the stack, broken about the nearest."""
+    count = 0
+    high = stop
+    for factor in (9.0, 3.0, 1.0, 0.0, -1.0, -3.0, -9.0):
+        place = layout.nearest + factor * layout.narrow
+        if start < place < high:
+            waiting[count, 0], waiting[count, 1] = place, high
+            count += 1
+            high = place
+    waiting[count, 0], waiting[count, 1] = start, high
+    return count + 1
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _add_panels(
+    span: tuple[float, float],
+    before: float,
+    water: Water,
+    layout: Layout,
+    table: Array,
+    phases: Array,
+    rules: tuple[Array, Array, Array, Array],
+    sums: Array,
+) -> float:
+    """Add the integral over a span to sums, and return that of F(z) up to its end.
+
+    Rules are those of the quadrature, the nodes, the weights, and the tail.
+    """
+    rule, node, weight, tail = rules
+    waiting = np.empty((_CAPACITY, 2))
+    value = np.empty(node.size)
+    even = np.empty(ORDER)
+    odd = np.empty(ORDER)
+    work = np.empty((2, ORDER))
+    turn = np.empty((2, phases.size))
+    left = _edges(span[0], span[1], layout, waiting)
+    total = before
+    while left > 0:
+        left -= 1
+        low, high = waiting[left, 0], waiting[left, 1]
+        half = 0.5 * (high - low)
+        centre = low + half
+        part = 0.0
+        for i in range(node.size):
+            value[i] = _taken(centre + half * node[i], water, table)
+            part += weight[i] * value[i]
+        part *= half
+        rest = 2.0 * half * _unresolved(value, tail)
+        allowed = max(
+            _UNRESOLVED * (total + part), _ROUNDING * half * _bound(low, water)
+        )
+        halved = half > _NARROWEST * centre and left + 2 <= _CAPACITY
+        if rest > allowed and halved:
+            waiting[left, 0], waiting[left, 1] = centre, high
+            waiting[left + 1, 0], waiting[left + 1, 1] = low, centre
+            left += 2
+            continue
+        for i in range(ORDER):
+            right, behind = value[ORDER + i], value[ORDER - 1 - i]
+            even[i], odd[i] = right + behind, right - behind
+        add_panel(Panel(half, centre, even, odd), phases, rule, work, turn, sums)
+        total += part
+    return total
+
+
+@numba.njit(cache=True, error_model="numpy")
+def water_column(
+    water: Water,
+    layout: Layout,
+    table: Array,
+    phases: Array,
+    rules: tuple[Array, Array, Array, Array],
+    sums: Array,
+) -> None:
+    """Add the integral of exp(i w z) F(z) / pi R^2 gamma^2 to sums, for rising w.
+
+    Compiled, as panels are halved one by one where F(z) asks for it.
+    """
+    length = math.sqrt(water.radius_squared / water.angle_squared) + water.standoff
+    widest = 12.0 / water.loss if water.loss > 0.0 else math.inf
+    total = 0.0
+    start = 0.0
+    stop = min(layout.step, layout.end)
+    for _ in range(_DOUBLINGS):
+        total = _add_panels(
+            (start, stop), total, water, layout, table, phases, rules, sums
+        )
+        reach = stop + length
+        if water.loss > 0.0:
+            reach = min(reach, 1.0 / water.loss)
+        if stop >= layout.end or _bound(stop, water) * reach < _UNRESOLVED * total:
+            break
+        if total == 0.0 and _bound(stop, water) < 1e-300:
+            break
+        start = stop
+        stop = min(start + min(2.0 * start, widest), layout.end)

@@ -1,0 +1,330 @@
+r"""Water signal by a closure of the small-angle form: fast, and no free parameter.
+
+The exponent by which scattering damps a spatial frequency is replaced by the straight
+line in its square that touches it at the frequency which the light itself has.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from amulor.optics._quadrature.rule import RULE
+from amulor.optics.small_angle import _kernels as small_angle_kernels
+from amulor.optics.small_angle._columns import (
+    Arguments,
+    Column,
+    overlap_of,
+    response_of,
+)
+from amulor.optics.small_angle._depths import depth_rule
+from amulor.optics.small_angle._tables import PhaseFunction, Table
+from amulor.optics.small_angle_closure import _kernels
+
+__all__ = ["overlap", "water_response"]
+
+Array = NDArray[np.float64]
+
+
+def water_response(
+    modulation_frequency: ArrayLike,
+    *,
+    absorption: ArrayLike,
+    scattering: ArrayLike,
+    phase_function: PhaseFunction,
+    split_angle: float,
+    backscatter_vsf: ArrayLike | None = None,
+    group_index: ArrayLike,
+    baseline: ArrayLike,
+    receiver_radius: ArrayLike,
+    acceptance_angle: ArrayLike,
+    beam_radius: ArrayLike = 0.0,
+    beam_divergence: ArrayLike = 0.0,
+    tilt: ArrayLike = 0.0,
+    cross_tilt: ArrayLike = 0.0,
+    standoff: ArrayLike = 0.0,
+    end: ArrayLike = np.inf,
+) -> NDArray[np.complex128]:
+    r"""Return the signal that the water sends back, by the closure of eq. (29).
+
+    All arguments but the phase function and its split angle are broadcast against
+    each other; axes along which only the frequency changes cost little.
+
+    Parameters
+    ----------
+    modulation_frequency : array_like
+        Frequency of the intensity modulation, not negative [Hz].
+    absorption, scattering : array_like
+        Coefficients a and b of the water, b forward and diffuse [1/m].
+    phase_function : callable
+        Phase function [1/sr], as in `amulor.optics.small_angle.water_response`.
+    split_angle : float
+        Angle between the forward and the diffuse part, above 0 to pi [rad]. What is
+        scattered by more is lost, but for what the backscatter sends back; 90 degrees
+        is right for natural water.
+    backscatter_vsf : array_like, optional
+        Volume scattering function beta_pi at 180 degrees [1/(m sr)]; scattering
+        times the phase function there if not given.
+    group_index : array_like
+        Group index of the water at the laser wavelength, at least 1 [1].
+    baseline : array_like
+        Distance rho_0 of laser beam and receiver axis at the instrument [m].
+    receiver_radius : array_like
+        1/e radius R of the receiver aperture [m].
+    acceptance_angle : array_like
+        1/e semi-angle gamma of the receiver, in water [rad].
+    beam_radius : array_like, optional
+        1/e radius of the intensity of the Gaussian beam at the instrument [m].
+    beam_divergence : array_like, optional
+        1/e semi-angle of the beam, in water [rad].
+    tilt, cross_tilt : array_like, optional
+        Inclination of the beam against the receiver axis, along the baseline and
+        across it, in water [rad].
+    standoff : array_like, optional
+        Path in front of the water that spreads light like this depth of water but
+        neither takes nor delays any [m].
+    end : array_like, optional
+        Depth at which the water ends, or a target stands [m]; open water if
+        infinite.
+
+    Returns
+    -------
+    ndarray of complex
+        Received per launched power, of the broadcast shape [1]. The phase is the
+        delay of the echo behind light that turns back where the water begins.
+
+    Raises
+    ------
+    ValueError
+        If an argument is outside its range or, `end` apart, not finite, or if the
+        phase function cannot be used.
+
+    See Also
+    --------
+    overlap : The integrand, and the equations.
+    amulor.optics.small_angle.water_response : What this stands for; slower.
+    amulor.optics.small_angle_diffusion.water_response : The form of the paper.
+
+    Notes
+    -----
+    Eq. (46) of Ricci et al. 2010 [1]_ with the F(z) of `overlap`. For natural phase
+    functions, attenuations of 0.1 to 2 1/m and receivers that take in some degrees
+    the cut-off is 1 to 15 % above that of eq. (29), where the diffusion form of the
+    paper with a split of 90 degrees is 55 to 80 % above it. Panels over the depth
+    are halved until less than 1e-10 of the response is left unresolved.
+
+    References
+    ----------
+    .. [1] R. Ricci et al., EURASIP J. Adv. Signal Process. 2010, 958360,
+       :doi:`10.1155/2010/958360`.
+
+    Examples
+    --------
+    >>> from amulor.optics.phase_functions.models import henyey_greenstein_function
+    >>> response = water_response(
+    ...     [0.0, 20e6], absorption=0.15, scattering=0.35,
+    ...     phase_function=henyey_greenstein_function(asymmetry=0.97),
+    ...     split_angle=np.pi / 2, group_index=1.34, baseline=0.2,
+    ...     receiver_radius=0.02, acceptance_angle=0.08,
+    ... )
+    >>> print(f"{abs(response[1] / response[0]):.3f}")
+    0.519
+    """
+    arguments = Arguments(
+        absorption=absorption,
+        scattering=scattering,
+        baseline=baseline,
+        receiver_radius=receiver_radius,
+        acceptance_angle=acceptance_angle,
+        beam_radius=beam_radius,
+        beam_divergence=beam_divergence,
+        tilt=tilt,
+        cross_tilt=cross_tilt,
+        standoff=standoff,
+        end=end,
+    )
+    return response_of(
+        _response,
+        modulation_frequency,
+        arguments,
+        group_index=group_index,
+        phase_function=phase_function,
+        split_angle=split_angle,
+        backscatter_vsf=backscatter_vsf,
+    )
+
+
+def overlap(
+    depth: ArrayLike,
+    *,
+    absorption: ArrayLike,
+    scattering: ArrayLike,
+    phase_function: PhaseFunction,
+    split_angle: float,
+    baseline: ArrayLike,
+    receiver_radius: ArrayLike,
+    acceptance_angle: ArrayLike,
+    beam_radius: ArrayLike = 0.0,
+    beam_divergence: ArrayLike = 0.0,
+    tilt: ArrayLike = 0.0,
+    cross_tilt: ArrayLike = 0.0,
+    standoff: ArrayLike = 0.0,
+) -> Array:
+    r"""Return how much of the light of one depth a receiver would take in, by closure.
+
+    Parameters
+    ----------
+    depth : array_like
+        Depth z in the water along the receiver axis, not negative [m].
+    absorption, scattering, phase_function, split_angle, baseline, \
+    receiver_radius, acceptance_angle, beam_radius, beam_divergence, tilt, \
+    cross_tilt, standoff : array_like
+        As in `water_response`.
+
+    Returns
+    -------
+    ndarray
+        F(z), of the broadcast shape; times the volume scattering function at 180
+        degrees and a step of depth it is received over launched power, and times
+        reflectance over pi it is the echo of a diffuse plane [sr].
+
+    Raises
+    ------
+    ValueError
+        If an argument is not finite or outside its range, or if the phase function
+        cannot be used.
+
+    Notes
+    -----
+    In eq. (29) of Ricci et al. 2010 [1]_, as rebuilt, scattering damps the spatial
+    frequency :math:`\kappa` by :math:`\exp(-L)`,
+
+    .. math:: L(\kappa^2) = 2 b \int_0^z [1 - \hat p_f(\kappa s)] \, ds ,
+
+    with the transform of the forward part that is its share of the scattering at
+    zero. Here L is the line with its value and its slope at one frequency
+    :math:`\kappa_*`,
+
+    .. math::
+
+       L \simeq A + \tfrac14 B \kappa^2, \quad B = 4 L'(\kappa_*^2), \quad
+       A = L(\kappa_*^2) - \tfrac14 B \kappa_*^2 ,
+
+       F(z) = \frac{\pi R^2 \gamma^2}{S} \exp\Bigl[-2 a z - A
+       - \frac{|\boldsymbol\rho_0 - \mathbf n_0 \zeta|^2}{S}\Bigr], \quad
+       S = R^2 + \gamma^2 \zeta^2 + B ,
+
+    and :math:`\kappa_*^2 = 4 / S` is the mean square frequency of this very light, so S
+    is found by iteration. L is concave, so each such line gives less light on the
+    axis than eq. (29), and this one most of all lines; of two solutions, which occur
+    for receivers that accept less than some 10 mrad, the one with more light is taken.
+
+    At :math:`\kappa_* = 0` it would be the diffusion form of the same split. Exact
+    without forward scattering, and for few scatterings or very many.
+    Echoes of a plane on the axis at 3.9 m come out at 0.97, 0.86 and 0.77 of those of
+    eq. (29) at attenuations of 0.1, 0.5 and 1 1/m (Henyey-Greenstein 0.95, 0.3 of it
+    absorption); it falls to a quarter close to the instrument, where only light
+    scattered by large angles is seen.
+
+    References
+    ----------
+    .. [1] R. Ricci et al., EURASIP J. Adv. Signal Process. 2010, 958360,
+       :doi:`10.1155/2010/958360`.
+
+    Examples
+    --------
+    >>> from amulor.optics.phase_functions.models import henyey_greenstein_function
+    >>> taken = overlap(
+    ...     1.5, absorption=0.15, scattering=0.35,
+    ...     phase_function=henyey_greenstein_function(asymmetry=0.97),
+    ...     split_angle=np.pi / 2, baseline=0.2, receiver_radius=0.02,
+    ...     acceptance_angle=0.08,
+    ... )
+    >>> print(f"{taken:.2e} sr")
+    2.39e-05 sr
+    """
+    arguments = Arguments(
+        absorption=absorption,
+        scattering=scattering,
+        baseline=baseline,
+        receiver_radius=receiver_radius,
+        acceptance_angle=acceptance_angle,
+        beam_radius=beam_radius,
+        beam_divergence=beam_divergence,
+        tilt=tilt,
+        cross_tilt=cross_tilt,
+        standoff=standoff,
+    )
+    return overlap_of(
+        _light,
+        depth,
+        arguments,
+        phase_function=phase_function,
+        split_angle=split_angle,
+    )
+
+
+def _water(column: Column, spread: Table) -> small_angle_kernels.Water:
+    """Return a column as the loops take it."""
+    return small_angle_kernels.Water(
+        loss=column.loss(spread),
+        forward=2 * column.scattering * spread.fraction,
+        split_angle=spread.split,
+        baseline=column.baseline,
+        tilt=column.tilt,
+        cross_tilt=column.cross_tilt,
+        standoff=column.standoff,
+        radius_squared=column.receiver_radius**2 + column.beam_radius**2,
+        angle_squared=column.acceptance_angle**2 + column.beam_divergence**2,
+    )
+
+
+def _peak(column: Column) -> float:
+    """Return pi R^2 gamma^2."""
+    return math.pi * (column.receiver_radius * column.acceptance_angle) ** 2
+
+
+def _light(depth: Array, column: Column, spread: Table) -> Array:
+    """Return F(z) [sr]."""
+    out = np.empty(depth.size)
+    _kernels.collected(depth, _water(column, spread), spread.cells, out)
+    return np.asarray(_peak(column) * out)
+
+
+def _response(
+    phase_per_depth: Array, column: Column, spread: Table
+) -> NDArray[np.complex128]:
+    """Return the integral of exp(i w z) F(z) over the column [m sr]."""
+    result = np.zeros(phase_per_depth.size, dtype=complex)
+    if column.end == 0:
+        return result
+    water = _water(column, spread)
+    aspect = math.sqrt(water.radius_squared / water.angle_squared)
+    step = 0.3 * (aspect + column.baseline)
+    if water.loss > 0:
+        step = min(step, 1 / water.loss)
+    layout = _kernels.Layout(step=step, **_meeting(water), end=column.end)
+    order = np.argsort(phase_per_depth)
+    sums = np.zeros((2, phase_per_depth.size))
+    _kernels.water_column(
+        water,
+        layout,
+        spread.cells,
+        phase_per_depth[order],
+        (RULE, *depth_rule()),
+        sums,
+    )
+    result[order] = sums[0] + 1j * sums[1]
+    return np.asarray(_peak(column) * result)
+
+
+def _meeting(water: small_angle_kernels.Water) -> dict[str, float]:
+    """Return the depth at which beam and axis are nearest, and over which [m]."""
+    slant = water.tilt**2 + water.cross_tilt**2
+    if slant == 0:
+        return {"nearest": -1.0, "narrow": 0.0}
+    path = water.baseline * water.tilt / slant
+    width = math.sqrt((water.radius_squared + water.angle_squared * path**2) / slant)
+    return {"nearest": path - water.standoff, "narrow": width}
