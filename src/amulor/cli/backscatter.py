@@ -26,7 +26,9 @@ def backscatter(
     /,
     *,
     frequency: str = "0.5MHz:138MHz:200",
-    model: Literal["diffusion", "small-angle", "montecarlo"] = "diffusion",
+    model: Literal[
+        "small-angle", "closure", "diffusion", "photons", "montecarlo"
+    ] = "small-angle",
     error: str = "1%",
     seed: Annotated[int, Parameter(validator=SEED)] = 1,
     plot: Path | None = None,
@@ -42,8 +44,9 @@ def backscatter(
     frequency
         Modulation frequencies, "10MHz,39MHz" or first, last and number.
     model
-        Small-angle diffusion, small-angle with the whole phase function, or photons
-        followed through all orders of scattering.
+        Small-angle with the whole phase function; its closure, which is fast;
+        small-angle diffusion, the form of the paper; or photons (montecarlo) followed
+        through all orders of scattering.
     error
         Relative error of the unmodulated light at which the photons stop.
     seed
@@ -70,7 +73,7 @@ def backscatter(
         io.check_output(plot, overwrite=overwrite, inputs=[survey])
     described = Survey.from_toml(survey)
     try:
-        if model == "montecarlo":
+        if model in ("photons", "montecarlo"):
             found = _followed(described, frequencies, error=goal, seed=seed, quiet=json)
         else:
             found = _formula(described, frequencies, model=model)
@@ -113,6 +116,7 @@ def _formula(survey: Survey, frequencies: Any, *, model: str) -> dict[str, Any]:
     response_of = {
         "diffusion": models.diffusion_response,
         "small-angle": models.small_angle_response,
+        "closure": models.closure_response,
     }[model]
     response = response_of(survey, frequencies)
     still = float(abs(response_of(survey, np.zeros(1))[0]))

@@ -16,7 +16,7 @@ def simulate(
     /,
     *,
     output: Annotated[Path, Parameter(alias="-o")],
-    model: Literal["diffusion", "small-angle"] = "diffusion",
+    model: Literal["small-angle", "closure", "diffusion"] = "small-angle",
     seed: Annotated[int, Parameter(validator=SEED)] = 1,
     overwrite: Annotated[bool, Parameter(negative="")] = False,
 ) -> None:
@@ -29,8 +29,8 @@ def simulate(
     output
         File to write (netCDF).
     model
-        Forward model: the diffusion form, or the small-angle form with the whole phase
-        function, which is slower and better and needs water.asymmetry.
+        Forward model: small-angle with the whole phase function; its closure, which is
+        fast and rougher; or small-angle diffusion, the form of the paper.
     seed
         Seed of the simulated noise.
     overwrite
@@ -38,13 +38,23 @@ def simulate(
     """
     from amulor import io
     from amulor.errors import SurveyError
-    from amulor.simulation import DiffusionModel, SmallAngleModel
+    from amulor.simulation import (
+        ClosureModel,
+        DiffusionModel,
+        SignalModel,
+        SmallAngleModel,
+    )
     from amulor.simulation import simulate as simulate_survey
     from amulor.survey import Survey
     from amulor.survey.reach import unsettled_interval
 
     io.check_output(output, overwrite=overwrite, inputs=[survey])
-    chosen = SmallAngleModel() if model == "small-angle" else DiffusionModel()
+    models: dict[str, SignalModel] = {
+        "small-angle": SmallAngleModel(),
+        "closure": ClosureModel(),
+        "diffusion": DiffusionModel(),
+    }
+    chosen = models[model]
     described = Survey.from_toml(survey)
     try:
         with progress_bar() as advance:

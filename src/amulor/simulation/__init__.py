@@ -1,10 +1,16 @@
 """From a survey to the cube that its instrument would record."""
 
 from amulor.simulation.measurement import simulate
-from amulor.simulation.models import DiffusionModel, SignalModel, SmallAngleModel
+from amulor.simulation.models import (
+    ClosureModel,
+    DiffusionModel,
+    SignalModel,
+    SmallAngleModel,
+)
 from amulor.simulation.scene_light import SceneLight, scene_light
 
 __all__ = [
+    "ClosureModel",
     "DiffusionModel",
     "SceneLight",
     "SignalModel",

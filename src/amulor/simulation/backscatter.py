@@ -5,7 +5,12 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from amulor.simulation.models import DiffusionModel, SignalModel, SmallAngleModel
+from amulor.simulation.models import (
+    ClosureModel,
+    DiffusionModel,
+    SignalModel,
+    SmallAngleModel,
+)
 from amulor.survey import Survey, water_properties
 from amulor.survey.view import medium, view
 
@@ -13,7 +18,7 @@ from amulor.survey.view import medium, view
 def diffusion_response(
     survey: Survey, modulation_frequency: ArrayLike
 ) -> NDArray[np.complex128]:
-    """Return the open-water signal at the middle of the scan, diffusion model.
+    """Return the open-water signal at the middle of the scan, form of the paper.
 
     Parameters
     ----------
@@ -42,8 +47,8 @@ def small_angle_response(
     Parameters
     ----------
     survey : Survey
-        Water and instrument count; targets and polarizers do not. The water must have
-        an asymmetry, since this model needs the whole phase function.
+        Water and instrument count; targets and polarizers do not. Water that states
+        moments only gets a phase function that has them.
     modulation_frequency : array_like
         Frequencies of the intensity modulation [Hz].
 
@@ -55,14 +60,45 @@ def small_angle_response(
     Raises
     ------
     SurveyError
-        If the water states no asymmetry.
+        If no phase function has the moments that are stated.
 
     Notes
     -----
-    (29) of Ricci et al. 2010, as rebuilt, with the Henyey-Greenstein phase function:
-    keeps the unscattered light and the shape of the forward peak.
+    (29) of Ricci et al. 2010, as rebuilt, with the whole phase function: keeps the
+    unscattered light and the shape of the forward peak.
     """
     return _response(survey, modulation_frequency, SmallAngleModel())
+
+
+def closure_response(
+    survey: Survey, modulation_frequency: ArrayLike
+) -> NDArray[np.complex128]:
+    """Return the open-water signal at the middle of the scan, closure.
+
+    Parameters
+    ----------
+    survey : Survey
+        Water and instrument count; targets and polarizers do not. Water that states
+        moments only gets a phase function that has them.
+    modulation_frequency : array_like
+        Frequencies of the intensity modulation [Hz].
+
+    Returns
+    -------
+    ndarray of complex
+        Received power per launched power [1].
+
+    Raises
+    ------
+    SurveyError
+        If no phase function has the moments that are stated.
+
+    Notes
+    -----
+    `amulor.optics.small_angle_closure`, the fast form of (29) of Ricci et al. 2010, as
+    rebuilt.
+    """
+    return _response(survey, modulation_frequency, ClosureModel())
 
 
 def _response(

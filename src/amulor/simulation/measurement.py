@@ -13,7 +13,7 @@ from amulor import cube
 from amulor.optics.rays import Medium
 from amulor.simulation import geometry as geometry_of
 from amulor.simulation import lock_in, signal
-from amulor.simulation.models import DiffusionModel, SignalModel
+from amulor.simulation.models import DEFAULT_MODEL, SignalModel
 from amulor.survey import Survey, WaterProperties, water_properties
 from amulor.survey.counting import photon_noise_volt
 from amulor.survey.directions import open_water_directions
@@ -26,7 +26,7 @@ def simulate(
     survey: Survey,
     *,
     rng: np.random.Generator | int,
-    model: SignalModel = DiffusionModel(),  # noqa: B008 - it is frozen
+    model: SignalModel = DEFAULT_MODEL,
 ) -> xr.Dataset:
     """Simulate a survey, the open-water shots included.
 
@@ -37,9 +37,9 @@ def simulate(
     rng : numpy.random.Generator or int
         Source of the noise; a whole number is a seed and is written into the cube.
     model : SignalModel
-        Forward model of target and water light: `DiffusionModel()`, the fast form that
-        the paper uses, or `SmallAngleModel()`, which keeps the unscattered light and
-        needs the water's asymmetry.
+        Forward model of target and water light: `SmallAngleModel()` with the whole
+        phase function, its fast `ClosureModel()`, `DiffusionModel()`, the form of
+        the paper, or a `PhotonModel`, which follows photons.
 
     Returns
     -------

@@ -67,7 +67,7 @@ def phase_function_of(water: Water) -> PhaseFunction:
     backwards = water.phase_function_at_180
     if not moment or not fraction or not backwards:
         raise SurveyError(
-            "photon transport needs the whole phase function; it follows from a "
+            "the models need the whole phase function; it follows from a "
             "second_moment, a forward_fraction and a phase_function_at_180 above 0, "
             f"got {moment!r} rad^2, {fraction!r} and {backwards!r} 1/sr: state them, "
             "or an asymmetry"

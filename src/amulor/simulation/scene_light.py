@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from amulor.simulation import geometry, signal
 from amulor.simulation.lock_in import expected_signal
-from amulor.simulation.models import DiffusionModel, SignalModel
+from amulor.simulation.models import DEFAULT_MODEL, SignalModel
 from amulor.survey import Survey, water_properties
 from amulor.survey.directions import open_water_directions
 from amulor.survey.view import medium, view
@@ -48,7 +48,7 @@ class SceneLight:
 def scene_light(
     survey: Survey,
     *,
-    model: SignalModel = DiffusionModel(),  # noqa: B008 - it is frozen
+    model: SignalModel = DEFAULT_MODEL,
 ) -> SceneLight:
     """Return the noiseless light that simulated devices stand in.
 
@@ -57,7 +57,7 @@ def scene_light(
     survey : Survey
         Water, targets, instrument and scan.
     model : SignalModel
-        Forward model; the diffusion form by default.
+        Forward model; the small-angle form with the whole phase function by default.
 
     Returns
     -------

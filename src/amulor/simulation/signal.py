@@ -11,7 +11,7 @@ from scipy.constants import speed_of_light
 
 from amulor.optics.polarization import mueller
 from amulor.simulation.geometry import Geometry
-from amulor.simulation.models import DiffusionModel, SignalModel
+from amulor.simulation.models import DEFAULT_MODEL, SignalModel
 from amulor.survey import Survey, WaterProperties
 from amulor.survey.mueller import matrix
 from amulor.survey.view import View
@@ -36,7 +36,7 @@ def target_light(
     water: WaterProperties,
     geometry: Geometry,
     *,
-    model: SignalModel = DiffusionModel(),  # noqa: B008 - it is frozen
+    model: SignalModel = DEFAULT_MODEL,
 ) -> Light:
     """Return the light that the targets send back.
 
@@ -49,7 +49,7 @@ def target_light(
     geometry : Geometry
         What each beam meets.
     model : SignalModel
-        Forward model; the diffusion form by default.
+        Forward model; the small-angle form with the whole phase function by default.
 
     Returns
     -------
@@ -86,7 +86,7 @@ def water_light(
     view: View,
     *,
     end: NDArray[np.float64] | None = None,
-    model: SignalModel = DiffusionModel(),  # noqa: B008 - it is frozen
+    model: SignalModel = DEFAULT_MODEL,
 ) -> Light:
     """Return the light that the water scatters back.
 
@@ -101,7 +101,7 @@ def water_light(
     end : ndarray, optional
         Where the column ends, infinite where it meets nothing [m]; nowhere by default.
     model : SignalModel
-        Forward model; the diffusion form by default.
+        Forward model; the small-angle form with the whole phase function by default.
 
     Returns
     -------

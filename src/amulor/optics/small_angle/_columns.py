@@ -16,6 +16,7 @@ from amulor.optics.small_angle._tables import PhaseFunction, Table, table
 __all__ = ["Arguments", "Column", "overlap_of", "response_of"]
 
 Array = NDArray[np.float64]
+Many = Callable[[Array, Array, "Column", Table], NDArray[np.complex128] | None]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -27,6 +28,10 @@ class Arguments(Receiver):
     beam_radius: Any
     beam_divergence: Any
     end: Any = np.inf
+
+
+#: What columns of one table may differ in, in the order of its rows.
+VIEW = ("baseline", "tilt", "cross_tilt", "end")
 
 
 class Column(NamedTuple):
@@ -73,8 +78,12 @@ def response_of(
     phase_function: PhaseFunction,
     split_angle: float,
     backscatter_vsf: ArrayLike | None,
+    many: Many | None = None,
 ) -> NDArray[np.complex128]:
-    """Return the response, with integral giving that of exp(i w z) F(z) for many w."""
+    """Return the response, with integral giving that of exp(i w z) F(z) for many w.
+
+    many gives it for many columns that differ in where beam and receiver look only.
+    """
     phases = phase_per_depth(modulation_frequency, group_index=group_index)
     spread = table(phase_function, split_angle)
     if backscatter_vsf is None:
@@ -84,8 +93,50 @@ def response_of(
         vsf = checked("backscatter_vsf", backscatter_vsf)
     columns = _columns(arguments, modulation_frequency=phases, backscatter_vsf=vsf)
     phases = np.broadcast_to(phases, np.broadcast_shapes(phases.shape, np.shape(vsf)))
-    result = _by_column(integral, phases, columns, spread, dtype=complex)
+    result = None if many is None else _together(many, phases, columns, spread)
+    if result is None:
+        result = _by_column(integral, phases, columns, spread, dtype=complex)
     return np.asarray(vsf * result)
+
+
+def _together(
+    many: Many, phases: Array, columns: dict[str, NDArray[Any]], spread: Table
+) -> NDArray[np.complex128] | None:
+    """Return the integrals of many columns that share water and receiver, if so."""
+    inner = np.broadcast_shapes(*(value.shape for value in columns.values()))
+    count = int(np.prod(inner))
+    if count < 2:
+        return None
+    shape = np.broadcast_shapes(phases.shape, inner)
+    padded = (1,) * (len(shape) - phases.ndim) + phases.shape
+    wide = (1,) * (len(shape) - len(inner)) + inner
+    # Frequencies must have axes of their own.
+    if any(p > 1 and w > 1 for p, w in zip(padded, wide, strict=True)):
+        return None
+    shared = {}
+    for name, value in columns.items():
+        if name not in VIEW:
+            if value.size == 0 or np.ptp(value) != 0:
+                return None
+            shared[name] = float(value.flat[0])
+    view = np.stack([np.broadcast_to(columns[name], inner).ravel() for name in VIEW])
+    # Pixels that look the same way at the same end are worked out once.
+    each, back = np.unique(view.T, axis=0, return_inverse=True)
+    column = Column(**shared, **dict.fromkeys(VIEW, 0.0))
+    found = many(phases.ravel(), each, column, spread)
+    if found is None:
+        return None
+    found = found[back.ravel()].reshape(*wide, phases.size)
+    # The frequencies go to where they were.
+    lifted = np.moveaxis(found, -1, 0).reshape(phases.size, *wide)
+    out: NDArray[np.complex128] = np.empty(shape, dtype=complex)
+    for number, index in enumerate(np.ndindex(padded)):
+        place = tuple(
+            slice(i, i + 1) if size > 1 else slice(None)
+            for i, size in zip(index, padded, strict=True)
+        )
+        out[place] = lifted[number]
+    return out
 
 
 def _columns(arguments: Arguments, **others: Any) -> dict[str, NDArray[Any]]:

@@ -11,7 +11,16 @@ from numpy.typing import NDArray
 
 from amulor.optics._quadrature.kernels import ORDER, Panel, add_panel
 
-__all__ = ["Water", "add_panels", "j0", "lost", "polynomial", "scattered", "spread"]
+__all__ = [
+    "Water",
+    "add_panels",
+    "j0",
+    "lost",
+    "polynomial",
+    "scattered",
+    "scattered_aside",
+    "spread",
+]
 
 Array = NDArray[np.float64]
 
@@ -131,6 +140,49 @@ def _offset(depth: float, water: Water) -> float:
 
 
 @numba.njit(cache=True, error_model="numpy")
+def _scattered_at(
+    z: float,
+    offset: float,
+    water: Water,
+    table: Array,
+    bessel: Array,
+    rule: Array,
+    work: Array,
+) -> float:
+    """Return F(z) / pi R^2 gamma^2 of light scattered forward, beam and axis apart."""
+    nodes = rule.shape[1]
+    path = z + water.standoff
+    area = water.radius_squared + water.angle_squared * path * path
+    thickness = water.forward * z
+    unscattered = math.exp(-thickness)
+    top = _scattering_end(z, _GAUSSIAN_END / math.sqrt(area), water, table)
+    reach = z * water.split_angle
+    narrowest = min(top / 3.0, 6.0 / reach)
+    widest = min(_SMOOTH / math.sqrt(area), top / 2.0)
+    total = 0.0
+    low = 0.0
+    while low < top:
+        turn = offset
+        if low * reach < _SPLIT_END:
+            turn += reach
+        width = min(max(narrowest, low), widest, _PHASE / turn)
+        if low + 1.2 * width > top:
+            width = top - low
+        for i in range(nodes):
+            kappa = low + width * rule[0, i]
+            work[0, i] = -0.25 * area * kappa * kappa
+            work[1, i] = -thickness * lost(kappa * z, water.split_angle, table)
+            work[2, i] = kappa * j0(kappa * offset, bessel)
+        part = 0.0
+        for i in range(nodes):
+            value = math.exp(work[0, i]) * (math.exp(work[1, i]) - unscattered)
+            part += rule[1, i] * work[2, i] * value
+        total += width * part
+        low += width
+    return 0.5 * total * math.exp(-water.loss * z)
+
+
+@numba.njit(cache=True, error_model="numpy")
 def scattered(
     depth: Array, water: Water, table: Array, bessel: Array, rule: Array, out: Array
 ) -> None:
@@ -141,40 +193,26 @@ def scattered(
     and exp[2 b_f z P(kappa z) / kappa z]. Compiled, as the panels of kappa follow from
     what oscillates at each depth, and tables are looked up for each node.
     """
-    nodes = rule.shape[1]
-    work = np.empty((3, nodes))
+    work = np.empty((3, rule.shape[1]))
     for n in range(depth.size):
         z = depth[n]
-        path = z + water.standoff
-        area = water.radius_squared + water.angle_squared * path * path
         offset = _offset(z, water)
-        thickness = water.forward * z
-        unscattered = math.exp(-thickness)
-        top = _scattering_end(z, _GAUSSIAN_END / math.sqrt(area), water, table)
-        reach = z * water.split_angle
-        narrowest = min(top / 3.0, 6.0 / reach)
-        widest = min(_SMOOTH / math.sqrt(area), top / 2.0)
-        total = 0.0
-        low = 0.0
-        while low < top:
-            turn = offset
-            if low * reach < _SPLIT_END:
-                turn += reach
-            width = min(max(narrowest, low), widest, _PHASE / turn)
-            if low + 1.2 * width > top:
-                width = top - low
-            for i in range(nodes):
-                kappa = low + width * rule[0, i]
-                work[0, i] = -0.25 * area * kappa * kappa
-                work[1, i] = -thickness * lost(kappa * z, water.split_angle, table)
-                work[2, i] = kappa * j0(kappa * offset, bessel)
-            part = 0.0
-            for i in range(nodes):
-                value = math.exp(work[0, i]) * (math.exp(work[1, i]) - unscattered)
-                part += rule[1, i] * work[2, i] * value
-            total += width * part
-            low += width
-        out[n] = 0.5 * total * math.exp(-water.loss * z)
+        out[n] = _scattered_at(z, offset, water, table, bessel, rule, work)
+
+
+@numba.njit(cache=True, error_model="numpy")
+def scattered_aside(
+    place: Array, water: Water, table: Array, bessel: Array, rule: Array, out: Array
+) -> None:
+    """Fill out with the same at depths and distances of beam and axis, place[:, :2].
+
+    Compiled for the same reason; `_many` keeps what comes out in a table.
+    """
+    work = np.empty((3, rule.shape[1]))
+    for n in range(place.shape[0]):
+        out[n] = _scattered_at(
+            place[n, 0], place[n, 1], water, table, bessel, rule, work
+        )
 
 
 @numba.njit(cache=True, error_model="numpy")

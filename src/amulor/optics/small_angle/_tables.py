@@ -14,7 +14,7 @@ from scipy.special import j0, j1
 from amulor.optics.phase_functions.henyey_greenstein import forward_split
 from amulor.optics.small_angle import _kernels
 
-__all__ = ["PhaseFunction", "Table", "bessel", "disc", "table"]
+__all__ = ["PhaseFunction", "Table", "bessel", "disc", "monomials", "table"]
 
 Array = NDArray[np.float64]
 PhaseFunction = Callable[[Array], ArrayLike]
@@ -57,7 +57,7 @@ def _fresh_table(phase_function: PhaseFunction, split: float) -> Table:
         values = _spread_by_quadrature(phase_function, x, split)
     else:
         values = _spread_by_transform(transform, edge, x, split)
-    return Table(split, fraction, _monomials(values))
+    return Table(split, fraction, monomials(values))
 
 
 _kept_table = lru_cache(maxsize=32)(_fresh_table)
@@ -167,7 +167,7 @@ def _gauss() -> tuple[Array, Array]:
     return node, weight
 
 
-def _monomials(values: Array) -> Array:
+def monomials(values: Array) -> Array:
     """Return polynomials on -1..1 through values at Chebyshev nodes, in cells."""
     size = values.shape[1]
     node = np.cos(np.pi * (np.arange(size) + 0.5) / size)
@@ -183,13 +183,13 @@ def _monomials(values: Array) -> Array:
 @cache
 def bessel() -> Array:
     """Return the table of J0 in cells of width 1."""
-    return _monomials(j0(_nodes()))
+    return monomials(j0(_nodes()))
 
 
 @cache
 def disc() -> Array:
     """Return the table of 2 J1(x) / x in cells of width 1."""
-    return _monomials(2 * j1(_nodes()) / _nodes())
+    return monomials(2 * j1(_nodes()) / _nodes())
 
 
 def _nodes() -> Array:
@@ -212,4 +212,4 @@ def _mean_table() -> Array:
     lost = np.where(y < 0.03, series, 1 - j0(y)) @ weight * stop / 2
     before = np.append(0.0, np.cumsum(lost[:-1, -1]))
     x = np.arange(_kernels.FAR)[:, None] + stop[:-1]
-    return _monomials((before[:, None] + lost[:, :-1]) / x**3)
+    return monomials((before[:, None] + lost[:, :-1]) / x**3)

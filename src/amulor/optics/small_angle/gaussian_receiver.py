@@ -16,17 +16,22 @@ from scipy.constants import speed_of_light
 from amulor.optics import small_angle_diffusion
 from amulor.optics.small_angle import _kernels
 from amulor.optics.small_angle._columns import (
+    VIEW,
     Arguments,
     Column,
     overlap_of,
     response_of,
 )
 from amulor.optics.small_angle._depths import integral, panels
+from amulor.optics.small_angle._many import FEWEST, Shared, integrals
 from amulor.optics.small_angle._tables import PhaseFunction, Table, bessel
 
 __all__ = ["overlap", "water_response"]
 
 Array = NDArray[np.float64]
+
+_CHECKS = 5  # columns of many that are worked out singly as well
+_TABLE = 1e-6  # relative difference of these beyond which a table is not used
 
 
 def water_response(
@@ -170,6 +175,7 @@ def water_response(
         phase_function=phase_function,
         split_angle=split_angle,
         backscatter_vsf=backscatter_vsf,
+        many=_responses,
     )
 
 
@@ -301,8 +307,16 @@ def _light(depth: Array, column: Column, spread: Table) -> Array:
 
 def _scattered(depth: Array, column: Column, spread: Table) -> Array:
     """Return F(z) of light that was scattered forward at least once [sr]."""
+    out = np.zeros(depth.size)
+    water = _water(column, spread)
+    _kernels.scattered(depth, water, spread.cells, bessel(), _frequency_rule(), out)
+    return _peak(column) * out
+
+
+def _water(column: Column, spread: Table) -> _kernels.Water:
+    """Return a column as the loops take it."""
     radius, angle = _widths(column)
-    water = _kernels.Water(
+    return _kernels.Water(
         loss=column.loss(spread),
         forward=2 * column.scattering * spread.fraction,
         split_angle=spread.split,
@@ -313,29 +327,43 @@ def _scattered(depth: Array, column: Column, spread: Table) -> Array:
         radius_squared=radius**2,
         angle_squared=angle**2,
     )
-    out = np.zeros(depth.size)
-    _kernels.scattered(depth, water, spread.cells, bessel(), _frequency_rule(), out)
-    peak = np.pi * (column.receiver_radius * column.acceptance_angle) ** 2
-    return peak * out
+
+
+def _peak(column: Column) -> float:
+    """Return pi R^2 gamma^2."""
+    return float(np.pi * (column.receiver_radius * column.acceptance_angle) ** 2)
 
 
 def _response(
     phase_per_depth: Array, column: Column, spread: Table
 ) -> NDArray[np.complex128]:
     """Return the integral of exp(i w z) F(z) over the column [m sr]."""
-    # Of frequency f comes w = 4 pi f n / c; group index 1 stands for n here.
-    plain = _beam_loss(column) * small_angle_diffusion.water_response(
-        np.append(0.0, phase_per_depth * (speed_of_light / (4 * np.pi))),
-        **_without_forward_scattering(column),
-        backscatter_vsf=1.0,
-        group_index=1.0,
-        end=column.end,
-    )
+    plain = _plain(np.append(0.0, phase_per_depth), column)
     if column.end == 0 or column.scattering == 0:
         return plain[1:]
+    edges, values = _panels(column, spread, known=float(plain[0].real))
+    return plain[1:] + integral(phase_per_depth, edges, values)
+
+
+def _plain(phase_per_depth: Array, column: Column) -> NDArray[np.complex128]:
+    """Return the integral of exp(i w z) F(z) of light that was not scattered [m sr]."""
+    # Of frequency f comes w = 4 pi f n / c; group index 1 stands for n here.
+    return np.asarray(
+        _beam_loss(column)
+        * small_angle_diffusion.water_response(
+            phase_per_depth * (speed_of_light / (4 * np.pi)),
+            **_without_forward_scattering(column),
+            backscatter_vsf=1.0,
+            group_index=1.0,
+            end=column.end,
+        )
+    )
+
+
+def _panels(column: Column, spread: Table, *, known: float) -> tuple[Array, Array]:
+    """Return edges of panels of the depth, and the scattered light in them [sr]."""
     radius, angle = _widths(column)
-    loss = column.loss(spread)
-    peak = np.pi * (column.receiver_radius * column.acceptance_angle) ** 2
+    loss, peak = column.loss(spread), _peak(column)
     step = min(0.3 * (radius / angle + column.baseline), 1 / (loss + column.scattering))
     edges, values, _ = panels(
         partial(_scattered, column=column, spread=spread),
@@ -344,9 +372,46 @@ def _response(
         length=radius / angle + column.standoff,
         step=step,
         end=column.end,
-        known=float(plain[0].real),
+        known=known,
     )
-    return plain[1:] + integral(phase_per_depth, edges, values)
+    return edges, values
+
+
+def _responses(
+    phase_per_depth: Array, view: Array, column: Column, spread: Table
+) -> NDArray[np.complex128] | None:
+    """Return the same for many rows of baseline, tilt, cross tilt and end, or None.
+
+    None where a table does not hold what single columns say, to a millionth.
+    """
+    if len(view) < FEWEST:
+        singly = [
+            _response(phase_per_depth, _looking(column, row), spread) for row in view
+        ]
+        return np.array(singly)
+    names = dict(zip(VIEW, view.T[:, :, None], strict=True))
+    plain = _plain(phase_per_depth, column._replace(**names))
+    if column.scattering == 0:
+        return plain
+    far = float(view[:, 3].max())
+
+    def panels_of(row: Array) -> Array:
+        looking = _looking(column, row)._replace(end=far)
+        known = float(_plain(np.zeros(1), looking)[0].real)
+        return _panels(looking, spread, known=known)[0]
+
+    shared = Shared(_water(column, spread), spread.cells, _frequency_rule())
+    found = plain + _peak(column) * integrals(phase_per_depth, view, shared, panels_of)
+    for row in np.linspace(0, len(view) - 1, _CHECKS).astype(int):
+        expected = _response(phase_per_depth, _looking(column, view[row]), spread)
+        if np.max(abs(found[row] - expected)) > _TABLE * np.max(abs(expected)):
+            return None
+    return found
+
+
+def _looking(column: Column, row: Array) -> Column:
+    """Return a column with the view of a row."""
+    return column._replace(**dict(zip(VIEW, map(float, row), strict=True)))
 
 
 @cache
