@@ -82,7 +82,8 @@ def test_rejection_takes_most_of_the_bias_away(numbers) -> None:
             for stage in ("before", "after")
         )
         assert after < before / 5, channel
-    assert abs(numbers["VV", "milk", "before"]["range_bias_m"]) > 0.05
+    # More than the first step of the ladder.
+    assert abs(numbers["VV", "milk", "before"]["range_bias_m"]) > 0.04
 
 
 def test_before_rejection_the_first_step_is_wrong_and_does_not_know_it(numbers) -> None:

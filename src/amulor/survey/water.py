@@ -31,9 +31,9 @@ class Water(Description):
     """Mean cosine g of a Henyey-Greenstein phase function [1]."""
     split_angle: Annotated[Angle, Field(gt=0, le=math.pi)] = math.pi / 2
     """Scattering below this angle counts as forward, beyond it as diffuse [rad]. 90
-    degrees is right for the small-angle model; the diffusion model, with which scans
-    are simulated, then has a cut-off 57 to 83 % too high and too little of a far
-    target: state 10 to 20 degrees where its numbers must hold."""
+    degrees is right for the small-angle model, with which scans are simulated, and for
+    its closure; the diffusion model, the paper's, then has a cut-off 57 to 83 % too
+    high and too little of a far target: state 10 to 20 degrees for it."""
     forward_fraction: Annotated[Fraction, Field(ge=0, le=1)] | None = None
     """Fraction of the scattering below the split angle, where it is known [1]."""
     second_moment: Annotated[AngleSquared, Field(ge=0)] | None = None

@@ -53,7 +53,7 @@ def _json(words: list[str], capsys) -> dict:
 
 
 def test_the_cut_off_is_the_rebuilt_one(tank: Path, capsys) -> None:
-    found = _json(["backscatter", str(tank)], capsys)
+    found = _json(["backscatter", str(tank), "--model", "diffusion"], capsys)
     # 19.0 MHz, to the digits printed.
     assert found["cut_off_hz"] / 1e6 == pytest.approx(19.0, abs=0.05)
     # The free fit of (71) lands 13 to 36 % below the half-power point.
@@ -71,15 +71,34 @@ def test_the_group_index_moves_every_frequency_by_its_ratio(tank: Path, capsys) 
     assert slower / slow == pytest.approx(1.34 / 1.38, rel=1e-9)
 
 
-def test_the_small_angle_model_needs_a_phase_function(tank: Path, capsys) -> None:
-    words = ["backscatter", str(tank), "--model", "small-angle"]
-    assert main(words) == 1
-    assert "asymmetry" in capsys.readouterr().err
+def test_the_default_has_the_cut_off_of_photons(tank: Path, capsys) -> None:
+    # Photons in this water: 12.21 MHz (docs/gallery/ricci2010.md, figure 3).
+    words = ["backscatter", str(tank), "--frequency", "1MHz:100MHz:30"]
+    found = _json(words, capsys)
+    assert found["model"] == "small-angle"
+    assert found["cut_off_hz"] / 1e6 == pytest.approx(12.21, rel=0.03)
+    # The closure is 5 % above (29) here, the paper's form half as high again.
+    close = _json([*words, "--model", "closure"], capsys)
+    assert close["cut_off_hz"] / found["cut_off_hz"] == pytest.approx(1.05, abs=0.02)
+    paper = _json([*words, "--model", "diffusion"], capsys)
+    assert 1.5 < paper["cut_off_hz"] / found["cut_off_hz"] < 1.65
+
+
+def test_an_asymmetry_and_its_moments_say_the_same(tank: Path, capsys) -> None:
+    words = ["backscatter", str(tank), "--frequency", "1MHz:100MHz:30"]
+    moments = _json(words, capsys)["cut_off_hz"]
+    # The Henyey-Greenstein function of this second moment, section 3.2 of the notes.
     tank.write_text(TANK.replace("[water]", "[water]\nasymmetry = 0.967"))
-    found = _json([*words, "--frequency", "1MHz:100MHz:30"], capsys)
-    # The unscattered light, which diffusion spreads out, makes the cut-off differ by
-    # less than half (the ratio of the two models is 0.42 to 1.12).
-    assert 12 < found["cut_off_hz"] / 1e6 < 30
+    assert _json(words, capsys)["cut_off_hz"] == pytest.approx(moments, rel=0.02)
+
+
+def test_water_that_no_phase_function_has_is_refused(tank: Path, capsys) -> None:
+    tank.write_text(TANK.replace("0.05 rad^2", "1.9 rad^2"))
+    assert main(["backscatter", str(tank)]) == 1
+    message = capsys.readouterr().err
+    assert "second_moment must be" in message
+    assert "diffusion model" in message
+    assert main(["backscatter", str(tank), "--model", "diffusion"]) == 0
 
 
 def test_a_picture_is_drawn(tank: Path, tmp_path: Path, capsys) -> None:

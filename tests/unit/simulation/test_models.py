@@ -12,8 +12,15 @@ from amulor.cli import main
 from amulor.errors import SurveyError
 from amulor.io import read_cube
 from amulor.optics.phase_functions.models import henyey_greenstein_function
-from amulor.simulation import DiffusionModel, SmallAngleModel, simulate
-from amulor.survey import Survey
+from amulor.simulation import (
+    ClosureModel,
+    DiffusionModel,
+    SmallAngleModel,
+    simulate,
+)
+from amulor.simulation.models import whole_function_arguments
+from amulor.survey import Survey, water_properties
+from amulor.survey.view import medium, view
 
 #: An asymmetry in place of moments.
 WHOLE = {
@@ -115,22 +122,104 @@ def test_target_and_water_are_those_that_photons_bring(plate: Survey) -> None:
     assert worst > 0.2
 
 
-def test_moments_alone_are_not_enough(plate: Survey) -> None:
-    with pytest.raises(SurveyError, match=r"water\.asymmetry is missing"):
-        simulate(plate, rng=1, model=SmallAngleModel())
+def test_the_default_is_the_small_angle_form(plate: Survey) -> None:
+    survey = _whole(plate, scattering=0.595)
+    plain = simulate(survey, rng=1)
+    whole = simulate(survey, rng=1, model=SmallAngleModel())
+    assert plain.attrs["source"] == whole.attrs["source"]
+    for name in ("target", "water"):
+        assert_allclose(_light(plain, name), _light(whole, name), rtol=0)
+    paper = simulate(survey, rng=1, model=DiffusionModel())
+    assert "paper" in paper.attrs["source"]
+    assert not np.allclose(_light(paper, "water"), _light(whole, "water"), rtol=0.05)
 
 
+def test_the_closure_is_below_the_small_angle_form_by_some_percent(
+    plate: Survey,
+) -> None:
+    survey = _whole(plate, scattering=0.595)
+    closed, whole, paper = (
+        _light(simulate(survey, rng=1, model=model), "target")[0, 0]
+        for model in (ClosureModel(), SmallAngleModel(), DiffusionModel())
+    )
+    # On the axis of the receiver it is a lower bound, above the paper's form.
+    assert np.all(abs(closed) < abs(whole))
+    assert np.all(abs(closed) > abs(paper))
+    assert_allclose(np.angle(closed), np.angle(whole))
+
+
+def test_moments_alone_get_a_phase_function_that_has_them(plate: Survey) -> None:
+    # Mean square angle, share and value straight back, as the survey states them.
+    survey = plate.with_(
+        {
+            "water.forward_fraction": 0.97,
+            "water.phase_function_at_180": 0.003,
+            "scan.columns": 1,
+        }
+    )
+    water = water_properties(survey)
+    looking = view(survey, np.zeros(1), np.zeros(1), medium=medium(survey, water))
+    arguments = whole_function_arguments(survey, water, looking)
+    share, moment = arguments["phase_function"].forward_split(np.pi / 2)
+    assert share == pytest.approx(0.97, abs=2e-3)
+    assert moment == pytest.approx(0.06, rel=5e-3)
+    assert arguments["phase_function"].at_180 == pytest.approx(0.003, rel=1e-3)
+
+
+def test_moments_that_no_phase_function_has_are_refused_by_name(plate: Survey) -> None:
+    survey = plate.with_({"water.forward_fraction": 1.0, "water.second_moment": 1.9})
+    with pytest.raises(SurveyError, match=r"second_moment must be.*diffusion model"):
+        simulate(survey, rng=1)
+    simulate(survey, rng=1, model=DiffusionModel())
+
+
+@pytest.mark.parametrize(
+    "stated",
+    [
+        {"forward_fraction": 0.0, "second_moment": 0.06},
+        {"forward_fraction": 1.0, "second_moment": 0.0},
+        {"forward_fraction": 0.4, "second_moment": 0.0},
+    ],
+)
+def test_water_that_spreads_no_light_needs_no_phase_function(
+    plate: Survey, stated: dict[str, float]
+) -> None:
+    survey = plate.with_({f"water.{name}": value for name, value in stated.items()})
+    # The diffusion form is exact there: all that is scattered by an angle is lost.
+    exact, *others = (
+        simulate(survey, rng=1, model=model)
+        for model in (DiffusionModel(), SmallAngleModel(), ClosureModel())
+    )
+    for cube in others:
+        for name in ("target", "water"):
+            assert_allclose(_light(cube, name), _light(exact, name), rtol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("option", "words"),
+    [
+        ([], "whole phase function"),
+        (["--model", "small-angle"], "whole phase function"),
+        (["--model", "closure"], "closure"),
+        (["--model", "diffusion"], "the paper's form"),
+    ],
+)
 def test_the_command_takes_the_model_and_says_so(
+    tmp_path, plate: Survey, option: list[str], words: str
+) -> None:
+    path = tmp_path / "plate.toml"
+    path.write_text(plate.with_({"scan.columns": 2}).to_toml())
+    output = tmp_path / "plate.nc"
+    assert main(["simulate", str(path), *option, "-o", str(output)]) == 0
+    assert words in read_cube(output).attrs["source"]
+
+
+def test_the_command_refuses_what_the_model_cannot_use(
     tmp_path, plate: Survey, capsys: pytest.CaptureFixture[str]
 ) -> None:
     path = tmp_path / "plate.toml"
-    path.write_text(plate.with_(WHOLE).to_toml())
-    output = tmp_path / "plate.nc"
-    words = ["simulate", str(path), "--model", "small-angle", "-o", str(output)]
-    assert main(words) == 0
-    assert "whole phase function" in read_cube(output).attrs["source"]
-    path.write_text(plate.to_toml())
-    assert main([*words, "--overwrite"]) == 1
+    path.write_text(plate.with_({"water.second_moment": 1.9}).to_toml())
+    assert main(["simulate", str(path), "-o", str(tmp_path / "plate.nc")]) == 1
     error = capsys.readouterr().err
-    assert "plate.toml: water.asymmetry is missing" in error
+    assert "plate.toml: second_moment must be" in error
     assert error.count("\n") == 1

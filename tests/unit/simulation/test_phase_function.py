@@ -96,12 +96,20 @@ def test_photons_follow_each_shipped_survey(name, tmp_path, capsys):
         0.051 * found["power_share_unmodulated"]
     )
     assert not found["heavy_tailed"]
-    # The small-angle diffusion form has 0.7 to 1.0 of the light of such water, and a
-    # cut-off 1.5 to 1.7 times as high (docs/theory/photon-transport.md).
-    assert (
-        main(["backscatter", str(path), "--frequency", "1MHz:60MHz:5", "--json"]) == 0
+    sweep = [str(path), "--frequency", "1MHz:60MHz:5", "--json"]
+    assert main(["backscatter", *sweep]) == 0
+    default = json.loads(capsys.readouterr().out)
+    light = found["power_share_unmodulated"] / default["power_share_unmodulated"]
+    # Within 5 %, and three times the 5 % to which the photons were followed.
+    assert light == pytest.approx(1, abs=0.05 + 3 * 0.05)
+    error = found["cut_off_uncertainty_hz"] / found["cut_off_hz"]
+    assert default["cut_off_hz"] / found["cut_off_hz"] == pytest.approx(
+        1, abs=0.05 + 3 * error
     )
-    formula = json.loads(capsys.readouterr().out)
-    light = found["power_share_unmodulated"] / formula["power_share_unmodulated"]
+    # The diffusion form has 0.7 to 1.0 of the light of such water, and a cut-off
+    # 1.5 to 1.7 times as high (docs/theory/photon-transport.md).
+    assert main(["backscatter", *sweep, "--model", "diffusion"]) == 0
+    paper = json.loads(capsys.readouterr().out)
+    light = found["power_share_unmodulated"] / paper["power_share_unmodulated"]
     assert 0.9 < light < 1.8
-    assert 1.15 < formula["cut_off_hz"] / found["cut_off_hz"] < 1.9
+    assert 1.15 < paper["cut_off_hz"] / found["cut_off_hz"] < 1.9

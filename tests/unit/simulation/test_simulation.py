@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
@@ -9,8 +11,9 @@ from scipy.constants import Planck, speed_of_light
 from scipy.integrate import trapezoid
 
 from amulor.errors import SurveyError
-from amulor.optics import small_angle_diffusion
-from amulor.simulation import simulate
+from amulor.optics import small_angle, small_angle_diffusion
+from amulor.simulation import DiffusionModel, simulate
+from amulor.simulation.models import whole_function_arguments
 from amulor.survey import Survey, water_properties
 from amulor.survey.counting import integration_time
 from amulor.survey.view import kernel_arguments, medium, view
@@ -48,8 +51,7 @@ def test_target_and_water_have_the_ratio_of_their_closed_forms(plate: Survey) ->
 
 
 def test_the_received_power_is_the_lidar_equation_in_volts(plate: Survey) -> None:
-    survey = plate
-    truth = simulate(survey, rng=1).amulor.truth
+    truth = simulate(plate, rng=1, model=DiffusionModel()).amulor.truth
     echo = abs(
         truth["target_in_phase"].values + 1j * truth["target_quadrature"].values
     )[0, :, 3, 6]
@@ -85,14 +87,31 @@ def test_water_ends_at_the_target(plate: Survey) -> None:
         cube["elevation"].values,
         medium=medium(survey, properties),
     )
-    arguments = kernel_arguments(survey, properties, where)
-    # Trapezoids over the column: an independent sum of (46).
-    z = np.linspace(0, 1, 4001)[:, None, None] * truth["slant_range"].values
-    f = small_angle_diffusion.overlap(z, **arguments)
+    # Trapezoids over the column: an independent sum of (26) and (29), and of (46).
+    z = np.linspace(0, 1, 2001)[:, None, None] * truth["slant_range"].values[::3, ::6]
     delay = np.exp(2j * (2 * np.pi * 39e6) * 1.38 / speed_of_light * z)
-    whole = trapezoid(f * delay, z, axis=0) * properties.backscatter_vsf
-    expected = whole / whole[3, 6]
-    assert_allclose(water[0, 0] / water[0, 0, 3, 6], expected, rtol=1e-5)
+    paper = simulate(survey, rng=1, model=DiffusionModel()).amulor.truth
+    other = paper["water_in_phase"].values + 1j * paper["water_quadrature"].values
+    where = dataclasses.replace(
+        where,
+        **{
+            name: getattr(where, name)[::3, ::6]
+            for name in ("baseline", "tilt", "cross_tilt", "standoff")
+        },
+    )
+    for found, overlap, arguments in (
+        (water, small_angle.overlap, whole_function_arguments),
+        (
+            other,
+            small_angle_diffusion.overlap,
+            kernel_arguments,
+        ),
+    ):
+        f = overlap(z, **arguments(survey, properties, where))
+        expected = trapezoid(f * delay, z, axis=0) * properties.backscatter_vsf
+        expected = expected / expected[0, 0]
+        seen = found[0, 0, ::3, ::6]
+        assert_allclose(seen / seen[0, 0], expected, rtol=1e-5)
 
 
 def test_a_hole_in_the_scene_is_a_legal_pixel(plate: Survey) -> None:
