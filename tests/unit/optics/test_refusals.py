@@ -17,6 +17,7 @@ from amulor.optics.phase_functions.models import henyey_greenstein_function
 # One value that is fine for each argument name of optics.
 GOOD = {
     "absorption": 0.1,
+    "absorption_at_440": 0.01,
     "acceptance_angle": 0.08,
     "amplitude": 1.0,
     "angle": 0.3,
@@ -25,10 +26,12 @@ GOOD = {
     "axis_error": 0.01,
     "azimuth": 0.1,
     "backscatter_vsf": 1e-3,
+    "backscatter_fraction": 0.0183,
     "backward_asymmetry": -0.5,
     "baseline": 0.1,
     "beam_divergence": 0.001,
     "beam_radius": 0.001,
+    "chlorophyll": 1.0,
     "cosine": 0.9,
     "covariance": 0.0,
     "cross_angle": 0.01,
@@ -62,6 +65,7 @@ GOOD = {
     "m44": -0.4,
     "mean_power": 0.02,
     "mean_response": 1.0,
+    "medium_index": 1.34,
     "mie_above": 10.0,
     "modulation_depth": 0.5,
     "modulation_frequency": 4e7,
@@ -118,6 +122,7 @@ GOOD = {
 # What is no number, or no single one, but needed.
 OTHERS = {
     "fat": 0.015,
+    "kind": "skim",
     "pair": "VH",
     "state": "H",
     "mueller": np.diag([1.0, 0.6, -0.6, -0.4]),
@@ -151,6 +156,7 @@ SWEEPS = {
     "sphere", "gauss_legendre", "forward_split", "optical_path", "enter_water",
     "return_length", "slant_range_of_path", "path_limits", "maximum_distance",
     "weights_and_uncertainty",
+    "mixture",
 }  # fmt: skip
 WORDING = re.compile(
     r"^[^\n]+ must be [^\n]+?( \[[^\]]+\])?"

@@ -9,6 +9,8 @@ from amulor import _lazy
 if TYPE_CHECKING:
     from amulor.optics.water import (
         attenuation,
+        case_1,
+        milk,
         molecular_scattering,
         pure_water,
         seawater,
@@ -17,6 +19,8 @@ if TYPE_CHECKING:
 
 __all__ = [
     "attenuation",
+    "case_1",
+    "milk",
     "molecular_scattering",
     "pure_water",
     "seawater",

@@ -1,0 +1,159 @@
+r"""Phase functions of several kinds of particles in one water, and of the water itself.
+
+>>> from amulor.optics.phase_functions.models import isotropic, rayleigh_phase
+>>> both = mixture([isotropic(), rayleigh_phase()], scattering=[1.0, 3.0])
+>>> print(f"{both.at_180:.4f} 1/sr")
+0.1094 1/sr
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import partial
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.optimize import brentq
+
+from amulor.optics._bounds import not_negative, require, within
+from amulor.optics.phase_functions.fournier_forand import (
+    fournier_forand_backscatter_fraction,
+)
+from amulor.optics.phase_functions.integrals import Panels
+from amulor.optics.phase_functions.models import fournier_forand
+from amulor.optics.phase_functions.phase_function import PhaseFunction
+
+__all__ = ["fournier_forand_with_backscatter", "mixture"]
+
+#: Slopes between which the particles of the sea lie, wide enough for any of them.
+_SLOPES = (3.05, 4.9)
+
+
+def mixture(
+    functions: Sequence[PhaseFunction], *, scattering: ArrayLike, name: str = ""
+) -> PhaseFunction:
+    r"""Return the phase function of scatterers that stand in one water together.
+
+    Parameters
+    ----------
+    functions : sequence of PhaseFunction
+        One for each kind of scatterer.
+    scattering : array_like
+        Scattering coefficient of each kind, not negative, their sum above 0 [1/m].
+    name : str
+        What the mixture is; by default the names of its parts.
+
+    Returns
+    -------
+    PhaseFunction
+        Mean of the functions, weighted with the scattering.
+
+    Raises
+    ------
+    ValueError
+        If the numbers of functions and coefficients differ, or nothing scatters.
+
+    Notes
+    -----
+    :math:`p = \sum_i b_i p_i / \sum_i b_i`. Every integral of it is the same mean of
+    those of its parts.
+
+    Examples
+    --------
+    >>> from amulor.optics.phase_functions.models import henyey_greenstein_function
+    >>> parts = [henyey_greenstein_function(asymmetry=g) for g in (0.9, 0.3)]
+    >>> print(f"{mixture(parts, scattering=[2.0, 1.0]).asymmetry:.2f}")
+    0.70
+    """
+    amounts = not_negative(scattering, name="scattering", unit="1/m")
+    if amounts.shape != (len(functions),):
+        raise ValueError(
+            f"scattering must hold one coefficient for each of {len(functions)} phase "
+            f"functions, got shape {amounts.shape}"
+        )
+    total = amounts.sum()
+    require(total, total > 0, name="sum of scattering", rule="above 0", unit="1/m")
+    parts = [
+        (float(amount / total), function)
+        for amount, function in zip(amounts, functions, strict=True)
+        if amount > 0
+    ]
+    if len(parts) == 1:
+        return parts[0][1]
+    heads = [function.head_exponent for _, function in parts]
+    edges = np.unique(np.concatenate([each.panels.edges for _, each in parts]))
+    listed = ", ".join(f"{weight:.3g} of {each.name}" for weight, each in parts)
+    return PhaseFunction(
+        name=name or listed,
+        panels=Panels(partial(_value, parts=parts), edges, max(heads)),
+        head_angle=max(function.head_angle for _, function in parts),
+        closed_cumulative=partial(_cumulative, parts=parts),
+        closed_asymmetry=sum(weight * each.asymmetry for weight, each in parts),
+    )
+
+
+def fournier_forand_with_backscatter(backscatter_fraction: float) -> PhaseFunction:
+    r"""Return the Fournier-Forand phase function of a backscatter fraction.
+
+    Parameters
+    ----------
+    backscatter_fraction : float
+        Backscattering over scattering of the particles, 0.0003 to 0.2 [1].
+
+    Returns
+    -------
+    PhaseFunction
+        With index and slope on the line that follows.
+
+    Raises
+    ------
+    ValueError
+        If the fraction is outside of its range.
+
+    Notes
+    -----
+    C. D. Mobley, L. K. Sundman and E. Boss, Appl. Opt. 41, 1035 (2002),
+    :doi:`10.1364/AO.41.001035`, let relative index and slope run together,
+    :math:`n = 1.01 + 0.1542 (\mu - 3)`, and find that the fraction then decides on the
+    light field.
+
+    Examples
+    --------
+    >>> print(fournier_forand_with_backscatter(0.0183).name)
+    Fournier-Forand, relative index 1.1, slope 3.58341
+    """
+    fraction = float(
+        within(backscatter_fraction, 3e-4, 0.2, name="backscatter_fraction")
+    )
+
+    def excess(slope: float) -> float:
+        found = fournier_forand_backscatter_fraction(
+            relative_index=_index(slope), slope=slope
+        )
+        return found - fraction
+
+    slope = float(brentq(excess, *_SLOPES, xtol=1e-12))
+    return fournier_forand(relative_index=_index(slope), slope=slope)
+
+
+def _index(slope: float) -> float:
+    """Return the relative index that goes with a slope of the size distribution [1]."""
+    return 1.01 + 0.1542 * (slope - 3)
+
+
+def _value(
+    angle: NDArray[np.float64], *, parts: list[tuple[float, PhaseFunction]]
+) -> NDArray[np.float64]:
+    total = np.zeros(angle.shape)
+    for weight, function in parts:
+        total += weight * function.panels.value(angle)
+    return total
+
+
+def _cumulative(
+    angle: NDArray[np.float64], *, parts: list[tuple[float, PhaseFunction]]
+) -> NDArray[np.float64]:
+    total = np.zeros(angle.shape)
+    for weight, function in parts:
+        total += weight * function.cumulative(angle)
+    return total
