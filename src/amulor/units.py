@@ -27,6 +27,8 @@ SI_UNITS = {
     "angle squared": "rad**2",
     "voltage": "V",
     "fraction": "1",
+    "mass concentration": "mg/m**3",
+    "spectral radiance": "W/(m**2*sr*m)",
 }
 
 _EXAMPLES = {
@@ -41,6 +43,8 @@ _EXAMPLES = {
     "angle squared": "0.06 rad^2",
     "voltage": "10 mV",
     "fraction": "25 %",
+    "mass concentration": "0.5 mg/m^3",
+    "spectral radiance": "0.01 W/m^2/sr/nm",
 }
 
 
@@ -189,6 +193,7 @@ _ANGULAR_POWERS = {
     "solid-angle density": -2,
     "fraction": 0,
     "frequency": 0,
+    "spectral radiance": -2,
 }
 _ANGULAR_UNITS = {
     "radian": 1,

@@ -213,7 +213,7 @@ def hazard(
         irradiance=pupil_irradiance(power, diameter=beam_diameter),
         distance_in_air=distance(divergence, 0.0),
         distance_in_water=distance(
-            divergence / water.refractive_index, survey.water.absorption
+            divergence / water.refractive_index, water.absorption
         ),
         class_power=allowed,
         exceeds_class=power > allowed,

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import Parameter
 
@@ -11,7 +12,7 @@ from amulor.cli._output import print_json
 
 if TYPE_CHECKING:
     from amulor.rejection.reference.grid import Plan
-    from amulor.survey import Scan
+    from amulor.survey import Scan, WaterProperties
 
 
 def check(
@@ -50,7 +51,7 @@ def check(
         print_json(
             {
                 "survey": survey.model_dump(mode="python", exclude_none=True),
-                "water": asdict(water),
+                "water": _water(water),
                 "ambiguity_interval_m": intervals,
                 "phases_repeat_after_m": repetition(
                     frequencies, group_index=water.group_index
@@ -67,10 +68,7 @@ def check(
         f"  {scan.columns} x {scan.rows} pixels, {samples} samples each, "
         f"{seconds:.0f} s; {len(survey.targets)} targets"
     )
-    print(
-        f"  water: attenuation {survey.water.absorption + survey.water.scattering:g} "
-        f"1/m, group index {water.group_index:.4f}"
-    )
+    _print_water(water)
     for value, interval in zip(frequencies, intervals, strict=True):
         print(f"  {value / 1e6:g} MHz: unambiguous over {interval:.3f} m")
     if reach is not None:
@@ -81,6 +79,70 @@ def check(
         print(
             f"  warning: {reason}; add a frequency, or state --nearest and --farthest "
             "in amulor image"
+        )
+
+
+def _water(water: WaterProperties) -> dict[str, Any]:
+    """Return what the water resolves to, for other programs."""
+    from dataclasses import fields
+
+    function = water.phase_function
+    known = {
+        field.name: getattr(water, field.name)
+        for field in fields(water)
+        if field.name not in ("phase_function", "layers")
+    }
+    return {
+        **known,
+        "phase_function": None if function is None else function.description,
+        "asymmetry": None if function is None else function.asymmetry,
+        "backscatter_fraction": (
+            None if function is None else function.backscatter_fraction
+        ),
+        "layers": [
+            {
+                "thickness": None if math.isinf(layer.thickness) else layer.thickness,
+                "absorption": layer.absorption,
+                "scattering": layer.scattering,
+                "phase_function": layer.phase_function.description,
+            }
+            for layer in water.layers
+        ],
+    }
+
+
+def _print_water(water: WaterProperties) -> None:
+    """Print what the water resolves to."""
+    print(
+        f"  water: attenuation {water.attenuation:.4g} 1/m, group index "
+        f"{water.group_index:.4f}; {water.source}"
+    )
+    print(
+        f"    absorption {water.absorption:.4g} 1/m, scattering "
+        f"{water.scattering:.4g} 1/m, at 180 degrees {water.backscatter_vsf:.3g} "
+        "1/(m sr)"
+    )
+    function = water.phase_function
+    if function is None:
+        print(
+            f"    phase function by moments: second moment {water.second_moment:.3g} "
+            f"rad^2 below {math.degrees(water.split_angle):.3g} degrees"
+        )
+    else:
+        print(f"    phase function: {function.description}")
+        print(
+            f"    asymmetry {function.asymmetry:.4f}, backscatter fraction "
+            f"{function.backscatter_fraction:.4g}"
+        )
+    for number, layer in enumerate(water.layers, start=1):
+        extent = (
+            "from there on"
+            if math.isinf(layer.thickness)
+            else f"{layer.thickness:g} m thick"
+        )
+        print(
+            f"    layer {number}: {extent}, absorption {layer.absorption:.4g} 1/m, "
+            f"scattering {layer.scattering:.4g} 1/m, {layer.phase_function.name}"
         )
 
 

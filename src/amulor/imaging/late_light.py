@@ -241,26 +241,26 @@ def _spread(angle: Floats) -> Floats:
 
 def _phase_functions(survey: Survey) -> tuple[tuple[PhaseFunction, float, float], ...]:
     """Return what the water may be: phase function, its scattering, split angle."""
-    water = survey.water
+    water = water_properties(survey)
     right = math.pi / 2
     if water.scattering == 0:
         return ((_function(_ASYMMETRIES[0]), 0.0, right),)
-    if water.asymmetry is not None:
-        if water.asymmetry < _LEAST_ASYMMETRY:
+    stated = water.phase_function
+    if stated is not None:
+        if stated.asymmetry < _LEAST_ASYMMETRY:
             raise SurveyError(
-                f"the asymmetry of the water, {water.asymmetry:g}, is below "
+                f"the asymmetry of the water, {stated.asymmetry:g}, is below "
                 f"{_LEAST_ASYMMETRY:g}, where small angles do not describe the light"
             )
-        return ((_function(water.asymmetry), water.scattering, right),)
+        return ((stated, water.scattering, right),)
     usual = tuple((_function(g), water.scattering, right) for g in _ASYMMETRIES)
-    properties = water_properties(survey)
-    moment, split = properties.second_moment, water.split_angle
-    own = _asymmetry(moment, split) if properties.forward_scattering > 0 else None
+    moment, split = water.second_moment, water.split_angle
+    own = _asymmetry(moment, split) if water.forward_scattering > 0 else None
     if own is None:
         return usual
     function = _function(own)
     # The forward part is the survey's, so the whole is that over the forward fraction.
-    whole = properties.forward_scattering / function.forward_split(split)[0]
+    whole = water.forward_scattering / function.forward_split(split)[0]
     return (*usual, (function, whole, split))
 
 

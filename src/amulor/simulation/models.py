@@ -18,10 +18,17 @@ from amulor.optics import (
 )
 from amulor.optics.phase_functions.models import isotropic
 from amulor.optics.phase_functions.phase_function import PhaseFunction
+from amulor.optics.small_angle import sharp_receiver
 from amulor.simulation.phase_function import phase_function_of
 from amulor.survey import Survey, WaterProperties
-from amulor.survey.view import View, kernel_arguments
-from amulor.survey.water import Water
+from amulor.survey.view import (
+    View,
+    beam_arguments,
+    has_sharp_receiver,
+    kernel_arguments,
+    refuse_beam_and_edges,
+    refuse_layers,
+)
 
 Complex = NDArray[np.complex128]
 
@@ -121,6 +128,7 @@ class DiffusionModel:
         surface: dict[str, Any],
     ) -> Complex:
         """Return received per launched power from surfaces; see `SignalModel`."""
+        _refuse_for_diffusion(survey, water)
         return target_echo.target_response(
             modulation_frequency, **surface, **kernel_arguments(survey, water, view)
         )
@@ -135,6 +143,7 @@ class DiffusionModel:
         end: Any,
     ) -> Complex:
         """Return received per launched power from the water; see `SignalModel`."""
+        _refuse_for_diffusion(survey, water)
         return small_angle_diffusion.water_response(
             modulation_frequency,
             backscatter_vsf=water.backscatter_vsf,
@@ -165,7 +174,12 @@ class SmallAngleModel:
         surface: dict[str, Any],
     ) -> Complex:
         """Return received per launched power from surfaces; see `SignalModel`."""
-        return target_echo.small_angle_target_response(
+        echo = (
+            target_echo.sharp_receiver_target_response
+            if has_sharp_receiver(survey)
+            else target_echo.small_angle_target_response
+        )
+        return echo(
             modulation_frequency,
             **surface,
             **whole_function_arguments(survey, water, view),
@@ -181,7 +195,12 @@ class SmallAngleModel:
         end: Any,
     ) -> Complex:
         """Return received per launched power from the water; see `SignalModel`."""
-        return small_angle.water_response(
+        column = (
+            sharp_receiver.water_response
+            if has_sharp_receiver(survey)
+            else small_angle.water_response
+        )
+        return column(
             modulation_frequency,
             backscatter_vsf=water.backscatter_vsf,
             group_index=water.group_index,
@@ -215,7 +234,7 @@ class ClosureModel:
         return target_echo.closure_target_response(
             modulation_frequency,
             **surface,
-            **whole_function_arguments(survey, water, view),
+            **_closure_arguments(survey, water, view),
         )
 
     def column(
@@ -233,7 +252,7 @@ class ClosureModel:
             backscatter_vsf=water.backscatter_vsf,
             group_index=water.group_index,
             end=end,
-            **whole_function_arguments(survey, water, view),
+            **_closure_arguments(survey, water, view),
         )
 
 
@@ -249,9 +268,9 @@ def whole_function_arguments(
     Parameters
     ----------
     survey : Survey
-        Its receiver and water count.
+        Its beam and its receiver count.
     water : WaterProperties
-        Optical numbers of the water.
+        Optical numbers and phase function of the water.
     view : View
         How the receiver looks at each beam.
 
@@ -263,7 +282,7 @@ def whole_function_arguments(
     Raises
     ------
     SurveyError
-        If the water states moments that no phase function has.
+        If the water states moments that no phase function has, or has layers.
 
     Notes
     -----
@@ -271,6 +290,7 @@ def whole_function_arguments(
     `amulor.simulation.phase_function.phase_function_of` makes of them. Water that
     spreads nothing forward needs none: all that it scatters is lost.
     """
+    refuse_layers(water, model="the small-angle model")
     arguments = kernel_arguments(survey, water, view)
     forward, moment = (
         arguments.pop("forward_scattering"),
@@ -282,21 +302,22 @@ def whole_function_arguments(
         arguments["absorption"] = arguments["absorption"] + diffuse
         return {**arguments, "scattering": 0.0, **_nowhere()}
     try:
-        function = _phase_function(survey.water)
+        function = _phase_function(water)
     except SurveyError as problem:
         raise SurveyError(
             f"{problem}; or choose the diffusion model, which needs moments only"
         ) from None
     return {
         **arguments,
-        "scattering": survey.water.scattering,
+        **beam_arguments(survey, water),
+        "scattering": water.scattering,
         "phase_function": function,
-        "split_angle": survey.water.split_angle,
+        "split_angle": water.split_angle,
     }
 
 
 @lru_cache(maxsize=8)
-def _phase_function(water: Water) -> PhaseFunction:
+def _phase_function(water: WaterProperties) -> PhaseFunction:
     """Return one and the same function each time: its transform is kept with it."""
     return phase_function_of(water)
 
@@ -305,3 +326,19 @@ def _phase_function(water: Water) -> PhaseFunction:
 def _nowhere() -> dict[str, Any]:
     """Return a phase function for water that scatters nothing."""
     return {"phase_function": isotropic(), "split_angle": np.pi / 2}
+
+
+def _closure_arguments(
+    survey: Survey, water: WaterProperties, view: View
+) -> dict[str, Any]:
+    if has_sharp_receiver(survey):
+        raise SurveyError(
+            'receiver.edge = "sharp" is stated, which the closure does not know: leave '
+            "it out, or choose the small-angle model"
+        )
+    return whole_function_arguments(survey, water, view)
+
+
+def _refuse_for_diffusion(survey: Survey, water: WaterProperties) -> None:
+    refuse_layers(water, model="the diffusion form")
+    refuse_beam_and_edges(survey, model="the diffusion form")

@@ -13,6 +13,8 @@ from amulor.optics import phase_functions
 from amulor.optics.phase_functions.models import henyey_greenstein_function, isotropic
 from amulor.optics.phase_functions.phase_function import PhaseFunction
 from amulor.optics.phase_functions.tables import tabulated
+from amulor.survey import WaterProperties
+from amulor.survey.phase_function import phase_function as stated_phase_function
 from amulor.survey.water import Water
 
 __all__ = ["phase_function_of"]
@@ -26,22 +28,22 @@ _POINTS = 2000
 Array = NDArray[np.float64]
 
 
-def phase_function_of(water: Water) -> PhaseFunction:
+def phase_function_of(water: Water | WaterProperties) -> PhaseFunction:
     r"""Return the phase function of a survey's water, for photons to follow.
 
     Parameters
     ----------
-    water : Water
-        Water with an asymmetry, or with forward fraction, second moment and phase
-        function at 180 degrees.
+    water : WaterProperties or Water
+        What any water of a survey resolves to, or water by its coefficients: with a
+        whole phase function, or with forward fraction, second moment and phase function
+        at 180 degrees.
 
     Returns
     -------
     PhaseFunction
-        Henyey-Greenstein's, if an asymmetry is stated. If not, one that has the stated
-        moments: below the split angle Henyey-Greenstein's with the second moment, from
-        there on to the value at 180 degrees in a smooth curve that holds the rest of
-        the scattering.
+        The water's own, if it has one. If not, one that has the stated moments: below
+        the split angle Henyey-Greenstein's with the second moment, from there on to the
+        value at 180 degrees in a smooth curve that holds the rest of the scattering.
 
     Raises
     ------
@@ -61,10 +63,19 @@ def phase_function_of(water: Water) -> PhaseFunction:
     """
     if water.scattering == 0:
         return isotropic()
-    if water.asymmetry is not None:
-        return henyey_greenstein_function(asymmetry=water.asymmetry)
-    moment, fraction = water.second_moment, water.forward_fraction
-    backwards = water.phase_function_at_180
+    if isinstance(water, WaterProperties):
+        if water.phase_function is not None:
+            return water.phase_function
+        moment: float | None = water.second_moment
+        fraction: float | None = water.forward_scattering / water.scattering
+        backwards: float | None = water.backscatter_vsf / water.scattering
+    else:
+        if water.phase_function is not None:
+            return stated_phase_function(water.phase_function)
+        if water.asymmetry is not None:
+            return henyey_greenstein_function(asymmetry=water.asymmetry)
+        moment, fraction = water.second_moment, water.forward_fraction
+        backwards = water.phase_function_at_180
     if not moment or not fraction or not backwards:
         raise SurveyError(
             "the models need the whole phase function; it follows from a "

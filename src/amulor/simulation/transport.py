@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -11,10 +12,11 @@ from numpy.typing import ArrayLike, NDArray
 from amulor.errors import SurveyError
 from amulor.optics import rays
 from amulor.simulation.phase_function import phase_function_of
-from amulor.survey import Survey, water_properties
+from amulor.survey import Survey, WaterProperties, water_properties
+from amulor.survey.view import beam_arguments, has_sharp_receiver, seen_from_water
 from amulor.survey.view import medium as crossed_by
-from amulor.survey.view import seen_from_water
 from amulor.transport import (
+    DiscReceiver,
     GaussianReceiver,
     Layer,
     Medium,
@@ -75,7 +77,7 @@ def monte_carlo_response(
     pass.
     """
     water = water_properties(survey)
-    function = phase_function_of(survey.water)
+    layers = _layers(water)
     instrument, scan = survey.instrument, survey.scan
     receiver, window = instrument.receiver, crossed_by(survey, water)
     beam = rays.enter_water(
@@ -85,39 +87,52 @@ def monte_carlo_response(
     )
     axis = rays.direction(receiver.azimuth, receiver.elevation)
     gap, acceptance = seen_from_water(survey, window)
+    spread = beam_arguments(survey, water)
     frequency = np.asarray(modulation_frequency, dtype=np.float64)
-    layer = Layer(
-        absorption=survey.water.absorption,
-        scattering=survey.water.scattering,
-        phase_function=function,
-    )
+    if abs(axis[2] - 1) > 1e-9 and (len(layers) > 1 or gap):
+        through = "layers of water" if len(layers) > 1 else "the window"
+        raise SurveyError(
+            f"instrument.receiver looks through {through} at an angle; photon "
+            "transport needs azimuth and elevation of 0 there: aim the emitter "
+            "instead, or use the small-angle model"
+        )
     target = None
     if survey.water.column_end is not None:
         # The far end of the water is black.
         end = beam.entry + survey.water.column_end * beam.direction
         target = PlaneTarget(position=end, normal=-beam.direction, reflectance=0.0)
     if window.window_distance is None:
-        space = Medium(layers=(layer,), group_index=water.group_index)
+        if len(layers) == 1:
+            space = Medium(layers=layers, group_index=water.group_index)
+        else:
+            # Layers are counted from 0 on, and the first one holds the instrument.
+            top = min(float(beam.entry[2]), receiver.position[2], 0.0)
+            first = replace(layers[0], thickness=layers[0].thickness - top)
+            space = Medium.layered(
+                [first, *layers[1:]], group_index=water.group_index, top=top
+            )
         place = np.array(receiver.position)
     else:
-        if abs(axis[2] - 1) > 1e-9:
-            raise SurveyError(
-                "instrument.receiver looks through the window at an angle; photon "
-                "transport needs azimuth and elevation of 0 there: aim the emitter "
-                "instead, or use the small-angle model"
-            )
         begin = float(beam.entry[2])
         passage = Layer(
-            absorption=0.0, scattering=0.0, phase_function=function, thickness=gap
+            absorption=0.0,
+            scattering=0.0,
+            phase_function=layers[0].phase_function,
+            thickness=gap,
         )
         space = Medium.layered(
-            [passage, layer], group_index=water.group_index, top=begin - gap
+            [passage, *layers], group_index=water.group_index, top=begin - gap
         )
         place = np.array([*receiver.position[:2], begin - gap])
     tally = simulate(
         space,
-        Source(position=beam.entry, direction=beam.direction),
-        GaussianReceiver(
+        Source(
+            position=beam.entry,
+            direction=beam.direction,
+            radius=spread.get("beam_radius", 0.0),
+            divergence=spread.get("beam_divergence", 0.0),
+        ),
+        (DiscReceiver if has_sharp_receiver(survey) else GaussianReceiver)(
             position=place,
             direction=axis,
             radius=receiver.radius,
@@ -131,6 +146,27 @@ def monte_carlo_response(
         progress=progress,
     )
     return tally.delayed(-gap, group_index=water.group_index) if gap else tally
+
+
+def _layers(water: WaterProperties) -> tuple[Layer, ...]:
+    """Return the water as layers for photons, one if it is uniform."""
+    if not water.layers:
+        return (
+            Layer(
+                absorption=water.absorption,
+                scattering=water.scattering,
+                phase_function=phase_function_of(water),
+            ),
+        )
+    return tuple(
+        Layer(
+            absorption=layer.absorption,
+            scattering=layer.scattering,
+            phase_function=layer.phase_function,
+            thickness=layer.thickness,
+        )
+        for layer in water.layers
+    )
 
 
 def half_power(tally: Tally) -> tuple[float, float]:

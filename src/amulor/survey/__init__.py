@@ -9,6 +9,24 @@ from amulor.survey.instrument import (
     Receiver,
     Window,
 )
+from amulor.survey.named_water import (
+    Case1Water,
+    JerlovWater,
+    LayeredWater,
+    MilkWater,
+    PetzoldWater,
+    PureWater,
+    SphereWater,
+    WaterLayer,
+)
+from amulor.survey.phase_function import (
+    FournierForand,
+    HenyeyGreenstein,
+    Petzold,
+    Rayleigh,
+    Tabulated,
+    TwoTerm,
+)
 from amulor.survey.properties import WaterProperties, water_properties
 from amulor.survey.scan import OpenWater, Scan
 from amulor.survey.survey import Survey, json_schema
@@ -17,19 +35,33 @@ from amulor.survey.water import Water
 
 __all__ = [
     "Calibration",
+    "Case1Water",
     "Detector",
     "Disc",
     "Emitter",
+    "FournierForand",
+    "HenyeyGreenstein",
     "Instrument",
+    "JerlovWater",
+    "LayeredWater",
     "LockIn",
     "Mesh",
+    "MilkWater",
     "OpenWater",
+    "Petzold",
+    "PetzoldWater",
     "Plate",
+    "PureWater",
+    "Rayleigh",
     "Receiver",
     "Scan",
+    "SphereWater",
     "Staircase",
     "Survey",
+    "Tabulated",
+    "TwoTerm",
     "Water",
+    "WaterLayer",
     "WaterProperties",
     "Window",
     "json_schema",

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections import Counter
 from itertools import pairwise
-from typing import Annotated, Self
+from typing import Annotated, Literal, Self
 
 from pydantic import Field, model_validator
 
@@ -31,10 +31,19 @@ class Emitter(Description):
 
     position: Position = (0.0, 0.0, 0.0)
     """Start of the beam (right, down, forward) [m]."""
+    beam_radius: Annotated[Length, Field(ge=0, le=0.5)] | None = None
+    """1/e half-width of the Gaussian beam at its start; a thin beam if left out [m]."""
+    beam_divergence: Annotated[Angle, Field(ge=0, le=0.2)] | None = None
+    """1/e semi-angle of the beam, in the medium that the emitter stands in; none if
+    left out [rad]."""
 
 
 class Receiver(Description):
-    """The Gaussian receiver: 1/e half-widths of its aperture and of its acceptance."""
+    """The Gaussian receiver: 1/e half-widths of its aperture and of its acceptance.
+
+    With sharp edges they are the radius of a disc and the semi-angle of a cone, of the
+    same area and solid angle.
+    """
 
     position: Position
     """Centre of the aperture (right, down, forward) [m]."""
@@ -47,6 +56,9 @@ class Receiver(Description):
     acceptance: Annotated[Angle, Field(gt=0, le=0.5)]
     """1/e half-width gamma of the field of view, in the medium that the receiver
     stands in [rad]."""
+    edge: Literal["gaussian", "sharp"] | None = None
+    """Whether aperture and field of view fall off as Gaussians, or end sharply;
+    Gaussian if left out."""
 
 
 class Detector(Description):

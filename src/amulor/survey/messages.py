@@ -79,6 +79,10 @@ def _line(
         return f"{name}: {field}: found {result}, but it must be {limit}"
     if kind == "string_pattern_mismatch" and "polarizations" not in location:
         return f"{name}: {field}: found {result}; {_meant(location, content, model)}"
+    if kind in ("union_tag_invalid", "union_tag_not_found"):
+        kinds = ", ".join(_kinds_at(location, content, model))
+        needed = f"it must be a table with kind = one of {kinds}"
+        return f"{name}: {field}: found {result}, but {needed}"
     if kind in _NEEDED:
         return f"{name}: {field}: found {result}, but {_NEEDED[kind]}"
     text = str(problem["msg"])
@@ -91,7 +95,6 @@ _LIMITS = {
     "less_than": "be, in SI units, below",
     "less_than_equal": "be, in SI units, at most",
 }
-_KINDS = "it must be a table with kind = one of plate, staircase, disc, mesh"
 _NEEDED = {
     "finite_number": "it must be finite",
     "string_pattern_mismatch": (
@@ -101,8 +104,6 @@ _NEEDED = {
     "tuple_type": "it must be a list, in square brackets",
     "model_type": "it must be a table of fields",
     "model_attributes_type": "it must be a table of fields",
-    "union_tag_invalid": _KINDS,
-    "union_tag_not_found": _KINDS,
     "string_type": "it must be a text in quotation marks",
     "int_from_float": "it must be a whole number",
     "int_type": "it must be a whole number",
@@ -165,7 +166,34 @@ def _is_of_kind(table: Any, model: type[BaseModel]) -> bool:
     field = model.model_fields.get("kind")
     if field is None or not isinstance(table, dict):
         return True
-    return table.get("kind", field.default) in get_args(field.annotation)
+    if "kind" not in table:
+        return not field.is_required()
+    return table["kind"] in _kinds(model)
+
+
+def _kinds(model: type[BaseModel]) -> list[str]:
+    """Return what `kind` of a description class may be."""
+
+    def texts(annotation: Any) -> Iterator[str]:
+        for part in get_args(annotation):
+            if isinstance(part, str):
+                yield part
+            yield from texts(part)
+
+    return list(texts(model.model_fields["kind"].annotation))
+
+
+def _kinds_at(location: list[Any], content: Any, model: type[BaseModel]) -> list[str]:
+    """Return the kinds that a table of the file may have."""
+    fields = [part for part in location if not isinstance(part, int)]
+    above = location[: location.index(fields[-1])]
+    annotation = _table(above, content, model).model_fields[fields[-1]].annotation
+    return [
+        kind
+        for one in _models(annotation)
+        if "kind" in one.model_fields
+        for kind in _kinds(one)
+    ]
 
 
 def _needed(location: list[Any], content: Any, model: type[BaseModel]) -> str:

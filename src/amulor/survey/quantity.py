@@ -137,6 +137,20 @@ AngleSquared = Annotated[
     _write("angle squared"),
     _schema("angle squared"),
 ]
+MassConcentration = Annotated[
+    float,
+    _read("mass concentration"),
+    _finite,
+    _write("mass concentration"),
+    _schema("mass concentration"),
+]
+SpectralRadiance = Annotated[
+    float,
+    _read("spectral radiance"),
+    _finite,
+    _write("spectral radiance"),
+    _schema("spectral radiance"),
+]
 Fraction = Annotated[float, _read("fraction"), _finite]
 
 Position = tuple[Length, Length, Length]

@@ -9,14 +9,14 @@ from typing import Annotated, Any, Self
 from pydantic import Field, ValidationError, model_validator
 
 from amulor.errors import SurveyError
-from amulor.survey import messages, toml_file
+from amulor.survey import files, messages, toml_file
 from amulor.survey.calibration import Calibration
 from amulor.survey.changes import changed
 from amulor.survey.instrument import Instrument
+from amulor.survey.named_water import WaterStated
 from amulor.survey.quantity import Description
 from amulor.survey.scan import Scan
-from amulor.survey.target import Mesh, Target
-from amulor.survey.water import Water
+from amulor.survey.target import Target
 
 _SIZE_LIMIT = 1_000_000
 #: Samples of one cube: 6 GB at the widest step of processing.
@@ -28,7 +28,7 @@ class Survey(Description):
 
     name: Annotated[str, Field(min_length=1, max_length=200)]
     """What the survey is about; the title of all that comes of it."""
-    water: Water
+    water: WaterStated
     """The water."""
     targets: tuple[Target, ...] = ()
     """What stands in the water; the beam that meets none sees water only."""
@@ -73,7 +73,7 @@ class Survey(Description):
         Parameters
         ----------
         path : str or pathlib.Path
-            TOML file; mesh files in it are looked for beside it.
+            TOML file; the files that it names are looked for beside it.
 
         Returns
         -------
@@ -119,7 +119,8 @@ class Survey(Description):
         name : str
             What messages call it.
         folder : pathlib.Path, optional
-            Where mesh files are looked for; the working folder by default.
+            Where the files that it names are looked for; the working folder by
+            default.
 
         Returns
         -------
@@ -134,7 +135,7 @@ class Survey(Description):
         survey = toml_file.described(
             text, cls, name=name, what="a survey", error=SurveyError
         )
-        return survey._with_mesh_files_in(folder or Path(), name=name)
+        return files.settled(survey, folder or Path(), where=name)
 
     def with_(self, changes: Mapping[str, Any]) -> Self:
         """Return the survey with some fields changed, validated like a file.
@@ -171,21 +172,7 @@ class Survey(Description):
         except ValidationError as error:
             lines = messages.lines(error, content, model=type(self), name="survey")
             raise SurveyError("\n".join(lines)) from None
-        return survey._with_mesh_files_in(Path(), name="survey")
-
-    def _with_mesh_files_in(self, folder: Path, *, name: str) -> Self:
-        targets = []
-        for number, target in enumerate(self.targets):
-            if isinstance(target, Mesh):
-                file = (folder / target.file).resolve()
-                if not file.is_file():
-                    raise SurveyError(
-                        f"{name}: targets.{number}.file: found {str(target.file)!r}, "
-                        f"but there is no such file in {folder.resolve()}"
-                    )
-                target = target.model_copy(update={"file": file})
-            targets.append(target)
-        return self.model_copy(update={"targets": tuple(targets)})
+        return files.settled(survey, Path(), where="survey")
 
     def to_toml(self) -> str:
         """Write the survey as TOML, each quantity with its SI unit.

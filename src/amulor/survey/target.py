@@ -7,6 +7,7 @@ from typing import Annotated, Literal, Self
 
 from pydantic import Field, model_validator
 
+from amulor.errors import SurveyError
 from amulor.survey.mueller import ReducedMueller
 from amulor.survey.quantity import Description, Fraction, Length, Position, Rotation
 
@@ -111,6 +112,16 @@ class Mesh(_Target):
     """Mesh file, relative to the survey file."""
     unit: Literal["m", "cm", "mm", "inch"] = "m"
     """Unit of the coordinates in the file; GLB files are in metres by definition."""
+
+    def settled(self, folder: Path, *, where: str) -> Self:
+        """Return the same with the whole path of its file."""
+        file = (folder / self.file).resolve()
+        if not file.is_file():
+            raise SurveyError(
+                f"{where}.file: found {str(self.file)!r}, but there is no such file in "
+                f"{folder.resolve()}"
+            )
+        return self.model_copy(update={"file": file})
 
 
 Target = Annotated[Plate | Staircase | Disc | Mesh, Field(discriminator="kind")]

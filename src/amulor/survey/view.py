@@ -207,6 +207,102 @@ def kernel_arguments(
     }
 
 
+def beam_arguments(survey: Survey, water: WaterProperties) -> dict[str, float]:
+    """Return radius and divergence of the beam, where a survey states them.
+
+    Parameters
+    ----------
+    survey : Survey
+        Its emitter and window count.
+    water : WaterProperties
+        Its phase index counts.
+
+    Returns
+    -------
+    dict
+        `beam_radius` [m] and `beam_divergence` in the water [rad] of the small-angle
+        forms; empty for a thin beam.
+    """
+    emitter = survey.instrument.emitter
+    arguments = {}
+    if emitter.beam_radius:
+        arguments["beam_radius"] = emitter.beam_radius
+    if emitter.beam_divergence:
+        bent = 1.0 if survey.instrument.window is None else water.refractive_index
+        arguments["beam_divergence"] = emitter.beam_divergence / bent
+    return arguments
+
+
+def has_sharp_receiver(survey: Survey) -> bool:
+    """Return whether the receiver of a survey has sharp edges.
+
+    Parameters
+    ----------
+    survey : Survey
+        Its receiver counts.
+
+    Returns
+    -------
+    bool
+        False for the Gaussian receiver.
+    """
+    return survey.instrument.receiver.edge == "sharp"
+
+
+def refuse_layers(water: WaterProperties, *, model: str) -> None:
+    """Refuse layered water in a model that knows uniform water only.
+
+    Parameters
+    ----------
+    water : WaterProperties
+        What it is to be used on.
+    model : str
+        What the message calls the model, with its article.
+
+    Raises
+    ------
+    SurveyError
+        If the water has layers.
+    """
+    if water.layers:
+        raise SurveyError(
+            f"water.layers: {model} knows uniform water only; use photon transport, or "
+            "state one water"
+        )
+
+
+def refuse_beam_and_edges(survey: Survey, *, model: str) -> None:
+    """Refuse what only the small-angle forms and photons know of an instrument.
+
+    Parameters
+    ----------
+    survey : Survey
+        Its emitter and receiver count.
+    model : str
+        What the message calls the model, with its article.
+
+    Raises
+    ------
+    SurveyError
+        If the beam has a width, or the receiver sharp edges.
+    """
+    emitter = survey.instrument.emitter
+    stated = [
+        name
+        for name, there in (
+            ("emitter.beam_radius", emitter.beam_radius),
+            ("emitter.beam_divergence", emitter.beam_divergence),
+            ('receiver.edge = "sharp"', has_sharp_receiver(survey)),
+        )
+        if there
+    ]
+    if stated:
+        raise SurveyError(
+            f"instrument: {model} knows thin beams and Gaussian receivers only, found "
+            f"{', '.join(stated)}; use the small-angle model, or leave them out"
+        )
+
+
 def geometry_attributes(survey: Survey, medium: rays.Medium) -> dict[str, Any]:
     """Return what a cube says about indices, window and places of the instrument.
 

@@ -1,13 +1,19 @@
-"""The water: absorption, scattering, indices, and what backscatter does to light."""
+"""The water by its coefficients, and what every description of water states."""
 
 from __future__ import annotations
 
 import math
-from typing import Annotated, Self
+from typing import Annotated, Any, Literal, Self
 
-from pydantic import Field, model_validator
+from pydantic import (
+    Field,
+    SerializerFunctionWrapHandler,
+    model_serializer,
+    model_validator,
+)
 
 from amulor.survey.mueller import ReducedMueller
+from amulor.survey.phase_function import PhaseFunctionStated
 from amulor.survey.quantity import (
     Angle,
     AngleSquared,
@@ -20,26 +26,14 @@ from amulor.survey.quantity import (
 )
 
 
-class Water(Description):
-    """Optical properties of a homogeneous water body at the laser's wavelength."""
+class WaterState(Description):
+    """What is stated of any water, whatever its coefficients follow from."""
 
-    absorption: Annotated[PerMetre, Field(ge=0)]
-    """Absorption coefficient a [1/m]."""
-    scattering: Annotated[PerMetre, Field(ge=0)]
-    """Scattering coefficient b [1/m]."""
-    asymmetry: Annotated[float, Field(gt=-1, lt=1)] | None = None
-    """Mean cosine g of a Henyey-Greenstein phase function [1]."""
     split_angle: Annotated[Angle, Field(gt=0, le=math.pi)] = math.pi / 2
     """Scattering below this angle counts as forward, beyond it as diffuse [rad]. 90
     degrees is right for the small-angle model, with which scans are simulated, and for
     its closure; the diffusion model, the paper's, then has a cut-off 57 to 83 % too
     high and too little of a far target: state 10 to 20 degrees for it."""
-    forward_fraction: Annotated[Fraction, Field(ge=0, le=1)] | None = None
-    """Fraction of the scattering below the split angle, where it is known [1]."""
-    second_moment: Annotated[AngleSquared, Field(ge=0)] | None = None
-    """Mean square angle of the forward part, where it is known [rad^2]."""
-    phase_function_at_180: Annotated[PerSteradian, Field(ge=0)] | None = None
-    """Phase function straight backwards, where it is known [1/sr]."""
     temperature: Annotated[Temperature, Field(ge=0, le=30)] = 20.0
     """Temperature, sets the indices [degC]."""
     salinity: Annotated[float, Field(ge=0, le=43)] = 0.0
@@ -56,6 +50,27 @@ class Water(Description):
     """Relative random change of the water signal from sample to sample (drifting
     clouds of particles) [1]."""
 
+
+class Water(WaterState):
+    """Optical properties of a homogeneous water body at the laser's wavelength."""
+
+    kind: Literal["coefficients"] | None = None
+    """Which water this is; water without a kind is stated by its coefficients."""
+    absorption: Annotated[PerMetre, Field(ge=0)]
+    """Absorption coefficient a [1/m]."""
+    scattering: Annotated[PerMetre, Field(ge=0)]
+    """Scattering coefficient b [1/m]."""
+    asymmetry: Annotated[float, Field(gt=-1, lt=1)] | None = None
+    """Mean cosine g of a Henyey-Greenstein phase function [1]."""
+    forward_fraction: Annotated[Fraction, Field(ge=0, le=1)] | None = None
+    """Fraction of the scattering below the split angle, where it is known [1]."""
+    second_moment: Annotated[AngleSquared, Field(ge=0)] | None = None
+    """Mean square angle of the forward part, where it is known [rad^2]."""
+    phase_function_at_180: Annotated[PerSteradian, Field(ge=0)] | None = None
+    """Phase function straight backwards, where it is known [1/sr]."""
+    phase_function: PhaseFunctionStated | None = None
+    """Any other phase function, in place of an asymmetry or moments."""
+
     @model_validator(mode="after")
     def _phase_function_is_stated(self) -> Self:
         parts = {
@@ -64,18 +79,69 @@ class Water(Description):
             "phase_function_at_180": self.phase_function_at_180,
         }
         missing = [name for name, value in parts.items() if value is None]
+        if self.phase_function is not None:
+            if self.asymmetry is not None:
+                raise ValueError(
+                    "the phase function is stated twice; give asymmetry or "
+                    "phase_function"
+                )
+            return self
         if self.asymmetry is None and missing and self.scattering > 0:
             raise ValueError(
                 "the phase function is not stated: give asymmetry (Henyey-Greenstein), "
-                f"or all of {', '.join(parts)}; missing: {', '.join(missing)}"
+                f"or all of {', '.join(parts)}, or phase_function; missing: "
+                f"{', '.join(missing)}"
             )
         return self
 
     @model_validator(mode="after")
     def _water_attenuates(self) -> Self:
-        if self.absorption + self.scattering <= 0:
-            raise ValueError(
-                "absorption and scattering are both 0 1/m; even the clearest water "
-                "absorbs, about 0.005 1/m in the blue"
-            )
+        refuse_clear(self.absorption, self.scattering)
         return self
+
+    @model_serializer(mode="wrap")
+    def _coefficients_first(self, dump: SerializerFunctionWrapHandler) -> Any:
+        """Write the fields in the order in which surveys always had them."""
+        content = dump(self)
+        return {name: content[name] for name in _ORDER if name in content}
+
+
+#: Order of the fields in a file: surveys are told apart by digests of their text.
+_ORDER = (
+    "kind",
+    "absorption",
+    "scattering",
+    "asymmetry",
+    "split_angle",
+    "forward_fraction",
+    "second_moment",
+    "phase_function_at_180",
+    "temperature",
+    "salinity",
+    "refractive_index",
+    "group_index",
+    "backscatter_mueller",
+    "column_end",
+    "signal_fluctuation",
+    "phase_function",
+)
+
+
+def refuse_clear(absorption: float, scattering: float) -> None:
+    """Refuse water that takes no light at all.
+
+    Parameters
+    ----------
+    absorption, scattering : float
+        Coefficients [1/m].
+
+    Raises
+    ------
+    ValueError
+        If both are zero.
+    """
+    if absorption + scattering <= 0:
+        raise ValueError(
+            "absorption and scattering are both 0 1/m; even the clearest water "
+            "absorbs, about 0.005 1/m in the blue"
+        )

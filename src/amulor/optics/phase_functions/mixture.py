@@ -120,7 +120,7 @@ def fournier_forand_with_backscatter(backscatter_fraction: float) -> PhaseFuncti
     Examples
     --------
     >>> print(fournier_forand_with_backscatter(0.0183).name)
-    Fournier-Forand, relative index 1.1, slope 3.58341
+    Fournier-Forand, relative index 1.09996, slope 3.58342
     """
     fraction = float(
         within(backscatter_fraction, 3e-4, 0.2, name="backscatter_fraction")

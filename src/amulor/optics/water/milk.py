@@ -100,7 +100,7 @@ def milk_suspension(
     ... )
     >>> reduced = added.scattering * (1 - added.phase_function.asymmetry)
     >>> print(f"{reduced:.1f} 1/m for 1 ml in a litre")  # measured: 1.22
-    1.2 1/m for 1 ml in a litre
+    1.3 1/m for 1 ml in a litre
     """
     vacuum = float(within(wavelength, 400e-9, 700e-9, name="wavelength", unit="m"))
     share = float(within(volume_fraction, 0, 0.05, name="volume_fraction", above=True))

@@ -12,6 +12,7 @@ from scipy.constants import speed_of_light
 from amulor.optics import small_angle_diffusion
 from amulor.rejection.covariance import Covariance
 from amulor.survey import Survey, water_properties
+from amulor.survey.properties import by_coefficients
 from amulor.survey.view import kernel_arguments, medium, view
 
 Floats = NDArray[np.float64]
@@ -136,13 +137,7 @@ def scaled(survey: Survey, factor: float) -> Survey:
     Survey
         The same, in water of another turbidity.
     """
-    water = survey.water.model_copy(
-        update={
-            "absorption": survey.water.absorption * factor,
-            "scattering": survey.water.scattering * factor,
-        }
-    )
-    return survey.model_copy(update={"water": water})
+    return by_coefficients(survey, factor=factor)
 
 
 def _spread(count: int) -> NDArray[np.intp]:

@@ -20,7 +20,7 @@ from amulor.simulation import lock_in, simulate
 from amulor.simulation.signal import Light
 from amulor.studies.trust.case import Case, Floats, case_of, lateness
 from amulor.studies.trust.surveys import FREQUENCIES, plate, scaled, survey
-from amulor.survey import Survey
+from amulor.survey import Survey, water_properties
 from amulor.survey.mueller import matrix
 from amulor.transport import GaussianReceiver, Medium, PlaneTarget, Source
 from amulor.transport import simulate as follow_photons
@@ -79,7 +79,7 @@ def photons(
         From the fixed seeds, so that all scenes of a run see the same light.
     """
     made = _survey(1, reflectance=0.1, turbidity=turbidity)
-    seen = made.instrument.receiver
+    seen, water = made.instrument.receiver, water_properties(made)
     receiver = GaussianReceiver(
         position=np.array(seen.position),
         direction=rays.direction(seen.azimuth, seen.elevation),
@@ -87,8 +87,8 @@ def photons(
         acceptance_angle=seen.acceptance,
     )
     medium = Medium.homogeneous(
-        absorption=made.water.absorption,
-        scattering=made.water.scattering,
+        absorption=water.absorption,
+        scattering=water.scattering,
         phase_function=PHASE_FUNCTIONS[name](),
         group_index=1.38,
     )

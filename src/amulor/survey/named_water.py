@@ -1,0 +1,187 @@
+"""Waters that a survey names: their coefficients follow from what is stated."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, Literal, Self
+
+from pydantic import Discriminator, Field, Tag, model_validator
+
+from amulor.survey.phase_function import PhaseFunctionStated
+from amulor.survey.quantity import (
+    Description,
+    Fraction,
+    Length,
+    MassConcentration,
+    PerMetre,
+)
+from amulor.survey.water import Water, WaterState, refuse_clear
+
+
+class JerlovWater(WaterState):
+    """One of Jerlov's types of sea water."""
+
+    kind: Literal["jerlov"]
+    """Which water this is."""
+    type: Literal["I", "IA", "IB", "II", "III", "1C", "3C", "5C", "7C", "9C"]
+    """Type: I to III in the open ocean, 1C to 9C at coasts."""
+    source: Literal["solonenko-mobley-2015", "williamson-hollins-2022"]
+    """Where absorption and scattering come from: a model fitted to diffuse attenuation,
+    or averages of measurements (IB to 5C). They differ by a factor of several."""
+    particles: PhaseFunctionStated | None = None
+    """Phase function of what the water holds; Petzold's average particle if left out.
+    That of the molecules is added."""
+
+
+class PetzoldWater(WaterState):
+    """Water of a station where Petzold measured volume scattering functions."""
+
+    kind: Literal["petzold"]
+    """Which water this is."""
+    station: Literal[
+        "AUTEC 7",
+        "AUTEC 8",
+        "AUTEC 9",
+        "HAOCE 5",
+        "HAOCE 11",
+        "NUC 2200",
+        "NUC 2040",
+        "NUC 2240",
+    ]
+    """Clear ocean (AUTEC), coast (HAOCE) or San Diego Harbor (NUC)."""
+    absorption: Annotated[PerMetre, Field(ge=0)] | None = None
+    """Absorption coefficient; that of the station, which holds within 20 nm of 530 nm,
+    if left out [1/m]."""
+    scattering: Annotated[PerMetre, Field(gt=0)] | None = None
+    """Scattering coefficient; that of the station, as above, if left out [1/m]."""
+
+
+class PureWater(WaterState):
+    """Pure fresh or sea water of the stated temperature and salinity."""
+
+    kind: Literal["pure"]
+    """Which water this is."""
+    absorption_source: Literal["mason-2016", "pope-fry-1997"] = "mason-2016"
+    """Where the absorption comes from; the second is fresh water at 22 degC, and twice
+    the first at 405 nm."""
+
+
+class Case1Water(WaterState):
+    """Open ocean whose optics follow from its chlorophyll."""
+
+    kind: Literal["case-1"]
+    """Which water this is."""
+    chlorophyll: Annotated[MassConcentration, Field(ge=0.02, le=30)]
+    """Concentration of chlorophyll a [mg/m^3]."""
+    cdom_absorption: Annotated[PerMetre, Field(ge=0)] | None = None
+    """Absorption of dissolved matter at 440 nm; a fifth of that of the particles there
+    if left out [1/m]."""
+    cdom_slope: Annotated[PerMetre, Field(ge=0, le=0.1e9)] = 0.014e9
+    """Spectral slope of dissolved matter, such as "0.014 1/nm" [1/m]."""
+
+
+class MilkWater(WaterState):
+    """Pure water with milk in it."""
+
+    kind: Literal["milk"]
+    """Which water this is."""
+    volume_fraction: Annotated[Fraction, Field(gt=0, le=0.05)]
+    """Milk per volume of the mixture; 0.001 is 1 ml in a litre [1]."""
+    fat: Annotated[Fraction, Field(ge=0.001, le=0.05)]
+    """Fat of the milk by mass [1]."""
+    scattering_source: Literal["mie", "jensen-2001"] = "mie"
+    """Where the amount of scattering comes from: spheres of fat and casein, or what was
+    measured of skim milk (fat up to 0.5 %) and of whole milk (3 to 4 %), which keeps
+    the shape of the spheres."""
+
+    @model_validator(mode="after")
+    def _was_measured(self) -> Self:
+        skim, whole = self.fat <= 0.005, 0.03 <= self.fat <= 0.04
+        if self.scattering_source == "jensen-2001" and not (skim or whole):
+            raise ValueError(
+                f"fat is {100 * self.fat:g} %, but Jensen et al. 2001 measured skim "
+                "milk (up to 0.5 %) and whole milk (3 to 4 %) only; use "
+                'scattering_source = "mie"'
+            )
+        return self
+
+
+class SphereWater(WaterState):
+    """Pure water with spheres of one size in it: Mie scattering."""
+
+    kind: Literal["spheres"]
+    """Which water this is."""
+    diameter: Annotated[Length, Field(gt=0, le=1e-3)]
+    """Diameter of the spheres [m]."""
+    particle_index: Annotated[float, Field(ge=1.0, le=3.0)]
+    """Index of the spheres, to vacuum [1]."""
+    particle_absorption_index: Annotated[float, Field(ge=0, le=3)] = 0.0
+    """Imaginary part of that index [1]."""
+    volume_fraction: Annotated[Fraction, Field(gt=0, le=0.05)] | None = None
+    """Spheres per volume of the water [1]."""
+    scattering: Annotated[PerMetre, Field(gt=0)] | None = None
+    """Scattering coefficient of the spheres, in place of their volume [1/m]."""
+    absorption: Annotated[PerMetre, Field(ge=0)] | None = None
+    """Absorption coefficient of all, where it is known; else that of pure water and
+    spheres [1/m]."""
+
+    @model_validator(mode="after")
+    def _is_stated_once(self) -> Self:
+        if (self.volume_fraction is None) == (self.scattering is None):
+            raise ValueError("spheres need a volume_fraction or a scattering, not both")
+        return self
+
+
+class WaterLayer(Description):
+    """A layer of water across the forward axis."""
+
+    thickness: Annotated[Length, Field(gt=0)] | None = None
+    """Thickness along the forward axis; the last layer has none and goes on [m]."""
+    absorption: Annotated[PerMetre, Field(ge=0)]
+    """Absorption coefficient a [1/m]."""
+    scattering: Annotated[PerMetre, Field(ge=0)]
+    """Scattering coefficient b [1/m]."""
+    phase_function: PhaseFunctionStated
+    """Phase function."""
+
+    @model_validator(mode="after")
+    def _water_attenuates(self) -> Self:
+        refuse_clear(self.absorption, self.scattering)
+        return self
+
+
+class LayeredWater(WaterState):
+    """Layers of water, one behind the other; photon transport alone can follow them."""
+
+    kind: Literal["layers"]
+    """Which water this is."""
+    layers: Annotated[tuple[WaterLayer, ...], Field(min_length=2, max_length=50)]
+    """The layers, the one at the instrument first."""
+
+    @model_validator(mode="after")
+    def _only_the_last_goes_on(self) -> Self:
+        missing = [layer.thickness is None for layer in self.layers]
+        if any(missing[:-1]) or not missing[-1]:
+            raise ValueError(
+                "every layer needs a thickness but the last one, which goes on"
+            )
+        return self
+
+
+def _kind(stated: Any) -> Any:
+    """Return the tag of a description; water without a kind has coefficients."""
+    if isinstance(stated, dict):
+        return stated.get("kind") or "coefficients"
+    return getattr(stated, "kind", None) or "coefficients"
+
+
+WaterStated = Annotated[
+    Annotated[Water, Tag("coefficients")]
+    | Annotated[JerlovWater, Tag("jerlov")]
+    | Annotated[PetzoldWater, Tag("petzold")]
+    | Annotated[PureWater, Tag("pure")]
+    | Annotated[Case1Water, Tag("case-1")]
+    | Annotated[MilkWater, Tag("milk")]
+    | Annotated[SphereWater, Tag("spheres")]
+    | Annotated[LayeredWater, Tag("layers")],
+    Discriminator(_kind),
+]

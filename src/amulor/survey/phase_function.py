@@ -1,0 +1,190 @@
+"""How a survey states a phase function: by name and parameters, or as a table."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from pathlib import Path
+from typing import Annotated, Any, Literal, Self
+
+from pydantic import Field, model_validator
+
+from amulor.errors import SurveyError
+from amulor.optics.phase_functions import mixture, models, tables
+from amulor.optics.phase_functions.phase_function import PhaseFunction
+from amulor.survey import table_file
+from amulor.survey.quantity import Angle, Description, Fraction
+
+_Asymmetry = Annotated[float, Field(ge=-0.9999, le=0.999999)]
+
+
+class HenyeyGreenstein(Description):
+    """The Henyey-Greenstein phase function."""
+
+    kind: Literal["henyey-greenstein"]
+    """Which phase function this is."""
+    asymmetry: _Asymmetry
+    """Mean cosine g of the scattering angle [1]."""
+
+
+class TwoTerm(Description):
+    """Two Henyey-Greenstein functions, a forward and mostly a backward one."""
+
+    kind: Literal["two-term"]
+    """Which phase function this is."""
+    forward_asymmetry: _Asymmetry
+    """Mean cosine of the first term [1]."""
+    backward_asymmetry: _Asymmetry
+    """Mean cosine of the second term, mostly negative [1]."""
+    forward_weight: Annotated[Fraction, Field(ge=0, le=1)]
+    """Share of the first term [1]."""
+
+
+class FournierForand(Description):
+    """The Fournier-Forand phase function of particles of the sea."""
+
+    kind: Literal["fournier-forand"]
+    """Which phase function this is."""
+    relative_index: Annotated[float, Field(gt=1, le=1.5)] | None = None
+    """Index of the particles over that of the water [1]."""
+    slope: Annotated[float, Field(gt=3, lt=5)] | None = None
+    """Slope of the size distribution [1]."""
+    backscatter_fraction: Annotated[Fraction, Field(ge=3e-4, le=0.2)] | None = None
+    """Backscattering over scattering, in place of index and slope; they then follow
+    from the line of Mobley et al. 2002 [1]."""
+
+    @model_validator(mode="after")
+    def _is_stated_once(self) -> Self:
+        pair = (self.relative_index is None, self.slope is None)
+        if any(pair) != all(pair) or all(pair) == (self.backscatter_fraction is None):
+            raise ValueError(
+                "a Fournier-Forand phase function needs relative_index and slope, or "
+                "backscatter_fraction in their place"
+            )
+        return self
+
+
+class Petzold(Description):
+    """A phase function of natural water that Petzold measured in 1972."""
+
+    kind: Literal["petzold"]
+    """Which phase function this is."""
+    station: Literal[
+        "average_particle",
+        "AUTEC 7",
+        "AUTEC 8",
+        "AUTEC 9",
+        "HAOCE 5",
+        "HAOCE 11",
+        "NUC 2200",
+        "NUC 2040",
+        "NUC 2240",
+    ]
+    """Where: clear ocean (AUTEC), coast (HAOCE), San Diego Harbor (NUC), or the average
+    particle of Mobley et al. 1993, without the water."""
+
+
+class Rayleigh(Description):
+    """The phase function of molecules: of water without particles."""
+
+    kind: Literal["rayleigh"]
+    """Which phase function this is."""
+    depolarization: Annotated[Fraction, Field(ge=0, le=1)] = 0.039
+    """Depolarization ratio at 90 degrees; 0.039 is that of water [1]."""
+
+
+class Tabulated(Description):
+    """Your own phase function or volume scattering function, as a table."""
+
+    kind: Literal["tabulated"]
+    """Which phase function this is."""
+    file: Path | None = None
+    """Table of two columns, angle in degrees up to 180 and value in 1/sr, with commas
+    or spaces between and # before notes, relative to the survey file. It is read with
+    the survey, which then holds it."""
+    angles: tuple[Angle, ...] | None = None
+    """Scattering angles, rising to 180 degrees, in place of a file."""
+    values: tuple[float, ...] | None = None
+    """Values at the angles; the scale does not matter [1/sr]."""
+
+    @model_validator(mode="after")
+    def _is_one_table(self) -> Self:
+        inline = (self.angles is None, self.values is None)
+        if any(inline) != all(inline) or all(inline) == (self.file is None):
+            raise ValueError(
+                "a tabulated phase function needs a file, or angles and values"
+            )
+        if self.angles is not None and self.values is not None:
+            if len(self.angles) != len(self.values):
+                raise ValueError(
+                    f"found {len(self.angles)} angles and {len(self.values)} values; "
+                    "there must be one value for each angle"
+                )
+            _table(self.angles, self.values)
+        return self
+
+    def settled(self, folder: Path, *, where: str) -> Self:
+        """Return the same with the table of its file inside."""
+        if self.file is None:
+            return self
+        columns = table_file.columns(folder / self.file, count=2, where=where)
+        angles = (f"{angle!r} deg" for angle in columns[0])
+        content: dict[str, Any] = {
+            "kind": self.kind,
+            "angles": tuple(angles),
+            "values": tuple(columns[1]),
+        }
+        return table_file.validated(type(self), content, where=where)
+
+
+PhaseFunctionStated = Annotated[
+    HenyeyGreenstein | TwoTerm | FournierForand | Petzold | Rayleigh | Tabulated,
+    Field(discriminator="kind"),
+]
+
+
+@lru_cache(maxsize=64)
+def phase_function(stated: PhaseFunctionStated) -> PhaseFunction:
+    """Return the phase function that a survey states, one object for one statement.
+
+    Parameters
+    ----------
+    stated : HenyeyGreenstein, TwoTerm, FournierForand, Petzold, Rayleigh or Tabulated
+        Part of a survey.
+
+    Returns
+    -------
+    PhaseFunction
+        Its transforms are kept with it, so it is the same object each time.
+
+    Raises
+    ------
+    SurveyError
+        If its file was not read yet.
+    """
+    match stated:
+        case HenyeyGreenstein():
+            return models.henyey_greenstein_function(asymmetry=stated.asymmetry)
+        case TwoTerm():
+            return models.two_term(
+                forward_asymmetry=stated.forward_asymmetry,
+                backward_asymmetry=stated.backward_asymmetry,
+                forward_weight=stated.forward_weight,
+            )
+        case FournierForand(backscatter_fraction=float(fraction)):
+            return mixture.fournier_forand_with_backscatter(fraction)
+        case FournierForand(relative_index=float(index), slope=float(slope)):
+            return models.fournier_forand(relative_index=index, slope=slope)
+        case Petzold():
+            return tables.petzold(stated.station)
+        case Rayleigh():
+            return models.rayleigh_phase(depolarization=stated.depolarization)
+        case Tabulated(angles=tuple(angles), values=tuple(values)):
+            return _table(angles, values)
+    raise SurveyError(
+        "phase_function.file: has not been read; make the survey with Survey.from_toml "
+        "or Survey.from_text, or state angles and values"
+    )
+
+
+def _table(angles: tuple[float, ...], values: tuple[float, ...]) -> PhaseFunction:
+    return tables.tabulated(angles, value=values, name="tabulated in the survey")

@@ -1,0 +1,338 @@
+"""Any water that a survey can name resolves to coefficients and a phase function."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from numpy.testing import assert_allclose
+
+from amulor import cube
+from amulor.errors import SurveyError
+from amulor.optics.phase_functions.models import (
+    fournier_forand,
+    henyey_greenstein_function,
+)
+from amulor.optics.water import case_1, seawater, types
+from amulor.studies.ladder import survey_text
+from amulor.survey import Survey, Water, water_properties
+from amulor.survey.properties import by_coefficients
+
+#: Waters without extras: text of the section, wavelength.
+WATERS = {
+    "coefficients": (
+        'absorption = "0.1 1/m"\nscattering = "0.4 1/m"\n'
+        '[water.phase_function]\nkind = "two-term"\nforward_asymmetry = 0.95\n'
+        "backward_asymmetry = -0.4\nforward_weight = 0.98",
+        "532 nm",
+    ),
+    "jerlov": ('type = "III"\nsource = "williamson-hollins-2022"', "490 nm"),
+    "petzold": ('station = "HAOCE 11"', "532 nm"),
+    "pure": ('salinity = 35\ntemperature = "10 degC"', "450 nm"),
+    "case-1": ('chlorophyll = "1 mg/m^3"', "490 nm"),
+    "layers": (
+        '[[water.layers]]\nthickness = "1 m"\nabsorption = "0.1 1/m"\n'
+        'scattering = "0.2 1/m"\nphase_function = {kind = "rayleigh"}\n'
+        '[[water.layers]]\nabsorption = "0.1 1/m"\nscattering = "0.5 1/m"\n'
+        'phase_function = {kind = "henyey-greenstein", asymmetry = 0.9}',
+        "405 nm",
+    ),
+}
+
+
+@pytest.fixture(scope="module")
+def with_water(plate_text: str):
+    """Return a function that puts another water into the plate's survey."""
+    before, _, rest = plate_text.partition("[water]")
+    after = rest[rest.index("[[targets]]") :]
+
+    def changed(text: str, wavelength: str = "405 nm", **options) -> Survey:
+        whole = f"{before}[water]\n{text}\n{after}".replace("405 nm", wavelength)
+        return Survey.from_text(whole, name="tank.toml", **options)
+
+    return changed
+
+
+def of_kind(kind: str) -> tuple[str, str]:
+    text, wavelength = WATERS[kind]
+    return f'kind = "{kind}"\n{text}', wavelength
+
+
+@pytest.mark.parametrize(
+    ("water", "digest"), [("clear", "60d5635d593ed"), ("milk", "b1fbcec8bf773")]
+)
+def test_text_and_digest_of_shipped_surveys_are_what_they_were(water, digest):
+    text = Survey.from_text(survey_text(water)).to_toml()
+    assert cube.digest(text).startswith(f"sha256:{digest}")
+
+
+@pytest.mark.parametrize("kind", WATERS)
+def test_each_water_survives_a_round_trip_and_a_change(with_water, kind):
+    survey = with_water(*of_kind(kind))
+    assert Survey.from_text(survey.to_toml()) == survey
+    changed = survey.with_({"water.column_end": 7.0})
+    assert changed.water.column_end == 7.0
+    assert type(changed.water) is type(survey.water)
+
+
+@pytest.mark.parametrize("kind", WATERS)
+def test_moments_are_those_of_the_phase_function(with_water, kind):
+    water = water_properties(with_water(*of_kind(kind)))
+    function = water.phase_function
+    # By a plain sum over angles, dense in the peak, of which a head may hold part.
+    angle = np.concatenate(
+        [np.geomspace(1e-12, 0.1, 40_000), np.linspace(0.1, np.pi / 2, 20_000)[1:]]
+    )
+    density = 2 * np.pi * function(angle) * np.sin(angle)
+    share = np.trapezoid(density, angle)
+    moment = np.trapezoid(density * angle**2, angle) / share
+    assert_allclose(water.forward_scattering, share * water.scattering, rtol=3e-3)
+    assert_allclose(water.second_moment, moment, rtol=3e-3)
+    assert water.backscatter_vsf == pytest.approx(function(np.pi) * water.scattering)
+    whole = water.forward_scattering + water.diffuse_scattering
+    assert whole == pytest.approx(water.scattering, rel=1e-12)
+
+
+def test_petzolds_coast_is_that_of_the_textbooks(with_water):
+    # C. D. Mobley, Light and Water (1994), table 3.10: a 0.179, b 0.219, b_b/b 0.0131.
+    water = water_properties(with_water(*of_kind("petzold")))
+    assert (water.absorption, water.scattering) == (0.179, 0.219)
+    assert water.phase_function.backscatter_fraction == pytest.approx(0.0131, abs=8e-4)
+
+
+def test_pure_sea_water_has_half_of_its_scattering_backwards(with_water):
+    water = water_properties(with_water(*of_kind("pure")))
+    state = {"temperature": 10.0, "salinity": 35.0}
+    assert water.scattering == pytest.approx(
+        float(seawater.molecular_scattering(450e-9, **state))
+    )
+    assert water.absorption == pytest.approx(
+        float(seawater.mason_absorption(450e-9, **state))
+    )
+    assert water.phase_function.backscatter_fraction == pytest.approx(0.5)
+    assert water.second_moment > 0.9  # rad^2: no forward peak at all
+
+
+def test_jerlov_water_keeps_its_coefficients_and_adds_molecules(with_water):
+    text, wavelength = of_kind("jerlov")
+    water = water_properties(with_water(text, wavelength))
+    table = types.jerlov("III", 490e-9, source="williamson-hollins-2022")
+    assert water.absorption == pytest.approx(float(table.absorption))
+    assert water.scattering == pytest.approx(float(table.scattering))
+    molecules = seawater.molecular_scattering(490e-9, temperature=20.0, salinity=0.0)
+    backwards = molecules / 2 + 0.0183 * (table.scattering - molecules)
+    # The average particle of Mobley et al. 1993 has b_b / b = 0.0183, 0.0181 by table.
+    found = water.phase_function.backscatter_fraction * water.scattering
+    assert found == pytest.approx(float(backwards), rel=0.02)
+    other = with_water(
+        f'{text}\nparticles = {{kind = "henyey-greenstein", asymmetry = 0.9}}',
+        wavelength,
+    )
+    g = water_properties(other).phase_function.asymmetry
+    assert g == pytest.approx(float(0.9 * (1 - molecules / table.scattering)))
+
+
+def test_case_1_water_is_the_sum_of_its_parts(with_water):
+    text, wavelength = of_kind("case-1")
+    water = water_properties(with_water(text, wavelength))
+    own = {"chlorophyll": 1.0}
+    state = {"temperature": 20.0, "salinity": 0.0}
+    particles = case_1.particle_absorption(490e-9, **own)
+    dissolved = 0.2 * case_1.particle_absorption(440e-9, **own) * np.exp(-0.014 * 50)
+    pure = seawater.mason_absorption(490e-9, **state)
+    assert water.absorption == pytest.approx(float(particles + dissolved + pure))
+    molecules = seawater.molecular_scattering(490e-9, **state)
+    back = case_1.particle_backscattering(490e-9, **own) + molecules / 2
+    found = water.phase_function.backscatter_fraction * water.scattering
+    assert found == pytest.approx(float(back), rel=1e-6)
+    clear = with_water(f'{text}\ncdom_absorption = "0 1/m"', wavelength)
+    assert water_properties(clear).absorption == pytest.approx(float(particles + pure))
+
+
+def test_milk_and_spheres_scatter_what_is_stirred_in(with_water):
+    pytest.importorskip("miepython")
+    pure = seawater.molecular_scattering(405e-9, temperature=20.0, salinity=0.0)
+    half, whole = (
+        water_properties(
+            with_water(f'kind = "milk"\nfat = "1.5 %"\nvolume_fraction = {share}')
+        )
+        for share in (2.5e-5, 5e-5)
+    )
+    assert whole.scattering - pure == pytest.approx(2 * (half.scattering - pure))
+    # 12.5 1/m for 1 ml in a litre, within a factor of 1.5, by another reading of the
+    # same model (types.milk).
+    assert 1 / 1.51 < (whole.scattering - pure) / (12.5 * 0.05) < 1.51
+    beads = with_water(
+        'kind = "spheres"\ndiameter = "1 um"\nparticle_index = 1.5979\n'
+        "volume_fraction = 5.236e-7\nrefractive_index = 1.3349",
+        "532 nm",
+    )
+    # 1e12 polystyrene spheres a cubic metre: b = 2.513 1/m and g = 0.926112 by the
+    # series (docstring of mie.size_distribution).
+    found = water_properties(beads)
+    rest = seawater.molecular_scattering(532e-9, temperature=20.0, salinity=0.0)
+    assert found.scattering - rest == pytest.approx(2.513, rel=1e-3)
+    assert found.phase_function.asymmetry * found.scattering == pytest.approx(
+        0.926112 * (found.scattering - rest), rel=1e-3
+    )
+
+
+def test_measured_milk_has_the_measured_reduced_scattering(with_water):
+    pytest.importorskip("miepython")
+    water = water_properties(
+        with_water(
+            'kind = "milk"\nfat = "3.5 %"\nvolume_fraction = 1e-4\n'
+            'scattering_source = "jensen-2001"',
+            "532 nm",
+        )
+    )
+    pure = seawater.molecular_scattering(532e-9, temperature=20.0, salinity=0.0)
+    reduced = water.scattering * (1 - water.phase_function.asymmetry) - pure
+    assert reduced == pytest.approx(3210 * 1e-4, rel=1e-6)
+
+
+@given(asymmetry=st.floats(0.5, 0.99))
+def test_a_named_phase_function_is_the_asymmetry(plate, asymmetry):
+    moments = dict.fromkeys(
+        ("forward_fraction", "second_moment", "phase_function_at_180")
+    )
+    plain = plate.water.model_dump(exclude_none=True)
+    stated = [
+        plate.with_({"water": {**plain, **moments, **how}})
+        for how in (
+            {"asymmetry": asymmetry},
+            {"phase_function": {"kind": "henyey-greenstein", "asymmetry": asymmetry}},
+        )
+    ]
+    one, other = map(water_properties, stated)
+    for name in ("forward_scattering", "second_moment", "backscatter_vsf"):
+        assert getattr(one, name) == pytest.approx(getattr(other, name), rel=1e-8)
+    assert one.phase_function(0.3) == pytest.approx(other.phase_function(0.3))
+
+
+def test_a_table_stands_for_the_function_that_it_was_made_of(with_water, tmp_path):
+    made = fournier_forand(relative_index=1.1, slope=3.5835)
+    angle = np.concatenate([np.geomspace(1e-3, 10, 300), np.linspace(10, 180, 300)[1:]])
+    rows = [f"{a!r}, {float(7 * made(np.radians(a)))!r}" for a in angle.tolist()]
+    (tmp_path / "mine.csv").write_text("# angle, value\n" + "\n".join(rows))
+    text = 'absorption = "0.1 1/m"\nscattering = "0.4 1/m"\n'
+    survey = with_water(
+        f'{text}phase_function = {{kind = "tabulated", file = "mine.csv"}}',
+        folder=tmp_path,
+    )
+    water = water_properties(survey)
+    fraction, moment = made.forward_split(np.pi / 2)
+    assert water.forward_scattering == pytest.approx(0.4 * fraction, rel=1e-3)
+    assert water.second_moment == pytest.approx(moment, rel=1e-2)
+    # The table travels with the survey: no file is needed any more.
+    (tmp_path / "mine.csv").unlink()
+    again = Survey.from_text(survey.to_toml())
+    assert again == survey
+    assert water_properties(again) == water
+
+
+@given(
+    factor=st.floats(0.2, 5.0),
+    kind=st.sampled_from([k for k in WATERS if k != "layers"]),
+)
+def test_water_by_its_coefficients_is_the_same_to_models_of_moments(
+    with_water, factor, kind
+):
+    survey = with_water(*of_kind(kind))
+    one = water_properties(survey)
+    other = water_properties(by_coefficients(survey, factor=factor))
+    assert isinstance(by_coefficients(survey).water, Water)
+    for name in ("absorption", "scattering", "forward_scattering", "backscatter_vsf"):
+        assert getattr(other, name) == pytest.approx(factor * getattr(one, name))
+    assert other.second_moment == pytest.approx(one.second_moment)
+    assert (other.refractive_index, other.group_index) == (
+        one.refractive_index,
+        one.group_index,
+    )
+
+
+def test_layers_are_counted_from_the_instrument(with_water):
+    water = water_properties(with_water(*of_kind("layers")))
+    assert [layer.thickness for layer in water.layers] == [1.0, np.inf]
+    assert [layer.scattering for layer in water.layers] == [0.2, 0.5]
+    assert water.scattering == 0.2
+    assert water.layers[1].phase_function(1.0) == pytest.approx(
+        float(henyey_greenstein_function(asymmetry=0.9)(1.0))
+    )
+
+
+REFUSED = [
+    ('kind = "lake"', "405 nm", "coefficients, jerlov, petzold, pure, case-1, milk"),
+    (
+        'kind = "jerlov"\ntype = "IV"\nsource = "solonenko-mobley-2015"',
+        "405 nm",
+        "'9C'",
+    ),
+    (
+        'kind = "jerlov"\ntype = "9C"\nsource = "williamson-hollins-2022"',
+        "405 nm",
+        "water_type must be one of",
+    ),
+    ('kind = "petzold"\nstation = "AUTEC 8"', "405 nm", "530 nm, not at 405 nm"),
+    ('kind = "case-1"\nchlorophyll = "1 mg"', "450 nm", r"mg/m\^3"),
+    ('kind = "case-1"\nchlorophyll = "100 mg/m^3"', "450 nm", "at most 30"),
+    ('kind = "pure"\nabsorption = "0.1 1/m"', "450 nm", "is no field"),
+    (
+        'kind = "milk"\nfat = "1.5 %"\nvolume_fraction = 1e-4\n'
+        'scattering_source = "jensen-2001"',
+        "450 nm",
+        "skim",
+    ),
+    ('kind = "spheres"\ndiameter = "1 um"\nparticle_index = 1.5', "450 nm", "not both"),
+    (
+        'absorption = "1 1/m"\nscattering = "1 1/m"\nasymmetry = 0.9\n'
+        'phase_function = {kind = "rayleigh"}',
+        "450 nm",
+        "stated twice",
+    ),
+    (
+        'absorption = "1 1/m"\nscattering = "1 1/m"\nphase_function = {kind = "gauss"}',
+        "450 nm",
+        "henyey-greenstein, two-term, fournier-forand, petzold, rayleigh, tabulated",
+    ),
+    (
+        'absorption = "1 1/m"\nscattering = "1 1/m"\n'
+        'phase_function = {kind = "fournier-forand", slope = 3.5}',
+        "450 nm",
+        "relative_index and slope",
+    ),
+    (
+        'absorption = "1 1/m"\nscattering = "1 1/m"\nphase_function = {kind = '
+        '"tabulated", angles = ["1 deg", "90 deg"], values = [1.0, 0.1]}',
+        "450 nm",
+        "end at pi rad",
+    ),
+    (
+        'absorption = "1 1/m"\nscattering = "1 1/m"\n'
+        'phase_function = {kind = "tabulated", file = "none.csv"}',
+        "450 nm",
+        "water.phase_function: .*none.csv cannot be read",
+    ),
+    (
+        'kind = "layers"\n[[water.layers]]\nabsorption = "1 1/m"\n'
+        'scattering = "1 1/m"\nphase_function = {kind = "rayleigh"}\n'
+        '[[water.layers]]\nabsorption = "1 1/m"\nscattering = "1 1/m"\n'
+        'phase_function = {kind = "rayleigh"}',
+        "450 nm",
+        "every layer needs a thickness",
+    ),
+]
+
+
+@pytest.mark.parametrize(("text", "wavelength", "words"), REFUSED)
+def test_water_that_cannot_be_is_refused_in_one_line(
+    with_water, tmp_path, text, wavelength, words
+):
+    import re
+
+    with pytest.raises(SurveyError) as caught:
+        water_properties(with_water(text, wavelength, folder=tmp_path))
+    lines = str(caught.value).splitlines()
+    assert any("water" in line and re.search(words, line) for line in lines), lines
+    assert len(lines) == 1
