@@ -130,7 +130,7 @@ def pixels_of(
         signal=np.where(usable, signal, 0.0),
         covariance=covariance,
         usable=usable,
-        interpolation=frame.interpolation(azimuth, elevation),
+        interpolation=frame.directions.interpolation(azimuth, elevation),
         offset=frame.optical_offset(azimuth, elevation).astype(float),
         shortest=shortest,
         longest=longest,

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from amulor.rejection.joint.frame import Frame
+from amulor.rejection.joint.integral import table_of
 from amulor.rejection.joint.model import foreground, water_at
 from amulor.rejection.joint.normal import Fitted, Normal, normal_equations
 from amulor.rejection.joint.pixels import Pixels, weight
@@ -141,7 +142,7 @@ def _followed(
     state = replace(
         state,
         shape=free_shape,
-        table=frame.table(free_shape, deepest=deepest),
+        table=table_of(frame, free_shape, deepest=deepest),
     )
     for number in range(_ROUNDS):
         scatter = problem.scatter(
@@ -229,7 +230,7 @@ class _Problem:
             shape = replace(shape, turn=np.zeros(2))
         return Shared(
             shape=shape,
-            table=self.frame.table(shape, deepest=self.deepest),
+            table=table_of(self.frame, shape, deepest=self.deepest),
             strength=strength,
             departure=np.zeros((channels, frequencies), dtype=complex),
             echo=np.zeros(frequencies, dtype=complex),
@@ -334,7 +335,7 @@ class _Problem:
             shape=shape,
             shot_change=shot_change,
             shot_departure=shot_departure,
-            table=self.frame.table(shape, deepest=self.deepest),
+            table=table_of(self.frame, shape, deepest=self.deepest),
             strength=np.maximum(state.strength + full[layout.strength], 0.0),
             departure=state.departure + water_step[0] + 1j * water_step[1],
             echo=state.echo + echo_step[0] + 1j * echo_step[1],

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from amulor.rejection.joint._kernels import start as kernels
 from amulor.rejection.joint.frame import Frame
+from amulor.rejection.joint.integral import table_of
 from amulor.rejection.joint.model import water_at
 from amulor.rejection.joint.pixels import (
     Pixels,
@@ -75,7 +76,7 @@ def start(
     nothing = np.zeros(0)
     for loss, spread in itertools.product(*_GRID):
         shape = Shape(float(loss), float(spread), _FORWARD, nothing, nothing)
-        table = frame.table(shape, deepest=deepest, derivatives=False)
+        table = table_of(frame, shape, deepest=deepest, derivatives=False)
         if shots is None:
             cost = np.empty(len(some))
             strength = np.zeros((len(some), channels))

@@ -9,6 +9,7 @@ from numpy.testing import assert_allclose
 from amulor.optics import small_angle_diffusion
 from amulor.rejection.covariance import Covariance
 from amulor.rejection.joint.frame import frame_of
+from amulor.rejection.joint.integral import table_of
 from amulor.rejection.joint.model import water_at
 from amulor.rejection.joint.pixels import Pixels
 from amulor.rejection.joint.shape import Shape
@@ -24,7 +25,7 @@ def test_the_table_is_the_water_signal_of_the_diffusion_model(
     frame = frame_of(samples, azimuth.ravel(), elevation.ravel())
     # So much scattering that no light goes straight.
     shape = Shape(0.255, 0.0357, 1e4, np.zeros(0), np.zeros(0))
-    table = frame.table(shape, deepest=3.0)
+    table = table_of(frame, shape, deepest=3.0)
     count = azimuth.size
     depth = np.linspace(0.3, 2.9, count)
     nothing = np.zeros((count, 1, frequency.size))
@@ -32,7 +33,9 @@ def test_the_table_is_the_water_signal_of_the_diffusion_model(
         signal=nothing.astype(complex),
         covariance=Covariance(nothing + 1.0, nothing + 1.0, nothing),
         usable=nothing == 0,
-        interpolation=frame.interpolation(azimuth.ravel(), elevation.ravel()),
+        interpolation=frame.directions.interpolation(
+            azimuth.ravel(), elevation.ravel()
+        ),
         offset=np.zeros(count),
         shortest=np.zeros(count),
         longest=np.full(count, 4.0),

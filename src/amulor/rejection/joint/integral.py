@@ -1,0 +1,150 @@
+"""Tables of the water signal against its end, for every direction of a scan."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.polynomial import legendre
+from numpy.typing import NDArray
+
+from amulor.errors import CubeError
+from amulor.rejection.joint._kernels import model as kernels
+from amulor.rejection.joint.frame import SMALLEST_STRENGTH, Frame, unseen
+from amulor.rejection.joint.shape import COEFFICIENTS, Shape, hats
+from amulor.rejection.joint.table import Table
+
+Floats = NDArray[np.float64]
+
+#: Nodes of depth within one period of the highest frequency, out and back.
+_NODES_PER_PERIOD = 20
+#: More would not be a scan but a mistake in the interval.
+_MOST_NODES = 6000
+#: Components of the dependence on the direction are left out below this [1].
+_SMALLEST_COMPONENT = 1e-5
+_ORDER = 4
+#: Length of a cell behind the last target, in periods of the highest frequency [1].
+_BEHIND = 0.3
+#: Fraction of the largest overlap that counts as zero [1].
+_NEGLIGIBLE = 1e-30
+#: Step of the logarithm of a coefficient for a derivative: what a one-sided one errs
+#: by and what rounding leaves of it are both far below what a step of the fit needs.
+_SMALL = 1e-5
+
+
+def table_of(
+    frame: Frame, shape: Shape, *, deepest: float, derivatives: bool = True
+) -> Table:
+    """Integrate the water signal up to every depth.
+
+    Parameters
+    ----------
+    frame : Frame
+        How the receiver looks at the scan.
+    shape : Shape
+        Shape of the water signal.
+    deepest : float
+        Depth beyond which no target stands [m].
+    derivatives : bool
+        Whether to add those with respect to the shape.
+
+    Returns
+    -------
+    Table
+        The last node stands for open water.
+
+    Notes
+    -----
+    (46) of Ricci et al. 2010, as rebuilt and conjugated, by Gauss's rule with
+    four points between neighbouring nodes.
+    """
+    period = 2 * np.pi / frame.phase_per_path.max() / (2 * frame.medium.group_index)
+    far = min(frame.nothing_left(shape), frame.end)
+    inner = min(deepest, far)
+    step = period / _NODES_PER_PERIOD
+    count = max(int(np.ceil(inner / step)), 8)
+    if count > _MOST_NODES:
+        raise CubeError(
+            f"the water signal reaches {inner:.3g} m, which is {count} steps of "
+            f"{step * 1e3:.2g} mm at the highest frequency; narrow the interval of "
+            "slant ranges, or leave the highest frequencies out"
+        )
+    edges = np.arange(count + 1) * step
+    if far > edges[-1]:
+        # Behind the last target only the sum counts: longer cells.
+        more = int(np.ceil((far - edges[-1]) / (_BEHIND * period)))
+        edges = np.append(edges, np.linspace(edges[-1], far, more + 1)[1:])
+    point, weight = legendre.leggauss(_ORDER)
+    width = np.diff(edges)
+    middle = 0.5 * (edges[1:] + edges[:-1])
+    z = (middle[:, None] + 0.5 * width[:, None] * point).ravel()
+    measure = (0.5 * width[:, None] * weight).ravel()
+    profile = _profiles(frame, z, shape, derivatives=derivatives)
+    at_edge = _profiles(frame, edges, shape, derivatives=False)[0]
+    component = _components(profile[0], profile[1:])
+    # Phase per depth, out and back: 4 pi f n_g / c_0, as in optics.
+    wavenumber = 2 * frame.medium.group_index * frame.phase_per_path
+    phasor = np.exp(1j * wavenumber * z[:, None])
+    parameters, size = len(profile), component.shape[1]
+    total = np.empty((parameters, size, count + 2, wavenumber.size), dtype=complex)
+    reduced = np.ascontiguousarray(component.T @ profile * measure)
+    kernels.integrate(reduced, phasor, _ORDER, count, total)
+    slope = np.zeros_like(total[0])
+    slope[:, : count + 1] = (component.T @ at_edge)[:, : count + 1, None] * np.exp(
+        1j * wavenumber * edges[: count + 1, None]
+    )
+    # Strength: open water at frequency 0 in the middle of the scan.
+    at_zero = (frame.directions.centre @ profile) @ measure
+    strength = float(at_zero[0])
+    if strength < SMALLEST_STRENGTH:
+        raise unseen()
+    change = total[1:] / strength - (
+        total[0] * (at_zero[1:] / strength**2)[:, None, None, None]
+    )
+    level = component.T @ (profile[0] @ measure) / strength
+    return Table(
+        step=step,
+        value=total[0] / strength,
+        slope=slope / strength,
+        change=change,
+        basis=component,
+        level=level,
+        strength=strength,
+    )
+
+
+def _profiles(
+    frame: Frame, depth: Floats, shape: Shape, *, derivatives: bool
+) -> Floats:
+    """Return the overlap and its derivatives, (parameter, direction, depth)."""
+    hat = hats(depth, shape.knots)
+    factor = np.exp(shape.correction @ hat)
+
+    def light(of: Shape) -> Floats:
+        overlap: Floats = frame.overlap(depth, of) * factor
+        # Subnormal numbers make every product below slow.
+        overlap[overlap < _NEGLIGIBLE * overlap.max()] = 0.0
+        return overlap
+
+    base = light(shape)
+    if not derivatives:
+        return base[None]
+    changes = [-2 * shape.reduced_attenuation * depth * base]
+    for parameter in range(1, COEFFICIENTS + len(shape.turn)):
+        step = np.zeros(shape.size)
+        step[parameter] = _SMALL
+        changes.append((light(shape.moved(step)) - base) / _SMALL)
+    return np.stack([base, *changes, *(base * row for row in hat)])
+
+
+def _components(light: Floats, derivatives: Floats) -> Floats:
+    """Return the directions in the space of the nodes that the profiles fill."""
+    blocks = [light, *derivatives]
+    gram = np.zeros((light.shape[0], light.shape[0]))
+    for block in blocks:
+        size = np.max(np.abs(block))
+        if size > 0:
+            part = block[:, ::_ORDER] / size
+            gram += part @ part.T
+    values, vectors = np.linalg.eigh(gram)
+    kept = values > _SMALLEST_COMPONENT**2 * values[-1]
+    components: Floats = np.ascontiguousarray(vectors[:, kept])
+    return components
