@@ -140,20 +140,6 @@ def test_three_rows_of_shots_on_a_tall_scan_state_what_they_cannot_know(
         assert row.score.phantoms < 0.01, row
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("scene", ["tall", "wide"])
-def test_joint_estimation_knows_how_the_water_changes_over_a_large_scan(
-    scene: str,
-) -> None:
-    # It refused 9 x 19 and 19 x 4 degrees.
-    for row in run([scene], ["joint", "joint, no shots"], [2, 4]):
-        assert row.score.trusted > 0.99, row
-        # 384 pixels: 68 and 95 % are known to 2.4 and 1.1 points by chance.
-        assert 0.61 < row.score.inside_68 < 0.76, row
-        assert row.score.inside_95 > 0.917, row
-        assert not row.score.phantoms > 0, row
-
-
 def test_survey_check_asks_for_denser_shots_where_the_scan_is_tall(
     tmp_path: Path, capsys
 ) -> None:

@@ -45,7 +45,7 @@ def is_detected(estimates: Estimates) -> NDArray[np.bool_]:
     ndarray of bool
         True where a target explains the samples better by `DETECTION`.
     """
-    better = estimates.empty_cost - estimates.cost >= DETECTION
+    better = estimates.explained >= DETECTION
     is_positive = (estimates.amplitude > 0).any(axis=1)
     return np.asarray(np.isfinite(estimates.path) & better & is_positive)
 

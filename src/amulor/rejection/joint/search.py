@@ -37,6 +37,8 @@ class Estimates:
     """Sum of squared errors in units of their standard deviation [1]."""
     empty_cost: Floats
     """The same for open water without a target [1]."""
+    explained: Floats
+    """How much less `cost` is with a target, for one covariance of the samples [1]."""
     information: Floats
     """Inverse variance of the path with the water signal known [1/m^2]."""
     lower: Floats
@@ -45,8 +47,14 @@ class Estimates:
     """How far it may be longer [m]."""
     wrong: Floats
     """Probability that the path lies in another ambiguity interval [1]."""
+    outlying: Floats
+    """How much `cost` falls without the sample that disagrees most [1]."""
+    next_outlying: Floats
+    """How much it falls without the one that disagrees most but for that one [1]."""
     used: NDArray[np.intp]
     """Number of outputs that count, two for each sample."""
+    which: NDArray[np.intp]
+    """Sample that disagrees most, channel times frequencies plus frequency."""
     influence: Complex
     """Shift of the path per unit of in-phase + 1j * quadrature, as the real part of
     the product with its conjugate, (pixel, channel, frequency) [m/V]."""
@@ -60,6 +68,8 @@ def estimate(
     gain: Complex,
     transfer: Complex,
     phase_per_path: Floats,
+    fluctuation: float = 0.0,
+    front: Complex | None = None,
     known: Floats | None = None,
 ) -> Estimates:
     """Return the most likely path of each pixel for a given water signal.
@@ -69,7 +79,7 @@ def estimate(
     pixels : Pixels
         Samples.
     weights : ndarray
-        Their inverse covariance, from `weight`.
+        Their inverse covariance without the fluctuation, from `weight`.
     table : Table
         Water signal against its end.
     gain : ndarray of complex, shape (channel, frequency)
@@ -78,6 +88,11 @@ def estimate(
         What the echo of the target has beyond its delay [1].
     phase_per_path : ndarray, shape (frequency,)
         2 pi f / c_0 [rad/m].
+    fluctuation : float, optional
+        Relative random change of the water signal from sample to sample [1].
+    front : ndarray of complex, shape (channel, frequency), optional
+        Light from in front of all targets in the middle of the scan, which was taken
+        off the samples and fluctuates as well [V].
     known : ndarray, optional
         Paths to start from instead of looking for the highest likelihood anywhere;
         leaves the limits of the profile and other intervals alone [m].
@@ -93,6 +108,7 @@ def estimate(
     out = bundles.Solutions(
         **{name: np.empty(count) for name in _SCALARS},
         used=np.empty(count, dtype=np.intp),
+        which=np.empty(count, dtype=np.intp),
         amplitude=np.empty((count, channels)),
         influence=np.empty((count, channels, 2, frequencies)),
     )
@@ -101,7 +117,14 @@ def estimate(
         count,
         samples(pixels, weights),
         places(pixels, table),
-        bundles.Model(table.arrays, echo, to_pairs(gain)),
+        bundles.Model(
+            table.arrays,
+            echo,
+            to_pairs(gain),
+            fluctuation,
+            to_pairs(np.zeros_like(gain) if front is None else front),
+            table.level,
+        ),
         phasors(path, echo),
         np.full(count, np.nan) if known is None else known,
         out,
@@ -111,7 +134,8 @@ def estimate(
 
 #: Numbers that every pixel has one of.
 _SCALARS = (
-    "path", "cost", "empty_cost", "information", "lower", "upper", "wrong",
+    "path", "cost", "empty_cost", "explained", "information", "lower", "upper",
+    "wrong", "outlying", "next_outlying",
 )  # fmt: skip
 
 

@@ -351,15 +351,13 @@ class _Problem:
                 strength=state.foreground,
                 phase_per_path=self.frame.phase_per_path,
             ),
-            weight(
-                self.targets,
-                self.deviation(state, self.targets, paths),
-                state.noise_scale,
-            ),
+            weight(self.targets, None, state.noise_scale),
             state.table,
             gain=state.gain,
             transfer=self.transfer * (1 + state.echo),
             phase_per_path=self.frame.phase_per_path,
+            fluctuation=state.fluctuation,
+            front=state.foreground,
             known=start,
         )
 

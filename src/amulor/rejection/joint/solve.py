@@ -108,23 +108,19 @@ def solve(frame: Frame, pixels: Pixels, shared: Shared, transfer: Complex) -> Re
 def _estimates(
     frame: Frame, pixels: Pixels, shared: Shared, transfer: Complex
 ) -> Estimates:
-    """Return paths and amplitudes; the water fluctuates as it does without a target."""
+    """Return paths and amplitudes of pixels."""
     rate = frame.phase_per_path
-    deviation = None
-    if shared.fluctuation > 0:
-        open_path = np.full(len(pixels), np.inf)
-        _, water, _ = joint_model.water_at(pixels, open_path, shared.table, rate)
-        foreground = joint_model.foreground(pixels, shared.table, rate)
-        deviation = shared.fluctuation * shared.water_signal(water, foreground)
     return joint_search.estimate(
         joint_search.without_foreground(
             pixels, shared.table, strength=shared.foreground, phase_per_path=rate
         ),
-        joint_pixels.weight(pixels, deviation, shared.noise_scale),
+        joint_pixels.weight(pixels, None, shared.noise_scale),
         shared.table,
         gain=shared.gain,
         transfer=transfer * (1 + shared.echo),
         phase_per_path=rate,
+        fluctuation=shared.fluctuation,
+        front=shared.foreground,
     )
 
 

@@ -46,7 +46,7 @@ def named(name: str, bundle: tuple[np.ndarray, ...]) -> Results:
     return {f"{name} {field}": getattr(bundle, field) for field in fields}
 
 
-def searched() -> Results:
+def searched(fluctuation: float) -> Results:
     """Return what the search, its start and the water signal of some pixels are."""
     rng = np.random.default_rng(5)
     rate = 2 * np.pi * np.linspace(20e6, 140e6, FREQUENCIES) / 3e8
@@ -78,12 +78,14 @@ def searched() -> Results:
     solutions = Solutions(
         **{
             name: np.empty(
-                shape.get(name, PIXELS), dtype=np.intp if name == "used" else float
+                shape.get(name, PIXELS),
+                dtype=np.intp if name in ("used", "which") else float,
             )
             for name in Solutions._fields
         }
     )
-    model = Model(table, echo, gain)
+    front = 0.2 * rng.standard_normal((CHANNELS, 2, FREQUENCIES))
+    model = Model(table, echo, gain, fluctuation, front, rng.random(COMPONENTS))
     estimate(0, PIXELS, samples, places, model, grid, known, solutions)
     cost, strength = np.empty(PIXELS), np.empty((PIXELS, CHANNELS))
     starting_costs(samples, places, table, echo, grid, cost, strength)
@@ -93,7 +95,7 @@ def searched() -> Results:
     phasor = np.empty((PIXELS, 2, FREQUENCIES))
     fill_phasors(np.linspace(2, 8, PIXELS), echo, phasor)
     return (
-        named("search", solutions)
+        named(f"search, fluctuation {fluctuation}", solutions)
         | named("water", signals)
         | {"start, cost": cost, "start, strength": strength, "phasors": phasor}
     )
@@ -169,11 +171,11 @@ def test_all_compiled_loops_give_what_they_give_uncompiled(tmp_path: Path) -> No
         check=True,
         timeout=120,
     )
-    compiled = searched() | summed()
+    compiled = searched(0.0) | searched(0.3) | summed()
     with np.load(file) as plain:
         assert set(plain) == {*compiled, "is_compiled"}
         assert not plain["is_compiled"]
-        assert np.isfinite(plain["search path"]).sum() >= 4
+        assert np.isfinite(plain["search, fluctuation 0.3 path"]).sum() >= 4
         for name, values in compiled.items():
             # Sums in another order, which a search magnifies by some powers of ten.
             assert_allclose(values, plain[name], rtol=1e-7, atol=1e-9, err_msg=name)
@@ -181,4 +183,8 @@ def test_all_compiled_loops_give_what_they_give_uncompiled(tmp_path: Path) -> No
 
 if __name__ == "__main__":
     is_compiled = hasattr(estimate, "py_func")
-    np.savez(sys.argv[1], is_compiled=is_compiled, **searched(), **summed())
+    np.savez(
+        sys.argv[1],
+        is_compiled=is_compiled,
+        **(searched(0.0) | searched(0.3) | summed()),
+    )

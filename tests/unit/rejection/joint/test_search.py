@@ -25,14 +25,22 @@ def _solve(
     *,
     shortest: float = 2.0,
     longest: float = 8.0,
+    open_water: np.ndarray | None = None,
+    fluctuation: float = 0.0,
+    missing: tuple[int, ...] = (),
 ) -> Estimates:
-    """Return the estimate behind a water signal that does not depend on its end."""
+    """Return the estimate behind a water signal that does not depend on its end.
+
+    Unless open water is another one. Some frequencies may be missing.
+    """
     variance = np.broadcast_to(sigma**2, signal.shape).copy()
     count = len(signal)
     pixels = Pixels(
         signal=signal,
         covariance=Covariance(variance, variance, np.zeros_like(variance)),
-        usable=np.ones(signal.shape, dtype=bool),
+        usable=np.broadcast_to(
+            ~np.isin(np.arange(frequency.size), missing), signal.shape
+        ),
         interpolation=np.ones((count, 1)),
         offset=np.zeros(count),
         shortest=np.full(count, shortest),
@@ -40,6 +48,9 @@ def _solve(
         depths=np.broadcast_to(np.linspace(1, 3, 33), (count, 33)).copy(),
     )
     value = np.broadcast_to(water, (1, 4, frequency.size)).astype(complex)
+    value = value.copy()
+    if open_water is not None:
+        value[:, -1] = open_water
     table = Table(
         step=1.0,
         value=np.ascontiguousarray(value),
@@ -56,6 +67,7 @@ def _solve(
         gain=np.ones((1, frequency.size), dtype=complex),
         transfer=np.ones(frequency.size, dtype=complex),
         phase_per_path=2 * np.pi * frequency / speed_of_light,
+        fluctuation=fluctuation,
     )
 
 
@@ -160,3 +172,58 @@ def test_the_interval_ends_where_the_misfit_has_risen_by_one(
     assert rise(best) == pytest.approx(0.0, abs=1e-4)
     assert rise(best + 0.3 * sigma) > 0
     assert rise(best - 0.3 * sigma) > 0
+
+
+@settings(max_examples=25)
+@given(paths, seeds, st.integers(0, 5), st.floats(2.0, 30.0))
+def test_a_sample_that_disagrees_is_named_with_what_it_costs(
+    path: float, seed: int, spoiled: int, size: float
+) -> None:
+    signal, sigma, water = _draw(path, 1.0, seed)
+    turn = np.exp(2j * np.pi * np.random.default_rng(seed).random())
+    signal[0, 0, spoiled] += size * sigma * turn
+    # Near the truth, where the model is linear in the path.
+    near = {"shortest": path - 0.5, "longest": path + 0.5}
+    found = _solve(signal, sigma, water, FREQUENCIES, **near)
+    without = [
+        found.cost[0]
+        - _solve(signal, sigma, water, FREQUENCIES, missing=(k,), **near).cost[0]
+        for k in range(6)
+    ]
+    # Second derivatives of the echo: the path moves by 0.05 rad at most.
+    assert found.outlying[0] == pytest.approx(max(without), rel=0.05, abs=0.05)
+    assert found.next_outlying[0] == pytest.approx(
+        sorted(without)[-2], rel=0.1, abs=0.1
+    )
+    best = int(np.argmax(without))
+    if max(without) > 1.2 * sorted(without)[-2] + 0.2:
+        assert found.which[0] == best
+    if size > 15:
+        # 15 standard errors stand out of all that noise of 1 makes of them.
+        assert found.which[0] == spoiled
+
+
+@settings(max_examples=25)
+@given(paths, seeds, st.floats(0.005, 0.1))
+def test_samples_weigh_as_the_water_before_the_target_fluctuates(
+    path: float, seed: int, fluctuation: float
+) -> None:
+    signal, sigma, water = _draw(path, 1.0, seed)
+    # Open water is a thousandth of it, as behind its cut-off.
+    found = _solve(
+        signal, sigma, water, FREQUENCIES, open_water=1e-3 * water,
+        fluctuation=fluctuation,
+    )  # fmt: skip
+    wavenumber = 2 * np.pi * FREQUENCIES / speed_of_light
+    echo = np.exp(1j * wavenumber * found.path[0])
+    information = np.zeros((2, 2))
+    for k in range(6):
+        change = fluctuation * np.array([water[k].real, water[k].imag])
+        covariance = sigma**2 * np.eye(2) + np.outer(change, change)
+        slopes = np.array(
+            [echo[k], 1j * wavenumber[k] * found.amplitude[0, 0] * echo[k]]
+        )
+        jacobian = np.stack([slopes.real, slopes.imag])
+        information += jacobian.T @ np.linalg.solve(covariance, jacobian)
+    exact = 1 / np.linalg.inv(information)[1, 1]
+    assert_allclose(found.information[0], exact, rtol=1e-3)

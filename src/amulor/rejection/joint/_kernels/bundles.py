@@ -49,6 +49,13 @@ class Model(NamedTuple):
     """Echo of amplitude 1."""
     gain: Array
     """Strength s of the water signal, (channel, 2, frequency) [V]."""
+    fluctuation: float
+    """Relative random change of the water signal from sample to sample [1]."""
+    front: Array
+    """Light from in front of all targets in the middle of the scan, (channel, 2,
+    frequency) [V]."""
+    level: Array
+    """Open water at frequency 0, by component; 1 in the middle of the scan [1]."""
 
 
 class Samples(NamedTuple):
@@ -116,6 +123,8 @@ class Workspace(NamedTuple):
     """Best amplitude of the target, (channel,) [V]."""
     influence: Array
     """Shift of the path per unit of each output, (channel, 2, frequency)."""
+    weight: Array
+    """Inverse covariance with the water's fluctuation, (channel, 3, frequency)."""
 
 
 class Grid(NamedTuple):
@@ -147,11 +156,15 @@ class Solutions(NamedTuple):
     amplitude: Array
     cost: Array
     empty_cost: Array
+    explained: Array
     information: Array
     lower: Array
     upper: Array
     wrong: Array
+    outlying: Array
+    next_outlying: Array
     used: Array
+    which: Array
     influence: Array
     """Pairs (real, imaginary) on the axis before the last."""
 

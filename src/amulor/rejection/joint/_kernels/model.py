@@ -154,6 +154,7 @@ def workspace_of(channels: int, frequencies: int) -> Workspace:
         np.empty((2, frequencies)),
         np.empty(channels),
         np.empty((channels, 2, frequencies)),
+        np.empty((channels, 3, frequencies)),
     )
 
 

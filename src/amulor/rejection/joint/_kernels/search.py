@@ -35,6 +35,8 @@ from amulor.rejection.joint._kernels.model import (
     workspace_of,
 )
 from amulor.rejection.joint._kernels.options import LANES, inner
+from amulor.rejection.joint._kernels.outlying import most_outlying
+from amulor.rejection.joint._kernels.weights import fill_weights
 
 #: Local minima of the coarse likelihood that are looked at closely.
 CANDIDATES = 6
@@ -268,6 +270,9 @@ def _fill_nothing(n: int, solutions: Solutions) -> None:
     solutions.information[n] = 0.0
     solutions.lower[n], solutions.upper[n] = np.nan, np.nan
     solutions.wrong[n] = 1.0
+    solutions.explained[n] = 0.0
+    solutions.outlying[n], solutions.next_outlying[n] = 0.0, 0.0
+    solutions.which[n] = 0
     solutions.amplitude[n] = 0
     solutions.influence[n] = 0
 
@@ -281,7 +286,7 @@ def _fill_model(
     work: Workspace,
     solutions: Solutions,
 ) -> bool:
-    """Fill in information, amplitudes and influence at the path of a pixel.
+    """Fill in information, amplitudes, influence and outlying sample of a pixel.
 
     Return false, and fill in nothing, where the last step has led to a path at which no
     sample depends on the path any more.
@@ -297,6 +302,9 @@ def _fill_model(
         for f in range(influence.shape[2]):
             influence[c, 0, f] = work.influence[c, 0, f] / information
             influence[c, 1, f] = work.influence[c, 1, f] / information
+    most, second, which = most_outlying(rate, information, pixel, model, work)
+    solutions.outlying[n], solutions.next_outlying[n] = most, second
+    solutions.which[n] = which
     return True
 
 
@@ -304,17 +312,27 @@ def _fill_model(
 def _estimate_one(
     n: int,
     known: float,
-    pixel: Pixel,
+    stated: Pixel,
     model: Model,
     grid: Grid,
     work: Workspace,
     candidates: Candidates,
     solutions: Solutions,
 ) -> None:
-    """Fill in the most likely path of one pixel: start, refine, profile."""
+    """Fill in the most likely path of one pixel: start, refine, profile.
+
+    The search takes the fluctuation of open water, or of water up to the path that is
+    known; the result that of water up to the path that was found.
+    """
     spacing = grid.path[1] - grid.path[0]
     candidates.level[:] = np.inf
     candidates.cost[:] = np.inf
+    pixel = stated
+    if model.fluctuation > 0:
+        fill_weights(known if known > 0 else np.inf, stated, model, work)
+        pixel = Pixel(
+            stated.signal, work.weight, stated.coefficient, stated.turn, stated.limits
+        )
     empty = _empty_misfit(pixel, model, work)
     solutions.empty_cost[n] = empty
     solutions.used[n] = _outputs(pixel.weight)
@@ -330,8 +348,15 @@ def _estimate_one(
     if not information > 0:
         _fill_nothing(n, solutions)
         return
-    solutions.path[n], solutions.cost[n] = path, cost
+    solutions.explained[n] = empty - cost
     solutions.wrong[n] = _wrong(count, path, cost, candidates)
+    if model.fluctuation > 0 and not is_known:
+        fill_weights(path, stated, model, work)
+        path, cost, information = refine(path, spacing, pixel, model, work)
+        if not information > 0:
+            _fill_nothing(n, solutions)
+            return
+    solutions.path[n], solutions.cost[n] = path, cost
     sigma = 1 / math.sqrt(information)
     solutions.lower[n], solutions.upper[n] = sigma, sigma
     if not is_known:
