@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from amulor.errors import SurveyError
 from amulor.optics import rays
 from amulor.simulation.scene import Hits, Scene, aperture_points
-from amulor.survey import Survey, WaterProperties
+from amulor.survey import Survey, WaterProperties, surface
 from amulor.survey.directions import Floats, scan_directions
 from amulor.survey.view import View, medium, view
 
@@ -38,6 +38,9 @@ class Geometry:
     cosine: Floats
     """Cosine of the surface's normal to the receiver, times the part of the aperture
     that sees it [1]."""
+    brightness: Floats
+    """What the surface sends towards the receiver, over that of Lambert's law with the
+    target's reflectance: BRDF and texture [1]."""
 
 
 def trace(survey: Survey, water: WaterProperties) -> Geometry:
@@ -103,7 +106,41 @@ def trace(survey: Survey, water: WaterProperties) -> Geometry:
         depth=hits.distance.reshape(shape),
         optical_path=path.reshape(shape),
         cosine=(cosine * fraction).reshape(shape),
+        brightness=_brightness(survey, scene, hits, beam, receiver).reshape(shape),
     )
+
+
+def _brightness(
+    survey: Survey, scene: Scene, hits: Hits, beam: rays.Beam, receiver: Floats
+) -> Floats:
+    """Return what surfaces send to the receiver over that of Lambert's law."""
+    bright = scene.texture(hits)
+    ray = -beam.direction.reshape(-1, 3)
+    for number, target in enumerate(survey.targets):
+        own = np.flatnonzero(hits.target == number)
+        if target.surface is None or not own.size:
+            continue
+        normal, point = hits.normal[own], hits.point[own]
+        way = receiver - point
+        way = way / np.linalg.norm(way, axis=1, keepdims=True)
+        slopes = [np.sum(side * normal, axis=1) for side in (ray[own], way)]
+        flat = [
+            side - slope[:, None] * normal
+            for side, slope in zip((ray[own], way), slopes, strict=True)
+        ]
+        length = np.linalg.norm(flat[0], axis=1) * np.linalg.norm(flat[1], axis=1)
+        # At right angles to the surface there is no azimuth; any will do.
+        turn = np.sum(flat[0] * flat[1], axis=1) / np.where(length > 0, length, 1.0)
+        angles = [np.arccos(np.clip(slope, 0.0, 1.0)) for slope in slopes]
+        # The receiver behind the surface sees nothing of it, whatever its BRDF.
+        bright[own] *= surface.brightness(
+            target.surface,
+            reflectance=target.reflectance,
+            incidence=angles[0],
+            leaving=angles[1],
+            azimuth=np.arccos(np.clip(np.where(length > 0, turn, 1.0), -1.0, 1.0)),
+        )
+    return bright
 
 
 def _refuse_targets_behind_the_water(survey: Survey, hits: Hits) -> None:

@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from amulor.errors import MissingExtraError, SurveyError
+from amulor.errors import MissingExtraError
+from amulor.simulation.texture import Texture, barycentric, load, solid, trimesh_module
 from amulor.survey import Disc, Mesh, Plate, Staircase
 
 #: The ray caster works in single precision; a shadow ray starts this far off [m].
@@ -29,6 +30,8 @@ class Hits:
     """Where it is met, last axis (3,) [m]."""
     normal: NDArray[np.float64]
     """Unit normal of the surface, towards the start of the ray, last axis (3,) [1]."""
+    triangle: NDArray[np.intp]
+    """Number of the triangle of the scene, -1 for none."""
 
 
 class Scene:
@@ -42,6 +45,8 @@ class Scene:
 
     def __init__(self, targets: tuple[Plate | Staircase | Disc | Mesh, ...]) -> None:
         pieces = [triangles(target) for target in targets]
+        self._targets = targets
+        self._first = np.concatenate([[0], np.cumsum([len(p) for p in pieces])])
         self._corners = (
             np.concatenate(pieces) if pieces else np.empty((0, 3, 3), dtype=float)
         )
@@ -63,6 +68,7 @@ class Scene:
         """
         count = len(start)
         target = np.full(count, -1)
+        met = np.full(count, -1)
         distance = np.full(count, np.inf)
         point = np.full((count, 3), np.nan)
         normal = np.full((count, 3), np.nan)
@@ -83,7 +89,42 @@ class Scene:
             point[where] = start[where] + distance[where, None] * ray
             normal[where] = -across * np.sign(slope)[:, None]
             target[where] = self._owner[triangle[hit]]
-        return Hits(target=target, distance=distance, point=point, normal=normal)
+            met[where] = triangle[hit]
+        return Hits(
+            target=target,
+            distance=distance,
+            point=point,
+            normal=normal,
+            triangle=met,
+        )
+
+    def texture(self, hits: Hits) -> NDArray[np.float64]:
+        """Return how bright the texture of a mesh is at each point that was met.
+
+        Parameters
+        ----------
+        hits : Hits
+            Points on the scene.
+
+        Returns
+        -------
+        ndarray, shape (n,)
+            From 0 to 1, and 1 where there is no texture [1].
+
+        Raises
+        ------
+        SurveyError
+            If a mesh file has no such texture.
+        """
+        bright = np.ones(len(hits.target))
+        for number, target in enumerate(self._targets):
+            own = np.flatnonzero(hits.target == number)
+            if not isinstance(target, Mesh) or target.texture is None or not own.size:
+                continue
+            which = hits.triangle[own]
+            share = barycentric(self._corners[which], hits.point[own])
+            bright[own] = Texture(target)(which - self._first[number], share)
+        return bright
 
     def visible_fraction(
         self, hits: Hits, aperture: NDArray[Any], weight: NDArray[Any]
@@ -268,31 +309,15 @@ def _circle(x: float, y: float, radius: float, spacing: float) -> NDArray[np.flo
 
 
 def _mesh(target: Mesh) -> NDArray[np.float64]:
-    trimesh = _trimesh()
-    try:
-        loaded = trimesh.load(target.file, force="mesh")
-        corners = np.asarray(loaded.triangles, dtype=float)
-    # Readers of four formats raise errors of many kinds on a damaged file.
-    except Exception:
-        raise SurveyError(
-            f"{target.file}: cannot be read as a mesh; it is damaged, or no STL, PLY, "
-            "OBJ or GLB file"
-        ) from None
-    if len(corners) == 0 or not np.all(np.isfinite(corners)):
-        raise SurveyError(
-            f"{target.file}: holds no triangles with finite corners; export the "
-            "surface as a triangle mesh"
-        )
-    area = np.linalg.norm(
-        np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1
-    )
+    loaded = load(target)
+    corners = np.asarray(loaded.triangles, dtype=float)
     metres = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "inch": 0.0254}[target.unit]
-    kept: NDArray[np.float64] = corners[area > 0] * metres
+    kept: NDArray[np.float64] = corners[solid(corners)] * metres
     return kept
 
 
 def _ray_caster(corners: NDArray[np.float64]) -> Any:
-    trimesh = _trimesh()
+    trimesh = trimesh_module()
     try:
         from trimesh.ray.ray_pyembree import RayMeshIntersector
     except ImportError:
@@ -305,13 +330,3 @@ def _ray_caster(corners: NDArray[np.float64]) -> Any:
         process=False,
     )
     return RayMeshIntersector(mesh, scale_to_box=False)
-
-
-def _trimesh() -> Any:
-    try:
-        import trimesh
-    except ImportError:
-        raise MissingExtraError(
-            "trimesh", extra="scene", purpose="a scene with targets"
-        ) from None
-    return trimesh

@@ -77,7 +77,7 @@ def target_light(
             "cosine": geometry.cosine,
         },
     )
-    return _light(response * fraction)
+    return _light(response * (fraction * geometry.brightness))
 
 
 def water_light(

@@ -29,6 +29,7 @@ from amulor.survey.phase_function import (
 )
 from amulor.survey.properties import WaterProperties, water_properties
 from amulor.survey.scan import OpenWater, Scan
+from amulor.survey.surface import Lambertian, OrenNayar, TabulatedSurface
 from amulor.survey.survey import Survey, json_schema
 from amulor.survey.target import Disc, Mesh, Plate, Staircase
 from amulor.survey.water import Water
@@ -43,11 +44,13 @@ __all__ = [
     "HenyeyGreenstein",
     "Instrument",
     "JerlovWater",
+    "Lambertian",
     "LayeredWater",
     "LockIn",
     "Mesh",
     "MilkWater",
     "OpenWater",
+    "OrenNayar",
     "Petzold",
     "PetzoldWater",
     "Plate",
@@ -59,6 +62,7 @@ __all__ = [
     "Staircase",
     "Survey",
     "Tabulated",
+    "TabulatedSurface",
     "TwoTerm",
     "Water",
     "WaterLayer",

@@ -1,17 +1,30 @@
-"""How a survey states a Mueller matrix: three diagonal numbers or all sixteen."""
+"""How a survey states a Mueller matrix: three diagonal numbers, all sixteen, a name."""
 
 from __future__ import annotations
 
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import AfterValidator
+from pydantic import AfterValidator, BeforeValidator
 
 from amulor.optics.polarization import depolarization
 
 Row = tuple[float, float, float, float]
-_Stated = tuple[float, float, float] | tuple[Row, Row, Row, Row]
+Named = Literal["painted-metal", "smooth-metal", "ideal-depolarizer"]
+_Stated = tuple[float, float, float] | tuple[Row, Row, Row, Row] | Named
+
+#: (m22, m33, m44) of surfaces straight backwards, each with its source.
+SURFACES: dict[str, tuple[float, float, float]] = {
+    # R. Ricci et al., EURASIP J. Adv. Signal Process. 2010, 958360: m22 is printed, m33
+    # follows from symmetry, m44 is assumed within its bounds, -0.61 to -0.22.
+    "painted-metal": (0.61, -0.61, -0.46),
+    # Fresnel's equations at right angles, whatever the index: what a mirror keeps.
+    # Metal that was not polished depolarizes; no published number is at hand.
+    "smooth-metal": (1.0, -1.0, -1.0),
+    # By definition; white standards of reflectance come close.
+    "ideal-depolarizer": (0.0, 0.0, 0.0),
+}
 
 
 def matrix(stated: Any) -> NDArray[np.float64]:
@@ -19,18 +32,32 @@ def matrix(stated: Any) -> NDArray[np.float64]:
 
     Parameters
     ----------
-    stated : tuple
-        (m22, m33, m44) of a diagonal matrix, or four rows of four.
+    stated : tuple or str
+        (m22, m33, m44) of a diagonal matrix, or four rows of four, or a name of
+        `SURFACES`.
 
     Returns
     -------
     ndarray, shape (4, 4)
         Reduced matrix, upper left element 1 [1].
     """
+    if isinstance(stated, str):
+        stated = SURFACES[stated]
     values = np.asarray(stated, dtype=float)
     if values.shape == (3,):
         return np.diag([1.0, *values])
     return values
+
+
+def _known(stated: Any) -> Any:
+    """Refuse a name that no published matrix stands behind."""
+    if isinstance(stated, str) and stated not in SURFACES:
+        raise ValueError(
+            f"found {stated!r}, for which no published Mueller matrix is known here; "
+            f"the names are {', '.join(SURFACES)}; of other surfaces state m22, m33 "
+            "and m44 as you measured them"
+        )
+    return stated
 
 
 def _check(stated: _Stated) -> _Stated:
@@ -52,4 +79,4 @@ def _check(stated: _Stated) -> _Stated:
     return stated
 
 
-ReducedMueller = Annotated[_Stated, AfterValidator(_check)]
+ReducedMueller = Annotated[_Stated, BeforeValidator(_known), AfterValidator(_check)]

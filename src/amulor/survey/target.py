@@ -8,11 +8,12 @@ from typing import Annotated, Literal, Self
 from pydantic import Field, model_validator
 
 from amulor.errors import SurveyError
-from amulor.survey.mueller import ReducedMueller
+from amulor.survey.mueller import SURFACES, ReducedMueller
 from amulor.survey.quantity import Description, Fraction, Length, Position, Rotation
+from amulor.survey.surface import SurfaceStated
 
 #: Painted metal; m22 is published, m33 follows from symmetry, m44 is assumed.
-PAINTED_METAL = (0.61, -0.61, -0.46)
+PAINTED_METAL = SURFACES["painted-metal"]
 
 
 class _Target(Description):
@@ -23,7 +24,10 @@ class _Target(Description):
     reflectance: Annotated[Fraction, Field(gt=0, le=1)]
     """Fraction of the light that the surface sends back diffusely [1]."""
     mueller: ReducedMueller = PAINTED_METAL
-    """Reduced Mueller matrix of the surface straight backwards [1]."""
+    """Reduced Mueller matrix of the surface straight backwards, or "painted-metal",
+    "smooth-metal" or "ideal-depolarizer" [1]."""
+    surface: SurfaceStated | None = None
+    """How it sends light back into other directions; by Lambert's law if left out."""
 
 
 class Plate(_Target):
@@ -112,6 +116,21 @@ class Mesh(_Target):
     """Mesh file, relative to the survey file."""
     unit: Literal["m", "cm", "mm", "inch"] = "m"
     """Unit of the coordinates in the file; GLB files are in metres by definition."""
+    texture: Literal["vertex-colours", "image"] | None = None
+    """Where the file says how bright each place is: colours of its vertices, or an
+    image with coordinates. A value of 255 is `reflectance`, 0 is black; evenly bright
+    if left out."""
+    texture_channel: Literal["mean", "red", "green", "blue"] | None = None
+    """Which colour of the texture counts for the laser; the mean of all if left out."""
+
+    @model_validator(mode="after")
+    def _channel_is_of_a_texture(self) -> Self:
+        if self.texture_channel is not None and self.texture is None:
+            raise ValueError(
+                "texture_channel is stated, but texture is missing: "
+                '"vertex-colours" or "image"'
+            )
+        return self
 
     def settled(self, folder: Path, *, where: str) -> Self:
         """Return the same with the whole path of its file."""

@@ -1,0 +1,190 @@
+"""How the surface of a target sends light back: Lambert, Oren-Nayar, or a table."""
+
+from __future__ import annotations
+
+import math
+from itertools import pairwise
+from pathlib import Path
+from typing import Annotated, Any, Literal, Self
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field, model_validator
+
+from amulor.errors import SurveyError
+from amulor.optics import reflection
+from amulor.survey import table_file
+from amulor.survey.quantity import Angle, Description
+
+Floats = NDArray[np.float64]
+_Slant = Annotated[Angle, Field(ge=0, le=math.pi / 2)]
+
+
+class Lambertian(Description):
+    """A matte surface: equally bright from everywhere."""
+
+    kind: Literal["lambertian"]
+    """Which surface this is."""
+
+
+class OrenNayar(Description):
+    """A rough matte surface, of facets that each follow Lambert's law."""
+
+    kind: Literal["oren-nayar"]
+    """Which surface this is."""
+    roughness: Annotated[Angle, Field(ge=0, le=1)]
+    """Standard deviation of the slope angle of the facets [rad]."""
+
+
+class TabulatedSurface(Description):
+    """A surface whose BRDF is a table, linear in between."""
+
+    kind: Literal["tabulated"]
+    """Which surface this is."""
+    file: Path | None = None
+    """Table of four columns: angle of incidence and of reflection and azimuth in
+    degrees, 0 azimuth straight back, and BRDF in 1/sr, which is multiplied by
+    `reflectance`; every combination once. Relative to the survey file, read with the
+    survey, which then holds it."""
+    incidence: tuple[_Slant, ...] | None = None
+    """Angles of incidence, rising from 0, in place of a file [rad]."""
+    reflection: tuple[_Slant, ...] | None = None
+    """Angles of reflection, rising from 0 [rad]."""
+    azimuth: tuple[Annotated[Angle, Field(ge=0, le=math.pi)], ...] | None = None
+    """Azimuths between 0 and 180 degrees, rising; one alone stands for all [rad]."""
+    values: tuple[Annotated[float, Field(ge=0)], ...] | None = None
+    """BRDF for every incidence, reflection and azimuth, the last running fastest
+    [1/sr]."""
+
+    @model_validator(mode="after")
+    def _is_one_table(self) -> Self:
+        axes = (self.incidence, self.reflection, self.azimuth)
+        missing = [part is None for part in (*axes, self.values)]
+        if any(missing) != all(missing) or all(missing) == (self.file is None):
+            raise ValueError(
+                "a tabulated surface needs a file, or incidence, reflection, azimuth "
+                "and values"
+            )
+        if self.file is not None or self.values is None:
+            return self
+        sizes = [len(axis or ()) for axis in axes]
+        if math.prod(sizes) != len(self.values):
+            raise ValueError(
+                f"found {len(self.values)} values for {sizes[0]} incidences, "
+                f"{sizes[1]} reflections and {sizes[2]} azimuths; needed are "
+                f"{math.prod(sizes)}"
+            )
+        for name, axis in zip(("incidence", "reflection"), axes, strict=False):
+            if len(axis or ()) < 2:
+                raise ValueError(f"{name} needs at least two angles")
+        for axis in axes:
+            if any(b <= a for a, b in pairwise(axis or ())):
+                raise ValueError("angles of a tabulated surface must rise")
+        return self
+
+    def settled(self, folder: Path, *, where: str) -> Self:
+        """Return the same with the table of its file inside."""
+        if self.file is None:
+            return self
+        columns = table_file.columns(folder / self.file, count=4, where=where)
+        axes = [sorted(set(column)) for column in columns[:3]]
+        rows = dict(zip(zip(*columns[:3], strict=True), columns[3], strict=True))
+        grid = [(i, r, a) for i in axes[0] for r in axes[1] for a in axes[2]]
+        if len(rows) != len(columns[3]) or set(rows) != set(grid):
+            raise SurveyError(
+                f"{where}.file: {self.file} must hold every combination of its "
+                f"{len(axes[0])} incidences, {len(axes[1])} reflections and "
+                f"{len(axes[2])} azimuths once"
+            )
+        content: dict[str, Any] = {
+            name: tuple(f"{angle!r} deg" for angle in axis)
+            for name, axis in zip(
+                ("incidence", "reflection", "azimuth"), axes, strict=True
+            )
+        }
+        content |= {"kind": self.kind, "values": tuple(rows[at] for at in grid)}
+        return table_file.validated(type(self), content, where=where)
+
+
+SurfaceStated = Annotated[
+    Lambertian | OrenNayar | TabulatedSurface, Field(discriminator="kind")
+]
+
+
+def brightness(
+    stated: SurfaceStated | None,
+    *,
+    reflectance: float,
+    incidence: Floats,
+    leaving: Floats,
+    azimuth: Floats,
+) -> Floats:
+    """Return the BRDF of a surface over that of Lambert's law.
+
+    Parameters
+    ----------
+    stated : Lambertian, OrenNayar, TabulatedSurface or None
+        Part of a target; None is Lambert's law.
+    reflectance : float
+        Of the target [1].
+    incidence, leaving : ndarray
+        Angles of the incident and of the reflected light against the normal [rad].
+    azimuth : ndarray
+        Angle about the normal between the two, 0 straight back, 0 to pi [rad].
+
+    Returns
+    -------
+    ndarray
+        1 for Lambert's law, of the shape of the angles [1].
+
+    Raises
+    ------
+    SurveyError
+        If a table does not reach these angles.
+    """
+    if isinstance(stated, OrenNayar):
+        found = reflection.oren_nayar(
+            incidence=incidence,
+            reflection=leaving,
+            azimuth=azimuth,
+            roughness=stated.roughness,
+            reflectance=reflectance,
+        )
+        return np.asarray(found * np.pi / reflectance)
+    if isinstance(stated, TabulatedSurface):
+        return np.pi * _interpolated(stated, incidence, leaving, azimuth)
+    return np.ones(incidence.shape)
+
+
+def _interpolated(
+    table: TabulatedSurface, incidence: Floats, leaving: Floats, azimuth: Floats
+) -> Floats:
+    from scipy.interpolate import RegularGridInterpolator
+
+    axes = [table.incidence, table.reflection, table.azimuth]
+    if table.values is None or any(axis is None for axis in axes):
+        raise SurveyError(
+            "surface.file: has not been read; make the survey with Survey.from_toml or "
+            "Survey.from_text, or state incidence, reflection, azimuth and values"
+        )
+    grid = [np.asarray(axis, dtype=np.float64) for axis in axes]
+    values = np.reshape(table.values, [axis.size for axis in grid])
+    places = [incidence, leaving, azimuth]
+    if grid[2].size == 1:
+        grid, places, values = grid[:2], places[:2], values[..., 0]
+    names = ("incidence", "reflection", "azimuth")
+    for name, axis, asked in zip(names, grid, places, strict=False):
+        outside = (asked < axis[0] - 1e-9) | (asked > axis[-1] + 1e-9)
+        if outside.any():
+            worst = math.degrees(float(asked[outside].flat[0]))
+            raise SurveyError(
+                f"surface: its table has {name} from {math.degrees(axis[0]):g} to "
+                f"{math.degrees(axis[-1]):g} deg, but a beam meets the target at "
+                f"{worst:.3g} deg; extend the table"
+            )
+    inside = [
+        np.clip(asked, axis[0], axis[-1])
+        for axis, asked in zip(grid, places, strict=True)
+    ]
+    found = RegularGridInterpolator(grid, values)(np.stack(inside, axis=-1))
+    return np.asarray(found)

@@ -1,0 +1,114 @@
+"""Claims about rough surfaces and smooth interfaces."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from numpy.testing import assert_allclose
+
+from amulor.optics.reflection import fresnel_transmission, oren_nayar
+
+slants = st.floats(0.0, 1.4)
+turns = st.floats(0.0, np.pi)
+roughnesses = st.floats(0.0, 0.7)
+albedos = st.floats(0.05, 1.0)
+
+
+@given(incidence=slants, reflection=slants, azimuth=turns, albedo=albedos)
+def test_a_surface_without_roughness_follows_lambert(
+    incidence, reflection, azimuth, albedo
+):
+    found = oren_nayar(
+        incidence=incidence,
+        reflection=reflection,
+        azimuth=azimuth,
+        roughness=0.0,
+        reflectance=albedo,
+    )
+    assert_allclose(found, albedo / np.pi, rtol=1e-12)
+
+
+@given(one=slants, other=slants, azimuth=turns, rough=roughnesses, albedo=albedos)
+def test_light_takes_the_same_way_back(one, other, azimuth, rough, albedo):
+    there, back = (
+        oren_nayar(
+            incidence=a,
+            reflection=b,
+            azimuth=turn,
+            roughness=rough,
+            reflectance=albedo,
+        )
+        for a, b, turn in ((one, other, azimuth), (other, one, -azimuth))
+    )
+    assert there == pytest.approx(float(back), rel=1e-12)
+    assert there >= 0
+
+
+@given(incidence=st.floats(0.0, 1.2), rough=roughnesses, albedo=albedos)
+def test_no_surface_sends_back_more_than_it_gets(incidence, rough, albedo):
+    node, weight = np.polynomial.legendre.leggauss(24)
+    slant = np.pi / 4 * (node + 1)
+    turn = np.pi / 2 * (node + 1)
+    f = oren_nayar(
+        incidence=incidence,
+        reflection=slant[:, None],
+        azimuth=turn,
+        roughness=rough,
+        reflectance=albedo,
+    )
+    over = np.pi / 4 * weight * np.cos(slant) * np.sin(slant)
+    total = 2 * np.pi / 2 * over @ f @ weight
+    assert total < 1
+    # Facets shade each other; what they send each other makes up for a part of it.
+    assert 0.5 * albedo < total < 1.05 * albedo
+
+
+def test_straight_back_it_falls_off_less_than_lambert_and_by_the_published_form():
+    # Oren and Nayar 1994, of one reflection, with phi = 0 and alpha = beta: C1 +
+    # C2 tan. For sigma 30 degrees, C1 = 1 - 0.5 s / (s + 0.33), C2 = 0.45 s / (s +
+    # 0.09) sin, with s = 0.27416; at 60 degrees 0.7731 + 0.3388 * 0.8660 * 1.7321.
+    found = oren_nayar(
+        incidence=np.pi / 3,
+        reflection=np.pi / 3,
+        azimuth=0.0,
+        roughness=np.pi / 6,
+        reflectance=1e-6,
+    )
+    assert np.pi * found / 1e-6 == pytest.approx(0.7731 + 0.3388 * 1.5, abs=2e-4)
+
+
+@given(index=st.floats(1.0, 2.5))
+def test_at_right_angles_an_interface_passes_the_well_known_share(index):
+    found = fresnel_transmission(
+        1.0, refractive_index=1.0, refractive_index_behind=index
+    )
+    assert found == pytest.approx(4 * index / (1 + index) ** 2)
+
+
+@given(angle=st.floats(0.0, 1.5), index=st.floats(1.05, 2.5))
+def test_an_interface_passes_as_much_either_way(angle, index):
+    bent = np.arcsin(np.sin(angle) / index)
+    there = fresnel_transmission(
+        np.cos(angle), refractive_index=1.0, refractive_index_behind=index
+    )
+    back = fresnel_transmission(
+        np.cos(bent), refractive_index=index, refractive_index_behind=1.0
+    )
+    assert there == pytest.approx(float(back), rel=1e-6)
+
+
+def test_brewster_reflects_one_state_and_grazing_light_is_reflected():
+    index = 1.5
+    brewster = np.arctan(index)
+    # There R_p is 0 and R_s is ((n^2 - 1) / (n^2 + 1))^2.
+    expected = 1 - ((index**2 - 1) / (index**2 + 1)) ** 2 / 2
+    found = fresnel_transmission(
+        np.cos(brewster), refractive_index=1.0, refractive_index_behind=index
+    )
+    assert found == pytest.approx(expected)
+    beyond = fresnel_transmission(
+        np.cos(0.9), refractive_index=1.5, refractive_index_behind=1.0
+    )
+    assert beyond == 0
