@@ -84,6 +84,7 @@ def _uncertainty(image: Any) -> dict[str, Any]:
         "late_echo": budget.late_echo,
         "late_echo_taken_off_m": budget.late,
         "delay_calibrated": budget.calibrated,
+        "delay_calibration_age_days": budget.age,
     }
 
 
@@ -113,5 +114,9 @@ def _lines(budget: dict[str, Any]) -> list[str]:
     elif budget["late_echo"]:
         lines.append(f"late echo: {budget['late_echo']}")
     if budget["delay_calibrated"]:
-        lines.append(f"delay calibrated on {budget['delay_calibrated']}")
+        from amulor.imaging.budget import age_in_words
+
+        age = budget["delay_calibration_age_days"]
+        day = budget["delay_calibrated"]
+        lines.append(f"delay calibrated on {day}{age_in_words(age)}")
     return lines

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from amulor.cube.terms import RANGE_PREFIX, TERMS, Term
 from amulor.imaging.calibration import (
     CALIBRATION_TERMS,
+    calibration_age,
     calibration_terms,
     joint_instrument_terms,
 )
@@ -65,6 +66,9 @@ def completed(
     calibration = None if survey is None else survey.calibration
     if calibration is not None and calibration.date is not None:
         attributes["delay_calibrated"] = calibration.date.isoformat()
+        age = calibration_age(one, calibration)
+        if age is not None:
+            attributes["delay_calibration_age_days"] = age
     common, total = ranges.common, ranges.total
     if shared:
         added = np.sum([term**2 for term in shared.values()], axis=0)
@@ -174,6 +178,8 @@ class ErrorBudget:
     """What was taken off, median; not a number if nothing was [m]."""
     calibrated: str
     """Day on which the delay was calibrated; empty if the survey has none."""
+    age: float
+    """Days from then to the scan; not a number where the cube has no date."""
 
     @property
     def expanded(self) -> float:
@@ -230,7 +236,26 @@ def error_budget(image: xr.Dataset) -> ErrorBudget:
         late_echo=str(image.attrs.get("late_echo_correction", "")),
         late=_median_of(image, "slant_range_late_echo", usable),
         calibrated=str(image.attrs.get("delay_calibrated", "")),
+        age=float(image.attrs.get("delay_calibration_age_days", math.nan)),
     )
+
+
+def age_in_words(days: float) -> str:
+    """Return how old a calibration was, to follow its date.
+
+    Parameters
+    ----------
+    days : float
+        From the calibration to the scan; not a number where that is not known.
+
+    Returns
+    -------
+    str
+        Such as `, 12 days before the scan`; empty where it is not known.
+    """
+    if math.isnan(days):
+        return ""
+    return f", {abs(days):.0f} days {'before' if days >= 0 else 'after'} the scan"
 
 
 #: Terms whose size comes from the scatter of the open-water shots.

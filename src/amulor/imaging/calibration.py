@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import datetime
 import math
 from dataclasses import replace
 
@@ -21,6 +22,8 @@ Floats = NDArray[np.float64]
 
 #: Terms of the error budget that a calibration states.
 CALIBRATION_TERMS = ("delay", "group_index", "geometry")
+#: Attributes that say when a cube was measured.
+_COVERAGE = ("time_coverage_start", "time_coverage_end")
 #: Steps of temperature and salinity for the derivative of the index [degC, 1].
 _STEP = 0.5
 
@@ -51,14 +54,17 @@ def calibration_terms(
     -----
     By central differences of the slant range of a fixed path: by the group index, by
     each coordinate of the receiver and by azimuth and elevation of the beams. The
-    errors are one and the same for all pixels.
+    errors are one and the same for all pixels. The delay is as uncertain as on the day
+    of its calibration, and by what it may have changed since with age and temperature,
+    in quadrature; its age needs a cube that says when it was measured.
     """
     calibration = None if survey is None else survey.calibration
     if survey is None or calibration is None:
         return {}
     terms: dict[str, Floats] = {}
-    if calibration.delay_uncertainty is not None:
-        terms["delay"] = slope * speed_of_light * calibration.delay_uncertainty
+    delay = _delay_uncertainty(one, calibration)
+    if delay is not None:
+        terms["delay"] = slope * speed_of_light * delay
     index = _index_uncertainty(survey, calibration)
     if index is not None:
         terms["group_index"] = _by_index(one, path, index)
@@ -102,6 +108,55 @@ def joint_instrument_terms(
     }
     stated = {"delay": delay, "group_index": index, "geometry": place}
     return {name: term for name, term in terms.items() if stated[name] > 0}
+
+
+def calibration_age(one: xr.Dataset, calibration: Calibration | None) -> float | None:
+    """Return how old the calibration of the delay was in the middle of a scan.
+
+    Parameters
+    ----------
+    one : xarray.Dataset
+        A cube; its attributes `time_coverage_start` and `time_coverage_end` count.
+    calibration : Calibration or None
+        Its date counts, at noon UTC.
+
+    Returns
+    -------
+    float or None
+        Days, below 0 for a calibration after the scan; None where either date is not
+        known.
+    """
+    start = one.attrs.get(_COVERAGE[0])
+    if calibration is None or calibration.date is None or start is None:
+        return None
+    ends = [_moment(one.attrs.get(name, start)) for name in _COVERAGE]
+    noon = datetime.datetime.combine(
+        calibration.date, datetime.time(12), tzinfo=datetime.UTC
+    )
+    middle = ends[0] + (ends[1] - ends[0]) / 2
+    return (middle - noon) / datetime.timedelta(days=1)
+
+
+def _moment(text: str) -> datetime.datetime:
+    """Return a moment, in UTC where no zone is stated."""
+    moment = datetime.datetime.fromisoformat(text)
+    return moment if moment.tzinfo else moment.replace(tzinfo=datetime.UTC)
+
+
+def _delay_uncertainty(one: xr.Dataset, calibration: Calibration) -> float | None:
+    """Return the standard uncertainty of the delay in the scan, None if not known."""
+    if calibration.delay_uncertainty is None:
+        return None
+    changes = [calibration.delay_uncertainty]
+    if calibration.delay_growth is not None:
+        age = calibration_age(one, calibration)
+        if age is None:
+            return None
+        changes.append(calibration.delay_growth * abs(age))
+    warmer = calibration.instrument_temperature_uncertainty
+    if calibration.delay_per_degree is not None and warmer is not None:
+        changes.append(calibration.delay_per_degree * warmer)
+    return math.hypot(*changes)
 
 
 def _index_uncertainty(survey: Survey, calibration: Calibration) -> float | None:

@@ -23,8 +23,21 @@ class Calibration(Description):
     date: datetime.date | None = None
     """Day on which the delay was measured, such as 2026-05-01."""
     delay_uncertainty: Annotated[Time, Field(ge=0, le=1e-6)] | None = None
-    """Standard uncertainty of the instrument's own delay at the time of the
-    measurement, of all channels and frequencies alike: 0.1 ns is 11 mm [s]."""
+    """Standard uncertainty of the instrument's own delay, of all channels and
+    frequencies alike: 0.1 ns is 11 mm [s]. At the time of the scan, unless
+    delay_growth or delay_per_degree say what to add to it since the calibration."""
+    delay_growth: Annotated[Time, Field(ge=0, le=1e-8)] | None = None
+    """Standard uncertainty of the change of the delay in a day, in one direction: ten
+    days old counts ten times. Needs date, and a cube that says when it was measured
+    [s]."""
+    delay_per_degree: Annotated[Time, Field(ge=0, le=1e-8)] | None = None
+    """Largest change of the delay by one degree of the instrument's temperature; needs
+    instrument_temperature_uncertainty [s]."""
+    instrument_temperature_uncertainty: (
+        Annotated[Temperature, Field(ge=0, le=60)] | None
+    ) = None
+    """Standard uncertainty of how much warmer or colder the instrument is in the scan
+    than it was in the calibration [degC]."""
     receiver_position_uncertainty: Annotated[Length, Field(ge=0, le=0.5)] | None = None
     """Standard uncertainty of each coordinate of the receiver against the emitter
     [m]."""
@@ -62,5 +75,25 @@ class Calibration(Description):
             raise ValueError(
                 "date is that of the delay, but delay_uncertainty is missing; state "
                 'it, such as "0.1 ns", or leave out the date'
+            )
+        return self
+
+    @model_validator(mode="after")
+    def _states_what_a_change_needs(self) -> Self:
+        if self.delay_growth is not None and self.date is None:
+            raise ValueError(
+                "delay_growth counts days since the calibration, but date is missing; "
+                "state it, such as 2026-05-01"
+            )
+        per_degree = self.delay_per_degree is not None
+        if per_degree != (self.instrument_temperature_uncertainty is not None):
+            raise ValueError(
+                "delay_per_degree and instrument_temperature_uncertainty belong "
+                'together; state both, such as "2 ps" and "5 degC", or neither'
+            )
+        if per_degree and self.delay_uncertainty is None:
+            raise ValueError(
+                "delay_per_degree adds to delay_uncertainty, which is missing; state "
+                'it, such as "0.1 ns"'
             )
         return self

@@ -11,6 +11,7 @@ from matplotlib.figure import Figure
 
 from amulor.cube.terms import ALIKE_TERMS
 from amulor.imaging import ErrorBudget, error_budget
+from amulor.imaging.budget import age_in_words
 from amulor.view.report import Heading, Paragraph, Part, Picture, Table
 from amulor.view.style import COLOURS, new_figure, style
 
@@ -150,7 +151,8 @@ def _limits(budget: ErrorBudget) -> str:
     elif budget.late_echo:
         said.append(f"Late light: {budget.late_echo}.")
     if budget.calibrated:
-        said.append(f"The delay was calibrated on {budget.calibrated}.")
+        old = age_in_words(budget.age)
+        said.append(f"The delay was calibrated on {budget.calibrated}{old}.")
     if budget.unknown:
         names = ", ".join(term.name.replace("_", " ") for term in budget.unknown)
         said.append(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import datetime
 from collections.abc import Callable
 from dataclasses import dataclass
 from importlib.resources import files
@@ -177,7 +178,16 @@ def test_commands_take_an_acquired_cube_to_a_point_cloud(
     sized, folder, monkeypatch
 ) -> None:
     monkeypatch.chdir(folder)
-    survey = planned(sized, (2, 2, 3), 5)
+    today = datetime.datetime.now(datetime.UTC).date()
+    survey = planned(sized, (2, 2, 3), 5).with_(
+        {
+            "calibration": {
+                "date": (today - datetime.timedelta(days=50)).isoformat(),
+                "delay_uncertainty": "1 ps",
+                "delay_growth": "2 ps",
+            }
+        }
+    )
     Path("tank.toml").write_text(survey.to_toml())
     for words in (
         ["acquire", "tank.toml", "-o", "scan"],
@@ -187,6 +197,9 @@ def test_commands_take_an_acquired_cube_to_a_point_cloud(
     ):
         assert main(words) == 0
     image = read_cube("range.nc")
+    # The scan is of now, so the delay is known to 0.1 ns, two ways of 15 mm in vacuum.
+    aged = np.nanmedian(image["slant_range_uncertainty_delay"].values)
+    assert aged == pytest.approx(0.0998 * 299.792458e-3 / 2 / 1.38, rel=0.04)
     good = (image["quality_flag"].values & UNUSABLE) == 0
     # The plate fills the scan: with shots that repeat, every pixel sees it.
     assert good.mean() > 0.9

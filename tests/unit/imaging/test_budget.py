@@ -15,6 +15,8 @@ from amulor import cube as cubes
 from amulor import imaging, rejection
 from amulor.cube import QualityFlag
 from amulor.cube.terms import RANGE_PREFIX, TERMS
+from amulor.errors import SurveyError
+from amulor.imaging.budget import age_in_words
 from amulor.imaging.geometry import beams_of, medium_of, receivers_of
 from amulor.optics import rays
 from amulor.simulation import simulate
@@ -53,6 +55,73 @@ def terms_of(image: xr.Dataset) -> dict[str, Any]:
         for name in names
         if name in image
     }
+
+
+AGED = CALIBRATION + 'delay_growth = "3 ps"\n'
+AGED = AGED.format(delay=0.1, place=3, turn=0.5, index=0.001)
+WARM = 'delay_per_degree = "20 ps"\ninstrument_temperature_uncertainty = "5 degC"\n'
+
+
+def delay_of(image: xr.Dataset) -> np.ndarray:
+    """Return the delay that the term of the delay stands for [s]."""
+    term = image["slant_range_uncertainty_delay"].values
+    slant = image["slant_range"].values
+    beam, receiver, medium = beams_of(image), receivers_of(image), medium_of(image)
+    path = rays.optical_path(slant, beam, receiver, medium=medium)
+    more = rays.slant_range_of_path(path + 1e-4, beam, receiver, medium=medium)
+    return term / ((more - slant) / 1e-4) / speed_of_light
+
+
+@pytest.mark.parametrize(
+    ("start", "end", "warm", "delays"),
+    [
+        # Noon of 1 May to noon of 31 May: 30 days of 3 ps, and 20 ps times 5 degC.
+        ("2026-05-31T10:00:00Z", "2026-05-31T14:00:00Z", False, (0.1, 0.09)),
+        ("2026-05-31T10:00:00Z", "2026-05-31T14:00:00Z", True, (0.1, 0.09, 0.1)),
+        ("2026-05-31T12:00:00.000Z", None, False, (0.1, 0.09)),
+        # A calibration after the scan is as old.
+        ("2026-04-21T12:00:00Z", None, False, (0.1, 0.03)),
+        ("2026-05-01T12:00:00", None, False, (0.1,)),
+    ],
+)
+def test_a_calibration_ages(target, text, start, end, warm, delays):
+    cube = surveyed(target, text + AGED + (WARM if warm else ""))
+    cube = cube.assign_attrs(time_coverage_start=start)
+    if end is not None:
+        cube = cube.assign_attrs(time_coverage_end=end)
+    found = delay_of(imaging.range_image(cube, polarization="VH"))
+    assert np.isfinite(found).any()
+    expected = np.sqrt(np.sum(np.square(delays))) * 1e-9
+    assert_allclose(found[np.isfinite(found)], expected, rtol=1e-3)
+
+
+def test_a_calibration_of_unknown_age_is_no_known_delay(target, text):
+    image = imaging.range_image(surveyed(target, text + AGED), polarization="VH")
+    assert "slant_range_uncertainty_delay" not in image
+    assert "delay" in image.attrs["uncertainty_unknown"].split()
+    assert np.isnan(imaging.error_budget(image).age)
+
+
+def test_the_age_is_said_in_words(target, text):
+    cube = surveyed(target, text + STATED)
+    cube = cube.assign_attrs(time_coverage_start="2026-05-13T12:00:00Z")
+    budget = imaging.error_budget(imaging.range_image(cube, polarization="VH"))
+    assert budget.age == pytest.approx(12)
+    assert age_in_words(budget.age) == ", 12 days before the scan"
+    assert age_in_words(-3.2) == ", 3 days after the scan"
+
+
+@pytest.mark.parametrize(
+    ("tail", "needed"),
+    [
+        ('delay_growth = "1 ps"', "date is missing"),
+        ('delay_uncertainty = "1 ns"\ndelay_per_degree = "1 ps"', "belong together"),
+        (WARM, "adds to delay_uncertainty"),
+    ],
+)
+def test_half_of_what_ages_is_refused(text, tail, needed):
+    with pytest.raises(SurveyError, match=needed):
+        Survey.from_text(f"{text}\n[calibration]\n{tail}\n")
 
 
 @pytest.mark.parametrize("measured", [False, True])

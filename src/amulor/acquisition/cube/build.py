@@ -338,6 +338,7 @@ def _attributes(
     calibration: Calibration | None,
 ) -> dict[str, Any]:
     identities = json.loads(meta["identities"])
+    parts = journal.segments()
     return cubes.attributes(
         "samples",
         title=survey.name,
@@ -346,7 +347,9 @@ def _attributes(
         survey=meta["survey"],
         devices=meta["devices"],
         identities=meta["identities"],
-        segments=json.dumps(journal.segments()),
+        segments=json.dumps(parts),
+        time_coverage_start=parts[0]["started"] if parts else None,
+        time_coverage_end=_last_end(parts),
         input_digests=(
             f"survey {meta['survey_digest']} instrument {meta['instrument_digest']}"
         ),
@@ -356,3 +359,10 @@ def _attributes(
         modulation_depth=survey.instrument.modulation_depth,
         photon_noise_volt=photon_noise_volt(survey),
     )
+
+
+def _last_end(parts: list[dict[str, Any]]) -> str | None:
+    """Return when the last part ended; when it began, where power was lost."""
+    if not parts:
+        return None
+    return str(parts[-1]["ended"] or parts[-1]["started"])
