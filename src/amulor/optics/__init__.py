@@ -9,6 +9,7 @@ from amulor import _lazy
 if TYPE_CHECKING:
     from amulor.optics import (
         ambiguity,
+        daylight,
         detection,
         extrema,
         interference,
@@ -29,6 +30,7 @@ if TYPE_CHECKING:
 
 __all__ = [
     "ambiguity",
+    "daylight",
     "detection",
     "extrema",
     "interference",

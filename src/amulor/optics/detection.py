@@ -29,6 +29,7 @@ __all__ = [
     "photon_noise",
     "quadrature_variance",
     "settled_integration_time",
+    "speckle_contrast",
 ]
 
 
@@ -294,6 +295,39 @@ def photon_noise(
     )
     broadcast(integration_time=time, volt_per_photoelectron_rate=volt)
     return np.asarray(volt * quadrature_variance(1.0, integration_time=time))
+
+
+def speckle_contrast(speckle_cells: ArrayLike) -> NDArray[np.float64]:
+    r"""Return how much the light of a rough surface varies with the speckle pattern.
+
+    Parameters
+    ----------
+    speckle_cells : array_like
+        Number M of speckles that the aperture takes in, at least 1 [1].
+
+    Returns
+    -------
+    ndarray
+        Standard deviation over mean of the received power, of the same shape [1].
+
+    Raises
+    ------
+    ValueError
+        If there is less than one speckle.
+
+    Notes
+    -----
+    :math:`1 / \sqrt M`, J. W. Goodman, Speckle Phenomena in Optics (2007), chapter 4:
+    the power of M speckles is gamma distributed. A lit spot of the area S at the
+    distance d makes speckles of about :math:`(\lambda d)^2 / S`.
+
+    Examples
+    --------
+    >>> print(f"{speckle_contrast(400):.2f}")
+    0.05
+    """
+    cells = at_least(speckle_cells, 1, name="speckle_cells")
+    return np.asarray(1 / np.sqrt(cells))
 
 
 def phase_floor_covariance(

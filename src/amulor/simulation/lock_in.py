@@ -75,7 +75,8 @@ def sample(
     -------
     Samples
         Of the same shape. The stated variance covers what the instrument knows:
-        shot and dark noise and the phase floor, not the fluctuation of the water.
+        shot and dark noise, that of daylight and the phase floor, not the fluctuation
+        of the water and not the speckle of the target.
 
     Notes
     -----
@@ -89,8 +90,11 @@ def sample(
     change = 1 + survey.water.signal_fluctuation * rng.standard_normal(
         water.modulated.shape
     )
-    light = target + Light(water.modulated * change, water.mean * np.maximum(change, 0))
-    rate = counting.full_rate(survey) * light.mean
+    speckled = _speckled(survey, target, rng=rng)
+    light = speckled + Light(
+        water.modulated * change, water.mean * np.maximum(change, 0)
+    )
+    rate = counting.full_rate(survey) * light.mean + _daylight(survey, light)
     time = counting.integration_time(survey)
     # Who counts nothing does not know that there is nothing, but for one photoelectron.
     counted = np.maximum(rate, 1 / time - detector.dark_rate)
@@ -112,3 +116,21 @@ def sample(
             np.int8
         ),
     )
+
+
+def _speckled(survey: Survey, target: Light, *, rng: np.random.Generator) -> Light:
+    """Return the target's light with the speckle of each place and analyser.
+
+    What does not move has one pattern for all modulation frequencies.
+    """
+    cells = survey.instrument.receiver.speckle_cells
+    if cells is None:
+        return target
+    power = rng.gamma(cells, 1 / cells, size=target.mean.shape[1:])
+    return Light(target.modulated * power, target.mean * power)
+
+
+def _daylight(survey: Survey, light: Light) -> NDArray[np.float64]:
+    """Return the rate by daylight, to be broadcast against that of the light [1/s]."""
+    behind = counting.background_rate(survey)
+    return behind.reshape(-1, *[1] * (light.mean.ndim - 2))

@@ -77,7 +77,8 @@ def target_light(
             "cosine": geometry.cosine,
         },
     )
-    return _light(response * (fraction * geometry.brightness))
+    bright = geometry.brightness * geometry.view.transmission
+    return _light(response * (fraction * bright))
 
 
 def water_light(
@@ -117,7 +118,8 @@ def water_light(
         2j * np.pi * frequency * view.optical_offset / speed_of_light
     )
     fraction = _fractions(survey, survey.water.backscatter_mueller)
-    return _light(response * fraction.reshape(-1, *[1] * view.tilt.ndim))
+    passed = fraction.reshape(-1, *[1] * view.tilt.ndim) * view.transmission
+    return _light(response * passed)
 
 
 def _frequencies(survey: Survey) -> NDArray[np.float64]:

@@ -1,6 +1,7 @@
 """What is described before anything is measured: one TOML file, strictly checked."""
 
 from amulor.survey.calibration import Calibration
+from amulor.survey.daylight import Daylight
 from amulor.survey.instrument import (
     Detector,
     Emitter,
@@ -37,6 +38,7 @@ from amulor.survey.water import Water
 __all__ = [
     "Calibration",
     "Case1Water",
+    "Daylight",
     "Detector",
     "Disc",
     "Emitter",

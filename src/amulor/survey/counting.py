@@ -5,8 +5,10 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from amulor.optics import detection
+from amulor.optics import daylight, detection
+from amulor.survey.properties import water_properties
 from amulor.survey.survey import Survey
+from amulor.survey.view import medium, seen_from_water
 
 
 def integration_time(survey: Survey) -> float:
@@ -51,6 +53,43 @@ def full_rate(survey: Survey) -> float:
             quantum_efficiency=detector.quantum_efficiency,
         )
     )
+
+
+def background_rate(survey: Survey) -> NDArray[np.float64]:
+    """Return photoelectrons per second by daylight, behind each analyser.
+
+    Parameters
+    ----------
+    survey : Survey
+        Its daylight, receiver and detector count.
+
+    Returns
+    -------
+    ndarray, shape (polarization,)
+        Rate; half of the light, which is taken as unpolarized, passes an analyser
+        [1/s]. 0 without daylight.
+    """
+    instrument, light = survey.instrument, survey.daylight
+    pairs = instrument.polarizations
+    if light is None:
+        return np.zeros(len(pairs))
+    surroundings = medium(survey, water_properties(survey))
+    _, acceptance = seen_from_water(survey, surroundings)
+    rate = daylight.daylight_rate(
+        daylight.daylight_radiance(
+            light.radiance,
+            depth=light.depth,
+            diffuse_attenuation=light.diffuse_attenuation,
+        ),
+        wavelength=instrument.wavelength,
+        bandwidth=light.bandwidth,
+        receiver_area=np.pi * instrument.receiver.radius**2,
+        solid_angle=np.pi * acceptance**2,
+        transmission=instrument.detector.optical_transmission,
+        quantum_efficiency=instrument.detector.quantum_efficiency,
+    )
+    passed = np.array([1.0 if pair == "none" else 0.5 for pair in pairs])
+    return np.asarray(rate * passed)
 
 
 def counting_variance(

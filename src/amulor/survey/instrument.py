@@ -59,6 +59,9 @@ class Receiver(Description):
     edge: Literal["gaussian", "sharp"] | None = None
     """Whether aperture and field of view fall off as Gaussians, or end sharply;
     Gaussian if left out."""
+    speckle_cells: Annotated[float, Field(ge=1, allow_inf_nan=False)] | None = None
+    """Number M of speckles of the target's light that the aperture takes in: its power
+    then varies by 1 / sqrt(M) from place to place; not at all if left out [1]."""
 
 
 class Detector(Description):
@@ -98,6 +101,9 @@ class Window(Description):
     """Phase index of the pane [1]."""
     group_index: Annotated[float, Field(ge=1, le=2.5)] = 1.50
     """Group index of the pane [1]."""
+    reflection_loss: bool | None = None
+    """Whether light is lost by Fresnel reflection at both faces, out and back; not if
+    left out."""
 
 
 class Instrument(Description):

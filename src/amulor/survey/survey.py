@@ -12,6 +12,7 @@ from amulor.errors import SurveyError
 from amulor.survey import files, messages, toml_file
 from amulor.survey.calibration import Calibration
 from amulor.survey.changes import changed
+from amulor.survey.daylight import Daylight
 from amulor.survey.instrument import Instrument
 from amulor.survey.named_water import WaterStated
 from amulor.survey.quantity import Description
@@ -38,6 +39,8 @@ class Survey(Description):
     """The scan."""
     calibration: Calibration | None = None
     """How well delay, geometry and index are known; not known if left out."""
+    daylight: Daylight | None = None
+    """Daylight in the water; dark if left out."""
 
     @model_validator(mode="after")
     def _dwell_lets_the_lock_in_settle(self) -> Self:

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from amulor.errors import SurveyError
-from amulor.optics import rays
+from amulor.optics import rays, reflection
 from amulor.survey.properties import WaterProperties
 from amulor.survey.survey import Survey
 
@@ -34,6 +34,9 @@ class View:
     """Group index times length, out and back, where the depth is zero [m]."""
     acceptance: float
     """1/e half-width of the field of view, in the water [rad]."""
+    transmission: Floats
+    """Share of the light that the faces of a window let pass, out and back; 1 where
+    reflections are left out [1]."""
 
 
 def medium(survey: Survey, water: WaterProperties) -> rays.Medium:
@@ -171,7 +174,38 @@ def view(
         standoff=depths,
         optical_offset=before,
         acceptance=acceptance,
+        transmission=_transmission(
+            survey, medium, rays.direction(azimuth, elevation), axis
+        ),
     )
+
+
+def _transmission(
+    survey: Survey, medium: rays.Medium, launched: Floats, axis: Floats
+) -> Floats:
+    """Return what two faces let pass on the way out and along the receiver's axis.
+
+    Of light that was reflected twice within the pane nothing is counted: less than a
+    thousandth.
+    """
+    passed = np.ones(launched.shape[:-1])
+    window = survey.instrument.window
+    if window is None or not window.reflection_loss:
+        return passed
+    for way in (launched, axis):
+        ahead = np.clip(way[..., 2], 0.0, 1.0)
+        inside = np.sqrt(1 - (1 - ahead**2) / window.refractive_index**2)
+        passed = passed * reflection.fresnel_transmission(
+            ahead,
+            refractive_index=1.0,
+            refractive_index_behind=window.refractive_index,
+        )
+        passed = passed * reflection.fresnel_transmission(
+            inside,
+            refractive_index=window.refractive_index,
+            refractive_index_behind=medium.refractive_index,
+        )
+    return passed
 
 
 def kernel_arguments(

@@ -17,6 +17,7 @@ from amulor.acquisition.simulated.scene import LightByDirection, Scene
 from amulor.acquisition.uncertainty import reading_variance
 from amulor.optics.polarization import stokes
 from amulor.survey import Survey
+from amulor.survey.counting import background_rate
 
 #: How fast the beam turns [rad/s].
 SCAN_SPEED = 5.0
@@ -119,6 +120,7 @@ class Bench:
         self._others: dict[float, tuple[_Places, _Places]] = {}
         self._tones = [self._tone(survey.instrument.modulation_frequencies[0])]
         self._pairs = _mount_angles(survey, launch, analyser)
+        self._daylight = background_rate(survey)
         self._locked_at = -math.inf
         self._filter(survey.instrument.lock_in.time_constant)
         # Where each thing stands, where it goes, and when it arrives.
@@ -379,6 +381,7 @@ class Bench:
                     light.target_rate[index]
                     + max(change, 0.0) * light.water_rate[index]
                 )
+        rate += float(self._daylight[self._polarization()])
         detector = self.survey.instrument.detector
         volt = detector.volt_per_photoelectron_rate
         self._mean = volt * (rate + detector.dark_rate)
