@@ -151,6 +151,12 @@ _JOINT = {
     ),
     "joint_slant_range_lower": _optional(_PIXEL, "m", "lower end of the 68 % interval"),
     "joint_slant_range_upper": _optional(_PIXEL, "m", "upper end of the 68 % interval"),
+    "joint_nearer_surface": _optional(
+        _PIXEL, "m", "nearer of two surfaces that one beam meets"
+    ),
+    "joint_farther_surface": _optional(
+        _PIXEL, "m", "farther of two surfaces that one beam meets"
+    ),
     "joint_wrong_interval_probability": _optional(
         _PIXEL, "1", "probability of another ambiguity interval"
     ),

@@ -141,6 +141,9 @@ def ranges_of_joint(one: xr.Dataset, *, interval: tuple[float, float] | None) ->
     distance, total = found["slant_range"], found["slant_range_uncertainty"]
     common = found["slant_range_common_uncertainty"]
     flag, sigma, _ = phase_errors(one)
+    outlying = (one["quality_flag"].values & QualityFlag.OUTLIER) != 0
+    # Single samples that disagree are left out of these ranges, and no doubt of theirs.
+    flag[~outlying.all(axis=0)] &= ~QualityFlag.OUTLIER
     usable = (flag & UNUSABLE) == 0
     settled = np.isfinite(distance) & np.isfinite(total)
     if interval is not None:

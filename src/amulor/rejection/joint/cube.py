@@ -119,7 +119,9 @@ def cube_of(
     flag[detected & (wrong > _WRONG)] |= QualityFlag.AMBIGUOUS
     if _intervals_look_alike(shared, frame.phase_per_path, scan.span):
         flag[detected] |= QualityFlag.AMBIGUOUS
-    contradicted = p_value < _DISAGREEMENT
+    two = np.isfinite(over_pixels([part.near for part in parts]))
+    flag[two] |= QualityFlag.MIXED
+    contradicted = (p_value < _DISAGREEMENT) & ~two
     flag[contradicted] |= QualityFlag.WATER_RESIDUAL
     if shared.evidence > DECISIVE:
         flag[detected & matters] |= QualityFlag.WATER_RESIDUAL
@@ -134,8 +136,11 @@ def cube_of(
         step="reject, joint estimation",
         **_attributes(shared, instrument),
     )
+    flag[over_pixels([part.unsettled for part in parts])] |= QualityFlag.OUTLIER
     missing = ~np.isfinite(signal)
     flags = np.broadcast_to(flag, shape).copy()
+    left_out = over_samples([part.left_out for part in parts])
+    flags[left_out] |= QualityFlag.OUTLIER
     if "saturated" in cube:
         flags[cube["saturated"].values != 0] |= QualityFlag.SATURATED
     flags[missing] = QualityFlag.MISSING
@@ -164,6 +169,8 @@ def cube_of(
         "wrong_interval_probability": wrong,
     }
     maps = {name: np.where(usable, values, np.nan) for name, values in ranges.items()}
+    for name, side in (("near", "nearer_surface"), ("far", "farther_surface")):
+        maps[side] = to_range(over_pixels([getattr(part, name) for part in parts]))
     maps["misfit"] = cost / np.maximum(freedom, 1)
     return target.assign(_variables(maps))
 

@@ -65,6 +65,9 @@ class Shared:
     """Relative random change of the water signal from sample to sample [1]."""
     noise_scale: float
     """How many times the stated errors are too small, 1 or more [1]."""
+    judged: NDArray[np.bool_]
+    """Samples that may be left out of single pixels, (channel, frequency): not those
+    at which the model, and not the pixel, is wrong."""
     turn_width: float
     """Prior standard deviation of the direction of the receiver [rad]."""
     covariance: Floats

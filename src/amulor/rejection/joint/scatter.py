@@ -70,13 +70,40 @@ def are_inliers(estimates: Estimates) -> NDArray[np.bool_]:
 
     if not len(estimates.path):
         return np.ones(0, dtype=bool)
+    cost, freedom = _misfit(estimates)
+    kept: NDArray[np.bool_] = (
+        chi2.sf(cost / typical_misfit(estimates), freedom) > _OUTLIER
+    )
+    return kept
+
+
+def typical_misfit(estimates: Estimates) -> float:
+    """Return the median of chi-square over what chance makes it, 1 or more.
+
+    Parameters
+    ----------
+    estimates : Estimates
+        Solutions of all pixels.
+
+    Returns
+    -------
+    float
+        Above 1 where the model or the stated errors are wrong for most pixels [1].
+    """
+    from scipy.stats import chi2
+
+    if not len(estimates.path):
+        return 1.0
+    cost, freedom = _misfit(estimates)
+    return max(float(np.median(cost / chi2.median(freedom))), 1.0)
+
+
+def _misfit(estimates: Estimates) -> tuple[Floats, NDArray[np.intp]]:
+    """Return chi-square of each pixel, with or without target, and its freedom."""
     detected = is_detected(estimates)
     cost = np.where(detected, estimates.cost, estimates.empty_cost)
     own = detected * (1 + estimates.amplitude.shape[1])
-    freedom = np.maximum(estimates.used - own, 1)
-    typical = max(float(np.median(cost / chi2.median(freedom))), 1.0)
-    kept: NDArray[np.bool_] = chi2.sf(cost / typical, freedom) > _OUTLIER
-    return kept
+    return cost, np.maximum(estimates.used - own, 1)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -15,10 +15,12 @@ from amulor.rejection.joint._kernels import common as kernels
 from amulor.rejection.joint._kernels.bundles import Covariances, WaterModel
 from amulor.rejection.joint._kernels.threads import spread
 from amulor.rejection.joint.frame import Frame
+from amulor.rejection.joint.outliers import Kept, part_of, without_outliers
 from amulor.rejection.joint.pixels import Pixels
 from amulor.rejection.joint.priors import Shared, layout_of
 from amulor.rejection.joint.scatter import is_detected
 from amulor.rejection.joint.search import Estimates
+from amulor.rejection.joint.surfaces import are_two, asked, two_surfaces
 
 Floats = NDArray[np.float64]
 Complex = NDArray[np.complex128]
@@ -30,6 +32,16 @@ class Result:
 
     estimates: Estimates
     """Paths and amplitudes, without the influences."""
+    left_out: NDArray[np.bool_]
+    """Samples that disagree with the rest of their pixel, (pixel, channel,
+    frequency)."""
+    unsettled: NDArray[np.bool_]
+    """Pixels in which it stays open which samples are wrong."""
+    near: Floats
+    """Optical path to the nearer of two surfaces; not a number where one is seen
+    [m]."""
+    far: Floats
+    """Optical path to the farther one [m]."""
     detected: NDArray[np.bool_]
     """Where there is a target rather than open water."""
     depth: Floats
@@ -68,7 +80,17 @@ def solve(frame: Frame, pixels: Pixels, shared: Shared, transfer: Complex) -> Re
         To first order in the errors of what is shared.
     """
     rate = frame.phase_per_path
-    estimates = _estimates(frame, pixels, shared, transfer)
+    whole = _estimates(frame, pixels, shared, transfer)
+    kept = without_outliers(
+        pixels,
+        whole,
+        lambda rest: _estimates(frame, rest, shared, transfer),
+        shared.judged,
+        max(shared.misfit, 1.0),
+    )
+    kept, near, far = _mixed(pixels, whole, kept, shared, transfer, rate)
+    left_out = pixels.usable & ~kept.pixels.usable
+    pixels, estimates = kept.pixels, kept.estimates
     detected = is_detected(estimates)
     path = np.where(detected, estimates.path, np.inf)
     depth, water, _ = joint_model.water_at(pixels, path, shared.table, rate)
@@ -93,6 +115,10 @@ def solve(frame: Frame, pixels: Pixels, shared: Shared, transfer: Complex) -> Re
     unsure = _variance(slopes[:, free], shared.covariance[free, free])
     return Result(
         # Nobody asks for the influences any more, and they are most of the memory.
+        left_out=left_out,
+        unsettled=kept.unsettled,
+        near=near,
+        far=far,
         estimates=replace(estimates, influence=np.zeros((0, 0, 0), dtype=complex)),
         detected=detected,
         depth=depth,
@@ -122,6 +148,35 @@ def _estimates(
         fluctuation=shared.fluctuation,
         front=shared.foreground,
     )
+
+
+def _mixed(
+    pixels: Pixels,
+    whole: Estimates,
+    kept: Kept,
+    shared: Shared,
+    transfer: Complex,
+    rate: Floats,
+) -> tuple[Kept, Floats, Floats]:
+    """Return who sees two surfaces, with all their samples, and where these are."""
+    count = len(pixels)
+    near, far = np.full(count, np.nan), np.full(count, np.nan)
+    number = (pixels.usable & ~kept.pixels.usable).sum(axis=(1, 2))
+    some = np.flatnonzero(
+        asked(whole, is_detected(whole), (number > 0) | kept.unsettled)
+    )
+    if not len(some):
+        return kept, near, far
+    pair = two_surfaces(
+        pixels.part(some), whole.path[some], shared, transfer=transfer,
+        phase_per_path=rate,
+    )  # fmt: skip
+    are = are_two(
+        pair, part_of(whole, some), part_of(kept.estimates, some), number[some]
+    )
+    some = some[are]
+    near[some], far[some] = pair.near[are], pair.far[are]
+    return kept.restored(pixels, whole, some), near, far
 
 
 def _variance(slopes: Floats, covariance: Floats) -> Floats:

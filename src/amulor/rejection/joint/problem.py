@@ -1,0 +1,277 @@
+"""The samples that the fit of what pixels share is made to, and its steps."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from amulor.rejection.joint.frame import Frame
+from amulor.rejection.joint.integral import table_of
+from amulor.rejection.joint.model import foreground, water_at
+from amulor.rejection.joint.normal import Fitted, Normal, normal_equations
+from amulor.rejection.joint.pixels import Pixels, weight
+from amulor.rejection.joint.priors import (
+    NONE,
+    Layout,
+    Shared,
+    Widths,
+    cost_of,
+    inverse_of,
+    layout_of,
+    prior_of,
+    widths_of,
+)
+from amulor.rejection.joint.scatter import Scatter, is_detected, scatter_of
+from amulor.rejection.joint.search import Estimates, estimate, without_foreground
+from amulor.rejection.joint.shape import COEFFICIENTS
+
+Floats = NDArray[np.float64]
+Complex = NDArray[np.complex128]
+
+#: Dampings tried for a step, each ten times the one before, and the least of them [1].
+_TRIALS, _LEAST_DAMPING = 6, 1e-3
+#: A step that promises or brings less than this in chi-square is the last one, and
+#: one that promises less than 1 is worth a few trials only.
+_SETTLED = 0.02
+_FEW_TRIALS = 3
+#: Prior standard deviations that the receiver may be turned by: further off, it is the
+#: water that is not as the model has it [1].
+_FURTHEST = 3.0
+
+
+class Problem:
+    """The samples of a fit, and its steps.
+
+    Parameters
+    ----------
+    frame : Frame
+        How the receiver looks at the scan.
+    targets : Pixels
+        Samples with or without a target.
+    shots : Pixels, optional
+        Samples that are known to be open water.
+    transfer : ndarray of complex
+        What the echo has beyond its delay, as known [1].
+    deepest : float
+        Depth beyond which no target stands [m].
+    """
+
+    def __init__(
+        self,
+        frame: Frame,
+        targets: Pixels,
+        shots: Pixels | None,
+        transfer: Complex,
+        deepest: float,
+    ) -> None:
+        self.frame = frame
+        self.targets = targets
+        self.shots = shots
+        self.transfer = transfer
+        self.deepest = deepest
+
+    def part(self, which: NDArray[np.intp], *, shots: bool = True) -> Problem:
+        """Return the problem with some of the pixels, with or without the shots."""
+        some = self.targets.part(which)
+        chosen = self.shots if shots else None
+        return Problem(self.frame, some, chosen, self.transfer, self.deepest)
+
+    def of(self, targets: Pixels) -> Problem:
+        """Return the problem with other pixels."""
+        return Problem(self.frame, targets, self.shots, self.transfer, self.deepest)
+
+    def with_shots(self, shots: Pixels) -> Problem:
+        """Return the problem with other shots."""
+        return Problem(self.frame, self.targets, shots, self.transfer, self.deepest)
+
+    def cost(self, state: Shared) -> float:
+        """Return minus twice the logarithm of the evidence, but for a constant."""
+        layout = layout_of(state)
+        estimates = self.local(state, None)
+        normal = self.normal(state, estimates, layout, layout.size)
+        own = cost_of(normal.matrix, normal.vector, state, layout, state.widths)
+        volume = 0.0
+        for group in self.groups(estimates):
+            deviation = self.deviation(state, group.pixels, group.path)
+            inverse = weight(group.pixels, deviation, state.noise_scale)
+            square = inverse[:, :, 0] * inverse[:, :, 2] - inverse[:, :, 1] ** 2
+            volume -= float(np.sum(np.log(square[square > 0])))
+        return normal.square + own + volume
+
+    def descend(
+        self, state: Shared, steps: int, *, free: bool, paths: Floats | None = None
+    ) -> tuple[Shared, Floats]:
+        """Take Gauss-Newton steps until they are small against their own errors."""
+        layout = layout_of(state)
+        used = layout.size if free else layout.rigid
+        estimates = self.local(state, paths)
+        normal = self.normal(state, estimates, layout, used)
+        damping = 0.0
+        for _ in range(steps):
+            widths, evidence = NONE, 0.0
+            if free:
+                widths, evidence = widths_of(
+                    normal.matrix, normal.vector, state, layout
+                )
+            prior, origin = prior_of(state, layout, widths)
+            matrix = normal.matrix + np.diag(prior[:used])
+            vector = normal.vector - (prior * origin)[:used]
+            level = _objective(normal, state, layout, widths)
+            state = replace(
+                state, widths=widths, evidence=evidence, covariance=inverse_of(matrix)
+            )
+            expected = float(vector @ state.covariance @ vector)
+            best = (state, estimates, normal)
+            for _ in range(_TRIALS if expected > 1 else _FEW_TRIALS):
+                # Levenberg's and Marquardt's way between Newton and steepest descent.
+                damped = matrix + damping * np.diag(np.diag(matrix))
+                step = inverse_of(damped) @ vector
+                moved = self.moved(state, step, layout)
+                new_estimates = self.local(moved, estimates.path)
+                new = self.normal(moved, new_estimates, layout, used)
+                if _objective(new, moved, layout, widths) < level:
+                    best = (moved, new_estimates, new)
+                    damping = damping / 10 if damping > _LEAST_DAMPING else 0.0
+                    break
+                damping = max(10 * damping, _LEAST_DAMPING)
+            gained = level - _objective(best[2], best[0], layout, widths)
+            state, estimates, normal = best
+            if min(gained, expected) < _SETTLED:
+                break
+        basic = layout.parametric
+        return (
+            replace(
+                state,
+                parametric=inverse_of(normal.matrix[basic, basic]),
+                misfit=normal.square / max(normal.freedom, 1),
+            ),
+            estimates.path,
+        )
+
+    def moved(self, state: Shared, step: Floats, layout: Layout) -> Shared:
+        """Return the state after a step, its table made anew."""
+        full = np.zeros(layout.size)
+        full[: len(step)] = step
+        bounded = full[layout.shape].copy()
+        # Logarithms of coefficients: no more than a factor of e at once.
+        bounded[:COEFFICIENTS] = np.clip(bounded[:COEFFICIENTS], -1, 1)
+        shape = state.shape.moved(bounded)
+        limit = _FURTHEST * state.turn_width
+        shape = replace(shape, turn=np.clip(shape.turn, -limit, limit))
+        channels, frequencies = state.departure.shape
+        _, water, echo = layout.blocks
+        water_step = full[water].reshape(2, channels, frequencies)
+        echo_step = full[echo].reshape(2, frequencies)
+        shot_change, shot_departure = state.shot_change, state.shot_departure
+        if layout.doubts:
+            own = full[layout.doubt]
+            parts = own[:-1].reshape(2, channels, frequencies)
+            shot_change = shot_change + float(np.clip(own[-1], -1, 1))
+            shot_departure = shot_departure + parts[0] + 1j * parts[1]
+        return replace(
+            state,
+            shape=shape,
+            shot_change=shot_change,
+            shot_departure=shot_departure,
+            table=table_of(self.frame, shape, deepest=self.deepest),
+            strength=np.maximum(state.strength + full[layout.strength], 0.0),
+            departure=state.departure + water_step[0] + 1j * water_step[1],
+            echo=state.echo + echo_step[0] + 1j * echo_step[1],
+        )
+
+    def local(
+        self, state: Shared, paths: Floats | None, pixels: Pixels | None = None
+    ) -> Estimates:
+        """Return the best paths and amplitudes of all or other pixels."""
+        start = None if paths is None else np.nan_to_num(paths, nan=0.0)
+        pixels = self.targets if pixels is None else pixels
+        return estimate(
+            without_foreground(
+                pixels,
+                state.table,
+                strength=state.foreground,
+                phase_per_path=self.frame.phase_per_path,
+            ),
+            weight(pixels, None, state.noise_scale),
+            state.table,
+            gain=state.gain,
+            transfer=self.transfer * (1 + state.echo),
+            phase_per_path=self.frame.phase_per_path,
+            fluctuation=state.fluctuation,
+            front=state.foreground,
+            known=start,
+        )
+
+    def deviation(
+        self, state: Shared, pixels: Pixels, paths: Floats | None
+    ) -> Complex | None:
+        """Return one standard deviation of the water signal's random change [V]."""
+        if state.fluctuation == 0:
+            return None
+        at = np.full(len(pixels), np.inf) if paths is None else paths
+        at = np.where(np.isfinite(at), at, np.inf)
+        _, water, _ = water_at(pixels, at, state.table, self.frame.phase_per_path)
+        front = foreground(pixels, state.table, self.frame.phase_per_path)
+        return state.fluctuation * state.water_signal(water, front)
+
+    def groups(self, estimates: Estimates) -> list[Fitted]:
+        """Return pixels and shots with their paths and amplitudes."""
+        detected = is_detected(estimates)
+        amplitude = np.where(detected[:, None], estimates.amplitude, 0.0)
+        path = np.where(detected, estimates.path, np.inf)
+        groups = [Fitted(self.targets, path, amplitude)]
+        if self.shots is not None:
+            count = len(self.shots)
+            none = np.zeros((count, amplitude.shape[1]))
+            groups.append(Fitted(self.shots, np.full(count, np.inf), none, True))
+        return [group for group in groups if len(group.pixels)]
+
+    def normal(
+        self, state: Shared, estimates: Estimates, layout: Layout, used: int
+    ) -> Normal:
+        """Return the normal equations of the first parameters about a state."""
+        total = Normal.zero(used)
+        for group in self.groups(estimates):
+            total = total + normal_equations(
+                state,
+                group,
+                layout,
+                used,
+                transfer=self.transfer,
+                phase_per_path=self.frame.phase_per_path,
+            )
+        return total
+
+    def scatter(
+        self, state: Shared, estimates: Estimates, *, neighbours: bool = True
+    ) -> Scatter:
+        """Return what explains the scatter from pixel to pixel."""
+        return scatter_of(
+            state,
+            self.groups(estimates),
+            transfer=self.transfer,
+            phase_per_path=self.frame.phase_per_path,
+            neighbours=neighbours,
+        )
+
+    def scattered(
+        self, state: Shared, paths: Floats | None = None, *, neighbours: bool = True
+    ) -> tuple[Shared, Estimates]:
+        """Return a state with what is random in the samples, and what it makes of them.
+
+        From paths that are known, or from those that are looked for.
+        """
+        estimates = self.local(state, paths)
+        found = self.scatter(state, estimates, neighbours=neighbours)
+        state = replace(
+            state, fluctuation=found.fluctuation, noise_scale=found.noise_scale
+        )
+        return state, self.local(state, estimates.path)
+
+
+def _objective(normal: Normal, state: Shared, layout: Layout, widths: Widths) -> float:
+    """Return minus twice the logarithm of the posterior, but for a constant."""
+    prior, origin = prior_of(state, layout, widths)
+    return normal.square + float(prior @ origin**2)
