@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 
 from cyclopts import Parameter
 
-from amulor.cli._arguments import SEED
+from amulor.cli._arguments import SEED, UsageError, quantity_of
 from amulor.cli._output import progress_bar
 
 
@@ -16,7 +16,8 @@ def simulate(
     /,
     *,
     output: Annotated[Path, Parameter(alias="-o")],
-    model: Literal["small-angle", "closure", "diffusion"] = "small-angle",
+    model: Literal["small-angle", "closure", "diffusion", "photons"] = "small-angle",
+    error: str = "0.5%",
     seed: Annotated[int, Parameter(validator=SEED)] = 1,
     overwrite: Annotated[bool, Parameter(negative="")] = False,
 ) -> None:
@@ -30,9 +31,13 @@ def simulate(
         File to write (netCDF).
     model
         Forward model: small-angle with the whole phase function; its closure, which is
-        fast and rougher; or small-angle diffusion, the form of the paper.
+        fast and rougher; small-angle diffusion, the form of the paper; or photons
+        followed through all orders of scattering, which takes minutes.
+    error
+        Relative error of the unmodulated light at which photons stop; it counts in
+        the uncertainty of the samples.
     seed
-        Seed of the simulated noise.
+        Seed of the simulated noise, and of photons.
     overwrite
         Replace a file that is there.
     """
@@ -41,6 +46,7 @@ def simulate(
     from amulor.simulation import (
         ClosureModel,
         DiffusionModel,
+        PhotonModel,
         SignalModel,
         SmallAngleModel,
     )
@@ -48,16 +54,24 @@ def simulate(
     from amulor.survey import Survey
     from amulor.survey.reach import unsettled_interval
 
+    goal = quantity_of("--error", error, "fraction")
+    if not 0 < goal < 1:
+        raise UsageError(
+            f"--error: needed is a relative error above 0 and below 1, found {error}"
+        )
     io.check_output(output, overwrite=overwrite, inputs=[survey])
-    models: dict[str, SignalModel] = {
-        "small-angle": SmallAngleModel(),
-        "closure": ClosureModel(),
-        "diffusion": DiffusionModel(),
-    }
-    chosen = models[model]
     described = Survey.from_toml(survey)
     try:
         with progress_bar() as advance:
+            models: dict[str, SignalModel] = {
+                "small-angle": SmallAngleModel(),
+                "closure": ClosureModel(),
+                "diffusion": DiffusionModel(),
+                "photons": PhotonModel(
+                    relative_error=goal, seed=seed, progress=advance
+                ),
+            }
+            chosen = models[model]
             advance(f"simulating, {chosen.title}", 0.0)
             cube = simulate_survey(described, rng=seed, model=chosen)
     except SurveyError as problem:

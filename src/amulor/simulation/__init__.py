@@ -7,11 +7,13 @@ from amulor.simulation.models import (
     SignalModel,
     SmallAngleModel,
 )
+from amulor.simulation.photons import PhotonModel
 from amulor.simulation.scene_light import SceneLight, scene_light
 
 __all__ = [
     "ClosureModel",
     "DiffusionModel",
+    "PhotonModel",
     "SceneLight",
     "SignalModel",
     "SmallAngleModel",

@@ -76,7 +76,8 @@ def sample(
     Samples
         Of the same shape. The stated variance covers what the instrument knows:
         shot and dark noise, that of daylight and the phase floor, not the fluctuation
-        of the water and not the speckle of the target.
+        of the water and not the speckle of the target; and the errors of a forward
+        model that states some.
 
     Notes
     -----
@@ -92,7 +93,7 @@ def sample(
     )
     speckled = _speckled(survey, target, rng=rng)
     light = speckled + Light(
-        water.modulated * change, water.mean * np.maximum(change, 0)
+        water.modulated * change, water.mean * np.maximum(change, 0), water.variance
     )
     rate = counting.full_rate(survey) * light.mean + _daylight(survey, light)
     time = counting.integration_time(survey)
@@ -107,6 +108,9 @@ def sample(
     in_phase, quadrature, covariance = detection.phase_floor_covariance(
         signal, phase_floor=lock_in.phase_floor
     )
+    # What the light itself is not sure of, the same in both outputs.
+    one = expected_signal(survey, Light(np.ones(1, complex), np.ones(1))).real[0]
+    variance = variance + one**2 * light.variance / 2
     return Samples(
         signal=signal,
         in_phase_variance=variance + in_phase,
@@ -127,7 +131,9 @@ def _speckled(survey: Survey, target: Light, *, rng: np.random.Generator) -> Lig
     if cells is None:
         return target
     power = rng.gamma(cells, 1 / cells, size=target.mean.shape[1:])
-    return Light(target.modulated * power, target.mean * power)
+    return Light(
+        target.modulated * power, target.mean * power, target.variance * power**2
+    )
 
 
 def _daylight(survey: Survey, light: Light) -> NDArray[np.float64]:

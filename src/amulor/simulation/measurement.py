@@ -85,7 +85,7 @@ def simulate(
             title=survey.name,
             source=f"simulation by amulor, {model.title}",
             simulated=np.int32(1),
-            late_echo="absent",
+            late_echo=model.late_echo,
             seed=seed,
             survey=survey.to_toml(),
             input_digests=f"survey {cube.digest(survey.to_toml())}",

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any, Protocol
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,6 +31,7 @@ from amulor.survey.view import (
 )
 
 Complex = NDArray[np.complex128]
+Error = NDArray[np.float64]
 
 
 class SignalModel(Protocol):
@@ -39,6 +40,11 @@ class SignalModel(Protocol):
     @property
     def title(self) -> str:
         """What a cube says it was made with."""
+        ...
+
+    @property
+    def late_echo(self) -> str:
+        """Whether light scattered on its way comes later, "present" or "absent"."""
         ...
 
     def echo(
@@ -106,6 +112,35 @@ class SignalModel(Protocol):
         ...
 
 
+@runtime_checkable
+class UncertainModel(Protocol):
+    """A forward model that knows how sure it is, as `SignalModel` otherwise."""
+
+    def echo_with_error(
+        self,
+        modulation_frequency: NDArray[np.float64],
+        *,
+        survey: Survey,
+        water: WaterProperties,
+        view: View,
+        surface: dict[str, Any],
+    ) -> tuple[Complex, Error]:
+        """Return `echo` and its standard error, real and imaginary part together."""
+        ...
+
+    def column_with_error(
+        self,
+        modulation_frequency: NDArray[np.float64],
+        *,
+        survey: Survey,
+        water: WaterProperties,
+        view: View,
+        end: Any,
+    ) -> tuple[Complex, Error]:
+        """Return `column` and its standard error."""
+        ...
+
+
 @dataclass(frozen=True)
 class DiffusionModel:
     """The diffusion form (43), (46) of Ricci et al. 2010, as rebuilt: the paper's.
@@ -117,6 +152,8 @@ class DiffusionModel:
 
     title: str = "small-angle diffusion model, the paper's form"
     """What a cube says it was made with."""
+    late_echo: str = "absent"
+    """All light takes the straight way."""
 
     def echo(
         self,
@@ -163,6 +200,8 @@ class SmallAngleModel:
 
     title: str = "small-angle model with the whole phase function"
     """What a cube says it was made with."""
+    late_echo: str = "absent"
+    """All light takes the straight way."""
 
     def echo(
         self,
@@ -220,6 +259,8 @@ class ClosureModel:
 
     title: str = "closure of the small-angle model"
     """What a cube says it was made with."""
+    late_echo: str = "absent"
+    """All light takes the straight way."""
 
     def echo(
         self,
@@ -302,7 +343,7 @@ def whole_function_arguments(
         arguments["absorption"] = arguments["absorption"] + diffuse
         return {**arguments, "scattering": 0.0, **_nowhere()}
     try:
-        function = _phase_function(water)
+        function = whole_phase_function(water)
     except SurveyError as problem:
         raise SurveyError(
             f"{problem}; or choose the diffusion model, which needs moments only"
@@ -317,8 +358,24 @@ def whole_function_arguments(
 
 
 @lru_cache(maxsize=8)
-def _phase_function(water: WaterProperties) -> PhaseFunction:
-    """Return one and the same function each time: its transform is kept with it."""
+def whole_phase_function(water: WaterProperties) -> PhaseFunction:
+    """Return the phase function of a water, one and the same each time.
+
+    Parameters
+    ----------
+    water : WaterProperties
+        As for `amulor.simulation.phase_function.phase_function_of`.
+
+    Returns
+    -------
+    PhaseFunction
+        What the models have worked out for it is kept with it.
+
+    Raises
+    ------
+    SurveyError
+        If no phase function has the moments that are stated.
+    """
     return phase_function_of(water)
 
 

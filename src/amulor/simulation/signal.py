@@ -11,7 +11,7 @@ from scipy.constants import speed_of_light
 
 from amulor.optics.polarization import mueller
 from amulor.simulation.geometry import Geometry
-from amulor.simulation.models import DEFAULT_MODEL, SignalModel
+from amulor.simulation.models import DEFAULT_MODEL, SignalModel, UncertainModel
 from amulor.survey import Survey, WaterProperties
 from amulor.survey.mueller import matrix
 from amulor.survey.view import View
@@ -25,10 +25,17 @@ class Light:
     """Power per launched power at each modulation frequency [1]."""
     mean: NDArray[np.float64]
     """Power per launched power without modulation [1]."""
+    variance: NDArray[np.float64] | float = 0.0
+    """Variance of the modulated power by the model's own errors, real and imaginary
+    part together [1]."""
 
     def __add__(self, other: Light) -> Light:
         """Return what both send together."""
-        return Light(self.modulated + other.modulated, self.mean + other.mean)
+        return Light(
+            self.modulated + other.modulated,
+            self.mean + other.mean,
+            self.variance + other.variance,
+        )
 
 
 def target_light(
@@ -65,20 +72,19 @@ def target_light(
         fraction[:, own] = _fractions(survey, target.mueller)[:, None]
     frequency = _frequencies(survey)
     depth = np.where(met, geometry.depth, 0.0)
-    response = model.echo(
-        frequency[:, None, None, None],
-        survey=survey,
-        water=water,
-        view=geometry.view,
-        surface={
-            "depth": depth,
-            "optical_path": geometry.optical_path,
-            "reflectance": reflectance,
-            "cosine": geometry.cosine,
-        },
-    )
-    bright = geometry.brightness * geometry.view.transmission
-    return _light(response * (fraction * bright))
+    surface = {
+        "depth": depth,
+        "optical_path": geometry.optical_path,
+        "reflectance": reflectance,
+        "cosine": geometry.cosine,
+    }
+    common: dict[str, Any] = {"survey": survey, "water": water, "view": geometry.view}
+    each = frequency[:, None, None, None]
+    passed = fraction * geometry.brightness * geometry.view.transmission
+    if isinstance(model, UncertainModel):
+        response, error = model.echo_with_error(each, surface=surface, **common)
+        return _light(response * passed, error * passed)
+    return _light(model.echo(each, surface=surface, **common) * passed)
 
 
 def water_light(
@@ -112,14 +118,15 @@ def water_light(
     far = np.inf if survey.water.column_end is None else survey.water.column_end
     stop = np.minimum(np.inf if end is None else end, far)
     frequency = _frequencies(survey).reshape(-1, 1, *[1] * view.tilt.ndim)
-    response = model.column(frequency, survey=survey, water=water, view=view, end=stop)
     # The model counts the delay from where the water begins.
-    response = response * np.exp(
-        2j * np.pi * frequency * view.optical_offset / speed_of_light
-    )
+    turn = np.exp(2j * np.pi * frequency * view.optical_offset / speed_of_light)
     fraction = _fractions(survey, survey.water.backscatter_mueller)
     passed = fraction.reshape(-1, *[1] * view.tilt.ndim) * view.transmission
-    return _light(response * passed)
+    common: dict[str, Any] = {"survey": survey, "water": water, "view": view}
+    if isinstance(model, UncertainModel):
+        response, error = model.column_with_error(frequency, end=stop, **common)
+        return _light(response * turn * passed, error * passed)
+    return _light(model.column(frequency, end=stop, **common) * turn * passed)
 
 
 def _frequencies(survey: Survey) -> NDArray[np.float64]:
@@ -127,9 +134,11 @@ def _frequencies(survey: Survey) -> NDArray[np.float64]:
     return np.array([0.0, *survey.instrument.modulation_frequencies])
 
 
-def _light(response: NDArray[np.complex128]) -> Light:
+def _light(
+    response: NDArray[np.complex128], error: NDArray[np.float64] | None = None
+) -> Light:
     mean = np.broadcast_to(response[:1].real, response[1:].shape)
-    return Light(response[1:], mean)
+    return Light(response[1:], mean, 0.0 if error is None else error[1:] ** 2)
 
 
 def _fractions(survey: Survey, stated: Any) -> NDArray[np.float64]:

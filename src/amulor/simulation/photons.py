@@ -1,0 +1,345 @@
+"""The forward model that follows photons: all orders of scattering, late echoes too."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from amulor.simulation.models import Error, SmallAngleModel, whole_phase_function
+from amulor.simulation.photon_grid import Grid, grid_of
+from amulor.simulation.photon_runs import Light, Place, Setting, follow, way
+from amulor.survey import Survey, WaterProperties
+from amulor.survey.view import View, refuse_beam_and_edges, refuse_layers
+from amulor.transport import Progress
+
+__all__ = ["PhotonModel"]
+
+Complex = NDArray[np.complex128]
+Floats = NDArray[np.float64]
+
+#: Ranges of baseline [m], tilt [rad], squared cross tilt [rad^2] and depth [m] that one
+#: node stands for, and the most nodes of each.
+_LEAST = np.array([2e-3, 2e-3, 1e-4, 0.01])
+_MOST = np.array([2, 3, 2, 4])
+#: Places between the nodes that are followed as well: what the interpolation misses.
+_CHECKS = 3
+
+
+@dataclass(frozen=True, kw_only=True)
+class Factor:
+    """What photons bring over what the small-angle form says, with its errors."""
+
+    grid: Grid
+    """Where photons were followed: baseline, tilt, squared cross tilt, depth."""
+    value: Complex
+    """Ratios, shape (frequencies, places) [1]."""
+    error: Floats
+    """Their standard errors [1]."""
+    between: Floats
+    """Standard error of the interpolation, shape (frequencies,) [1]."""
+
+    def at(self, where: Floats) -> tuple[Complex, Floats]:
+        """Return the ratio at places and its standard error, (frequencies, n)."""
+        weight = self.grid.weights(where)
+        variance = (self.error**2) @ (weight**2).T
+        return self.value @ weight.T, np.sqrt(variance + self.between[:, None] ** 2)
+
+
+@dataclass(frozen=True, kw_only=True)
+class PhotonModel:
+    """Photon transport with all orders of scattering: slow, and the reference.
+
+    Photons are followed for a few beams and depths of the survey. Between these the
+    ratio of what they bring to the small-angle form (29) is interpolated, a smooth
+    function near 1, which carries their late echo and all that is scattered twice by
+    large angles. The errors of photons and of the interpolation, found at places
+    between, are stated with the light and count in the samples' uncertainty.
+    """
+
+    relative_error: float = 0.005
+    """Standard error of all light at one place without modulation [1]."""
+    histories: int = 2_000_000
+    """Most photons for one place; the first check of the error comes after an eighth
+    of them."""
+    seed: int = 1
+    """Seed of the photons."""
+    progress: Callable[[str, float], None] | None = field(
+        default=None, compare=False, repr=False
+    )
+    """Called with what is done now and the share of the work done before it."""
+    title: str = "photon transport, all orders of scattering"
+    """What a cube says it was made with."""
+    late_echo: str = "present"
+    """Whether the light scattered on its way comes later."""
+    _known: dict[Any, Any] = field(
+        default_factory=dict, init=False, compare=False, repr=False
+    )
+
+    def __post_init__(self) -> None:
+        """Refuse what cannot be."""
+        if not 0 < self.relative_error < 1:
+            raise ValueError(
+                f"relative_error must be above 0 and below 1, got {self.relative_error}"
+            )
+
+    def echo(
+        self,
+        modulation_frequency: Floats,
+        *,
+        survey: Survey,
+        water: WaterProperties,
+        view: View,
+        surface: dict[str, Any],
+    ) -> Complex:
+        """Return received per launched power from surfaces; see `SignalModel`."""
+        return self.echo_with_error(
+            modulation_frequency, survey=survey, water=water, view=view, surface=surface
+        )[0]
+
+    def echo_with_error(
+        self,
+        modulation_frequency: Floats,
+        *,
+        survey: Survey,
+        water: WaterProperties,
+        view: View,
+        surface: dict[str, Any],
+    ) -> tuple[Complex, Error]:
+        """Return the same and its standard error; see `UncertainModel`."""
+        plain = SmallAngleModel().echo(
+            modulation_frequency, survey=survey, water=water, view=view, surface=surface
+        )
+        value, error = np.array(plain), np.zeros(plain.shape)
+        frequency = modulation_frequency.ravel()
+        share = np.broadcast_to(surface["reflectance"], view.tilt.shape)
+        for reflectance in np.unique(share[share > 0]):
+            own = share == reflectance
+            where = _places(view, surface["depth"])[own.ravel()]
+            factor = self._factor(
+                survey, water, view, where, frequency, float(reflectance), "target"
+            )
+            _apply(factor.at(where), own, value, error)
+        return value, error
+
+    def column(
+        self,
+        modulation_frequency: Floats,
+        *,
+        survey: Survey,
+        water: WaterProperties,
+        view: View,
+        end: Any,
+    ) -> Complex:
+        """Return received per launched power from the water; see `SignalModel`."""
+        return self.column_with_error(
+            modulation_frequency, survey=survey, water=water, view=view, end=end
+        )[0]
+
+    def column_with_error(
+        self,
+        modulation_frequency: Floats,
+        *,
+        survey: Survey,
+        water: WaterProperties,
+        view: View,
+        end: Any,
+    ) -> tuple[Complex, Error]:
+        """Return the same and its standard error; see `UncertainModel`."""
+        shape = view.tilt.shape
+        axes = (-1,) + (1,) * (modulation_frequency.ndim - 1)
+        frequency = modulation_frequency.ravel()
+        stop = np.broadcast_to(np.asarray(end, dtype=float), shape)
+        plain = SmallAngleModel().column(
+            modulation_frequency.reshape(axes),
+            survey=survey,
+            water=water,
+            view=view,
+            end=stop,
+        )
+        value, error = np.array(plain), np.zeros(plain.shape)
+        far = np.inf if survey.water.column_end is None else survey.water.column_end
+        bounded = np.isfinite(stop)
+        # Before targets; before the far end of the water; in open water.
+        for own, reflectance in (
+            (bounded & (stop < far), _brightness(survey)),
+            (bounded & (stop >= far), 0.0),
+            (~bounded, 0.0),
+        ):
+            if own.any():
+                where = _places(view, stop)[own.ravel()]
+                factor = self._factor(
+                    survey, water, view, where, frequency, reflectance, "water"
+                )
+                places = where[:, : len(factor.grid.axes)]
+                _apply(factor.at(places), own, value, error)
+        return value, error
+
+    # --------------------------------------------------------------- the photons
+
+    def _factor(
+        self,
+        survey: Survey,
+        water: WaterProperties,
+        view: View,
+        where: Floats,
+        frequency: Floats,
+        reflectance: float,
+        light: str,
+    ) -> Factor:
+        """Return the ratio to the small-angle form over the places of some beams."""
+        setting = _setting(survey, water, view)
+        standoff = float(view.standoff.flat[0])
+        bounded = bool(np.isfinite(where[:, 3]).all())
+        axes = 4 if bounded else 3
+        grid = grid_of(where[:, :axes], least=_LEAST[:axes], most=_MOST[:axes])
+        spots = np.concatenate([grid.places, grid.between(_CHECKS)])
+        ratios, errors = [], []
+        for number, spot in enumerate(spots):
+            place = Place(
+                baseline=float(spot[0]),
+                tilt=float(spot[1]),
+                cross_tilt=math.sqrt(max(float(spot[2]), 0.0)),
+                standoff=standoff,
+                depth=float(spot[3]) if bounded else math.inf,
+                reflectance=reflectance,
+            )
+            found = self._followed(setting, place, frequency, (number, len(spots)))
+            expected = _small_angle(survey, water, view, place, frequency, light)
+            seen, rough = (
+                (found.water, found.water_error)
+                if light == "water"
+                else (found.target, found.target_error)
+            )
+            ratios.append(seen / expected)
+            errors.append(rough / abs(expected))
+        nodes = len(grid.places)
+        value, error = np.array(ratios).T, np.array(errors).T
+        rest = Factor(
+            grid=grid,
+            value=value[:, :nodes],
+            error=error[:, :nodes],
+            between=np.zeros(len(frequency)),
+        )
+        guess, doubt = rest.at(spots[nodes:])
+        # What is more than the photons' own errors is that of the interpolation.
+        miss = abs(guess - value[:, nodes:]) ** 2 - doubt**2 - error[:, nodes:] ** 2
+        between = np.sqrt(np.maximum(miss.mean(axis=1), 0.0))
+        return Factor(grid=grid, value=rest.value, error=rest.error, between=between)
+
+    def _followed(
+        self,
+        setting: Setting,
+        place: Place,
+        frequency: Floats,
+        count: tuple[int, int],
+    ) -> Light:
+        """Return the light of a place, followed once."""
+        key = (setting, place, tuple(frequency))
+        if key not in self._known:
+            self._known[key] = follow(
+                setting,
+                place,
+                frequency,
+                relative_error=self.relative_error,
+                histories=self.histories,
+                seed=self.seed + 1000 * len(self._known),
+                progress=self._reported(count),
+            )
+        light: Light = self._known[key]
+        return light
+
+    def _reported(self, count: tuple[int, int]) -> Callable[[Progress], None] | None:
+        """Return what tells how far photons have come at one place of several."""
+        if self.progress is None:
+            return None
+        tell, (number, places) = self.progress, count
+
+        def report(state: Progress) -> None:
+            part = min(1.0, (self.relative_error / state.relative_error) ** 2)
+            tell(
+                f"photons, place {number + 1} of {places}, {state.histories:,}",
+                (number + part) / places,
+            )
+
+        return report
+
+
+def _apply(
+    factor: tuple[Complex, Floats],
+    own: NDArray[np.bool_],
+    value: Complex,
+    error: Floats,
+) -> None:
+    """Multiply the light of some beams by ratios, and set its error."""
+    between = [1] * (value.ndim - 1 - own.ndim)
+    ratio, rough = factor
+    error[..., own] = abs(value[..., own]) * rough.reshape(len(value), *between, -1)
+    value[..., own] *= ratio.reshape(len(value), *between, -1)
+
+
+def _places(view: View, depth: Any) -> Floats:
+    """Return baseline, tilt, squared cross tilt and depth of each beam, (n, 4)."""
+    shape = view.tilt.shape
+    parts = (view.baseline, view.tilt, view.cross_tilt**2, np.asarray(depth, float))
+    return np.stack([np.broadcast_to(part, shape).ravel() for part in parts], axis=1)
+
+
+def _brightness(survey: Survey) -> float:
+    """Return the reflectance of what ends the water before targets."""
+    return float(survey.targets[0].reflectance) if survey.targets else 0.0
+
+
+def _setting(survey: Survey, water: WaterProperties, view: View) -> Setting:
+    """Return what all places share."""
+    refuse_layers(water, model="the photon model")
+    refuse_beam_and_edges(survey, model="the photon model")
+    return Setting(
+        absorption=water.absorption,
+        scattering=water.forward_scattering + water.diffuse_scattering,
+        phase_function=whole_phase_function(water),
+        group_index=water.group_index,
+        receiver_radius=survey.instrument.receiver.radius,
+        acceptance_angle=view.acceptance,
+    )
+
+
+def _small_angle(
+    survey: Survey,
+    water: WaterProperties,
+    view: View,
+    place: Place,
+    frequency: Floats,
+    light: str,
+) -> Complex:
+    """Return what the small-angle form says of the same place."""
+    looking = View(
+        baseline=np.array([place.baseline]),
+        transmission=np.ones(1),
+        tilt=np.array([place.tilt]),
+        cross_tilt=np.array([place.cross_tilt]),
+        standoff=np.array([place.standoff]),
+        optical_offset=np.zeros(1),
+        acceptance=view.acceptance,
+    )
+    common: dict[str, Any] = {"survey": survey, "water": water, "view": looking}
+    model, f = SmallAngleModel(), frequency[:, None]
+    if light == "water":
+        return model.column(f, end=np.array([place.depth]), **common)[:, 0]
+    length = way(place)
+    # The cosine is that of the way back and the plane across the beam.
+    slope = np.array([place.tilt, place.cross_tilt, 1.0])
+    direction = slope / np.linalg.norm(slope)
+    point = place.standoff * slope + place.depth * direction
+    back = np.array([place.baseline, 0.0, 0.0]) - point
+    surface = {
+        "depth": np.array([place.depth]),
+        "optical_path": np.array([water.group_index * length]),
+        "reflectance": np.array([place.reflectance]),
+        "cosine": np.array([float(-direction @ back / np.linalg.norm(back))]),
+    }
+    return model.echo(f, surface=surface, **common)[:, 0]

@@ -1,0 +1,221 @@
+"""Scans whose light was followed by photons, against photons followed directly."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import xarray as xr
+from numpy.testing import assert_allclose
+
+from amulor import transport
+from amulor.cli import main
+from amulor.io import read_cube
+from amulor.optics import rays
+from amulor.optics.phase_functions.models import henyey_greenstein_function
+from amulor.simulation import PhotonModel, SmallAngleModel, photons, signal, simulate
+from amulor.simulation.geometry import trace
+from amulor.simulation.photon_runs import Light
+from amulor.survey import Survey, water_properties
+
+FREQUENCIES = (20e6, 60e6)
+#: An asymmetry in place of moments; no polarizer, as photons are counted without one.
+WHOLE = {
+    "water.asymmetry": 0.95,
+    "water.forward_fraction": None,
+    "water.second_moment": None,
+    "water.phase_function_at_180": None,
+    "instrument.modulation_frequencies": FREQUENCIES,
+    "instrument.polarizations": ["none"],
+}
+
+
+@pytest.mark.slow
+def test_drawn_pixels_are_those_of_photons_followed_directly(plate: Survey) -> None:
+    survey = plate.with_(
+        {
+            **WHOLE,
+            "targets.0.rotation": ["0 deg", "20 deg", "0 deg"],
+            "scan.columns": 9,
+            "scan.rows": 5,
+        }
+    )
+    model = PhotonModel(relative_error=0.01, histories=200_000, seed=5)
+    water = water_properties(survey)
+    geometry = trace(survey, water)
+    found = {
+        "target": signal.target_light(survey, water, geometry, model=model),
+        "water": signal.water_light(
+            survey, water, geometry.view, end=geometry.depth, model=model
+        ),
+    }
+    receiver = survey.instrument.receiver
+    medium = transport.Medium.homogeneous(
+        absorption=0.255,
+        scattering=0.595,
+        phase_function=henyey_greenstein_function(asymmetry=0.95),
+        group_index=1.38,
+    )
+    normal = np.array([-np.sin(np.radians(20)), 0.0, -np.cos(np.radians(20))])
+    square = []
+    for row, column in np.random.default_rng(2).integers(0, [5, 9], (4, 2)):
+        beam = rays.direction(
+            geometry.azimuth[row, column], geometry.elevation[row, column]
+        )
+        tally = transport.simulate(
+            medium,
+            transport.Source(direction=beam),
+            transport.GaussianReceiver(
+                radius=0.02,
+                acceptance_angle=0.08,
+                position=receiver.position,
+                direction=rays.direction(receiver.azimuth, receiver.elevation),
+            ),
+            [0.0, *FREQUENCIES],
+            histories=200_000,
+            seed=int(100 * row + column),
+            target=transport.PlaneTarget(
+                position=(0, 0, 1.5), normal=normal, reflectance=0.1
+            ),
+            relative_error=0.01,
+        )
+        for name, direct, covariance in (
+            ("target", tally.target_signal, tally.target_covariance),
+            ("water", tally.water_signal, tally.water_covariance),
+        ):
+            light = found[name]
+            here = light.modulated[:, 0, row, column]
+            variance = np.broadcast_to(light.variance, light.modulated.shape)
+            both = variance[:, 0, row, column]
+            both = both + np.trace(covariance[1:], axis1=-2, axis2=-1)
+            square.append(abs(here - direct[1:]) ** 2 / both)
+            # The error says something: 3 % at most where photons have 1 %.
+            assert np.all(np.sqrt(variance[:, 0, row, column]) < 0.03 * abs(here))
+    # The squared modulus of complex numbers in units of its own mean: 16 of them, of
+    # which pixels share their nodes, so no test of a distribution but of its size.
+    assert np.mean(square) < 2.5
+    assert np.max(square) < 16
+
+
+def _stand_in(water_part: complex, echo_part: complex):
+    """Return a stand-in for `follow` that finds parts of the small-angle form."""
+
+    def follow(setting, place, frequency, **_):
+        size = len(frequency)
+        return Light(
+            water=np.full(size, water_part),
+            water_error=np.full(size, 0.01),
+            target=np.full(size, echo_part),
+            target_error=np.full(size, 0.02),
+        )
+
+    return follow
+
+
+def test_the_ratio_and_its_error_reach_the_cube(
+    plate: Survey, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    survey = plate.with_(
+        {**WHOLE, "instrument.polarizations": ["VV"], "water.signal_fluctuation": 0.0}
+    )
+    # Photons bring 0.97 of the water and 0.9 of the echo, at each place.
+    monkeypatch.setattr(photons, "follow", _stand_in(0.97 + 0j, 0.9 + 0j))
+    monkeypatch.setattr(
+        photons, "_small_angle", lambda *a, **k: np.ones(1 + len(FREQUENCIES), complex)
+    )
+    cube = simulate(survey, rng=1, model=PhotonModel())
+    plain = simulate(survey, rng=1, model=SmallAngleModel())
+    lights = {}
+    for name, part in (("target", 0.9), ("water", 0.97)):
+        lights[name], whole = (_truth(each, name) for each in (cube, plain))
+        assert_allclose(lights[name], part * whole, rtol=1e-9)
+    assert "photon" in cube.attrs["source"]
+    assert cube.attrs["late_echo"] == "present"
+    assert plain.attrs["late_echo"] == "absent"
+    # Errors of 1 and 2 % of one place at most, half of the variance in each output.
+    own = cube["in_phase_uncertainty"].values ** 2
+    own = own - plain["in_phase_uncertainty"].values ** 2
+    most = (abs(lights["water"]) * 0.01 / 0.97) ** 2
+    most = (most + (abs(lights["target"]) * 0.02 / 0.9) ** 2) / 2
+    assert np.all(own < 2.2 * most)
+    assert np.all(own > 0.1 * most)
+
+
+def _truth(cube: xr.Dataset, name: str) -> np.ndarray:
+    truth = cube.amulor.truth
+    return (truth[f"{name}_in_phase"] + 1j * truth[f"{name}_quadrature"]).values
+
+
+def test_a_place_is_followed_once_for_echo_and_water(
+    plate: Survey, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    survey = plate.with_({**WHOLE, "scan.open_water": None})
+    seen = []
+    stand_in = _stand_in(1 + 0j, 1 + 0j)
+
+    def follow(setting, place, frequency, **options):
+        seen.append(place)
+        return stand_in(setting, place, frequency)
+
+    monkeypatch.setattr(photons, "follow", follow)
+    simulate(survey, rng=1, model=PhotonModel())
+    assert len(seen) == len(set(seen))
+    # All of them look at the plate: one grid serves both.
+    assert all(place.reflectance == 0.1 for place in seen)
+    assert len(seen) < 30
+
+
+def test_ctrl_c_leaves_nothing_behind(
+    tmp_path: Path, plate: Survey, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def stop(*_, **__):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(photons, "follow", stop)
+    path = tmp_path / "plate.toml"
+    path.write_text(plate.with_(WHOLE).to_toml())
+    words = ["simulate", str(path), "--model", "photons", "-o", str(tmp_path / "p.nc")]
+    assert main(words) == 130
+    assert sorted(each.name for each in tmp_path.iterdir()) == ["plate.toml"]
+
+
+def test_an_interrupted_run_is_not_taken_for_a_result(
+    plate: Survey, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from dataclasses import replace
+
+    from amulor.simulation import photon_runs
+
+    real = photon_runs.simulate
+
+    def cut(*arguments, **options):
+        options |= {"histories": 4000, "relative_error": None, "progress": None}
+        return replace(real(*arguments, **options), interrupted=True)
+
+    monkeypatch.setattr(photon_runs, "simulate", cut)
+    with pytest.raises(KeyboardInterrupt):
+        simulate(plate.with_(WHOLE), rng=1, model=PhotonModel())
+
+
+@pytest.mark.slow
+def test_the_command_follows_photons(tmp_path: Path, plate: Survey) -> None:
+    path, output = tmp_path / "plate.toml", tmp_path / "plate.nc"
+    small = {**WHOLE, "scan.columns": 2, "scan.rows": 1, "scan.open_water": None}
+    path.write_text(plate.with_(small).to_toml())
+    words = ["simulate", str(path), "--model", "photons", "--error", "5 %"]
+    assert main([*words, "-o", str(output)]) == 0
+    assert "photon transport" in read_cube(output).attrs["source"]
+
+
+@pytest.mark.parametrize("value", ["0 %", "-1 %", "200 %"])
+def test_an_error_that_cannot_be_reached_is_refused(
+    tmp_path: Path, plate: Survey, value: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "plate.toml"
+    path.write_text(plate.to_toml())
+    words = ["simulate", str(path), f"--error={value}", "-o", str(tmp_path / "p.nc")]
+    assert main(words) == 2
+    assert "--error" in capsys.readouterr().err
+    with pytest.raises(ValueError, match="relative_error"):
+        PhotonModel(relative_error=0.0)
