@@ -11,7 +11,7 @@ from amulor.cli._arguments import SEED, UsageError
 from amulor.cli._output import print_json, progress_bar
 
 #: Which figures need an extra: targets are seen by ray casting, milk is spheres.
-_EXTRAS = {"scene": {*range(5, 16)}, "mie": {10, 11, 12}}
+_EXTRAS = {"scene": {*range(5, 16)}, "mie": {7, 10, 11, 12}}
 
 
 def ricci2010(

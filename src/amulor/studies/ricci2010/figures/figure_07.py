@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from matplotlib.figure import Figure
 
@@ -14,6 +16,7 @@ from amulor.studies.ricci2010.figures.drawing import (
     mark_synthetic,
 )
 from amulor.studies.ricci2010.scenes import interference_sweeps as shared
+from amulor.studies.ricci2010.scenes import white_plate
 from amulor.studies.ricci2010.study import Study
 from amulor.view.style import COLOURS, new_figure, style
 
@@ -30,7 +33,10 @@ CAPTION = (
 #: Successive maxima, and minima, of experiment 2 stand 33.5 to 43.4 MHz apart, read to
 #: 2 MHz; those of experiment 3 about 25 MHz [MHz].
 _SECOND, _THIRD, _READING = (33.5, 43.4), 25.0, 2.0
-#: Where the paper speaks of each experiment.
+#: Reflectance of a surface that is called white [1].
+_WHITENESS = (0.6, 1.0)
+#: Where the paper speaks of the plate, and of each experiment.
+_WHITE = "section 8, on the set-up"
 _PLACES = tuple(f"section 8, on figure 7({panel})" for panel in "abc")
 
 
@@ -99,6 +105,8 @@ def checks(study: Study) -> list[Check]:
         ),
         *[_range(sweep) for sweep in (first, second, third)],
         *[_white(sweep) for sweep in (first, second, third)],
+        *_white_in_milk(study),
+        _backscatter_needed(study),
         *_in_better_water(study),
     ]
 
@@ -221,13 +229,51 @@ def _range(sweep: shared.Sweep, name: str | None = None) -> Check:
     )
 
 
+def _white_in_milk(study: Study) -> list[Check]:
+    result = []
+    for found in white_plate.reflectances(study):
+        check = within(
+            f"experiment {found.number}, spheres of milk in the water, by photons: the "
+            "plate is white",
+            found.value,
+            *_WHITENESS,
+            place=_WHITE,
+            digits=2,
+            uncertainty=found.error,
+        )
+        low, high = _WHITENESS
+        near = low - 2 * found.error <= found.value <= high + 2 * found.error
+        wanted = f"{check.wanted}, within 2 standard errors"
+        result.append(replace(check, passed=near, wanted=wanted))
+    return result
+
+
+def _backscatter_needed(study: Study) -> Check:
+    """Return whether (29) needs the phase function that the diffusion form needs."""
+    forms = [
+        [sweep.needed_backscatter for sweep in study.once(sweeps)]
+        for sweeps in (shared.sweeps, shared.small_angle_sweeps)
+    ]
+    diffusion, small_angle = (
+        f"{min(values[1:]):.3f} to {max(values[1:]):.3f}" for values in forms
+    )
+    quotient = np.array(forms[1][1:]) / np.array(forms[0][1:])
+    return holds(
+        "experiments 2 and 3: both forms need the same phase function at 180 degrees "
+        f"over a plate of {shared.WHITE:g}",
+        bool(np.all(np.abs(quotient - 1) < 0.25)),
+        found=f"{diffusion} 1/sr by the diffusion form, {small_angle} by (29)",
+        wanted="the same within 25 %",
+        place="",
+    )
+
+
 def _white(sweep: shared.Sweep) -> Check:
     return within(
         f"experiment {sweep.number}: the plate is white (reflectance that gives the "
         "ratio of water signal and echo)",
         sweep.reflectance,
-        0.6,
-        1.0,
-        place="section 8, second paragraph on the set-up",
+        *_WHITENESS,
+        place=_WHITE,
         digits=2,
     )

@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 from matplotlib.figure import Figure
 
-from amulor.optics import extrema
 from amulor.studies.ricci2010.checks import Check, holds, within
 from amulor.studies.ricci2010.figures import ratio_panels
 from amulor.studies.ricci2010.scenes import interference_sweeps as shared
@@ -30,8 +29,11 @@ def checks(study: Study) -> list[Check]:
             ratio_panels.same_extrema(
                 sweep, np.log(sweep.ratio), "signal-to-optical-noise ratio"
             )
-            for sweep in sweeps
+            for sweep in sweeps[1:]
         ],
+        ratio_panels.almost_monotonic(
+            sweeps[0], np.log(sweeps[0].ratio), "logarithm of the ratio"
+        ),
         *[
             ratio_panels.grows(sweep, sweep.ratio, "signal-to-optical-noise ratio")
             for sweep in sweeps
@@ -47,7 +49,12 @@ def checks(study: Study) -> list[Check]:
         within(
             "correction takes the oscillation out of the ratio: turns left in SNR_t of "
             "experiments 2 and 3 that are 10 % deep",
-            float(sum(_turns(sweep) for sweep in sweeps[1:])),
+            float(
+                sum(
+                    ratio_panels.turns(s, np.log(s.corrected_ratio), depth=0.1)
+                    for s in sweeps[1:]
+                )
+            ),
             -np.inf,
             0,
             place=ratio_panels.PLACE,
@@ -82,17 +89,3 @@ def _goes_together(sweeps: tuple[shared.Sweep, ...]) -> Check:
         place="section 8, after figure 9",
         wanted="0, some, some; the same ones",
     )
-
-
-def _turns(sweep: shared.Sweep) -> int:
-    """Return how many maxima of SNR_t stand 10 % above both minima beside them."""
-    value = np.log(shared.smoothed(sweep.corrected_ratio))
-    result = extrema.find(sweep.frequency, value)
-    level = np.interp(result.maxima, sweep.frequency, value)
-    count = 0
-    for place, top in zip(result.maxima, level, strict=True):
-        left = result.minima[result.minima < place][-1:]
-        right = result.minima[result.minima > place][:1]
-        beside = np.interp([*left, *right], sweep.frequency, value)
-        count += bool(len(beside) == 2 and np.all(top - beside > 0.1))
-    return count

@@ -74,6 +74,64 @@ def same_extrema(sweep: Sweep, value: Floats, name: str) -> Check:
     )
 
 
+def almost_monotonic(sweep: Sweep, value: Floats, name: str) -> Check:
+    """Return the check that a quantity rises without turning back by much.
+
+    Parameters
+    ----------
+    sweep : Sweep
+        The experiment.
+    value : ndarray
+        The quantity at its frequencies.
+    name : str
+        What it is.
+
+    Returns
+    -------
+    Check
+        How many maxima stand above both minima beside them by more than a tenth of
+        all that the quantity rises.
+    """
+    count = turns(sweep, value, depth=0.1 * float(np.ptp(smoothed(value))))
+    return holds(
+        f"experiment {sweep.number}: {name} rises almost monotonically (turns back by "
+        "more than a tenth of its rise)",
+        count == 0,
+        found=str(count),
+        wanted="0",
+        place=PLACE,
+    )
+
+
+def turns(sweep: Sweep, value: Floats, *, depth: float) -> int:
+    """Return how many maxima stand above both minima beside them.
+
+    Parameters
+    ----------
+    sweep : Sweep
+        The experiment.
+    value : ndarray
+        A quantity at its frequencies.
+    depth : float
+        By how much, in the unit of the quantity.
+
+    Returns
+    -------
+    int
+        Of the smoothed quantity.
+    """
+    even = smoothed(value)
+    result = extrema.find(sweep.frequency, even)
+    level = np.interp(result.maxima, sweep.frequency, even)
+    count = 0
+    for place, top in zip(result.maxima, level, strict=True):
+        left = result.minima[result.minima < place][-1:]
+        right = result.minima[result.minima > place][:1]
+        beside = np.interp([*left, *right], sweep.frequency, even)
+        count += bool(len(beside) == 2 and np.all(top - beside > depth))
+    return count
+
+
 def grows(sweep: Sweep, value: Floats, name: str) -> Check:
     """Return the check that a quantity grows with frequency, period by period.
 

@@ -29,6 +29,8 @@ TURBIDITY = {1: "low", 2: "high", 3: "low"}
 #: Sweep of section 8: first and last frequency [Hz], and how many.
 FIRST, LAST, COUNT = 0.5e6, 146e6, 196
 QUICK_COUNT = 98
+#: Reflectance of white paint [1].
+WHITE = 0.8
 #: Width over which a measured sweep is smoothed before its extrema are sought, less
 #: than half of the shortest period [Hz].
 _SMOOTHED = 11e6
@@ -110,6 +112,8 @@ class Sweep:
     """Target signal without noise and water [V]."""
     reflectance: float
     """Reflectance that gives the stated ratio of water signal and echo [1]."""
+    needed_backscatter: float
+    """Phase function at 180 degrees that gives it with a white plate of 0.8 [1/sr]."""
     period: float
     """Period of the interference if the water signal came from the middle of its
     group depths [Hz]."""
@@ -252,6 +256,7 @@ def _experiment(
         joint_flags=int(np.bitwise_or.reduce(joint["quality_flag"].values.ravel())),
         truth=_target(cube),
         reflectance=reflectance,
+        needed_backscatter=study["long_backscatter"] * WHITE / reflectance,
         period=float(
             extrema.separation(
                 distance,
