@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
+import sys
+from collections.abc import Callable
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any, TypeVar
 
 from cyclopts import Parameter
 
 from amulor.cli._arguments import SEED, UsageError
 from amulor.cli._output import print_json, progress_bar
 
+Result = TypeVar("Result")
+#: How often Ctrl-C is looked for [s].
+_LOOK = 0.1
 #: Which figures need an extra: targets are seen by ray casting, milk is spheres.
 _EXTRAS = {"scene": {*range(5, 16)}, "mie": {7, 10, 11, 12}}
 
@@ -57,13 +62,16 @@ def ricci2010(
     needed = [extra for extra, few in _EXTRAS.items() if few.intersection(numbers)]
     _extras.require(*needed, purpose="redrawing these figures")
     reproduce.check_outputs(output, numbers, overwrite=overwrite)
-    with progress_bar(quiet=json) as progress:
-        results = reproduce.run(
-            numbers,
-            quick=quick,
-            depend=sensitivity and not quick,
-            rng=seed,
-            progress=progress,
+    with progress_bar(quiet=json) as bar:
+        progress = bar if json or sys.stderr.isatty() else _say
+        results = _interruptible(
+            lambda: reproduce.run(
+                numbers,
+                quick=quick,
+                depend=sensitivity and not quick,
+                rng=seed,
+                progress=progress,
+            )
         )
         progress("writing figures and report", 0.99)
         reproduce.write(output, results, overwrite=overwrite)
@@ -88,3 +96,55 @@ def ricci2010(
         print()
     print(tables.tally(c for redrawn in results.figures for c in redrawn.checks))
     print(f"Report: {output / 'report.html'}")
+
+
+def _say(step: str, share: float) -> None:
+    """Print a step of the work on a line of its own, where no bar can be drawn."""
+    print(f"{share:4.0%} {step}", file=sys.stderr, flush=True)
+
+
+def _interruptible(work: Callable[[], Result]) -> Result:
+    """Return what a function returns; Ctrl-C ends the program and its workers at once.
+
+    The work is done in a thread of its own. In the main thread an interrupt would wait
+    for the end of a compiled loop, and a run of photons would take it for the wish to
+    go on with the photons it has.
+    """
+    from threading import Thread
+
+    results: list[Result] = []
+    problems: list[BaseException] = []
+
+    def do() -> None:
+        try:
+            results.append(work())
+        except BaseException as problem:
+            problems.append(problem)
+
+    thread = Thread(target=do, daemon=True)
+    thread.start()
+    try:
+        while thread.is_alive():
+            thread.join(_LOOK)
+    except KeyboardInterrupt:
+        _leave()
+    if problems:
+        raise problems[0]
+    return results[0]
+
+
+def _leave() -> None:
+    """End the program and its workers; nothing is written before the work is done."""
+    import multiprocessing
+    import os
+    from importlib import import_module
+
+    for process in multiprocessing.active_children():
+        process.kill()
+    if sys.stderr.isatty():
+        print("\x1b[?25h", end="", file=sys.stderr)  # the bar hides the cursor
+    # What multiprocessing does at the end of a program: semaphores of workers go.
+    util: Any = import_module("multiprocessing.util")
+    util._exit_function()
+    print("amulor: interrupted", file=sys.stderr, flush=True)
+    os._exit(130)

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import os
+import signal
 from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from functools import cache
 from itertools import groupby
-from multiprocessing import get_context
+from multiprocessing import active_children, get_context, parent_process
+from multiprocessing.process import BaseProcess
+from threading import Thread
 from typing import Any
 
 from amulor.errors import AmulorError
@@ -179,7 +183,10 @@ def _worked(
                 yield task, _outcome(study, figures, task)
         return
     spawn = get_context("spawn")
-    with ProcessPoolExecutor(min(workers, len(together) or 1), spawn) as pool:
+    others = set(active_children())
+    with ProcessPoolExecutor(
+        min(workers, len(together) or 1), spawn, initializer=_begin
+    ) as pool:
         stated = tuple(study.parameters.values())
         wanted = [
             pool.submit(
@@ -187,8 +194,33 @@ def _worked(
             )
             for group in together
         ]
-        for group, outcomes in zip(together, wanted, strict=True):
-            yield from zip(group, outcomes.result(), strict=True)
+        try:
+            for group, outcomes in zip(together, wanted, strict=True):
+                yield from zip(group, outcomes.result(), strict=True)
+        except BaseException:
+            # Leaving the pool would wait for all that is at work.
+            pool.shutdown(wait=False, cancel_futures=True)
+            for process in set(active_children()) - others:
+                process.kill()
+            raise
+
+
+def _begin() -> None:
+    """Prepare a process: it ends with its parent, which alone heeds Ctrl-C.
+
+    A run of photons would take an interrupt for the wish to go on with the photons it
+    has.
+    """
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    parent = parent_process()
+    if parent is not None:
+        Thread(target=_end_with, args=(parent,), daemon=True).start()
+
+
+def _end_with(parent: BaseProcess) -> None:
+    """Wait for the end of a process, and end."""
+    parent.join()
+    os._exit(1)
 
 
 def _elsewhere(
