@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import lru_cache
 from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
@@ -16,19 +15,16 @@ from amulor.optics import (
     small_angle_diffusion,
     target_echo,
 )
-from amulor.optics.phase_functions.models import isotropic
-from amulor.optics.phase_functions.phase_function import PhaseFunction
 from amulor.optics.small_angle import sharp_receiver
-from amulor.simulation.phase_function import phase_function_of
 from amulor.survey import Survey, WaterProperties
 from amulor.survey.view import (
     View,
-    beam_arguments,
     has_sharp_receiver,
     kernel_arguments,
     refuse_beam_and_edges,
     refuse_layers,
 )
+from amulor.survey.whole_function import whole_function_arguments
 
 Complex = NDArray[np.complex128]
 Error = NDArray[np.float64]
@@ -299,90 +295,6 @@ class ClosureModel:
 
 #: What simulations use unless told otherwise.
 DEFAULT_MODEL: SignalModel = SmallAngleModel()
-
-
-def whole_function_arguments(
-    survey: Survey, water: WaterProperties, view: View
-) -> dict[str, Any]:
-    """Return what target and water signal both take in the small-angle model.
-
-    Parameters
-    ----------
-    survey : Survey
-        Its beam and its receiver count.
-    water : WaterProperties
-        Optical numbers and phase function of the water.
-    view : View
-        How the receiver looks at each beam.
-
-    Returns
-    -------
-    dict
-        Keyword arguments of `amulor.optics.small_angle.overlap`.
-
-    Raises
-    ------
-    SurveyError
-        If the water states moments that no phase function has, or has layers.
-
-    Notes
-    -----
-    Water that states moments only gets the phase function that
-    `amulor.simulation.phase_function.phase_function_of` makes of them. Water that
-    spreads nothing forward needs none: all that it scatters is lost.
-    """
-    refuse_layers(water, model="the small-angle model")
-    arguments = kernel_arguments(survey, water, view)
-    forward, moment = (
-        arguments.pop("forward_scattering"),
-        arguments.pop("second_moment"),
-    )
-    diffuse = arguments.pop("diffuse_scattering")
-    if forward * moment == 0:
-        # Light that is scattered by no angle is not scattered.
-        arguments["absorption"] = arguments["absorption"] + diffuse
-        return {**arguments, "scattering": 0.0, **_nowhere()}
-    try:
-        function = whole_phase_function(water)
-    except SurveyError as problem:
-        raise SurveyError(
-            f"{problem}; or choose the diffusion model, which needs moments only"
-        ) from None
-    return {
-        **arguments,
-        **beam_arguments(survey, water),
-        "scattering": water.scattering,
-        "phase_function": function,
-        "split_angle": water.split_angle,
-    }
-
-
-@lru_cache(maxsize=8)
-def whole_phase_function(water: WaterProperties) -> PhaseFunction:
-    """Return the phase function of a water, one and the same each time.
-
-    Parameters
-    ----------
-    water : WaterProperties
-        As for `amulor.simulation.phase_function.phase_function_of`.
-
-    Returns
-    -------
-    PhaseFunction
-        What the models have worked out for it is kept with it.
-
-    Raises
-    ------
-    SurveyError
-        If no phase function has the moments that are stated.
-    """
-    return phase_function_of(water)
-
-
-@lru_cache(maxsize=1)
-def _nowhere() -> dict[str, Any]:
-    """Return a phase function for water that scatters nothing."""
-    return {"phase_function": isotropic(), "split_angle": np.pi / 2}
 
 
 def _closure_arguments(

@@ -18,9 +18,9 @@ from amulor.simulation import (
     SmallAngleModel,
     simulate,
 )
-from amulor.simulation.models import whole_function_arguments
 from amulor.survey import Survey, water_properties
 from amulor.survey.view import medium, view
+from amulor.survey.whole_function import whole_function_arguments
 
 #: An asymmetry in place of moments.
 WHOLE = {

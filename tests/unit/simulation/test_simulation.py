@@ -13,10 +13,10 @@ from scipy.integrate import trapezoid
 from amulor.errors import SurveyError
 from amulor.optics import small_angle, small_angle_diffusion
 from amulor.simulation import DiffusionModel, simulate
-from amulor.simulation.models import whole_function_arguments
 from amulor.survey import Survey, water_properties
 from amulor.survey.counting import integration_time
 from amulor.survey.view import kernel_arguments, medium, view
+from amulor.survey.whole_function import whole_function_arguments
 
 #: A survey without any noise.
 QUIET = {

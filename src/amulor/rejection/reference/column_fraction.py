@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 from numpy.polynomial import chebyshev
 from numpy.typing import NDArray
 
-from amulor.optics import ranging, small_angle_diffusion
+from amulor.optics import ranging
+from amulor.rejection.reference.model import water_signal
 from amulor.survey import Survey, water_properties
-from amulor.survey.view import kernel_arguments, medium, view
 
 Floats = NDArray[np.float64]
 Complex = NDArray[np.complex128]
@@ -56,7 +57,7 @@ def fractions(
 
     Notes
     -----
-    The quotient of (46) of Ricci et al. 2010, as rebuilt, from the depth on and as a
+    The quotient of the water signal of `model.water_signal` from the depth on and as a
     whole. Freed of the delay :math:`e^{2 i k z}` it is smooth in direction and depth,
     so a product of Chebyshev polynomials follows it. A table counts only if, at pixels
     spread over the scan, it agrees with the integral to half of `LARGEST_ERROR`; if
@@ -197,20 +198,13 @@ def integrated(survey: Survey, places: Floats, frequency: Floats) -> Complex:
         Fractions [1].
     """
     azimuth, elevation, depth = places
-    water = water_properties(survey)
-    where = view(survey, azimuth, elevation, medium=medium(survey, water))
-    arguments = kernel_arguments(survey, water, where) | {
-        "backscatter_vsf": 1.0,
-        "group_index": water.group_index,
+    place: dict[str, Any] = {
+        "azimuth": azimuth,
+        "elevation": elevation,
+        "modulation_frequency": frequency,
     }
-    each = frequency[:, None]
-    end = np.inf if survey.water.column_end is None else survey.water.column_end
-    whole = small_angle_diffusion.water_response(each, end=end, **arguments)
-    behind = small_angle_diffusion.water_tail(
-        each, end=np.minimum(depth, end), **arguments
-    )
-    if np.isfinite(end):
-        behind = behind - small_angle_diffusion.water_tail(each, end=end, **arguments)
+    whole = water_signal(survey, **place)
+    behind = whole - water_signal(survey, **place, end=depth)
     # A receiver that sees no water has none behind the target either.
     fraction: Complex = np.divide(
         behind, whole, out=np.zeros_like(behind), where=whole != 0

@@ -7,11 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from amulor.optics import small_angle_diffusion
 from amulor.rejection.reference import fit
-from amulor.survey import OpenWater, Survey, water_properties
+from amulor.rejection.reference.model import water_signal
+from amulor.survey import OpenWater, Survey
 from amulor.survey.directions import open_water_directions
-from amulor.survey.view import kernel_arguments, medium, view
 
 Floats = NDArray[np.float64]
 
@@ -97,15 +96,5 @@ def _error(survey: Survey, plan: OpenWater) -> float:
 
 def _open_water(survey: Survey, places: Floats) -> NDArray[np.complex128]:
     """Return the water signal over (frequency, direction), in any unit."""
-    water = water_properties(survey)
-    where = view(survey, places[:, 0], places[:, 1], medium=medium(survey, water))
-    frequency = np.asarray(survey.instrument.modulation_frequencies)[:, None]
-    end = np.inf if survey.water.column_end is None else survey.water.column_end
-    response: NDArray[np.complex128] = small_angle_diffusion.water_response(
-        frequency,
-        backscatter_vsf=1.0,
-        group_index=water.group_index,
-        end=end,
-        **kernel_arguments(survey, water, where),
-    )
-    return response
+    frequency = np.asarray(survey.instrument.modulation_frequencies)
+    return water_signal(survey, *places.T, modulation_frequency=frequency)

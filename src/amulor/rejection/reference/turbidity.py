@@ -9,11 +9,11 @@ import xarray as xr
 from numpy.typing import NDArray
 from scipy.constants import speed_of_light
 
-from amulor.optics import small_angle_diffusion
 from amulor.rejection.covariance import Covariance
+from amulor.rejection.reference.model import water_signal
 from amulor.survey import Survey, water_properties
 from amulor.survey.properties import by_coefficients
-from amulor.survey.view import kernel_arguments, medium, view
+from amulor.survey.view import medium, view
 
 Floats = NDArray[np.float64]
 Complex = NDArray[np.complex128]
@@ -148,14 +148,7 @@ def _model(survey: Survey, places: list[Floats], frequency: Floats) -> Complex:
     """Return open water over (frequency, direction), in any unit."""
     water = water_properties(survey)
     where = view(survey, *places, medium=medium(survey, water))
-    end = np.inf if survey.water.column_end is None else survey.water.column_end
-    response: Complex = small_angle_diffusion.water_response(
-        frequency[:, None],
-        backscatter_vsf=1.0,
-        group_index=water.group_index,
-        end=end,
-        **kernel_arguments(survey, water, where),
-    )
+    response = water_signal(survey, *places, modulation_frequency=frequency)
     turn = 2j * np.pi * frequency[:, None] * where.optical_offset / speed_of_light
     return np.asarray(response * np.exp(turn))
 

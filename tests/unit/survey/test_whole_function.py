@@ -10,8 +10,8 @@ import pytest
 
 from amulor.cli import main
 from amulor.errors import SurveyError
-from amulor.simulation.phase_function import phase_function_of
 from amulor.survey.water import Water
+from amulor.survey.whole_function import phase_function_of
 
 EXAMPLES = sorted(
     entry.name

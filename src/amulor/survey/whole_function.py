@@ -1,8 +1,10 @@
-"""A whole phase function for water of which a survey states moments only."""
+"""The whole phase function of any water, and what small-angle models take with it."""
 
 from __future__ import annotations
 
 import math
+from functools import lru_cache
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,11 +15,13 @@ from amulor.optics import phase_functions
 from amulor.optics.phase_functions.models import henyey_greenstein_function, isotropic
 from amulor.optics.phase_functions.phase_function import PhaseFunction
 from amulor.optics.phase_functions.tables import tabulated
-from amulor.survey import WaterProperties
 from amulor.survey.phase_function import phase_function as stated_phase_function
+from amulor.survey.properties import WaterProperties
+from amulor.survey.survey import Survey
+from amulor.survey.view import View, beam_arguments, kernel_arguments, refuse_layers
 from amulor.survey.water import Water
 
-__all__ = ["phase_function_of"]
+__all__ = ["phase_function_of", "whole_function_arguments", "whole_phase_function"]
 
 #: Scattering beyond the split angle up to which a survey may call it none [1].
 NEGLIGIBLE = 0.02
@@ -83,9 +87,96 @@ def phase_function_of(water: Water | WaterProperties) -> PhaseFunction:
             f"got {moment!r} rad^2, {fraction!r} and {backwards!r} 1/sr: state them, "
             "or an asymmetry"
         )
-    return _joined(moment, fraction, backwards, split=water.split_angle)
+    # One function for water of any turbidity: coefficients differ in the last bits.
+    moments = (float(f"{value:.12g}") for value in (moment, fraction, backwards))
+    return _joined(*moments, split=water.split_angle)
 
 
+def whole_function_arguments(
+    survey: Survey, water: WaterProperties, view: View
+) -> dict[str, Any]:
+    """Return what target and water signal both take in the small-angle model.
+
+    Parameters
+    ----------
+    survey : Survey
+        Its beam and its receiver count.
+    water : WaterProperties
+        Optical numbers and phase function of the water.
+    view : View
+        How the receiver looks at each beam.
+
+    Returns
+    -------
+    dict
+        Keyword arguments of `amulor.optics.small_angle.overlap`.
+
+    Raises
+    ------
+    SurveyError
+        If the water states moments that no phase function has, or has layers.
+
+    Notes
+    -----
+    Water that states moments only gets the phase function that
+    `phase_function_of` makes of them. Water that
+    spreads nothing forward needs none: all that it scatters is lost.
+    """
+    refuse_layers(water, model="the small-angle model")
+    arguments = kernel_arguments(survey, water, view)
+    forward, moment = (
+        arguments.pop("forward_scattering"),
+        arguments.pop("second_moment"),
+    )
+    diffuse = arguments.pop("diffuse_scattering")
+    if forward * moment == 0:
+        # Light that is scattered by no angle is not scattered.
+        arguments["absorption"] = arguments["absorption"] + diffuse
+        return {**arguments, "scattering": 0.0, **_nowhere()}
+    try:
+        function = whole_phase_function(water)
+    except SurveyError as problem:
+        raise SurveyError(
+            f"{problem}; or choose the diffusion model, which needs moments only"
+        ) from None
+    return {
+        **arguments,
+        **beam_arguments(survey, water),
+        "scattering": water.scattering,
+        "phase_function": function,
+        "split_angle": water.split_angle,
+    }
+
+
+@lru_cache(maxsize=8)
+def whole_phase_function(water: WaterProperties) -> PhaseFunction:
+    """Return the phase function of a water, one and the same each time.
+
+    Parameters
+    ----------
+    water : WaterProperties
+        As for `phase_function_of`.
+
+    Returns
+    -------
+    PhaseFunction
+        What the models have worked out for it is kept with it.
+
+    Raises
+    ------
+    SurveyError
+        If no phase function has the moments that are stated.
+    """
+    return phase_function_of(water)
+
+
+@lru_cache(maxsize=1)
+def _nowhere() -> dict[str, Any]:
+    """Return a phase function for water that scatters nothing."""
+    return {"phase_function": isotropic(), "split_angle": np.pi / 2}
+
+
+@lru_cache(maxsize=32)
 def _joined(
     moment: float, fraction: float, backwards: float, *, split: float
 ) -> PhaseFunction:
