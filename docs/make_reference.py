@@ -12,51 +12,92 @@ from amulor import survey
 from amulor.cube import schema
 
 FOLDER = Path(__file__).parent / "reference"
-TABLES = {
-    "(top)": survey.Survey,
-    "[water]": survey.Water,
-    '[[targets]], kind = "plate"': survey.Plate,
-    '[[targets]], kind = "staircase"': survey.Staircase,
-    '[[targets]], kind = "disc"': survey.Disc,
-    '[[targets]], kind = "mesh"': survey.Mesh,
-    "[instrument]": survey.Instrument,
-    "[instrument.emitter]": survey.Emitter,
-    "[instrument.receiver]": survey.Receiver,
-    "[instrument.detector]": survey.Detector,
-    "[instrument.lock_in]": survey.LockIn,
-    "[instrument.window]": survey.Window,
-    "[scan]": survey.Scan,
-    "[scan.open_water]": survey.OpenWater,
-    "[calibration]": survey.Calibration,
-}
+EXAMPLES = FOLDER / "examples"
+
+#: Title of a table, what it stands for, and the example that follows it.
+TABLES: list[tuple[str, type[BaseModel], str | None]] = [
+    ("(top)", survey.Survey, "survey"),
+    ("[water]", survey.Water, "water-coefficients"),
+    ("[water], by moments", survey.Water, "water-moments"),
+    ('[water], kind = "jerlov"', survey.JerlovWater, "water-jerlov"),
+    ('[water], kind = "petzold"', survey.PetzoldWater, "water-petzold"),
+    ('[water], kind = "pure"', survey.PureWater, "water-pure"),
+    ('[water], kind = "case-1"', survey.Case1Water, "water-case-1"),
+    ('[water], kind = "milk"', survey.MilkWater, "water-milk"),
+    ('[water], kind = "milk", measured', survey.MilkWater, "water-milk-measured"),
+    ('[water], kind = "spheres"', survey.SphereWater, "water-spheres"),
+    ('[water], kind = "layers"', survey.LayeredWater, "water-layers"),
+    ("[[water.layers]]", survey.WaterLayer, None),
+    (
+        'phase_function, kind = "henyey-greenstein"',
+        survey.HenyeyGreenstein,
+        "phase-henyey-greenstein",
+    ),
+    ('phase_function, kind = "two-term"', survey.TwoTerm, "phase-two-term"),
+    (
+        'phase_function, kind = "fournier-forand"',
+        survey.FournierForand,
+        "phase-fournier-forand",
+    ),
+    ('phase_function, kind = "petzold"', survey.Petzold, "phase-petzold"),
+    ('phase_function, kind = "rayleigh"', survey.Rayleigh, "phase-rayleigh"),
+    ('phase_function, kind = "tabulated"', survey.Tabulated, "phase-tabulated"),
+    ('[[targets]], kind = "plate"', survey.Plate, "target-plate"),
+    ('[[targets]], kind = "staircase"', survey.Staircase, "target-staircase"),
+    ('[[targets]], kind = "disc"', survey.Disc, "target-disc"),
+    ('[[targets]], kind = "mesh"', survey.Mesh, "target-mesh"),
+    ('surface, kind = "lambertian"', survey.Lambertian, "surface-lambertian"),
+    ('surface, kind = "oren-nayar"', survey.OrenNayar, "surface-oren-nayar"),
+    ('surface, kind = "tabulated"', survey.TabulatedSurface, "surface-tabulated"),
+    ("[instrument]", survey.Instrument, None),
+    ("[instrument.emitter]", survey.Emitter, "emitter"),
+    ("[instrument.receiver]", survey.Receiver, "receiver"),
+    ("[instrument.detector]", survey.Detector, None),
+    ("[instrument.lock_in]", survey.LockIn, None),
+    ("[instrument.window]", survey.Window, "window"),
+    ("[daylight]", survey.Daylight, "daylight"),
+    ("[scan]", survey.Scan, None),
+    ("[scan.open_water]", survey.OpenWater, None),
+    ("[calibration]", survey.Calibration, None),
+]
 
 
 def survey_page() -> str:
     """Return the page on survey files."""
-    parts = [
-        "# The survey file",
-        "",
-        "One TOML file says what is known before anything is measured. Quantities are",
-        'texts with a unit ("39 MHz", "20 cm"); shares may be plain numbers. Unknown',
-        "fields are refused. `amulor survey check FILE` checks one; a JSON Schema for",
-        "editors comes from `amulor survey schema`. Axes: right, down, forward, seen",
-        "from the instrument. Made from the code by `docs/make_reference.py`.",
-        "",
-    ]
-    for title, model in TABLES.items():
-        parts += [f"## {title}", "", _first_line(model), ""]
-        parts += ["| field | needed | default | meaning |", "| --- | --- | --- | --- |"]
-        for name, field in model.model_fields.items():
-            default = (
-                ""
-                if field.is_required()
-                else _default(field.get_default(call_default_factory=True))
-            )
-            meaning = " ".join((field.description or "").split())
-            needed = "yes" if field.is_required() else ""
-            parts.append(f"| `{name}` | {needed} | {default} | {meaning} |")
-        parts.append("")
+    parts = [(EXAMPLES / "introduction.txt").read_text(encoding="utf-8")]
+    shown: set[type[BaseModel]] = set()
+    for title, model, example in TABLES:
+        parts += [f"## {title}", ""]
+        if model not in shown:
+            parts += [_first_line(model), "", *_fields(model), ""]
+        shown.add(model)
+        if example is not None:
+            text = (EXAMPLES / f"{example}.toml").read_text(encoding="utf-8")
+            parts += ["```toml", text.rstrip("\n"), "```", ""]
     return "\n".join(parts)
+
+
+def _fields(model: type[BaseModel]) -> list[str]:
+    """Return the rows on the fields of a table; of waters, on what is their own."""
+    rows = ["| field | needed | default | meaning |", "| --- | --- | --- | --- |"]
+    fields = model.model_fields
+    common = survey.WaterState.model_fields
+    whole = model in (survey.Water, survey.WaterState)
+    for name in sorted(fields, key=lambda name: name in common):
+        if name in common and not whole:
+            continue
+        field = fields[name]
+        default = (
+            ""
+            if field.is_required()
+            else _default(field.get_default(call_default_factory=True))
+        )
+        meaning = " ".join((field.description or "").split())
+        needed = "yes" if field.is_required() else ""
+        rows.append(f"| `{name}` | {needed} | {default} | {meaning} |")
+    if issubclass(model, survey.WaterState) and not whole:
+        rows += ["", "And, as all waters, " + ", ".join(f"`{n}`" for n in common) + "."]
+    return rows
 
 
 def cube_page() -> str:

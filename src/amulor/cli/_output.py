@@ -15,7 +15,7 @@ def print_json(value: Any) -> None:
     Parameters
     ----------
     value : object
-        Numbers, texts, lists and tables; not-a-number becomes null.
+        Numbers, texts, paths, lists and tables; not-a-number becomes null.
     """
     print(json.dumps(_plain(value), indent=2, allow_nan=False))
 
@@ -84,7 +84,10 @@ def progress_bar(*, quiet: bool = False) -> Iterator[Callable[[str, float], None
 
 def _plain(value: Any) -> Any:
     import math
+    from pathlib import PurePath
 
+    if isinstance(value, PurePath):
+        return str(value)
     if isinstance(value, dict):
         return {key: _plain(item) for key, item in value.items()}
     if isinstance(value, list | tuple):

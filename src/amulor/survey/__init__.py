@@ -33,7 +33,7 @@ from amulor.survey.scan import OpenWater, Scan
 from amulor.survey.surface import Lambertian, OrenNayar, TabulatedSurface
 from amulor.survey.survey import Survey, json_schema
 from amulor.survey.target import Disc, Mesh, Plate, Staircase
-from amulor.survey.water import Water
+from amulor.survey.water import Water, WaterState
 
 __all__ = [
     "Calibration",
@@ -69,6 +69,7 @@ __all__ = [
     "Water",
     "WaterLayer",
     "WaterProperties",
+    "WaterState",
     "Window",
     "json_schema",
     "water_properties",

@@ -300,7 +300,7 @@ def refuse_layers(water: WaterProperties, *, model: str) -> None:
     """
     if water.layers:
         raise SurveyError(
-            f"water.layers: {model} knows uniform water only; use photon transport, or "
+            f"water.layers: {model} knows uniform water only; use photons, or "
             "state one water"
         )
 

@@ -34,6 +34,11 @@ _CASEIN_RADIUS, _CASEIN_LARGEST = 43e-9, 150e-9
 #: Relative widths of the size distributions [1].
 _FAT_WIDTH, _CASEIN_WIDTH = 0.6, 0.23
 _SIZES = 48
+#: Angles of the tables: so many sizes have no lobes, and 220 angles are as good as
+#: thousands, within 1e-4 of forward fraction and second moment [rad].
+_ANGLES = np.concatenate(
+    [[0.0], np.geomspace(2e-3, 0.3, 60), np.linspace(0.3, np.pi, 160)[1:]]
+)
 #: Bands of the camera, each a hundred nanometres from here on [m].
 _BANDS = {"B": 400e-9, "G": 500e-9, "R": 600e-9}
 
@@ -195,6 +200,7 @@ def _spheres(
         wavelength=light[0],
         particle_index=index,
         medium_index=light[1],
+        angle=_ANGLES,
     )
 
 
