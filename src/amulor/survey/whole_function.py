@@ -132,7 +132,8 @@ def whole_function_arguments(
     if forward * moment == 0:
         # Light that is scattered by no angle is not scattered.
         arguments["absorption"] = arguments["absorption"] + diffuse
-        return {**arguments, "scattering": 0.0, **_nowhere()}
+        beam = beam_arguments(survey, water)
+        return {**arguments, **beam, "scattering": 0.0, **_nowhere()}
     try:
         function = whole_phase_function(water)
     except SurveyError as problem:

@@ -42,6 +42,7 @@ def echo(survey: Survey, model=SmallAngleModel()) -> np.ndarray:  # noqa: B008
     return (truth["target_in_phase"] + 1j * truth["target_quadrature"]).values
 
 
+@pytest.mark.slow
 def test_a_named_phase_function_gives_what_its_asymmetry_gives(plate):
     one = in_water(plate, coefficients(0.255, 0.595, asymmetry=0.95))
     other = in_water(
@@ -130,6 +131,26 @@ def test_a_wide_beam_in_clear_water_widens_as_gaussians_do(
     assert_allclose(np.abs(echo(survey) / echo(thin)), expected, rtol=1e-5)
 
 
+def test_a_wide_beam_is_one_in_water_without_forward_scattering(plate):
+    common = {
+        "forward_fraction": 0.0,
+        "second_moment": 0.0,
+        "phase_function_at_180": 0.01,
+    }
+    survey = in_water(
+        plate,
+        coefficients(0.1, 0.1, **common),
+        instrument__emitter__beam_radius=0.05,
+        instrument__receiver__azimuth=0.0,
+        scan__columns=1,
+    )
+    thin = survey.with_({"instrument.emitter.beam_radius": None})
+    near = 0.02**2 + (0.08 * 1.5) ** 2
+    wide = near + 0.05**2
+    expected = near / wide * np.exp(0.07**2 / near - 0.07**2 / wide)
+    assert_allclose(np.abs(echo(survey) / echo(thin)), expected, rtol=1e-5)
+
+
 def test_a_sharp_receiver_sees_a_plate_in_clear_water_as_the_lidar_equation(plate):
     survey = in_water(
         plate,
@@ -160,11 +181,11 @@ def test_water_cut_into_layers_is_the_same_water_to_photons(plate):
     one = coefficients(0.1, 0.4, phase_function=HENYEY_GREENSTEIN)
     whole, cut = (
         monte_carlo_response(
-            in_water(plate, water, **AHEAD), FREQUENCIES, relative_error=0.02, seed=seed
+            in_water(plate, water, **AHEAD), FREQUENCIES, relative_error=0.04, seed=seed
         )
         for seed, water in enumerate((one, LAYERED), start=3)
     )
-    error = 0.02 * np.abs(whole.signal[0]) * np.sqrt(2)
+    error = 0.04 * np.abs(whole.signal[0]) * np.sqrt(2)
     assert np.all(np.abs(whole.signal - cut.signal) < 4 * error)
 
 
@@ -176,12 +197,12 @@ def test_a_black_layer_behind_takes_the_light_of_its_depth(plate):
         monte_carlo_response(
             in_water(plate, water, **AHEAD),
             FREQUENCIES[:2],
-            relative_error=0.03,
+            relative_error=0.05,
             seed=seed,
         )
         for seed, water in enumerate(({**LAYERED, "layers": layers}, ended), start=7)
     )
-    error = 0.03 * np.abs(expected.signal[0]) * np.sqrt(2)
+    error = 0.05 * np.abs(expected.signal[0]) * np.sqrt(2)
     assert np.all(np.abs(found.signal - expected.signal) < 4 * error)
 
 
