@@ -80,6 +80,12 @@ class TabulatedSurface(Description):
         for axis in axes:
             if any(b <= a for a, b in pairwise(axis or ())):
                 raise ValueError("angles of a tabulated surface must rise")
+        most = _sent_back(axes[0], axes[1], axes[2], self.values)
+        if most > 1.001:
+            raise ValueError(
+                f"the table sends back {most:.3g} times the light that it gets; a BRDF "
+                "is in 1/sr, that of a white Lambertian surface 1 / pi = 0.318"
+            )
         return self
 
     def settled(self, folder: Path, *, where: str) -> Self:
@@ -104,6 +110,24 @@ class TabulatedSurface(Description):
         }
         content |= {"kind": self.kind, "values": tuple(rows[at] for at in grid)}
         return table_file.validated(type(self), content, where=where)
+
+
+def _sent_back(incidence: Any, leaving: Any, azimuth: Any, values: Any) -> float:
+    """Return the largest share of the light that the angles of a table send back."""
+    slant, turn = np.asarray(leaving), np.asarray(azimuth)
+    table = np.reshape(values, (len(incidence), slant.size, turn.size))
+    around = (
+        2 * math.pi * table[..., 0]
+        if turn.size == 1
+        else 2 * np.trapezoid(table, turn, axis=-1)
+    )
+    # Linear between its angles, as it is read, but the cosine is not.
+    fine = np.linspace(slant[0], slant[-1], 200)
+    weight = np.cos(fine) * np.sin(fine)
+    shares = [
+        np.trapezoid(np.interp(fine, slant, row) * weight, fine) for row in around
+    ]
+    return float(np.max(shares))
 
 
 SurfaceStated = Annotated[

@@ -109,6 +109,31 @@ def test_a_measured_table_is_read_and_travels_with_the_survey(
         Survey.from_text(text, folder=tmp_path)
 
 
+@pytest.mark.parametrize(
+    ("fields", "words"),
+    [
+        ({"values": [3.0] * 8}, "times the light that it gets"),
+        ({"values": [0.3] * 7}, "found 7 values .* needed are 8"),
+        ({"incidence": [0.5, 0.0]}, "must rise"),
+        ({"incidence": [0.0], "values": [0.3] * 4}, "at least two angles"),
+        ({"azimuth": None}, "needs a file, or"),
+        ({"file": "brdf.csv"}, "needs a file, or"),
+    ],
+)
+def test_a_table_that_no_surface_can_have_is_refused(small, fields, words):
+    table = {
+        "kind": "tabulated",
+        "incidence": [0.0, 1.5],
+        "reflection": [0.0, 1.5],
+        "azimuth": [0.0, np.pi],
+        "values": [0.3] * 8,
+    }
+    assert small.with_({"targets.0.surface": table}) is not None
+    with pytest.raises(SurveyError, match=words) as caught:
+        small.with_({"targets.0.surface": {**table, **fields}})
+    assert str(caught.value).startswith("survey: targets.0.surface")
+
+
 def mesh(small: Survey, path, **fields: object) -> Survey:
     target = {
         "kind": "mesh",
