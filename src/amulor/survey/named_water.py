@@ -150,7 +150,7 @@ class WaterLayer(Description):
 
 
 class LayeredWater(WaterState):
-    """Layers of water, one behind the other; photon transport alone can follow them."""
+    """Layers of water, one behind the other, for the photons of open water alone."""
 
     kind: Literal["layers"]
     """Which water this is."""

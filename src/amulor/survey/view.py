@@ -300,8 +300,8 @@ def refuse_layers(water: WaterProperties, *, model: str) -> None:
     """
     if water.layers:
         raise SurveyError(
-            f"water.layers: {model} knows uniform water only; use photons, or "
-            "state one water"
+            f"water.layers: {model} knows uniform water only; `amulor backscatter "
+            "--model photons` follows layers; elsewhere state one water"
         )
 
 
