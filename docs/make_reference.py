@@ -10,6 +10,7 @@ from pydantic_core import PydanticUndefined
 
 from amulor import survey
 from amulor.cube import schema
+from amulor.survey.water import WaterState
 
 FOLDER = Path(__file__).parent / "reference"
 EXAMPLES = FOLDER / "examples"
@@ -81,8 +82,8 @@ def _fields(model: type[BaseModel]) -> list[str]:
     """Return the rows on the fields of a table; of waters, on what is their own."""
     rows = ["| field | needed | default | meaning |", "| --- | --- | --- | --- |"]
     fields = model.model_fields
-    common = survey.WaterState.model_fields
-    whole = model in (survey.Water, survey.WaterState)
+    common = WaterState.model_fields
+    whole = model in (survey.Water, WaterState)
     for name in sorted(fields, key=lambda name: name in common):
         if name in common and not whole:
             continue
@@ -95,7 +96,7 @@ def _fields(model: type[BaseModel]) -> list[str]:
         meaning = " ".join((field.description or "").split())
         needed = "yes" if field.is_required() else ""
         rows.append(f"| `{name}` | {needed} | {default} | {meaning} |")
-    if issubclass(model, survey.WaterState) and not whole:
+    if issubclass(model, WaterState) and not whole:
         rows += ["", "And, as all waters, " + ", ".join(f"`{n}`" for n in common) + "."]
     return rows
 

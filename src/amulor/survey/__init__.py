@@ -33,7 +33,7 @@ from amulor.survey.scan import OpenWater, Scan
 from amulor.survey.surface import Lambertian, OrenNayar, TabulatedSurface
 from amulor.survey.survey import Survey, json_schema
 from amulor.survey.target import Disc, Mesh, Plate, Staircase
-from amulor.survey.water import Water, WaterState
+from amulor.survey.water import Water
 
 __all__ = [
     "Calibration",
@@ -69,7 +69,6 @@ __all__ = [
     "Water",
     "WaterLayer",
     "WaterProperties",
-    "WaterState",
     "Window",
     "json_schema",
     "water_properties",
