@@ -115,3 +115,24 @@ def test_a_shipped_survey_can_be_simulated(name: str) -> None:
     cube = simulate(small, rng=1)
     met = cube.amulor.truth["target"].values
     assert set(np.unique(met)) == set(range(len(survey.targets)))
+
+
+def test_the_check_shows_layers_and_moments(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["survey", "check", str(FILES / "two_layers.toml")]) == 0
+    text = capsys.readouterr().out
+    assert "layer 1: 1.2 m thick, absorption 0.05 1/m, scattering 0.08 1/m" in text
+    assert "layer 2: from there on, absorption 0.12 1/m" in text
+
+
+def test_the_check_of_water_by_moments_says_so(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "tank.toml"
+    path.write_text(survey_of("[water], by moments").to_toml())
+    assert main(["survey", "check", str(path)]) == 0
+    text = capsys.readouterr().out
+    assert "by moments: second moment 0.06 rad^2 below 90 degrees" in text
+    assert main(["survey", "check", str(path), "--json"]) == 0
+    water = json.loads(capsys.readouterr().out)["water"]
+    assert water["phase_function"] is None
+    assert water["scattering"] == 0.595
