@@ -82,12 +82,12 @@ def _fields(model: type[BaseModel]) -> list[str]:
     """Return the rows on the fields of a table; of waters, on what is their own."""
     rows = ["| field | needed | default | meaning |", "| --- | --- | --- | --- |"]
     fields = model.model_fields
-    common = WaterState.model_fields
+    common = WaterState.model_fields if issubclass(model, WaterState) else {}
     whole = model in (survey.Water, WaterState)
     for name in sorted(fields, key=lambda name: name in common):
-        if name in common and not whole:
-            continue
         field = fields[name]
+        if name in common and not whole and field.default == common[name].default:
+            continue
         default = (
             ""
             if field.is_required()

@@ -17,7 +17,15 @@ from amulor.survey.quantity import (
 from amulor.survey.water import Water, WaterState, refuse_clear
 
 
-class JerlovWater(WaterState):
+class SeaWater(WaterState):
+    """Water of the sea: salty unless stated otherwise."""
+
+    salinity: Annotated[float, Field(ge=0, le=43)] = 35.0
+    """Practical salinity, sets the indices and the scattering of the water itself
+    [1]."""
+
+
+class JerlovWater(SeaWater):
     """One of Jerlov's types of sea water."""
 
     kind: Literal["jerlov"]
@@ -32,7 +40,7 @@ class JerlovWater(WaterState):
     That of the molecules is added."""
 
 
-class PetzoldWater(WaterState):
+class PetzoldWater(SeaWater):
     """Water of a station where Petzold measured volume scattering functions."""
 
     kind: Literal["petzold"]
@@ -65,7 +73,7 @@ class PureWater(WaterState):
     the first at 405 nm."""
 
 
-class Case1Water(WaterState):
+class Case1Water(SeaWater):
     """Open ocean whose optics follow from its chlorophyll."""
 
     kind: Literal["case-1"]

@@ -120,7 +120,7 @@ def test_jerlov_water_keeps_its_coefficients_and_adds_molecules(with_water):
     table = types.jerlov("III", 490e-9, source="williamson-hollins-2022")
     assert water.absorption == pytest.approx(float(table.absorption))
     assert water.scattering == pytest.approx(float(table.scattering))
-    molecules = seawater.molecular_scattering(490e-9, temperature=20.0, salinity=0.0)
+    molecules = seawater.molecular_scattering(490e-9, temperature=20.0, salinity=35.0)
     backwards = molecules / 2 + 0.0183 * (table.scattering - molecules)
     # The average particle of Mobley et al. 1993 has b_b / b = 0.0183, 0.0181 by table.
     found = water.phase_function.backscatter_fraction * water.scattering
@@ -137,7 +137,7 @@ def test_case_1_water_is_the_sum_of_its_parts(with_water):
     text, wavelength = of_kind("case-1")
     water = water_properties(with_water(text, wavelength))
     own = {"chlorophyll": 1.0}
-    state = {"temperature": 20.0, "salinity": 0.0}
+    state = {"temperature": 20.0, "salinity": 35.0}
     particles = case_1.particle_absorption(490e-9, **own)
     dissolved = 0.2 * case_1.particle_absorption(440e-9, **own) * np.exp(-0.014 * 50)
     pure = seawater.mason_absorption(490e-9, **state)
@@ -148,6 +148,17 @@ def test_case_1_water_is_the_sum_of_its_parts(with_water):
     assert found == pytest.approx(float(back), rel=1e-6)
     clear = with_water(f'{text}\ncdom_absorption = "0 1/m"', wavelength)
     assert water_properties(clear).absorption == pytest.approx(float(particles + pure))
+
+
+@pytest.mark.parametrize("kind", ["jerlov", "petzold", "case-1"])
+def test_water_of_the_sea_is_salty_unless_stated_otherwise(with_water, kind):
+    text, wavelength = of_kind(kind)
+    sea = water_properties(with_water(text, wavelength)).group_index
+    fresh = water_properties(
+        with_water(f"{text}\nsalinity = 0", wavelength)
+    ).group_index
+    # Group indices of Quan and Fry: 0.007 to 0.008 higher at 35.
+    assert 0.006 < sea - fresh < 0.009
 
 
 def test_milk_and_spheres_scatter_what_is_stirred_in(with_water):
