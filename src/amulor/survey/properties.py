@@ -125,7 +125,7 @@ def by_coefficients(survey: Survey, *, factor: float = 1.0) -> Survey:
     known = water_properties(survey)
     scattered = known.scattering > 0
     common = set(Water.model_fields) & set(type(water).model_fields)
-    kept = {name: getattr(water, name) for name in common & water.model_fields_set}
+    kept = {name: getattr(water, name) for name in common}
     stated = {
         **kept,
         "kind": None,

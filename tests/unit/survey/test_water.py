@@ -253,7 +253,9 @@ def test_water_by_its_coefficients_is_the_same_to_models_of_moments(
     survey = with_water(*of_kind(kind))
     one = water_properties(survey)
     other = water_properties(by_coefficients(survey, factor=factor))
-    assert isinstance(by_coefficients(survey).water, Water)
+    plain = by_coefficients(survey).water
+    assert isinstance(plain, Water)
+    assert plain.salinity == survey.water.salinity
     for name in ("absorption", "scattering", "forward_scattering", "backscatter_vsf"):
         assert getattr(other, name) == pytest.approx(factor * getattr(one, name))
     assert other.second_moment == pytest.approx(one.second_moment)
