@@ -197,3 +197,61 @@ def test_the_figure_of_ratios_shows_the_numbers_of_the_table() -> None:
                     expected = ratio(found[water, baseline, split, 0.5])
                     # One calculation, done twice: only rounding may differ.
                     assert_allclose(drawn, [expected], rtol=1e-9)
+
+
+@pytest.fixture(scope="module")
+def models() -> tuple[ModuleType, dict[Any, Any], dict[str, Any]]:
+    script = _script("make_model_images")
+    return script, script.kept(), script.compared()
+
+
+def test_the_tables_of_the_models_are_those_of_the_kept_photons(models) -> None:
+    script, photons, found = models
+    for table in (script.summary(photons, found), script.table(photons, found)):
+        assert table in TEXTS["models"]
+
+
+def test_the_default_is_within_five_percent_of_photons_but_where_the_page_says(
+    models,
+) -> None:
+    script, photons, found = models
+    default = found["small-angle (29)"]
+    for (water, attenuation), true in photons.items():
+        # Behind four attenuation lengths the page names the exception.
+        most = 0.05 if attenuation <= 1 else 0.12
+        for quantity in script.QUANTITIES:
+            error = abs(true[f"{quantity}_error"] / true[quantity])
+            ratio = default[water, attenuation][quantity] / true[quantity]
+            assert abs(ratio - 1) < most + 2 * error, (water, attenuation, quantity)
+            # Photons that know nothing would confirm everything.
+            assert error < (0.02 if attenuation <= 1 else 0.045)
+
+
+def test_the_closure_is_nearer_to_photons_than_the_papers_form(models) -> None:
+    script, photons, found = models
+    for key, true in photons.items():
+        for quantity in script.QUANTITIES:
+            close, paper = (
+                abs(np.log(found[model][key][quantity] / true[quantity]))
+                for model in ("closure", "diffusion, 90°")
+            )
+            assert close < max(
+                paper, 2 * abs(true[f"{quantity}_error"] / true[quantity])
+            )
+
+
+def test_the_figure_of_the_models_shows_the_numbers_of_the_table(models) -> None:
+    matplotlib.use("agg")
+    script, photons, found = models
+    figure = script.drawn(photons, found)
+    waters = list(script.waters())
+    for place, axis in enumerate(figure.axes):
+        quantity = list(script.QUANTITIES)[place // len(waters)]
+        water = waters[place % len(waters)]
+        lines = {line.get_label(): line.get_ydata() for line in axis.get_lines()}
+        for model, values in found.items():
+            expected = [
+                values[water, k][quantity] / photons[water, k][quantity]
+                for k in script.ATTENUATIONS
+            ]
+            assert_allclose(lines[model], expected, rtol=1e-9)
