@@ -8,6 +8,7 @@ import itertools
 import numpy as np
 import pytest
 import xarray as xr
+from paper_form import simulate
 from scipy.constants import speed_of_light
 
 from amulor import rejection
@@ -16,7 +17,6 @@ from amulor.imaging import range_image
 from amulor.optics import small_angle
 from amulor.optics.phase_functions import henyey_greenstein
 from amulor.simulation import geometry as geometry_of
-from amulor.simulation import simulate
 from amulor.survey import Survey, water_properties
 from amulor.survey.directions import open_water_directions
 from amulor.survey.view import kernel_arguments, medium, view

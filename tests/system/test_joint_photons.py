@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 import xarray as xr
+from paper_form import simulate
 
 from amulor import rejection
 from amulor.cube import QualityFlag
@@ -17,7 +18,6 @@ from amulor.optics import rays
 from amulor.optics.phase_functions.models import fournier_forand, two_term
 from amulor.optics.phase_functions.phase_function import PhaseFunction
 from amulor.optics.phase_functions.tables import petzold
-from amulor.simulation import simulate
 from amulor.survey import Survey
 from amulor.transport import GaussianReceiver, Medium, PlaneTarget, Source
 from amulor.transport import simulate as follow_photons

@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 import xarray as xr
 from numpy.testing import assert_allclose
+from paper_form import simulate
 from scipy.constants import speed_of_light
 
 from amulor import rejection
 from amulor.cube import QualityFlag
 from amulor.errors import CubeError
 from amulor.imaging import range_image
-from amulor.simulation import simulate
 from amulor.survey import Survey
 
 FREQUENCIES = np.array([12e6, 31e6, 57e6, 83e6, 104e6, 139e6])

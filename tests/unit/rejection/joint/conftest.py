@@ -7,8 +7,8 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 import xarray as xr
+from paper_form import simulate
 
-from amulor.simulation import simulate
 from amulor.survey import Survey
 
 FREQUENCIES = np.array([12e6, 31e6, 57e6, 83e6, 104e6, 139e6])

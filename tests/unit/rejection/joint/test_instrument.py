@@ -7,12 +7,12 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
+from paper_form import simulate
 from scipy.constants import speed_of_light
 
 from amulor.optics import rays
 from amulor.rejection import joint
 from amulor.rejection.joint.instrument import Instrument, late_echo, range_variance
-from amulor.simulation import simulate
 from amulor.studies.trust.case import Case
 from amulor.studies.trust.scenes import knowledge, samples
 from amulor.studies.trust.scenes.knowledge import believing

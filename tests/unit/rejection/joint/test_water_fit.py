@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import xarray as xr
+from paper_form import simulate
 
 from amulor.errors import CubeError
 from amulor.optics import low_pass, small_angle_diffusion
 from amulor.rejection.joint.water_fit import WaterFit, split_scattering, water_fit
-from amulor.simulation import simulate
 from amulor.survey import Survey
 
 # k' = a, since all scattering of the plate survey is forward: 0.255 1/m.

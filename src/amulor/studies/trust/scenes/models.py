@@ -6,9 +6,10 @@ import functools
 
 import xarray as xr
 
-from amulor.simulation import simulate
+from amulor import simulation
 from amulor.simulation.models import SmallAngleModel
 from amulor.studies.trust.case import Case, case_of
+from amulor.studies.trust.light import simulate
 from amulor.studies.trust.surveys import plate, stairs, survey
 
 
@@ -131,4 +132,4 @@ def _small_angle(count: int, seed: int, split: float, *targets: str) -> xr.Datas
         count, *targets, water=_SMALL_ANGLE_WATER | {"split_angle": split},
         columns=16, rows=12,
     )  # fmt: skip
-    return simulate(made, rng=seed, model=SmallAngleModel())
+    return simulation.simulate(made, rng=seed, model=SmallAngleModel())
