@@ -28,6 +28,7 @@ from amulor.rejection.joint import (
 from amulor.rejection.joint import (
     shared as joint_shared,
 )
+from amulor.rejection.joint.drift import trends_of
 from amulor.rejection.joint.estimate import joint
 from amulor.rejection.joint.frame import frame_of
 from amulor.rejection.joint.samples import flat
@@ -106,6 +107,7 @@ class Problem:
             elevation,
             interval=INTERVAL,
             modulation_frequency=FREQUENCIES,
+            trends=trends_of(self.cube),
         )
         self.transfer = np.ones(FREQUENCIES.size, dtype=complex)
         some = self.pixels.part(np.linspace(0, len(self.pixels) - 1, 256).astype(int))

@@ -54,6 +54,17 @@ def test_spoiled_samples_cost_no_trust(scene: str) -> None:
     assert row.score.stated < 1.1 * plain.stated
 
 
+def test_water_that_drifts_during_the_scan_is_followed() -> None:
+    # After a drift of 10 % none was trusted without shots, 2 mm off.
+    case = samples.drift(4, 1, change=0.10)
+    shots = [n for n in case.samples.data_vars if str(n).startswith("open_water_")]
+    found = rejection.joint(case.samples.drop_vars(shots), interval=case.interval)
+    # The strength goes from 1 to 1.1 times that of the first pixel, 1.05 on average.
+    assert found.attrs["joint_water_drift"] == pytest.approx(0.1 / 1.05, abs=0.01)
+    row = run(["drift 10 %"], ["joint"], [4])[0]
+    assert holds(row.score, trusted=0.99), row
+
+
 def test_a_sample_that_is_left_out_is_flagged_and_its_pixel_is_not() -> None:
     case = samples.spikes(4, 1)
     found = rejection.joint(case.samples, interval=case.interval)

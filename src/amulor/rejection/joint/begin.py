@@ -126,6 +126,7 @@ def first(problem: Problem, turn_width: float, *, by_shots: bool) -> Shared:
         echo=np.zeros(frequencies, dtype=complex),
         shot_change=0.0,
         shot_departure=np.zeros((doubts, frequencies), dtype=complex),
+        trend=np.zeros(problem.targets.trends.shape[1] if len(problem.targets) else 0),
         fluctuation=0.0,
         noise_scale=1.0,
         judged=np.ones((channels, frequencies), dtype=bool),

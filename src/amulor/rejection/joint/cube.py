@@ -14,6 +14,7 @@ from amulor.cube import QualityFlag
 from amulor.optics import rays
 from amulor.rejection.build import target_cube
 from amulor.rejection.covariance import Covariance, covariance_of
+from amulor.rejection.joint.drift import change_of
 from amulor.rejection.joint.frame import Frame
 from amulor.rejection.joint.instrument import Instrument, late_echo, range_variance
 from amulor.rejection.joint.priors import DECISIVE, Shared
@@ -238,6 +239,7 @@ def _attributes(shared: Shared, instrument: Instrument) -> dict[str, Any]:
         "joint_fluctuation": shared.fluctuation,
         "joint_shot_strength": shared.shot_factor,
         "joint_noise_scale": shared.noise_scale,
+        "joint_water_drift": change_of(shared.trend),
         "joint_receiver_turn_rad": shared.shape.turn,
         "joint_late_echo_uncertainty": instrument.late_echo,
         "joint_delay_uncertainty_s": instrument.delay,

@@ -12,6 +12,7 @@ from amulor.rejection.covariance import Covariance
 from amulor.rejection.joint import pixels as joint_pixels
 from amulor.rejection.joint import shared as joint_shared
 from amulor.rejection.joint.cube import Scan, cube_of
+from amulor.rejection.joint.drift import trends_of
 from amulor.rejection.joint.frame import frame_of
 from amulor.rejection.joint.instrument import (
     DIRECTION,
@@ -159,6 +160,8 @@ def joint(
     )
     refuse_other_windows(cube, frame)
 
+    trends = trends_of(cube)
+
     def pixels(which: NDArray[np.intp] | slice) -> Pixels:
         return joint_pixels.pixels_of(
             frame,
@@ -171,6 +174,7 @@ def joint(
             elevation[which],
             interval=interval,
             modulation_frequency=frequency,
+            trends=trends[which],
         )
 
     enough = usable.any(axis=1).sum(axis=1) >= FEWEST_FREQUENCIES

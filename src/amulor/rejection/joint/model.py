@@ -71,6 +71,36 @@ def foreground(pixels: Pixels, table: Table, phase_per_path: Floats) -> Complex:
     return level[:, None] * turn
 
 
+def all_changes(
+    pixels: Pixels, depth: Floats, water: Complex, table: Table, phase_per_path: Floats
+) -> Complex:
+    """Return the derivatives of the water signal by its shape and by its drift.
+
+    Parameters
+    ----------
+    pixels : Pixels
+        Their places and times count.
+    depth : ndarray, shape (pixel,)
+        Where the water ends, infinite for open water [m].
+    water : ndarray of complex, shape (pixel, frequency)
+        Water signal there [1].
+    table : Table
+        Water signal against its end.
+    phase_per_path : ndarray, shape (frequency,)
+        2 pi f / c_0 [rad/m].
+
+    Returns
+    -------
+    ndarray of complex, shape (pixel, parameter, frequency)
+        Derivatives [1].
+    """
+    changes = shape_changes(pixels, depth, table, phase_per_path)
+    if not pixels.trends.shape[1]:
+        return changes
+    by_time = pixels.trends[:, :, None] * water[:, None]
+    return np.concatenate([changes, by_time], axis=1)
+
+
 def shape_changes(
     pixels: Pixels, depth: Floats, table: Table, phase_per_path: Floats
 ) -> Complex:

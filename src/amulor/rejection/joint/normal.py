@@ -11,7 +11,12 @@ from numpy.typing import NDArray
 from amulor.rejection.joint._kernels import normal as kernels
 from amulor.rejection.joint._kernels.bundles import Derivatives, Parameters, Sums
 from amulor.rejection.joint._kernels.threads import FEWEST, spread
-from amulor.rejection.joint.model import foreground, shape_changes, water_at
+from amulor.rejection.joint.model import (
+    all_changes,
+    foreground,
+    shape_changes,
+    water_at,
+)
 from amulor.rejection.joint.pixels import Pixels, weight
 from amulor.rejection.joint.priors import Layout, Shared
 
@@ -167,6 +172,10 @@ def normal_equations(
     is_target = np.isfinite(fitted.path)
     base = parts.water[:, None] + state.departure * parts.foreground[:, None]
     changes = shape_changes(pixels, parts.depth, state.table, phase_per_path)
+    if used == layout.size:
+        changes = all_changes(
+            pixels, parts.depth, parts.water, state.table, phase_per_path
+        )
     if fitted.is_shot:
         base = state.shot_factor * base
         changes = state.shot_factor * changes

@@ -47,6 +47,9 @@ class Pixels:
     """Longest optical path [m]."""
     depths: Floats
     """Depth of water at a series of paths, finer in front [m]."""
+    trends: Floats
+    """Polynomials of the time of each pixel, (pixel, trend); zero where the water has
+    a strength of its own [1]."""
 
     def __len__(self) -> int:
         """Return the number of pixels."""
@@ -71,6 +74,7 @@ class Pixels:
                     "shortest",
                     "longest",
                     "depths",
+                    "trends",
                 )
             },
         )
@@ -86,6 +90,7 @@ def pixels_of(
     *,
     interval: tuple[float, float] | None,
     modulation_frequency: Floats,
+    trends: Floats,
 ) -> Pixels:
     """Return samples with all that their likelihood needs.
 
@@ -101,6 +106,8 @@ def pixels_of(
         Nearest and farthest slant range [m].
     modulation_frequency : ndarray
         Modulation frequencies [Hz].
+    trends : ndarray, shape (pixel, trend)
+        As in `Pixels` [1].
 
     Returns
     -------
@@ -135,6 +142,7 @@ def pixels_of(
         shortest=shortest,
         longest=longest,
         depths=np.nan_to_num(np.maximum(slant_range - wide.length_before, 0.0)),
+        trends=trends,
     )
 
 

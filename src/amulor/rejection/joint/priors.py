@@ -13,8 +13,8 @@ from amulor.rejection.joint.table import Table
 
 Floats = NDArray[np.float64]
 Complex = NDArray[np.complex128]
-#: Standard deviations of correction, departure, echo and of the shots' departure [1].
-Widths = tuple[float, float, float, float]
+#: Standard deviations of correction, departure, echo, departure of the shots and drift.
+Widths = tuple[float, float, float, float, float]
 
 #: Weak knowledge of natural waters: centre and standard deviation of the logarithms of
 #: k' [1/m], b_f <theta^2> [rad^2/m] and b_f [1/m]; a factor of 7 either way.
@@ -28,16 +28,21 @@ _TRIED = (
     (1e-6, 3e-4, 1e-3, 3e-3, 0.01, 0.03, 0.1),
     (1e-6, 3e-4, 1e-3, 3e-3, 0.01, 0.03),
     (1e-6, 3e-4, 1e-3, 3e-3, 0.01, 0.03, 0.1, 1.0),
+    (1e-6, 3e-3, 0.01, 0.03, 0.1, 0.3),
 )
 #: The strength of the shots may be off by this much more than their shape [1].
 _STRENGTH = 30.0
 #: Where the search for the widths starts: a model that is right, and one that is not.
-_STARTS: tuple[Widths, ...] = ((1e-3, 1e-6, 1e-6, 1e-6), (0.1, 3e-3, 1e-3, 0.01))
+_STARTS: tuple[Widths, ...] = (
+    (1e-3, 1e-6, 1e-6, 1e-6, 1e-6),
+    (0.1, 3e-3, 1e-3, 0.01, 1e-6),
+    (1e-3, 1e-6, 1e-6, 1e-6, 0.1),
+)
 
 #: Twice the logarithm of odds beyond which the model's departures are real [1].
 DECISIVE = 10.0
 #: No widths yet.
-NONE: Widths = (0.0, 0.0, 0.0, 0.0)
+NONE: Widths = (0.0, 0.0, 0.0, 0.0, 0.0)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -61,6 +66,9 @@ class Shared:
     shot_departure: Complex
     """Departure of the shots from the water of the scan, over the strength, (channel,
     frequency); empty where they are not doubted [1]."""
+    trend: Floats
+    """Change of the strength during the scan, see `drift`; empty where none is looked
+    for [1]."""
     fluctuation: float
     """Relative random change of the water signal from sample to sample [1]."""
     noise_scale: float
@@ -149,6 +157,7 @@ def layout_of(state: Shared) -> Layout:
         len(shape.knots),
         len(shape.turn),
         bool(state.shot_departure.size),
+        len(state.trend),
     )
 
 
@@ -161,6 +170,7 @@ class Layout:
     knots: int
     turns: int = 0
     doubts: bool = False
+    trends: int = 0
 
     @property
     def strength(self) -> slice:
@@ -169,8 +179,14 @@ class Layout:
 
     @property
     def shape(self) -> slice:
-        """Logarithms of k' and spread, the turn, then the correction."""
-        return slice(self.channels, self.blocks[0].stop)
+        """Logarithms of k' and spread, the turn, the correction, then the drift."""
+        return slice(self.channels, self.trend.stop)
+
+    @property
+    def trend(self) -> slice:
+        """Drift of the strength."""
+        begin = self.rigid + self.knots
+        return slice(begin, begin + self.trends)
 
     @property
     def turn(self) -> slice:
@@ -191,9 +207,9 @@ class Layout:
     def blocks(self) -> tuple[slice, slice, slice]:
         """Correction, departure of the water, departure of the echo."""
         a = self.rigid
-        b = a + self.knots
+        b = self.trend.stop
         c = b + 2 * self.channels * self.frequencies
-        return slice(a, b), slice(b, c), slice(c, c + 2 * self.frequencies)
+        return slice(a, a + self.knots), slice(b, c), slice(c, c + 2 * self.frequencies)
 
     @property
     def size(self) -> int:
@@ -256,6 +272,9 @@ def prior_of(state: Shared, layout: Layout, widths: Widths) -> tuple[Floats, Flo
         if width > 0:
             precision[block] = width**-2
         origin[block] = values
+    origin[layout.trend] = state.trend
+    if widths[4] > 0:
+        precision[layout.trend] = widths[4] ** -2
     if layout.doubts:
         own = state.shot_departure
         origin[layout.doubt] = np.concatenate(
@@ -305,11 +324,14 @@ def widths_of(
 
     # Doubt falls on the shots first: they were taken at another time.
     every: tuple[int, ...] = (3, 0, 1, 2) if layout.doubts else (0, 1, 2)
+    # That water drifts is likelier than that its model is wrong.
+    every = (4, *every) if layout.trends else every
     starts = _STARTS if state.widths == NONE else (state.widths,)
     chosen = min((best(start, every) for start in starts), key=value)
-    # The shots may be of other water, the model of the water be right for all that.
-    harmless = tuple(k for k in every if k in (0, 3))
-    plain = best((chosen[0], _TRIED[1][0], _TRIED[2][0], chosen[3]), harmless)
+    # The water may drift and the shots be of other water, the model be right for all
+    # that.
+    harmless = tuple(k for k in every if k in (0, 3, 4))
+    plain = best((chosen[0], _TRIED[1][0], _TRIED[2][0], *chosen[3:]), harmless)
     return chosen, value(plain) - value(chosen)
 
 
@@ -317,7 +339,7 @@ def _with(widths: Widths, place: int, width: float) -> Widths:
     """Return widths with another one in a place."""
     changed = list(widths)
     changed[place] = width
-    return changed[0], changed[1], changed[2], changed[3]
+    return changed[0], changed[1], changed[2], changed[3], changed[4]
 
 
 def cost_of(

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from amulor.rejection.joint.drift import drifted
 from amulor.rejection.joint.frame import Frame
 from amulor.rejection.joint.integral import table_of
 from amulor.rejection.joint.model import foreground, water_at
@@ -36,6 +37,8 @@ _TRIALS, _LEAST_DAMPING = 6, 1e-3
 #: one that promises less than 1 is worth a few trials only.
 _SETTLED = 0.02
 _FEW_TRIALS = 3
+#: Largest coefficient of the drift: three of them leave some water at all times [1].
+_LARGEST = 0.3
 #: Prior standard deviations that the receiver may be turned by: further off, it is the
 #: water that is not as the model has it [1].
 _FURTHEST = 3.0
@@ -66,6 +69,10 @@ class Problem:
         transfer: Complex,
         deepest: float,
     ) -> None:
+        if shots is not None:
+            # Shots have a strength of their own, whatever the time.
+            count = targets.trends.shape[1] if len(targets) else 0
+            shots = replace(shots, trends=np.zeros((len(shots), count)))
         self.frame = frame
         self.targets = targets
         self.shots = shots
@@ -93,7 +100,7 @@ class Problem:
         normal = self.normal(state, estimates, layout, layout.size)
         own = cost_of(normal.matrix, normal.vector, state, layout, state.widths)
         volume = 0.0
-        for group in self.groups(estimates):
+        for group in self.groups(state, estimates):
             deviation = self.deviation(state, group.pixels, group.path)
             inverse = weight(group.pixels, deviation, state.noise_scale)
             square = inverse[:, :, 0] * inverse[:, :, 2] - inverse[:, :, 1] ** 2
@@ -157,7 +164,9 @@ class Problem:
         bounded = full[layout.shape].copy()
         # Logarithms of coefficients: no more than a factor of e at once.
         bounded[:COEFFICIENTS] = np.clip(bounded[:COEFFICIENTS], -1, 1)
-        shape = state.shape.moved(bounded)
+        shape = state.shape.moved(
+            bounded[: layout.blocks[0].stop - len(state.strength)]
+        )
         limit = _FURTHEST * state.turn_width
         shape = replace(shape, turn=np.clip(shape.turn, -limit, limit))
         channels, frequencies = state.departure.shape
@@ -176,6 +185,7 @@ class Problem:
             shot_change=shot_change,
             shot_departure=shot_departure,
             table=table_of(self.frame, shape, deepest=self.deepest),
+            trend=np.clip(state.trend + full[layout.trend], -_LARGEST, _LARGEST),
             strength=np.maximum(state.strength + full[layout.strength], 0.0),
             departure=state.departure + water_step[0] + 1j * water_step[1],
             echo=state.echo + echo_step[0] + 1j * echo_step[1],
@@ -186,7 +196,7 @@ class Problem:
     ) -> Estimates:
         """Return the best paths and amplitudes of all or other pixels."""
         start = None if paths is None else np.nan_to_num(paths, nan=0.0)
-        pixels = self.targets if pixels is None else pixels
+        pixels = drifted(self.targets if pixels is None else pixels, state.trend)
         return estimate(
             without_foreground(
                 pixels,
@@ -216,12 +226,12 @@ class Problem:
         front = foreground(pixels, state.table, self.frame.phase_per_path)
         return state.fluctuation * state.water_signal(water, front)
 
-    def groups(self, estimates: Estimates) -> list[Fitted]:
+    def groups(self, state: Shared, estimates: Estimates) -> list[Fitted]:
         """Return pixels and shots with their paths and amplitudes."""
         detected = is_detected(estimates)
         amplitude = np.where(detected[:, None], estimates.amplitude, 0.0)
         path = np.where(detected, estimates.path, np.inf)
-        groups = [Fitted(self.targets, path, amplitude)]
+        groups = [Fitted(drifted(self.targets, state.trend), path, amplitude)]
         if self.shots is not None:
             count = len(self.shots)
             none = np.zeros((count, amplitude.shape[1]))
@@ -233,7 +243,7 @@ class Problem:
     ) -> Normal:
         """Return the normal equations of the first parameters about a state."""
         total = Normal.zero(used)
-        for group in self.groups(estimates):
+        for group in self.groups(state, estimates):
             total = total + normal_equations(
                 state,
                 group,
@@ -250,7 +260,7 @@ class Problem:
         """Return what explains the scatter from pixel to pixel."""
         return scatter_of(
             state,
-            self.groups(estimates),
+            self.groups(state, estimates),
             transfer=self.transfer,
             phase_per_path=self.frame.phase_per_path,
             neighbours=neighbours,

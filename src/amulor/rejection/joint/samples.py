@@ -93,6 +93,7 @@ def shot_pixels(
         places[1][which],
         interval=None,
         modulation_frequency=frequency,
+        trends=np.zeros((len(which), 0)),
     )
 
 
@@ -139,6 +140,7 @@ def open_water_samples(cube: xr.Dataset, *, no_target: bool) -> tuple[Frame, Pix
         elevation[some],
         interval=None,
         modulation_frequency=frequency,
+        trends=np.zeros((len(some), 0)),
     )
 
 

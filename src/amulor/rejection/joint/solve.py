@@ -14,6 +14,7 @@ from amulor.rejection.joint import search as joint_search
 from amulor.rejection.joint._kernels import common as kernels
 from amulor.rejection.joint._kernels.bundles import Covariances, WaterModel
 from amulor.rejection.joint._kernels.threads import spread
+from amulor.rejection.joint.drift import drifted
 from amulor.rejection.joint.frame import Frame
 from amulor.rejection.joint.outliers import Kept, part_of, without_outliers
 from amulor.rejection.joint.pixels import Pixels
@@ -80,6 +81,7 @@ def solve(frame: Frame, pixels: Pixels, shared: Shared, transfer: Complex) -> Re
         To first order in the errors of what is shared.
     """
     rate = frame.phase_per_path
+    pixels = drifted(pixels, shared.trend)
     whole = _estimates(frame, pixels, shared, transfer)
     kept = without_outliers(
         pixels,
@@ -94,7 +96,7 @@ def solve(frame: Frame, pixels: Pixels, shared: Shared, transfer: Complex) -> Re
     detected = is_detected(estimates)
     path = np.where(detected, estimates.path, np.inf)
     depth, water, _ = joint_model.water_at(pixels, path, shared.table, rate)
-    changes = joint_model.shape_changes(pixels, depth, shared.table, rate)
+    changes = joint_model.all_changes(pixels, depth, water, shared.table, rate)
     foreground = joint_model.foreground(pixels, shared.table, rate)
     water_signal = shared.water_signal(water, foreground)
     deviation = None

@@ -41,6 +41,7 @@ def test_the_table_is_the_water_signal_of_the_diffusion_model(
         longest=np.full(count, 4.0),
         # The path is the depth itself.
         depths=4.0 * np.linspace(0, 1, 33) ** 2 * np.ones((count, 1)),
+        trends=np.zeros((count, 0)),
     )
     end, water, slope = water_at(pixels, depth, table, frame.phase_per_path)
     assert_allclose(end, depth, rtol=1e-12)

@@ -54,6 +54,7 @@ def pixels_of(signal: np.ndarray) -> Pixels:
         shortest=np.full(count, PATH - 1),
         longest=np.full(count, PATH + 1),
         depths=np.broadcast_to(np.linspace(1, 3, 33), (count, 33)).copy(),
+        trends=np.zeros((count, 0)),
     )
 
 

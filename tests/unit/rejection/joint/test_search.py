@@ -46,6 +46,7 @@ def _solve(
         shortest=np.full(count, shortest),
         longest=np.full(count, longest),
         depths=np.broadcast_to(np.linspace(1, 3, 33), (count, 33)).copy(),
+        trends=np.zeros((count, 0)),
     )
     value = np.broadcast_to(water, (1, 4, frequency.size)).astype(complex)
     value = value.copy()
