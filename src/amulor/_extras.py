@@ -12,6 +12,11 @@ MODULES = {
     "export": {"pye57": "pye57", "laspy[lazrs]": "lazrs"},
     "mie": {"miepython": "miepython"},
     "unwrap": {"scikit-image": "skimage"},
+    "view": {
+        "starlette": "starlette",
+        "uvicorn": "uvicorn",
+        "websockets": "websockets",
+    },
 }
 
 

@@ -47,6 +47,10 @@ COMMANDS = {
     "reject": ("reject:reject", "Take the water signal out of a measurement cube."),
     "image": ("image:image", "Turn a target signal into a range image."),
     "export": ("export:export", "Write a range image as a point cloud."),
+    "view": (
+        "view:view",
+        "Show a file in the browser: maps, 3D, measuring with errors.",
+    ),
     "report": ("report:report", "Draw range images into one HTML file."),
     "reproduce ricci2010": (
         "reproduce:ricci2010",

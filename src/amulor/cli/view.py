@@ -1,0 +1,73 @@
+"""`amulor view`: a file in the browser, with everything linked and measurable."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+from cyclopts import Parameter, validators
+
+
+def view(
+    path: Path,
+    /,
+    *,
+    samples: Path | None = None,
+    save: Path | None = None,
+    nearest: str | None = None,
+    farthest: str | None = None,
+    host: str = "127.0.0.1",
+    port: Annotated[int, Parameter(validator=validators.Number(gte=0, lt=65536))] = 0,
+    browser: Annotated[bool, Parameter(negative="")] = False,
+    overwrite: Annotated[bool, Parameter(negative="")] = False,
+) -> None:
+    """Show a file in the browser: maps, 3D, profiles, spectra, measuring with errors.
+
+    Parameters
+    ----------
+    path
+        Range image, target signal or samples (netCDF).
+    samples
+        Samples or target signal that a range image was made from, to see it before
+        rejection.
+    save
+        Write the page as one file (HTML) that opens without this program, and stop.
+    nearest
+        Nearest possible slant range, such as "0.5 m"; with --farthest.
+    farthest
+        Farthest possible slant range, such as "3 m"; with --nearest.
+    host
+        Address to listen at. Another one than 127.0.0.1 lets other computers in that
+        know the whole address with its token; nothing is encrypted on the way.
+    port
+        Port to listen at; a free one by default.
+    browser
+        Open the page in the browser of this computer.
+    overwrite
+        With --save: replace a file that is there.
+    """
+    from amulor import _extras, io
+    from amulor.cli._arguments import check_ending, interval_of
+
+    _extras.require("view", purpose="the page")
+    from amulor.view import page
+
+    interval = interval_of(nearest, farthest)
+    inputs = [path] if samples is None else [path, samples]
+    if save is not None:
+        check_ending("--save", save, (".html", ".htm"))
+        io.check_output(save, overwrite=overwrite, inputs=inputs)
+    shown = page.opened(path, samples=samples, interval=interval)
+    if save is not None:
+        page.save_page(shown, save, overwrite=overwrite)
+        print(f"{save}: one page, {save.stat().st_size / 1e6:.1f} MB")
+        return
+
+    def announce(address: str) -> None:
+        print(f"{path}: {address}\nCtrl-C stops it.", flush=True)
+        if browser:
+            import webbrowser
+
+            webbrowser.open(address)
+
+    page.serve(shown, host=host, port=port, announce=announce)

@@ -1,0 +1,35 @@
+"""Lengths, angles, areas and shapes measured in range images, with their errors."""
+
+from amulor.imaging.measure.figures import (
+    Measurement,
+    Pixel,
+    angle,
+    area,
+    distance,
+    height,
+)
+from amulor.imaging.measure.fits import Fit, circle, cylinder, plane, sphere
+from amulor.imaging.measure.points import Points, points_of
+from amulor.imaging.measure.sharing import reference_basis
+
+__all__ = [
+    "Fit",
+    "Measurement",
+    "Pixel",
+    "Points",
+    "angle",
+    "area",
+    "circle",
+    "cylinder",
+    "distance",
+    "height",
+    "plane",
+    "points_of",
+    "reference_basis",
+    "sphere",
+]
+
+
+def __dir__() -> list[str]:
+    """List the public names, not the modules that they come from."""
+    return sorted(__all__)

@@ -1,0 +1,261 @@
+"""Distance, height, angle and area between picked pixels, with their uncertainty."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import xarray as xr
+from numpy.typing import ArrayLike, NDArray
+
+from amulor.errors import CubeError
+from amulor.imaging.measure.points import Points, points_of
+
+Floats = NDArray[np.float64]
+Pixel = tuple[int, int]
+
+#: Directions less than this apart are one, of which no angle can be told [rad].
+_STRAIGHT = 1e-6
+
+
+@dataclass(frozen=True, kw_only=True)
+class Measurement:
+    """A number read from a range image."""
+
+    value: float
+    """In its unit."""
+    uncertainty: float
+    """Standard uncertainty, the errors that pixels share included."""
+    random: float
+    """Part of it that is each pixel's own noise."""
+    unit: str
+    """m, m2 or rad."""
+    pixels: int
+    """How many pixels it was read from [1]."""
+
+
+def distance(
+    image: xr.Dataset, first: Pixel, second: Pixel, *, reach: int = 0
+) -> Measurement:
+    r"""Return the straight distance of two points.
+
+    Parameters
+    ----------
+    image : xarray.Dataset
+        Level `range_image`.
+    first, second : tuple of int
+        Row and column of each.
+    reach : int
+        Average over so many pixels around each to every side [1].
+
+    Returns
+    -------
+    Measurement
+        Distance [m].
+
+    Raises
+    ------
+    CubeError
+        If a pixel holds no range, or both are the same point.
+
+    Notes
+    -----
+    :math:`u^2 = g^T C g` with the covariance C of the slant ranges
+    (`amulor.imaging.correlation.covariance`) and :math:`g_i = \partial D / \partial
+    r_i`, the part of each beam along the distance; first order. What both pixels share
+    cancels as far as their beams and the shares are alike. The directions of the beams
+    count as known.
+    """
+    picked, weight = _picked(image, [first, second], reach)
+    place = weight @ picked.position
+    step = place[1] - place[0]
+    length = float(np.linalg.norm(step))
+    if length == 0:
+        raise CubeError("both points are the same; pick two that are apart")
+    along = step / length
+    return _measured(picked, weight, length, np.stack([-along, along]), unit="m")
+
+
+def height(
+    image: xr.Dataset,
+    first: Pixel,
+    second: Pixel,
+    *,
+    axis: ArrayLike = (0.0, -1.0, 0.0),
+    reach: int = 0,
+) -> Measurement:
+    """Return how far one point lies beyond another along an axis.
+
+    Parameters
+    ----------
+    image : xarray.Dataset
+        Level `range_image`.
+    first, second : tuple of int
+        Row and column of each.
+    axis : array_like, shape (3,)
+        What is up, in the axes right, down, forward of the instrument; (0, 0, -1) is
+        towards the instrument [1].
+    reach : int
+        Average over so many pixels around each to every side [1].
+
+    Returns
+    -------
+    Measurement
+        Height of the second over the first, with its sign [m].
+
+    Raises
+    ------
+    CubeError
+        If a pixel holds no range.
+    ValueError
+        If the axis has no length.
+    """
+    up = np.asarray(axis, dtype=float)
+    size = float(np.linalg.norm(up))
+    if up.shape != (3,) or not size > 0:
+        raise ValueError(f"axis must be a vector of 3 with a length, got {up.tolist()}")
+    up = up / size
+    picked, weight = _picked(image, [first, second], reach)
+    place = weight @ picked.position
+    value = float(up @ (place[1] - place[0]))
+    return _measured(picked, weight, value, np.stack([-up, up]), unit="m")
+
+
+def angle(
+    image: xr.Dataset, first: Pixel, corner: Pixel, second: Pixel, *, reach: int = 0
+) -> Measurement:
+    """Return the angle between the directions from one point to two others.
+
+    Parameters
+    ----------
+    image : xarray.Dataset
+        Level `range_image`.
+    first, corner, second : tuple of int
+        Row and column of each; the angle is at the corner.
+    reach : int
+        Average over so many pixels around each to every side [1].
+
+    Returns
+    -------
+    Measurement
+        Angle, from 0 to pi [rad].
+
+    Raises
+    ------
+    CubeError
+        If a pixel holds no range, or the three lie on a line, where no uncertainty of
+        first order exists.
+    """
+    picked, weight = _picked(image, [first, corner, second], reach)
+    place = weight @ picked.position
+    one, other = place[0] - place[1], place[2] - place[1]
+    lengths = float(np.linalg.norm(one)), float(np.linalg.norm(other))
+    if min(lengths) == 0:
+        raise CubeError("two of the points are the same; pick three that are apart")
+    one, other = one / lengths[0], other / lengths[1]
+    sine = float(np.linalg.norm(np.cross(one, other)))
+    cosine = float(one @ other)
+    if sine < _STRAIGHT:
+        raise CubeError("the three points lie on a line; pick a corner off it")
+    to_first = (cosine * one - other) / (sine * lengths[0])
+    to_second = (cosine * other - one) / (sine * lengths[1])
+    gradient = np.stack([to_first, -to_first - to_second, to_second])
+    value = float(np.arctan2(sine, cosine))
+    return _measured(picked, weight, value, gradient, unit="rad")
+
+
+def area(image: xr.Dataset, corners: Sequence[Pixel], *, reach: int = 0) -> Measurement:
+    r"""Return the area of a polygon.
+
+    Parameters
+    ----------
+    image : xarray.Dataset
+        Level `range_image`.
+    corners : sequence of tuple of int
+        Rows and columns, at least three, in order around the polygon.
+    reach : int
+        Average over so many pixels around each to every side [1].
+
+    Returns
+    -------
+    Measurement
+        Area [m2]; of corners that lie in no plane, the area of the polygon seen from
+        where it is largest.
+
+    Raises
+    ------
+    CubeError
+        If there are fewer than three corners, one holds no range, or the area is zero.
+
+    Notes
+    -----
+    :math:`|\sum_k p_k \times p_{k+1}| / 2`, the length of the vector area.
+    """
+    if len(corners) < 3:
+        raise CubeError(f"an area needs at least 3 corners, got {len(corners)}")
+    picked, weight = _picked(image, corners, reach)
+    place = weight @ picked.position
+    place = place - place.mean(axis=0)  # far origins would cost digits
+    after, before = np.roll(place, -1, axis=0), np.roll(place, 1, axis=0)
+    vector = np.cross(place, after).sum(axis=0) / 2
+    size = float(np.linalg.norm(vector))
+    if size == 0:
+        raise CubeError("the corners enclose no area; pick some that are off a line")
+    gradient = np.cross(after - before, vector / size) / 2
+    return _measured(picked, weight, size, gradient, unit="m2")
+
+
+def _picked(
+    image: xr.Dataset, pixels: Sequence[Pixel], reach: int
+) -> tuple[Points, Floats]:
+    """Return all pixels that count, and the weight of each in each point."""
+    if reach < 0:
+        raise ValueError(f"reach must be at least 0 pixels, got {reach}")
+    usable = np.isfinite(image["slant_range"].values)
+    rows, columns, owners = [], [], []
+    for owner, (row, column) in enumerate(pixels):
+        around = [(row, column)]
+        if reach and usable[_one(image, row, column)]:
+            top, left = max(row - reach, 0), max(column - reach, 0)
+            part = usable[top : row + reach + 1, left : column + reach + 1]
+            around = [(top + int(r), left + int(c)) for r, c in np.argwhere(part)]
+        rows += [r for r, _ in around]
+        columns += [c for _, c in around]
+        owners += [owner] * len(around)
+    weight = np.zeros((len(pixels), len(rows)))
+    weight[owners, np.arange(len(rows))] = 1.0
+    weight /= weight.sum(axis=1, keepdims=True)
+    return points_of(image, rows, columns), weight
+
+
+def _one(image: xr.Dataset, row: int, column: int) -> tuple[int, int]:
+    """Return a pixel, if the image has it."""
+    shape = image["slant_range"].shape
+    if not (0 <= row < shape[0] and 0 <= column < shape[1]):
+        raise CubeError(
+            f"pixel ({row}, {column}) is outside of the image of {shape[0]} rows and "
+            f"{shape[1]} columns"
+        )
+    return row, column
+
+
+def _measured(
+    picked: Points, weight: Floats, value: float, gradient: Floats, *, unit: str
+) -> Measurement:
+    """Return a number with the error that follows from its gradient at the points."""
+    along = np.einsum("kx,ix,ki->i", gradient, picked.direction, weight)
+    variance = float(along @ picked.covariance @ along)
+    # A pixel that two points have in common is one and the same noise.
+    equal = picked.covariance * 0.0
+    _, place = np.unique(picked.position, axis=0, return_inverse=True)
+    place = place.reshape(-1)
+    equal[place[:, None] == place] = 1.0
+    random = float(along @ (equal * picked.noise) @ along)
+    return Measurement(
+        value=value,
+        uncertainty=max(variance, 0.0) ** 0.5,
+        random=max(random, 0.0) ** 0.5,
+        unit=unit,
+        pixels=int(place.max()) + 1,
+    )

@@ -1,0 +1,105 @@
+"""Pixels of a range image as points in space, with the covariance of their ranges."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import xarray as xr
+from numpy.typing import ArrayLike, NDArray
+
+from amulor.cube import UNUSABLE, QualityFlag
+from amulor.errors import CubeError
+from amulor.imaging.common import own_variance
+from amulor.imaging.correlation import covariance
+from amulor.imaging.geometry import beams_of
+
+Floats = NDArray[np.float64]
+Numbers = NDArray[np.intp]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Points:
+    """Points in space whose only error is that of their range."""
+
+    position: Floats
+    """Right, down, forward, shape (n, 3) [m]."""
+    direction: Floats
+    """Where each moves when its range grows, shape (n, 3) [1]."""
+    covariance: Floats
+    """Of the slant ranges, shape (n, n) [m^2]."""
+    noise: Floats
+    """Part of its diagonal that no two pixels share, shape (n,) [m^2]."""
+
+
+def points_of(image: xr.Dataset, rows: ArrayLike, columns: ArrayLike) -> Points:
+    """Return pixels of a range image as points.
+
+    Parameters
+    ----------
+    image : xarray.Dataset
+        Level `range_image`.
+    rows, columns : array_like of int, shape (n,)
+        Pixels, in any order; one may come twice.
+
+    Returns
+    -------
+    Points
+        In that order. Directions of the beams and indices of refraction are taken as
+        they are stated; an error of the group index is one of the ranges.
+
+    Raises
+    ------
+    CubeError
+        If a pixel is outside of the image or holds no range, or if there are too many.
+    """
+    row, column = (np.atleast_1d(np.asarray(v, dtype=np.intp)) for v in (rows, columns))
+    shape = image["slant_range"].shape
+    inside = (row >= 0) & (row < shape[0]) & (column >= 0) & (column < shape[1])
+    if not inside.all():
+        first = int(np.argmin(inside))
+        raise CubeError(
+            f"pixel ({row[first]}, {column[first]}) is outside of the image of "
+            f"{shape[0]} rows and {shape[1]} columns"
+        )
+    ranges = image["slant_range"].values[row, column]
+    if not np.isfinite(ranges).all():
+        first = int(np.argmin(np.isfinite(ranges)))
+        raise CubeError(
+            f"pixel ({row[first]}, {column[first]}) holds no range: "
+            f"{_reason(image, int(row[first]), int(column[first]))}; pick another"
+        )
+    each, place = np.unique(row * shape[1] + column, return_inverse=True)
+    mask = np.zeros(shape, dtype=bool)
+    mask.flat[each] = True
+    matrix = covariance(image, mask)[np.ix_(place, place)]
+    beam = beams_of(_only(image, row, column))
+    travelled = ranges - beam.length_before[0]
+    return Points(
+        position=beam.entry[0] + travelled[:, None] * beam.direction[0],
+        direction=beam.direction[0],
+        covariance=matrix,
+        noise=own_variance(image)[row, column],
+    )
+
+
+def _only(image: xr.Dataset, row: Numbers, column: Numbers) -> xr.Dataset:
+    """Return the directions of some pixels as an image of one row."""
+    names = ("origin_x", "origin_y", "origin_z", "azimuth", "elevation")
+    return xr.Dataset(
+        coords={
+            "geometry": image["geometry"].variable,
+            **{
+                name: (("row", "column"), image[name].values[row, column][None])
+                for name in names
+                if name in image.coords
+            },
+        }
+    )
+
+
+def _reason(image: xr.Dataset, row: int, column: int) -> str:
+    """Say why a pixel has no range."""
+    flag = QualityFlag(int(image["quality_flag"].values[row, column]) & UNUSABLE)
+    names = [str(one.name).lower().replace("_", " ") for one in flag]
+    return ", ".join(names) or "not measured"

@@ -1,0 +1,14 @@
+"""The browser page: a server for this computer, and pages saved as one file."""
+
+from amulor.view.page.recording import Recording, opened, recording_of
+from amulor.view.page.saved import save_page, saved_page
+from amulor.view.page.serve import serve
+
+__all__ = [
+    "Recording",
+    "opened",
+    "recording_of",
+    "save_page",
+    "saved_page",
+    "serve",
+]

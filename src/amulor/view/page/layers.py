@@ -1,0 +1,97 @@
+"""The maps that the page shows of a range image: what they are called, their words."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from typing import Any, Literal
+
+import numpy as np
+
+from amulor.cube import UNUSABLE, QualityFlag
+from amulor.cube.terms import ALIKE_TERMS, RANGE_PREFIX, WATER_TERMS
+
+
+@dataclass(frozen=True, kw_only=True)
+class Layer:
+    """One number for every pixel of a scan."""
+
+    name: str
+    """Name in addresses."""
+    label: str
+    """Name on the page."""
+    unit: str
+    """Unit that the numbers have when they travel."""
+    kind: Literal["range", "amplitude", "error", "signed", "chance", "flags", "hidden"]
+    """Which colours tell it."""
+    before: bool = False
+    """Whether it is of the picture before rejection."""
+
+
+#: Variables of a range image and the layers that they become.
+MAPS = {
+    "slant_range": Layer(name="range", label="Range", unit="m", kind="range"),
+    "intensity": Layer(name="amplitude", label="Amplitude", unit="V", kind="amplitude"),
+    "slant_range_uncertainty": Layer(
+        name="uncertainty", label="Uncertainty", unit="m", kind="error"
+    ),
+    "slant_range_bias": Layer(name="bias", label="Bias", unit="m", kind="signed"),
+    "quality_flag": Layer(name="flags", label="Flags", unit="", kind="flags"),
+    "slant_range_wrong_interval": Layer(
+        name="wrong", label="Wrong interval", unit="1", kind="chance"
+    ),
+    "slant_range_common_uncertainty": Layer(
+        name="common", label="Shared uncertainty", unit="m", kind="hidden"
+    ),
+    **{
+        f"{RANGE_PREFIX}{term}": Layer(
+            name=f"term_{term}", label=term.replace("_", " "), unit="m", kind="hidden"
+        )
+        for term in (*ALIKE_TERMS, *WATER_TERMS)
+    },
+}
+#: Maps that exist of the picture before rejection, too.
+BEFORE = ("slant_range", "intensity", "quality_flag", "slant_range_uncertainty")
+
+#: Why a pixel is missing or doubtful, and what to do, in words.
+WORDS = {
+    QualityFlag.MISSING: "not measured",
+    QualityFlag.SATURATED: "detector overloaded: less power or gain, then take again",
+    QualityFlag.NO_TARGET: "no target: the echo does not stand out of the water",
+    QualityFlag.AMBIGUOUS: "distance not settled among the intervals of the phase",
+    QualityFlag.WATER_RESIDUAL: "water left in moves the range beyond its uncertainty",
+    QualityFlag.NO_OPEN_WATER: "water signal not taken out: the range still holds it",
+    QualityFlag.MIXED: "the beam meets two surfaces: the range lies between them",
+    QualityFlag.OUTLIER: "disagrees with the rest of its pixel or of the scan",
+    QualityFlag.RELATIVE: "range may be off by whole intervals of the phase",
+}
+
+
+def flag_words() -> list[dict[str, Any]]:
+    """Return every quality flag with its bit, its name and its words.
+
+    Returns
+    -------
+    list of dict
+        `mask`, `name`, `words`, and `unusable` where the pixel holds no range.
+    """
+    return [
+        {
+            "mask": int(flag),
+            "name": str(flag.name).lower().replace("_", " "),
+            "words": WORDS[flag],
+            "unusable": bool(flag & UNUSABLE),
+        }
+        for flag in QualityFlag
+        if flag
+    ]
+
+
+def described(layer: Layer) -> dict[str, Any]:
+    """Return a layer as the page reads it."""
+    return asdict(layer)
+
+
+def stored(values: np.ndarray, layer: Layer) -> bytes:
+    """Return numbers as they travel: flags in 16 bits, all else in 32, little end."""
+    form = "<u2" if layer.kind == "flags" else "<f4"
+    return np.ascontiguousarray(values).astype(form).tobytes()

@@ -1,0 +1,178 @@
+"""A page as one file that opens without a server, and asks nobody for anything."""
+
+from __future__ import annotations
+
+import base64
+import json
+import re
+from collections.abc import Mapping, Sequence
+from importlib import resources
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from amulor.errors import FormatError
+from amulor.io.files import atomic_output
+from amulor.view.page.layers import stored
+from amulor.view.page.packing import packed
+from amulor.view.page.recording import MOST_PIXELS, Recording
+
+#: Files of the page, in the order in which nothing comes before what it needs.
+TYPES = {
+    ".html": "text/html; charset=utf-8",
+    ".css": "text/css; charset=utf-8",
+    ".js": "text/javascript; charset=utf-8",
+    ".svg": "image/svg+xml",
+}
+#: Numbers of spectra that a page may carry [1].
+_MOST_SPECTRA = 4_000_000
+_POLICY = (
+    "default-src 'none'; script-src 'unsafe-inline' data:; style-src 'unsafe-inline'; "
+    "img-src data: blob:; base-uri 'none'; form-action 'none'"
+)
+
+
+def static_files() -> dict[str, bytes]:
+    """Return the files of the page by name."""
+    folder = resources.files("amulor.view.page") / "static"
+    return {
+        entry.name: entry.read_bytes()
+        for entry in folder.iterdir()
+        if entry.is_file() and Path(entry.name).suffix in TYPES
+    }
+
+
+def save_page(
+    recording: Recording,
+    path: str | Path,
+    *,
+    measurements: Sequence[Mapping[str, Any]] = (),
+    overwrite: bool = False,
+) -> None:
+    """Write a page as one file.
+
+    Parameters
+    ----------
+    recording : Recording
+        What it shows.
+    path : str or pathlib.Path
+        File to write (HTML).
+    measurements : sequence of mapping
+        Measurements that the page begins with, as the page gave them.
+    overwrite : bool
+        Whether a file that is there may be replaced.
+
+    Raises
+    ------
+    FormatError
+        If the file exists, or cannot be written.
+    """
+    page = saved_page(recording, measurements=measurements)
+    with atomic_output(Path(path), overwrite=overwrite) as temporary:
+        temporary.write_text(page, encoding="utf-8")
+
+
+def saved_page(
+    recording: Recording, *, measurements: Sequence[Mapping[str, Any]] = ()
+) -> str:
+    """Return a page as one text.
+
+    Parameters
+    ----------
+    recording : Recording
+        What it shows. Of more than 10 million pixels, every second row and column is
+        taken, or every third, and so on; the page says so.
+    measurements : sequence of mapping
+        Measurements that the page begins with.
+
+    Returns
+    -------
+    str
+        HTML. Distances and heights can be measured in it; fits need the server.
+    """
+    files = static_files()
+    scenes = {name: recording.describe(name) for name in _carried(recording)}
+    content = {
+        "scenes": scenes,
+        "measurements": [dict(one) for one in measurements],
+    }
+    scripts = [_data("amulor-scene", json.dumps(content, allow_nan=False))]
+    for channel in scenes:
+        stride = recording.stride(channel)
+        for name, (layer, *_) in recording.layers(channel).items():
+            values = recording.layer(channel, name, stride)
+            width = 2 if layer.kind == "flags" else 4
+            text = packed(stored(values, layer), width=width)
+            scripts.append(_data(f"layer/{channel}/{name}", text))
+        nodes = np.ascontiguousarray(recording.nodes(channel).values, "<f4").tobytes()
+        scripts.append(_data(f"layer/{channel}/beams", packed(nodes, width=4)))
+        scripts += _spectra(recording, channel)
+    return _assembled(files, scripts)
+
+
+def _carried(recording: Recording) -> list[str]:
+    """Return the channels that fit into one page together."""
+    rows, columns = recording.channel().shown.shape
+    room = max(1, MOST_PIXELS // max(rows * columns, 1))
+    return recording.channels[:room]
+
+
+def _spectra(recording: Recording, channel: str) -> list[str]:
+    cubes = recording.spectra(channel, most=_MOST_SPECTRA)
+    return [
+        _data(f"spectrum/{channel}/{name}", packed(values.tobytes(), width=4))
+        for name, values in cubes.items()
+    ]
+
+
+def _data(name: str, text: str) -> str:
+    # "<" could end the script early, or begin a comment in it.
+    safe = text.replace("<", "\\u003c")
+    return f'<script type="application/json" data-name="{name}">{safe}</script>'
+
+
+def _assembled(files: Mapping[str, bytes], data: Sequence[str]) -> str:
+    """Return the page with all of its files in it."""
+    page = files["index.html"].decode()
+    style = files["page.css"].decode()
+    modules = {
+        name: _bare(content.decode())
+        for name, content in files.items()
+        if name.endswith(".js")
+    }
+    imports = {
+        f"page/{name}": "data:text/javascript;base64,"
+        + base64.b64encode(text.encode()).decode()
+        for name, text in modules.items()
+    }
+    replaced = {
+        '<link rel="stylesheet" href="static/page.css">': f"<style>{style}</style>",
+        '<script type="module" src="static/app.js"></script>': "\n".join(
+            [
+                f'<script type="importmap">{json.dumps({"imports": imports})}</script>',
+                *data,
+                '<script type="module">import "page/app.js";</script>',
+            ]
+        ),
+        "<!-- policy -->": (
+            f'<meta http-equiv="Content-Security-Policy" content="{_POLICY}">'
+        ),
+        '<link rel="icon" href="static/icon.svg" type="image/svg+xml">': (
+            '<link rel="icon" type="image/svg+xml" href="data:image/svg+xml;base64,'
+            + base64.b64encode(files["icon.svg"]).decode()
+            + '">'
+        ),
+    }
+    for old, new in replaced.items():
+        if page.count(old) != 1:
+            raise FormatError(
+                f"index.html must hold {old!r} once; install amulor again"
+            )
+        page = page.replace(old, new)
+    return page
+
+
+def _bare(module: str) -> str:
+    """Return a module that imports by names of the import map, not by places."""
+    return re.sub(r'(from\s+|import\s+)"\./([\w-]+\.js)"', r'\1"page/\2"', module)

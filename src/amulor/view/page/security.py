@@ -1,0 +1,166 @@
+"""Who may ask the page's server: this computer's browser, with the token, and no other.
+
+A page of another site must not reach it: not by a form or a script (`Origin`), not by a
+name that it lets point here (`Host`), and not without the token of the address.
+"""
+
+from __future__ import annotations
+
+import ipaddress
+import secrets
+from collections.abc import Collection, Mapping
+from typing import Literal
+
+from starlette.datastructures import Headers
+from starlette.responses import PlainTextResponse
+from starlette.types import ASGIApp, Message, Receive, Scope, Send
+
+#: A request with a longer body is refused [byte].
+LARGEST_BODY = 256_000
+#: Names of this computer that need not be stated.
+_LOOPBACK = ("localhost", "127.0.0.1", "::1")
+
+POLICY = (
+    "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' data: "
+    "blob:; connect-src 'self'; base-uri 'none'; form-action 'none'; "
+    "frame-ancestors 'none'"
+)
+HEADERS = {
+    "content-security-policy": POLICY,
+    "cross-origin-opener-policy": "same-origin",
+    "cross-origin-resource-policy": "same-origin",
+    "referrer-policy": "no-referrer",
+    "x-content-type-options": "nosniff",
+    "x-frame-options": "DENY",
+    "cache-control": "no-store",
+}
+
+
+def new_token() -> str:
+    """Return a token that nobody guesses, for an address."""
+    return secrets.token_urlsafe(24)
+
+
+def host_of(header: str) -> str:
+    """Return the name in a `Host` header, without the port and without brackets."""
+    if header.startswith("["):
+        return header[1:].partition("]")[0].lower()
+    return header.partition(":")[0].lower()
+
+
+def _is_number(host: str) -> bool:
+    try:
+        ipaddress.ip_address(host)
+    except ValueError:
+        return False
+    return True
+
+
+class Guard:
+    """Refuses requests without the token, from elsewhere, or that are too large.
+
+    Parameters
+    ----------
+    app : callable
+        What answers the others; it sees paths without the token.
+    token : str
+        First part of every path.
+    hosts : collection of str
+        Names of this computer that are right besides those of itself. Where the server
+        listens beyond it, an address in numbers is right too: another site can let a
+        name of its own point here, but not a number.
+    beyond : bool
+        Whether the server listens to other computers.
+    """
+
+    def __init__(
+        self,
+        app: ASGIApp,
+        *,
+        token: str,
+        hosts: Collection[str] = (),
+        beyond: bool = False,
+    ) -> None:
+        self._app, self._token = app, token
+        self._hosts = {*_LOOPBACK, *(host.lower() for host in hosts)}
+        self._beyond = beyond
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Answer, refuse, or pass on."""
+        if scope["type"] not in ("http", "websocket"):
+            await self._app(scope, receive, send)
+            return
+        headers = Headers(scope=scope)
+        status = self._refused(scope["type"], headers, scope["path"])
+        if status:
+            await _refuse(scope, receive, send, *status)
+            return
+        rest = scope["path"][len(self._token) + 1 :] or "/"
+        inner = {**scope, "path": rest, "raw_path": rest.encode()}
+        await self._app(inner, _limited(receive), _with_headers(send))
+
+    def _refused(
+        self, kind: Literal["http", "websocket"], headers: Mapping[str, str], path: str
+    ) -> tuple[int, str] | None:
+        host = headers.get("host", "")
+        name = host_of(host)
+        if name not in self._hosts and not (self._beyond and _is_number(name)):
+            return 421, "this server does not go by that name"
+        origin = headers.get("origin")
+        if origin is None:
+            # Browsers name the origin of every websocket, and of what changes things.
+            if kind == "websocket":
+                return 403, "a websocket needs its Origin"
+            if headers.get("sec-fetch-site", "same-origin") == "cross-site":
+                return 403, "this comes from another site"
+        elif origin.lower() != f"http://{host.lower()}":
+            return 403, "this comes from another site"
+        first = path.removeprefix("/").partition("/")[0]
+        if not secrets.compare_digest(first.encode(), self._token.encode()):
+            return 404, "there is nothing here; use the whole address with its token"
+        length = headers.get("content-length", "0")
+        if not length.isdigit() or int(length) > LARGEST_BODY:
+            return 413, f"a request has at most {LARGEST_BODY} bytes"
+        return None
+
+
+def _limited(receive: Receive) -> Receive:
+    """Return what receives a body of limited size, whatever its header says."""
+    left = LARGEST_BODY
+
+    async def limited() -> Message:
+        nonlocal left
+        message = await receive()
+        left -= len(message.get("body", b""))
+        if left < 0:
+            return {"type": "http.disconnect"}
+        return message
+
+    return limited
+
+
+def _with_headers(send: Send) -> Send:
+    async def sending(message: Message) -> None:
+        if message["type"] == "http.response.start":
+            there = {name.lower() for name, _ in message["headers"]}
+            message["headers"] = [
+                *message["headers"],
+                *(
+                    (name.encode(), value.encode())
+                    for name, value in HEADERS.items()
+                    if name.encode() not in there
+                ),
+            ]
+        await send(message)
+
+    return sending
+
+
+async def _refuse(
+    scope: Scope, receive: Receive, send: Send, status: int, reason: str
+) -> None:
+    if scope["type"] == "websocket":
+        await send({"type": "websocket.close", "code": 1008, "reason": reason})
+        return
+    response = PlainTextResponse(reason, status_code=status, headers=dict(HEADERS))
+    await response(scope, receive, send)

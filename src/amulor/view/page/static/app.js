@@ -1,0 +1,680 @@
+// The page: what is shown, what is pointed at, and who is told.
+
+import { CloudView } from "./cloud.js";
+import { flagColour, MAP_OF, table } from "./colour.js";
+import { Live } from "./live.js";
+import { colourBar, fitted, MapView } from "./map.js";
+import { along, drawHistogram, drawProfile, drawSpectrum, profileOf } from "./plots.js";
+import { Renderer } from "./renderer.js";
+import { sampled, Scene } from "./scene.js";
+import { source } from "./source.js";
+import { scaled, short, withError, withUnit } from "./text.js";
+import { asText, measured, toolOf, TOOLS, worded } from "./tools.js";
+
+const $ = (id) => document.getElementById(id);
+const state = {
+  source: source(),
+  layerName: "range",
+  raw: false,
+  limits: [0, 1],
+  ownLimits: new Map(),
+  cursor: null,
+  pinned: null,
+  tool: null,
+  picks: [],
+  region: null,
+  section: null,
+  measurements: [],
+  chosen: null,
+  number: 0,
+  average: 0,
+  profileKind: "row",
+  profileLayer: "range",
+  spectrum: null,
+  contour: 0,
+  look: {},
+  tables: {},
+  flagColour,
+};
+const views = {};
+let colours = {};
+let waiting = 0;
+
+function say(text) {
+  $("message").textContent = text;
+  $("message").hidden = !text;
+}
+
+function failed(error) {
+  say(error.message ?? String(error));
+  document.documentElement.dataset.failed = "yes";
+}
+
+/** Draw everything soon, once. */
+function redraw() {
+  if (!waiting) waiting = requestAnimationFrame(draw);
+}
+
+function draw() {
+  waiting = 0;
+  const { scene } = state;
+  if (!scene?.maps.has(state.layerName)) return;
+  light();
+  for (const view of [views.map, views.cloud]) fitted(view.canvas);
+  try {
+    views.map.draw(state, colours);
+    views.cloud.draw(state, colours);
+  } catch (error) {
+    failed(error);
+    return;
+  }
+  const layer = scene.byName.get(state.layerName);
+  if (layer.kind !== "flags") {
+    const unit = layer.kind === "range" ? { unit: layer.unit, factor: 1 } : scaled(Math.max(...state.limits.map(Math.abs)), layer.unit);
+    colourBar($("bar"), state.tables[layer.kind], state.limits.map((value) => value * unit.factor), unit.unit, colours);
+    $("unit").textContent = unit.unit;
+  }
+  drawProfile($("profile"), state, colours);
+  drawHistogram($("histogram"), state, colours);
+  drawSpectrum($("spectrum"), state, colours);
+  document.documentElement.dataset.ready = "yes";
+}
+
+function rgb(text) {
+  return [1, 3, 5].map((at) => parseInt(text.slice(at, at + 2), 16) / 255);
+}
+
+function themed(name) {
+  document.documentElement.dataset.theme = name;
+  const style = getComputedStyle(document.documentElement);
+  const get = (key) => style.getPropertyValue(`--${key}`).trim();
+  colours = { ink: get("ink"), soft: get("soft"), line: get("line"), accent: get("accent"), band: get("band"), mark: get("mark"), under: get("under"), plate: get("card"), font: style.fontFamily || "sans-serif", cursor: "#f2a33c" };
+  colours.font = getComputedStyle(document.body).fontFamily;
+  state.look.ground = rgb(get("stage"));
+  state.look.missing = name === "dark" ? [0.2, 0.25, 0.28] : [0.8, 0.83, 0.85];
+  state.live?.draw(colours);
+  redraw();
+}
+
+function light() {
+  const on = $("light").checked;
+  const turn = (Number($("light-turn").value) * Math.PI) / 180;
+  const rise = (Number($("light-rise").value) * Math.PI) / 180;
+  state.look.light = on ? [Math.sin(turn) * Math.cos(rise), -Math.cos(turn) * Math.cos(rise), -Math.sin(rise)] : [0, 0, 0];
+  state.look.relief = 1;
+  state.look.contour = Number($("contour").value);
+  state.look.raw = shownRaw();
+  state.look.averaged = $("averaged").checked;
+}
+
+function shownRaw() {
+  return state.raw && state.scene.byName.has(`${state.scene.main}_before`);
+}
+
+/** Return the noise of means over neighbours, and the slope that it makes by itself. */
+function noiseOf(reach) {
+  const { scene } = state;
+  const middle = (name) => {
+    const some = sampled(scene.maps.get(name)?.values ?? [], 4000).filter(Number.isFinite);
+    return some.sort((a, b) => a - b)[some.length >> 1];
+  };
+  const total = middle("uncertainty");
+  const common = middle("common") || 0;
+  const wide = 2 * reach + 1;
+  const noise = Math.sqrt(Math.max(total ** 2 - common ** 2, 0)) / wide;
+  // Two such means, two pixels apart, have a part of their pixels in common.
+  const apart = 1 - Math.max(wide - 2, 0) / wide;
+  const slope = Math.atan((Math.sqrt(2 * apart) * noise) / (2 * scene.spacing.column));
+  return { wide, noise, degrees: (slope * 180) / Math.PI };
+}
+
+/** Choose a smoothing in which noise makes no relief; no light where none does. */
+function calm() {
+  const { scene } = state;
+  if (!scene.maps.has("uncertainty")) return;
+  const most = Number($("reach").max);
+  let reach = 1;
+  while (reach < most && noiseOf(reach).degrees > 6) reach += 1;
+  $("reach").value = String(reach);
+  $("light").checked = noiseOf(reach).degrees <= 12;
+  for (const name of [scene.main, "range_before"]) scene.smooth(name, reach);
+}
+
+/** Say beside the light what it can show. */
+function lightNote() {
+  if (!state.scene.maps.has("uncertainty")) return;
+  const { wide, noise, degrees } = noiseOf(Number($("reach").value));
+  $("light-note").textContent = `Light and contours on means of ${wide} × ${wide} pixels, noise ${withUnit(noise, "m", 2)}: slopes under ${short(Math.min(2 * degrees, 90), 2)}° may be noise.`;
+  $("light-note").dataset.slope = String(degrees);
+}
+
+async function opened(channel) {
+  say("");
+  const scene = state.scene ?? new Scene(state.source, state.renderer);
+  await scene.open(channel);
+  state.scene = scene;
+  document.title = `${scene.title} · amulor`;
+  $("title").textContent = scene.title;
+  const size = `${scene.rows} × ${scene.columns} pixels`;
+  const strided = scene.stride > 1 ? `, every ${scene.stride}th row and column drawn` : "";
+  $("subtitle").textContent = `${scene.name} · ${size}${strided} · ${scene.simulated ? "simulated" : "measured"} · ranges in water of group index ${scene.group_index}${scene.frequencies.length ? ` · ${frequencies(scene.frequencies)}` : ""}`;
+  $("channel-field").hidden = scene.channels.length < 2;
+  $("channel").replaceChildren(...scene.channels.map((name) => new Option(name, name, name === scene.channel, name === scene.channel)));
+  const switches = $("water").querySelectorAll("button");
+  const both = scene.byName.has("range") && scene.byName.has("range_before");
+  switches[1].disabled = !scene.byName.has("range_before");
+  switches[0].disabled = !scene.byName.has("range");
+  if (!both) state.raw = !scene.byName.has("range");
+  $("water").title = both ? "" : scene.notes[0] ?? "";
+  $("notes-card").hidden = !scene.notes.length;
+  $("notes").replaceChildren(...scene.notes.map((note) => Object.assign(document.createElement("li"), { textContent: note })));
+  contours();
+  tabs();
+  await show(scene.byName.has(state.layerName) ? state.layerName.replace("_before", "") : scene.main);
+  if (!views.placed) {
+    views.cloud.home(scene);
+    views.placed = true;
+  }
+  if (!state.cursor) await point([Math.floor(scene.rows / 2), Math.floor(scene.columns / 2)]);
+  const rest = [...scene.byName.values()].filter((layer) => layer.kind !== "hidden" || layer.name === "common");
+  for (const layer of rest) await scene.load(layer.name);
+  if (!state.calmed) calm();
+  state.calmed = true;
+  thumbnails();
+  lightNote();
+  readout();
+  redraw();
+}
+
+function frequencies(all) {
+  const text = (value) => `${short(value / 1e6, 4)}`;
+  return all.length === 1 ? `${text(all[0])} MHz` : `${all.length} frequencies, ${text(all[0])} to ${text(all.at(-1))} MHz`;
+}
+
+function contours() {
+  const { scene } = state;
+  const [low, high] = scene.limits(scene.main);
+  const span = high - low;
+  const size = 10 ** Math.floor(Math.log10(span || 1));
+  const steps = [0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1].map((part) => part * size).filter((step) => span / step <= 60 && span / step >= 2);
+  $("contour").replaceChildren(new Option("off", "0"), ...steps.map((step) => new Option(withUnit(step, "m", 2), String(step))));
+}
+
+const MAIN = ["range", "amplitude", "uncertainty", "bias", "shift", "wrong", "flags"];
+
+function tabs() {
+  const { scene } = state;
+  const names = MAIN.filter((name) => scene.byName.has(name) || scene.byName.has(`${name}_before`));
+  state.tabs = names;
+  $("tabs").replaceChildren(
+    ...names.map((name, at) => {
+      const button = document.createElement("button");
+      button.type = "button";
+      button.role = "tab";
+      button.dataset.layer = name;
+      button.title = `Key ${at + 1}`;
+      const label = document.createElement("span");
+      label.textContent = (scene.byName.get(name) ?? scene.byName.get(`${name}_before`)).label;
+      const canvas = document.createElement("canvas");
+      canvas.setAttribute("aria-hidden", "true");
+      button.append(canvas, label);
+      button.addEventListener("click", () => show(name).catch(failed));
+      return button;
+    }),
+  );
+}
+
+function thumbnails() {
+  const { scene } = state;
+  for (const button of $("tabs").children) {
+    const name = actual(button.dataset.layer);
+    if (!scene.maps.has(name)) continue;
+    const canvas = button.querySelector("canvas");
+    fitted(canvas);
+    const { width, height } = canvas;
+    const tall = scene.high * scene.aspect;
+    // The whole width, the middle of the height: a strip that fills its place.
+    const per = Math.min(scene.wide / width, tall / height);
+    const parts = scene.uniforms(name, limitsOf(name), { ...state.look, contour: 0, light: [0, 0, 0] });
+    const step = [per, per / scene.aspect];
+    parts.set.uView = ["4f", (scene.wide - width * step[0]) / 2, (scene.high - height * step[1]) / 2, ...step];
+    state.renderer.drawMap(canvas.getContext("2d"), parts);
+  }
+}
+
+/** Return the map that a tab stands for: before or after, as the switch says. */
+function actual(name) {
+  const { scene } = state;
+  const before = `${name}_before`;
+  if (!scene.byName.has(name)) return before;
+  return state.raw && scene.byName.has(before) ? before : name;
+}
+
+function limitsOf(name) {
+  const key = name.replace("_before", "");
+  if (state.ownLimits.has(key)) return state.ownLimits.get(key);
+  const { scene } = state;
+  const own = scene.limits(name);
+  if (key === name || !scene.maps.has(key)) return own;
+  // The same span for both, so that the switch shows what became of the shape.
+  const after = scene.limits(key);
+  const shift = key === "range" ? (own[0] + own[1] - after[0] - after[1]) / 2 : 0;
+  const middle = sampled(scene.maps.get(name).values, 4000).filter(Number.isFinite).sort((a, b) => a - b);
+  const centre = key === "range" && middle.length ? middle[middle.length >> 1] - (after[0] + after[1]) / 2 : shift;
+  return after.map((value) => value + centre);
+}
+
+async function show(name) {
+  const { scene } = state;
+  const wanted = actual(name.replace("_before", ""));
+  await scene.load(wanted);
+  if (wanted.endsWith("_before") && scene.byName.has("range_before")) await scene.load("range_before");
+  state.layerName = wanted;
+  const layer = scene.byName.get(wanted);
+  if (layer.kind !== "flags") state.profileLayer = wanted;
+  state.limits = limitsOf(wanted);
+  for (const button of $("tabs").children) button.setAttribute("aria-selected", String(button.dataset.layer === name.replace("_before", "")));
+  const flags = layer.kind === "flags";
+  $("bar").parentElement.hidden = flags;
+  $("legend").hidden = !flags;
+  if (flags) legend();
+  for (const button of $("water").querySelectorAll("button")) button.setAttribute("aria-pressed", String((button.dataset.raw === "yes") === state.raw));
+  $("map").setAttribute("aria-label", `Map of the ${layer.label.toLowerCase()}, ${scene.rows} rows and ${scene.columns} columns. Arrow keys move the pixel.`);
+  if (Object.keys(state.tables).length) thumbnails();
+  lightNote();
+  readout();
+  redraw();
+}
+
+function legend() {
+  const { values } = state.scene.maps.get(state.layerName);
+  const share = (count) => `${((100 * count) / values.length).toFixed(1)} %`;
+  const counted = state.scene.flags.map((flag) => [flag, values.reduce((sum, bits) => sum + (bits & flag.mask ? 1 : 0), 0)]);
+  const good = values.reduce((sum, bits) => sum + (bits === 0 ? 1 : 0), 0);
+  const entries = [[`good, ${share(good)}`, "#2c7f62"], ...counted.filter(([, count]) => count).map(([flag, count]) => [`${flag.name}, ${share(count)}: ${flag.words}`, flagColour(flag.name)])];
+  $("legend").replaceChildren(...entries.map(([text, colour]) => swatch(text, colour)));
+}
+
+function swatch(text, colour) {
+  const span = document.createElement("span");
+  const mark = document.createElement("i");
+  mark.style.background = colour;
+  span.append(mark, text);
+  return span;
+}
+
+let asked = 0;
+
+async function point(pixel) {
+  if (pixel === undefined) return redraw();
+  state.cursor = pixel ?? state.pinned;
+  readout();
+  redraw();
+  const { scene, cursor } = state;
+  if (!scene.spectrum || !cursor) return undefined;
+  asked += 1;
+  const own = asked;
+  await new Promise((done) => setTimeout(done, 60));
+  if (own !== asked) return undefined;
+  try {
+    const found = await state.source.spectrum(scene.channel, ...cursor);
+    if (own === asked) state.spectrum = found;
+  } catch (error) {
+    if (!state.live) failed(error);
+  }
+  $("spectrum-title").textContent = state.spectrum?.frequency.length === 1 ? "Phasors" : "Spectrum";
+  return redraw();
+}
+
+function readout() {
+  const { scene, cursor } = state;
+  if (!scene || !cursor) return;
+  const get = (name) => scene.value(name, ...cursor);
+  const rows = [];
+  const range = get(scene.main);
+  const error = get("uncertainty");
+  const raw = get("range_before");
+  const add = (term, text, kind = "") => rows.push([term, text, kind]);
+  $("where").textContent = `row ${cursor[0]}, column ${cursor[1]}`;
+  if (Number.isFinite(range)) {
+    add("range", Number.isFinite(error) ? withError(range, error, "m") : withUnit(range, "m", 5), "big");
+    if (Number.isFinite(get("common"))) add("shared part", withUnit(get("common"), "m", 2));
+    if (Number.isFinite(get("bias"))) add("bias left", withUnit(get("bias"), "m", 2));
+    if (Number.isFinite(raw) && scene.main === "range") add("water in", `${withUnit(raw, "m", 5)} (${signed(raw - range)})`);
+  } else add("range", "none", "big");
+  if (Number.isFinite(get("amplitude"))) add("amplitude", withUnit(get("amplitude"), "V", 3));
+  const place = scene.point(...cursor);
+  if (place) add("place", place.map((part) => short(part * 1e3, Math.abs(part) >= 1 ? 5 : 4)).join(", ") + " mm");
+  const flags = scene.maps.has("flags") ? scene.reasons(...cursor) : scene.maps.has("flags_before") ? scene.reasons(...cursor, "flags_before") : [];
+  $("readout").replaceChildren(
+    ...rows.flatMap(([term, text, kind]) => {
+      const dt = Object.assign(document.createElement("dt"), { textContent: term });
+      const dd = Object.assign(document.createElement("dd"), { textContent: text, className: kind });
+      return [dt, dd];
+    }),
+    ...flags.map((flag) => {
+      const dd = document.createElement("dd");
+      dd.className = "words";
+      dd.append(swatch(flag.words, flagColour(flag.name)));
+      return dd;
+    }),
+  );
+}
+
+function signed(value) {
+  const text = withUnit(value, "m", 3);
+  return value > 0 ? `+${text}` : text;
+}
+
+function hint(text, wrong = false) {
+  $("hint").textContent = text;
+  $("hint").classList.toggle("wrong", wrong);
+}
+
+function choose(kind) {
+  state.tool = state.tool === kind ? null : kind;
+  state.picks = [];
+  state.region = null;
+  for (const button of $("tools").children) button.setAttribute("aria-pressed", String(button.dataset.kind === state.tool));
+  hint(state.tool ? toolOf(state.tool).hint : "Choose what to measure, then pick it in the map or in space.");
+  redraw();
+}
+
+async function picked(pixel) {
+  state.pinned = pixel;
+  point(pixel);
+  const tool = state.tool && toolOf(state.tool);
+  if (!tool || tool.region) return;
+  if (state.raw) return hint("Measuring is on the corrected picture: the water signal is taken out of it.", true);
+  const first = state.picks[0];
+  const closes = tool.least && state.picks.length >= tool.least && first[0] === pixel[0] && first[1] === pixel[1];
+  if (!closes) state.picks.push(pixel);
+  if (closes || state.picks.length === tool.points) await finish();
+  else hint(tool.points === Infinity ? `${state.picks.length} picked. ${tool.hint}` : `${state.picks.length} of ${tool.points} picked.`);
+  redraw();
+}
+
+async function finish() {
+  const tool = toolOf(state.tool);
+  const { picks, region } = state;
+  if (!region && picks.length < (tool.least ?? tool.points)) return hint(tool.hint, true);
+  state.picks = [];
+  state.region = null;
+  try {
+    const found = await measured(state, tool, picks, region);
+    state.number += 1;
+    const kept = { kind: tool.kind, picks: region ? [] : picks, region, found, number: state.number };
+    state.measurements.push(kept);
+    state.chosen = kept;
+    hint(tool.hint);
+    listed();
+  } catch (error) {
+    hint(error.message, true);
+  }
+  redraw();
+}
+
+function listed() {
+  $("kept").hidden = !state.measurements.length;
+  $("measurements").replaceChildren(
+    ...state.measurements.map((kept) => {
+      const li = document.createElement("li");
+      li.className = kept === state.chosen ? "chosen" : "";
+      const { main, rests } = worded(kept.found);
+      const value = Object.assign(document.createElement("div"), { className: "value" });
+      value.append(Object.assign(document.createElement("span"), { className: "number", textContent: kept.number }), main[0]);
+      const of = Object.assign(document.createElement("div"), { className: "of", textContent: [toolOf(kept.kind).name, ...main.slice(1), rests].join(" · ") });
+      const remove = Object.assign(document.createElement("button"), { type: "button", className: "remove", textContent: "×", ariaLabel: `Remove measurement ${kept.number}` });
+      remove.addEventListener("click", (event) => {
+        event.stopPropagation();
+        state.measurements = state.measurements.filter((one) => one !== kept);
+        listed();
+        redraw();
+      });
+      li.addEventListener("click", () => {
+        state.chosen = kept;
+        listed();
+        redraw();
+      });
+      li.append(value, of, remove);
+      return li;
+    }),
+  );
+}
+
+/** Drags on the map that are no pan: regions of fits and the line of a section. */
+function dragged(phase, start, event, view) {
+  const tool = state.tool && toolOf(state.tool);
+  const line = state.profileKind === "section" && state.drawing;
+  if (!(tool?.region || line)) return false;
+  const [one, other] = [view.pixel(state.scene, start, true), view.pixel(state.scene, event, true)];
+  if (line) {
+    state.section = [one, other];
+    if (phase === "end") state.drawing = false;
+  } else {
+    state.region = [Math.min(one[0], other[0]), Math.min(one[1], other[1]), Math.max(one[0], other[0]), Math.max(one[1], other[1])];
+    if (phase === "end") {
+      const [r0, c0, r1, c1] = state.region;
+      if (r1 > r0 || c1 > c0) finish();
+      else state.region = null;
+    }
+  }
+  redraw();
+  return true;
+}
+
+function profileAlong(kind) {
+  state.profileKind = kind;
+  state.drawing = kind === "section";
+  for (const button of $("profile-kind").children) button.setAttribute("aria-pressed", String(button.dataset.kind === kind));
+  if (state.drawing) hint("Drag a line over the map.");
+  redraw();
+}
+
+function download(name, blob) {
+  const link = document.createElement("a");
+  link.href = URL.createObjectURL(blob);
+  link.download = name;
+  link.click();
+  setTimeout(() => URL.revokeObjectURL(link.href), 10000);
+}
+
+async function saved() {
+  const stem = state.scene.name.replace(/\.\w+$/, "");
+  try {
+    if (state.source.saved) {
+      hint("This page is a saved one; its measurements go with copy as text.", true);
+      return;
+    }
+    download(`${stem}.html`, await state.source.page(state.measurements));
+  } catch (error) {
+    failed(error);
+  }
+}
+
+function csv() {
+  const { scene } = state;
+  const pixels = along(scene, { kind: state.profileKind, cursor: state.cursor, section: state.section });
+  const lines = profileOf(scene, pixels, state.profileLayer).map((one) => [one.pixel[0], one.pixel[1], one.x, one.value, one.error].join(","));
+  const layer = scene.byName.get(state.profileLayer);
+  download(`${scene.name.replace(/\.\w+$/, "")}-profile.csv`, new Blob([["row", "column", "along_m", `${layer.name}_${layer.unit}`, "uncertainty_m"].join(","), "\n", lines.join("\n"), "\n"], { type: "text/csv" }));
+}
+
+function narrow() {
+  const { scene, cursor } = state;
+  const layer = scene.byName.get(state.layerName);
+  const value = cursor && scene.value(state.layerName, ...cursor);
+  if (!Number.isFinite(value) || layer.kind === "flags") return;
+  const span = (state.limits[1] - state.limits[0]) / 4;
+  const middle = layer.kind === "signed" ? 0 : value;
+  state.ownLimits.set(state.layerName.replace("_before", ""), [middle - span, middle + span]);
+  state.limits = limitsOf(state.layerName);
+  redraw();
+}
+
+function automatic() {
+  state.ownLimits.delete(state.layerName.replace("_before", ""));
+  state.limits = limitsOf(state.layerName);
+  redraw();
+}
+
+async function water(raw) {
+  const { scene } = state;
+  if (!(scene.byName.has("range") && scene.byName.has("range_before"))) return;
+  state.raw = raw;
+  await Promise.all(["range_before", "flags_before"].filter((name) => scene.byName.has(name)).map((name) => scene.load(name)));
+  await show(state.layerName.replace("_before", ""));
+}
+
+const KEYS = {
+  w: () => water(!state.raw),
+  r: () => {
+    views.map.home();
+    views.cloud.home(state.scene);
+  },
+  o: () => orthographic(),
+  f: () => views.cloud.camera.straight(),
+  d: () => themed(document.documentElement.dataset.theme === "dark" ? "light" : "dark"),
+  s: () => saved(),
+  l: () => profileAlong("section"),
+  a: automatic,
+  n: narrow,
+  "?": () => $("keys").showModal(),
+  "+": () => zoomed(0.8),
+  "-": () => zoomed(1.25),
+  Escape: () => choose(null),
+  Enter: () => (state.tool && toolOf(state.tool).least && state.picks.length >= toolOf(state.tool).least ? finish() : state.cursor && picked(state.cursor)),
+};
+
+function zoomed(factor) {
+  if (document.activeElement === $("cloud")) views.cloud.camera.zoom(factor);
+  else views.map.zoom = Math.min(Math.max(views.map.zoom / factor, 1), 200);
+}
+
+function orthographic() {
+  const { camera } = views.cloud;
+  camera.orthographic = !camera.orthographic;
+  $("ortho").setAttribute("aria-pressed", String(camera.orthographic));
+}
+
+function keyed(event) {
+  if (event.ctrlKey || event.metaKey || event.altKey || $("keys").open) return;
+  const into = event.target;
+  if (into instanceof HTMLInputElement || into instanceof HTMLSelectElement) return;
+  const { scene } = state;
+  if (!scene) return;
+  if (event.key.startsWith("Arrow") && (into === $("map") || into === $("cloud"))) {
+    event.preventDefault();
+    const [dx, dy] = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, -1], ArrowDown: [0, 1] }[event.key];
+    if (into === $("cloud")) {
+      views.cloud.camera.orbit(dx * 0.08, dy * 0.08);
+      return redraw();
+    }
+    const step = scene.stride * (event.shiftKey ? 10 : 1);
+    const [row, column] = state.cursor;
+    const to = [Math.min(Math.max(row + dy * step, 0), scene.rows - 1), Math.min(Math.max(column + dx * step, 0), scene.columns - 1)];
+    state.pinned = to;
+    return point(to);
+  }
+  if ((event.key === "Enter" || event.key === " ") && into instanceof HTMLButtonElement) return undefined;
+  const at = Number(event.key) - 1;
+  if (state.tabs?.[at]) return show(state.tabs[at]).catch(failed);
+  const act = KEYS[event.key] ?? KEYS[event.key.toLowerCase()];
+  if (act) {
+    act();
+    redraw();
+  }
+  return undefined;
+}
+
+function wired() {
+  const clicks = {
+    save: saved,
+    theme: KEYS.d,
+    help: KEYS["?"],
+    auto: automatic,
+    narrow,
+    ortho: KEYS.o,
+    front: KEYS.f,
+    home: KEYS.r,
+    "profile-csv": csv,
+    copy: () => navigator.clipboard.writeText(asText(state)).then(() => hint("Copied."), () => download("measurements.txt", new Blob([asText(state)], { type: "text/plain" }))),
+    clear: () => {
+      state.measurements = [];
+      listed();
+    },
+  };
+  for (const [id, act] of Object.entries(clicks)) {
+    $(id).addEventListener("click", () => {
+      act();
+      redraw();
+    });
+  }
+  for (const button of $("water").querySelectorAll("button")) button.addEventListener("click", () => water(button.dataset.raw === "yes").catch(failed));
+  for (const button of $("profile-kind").children) button.addEventListener("click", () => profileAlong(button.dataset.kind));
+  for (const id of ["light", "light-turn", "light-rise", "contour", "averaged"]) $(id).addEventListener("input", redraw);
+  $("reach").addEventListener("input", () => {
+    for (const name of [state.scene.main, "range_before"]) state.scene.smooth(name, Number($("reach").value));
+    lightNote();
+    redraw();
+  });
+  $("average").addEventListener("input", (event) => {
+    state.average = Number(event.target.value);
+  });
+  $("channel").addEventListener("input", (event) => opened(event.target.value).then(() => point(state.cursor)).catch(failed));
+  $("tools").replaceChildren(
+    ...TOOLS.map((tool) => {
+      const button = Object.assign(document.createElement("button"), { type: "button", textContent: tool.name, title: tool.hint });
+      button.dataset.kind = tool.kind;
+      button.setAttribute("aria-pressed", "false");
+      const alone = tool.kind === "distance" || tool.axis;
+      if (state.source.saved && !alone) {
+        button.disabled = true;
+        button.title = "Needs the server: open the file by amulor view";
+      }
+      button.addEventListener("click", () => choose(tool.kind));
+      return button;
+    }),
+  );
+  if (state.source.saved) {
+    $("average").closest("label").hidden = true;
+    $("save").hidden = true;
+  }
+  hint("Choose what to measure, then pick it in the map or in space.");
+  document.addEventListener("keydown", keyed);
+  new ResizeObserver(() => {
+    thumbnailsLater();
+    redraw();
+  }).observe(document.querySelector("main"));
+}
+
+let later = 0;
+function thumbnailsLater() {
+  clearTimeout(later);
+  later = setTimeout(() => state.scene?.maps.size && (thumbnails(), redraw()), 150);
+}
+
+/** What the live part needs of the page. */
+const page = { state, redraw, opened, say, thumbnails: thumbnailsLater, refresh: () => { state.limits = limitsOf(state.layerName); readout(); redraw(); } };
+
+async function main() {
+  state.renderer = new Renderer();
+  state.renderer.lost = () => say("The graphics unit was lost; reload the page.");
+  for (const [kind, name] of Object.entries(MAP_OF)) state.tables[kind] = table(name);
+  state.look = { light: [0, 0, 0], relief: 1, contour: 0, raw: false };
+  themed(matchMedia("(prefers-color-scheme: dark)").matches ? "dark" : "light");
+  const hover = (pixel) => point(pixel);
+  views.map = new MapView($("map"), { hover, pick: picked, drag: dragged });
+  views.cloud = new CloudView($("cloud"), { hover: (pixel) => pixel && point(pixel), pick: picked, changed: redraw });
+  state.views = views;
+  wired();
+  await opened();
+  for (const kept of state.source.measurements ?? []) state.measurements.push(kept);
+  state.number = state.measurements.length;
+  listed();
+  if (state.scene.live) state.live = new Live($("scan-card"), page);
+  document.documentElement.dataset.complete = "yes";
+}
+
+window.amulor = state;
+main().catch(failed);

@@ -1,0 +1,117 @@
+// A camera that goes around what it looks at; matrices in the order of WebGL.
+
+const clamp = (value, low, high) => Math.min(Math.max(value, low), high);
+
+/** Turns about a point, from the side of the instrument; "up" is up in the water. */
+export class Camera {
+  constructor() {
+    this.orthographic = false;
+    this.home({ target: [0, 0, 1], size: 1 });
+  }
+
+  /** Look at a thing of some size from a little above and to the side. */
+  home({ target, size }) {
+    this.start = { target, size };
+    this.target = [...target];
+    this.distance = size * 1.55;
+    this.turn = -0.5;
+    this.rise = 0.42;
+  }
+
+  /** Look straight along the beams, as the map does. */
+  straight() {
+    this.turn = 0;
+    this.rise = 0;
+  }
+
+  orbit(dx, dy) {
+    this.turn -= dx;
+    this.rise = clamp(this.rise + dy, -1.55, 1.55);
+  }
+
+  zoom(factor) {
+    const size = this.start.size;
+    this.distance = clamp(this.distance * factor, size * 0.01, size * 20);
+  }
+
+  /** Move by parts of the view's height. */
+  pan(dx, dy) {
+    const { right, up } = this.frame();
+    const span = this.span();
+    for (let k = 0; k < 3; k += 1) this.target[k] += (-dx * right[k] + dy * up[k]) * span;
+  }
+
+  /** Return how many metres the view is high where the target is. */
+  span() {
+    return 2 * this.distance * Math.tan(Camera.ANGLE / 2);
+  }
+
+  frame() {
+    const ct = Math.cos(this.turn);
+    const st = Math.sin(this.turn);
+    const cr = Math.cos(this.rise);
+    const sr = Math.sin(this.rise);
+    // Instrument axes: right, down, forward. Without a turn it looks forward.
+    const forward = [-st * cr, sr, ct * cr];
+    const right = [ct, 0, st];
+    const up = [-st * sr, -cr, ct * sr];
+    return { forward, right, up };
+  }
+
+  eye() {
+    const { forward } = this.frame();
+    return this.target.map((part, k) => part - forward[k] * this.distance);
+  }
+
+  matrix(aspect) {
+    const { forward, right, up } = this.frame();
+    const eye = this.eye();
+    const dot = (a, b) => a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
+    const view = [
+      right[0], up[0], -forward[0], 0,
+      right[1], up[1], -forward[1], 0,
+      right[2], up[2], -forward[2], 0,
+      -dot(right, eye), -dot(up, eye), dot(forward, eye), 1,
+    ];
+    const near = Math.max(this.distance - 6 * this.start.size, this.distance * 0.02);
+    const far = this.distance + 8 * this.start.size;
+    let project;
+    if (this.orthographic) {
+      const half = this.span() / 2;
+      project = [
+        1 / (half * aspect), 0, 0, 0,
+        0, 1 / half, 0, 0,
+        0, 0, -2 / (far - near), 0,
+        0, 0, -(far + near) / (far - near), 1,
+      ];
+    } else {
+      const f = 1 / Math.tan(Camera.ANGLE / 2);
+      project = [
+        f / aspect, 0, 0, 0,
+        0, f, 0, 0,
+        0, 0, (far + near) / (near - far), -1,
+        0, 0, (2 * far * near) / (near - far), 0,
+      ];
+    }
+    return multiplied(project, view);
+  }
+}
+
+Camera.ANGLE = (38 * Math.PI) / 180;
+
+function multiplied(a, b) {
+  const out = new Array(16).fill(0);
+  for (let column = 0; column < 4; column += 1) {
+    for (let row = 0; row < 4; row += 1) {
+      for (let k = 0; k < 4; k += 1) out[column * 4 + row] += a[k * 4 + row] * b[column * 4 + k];
+    }
+  }
+  return out;
+}
+
+/** Return where a point falls on a canvas, in its own pixels, null behind the eye. */
+export function projected(matrix, point, width, height) {
+  const out = [0, 1, 2, 3].map((row) => matrix[row] * point[0] + matrix[4 + row] * point[1] + matrix[8 + row] * point[2] + matrix[12 + row]);
+  if (out[3] <= 0) return null;
+  return [(0.5 + (0.5 * out[0]) / out[3]) * width, (0.5 - (0.5 * out[1]) / out[3]) * height];
+}

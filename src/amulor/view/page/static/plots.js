@@ -1,0 +1,421 @@
+// Line profile, histogram and spectrum, drawn on plain canvases.
+
+import { INK } from "./colour.js";
+import { fitted } from "./map.js";
+import { sampled } from "./scene.js";
+import { scaled, ticks } from "./text.js";
+
+function started(canvas) {
+  fitted(canvas);
+  const ctx = canvas.getContext("2d");
+  const ratio = canvas.width / Math.max(canvas.clientWidth, 1);
+  ctx.setTransform(ratio, 0, 0, ratio, 0, 0);
+  ctx.clearRect(0, 0, canvas.width, canvas.height);
+  return { ctx, width: canvas.width / ratio, height: canvas.height / ratio };
+}
+
+function framed({ ctx, width, height }, x, y, colours) {
+  const box = { left: 54, top: 10, right: width - 12, bottom: height - 32 };
+  const toX = (value) => box.left + ((value - x.low) / (x.high - x.low || 1)) * (box.right - box.left);
+  const toY = (value) => box.bottom - ((value - y.low) / (y.high - y.low || 1)) * (box.bottom - box.top);
+  ctx.font = `11px ${colours.font}`;
+  ctx.strokeStyle = colours.line;
+  ctx.fillStyle = colours.soft;
+  ctx.lineWidth = 1;
+  const down = y.logarithmic ? decades(y) : ticks(y.low, y.high, Math.max(2, Math.floor((box.bottom - box.top) / 30)));
+  ctx.textAlign = "right";
+  ctx.textBaseline = "middle";
+  for (const value of down.values) {
+    const at = Math.round(toY(value)) + 0.5;
+    ctx.beginPath();
+    ctx.moveTo(box.left, at);
+    ctx.lineTo(box.right, at);
+    ctx.stroke();
+    const text = y.logarithmic ? power(value) : value.toFixed(down.places);
+    ctx.fillText(text.replace("-", "−"), box.left - 6, at);
+  }
+  const across = ticks(x.low, x.high, Math.max(2, Math.floor((box.right - box.left) / 62)));
+  ctx.textAlign = "center";
+  ctx.textBaseline = "top";
+  for (const value of across.values) {
+    const at = toX(value);
+    ctx.beginPath();
+    ctx.moveTo(at, box.bottom);
+    ctx.lineTo(at, box.bottom + 3);
+    ctx.stroke();
+    ctx.fillText(value.toFixed(across.places).replace("-", "−"), at, box.bottom + 4);
+  }
+  ctx.textAlign = "right";
+  ctx.fillText(x.label, box.right, box.bottom + 18);
+  ctx.save();
+  ctx.translate(11, box.top);
+  ctx.rotate(-Math.PI / 2);
+  ctx.fillText(y.label, 0, -6);
+  ctx.restore();
+  ctx.beginPath();
+  ctx.rect(box.left, box.top - 4, box.right - box.left, box.bottom - box.top + 4);
+  return { box, toX, toY };
+}
+
+function decades({ low, high }) {
+  const values = [];
+  for (let k = Math.ceil(low); k <= Math.floor(high); k += 1) values.push(k);
+  return { values, places: 0 };
+}
+
+function power(value) {
+  const digits = "⁰¹²³⁴⁵⁶⁷⁸⁹";
+  const text = String(Math.abs(value)).split("").map((letter) => digits[Number(letter)]).join("");
+  return `10${value < 0 ? "⁻" : ""}${text}`;
+}
+
+function empty(view, text, colours) {
+  view.ctx.fillStyle = colours.soft;
+  view.ctx.font = `13px ${colours.font}`;
+  view.ctx.textAlign = "center";
+  view.ctx.textBaseline = "middle";
+  const words = text.split(" ");
+  const lines = [""];
+  for (const word of words) {
+    const longer = `${lines.at(-1)} ${word}`.trim();
+    if (view.ctx.measureText(longer).width > view.width - 40) lines.push(word);
+    else lines[lines.length - 1] = longer;
+  }
+  lines.forEach((line, k) => view.ctx.fillText(line, view.width / 2, view.height / 2 + (k - (lines.length - 1) / 2) * 19));
+}
+
+/** Return pixels along a row, a column, or a line between two pixels. */
+export function along(scene, { kind, cursor, section }) {
+  const { stride } = scene;
+  if (kind === "section" && section) {
+    const [[r0, c0], [r1, c1]] = section;
+    const count = Math.max(Math.abs(r1 - r0), Math.abs(c1 - c0)) / stride + 1;
+    return Array.from({ length: Math.ceil(count) }, (_, k) => {
+      const share = count > 1 ? k / (count - 1) : 0;
+      return [Math.round(r0 + share * (r1 - r0)), Math.round(c0 + share * (c1 - c0))];
+    });
+  }
+  if (!cursor) return [];
+  if (kind === "column") return Array.from({ length: scene.high }, (_, k) => [k * stride, cursor[1]]);
+  return Array.from({ length: scene.wide }, (_, k) => [cursor[0], k * stride]);
+}
+
+/** Return a profile: metres along, and values of a map with what they may be off. */
+export function profileOf(scene, pixels, name) {
+  const places = pixels.map(([row, column]) => scene.beams.point(row, column, scene.typical));
+  let run = 0;
+  return pixels.map((pixel, k) => {
+    if (k) run += Math.hypot(...[0, 1, 2].map((axis) => places[k][axis] - places[k - 1][axis]));
+    return { pixel, x: run, value: scene.value(name, ...pixel), error: scene.value("uncertainty", ...pixel) };
+  });
+}
+
+/** Draw the profile through the cursor or along the section. */
+export function drawProfile(canvas, state, colours) {
+  const view = started(canvas);
+  const { scene } = state;
+  const name = state.profileLayer;
+  const layer = scene.byName.get(name);
+  const pixels = along(scene, { kind: state.profileKind, cursor: state.cursor, section: state.section });
+  if (pixels.length < 2) return empty(view, "Point at the map to see the profile through a pixel.", colours);
+  const line = profileOf(scene, pixels, name);
+  const twin = layer.before ? name.replace("_before", "") : `${name}_before`;
+  const other = scene.maps.has(twin) && layer.kind !== "flags" ? profileOf(scene, pixels, twin) : null;
+  const known = line.filter((one) => Number.isFinite(one.value));
+  if (!known.length) return empty(view, "No pixel of this line holds a number.", colours);
+  const sizes = known.map((one) => one.value).sort((a, b) => a - b);
+  const spreads = layer.kind === "range" && !layer.before ? known.map((one) => one.error || 0).sort((a, b) => a - b) : [0];
+  const spread = 2 * spreads[spreads.length >> 1];
+  let [low, high] = [sizes[Math.floor(0.005 * sizes.length)] - spread, sizes[Math.ceil(0.995 * (sizes.length - 1))] + spread];
+  if (other) {
+    const beside = other.map((one) => one.value).filter(Number.isFinite).sort((a, b) => a - b);
+    if (beside.length) {
+      low = Math.min(low, beside[Math.floor(0.03 * beside.length)]);
+      high = Math.max(high, beside[Math.floor(0.97 * (beside.length - 1))]);
+    }
+  }
+  const room = (high - low || Math.abs(high) * 0.01 || 1) * 0.08;
+  const unit = high - low < 0.02 && layer.kind !== "range" ? scaled(high, layer.unit) : layer.unit === "V" ? scaled(high, "V") : { unit: layer.unit, factor: 1 };
+  const f = unit.factor;
+  const span = line.at(-1).x;
+  const across = span < 2 ? { factor: 1e3, unit: "mm" } : { factor: 1, unit: "m" };
+  const frame = framed(view, { low: 0, high: span * across.factor, label: `along the line [${across.unit}]` }, { low: (low - room) * f, high: (high + room) * f, label: `${layer.label} [${unit.unit || "1"}]` }, colours);
+  const { ctx } = view;
+  ctx.save();
+  ctx.clip();
+  const draw = (points, colour, width, dash = []) => {
+    ctx.strokeStyle = colour;
+    ctx.lineWidth = width;
+    ctx.setLineDash(dash);
+    ctx.beginPath();
+    let pen = false;
+    for (const one of points) {
+      if (Number.isFinite(one.value)) {
+        const spot = [frame.toX(one.x * across.factor), frame.toY(one.value * f)];
+        if (pen) ctx.lineTo(...spot);
+        else ctx.moveTo(...spot);
+        pen = true;
+      } else pen = false;
+    }
+    ctx.stroke();
+    ctx.setLineDash([]);
+  };
+  if (layer.kind === "range" && !layer.before) {
+    ctx.fillStyle = colours.band;
+    let part = [];
+    const close = () => {
+      if (part.length > 1) {
+        ctx.beginPath();
+        part.forEach((one, k) => ctx[k ? "lineTo" : "moveTo"](frame.toX(one.x * across.factor), frame.toY((one.value + one.error) * f)));
+        part.reverse().forEach((one) => ctx.lineTo(frame.toX(one.x * across.factor), frame.toY((one.value - one.error) * f)));
+        ctx.fill();
+      }
+      part = [];
+    };
+    for (const one of line) {
+      if (Number.isFinite(one.value) && Number.isFinite(one.error)) part.push({ ...one });
+      else close();
+    }
+    close();
+  }
+  if (other) draw(other, INK.vermilion, 1, [4, 3]);
+  draw(line, colours.accent, 1.6);
+  const here = state.cursor && line.find((one) => one.pixel[0] === state.cursor[0] && one.pixel[1] === state.cursor[1]);
+  if (here) {
+    const x = frame.toX(here.x * across.factor);
+    ctx.strokeStyle = colours.soft;
+    ctx.lineWidth = 1;
+    ctx.beginPath();
+    ctx.moveTo(x, frame.box.top - 4);
+    ctx.lineTo(x, frame.box.bottom);
+    ctx.stroke();
+  }
+  ctx.restore();
+  legend(ctx, frame.box, [
+    [layer.before ? "water in" : other ? "water taken out" : layer.label, colours.accent, []],
+    ...(other ? [[layer.before ? "water taken out" : "water in", INK.vermilion, [4, 3]]] : []),
+    ...(layer.kind === "range" && !layer.before ? [["± standard uncertainty", colours.band, null]] : []),
+  ], colours);
+}
+
+function legend(ctx, box, entries, colours) {
+  ctx.font = `11px ${colours.font}`;
+  ctx.textBaseline = "middle";
+  ctx.textAlign = "left";
+  const width = entries.reduce((sum, [text]) => sum + ctx.measureText(text).width + 38, 0);
+  let x = Math.max(box.right - width, box.left + 4);
+  const y = box.top + 6;
+  ctx.fillStyle = colours.plate;
+  ctx.globalAlpha = 0.85;
+  ctx.fillRect(x - 6, y - 9, box.right - x + 6, 18);
+  ctx.globalAlpha = 1;
+  for (const [text, colour, dash] of entries) {
+    ctx.strokeStyle = colour;
+    ctx.fillStyle = colour;
+    if (dash === null) ctx.fillRect(x, y - 5, 18, 10);
+    else {
+      ctx.lineWidth = 1.8;
+      ctx.setLineDash(dash);
+      ctx.beginPath();
+      ctx.moveTo(x, y);
+      ctx.lineTo(x + 18, y);
+      ctx.stroke();
+      ctx.setLineDash([]);
+    }
+    ctx.fillStyle = colours.soft;
+    ctx.fillText(text, x + 22, y);
+    x += ctx.measureText(text).width + 38;
+  }
+}
+
+/** Draw how often the values of the shown map occur; bars in the colours of the map. */
+export function drawHistogram(canvas, state, colours) {
+  const view = started(canvas);
+  const map = state.scene.maps.get(state.layerName);
+  if (!map) return;
+  const { layer } = map;
+  if (layer.kind === "flags") return drawFlags(view, state, colours);
+  const [low, high] = state.limits;
+  const bins = 64;
+  const counts = new Array(bins).fill(0);
+  let under = 0;
+  let over = 0;
+  const some = sampled(map.values, 400000);
+  let finite = 0;
+  for (const value of some) {
+    if (!Number.isFinite(value)) continue;
+    finite += 1;
+    const at = Math.floor(((value - low) / (high - low)) * bins);
+    if (at < 0) under += 1;
+    else if (at >= bins) over += 1;
+    else counts[at] += 1;
+  }
+  if (!finite) return empty(view, "No pixel holds a number.", colours);
+  const unit = layer.kind === "range" ? { unit: layer.unit, factor: 1 } : scaled(Math.max(Math.abs(low), Math.abs(high)), layer.unit);
+  const most = Math.max(...counts);
+  const frame = framed(view, { low: low * unit.factor, high: high * unit.factor, label: `${layer.label} [${unit.unit || "1"}]` }, { low: 0, high: (most / finite) * 100 * 1.08, label: "pixels [%]" }, colours);
+  const table = state.tables[layer.kind];
+  for (let k = 0; k < bins; k += 1) {
+    const left = frame.toX((low + ((high - low) * k) / bins) * unit.factor);
+    const right = frame.toX((low + ((high - low) * (k + 1)) / bins) * unit.factor);
+    const top = frame.toY((counts[k] / finite) * 100);
+    const at = 4 * Math.floor(((k + 0.5) / bins) * 255);
+    view.ctx.fillStyle = `rgb(${table[at]},${table[at + 1]},${table[at + 2]})`;
+    view.ctx.fillRect(left, top, Math.max(right - left - 0.6, 0.6), frame.box.bottom - top);
+    view.ctx.strokeStyle = colours.line;
+    if (counts[k]) view.ctx.strokeRect(left, top, Math.max(right - left - 0.6, 0.6), frame.box.bottom - top);
+  }
+  const beside = [under && `${under} below`, over && `${over} above`].filter(Boolean).join(", ");
+  if (beside) {
+    view.ctx.fillStyle = colours.soft;
+    view.ctx.textAlign = "right";
+    view.ctx.textBaseline = "top";
+    view.ctx.fillText(beside, frame.box.right, frame.box.top - 4);
+  }
+}
+
+function drawFlags({ ctx, width, height }, state, colours) {
+  const { values } = state.scene.maps.get(state.layerName);
+  const counts = state.scene.flags.map((flag) => [flag, values.reduce((sum, bits) => sum + (bits & flag.mask ? 1 : 0), 0)]).filter(([, count]) => count);
+  const good = values.reduce((sum, bits) => sum + (bits === 0 ? 1 : 0), 0);
+  const rows = [[{ name: "good" }, good, "#2c7f62"], ...counts.map(([flag, count]) => [flag, count, state.flagColour(flag.name)])];
+  const step = Math.min(24, (height - 16) / rows.length);
+  ctx.font = `12px ${colours.font}`;
+  ctx.textBaseline = "middle";
+  rows.forEach(([flag, count, colour], k) => {
+    const y = 10 + k * step + step / 2;
+    ctx.fillStyle = colours.soft;
+    ctx.textAlign = "right";
+    ctx.fillText(flag.name, 112, y);
+    const long = ((width - 190) * count) / values.length;
+    ctx.fillStyle = colour;
+    ctx.fillRect(120, y - step * 0.32, Math.max(long, 2), step * 0.64);
+    ctx.fillStyle = colours.ink;
+    ctx.textAlign = "left";
+    const share = (count / values.length) * 100;
+    ctx.fillText(`${share < 0.1 ? "< 0.1" : share.toFixed(1)} %`, 126 + Math.max(long, 2), y);
+  });
+}
+
+/** Draw the spectrum of a pixel, or its phasors where there is one frequency. */
+export function drawSpectrum(canvas, state, colours) {
+  const view = started(canvas);
+  const { spectrum, scene } = state;
+  if (!scene.spectrum) return empty(view, "A range image holds no samples; name them by --samples to see spectra.", colours);
+  if (!spectrum) return empty(view, "Point at a pixel to see its spectrum.", colours);
+  const parts = [["after", "target", colours.accent, []], ["before", "raw", INK.vermilion, [4, 3]], ["water", "water", INK.sky, [1, 3]]].filter(([name]) => spectrum[name]);
+  if (spectrum.frequency.length === 1) return drawPhasors(view, spectrum, parts, colours);
+  const all = parts.flatMap(([name]) => spectrum[name].amplitude).filter((value) => value > 0);
+  if (!all.length) return empty(view, "This pixel was not measured.", colours);
+  const frequency = spectrum.frequency.map((value) => value / 1e6);
+  const [low, high] = [Math.log10(Math.min(...all)) - 0.15, Math.log10(Math.max(...all)) + 0.2];
+  const margin = (frequency.at(-1) - frequency[0]) * 0.03;
+  const wide = high - low < 1.2;
+  const unit = scaled(10 ** high, "V");
+  const toValue = wide ? (value) => value * unit.factor : (value) => Math.log10(value);
+  const y = wide ? { low: 0, high: 10 ** high * unit.factor, label: `amplitude [${unit.unit}]` } : { low, high, label: "amplitude [V]", logarithmic: true };
+  const frame = framed(view, { low: frequency[0] - margin, high: frequency.at(-1) + margin, label: "modulation frequency [MHz]" }, y, colours);
+  const { ctx } = view;
+  for (const [name, , colour, dash] of parts) {
+    const line = spectrum[name];
+    ctx.strokeStyle = colour;
+    ctx.fillStyle = colour;
+    ctx.lineWidth = 1.5;
+    ctx.setLineDash(dash);
+    ctx.beginPath();
+    line.amplitude.forEach((value, k) => value > 0 && ctx.lineTo(frame.toX(frequency[k]), frame.toY(toValue(value))));
+    ctx.stroke();
+    ctx.setLineDash([]);
+    line.amplitude.forEach((value, k) => {
+      if (!(value > 0)) return;
+      const x = frame.toX(frequency[k]);
+      ctx.beginPath();
+      ctx.arc(x, frame.toY(toValue(value)), 2.6, 0, 7);
+      ctx.fill();
+      const error = line.uncertainty?.[k];
+      if (error) {
+        ctx.beginPath();
+        ctx.moveTo(x, frame.toY(toValue(value + error)));
+        ctx.lineTo(x, frame.toY(toValue(Math.max(value - error, value * 1e-3))));
+        ctx.stroke();
+      }
+    });
+  }
+  legend(ctx, frame.box, parts.map(([, text, colour, dash]) => [text, colour, dash]), colours);
+}
+
+function drawPhasors({ ctx, width, height }, spectrum, parts, colours) {
+  const largest = Math.max(...parts.map(([name]) => spectrum[name].amplitude[0] || 0));
+  if (!(largest > 0)) return empty({ ctx, width, height }, "This pixel was not measured.", colours);
+  const size = Math.min(width - 122, height - 12) / 2;
+  const centre = [4 + size, height / 2];
+  const scale = (size * 0.92) / largest;
+  const spot = (name) => {
+    const { amplitude, phase } = spectrum[name];
+    return [centre[0] + scale * amplitude[0] * Math.cos(phase[0]), centre[1] - scale * amplitude[0] * Math.sin(phase[0])];
+  };
+  ctx.strokeStyle = colours.line;
+  ctx.lineWidth = 1;
+  for (const share of [0.5, 1]) {
+    ctx.beginPath();
+    ctx.arc(...centre, size * 0.92 * share, 0, 7);
+    ctx.stroke();
+  }
+  ctx.beginPath();
+  ctx.moveTo(centre[0] - size, centre[1]);
+  ctx.lineTo(centre[0] + size, centre[1]);
+  ctx.moveTo(centre[0], centre[1] - size);
+  ctx.lineTo(centre[0], centre[1] + size);
+  ctx.stroke();
+  const unit = scaled(largest, "V");
+  ctx.font = `11.5px ${colours.font}`;
+  ctx.textAlign = "left";
+  ctx.textBaseline = "middle";
+  parts.forEach(([name, text, colour, dash], k) => {
+    const { amplitude, phase, uncertainty } = spectrum[name];
+    const from = name === "after" && spectrum.water ? spot("water") : centre;
+    const to = name === "after" && spectrum.water ? spot("before") : spot(name);
+    arrow(ctx, from, to, colour, dash);
+    if (uncertainty) {
+      ctx.globalAlpha = 0.25;
+      ctx.fillStyle = colour;
+      ctx.beginPath();
+      ctx.arc(...to, Math.max(scale * uncertainty[0], 1), 0, 7);
+      ctx.fill();
+      ctx.globalAlpha = 1;
+    }
+    const y = 22 + k * 40;
+    const x = centre[0] + size + 10;
+    ctx.strokeStyle = colour;
+    ctx.setLineDash(dash);
+    ctx.lineWidth = 2;
+    ctx.beginPath();
+    ctx.moveTo(x, y);
+    ctx.lineTo(x + 18, y);
+    ctx.stroke();
+    ctx.setLineDash([]);
+    ctx.fillStyle = colours.ink;
+    ctx.fillText(text, x + 24, y);
+    ctx.fillStyle = colours.soft;
+    ctx.fillText(`${(amplitude[0] * unit.factor).toPrecision(3)} ${unit.unit}, ${((phase[0] * 180) / Math.PI).toFixed(1).replace("-", "−")}°`, x, y + 17);
+  });
+  ctx.fillStyle = colours.soft;
+  ctx.fillText(`${(spectrum.frequency[0] / 1e6).toFixed(2)} MHz`, centre[0] + size + 10, height - 14);
+}
+
+function arrow(ctx, from, to, colour, dash) {
+  ctx.strokeStyle = colour;
+  ctx.fillStyle = colour;
+  ctx.lineWidth = 2;
+  ctx.setLineDash(dash);
+  ctx.beginPath();
+  ctx.moveTo(...from);
+  ctx.lineTo(...to);
+  ctx.stroke();
+  ctx.setLineDash([]);
+  const turn = Math.atan2(to[1] - from[1], to[0] - from[0]);
+  ctx.beginPath();
+  ctx.moveTo(...to);
+  for (const side of [-0.4, 0.4]) ctx.lineTo(to[0] - 9 * Math.cos(turn + side), to[1] - 9 * Math.sin(turn + side));
+  ctx.fill();
+}

@@ -1,0 +1,160 @@
+// One graphics context for all views: textures are made once and drawn anywhere.
+
+import { CLOUD, MAP } from "./shaders.js";
+
+function program(gl, { vertex, fragment }) {
+  const made = gl.createProgram();
+  for (const [kind, text] of [[gl.VERTEX_SHADER, vertex], [gl.FRAGMENT_SHADER, fragment]]) {
+    const shader = gl.createShader(kind);
+    gl.shaderSource(shader, text);
+    gl.compileShader(shader);
+    gl.attachShader(made, shader);
+  }
+  gl.linkProgram(made);
+  if (!gl.getProgramParameter(made, gl.LINK_STATUS)) {
+    const logs = gl.getAttachedShaders(made).map((shader) => gl.getShaderInfoLog(shader));
+    throw new Error(`The graphics unit refuses a program: ${[gl.getProgramInfoLog(made), ...logs].join(" ")}`);
+  }
+  const places = {};
+  const count = gl.getProgramParameter(made, gl.ACTIVE_UNIFORMS);
+  for (let k = 0; k < count; k += 1) {
+    const { name } = gl.getActiveUniform(made, k);
+    places[name] = gl.getUniformLocation(made, name);
+  }
+  return { made, places };
+}
+
+/** Draws maps and clouds into any canvas. */
+export class Renderer {
+  constructor() {
+    this.canvas = document.createElement("canvas");
+    const gl = this.canvas.getContext("webgl2", { antialias: false, depth: true, preserveDrawingBuffer: true });
+    if (!gl) throw new Error("This browser has no WebGL 2, which draws the maps. Allow it, or take a newer browser.");
+    this.gl = gl;
+    this.lost = () => {};
+    this.canvas.addEventListener("webglcontextlost", (event) => {
+      event.preventDefault();
+      this.lost();
+    });
+    this.map = program(gl, MAP);
+    this.cloud = program(gl, CLOUD);
+    gl.bindVertexArray(gl.createVertexArray());
+    this.longest = gl.getParameter(gl.MAX_TEXTURE_SIZE);
+    this.textures = new Map();
+  }
+
+  /** Keep numbers as a texture; each name has one. */
+  keep(name, width, height, values, parts = 1) {
+    const { gl } = this;
+    const formats = { 1: [gl.R32F, gl.RED], 2: [gl.RG32F, gl.RG], 4: [gl.RGBA32F, gl.RGBA] };
+    if (Math.max(width, height) > this.longest) throw new Error(`The graphics unit takes ${this.longest} pixels a side, not ${Math.max(width, height)}.`);
+    let texture = this.textures.get(name);
+    if (!texture) {
+      texture = gl.createTexture();
+      this.textures.set(name, texture);
+    }
+    gl.bindTexture(gl.TEXTURE_2D, texture);
+    this.#plain();
+    const bytes = values instanceof Uint8Array;
+    const [inner, outer] = bytes ? [gl.RGBA8, gl.RGBA] : formats[parts];
+    gl.pixelStorei(gl.UNPACK_ALIGNMENT, 1);
+    gl.texImage2D(gl.TEXTURE_2D, 0, inner, width, height, 0, outer, bytes ? gl.UNSIGNED_BYTE : gl.FLOAT, values);
+    return texture;
+  }
+
+  /** Replace some rows of a texture. */
+  rows(name, first, count, width, values) {
+    const { gl } = this;
+    gl.bindTexture(gl.TEXTURE_2D, this.textures.get(name));
+    gl.texSubImage2D(gl.TEXTURE_2D, 0, 0, first, width, count, gl.RED, gl.FLOAT, values);
+  }
+
+  #plain() {
+    const { gl } = this;
+    for (const side of [gl.TEXTURE_WRAP_S, gl.TEXTURE_WRAP_T]) gl.texParameteri(gl.TEXTURE_2D, side, gl.CLAMP_TO_EDGE);
+    for (const scale of [gl.TEXTURE_MIN_FILTER, gl.TEXTURE_MAG_FILTER]) gl.texParameteri(gl.TEXTURE_2D, scale, gl.NEAREST);
+  }
+
+  #use({ made, places }, textures, set) {
+    const { gl } = this;
+    gl.useProgram(made);
+    Object.entries(textures).forEach(([uniform, name], unit) => {
+      gl.activeTexture(gl.TEXTURE0 + unit);
+      gl.bindTexture(gl.TEXTURE_2D, this.textures.get(name) ?? null);
+      gl.uniform1i(places[uniform] ?? null, unit);
+    });
+    gl.activeTexture(gl.TEXTURE0);
+    for (const [name, [kind, ...values]] of Object.entries(set)) {
+      if (places[name] !== undefined) gl[`uniform${kind}`](places[name], ...values);
+    }
+  }
+
+  #sized(width, height) {
+    // Never smaller again: setting the size costs a new buffer.
+    if (this.canvas.width < width || this.canvas.height < height) {
+      this.canvas.width = Math.max(this.canvas.width, width);
+      this.canvas.height = Math.max(this.canvas.height, height);
+    }
+    // The lower left part of the buffer is drawn to.
+    this.gl.viewport(0, 0, width, height);
+    this.gl.scissor(0, 0, width, height);
+    this.gl.enable(this.gl.SCISSOR_TEST);
+  }
+
+  /** Copy what was drawn last to the context of a canvas. */
+  #copied(context, width, height) {
+    context.setTransform(1, 0, 0, 1, 0, 0);
+    context.drawImage(this.canvas, 0, this.canvas.height - height, width, height, 0, 0, width, height);
+  }
+
+  /** Draw a map. */
+  drawMap(context, { layer, table, set, textures }) {
+    const { gl } = this;
+    const { width, height } = context.canvas;
+    this.#sized(width, height);
+    gl.disable(gl.DEPTH_TEST);
+    this.#use(this.map, { ...textures, uLayer: layer, uTable: table }, { ...set, uHeight: ["1f", height] });
+    gl.drawArrays(gl.TRIANGLE_STRIP, 0, 4);
+    this.#copied(context, width, height);
+  }
+
+  /** Draw points; with `pick`, return the number of the pixel at a place, or -1. */
+  drawCloud(context, { layer, table, set, textures, points, ground, pick }) {
+    const { gl } = this;
+    const { width, height } = context.canvas;
+    this.#sized(width, height);
+    gl.enable(gl.DEPTH_TEST);
+    gl.clearColor(...(pick ? [0, 0, 0, 0] : [...ground, 1]));
+    if (pick) gl.scissor(Math.max(pick.x - 6, 0), Math.max(height - pick.y - 7, 0), 13, 13);
+    gl.clear(gl.COLOR_BUFFER_BIT | gl.DEPTH_BUFFER_BIT);
+    this.#use(this.cloud, { ...textures, uLayer: layer, uTable: table }, { ...set, uPick: ["1i", pick ? 1 : 0] });
+    gl.drawArrays(gl.POINTS, 0, points);
+    if (!pick) {
+      this.#copied(context, width, height);
+      return -1;
+    }
+    return this.#nearest(pick, height);
+  }
+
+  #nearest({ x, y }, height) {
+    const { gl } = this;
+    const left = Math.max(x - 6, 0);
+    const low = Math.max(height - y - 7, 0);
+    const bytes = new Uint8Array(13 * 13 * 4);
+    gl.readPixels(left, low, 13, 13, gl.RGBA, gl.UNSIGNED_BYTE, bytes);
+    let best = -1;
+    let least = Infinity;
+    for (let j = 0; j < 13; j += 1) {
+      for (let i = 0; i < 13; i += 1) {
+        const at = 4 * (j * 13 + i);
+        const id = bytes[at] + bytes[at + 1] * 256 + bytes[at + 2] * 65536 + bytes[at + 3] * 16777216;
+        const away = (left + i - x) ** 2 + (low + j - (height - y - 1)) ** 2;
+        if (id > 0 && away < least) {
+          least = away;
+          best = id - 1;
+        }
+      }
+    }
+    return best;
+  }
+}

@@ -1,0 +1,233 @@
+// One channel of a recording: its maps, its beams, and what a pixel of it says.
+
+import { flagTable, MAP_OF, table } from "./colour.js";
+import { Beams } from "./geometry.js";
+
+/** Numbers of a channel, kept here and on the graphics unit. */
+export class Scene {
+  constructor(source, renderer) {
+    this.source = source;
+    this.renderer = renderer;
+    this.maps = new Map();
+    this.loading = new Map();
+    for (const name of ["viridis", "cividis", "grey", "signed"]) renderer.keep(`table ${name}`, 256, 1, table(name));
+  }
+
+  /** Load what is described; maps come when they are asked for. */
+  async open(channel) {
+    Object.assign(this, await this.source.scene(channel));
+    this.maps.clear();
+    this.loading.clear();
+    this.wide = Math.ceil(this.columns / this.stride);
+    this.high = Math.ceil(this.rows / this.stride);
+    this.byName = new Map(this.layers.map((layer) => [layer.name, layer]));
+    const main = this.byName.has("range") ? "range" : "range_before";
+    this.main = main;
+    this.renderer.keep("table flags", 256, 1, flagTable(this.flags, "#2c7f62"));
+    const [nodes] = await Promise.all([this.source.layer(this.channel, "beams", false), this.load(main)]);
+    this.#place(nodes);
+    if (this.byName.has("range") && this.byName.has("range_before")) {
+      this.byName.set("shift", { name: "shift", label: "Moved by water", unit: "m", kind: "signed", before: false, derived: true });
+    }
+    return this;
+  }
+
+  #place(values) {
+    this.beams = new Beams(this.nodes, values);
+    const { rows, columns } = this.nodes;
+    const base = new Float32Array(4 * rows.length * columns.length);
+    const aim = new Float32Array(base.length);
+    for (let i = 0; i < rows.length * columns.length; i += 1) {
+      base.set(values.subarray(8 * i, 8 * i + 3), 4 * i);
+      aim.set(values.subarray(8 * i + 3, 8 * i + 6), 4 * i);
+    }
+    this.renderer.keep("base", columns.length, rows.length, base, 4);
+    this.renderer.keep("aim", columns.length, rows.length, aim, 4);
+    this.renderer.keep("rows", this.high, 1, shares(rows, this.high, this.stride), 2);
+    this.renderer.keep("columns", this.wide, 1, shares(columns, this.wide, this.stride), 2);
+    const centre = [Math.floor(this.rows / 2), Math.floor(this.columns / 2)];
+    const step = (row, column) => {
+      const one = this.beams.at(...centre);
+      const other = this.beams.at(row, column);
+      const far = this.typical || 1;
+      return Math.hypot(...[0, 1, 2].map((k) => other[k] - one[k] + far * (other[3 + k] - one[3 + k])));
+    };
+    const finite = sampled(this.maps.get(this.main).values, 4000).filter(Number.isFinite).sort((a, b) => a - b);
+    this.typical = finite.length ? finite[finite.length >> 1] : 1;
+    const downs = this.rows > 1 ? step(Math.min(centre[0] + this.stride, this.rows - 1), centre[1]) : 0;
+    const across = this.columns > 1 ? step(centre[0], Math.min(centre[1] + this.stride, this.columns - 1)) : 0;
+    this.spacing = { row: downs || across || 1e-3, column: across || downs || 1e-3 };
+    const aspect = this.spacing.row / this.spacing.column;
+    this.aspect = Math.min(Math.max(aspect, 0.05), 20);
+  }
+
+  /** Return a map, loading it if it is not there yet. */
+  load(name) {
+    if (!this.loading.has(name)) this.loading.set(name, this.#loaded(name));
+    return this.loading.get(name);
+  }
+
+  async #loaded(name) {
+    const layer = this.byName.get(name);
+    if (!layer) throw new Error(`There is no map "${name}" here.`);
+    let values;
+    if (layer.derived) {
+      const [after, before] = await Promise.all([this.load("range"), this.load("range_before")]);
+      values = after.values.map((value, at) => before.values[at] - value);
+    } else {
+      values = await this.source.layer(this.channel, name, layer.kind === "flags");
+      if (values.length !== this.wide * this.high) throw new Error(`The map ${name} has ${values.length} numbers instead of ${this.wide * this.high}.`);
+    }
+    const map = { layer, values };
+    this.maps.set(name, map);
+    this.upload(name);
+    return map;
+  }
+
+  /** Bring a map to the graphics unit, all of it. */
+  upload(name) {
+    const { layer, values } = this.maps.get(name);
+    const shown = layer.kind === "flags" ? this.#ranks(values) : values;
+    this.renderer.keep(`map ${name}`, this.wide, this.high, shown);
+    if (name === this.main || name === "range_before") this.smooth(name);
+  }
+
+  #ranks(values) {
+    // Colour of the first flag that makes a pixel unusable, or else of its first flag.
+    const order = [...this.flags.keys()].sort((a, b) => this.flags[b].unusable - this.flags[a].unusable);
+    const known = new Map();
+    return Float32Array.from(values, (bits) => {
+      if (!known.has(bits)) {
+        const found = order.find((k) => bits & this.flags[k].mask);
+        known.set(bits, found === undefined ? 0 : found + 1);
+      }
+      return known.get(bits);
+    });
+  }
+
+  /** Average a range map over neighbours, for light and contours only. */
+  smooth(name, reach = this.reach ?? 1) {
+    this.reach = reach;
+    const map = this.maps.get(name);
+    if (!map) return;
+    map.smooth = averaged(map.values, this.wide, this.high, reach);
+    this.renderer.keep(`smooth ${name}`, this.wide, this.high, map.smooth);
+  }
+
+  /** Take over rows that came in; the maps must have been loaded. */
+  patch(name, first, values) {
+    const map = this.maps.get(name);
+    if (!map) return;
+    map.values.set(values, first * this.wide);
+    const count = values.length / this.wide;
+    const shown = map.layer.kind === "flags" ? this.#ranks(values) : values;
+    this.renderer.rows(`map ${name}`, first, count, this.wide, shown);
+  }
+
+  /** Return a number of a pixel of the scan, not a number while it is not there. */
+  value(name, row, column) {
+    const map = this.maps.get(name);
+    if (!map) return NaN;
+    return map.values[Math.floor(row / this.stride) * this.wide + Math.floor(column / this.stride)];
+  }
+
+  /** Return the point of a pixel, null where it has no range. */
+  point(row, column, name = this.main) {
+    const range = this.value(name, row, column);
+    return Number.isFinite(range) ? this.beams.point(row, column, range) : null;
+  }
+
+  /** Return the words for the flags of a pixel. */
+  reasons(row, column, name = "flags") {
+    const bits = this.value(name, row, column);
+    return this.flags.filter((flag) => bits & flag.mask);
+  }
+
+  /** Return the limits of a map: all but its extremes, symmetric for signed ones. */
+  limits(name) {
+    const { values, layer } = this.maps.get(name);
+    if (layer.kind === "flags") return [0, 255];
+    const some = sampled(values, 60000).filter(Number.isFinite).sort((a, b) => a - b);
+    if (!some.length) return [0, 1];
+    const at = (share) => some[Math.min(some.length - 1, Math.floor(share * some.length))];
+    const [low, high] = [at(0.01), at(0.985)];
+    if (layer.kind === "signed") {
+      const size = Math.max(Math.abs(low), Math.abs(high)) || 1e-6;
+      return [-size, size];
+    }
+    if (layer.kind === "amplitude") return [0, high || 1];
+    const room = (high - low || Math.abs(high) || 1e-3) * 0.03;
+    return [low - room, high + room];
+  }
+
+  /** Return what the programs of the graphics unit need of this scene. */
+  uniforms(name, limits, look) {
+    const layer = this.byName.get(name);
+    const shape = look.raw && this.byName.has("range_before") ? "range_before" : this.main;
+    return {
+      layer: `map ${name}`,
+      table: `table ${layer.kind === "flags" ? "flags" : MAP_OF[layer.kind]}`,
+      textures: { uRange: `map ${shape}`, uSmooth: `smooth ${shape}`, uBase: "base", uAim: "aim", uRows: "rows", uColumns: "columns" },
+      set: {
+        uSize: ["2i", this.wide, this.high],
+        uLimits: ["2f", ...limits],
+        uKind: ["1i", layer.kind === "flags" ? 1 : 0],
+        uMissing: ["3f", ...look.missing],
+        uLight: ["3f", ...look.light],
+        uRelief: ["1f", look.relief],
+        uContour: ["1f", look.contour],
+        uGround: ["3f", ...look.ground],
+      },
+    };
+  }
+}
+
+function shares(nodes, count, stride) {
+  const out = new Float32Array(2 * count);
+  let before = 0;
+  for (let k = 0; k < count; k += 1) {
+    const at = k * stride;
+    while (before < nodes.length - 1 && nodes[before + 1] <= at) before += 1;
+    const next = Math.min(before + 1, nodes.length - 1);
+    out[2 * k] = before;
+    out[2 * k + 1] = (at - nodes[before]) / Math.max(nodes[next] - nodes[before], 1);
+  }
+  return out;
+}
+
+/** Return about so many of the values, evenly spread. */
+export function sampled(values, wanted) {
+  const step = Math.max(1, Math.floor(values.length / wanted));
+  const out = [];
+  for (let at = 0; at < values.length; at += step) out.push(values[at]);
+  return out;
+}
+
+/** Return means over squares of neighbours; a pixel without a number stays without. */
+function averaged(values, wide, high, reach) {
+  if (reach === 0) return Float32Array.from(values);
+  const along = (source, count, length, step, stride) => {
+    const sums = new Float64Array(length + 1);
+    const counts = new Int32Array(length + 1);
+    const out = { sum: new Float32Array(source.sum.length), count: new Float32Array(source.sum.length) };
+    for (let line = 0; line < count; line += 1) {
+      for (let k = 0; k < length; k += 1) {
+        const at = line * stride + k * step;
+        sums[k + 1] = sums[k] + source.sum[at];
+        counts[k + 1] = counts[k] + source.count[at];
+      }
+      for (let k = 0; k < length; k += 1) {
+        const at = line * stride + k * step;
+        const low = Math.max(0, k - reach);
+        const top = Math.min(length, k + reach + 1);
+        out.sum[at] = sums[top] - sums[low];
+        out.count[at] = counts[top] - counts[low];
+      }
+    }
+    return out;
+  };
+  const there = { sum: Float32Array.from(values, (v) => (Number.isFinite(v) ? v : 0)), count: Float32Array.from(values, (v) => (Number.isFinite(v) ? 1 : 0)) };
+  const across = along(there, high, wide, 1, wide);
+  const both = along(across, wide, high, wide, 1);
+  return Float32Array.from(values, (v, at) => (Number.isFinite(v) ? both.sum[at] / both.count[at] : NaN));
+}

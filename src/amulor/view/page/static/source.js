@@ -1,0 +1,136 @@
+// Where the numbers come from: the server of this computer, or the page itself.
+
+/** Asks the server that the page came from. */
+class Served {
+  saved = false;
+
+  async #answer(address, options) {
+    let response;
+    try {
+      response = await fetch(address, { cache: "no-store", ...options });
+    } catch {
+      throw new Error("The server does not answer. Start amulor view again, and open its new address.");
+    }
+    if (!response.ok) {
+      const said = await response.json().catch(() => ({}));
+      throw new Error(said.error ?? `The server refused this (${response.status}).`);
+    }
+    return response;
+  }
+
+  async scene(channel) {
+    const query = channel === undefined ? "" : `?channel=${encodeURIComponent(channel)}`;
+    return (await this.#answer(`scene${query}`)).json();
+  }
+
+  async layer(channel, name, flags) {
+    const place = `layer/${encodeURIComponent(channel)}/${encodeURIComponent(name)}`;
+    const buffer = await (await this.#answer(place)).arrayBuffer();
+    return flags ? new Uint16Array(buffer) : new Float32Array(buffer);
+  }
+
+  async spectrum(channel, row, column) {
+    return (await this.#answer(`spectrum/${encodeURIComponent(channel)}/${row}/${column}`)).json();
+  }
+
+  async measure(request) {
+    return (await this.#post("measure", request)).json();
+  }
+
+  async page(measurements) {
+    return (await this.#post("save", { measurements })).blob();
+  }
+
+  #post(address, content) {
+    return this.#answer(address, {
+      method: "POST",
+      headers: { "content-type": "application/json" },
+      body: JSON.stringify(content),
+    });
+  }
+}
+
+/** Reads what stands in the page. */
+class Saved {
+  saved = true;
+  #scenes;
+
+  constructor(content) {
+    this.#scenes = content.scenes;
+    this.measurements = content.measurements;
+  }
+
+  async scene(channel) {
+    const name = channel ?? Object.keys(this.#scenes)[0];
+    return { ...this.#scenes[name], channels: Object.keys(this.#scenes), live: false };
+  }
+
+  async layer(channel, name, flags) {
+    const bytes = await unpacked(`layer/${channel}/${name}`, flags ? 2 : 4);
+    return flags ? new Uint16Array(bytes.buffer) : new Float32Array(bytes.buffer);
+  }
+
+  async spectrum(channel, row, column) {
+    const scene = this.#scenes[channel];
+    const found = { frequency: scene.frequencies };
+    for (const name of ["before", "after"]) {
+      if (!element(`spectrum/${channel}/${name}`)) continue;
+      this.cubes ??= {};
+      const key = `${channel}/${name}`;
+      this.cubes[key] ??= new Float32Array((await unpacked(`spectrum/${key}`, 4)).buffer);
+      found[name] = line(this.cubes[key], scene, row, column);
+    }
+    if (!found.before && !found.after) return null;
+    if (found.before && found.after) found.water = difference(found.before, found.after);
+    return found;
+  }
+
+  async measure() {
+    throw new Error("Fits, angles and areas need the server: open the file by amulor view.");
+  }
+}
+
+function line(cube, scene, row, column) {
+  const count = scene.rows * scene.columns;
+  const frequencies = cube.length / count / 3;
+  const at = row * scene.columns + column;
+  const part = (which, k) => cube[(which * frequencies + k) * count + at];
+  const keys = Array.from({ length: frequencies }, (_, k) => k);
+  return {
+    amplitude: keys.map((k) => Math.hypot(part(0, k), part(1, k))),
+    phase: keys.map((k) => Math.atan2(part(1, k), part(0, k))),
+    uncertainty: keys.map((k) => part(2, k)),
+  };
+}
+
+function difference(one, other) {
+  const x = one.amplitude.map((a, k) => a * Math.cos(one.phase[k]) - other.amplitude[k] * Math.cos(other.phase[k]));
+  const y = one.amplitude.map((a, k) => a * Math.sin(one.phase[k]) - other.amplitude[k] * Math.sin(other.phase[k]));
+  return { amplitude: x.map((value, k) => Math.hypot(value, y[k])), phase: x.map((value, k) => Math.atan2(y[k], value)) };
+}
+
+function element(name) {
+  return document.querySelector(`script[data-name="${CSS.escape(name)}"]`);
+}
+
+async function unpacked(name, width) {
+  const script = element(name);
+  if (!script) throw new Error(`This page does not hold ${name}; it is damaged, save it again.`);
+  const text = atob(script.textContent.trim());
+  const bytes = Uint8Array.from(text, (letter) => letter.charCodeAt(0));
+  const stream = new Blob([bytes]).stream().pipeThrough(new DecompressionStream("deflate"));
+  const sorted = new Uint8Array(await new Response(stream).arrayBuffer());
+  const count = sorted.length / width;
+  const out = new Uint8Array(sorted.length);
+  for (let k = 0; k < width; k += 1) {
+    const from = k * count;
+    for (let i = 0; i < count; i += 1) out[i * width + k] = sorted[from + i];
+  }
+  return out;
+}
+
+/** Return the source of this page. */
+export function source() {
+  const script = element("amulor-scene");
+  return script ? new Saved(JSON.parse(script.textContent)) : new Served();
+}

@@ -1,0 +1,85 @@
+// Numbers in words: units that fit, and as many digits as the uncertainty leaves.
+
+const LENGTHS = [
+  { unit: "m", factor: 1 },
+  { unit: "mm", factor: 1e3 },
+  { unit: "µm", factor: 1e6 },
+];
+const AREAS = [
+  { unit: "m²", factor: 1 },
+  { unit: "cm²", factor: 1e4 },
+  { unit: "mm²", factor: 1e6 },
+];
+const VOLTS = [
+  { unit: "V", factor: 1 },
+  { unit: "mV", factor: 1e3 },
+  { unit: "µV", factor: 1e6 },
+  { unit: "nV", factor: 1e9 },
+];
+
+/** Return unit and factor in which a size reads well. */
+export function scaled(size, unit) {
+  const magnitude = Math.abs(size);
+  if (unit === "m") return magnitude >= 1 ? LENGTHS[0] : magnitude >= 1e-3 || magnitude === 0 ? LENGTHS[1] : LENGTHS[2];
+  if (unit === "m2") return magnitude >= 1 ? AREAS[0] : magnitude >= 1e-3 ? AREAS[1] : AREAS[2];
+  if (unit === "V") return VOLTS.find((one) => magnitude * one.factor >= 1) ?? VOLTS[3];
+  if (unit === "rad") return { unit: "°", factor: 180 / Math.PI };
+  return { unit: "", factor: 1 };
+}
+
+/** Return a number in a few digits, without an exponent where it can be helped. */
+export function short(value, digits = 4) {
+  if (value === null || !Number.isFinite(value)) return "–";
+  if (value === 0) return "0";
+  const size = Math.floor(Math.log10(Math.abs(value)));
+  if (size < -4 || size > 6) return value.toExponential(Math.max(digits - 1, 0));
+  return minus(value.toFixed(Math.max(0, digits - 1 - size)));
+}
+
+/** Return a value with its unit. */
+export function withUnit(value, unit, digits = 4) {
+  if (value === null || !Number.isFinite(value)) return "–";
+  const one = scaled(value, unit);
+  return `${short(value * one.factor, digits)}${one.unit === "°" ? "" : " "}${one.unit}`.trim();
+}
+
+/** Return a value and its standard uncertainty, two digits of that. */
+export function withError(value, uncertainty, unit) {
+  if (!Number.isFinite(uncertainty) || uncertainty <= 0) return withUnit(value, unit);
+  // Lengths of up to ten metres are read in millimetres where their error is one.
+  const one = unit === "m" && Math.abs(value) < 10 && uncertainty < 0.1 ? LENGTHS[1] : scaled(Math.max(Math.abs(value), uncertainty), unit);
+  const error = uncertainty * one.factor;
+  const places = Math.max(0, 1 - Math.floor(Math.log10(error)));
+  const number = minus((value * one.factor).toFixed(places));
+  const gap = one.unit === "" ? "" : one.unit === "°" ? "" : " ";
+  const both = `${number} ± ${error.toFixed(places)}`;
+  return gap || one.unit === "" ? `${both}${gap}${one.unit}` : `(${both})${one.unit}`;
+}
+
+function minus(text) {
+  return text.replace("-", "−");
+}
+
+/** Return ticks that fall on round numbers, and how many places they need. */
+export function ticks(low, high, wanted = 5) {
+  const span = high - low;
+  if (!(span > 0)) return { values: [low], places: 2 };
+  const raw = span / wanted;
+  const size = 10 ** Math.floor(Math.log10(raw));
+  const step = size * [1, 2, 5, 10].find((one) => one * size >= raw);
+  const places = Math.max(0, -Math.floor(Math.log10(step) + 1e-9));
+  const values = [];
+  for (let at = Math.ceil(low / step - 1e-9) * step; at <= high + 1e-9 * span; at += step) values.push(at);
+  return { values, places, step };
+}
+
+/** Return seconds as a person says them. */
+export function duration(seconds) {
+  if (!Number.isFinite(seconds)) return "–";
+  const whole = Math.max(0, Math.round(seconds));
+  const hours = Math.floor(whole / 3600);
+  const minutes = Math.floor((whole % 3600) / 60);
+  if (hours) return `${hours} h ${String(minutes).padStart(2, "0")} min`;
+  if (minutes) return `${minutes} min ${String(whole % 60).padStart(2, "0")} s`;
+  return `${whole} s`;
+}

@@ -1,0 +1,268 @@
+"""What is measured in range images lies as far off as its stated uncertainty says."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+import xarray as xr
+from numpy.testing import assert_allclose
+
+sys.path.insert(0, str(Path(__file__).parent))
+import shapes
+
+from amulor.errors import CubeError
+from amulor.imaging import measure
+
+DRAWS = 200
+FIRST, SECOND, THIRD, FOURTH = (4, 5), (18, 27), (19, 4), (5, 28)
+
+
+def unit(*parts: float) -> np.ndarray:
+    vector = np.array(parts)
+    return vector / np.linalg.norm(vector)
+
+
+@pytest.fixture(scope="module")
+def scan() -> shapes.Beams:
+    return shapes.beams()
+
+
+@pytest.fixture(scope="module")
+def wall(scan: shapes.Beams) -> np.ndarray:
+    return shapes.to_plane(scan, unit(0.3, -0.2, 1.0), 1.5)
+
+
+def places(scan: shapes.Beams, ranges: np.ndarray, *pixels: tuple[int, int]):
+    return [ranges[pixel] * scan.unit[pixel] for pixel in pixels]
+
+
+def coverage(
+    scan: shapes.Beams,
+    exact: np.ndarray,
+    true: float | list[float],
+    take: Callable[[xr.Dataset], tuple[object, object]],
+    *,
+    draws: int = DRAWS,
+) -> None:
+    scores = []
+    for seed in range(draws):
+        rng = np.random.default_rng(seed)
+        found, uncertainty = take(shapes.image(scan, exact + shapes.errors(exact, rng)))
+        scores.append((np.asarray(found) - true) / np.asarray(uncertainty))
+    score = np.abs(scores)
+    for limit, share in ((1.0, 0.6827), (1.96, 0.95)):
+        # Four standard errors of a share among so many draws.
+        room = 4 * (share * (1 - share) / draws) ** 0.5
+        inside = np.mean(score < limit, axis=0)
+        assert np.all(np.abs(inside - share) < room), (limit, inside)
+
+
+@pytest.mark.parametrize("reach", [0, 1])
+def test_a_distance_is_covered(
+    scan: shapes.Beams, wall: np.ndarray, reach: int
+) -> None:
+    one, other = (
+        np.mean(
+            places(
+                scan,
+                wall,
+                *(
+                    (row + i, column + j)
+                    for i in range(-reach, reach + 1)
+                    for j in range(-reach, reach + 1)
+                ),
+            ),
+            axis=0,
+        )
+        for row, column in (FIRST, SECOND)
+    )
+
+    def take(image: xr.Dataset) -> tuple[float, float]:
+        found = measure.distance(image, FIRST, SECOND, reach=reach)
+        assert found.pixels == 2 * (2 * reach + 1) ** 2
+        return found.value, found.uncertainty
+
+    coverage(scan, wall, float(np.linalg.norm(other - one)), take)
+
+
+def test_a_height_is_covered(scan: shapes.Beams, wall: np.ndarray) -> None:
+    one, other = places(scan, wall, FIRST, SECOND)
+    axis = unit(0.2, -1.0, -0.7)
+
+    def take(image: xr.Dataset) -> tuple[float, float]:
+        found = measure.height(image, FIRST, SECOND, axis=3 * axis)
+        return found.value, found.uncertainty
+
+    coverage(scan, wall, float(axis @ (other - one)), take)
+
+
+def test_an_angle_is_covered(scan: shapes.Beams, wall: np.ndarray) -> None:
+    one, corner, other = places(scan, wall, FIRST, THIRD, SECOND)
+    a, b = one - corner, other - corner
+    true = np.arccos(a @ b / np.linalg.norm(a) / np.linalg.norm(b))
+
+    def take(image: xr.Dataset) -> tuple[float, float]:
+        found = measure.angle(image, FIRST, THIRD, SECOND)
+        return found.value, found.uncertainty
+
+    coverage(scan, wall, float(true), take)
+
+
+def test_an_area_is_covered(scan: shapes.Beams, wall: np.ndarray) -> None:
+    corners = (FIRST, FOURTH, SECOND, THIRD)
+    a, b, c, d = places(scan, wall, *corners)
+    # A plane quadrilateral by its diagonals.
+    true = np.linalg.norm(np.cross(c - a, d - b)) / 2
+
+    def take(image: xr.Dataset) -> tuple[float, float]:
+        found = measure.area(image, corners)
+        return found.value, found.uncertainty
+
+    coverage(scan, wall, float(true), take)
+
+
+def every(image: xr.Dataset) -> np.ndarray:
+    return np.isfinite(image["slant_range"].values)
+
+
+def picked(
+    fit: Callable[[xr.Dataset, np.ndarray], measure.Fit], *names: str
+) -> Callable[[xr.Dataset], tuple[object, object]]:
+    def take(image: xr.Dataset) -> tuple[object, object]:
+        found = fit(image, every(image))
+        assert 0.4 < found.misfit < 1.8
+        return (
+            [found.values[name] for name in names],
+            [found.uncertainties[name] for name in names],
+        )
+
+    return take
+
+
+def test_a_plane_is_covered(scan: shapes.Beams) -> None:
+    normal = unit(0.3, -0.2, 1.0)
+    small = shapes.Beams(scan.azimuth[::4, ::4], scan.elevation[::4, ::4])
+    exact = shapes.to_plane(small, normal, 1.5)
+    take = picked(measure.plane, "normal_x", "offset", "tilt")
+    coverage(small, exact, [-normal[0], -1.5, np.arccos(normal[2])], take)
+
+
+@pytest.mark.slow
+def test_a_sphere_is_covered() -> None:
+    scan = shapes.beams(rows=14, columns=18, half=0.1)
+    centre = np.array([0.02, -0.01, 1.6])
+    exact = shapes.to_sphere(scan, centre, 0.14)
+    take = picked(measure.sphere, "radius", "centre_x", "centre_z")
+    coverage(scan, exact, [0.14, 0.02, 1.6], take, draws=250)
+
+
+@pytest.mark.slow
+def test_a_cylinder_is_covered() -> None:
+    scan = shapes.beams(rows=14, columns=18, half=0.1)
+    axis, point = unit(0.3, 1.0, 0.1), np.array([0.01, 0.0, 1.6])
+    exact = shapes.to_cylinder(scan, point, axis, 0.1)
+    take = picked(measure.cylinder, "radius", "axis_x", "axis_z")
+    coverage(scan, exact, [0.1, axis[0], axis[2]], take, draws=250)
+
+
+@pytest.mark.slow
+def test_a_circle_is_covered() -> None:
+    # Beams that meet a circle 0.1 m wide on a tilted plane, two rows of them.
+    normal, centre = unit(0.2, -0.1, -1.0), np.array([0.0, 0.02, 1.5])
+    turn = np.linspace(0, 2 * np.pi, 40, endpoint=False)
+    one = unit(*np.cross(normal, [0.0, 1.0, 0.0]))
+    other = np.cross(normal, one)
+    rim = centre + 0.1 * (np.cos(turn)[:, None] * one + np.sin(turn)[:, None] * other)
+    exact = np.linalg.norm(rim, axis=1).reshape(2, 20)
+    direction = (rim / np.linalg.norm(rim, axis=1)[:, None]).reshape(2, 20, 3)
+    scan = shapes.Beams(
+        np.arctan2(direction[..., 0], direction[..., 2]), -np.arcsin(direction[..., 1])
+    )
+
+    def take(image: xr.Dataset) -> tuple[float, float]:
+        found = measure.circle(image, every(image))
+        return found.values["radius"], found.uncertainties["radius"]
+
+    coverage(scan, exact, 0.1, take)
+
+
+def test_shapes_without_error_are_found_exactly() -> None:
+    scan = shapes.beams(rows=14, columns=18, half=0.1)
+    centre, axis = np.array([0.02, -0.01, 1.6]), unit(0.3, 1.0, 0.1)
+    ball = shapes.image(scan, shapes.to_sphere(scan, centre, 0.14))
+    found = measure.sphere(ball, every(ball)).values
+    assert_allclose(
+        [found[f"centre_{name}"] for name in "xyz"], centre, rtol=0, atol=1e-9
+    )
+    assert_allclose(found["radius"], 0.14, rtol=0, atol=1e-9)
+    pipe = shapes.image(scan, shapes.to_cylinder(scan, centre, axis, 0.1))
+    found = measure.cylinder(pipe, every(pipe)).values
+    assert_allclose([found[f"axis_{name}"] for name in "xyz"], axis, atol=1e-7)
+    assert_allclose(found["radius"], 0.1, rtol=0, atol=1e-9)
+
+
+def test_noise_alone_of_a_plane_seen_straight_on_follows_the_textbook() -> None:
+    # Nearly parallel beams: the offset of a plane is a mean, u = sigma / sqrt(n); its
+    # slope along x is sigma / sqrt(sum x^2).
+    scan = shapes.beams(rows=11, columns=15, half=1e-3)
+    image = shapes.image(scan, shapes.to_plane(scan, unit(0.0, 0.0, 1.0), 2.0))
+    own = image.drop_vars(
+        [str(name) for name in image if str(name).startswith("slant_range_unc")]
+        + ["slant_range_common_uncertainty"]
+    ).assign(slant_range_uncertainty=image["slant_range_uncertainty"] * 0 + shapes.OWN)
+    found = measure.plane(own, every(own))
+    assert_allclose(found.uncertainties["offset"], shapes.OWN / 165**0.5, rtol=1e-3)
+    x = 2.0 * np.tan(scan.azimuth)
+    slope = shapes.OWN / np.sqrt(np.sum((x - x.mean()) ** 2))
+    assert_allclose(found.uncertainties["normal_x"], slope, rtol=1e-3)
+
+
+def test_what_all_pixels_share_cancels_in_a_height_along_parallel_beams() -> None:
+    scan = shapes.beams(rows=11, columns=15, half=1e-6)
+    image = shapes.image(scan, shapes.to_plane(scan, unit(0.0, 0.0, 1.0), 2.0))
+    found = measure.height(image, (2, 2), (8, 12), axis=(0, 0, -1))
+    # Equal ranges: delay, index and reference are the same for both.
+    assert_allclose(found.uncertainty, 2**0.5 * shapes.OWN, rtol=1e-6)
+    assert_allclose(found.random, 2**0.5 * shapes.OWN, rtol=1e-6)
+    far = measure.distance(image, (2, 2), (8, 12))
+    assert far.value < 1e-4
+
+
+def test_a_bent_surface_enlarges_the_error_of_a_plane(scan: shapes.Beams) -> None:
+    flat = shapes.to_plane(scan, unit(0.0, 0.0, 1.0), 1.5)
+    bent = flat + 0.02 * (scan.azimuth / 0.16) ** 2
+    exact, wrong = (shapes.image(scan, ranges) for ranges in (flat, bent))
+    one, other = (measure.plane(image, every(image)) for image in (exact, wrong))
+    assert other.misfit > 3
+    assert other.uncertainties["normal_x"] > 1.5 * one.uncertainties["normal_x"]
+
+
+def test_what_cannot_be_measured_is_explained(
+    scan: shapes.Beams, wall: np.ndarray
+) -> None:
+    holed = wall.copy()
+    holed[3, 4] = np.nan
+    image = shapes.image(scan, holed)
+    with pytest.raises(CubeError, match=r"pixel \(3, 4\) holds no range: no target"):
+        measure.distance(image, (3, 4), (5, 5))
+    with pytest.raises(CubeError, match="outside of the image of 24 rows"):
+        measure.distance(image, (0, 0), (24, 0), reach=1)
+    with pytest.raises(CubeError, match="both points are the same"):
+        measure.distance(image, (5, 5), (5, 5))
+    with pytest.raises(CubeError, match="at least 3 corners, got 2"):
+        measure.area(image, [(0, 0), (1, 1)])
+    with pytest.raises(CubeError, match="needs at least 5 usable pixels"):
+        measure.sphere(image, np.eye(24, 32) * 0)
+    # The middle row of an odd number is straight on a wall across the beams.
+    odd = shapes.beams(rows=11, columns=15)
+    across = shapes.image(odd, shapes.to_plane(odd, unit(0.0, 0.0, 1.0), 1.5))
+    with pytest.raises(CubeError, match="lie on a line"):
+        measure.plane(across, np.arange(11)[:, None] * np.ones(15) == 5)
+    with pytest.raises(ValueError, match="axis must be a vector"):
+        measure.height(image, (0, 0), (5, 5), axis=(0, 0, 0))
+    with pytest.raises(ValueError, match="reach must be at least 0"):
+        measure.distance(image, (0, 0), (5, 5), reach=-1)
