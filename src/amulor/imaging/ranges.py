@@ -263,7 +263,7 @@ def _terms(
         rest += np.where(whole > 0, 0.0, amount)
         terms |= {name: np.sqrt(own[name] * scale) for name in names}
     found = {name: terms[name] for name in own}
-    return found | {"signal": np.sqrt(rest)} if np.nanmax(rest) > 0 else found
+    return found | {"signal": np.sqrt(rest)} if np.any(rest > 0) else found
 
 
 def phase_errors(
