@@ -318,6 +318,37 @@ class Journal:
                 values = dict(zip(known, row[split:], strict=True))
                 yield Key(*row[:split]), Record(**values)
 
+    def newer(self, than: int) -> list[tuple[int, Key, Record]]:
+        """Return samples of all kinds that came after one, with their numbers.
+
+        Parameters
+        ----------
+        than : int
+            Number of the last sample that is known, 0 for all [1].
+
+        Returns
+        -------
+        list of tuple
+            Number, key and record, in the order in which they were taken; read at
+            once, so that no reader is left in the way of the writer.
+        """
+        split = 1 + len(Key._fields)
+        with explained(self._path):
+            there = self._columns()
+            known = [name for name in _RECORD_FIELDS if name in there]
+            names = ", ".join(["number", _KEY_NAMES, *known])
+            rows = self._connection.execute(
+                f"SELECT {names} FROM samples WHERE number > ? ORDER BY number", (than,)
+            ).fetchall()
+        return [
+            (
+                row[0],
+                Key(*row[1:split]),
+                Record(**dict(zip(known, row[split:], strict=True))),
+            )
+            for row in rows
+        ]
+
     def _columns(self) -> set[str]:
         rows = self._connection.execute("PRAGMA table_info(samples)")
         return {name for _, name, *_ in rows}
