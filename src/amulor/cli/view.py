@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import Parameter, validators
+
+if TYPE_CHECKING:
+    from amulor.view.page import Live, Recording
 
 
 def view(
@@ -26,7 +29,8 @@ def view(
     Parameters
     ----------
     path
-        Range image, target signal or samples (netCDF).
+        Range image, target signal or samples (netCDF), or the folder of a scan, which
+        is followed while it goes on and only read.
     samples
         Samples or target signal that a range image was made from, to see it before
         rejection.
@@ -57,9 +61,10 @@ def view(
     if save is not None:
         check_ending("--save", save, (".html", ".htm"))
         io.check_output(save, overwrite=overwrite, inputs=inputs)
-    shown = page.opened(path, samples=samples, interval=interval)
+    shown = _shown(path, samples, interval)
     if save is not None:
-        page.save_page(shown, save, overwrite=overwrite)
+        recording = shown.recording if isinstance(shown, page.Live) else shown
+        page.save_page(recording, save, overwrite=overwrite)
         print(f"{save}: one page, {save.stat().st_size / 1e6:.1f} MB")
         return
 
@@ -71,3 +76,16 @@ def view(
             webbrowser.open(address)
 
     page.serve(shown, host=host, port=port, announce=announce)
+
+
+def _shown(
+    path: Path, samples: Path | None, interval: tuple[float, float] | None
+) -> Recording | Live:
+    """Return what the page shows: a file, or a scan that is followed."""
+    from amulor.view import page
+
+    if not path.is_dir():
+        return page.opened(path, samples=samples, interval=interval)
+    scan = page.Live(path)
+    scan.look()
+    return scan

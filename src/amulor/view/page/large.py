@@ -110,7 +110,7 @@ class LargePicture:
     def values(self, variable: str, stride: int) -> NDArray[Any]:
         """Return every so many rows and columns of a variable, floats in 32 bits."""
         rows, columns = (-(-size // stride) for size in self.shape)
-        kind = self._file[variable].dtype.kind
+        kind = self._read(variable, slice(0, 1), slice(0, 1)).dtype.kind
         out = np.empty((rows, columns), np.uint16 if kind in "iu" else np.float32)
         # A band is a whole number of steps, so that each begins where it should.
         band = max(1, _BAND // stride) * stride
@@ -172,7 +172,9 @@ class LargePicture:
             for name in names
         }
         coordinates = {
-            name: variables.pop(name) for name in _BEAM_NAMES if name in variables
+            name: variables.pop(name)
+            for name in (*_BEAM_NAMES, "time")
+            if name in variables
         }
         return xr.Dataset(
             variables,
@@ -184,7 +186,7 @@ class LargePicture:
         try:
             with self._lock:
                 return np.asarray(self._file[name][rows, columns])
-        except OSError as error:
+        except (OSError, KeyError, RuntimeError) as error:
             raise FormatError(
                 f"{self._path} can no longer be read: {error}; open it again"
             ) from error

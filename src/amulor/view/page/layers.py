@@ -39,6 +39,7 @@ MAPS = {
     "slant_range_wrong_interval": Layer(
         name="wrong", label="Wrong interval", unit="1", kind="chance"
     ),
+    "time": Layer(name="time", label="Time", unit="s", kind="hidden"),
     "slant_range_common_uncertainty": Layer(
         name="common", label="Shared uncertainty", unit="m", kind="hidden"
     ),

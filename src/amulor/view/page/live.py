@@ -2,16 +2,297 @@
 
 from __future__ import annotations
 
-from starlette.websockets import WebSocket
+import asyncio
+import contextlib
+import json
+import struct
+import threading
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
 
-from amulor.view.page.recording import Recording
+import numpy as np
+from numpy.typing import NDArray
+from starlette.websockets import WebSocket, WebSocketDisconnect
+
+from amulor import acquisition
+from amulor import cube as cubes
+from amulor.acquisition.journal.journal import Journal
+from amulor.cube import QualityFlag
+from amulor.errors import AmulorError
+from amulor.survey import Survey, water_properties
+from amulor.survey.directions import scan_directions
+from amulor.survey.view import geometry_attributes, medium
+from amulor.view.page.progress import Progress
+from amulor.view.page.quick import quick_layers
+from amulor.view.page.recording import Recording, recording_of
+
+#: How often the journal is looked at [s].
+_POLL = 0.2
+#: All pixels are worked out again after this time, or longer if it takes long [s].
+_AGAIN = 2.0
+#: At most this part of the time is spent on that [1].
+_SHARE = 0.15
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Rows:
+    """One row of one channel as a page gets it, before all are worked out again."""
+
+    version: int
+    channel: str
+    row: int
+    layers: dict[str, Floats]
 
 
 class Live:
-    """A scan folder."""
+    """A scan folder whose journal is read while it grows, and never written.
 
-    recording: Recording
+    Parameters
+    ----------
+    folder : pathlib.Path
+        Folder that `amulor acquire` was given.
+    clock : callable
+        Time, for rates [s].
+
+    Raises
+    ------
+    FormatError
+        If there is no journal, or if it is damaged.
+    """
+
+    def __init__(
+        self, folder: Path, *, clock: Callable[[], float] = time.monotonic
+    ) -> None:
+        self.folder = folder
+        self.name = folder.resolve().name
+        with Journal.read(folder) as journal:
+            meta = journal.meta()
+        self._survey = Survey.from_text(meta["survey"], name="the survey of the scan")
+        self._progress = Progress(self._survey, meta, clock=clock)
+        self._clock = clock
+        self._lock = threading.Lock()
+        self._changed: set[tuple[str, int]] = set()
+        self._rows: dict[tuple[str, int], Rows] = {}
+        self._version = self.pictures = 0
+        self._worked_out_at, self._took = -np.inf, 0.0
+        self._known = -1
+        self._last = 0
+        self._journal: Journal | None = None
+        self.recording: Recording = blank(self._survey, self.name)
+        self.status: dict[str, Any] = {}
+        self.row_time = 0.0
+        self._stop = threading.Event()
+        self._thread: threading.Thread | None = None
+
+    def start(self) -> None:
+        """Begin to follow, in a thread."""
+        if self._thread is None:
+            self._thread = threading.Thread(target=self._run, daemon=True)
+            self._thread.start()
+
+    def stop(self) -> None:
+        """End following."""
+        self._stop.set()
+        if self._thread is not None:
+            self._thread.join(10)
+
+    def _run(self) -> None:
+        while not self._stop.is_set():
+            self.look()
+            self._stop.wait(_POLL)
+        self._close()
+
+    def look(self) -> None:
+        """Read what is new, once; what stands in the way is said in the status."""
+        try:
+            self._look()
+        except AmulorError as error:
+            self._close()
+            with self._lock:
+                self.status = {**self.status, "error": str(error)}
+
+    def _close(self) -> None:
+        if self._journal is not None:
+            self._journal.close()
+            self._journal = None
+
+    def _look(self) -> None:
+        if self._journal is None:
+            self._journal = Journal.read(self.folder)
+        fresh = self._journal.newer(self._last)
+        for number, key, record in fresh:
+            self._last = number
+            place = self._progress.take(key, record)
+            if place is not None:
+                self._changed.add(place)
+        begun = time.perf_counter()
+        rows = self._patched()
+        if rows:
+            self.row_time = (time.perf_counter() - begun) / len(rows)
+        with self._lock:
+            self._rows.update({(one.channel, one.row): one for one in rows})
+            self.status = self._progress.status(self._journal.segments())
+        self._maybe_all()
+
+    def _patched(self) -> list[Rows]:
+        """Return rows that are whole, by the water that was known at the last time."""
+        rows = []
+        for channel, row in sorted(self._changed):
+            if not self._progress.whole(channel, row):
+                continue
+            self._changed.discard((channel, row))
+            layers = self._quick(channel, row)
+            if layers:
+                self._version += 1
+                rows.append(Rows(self._version, channel, row, layers))
+        return rows
+
+    def _quick(self, channel: str, row: int) -> dict[str, Floats]:
+        """Return range and amplitude of a row, less the water of the last picture."""
+        one = self.recording.one_row(channel, row)
+        if one is None:
+            return {}
+        measured = self._progress.row_signal(channel, row)
+        layers = quick_layers(one, measured, "_before")
+        if "water_in_phase" in one:
+            water = one["water_in_phase"].values + 1j * one["water_quadrature"].values
+            layers |= quick_layers(one, measured - water[:, 0], "")
+        return layers
+
+    def _maybe_all(self) -> None:
+        """Work out all pixels again, if there is something new and it is time."""
+        now = self._clock()
+        pause = max(_AGAIN, self._took / _SHARE)
+        finished = self.status.get("state") != "running"
+        if self._progress.scanned == 0 or self._progress.seen == self._known:
+            return
+        if not finished and now - self._worked_out_at < pause:
+            return
+        seen = self._progress.seen
+        begun = self._clock()
+        assert self._journal is not None
+        with contextlib.suppress(AmulorError):
+            cube = acquisition.build(self._journal)
+            found = recording_of(cube, name=self.name)
+            for channel in found.channels:
+                found.channel(channel)
+            with self._lock:
+                self.recording = found
+                self.pictures += 1
+                self._rows.clear()
+        self._known = seen
+        self._worked_out_at = self._clock()
+        self._took = self._worked_out_at - begun
+
+    def snapshot(self, version: int) -> tuple[int, dict[str, Any], list[Rows]]:
+        """Return number of the picture, status, and rows newer than a version."""
+        with self._lock:
+            rows = [one for one in self._rows.values() if one.version > version]
+            return self.pictures, dict(self.status), sorted(rows, key=_by_version)
 
     async def follow(self, socket: WebSocket) -> None:
-        """Send what is new."""
-        raise NotImplementedError
+        """Send a page what is new until it is gone.
+
+        Parameters
+        ----------
+        socket : WebSocket
+            Accepted. A page that is slow gets the newest of every row, and no queue
+            grows for it.
+
+        Raises
+        ------
+        WebSocketDisconnect
+            When the page is gone.
+        """
+        self.start()
+        gone = asyncio.create_task(_until_gone(socket))
+        sent_picture, sent_version = self.pictures, self._version
+        sent_status: dict[str, Any] | None = None
+        try:
+            while not gone.done():
+                picture, status, rows = self.snapshot(sent_version)
+                if picture != sent_picture:
+                    await socket.send_text(json.dumps({"type": "picture"}))
+                    sent_picture = picture
+                if rows:
+                    for one in rows:
+                        await socket.send_bytes(message_of(one))
+                    sent_version = rows[-1].version
+                if status != sent_status:
+                    await socket.send_text(json.dumps({"type": "status", **status}))
+                    sent_status = status
+                await asyncio.wait({gone}, timeout=_POLL)
+        finally:
+            gone.cancel()
+
+
+def _by_version(one: Rows) -> int:
+    return one.version
+
+
+async def _until_gone(socket: WebSocket) -> None:
+    with contextlib.suppress(WebSocketDisconnect, RuntimeError):
+        while True:
+            await socket.receive_text()
+
+
+def message_of(rows: Rows) -> bytes:
+    """Return a row as it travels: length of a JSON head, head, numbers of 32 bits."""
+    head = json.dumps(
+        {
+            "type": "rows",
+            "channel": rows.channel,
+            "row": rows.row,
+            "layers": list(rows.layers),
+        }
+    ).encode()
+    head += b" " * (-len(head) % 4)
+    numbers = [np.asarray(values, "<f4").tobytes() for values in rows.layers.values()]
+    return struct.pack("<I", len(head)) + head + b"".join(numbers)
+
+
+def blank(survey: Survey, name: str) -> Recording:
+    """Return a scan of which nothing is measured yet.
+
+    Parameters
+    ----------
+    survey : Survey
+        What will be measured.
+    name : str
+        What the page calls it.
+
+    Returns
+    -------
+    Recording
+        All pixels missing, at their directions.
+    """
+    azimuth, elevation, _ = scan_directions(survey)
+    nothing = np.full(azimuth.shape, np.nan)
+    image = cubes.build(
+        "range_image",
+        {
+            "slant_range": nothing,
+            "slant_range_uncertainty": nothing.copy(),
+            "intensity": nothing.copy(),
+            "quality_flag": np.full(
+                azimuth.shape, int(QualityFlag.MISSING), dtype=np.int16
+            ),
+        },
+        {"azimuth": azimuth, "elevation": elevation},
+        geometry=geometry_attributes(survey, medium(survey, water_properties(survey))),
+        attributes=cubes.attributes(
+            "range_image",
+            title=survey.name,
+            source="a scan that has not begun",
+            polarization=survey.instrument.polarizations[0],
+            modulation_frequencies=np.array(survey.instrument.modulation_frequencies),
+        ),
+    )
+    return Recording(
+        name, image=image, notes=["Nothing of the target is measured yet."]
+    )

@@ -159,6 +159,7 @@ class Recording:
         self._target, self._samples = target, samples
         self._interval = interval
         self._channels: dict[str, Channel] = {}
+        self._kept: xr.Dataset | None = None
         self._lock = threading.Lock()
 
     @property
@@ -198,12 +199,40 @@ class Recording:
         return Channel(after=after, before=before)
 
     def _raw(self) -> xr.Dataset:
-        assert self._samples is not None
-        return rejection.keep_water(self._samples)
+        if self._kept is None:
+            assert self._samples is not None
+            self._kept = rejection.keep_water(self._samples)
+        return self._kept
 
     def _imaged(self, target: xr.Dataset, name: str) -> Picture:
         image = imaging.range_image(target, polarization=name, interval=self._interval)
         return MemoryPicture(imaging.flag_outliers(imaging.flag_mixed(image)))
+
+    def one_row(self, channel: str, row: int) -> xr.Dataset | None:
+        """Return water signal and beams of one row.
+
+        Parameters
+        ----------
+        channel : str
+            Polarization channel.
+        row : int
+            Row of the scan.
+
+        Returns
+        -------
+        xarray.Dataset or None
+            Without dimension polarization; `water_in_phase` and `water_quadrature` if
+            the water is known. None without samples.
+        """
+        if self._samples is None or channel not in self._samples.amulor.polarizations:
+            return None
+        cube = self._samples if self._target is None else self._target
+        names = [
+            name for name in ("water_in_phase", "water_quadrature") if name in cube
+        ]
+        at = cube.amulor.polarizations.index(channel)
+        part = cube[names].isel(row=[row])
+        return part.isel(polarization=at, drop=True) if names else part
 
     def spectrum(self, channel: str, row: int, column: int) -> dict[str, Any] | None:
         """Return amplitude and phase of a pixel over the modulation frequency.

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import contextlib
 import socket
-from collections.abc import Callable
+import threading
+from collections.abc import Callable, Iterator
 
 import uvicorn
 
@@ -48,37 +49,79 @@ def serve(
     FormatError
         If the address cannot be listened at.
     """
-    token = new_token() if token is None else token
-    family = socket.AF_INET6 if ":" in host else socket.AF_INET
-    listener = socket.socket(family, socket.SOCK_STREAM)
-    with contextlib.closing(listener):
-        listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-        try:
-            listener.bind((host, port))
-        except OSError as error:
-            raise FormatError(
-                f"{host}, port {port}, cannot be listened at: "
-                f"{error.strerror or error}; leave out --port, or name another"
-            ) from error
-        listener.listen(64)
-        known = [host]
-        if host in _EVERYWHERE:
-            known = [socket.gethostname()]
-        beyond = host not in ("127.0.0.1", "::1", "localhost")
-        shown_host = known[0]
-        if ":" in shown_host:
-            shown_host = f"[{shown_host}]"
-        address = f"http://{shown_host}:{listener.getsockname()[1]}/{token}/"
-        config = uvicorn.Config(
-            application(shown, token=token, hosts=known, beyond=beyond),
-            access_log=False,
-            log_level="error",
-            server_header=False,
-            ws="websockets-sansio",
-            ws_max_size=_LARGEST_MESSAGE,
-            lifespan="off",
-            timeout_graceful_shutdown=1,
-        )
+    with contextlib.closing(_listener(host, port)) as listener:
+        address, server = _server(shown, host, listener, token or new_token())
         announce(address)
         with contextlib.suppress(KeyboardInterrupt):
-            uvicorn.Server(config).run(sockets=[listener])
+            server.run(sockets=[listener])
+
+
+@contextlib.contextmanager
+def background(shown: Recording | Live, *, token: str | None = None) -> Iterator[str]:
+    """Serve a page beside what else runs, as in a notebook.
+
+    Parameters
+    ----------
+    shown : Recording or Live
+        What it shows.
+    token : str, optional
+        First part of every path; drawn at random by default.
+
+    Yields
+    ------
+    str
+        The address; it answers until the block is left.
+    """
+    with contextlib.closing(_listener("127.0.0.1", 0)) as listener:
+        address, server = _server(shown, "127.0.0.1", listener, token or new_token())
+        thread = threading.Thread(
+            target=server.run, kwargs={"sockets": [listener]}, daemon=True
+        )
+        thread.start()
+        try:
+            yield address
+        finally:
+            server.should_exit = True
+            thread.join(10)
+
+
+def _listener(host: str, port: int) -> socket.socket:
+    """Return a socket that listens; what comes before the server runs waits in it."""
+    family = socket.AF_INET6 if ":" in host else socket.AF_INET
+    listener = socket.socket(family, socket.SOCK_STREAM)
+    try:
+        listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        listener.bind((host, port))
+        listener.listen(64)
+    except OSError as error:
+        listener.close()
+        raise FormatError(
+            f"{host}, port {port}, cannot be listened at: "
+            f"{error.strerror or error}; leave out --port, or name another"
+        ) from error
+    return listener
+
+
+def _server(
+    shown: Recording | Live, host: str, listener: socket.socket, token: str
+) -> tuple[str, uvicorn.Server]:
+    """Return the address of a page and the server behind it."""
+    name = socket.gethostname() if host in _EVERYWHERE else host
+    in_address = f"[{name}]" if ":" in name else name
+    config = uvicorn.Config(
+        application(
+            shown,
+            token=token,
+            hosts=[name],
+            beyond=host not in ("127.0.0.1", "::1", "localhost"),
+        ),
+        access_log=False,
+        log_level="error",
+        server_header=False,
+        ws="websockets-sansio",
+        ws_max_size=_LARGEST_MESSAGE,
+        lifespan="off",
+        timeout_graceful_shutdown=1,
+    )
+    port = listener.getsockname()[1]
+    return f"http://{in_address}:{port}/{token}/", uvicorn.Server(config)

@@ -340,7 +340,7 @@ function readout() {
     add("range", Number.isFinite(error) ? withError(range, error, "m") : withUnit(range, "m", 5), "big");
     if (Number.isFinite(get("common"))) add("shared part", withUnit(get("common"), "m", 2));
     if (Number.isFinite(get("bias"))) add("bias left", withUnit(get("bias"), "m", 2));
-    if (Number.isFinite(raw) && scene.main === "range") add("water in", `${withUnit(raw, "m", 5)} (${signed(raw - range)})`);
+    if (Number.isFinite(raw) && scene.main === "range") add("water in", `${`${short(raw * 1e3, 5)} mm`} (${signed(raw - range)})`);
   } else add("range", "none", "big");
   if (Number.isFinite(get("amplitude"))) add("amplitude", withUnit(get("amplitude"), "V", 3));
   const place = scene.point(...cursor);
@@ -655,7 +655,27 @@ function thumbnailsLater() {
 }
 
 /** What the live part needs of the page. */
-const page = { state, redraw, opened, say, thumbnails: thumbnailsLater, refresh: () => { state.limits = limitsOf(state.layerName); readout(); redraw(); } };
+const page = {
+  state,
+  say,
+  redraw,
+  thumbnails: thumbnailsLater,
+  colours: () => colours,
+  /** Load all maps again: they were worked out anew. */
+  async reload() {
+    const before = state.scene.limits(state.scene.main);
+    const nothing = before[0] === 0 && before[1] === 1;
+    if (nothing) views.placed = state.calmed = false;
+    await opened(state.scene.channel);
+    await point(state.cursor);
+  },
+  /** Show what came in, in colours that fit it. */
+  refresh() {
+    state.limits = limitsOf(state.layerName);
+    readout();
+    redraw();
+  },
+};
 
 async function main() {
   state.renderer = new Renderer();

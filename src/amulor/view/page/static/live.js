@@ -1,11 +1,211 @@
 // A scan that is going on: rows as they come, how it goes, and what to do about it.
 
-/** Follows the scan of the server. */
+import { fitted } from "./map.js";
+import { duration, short, ticks } from "./text.js";
+
+/** How long to wait before asking again for a server that is gone [ms]. */
+const PAUSES = [500, 1000, 2000, 5000];
+
+function made(tag, className, text = "") {
+  const element = document.createElement(tag);
+  element.className = className;
+  element.textContent = text;
+  return element;
+}
+
+/** Follows the scan of the server, and shows a finished one again. */
 export class Live {
   constructor(card, page) {
     this.card = card;
     this.page = page;
+    this.tries = 0;
+    this.rows = 0;
+    this.whole = new Map();
+    card.hidden = false;
+    const head = made("div", "bar");
+    this.state = made("span", "state", "connecting");
+    head.append(made("h2", "", "Scan"), this.state);
+    this.bar = made("i", "");
+    const progress = made("div", "progress");
+    progress.role = "progressbar";
+    progress.ariaLabel = "Samples taken";
+    progress.append(this.bar);
+    this.list = document.createElement("dl");
+    this.advice = made("div", "");
+    this.advice.ariaLive = "polite";
+    this.drift = document.createElement("canvas");
+    this.drift.setAttribute("role", "img");
+    this.replay = made("div", "replay");
+    this.replay.hidden = true;
+    card.append(head, progress, this.list, this.drift, this.replay, this.advice);
+    this.#replaying();
+    this.#connect();
   }
 
-  draw() {}
+  #connect() {
+    const address = new URL("live", location.href);
+    address.protocol = "ws:";
+    const socket = new WebSocket(address);
+    socket.binaryType = "arraybuffer";
+    socket.onopen = () => {
+      this.page.say("");
+      // What was missed meanwhile comes with the maps.
+      if (this.tries) this.page.reload().catch((error) => this.page.say(error.message));
+      this.tries = 0;
+    };
+    socket.onmessage = ({ data }) => {
+      if (typeof data !== "string") this.#rows(data);
+      else this.#told(JSON.parse(data));
+    };
+    socket.onclose = () => {
+      this.state.textContent = "connection lost";
+      this.state.classList.add("lost");
+      this.page.say("The connection to the scan is lost; it is tried again by itself. The scan goes on without this page.");
+      const pause = PAUSES[Math.min(this.tries, PAUSES.length - 1)];
+      this.tries += 1;
+      setTimeout(() => this.#connect(), pause);
+    };
+  }
+
+  #told(message) {
+    if (message.type === "picture") {
+      this.page.reload().then(() => {
+        this.pictures = (this.pictures ?? 0) + 1;
+        document.documentElement.dataset.pictures = String(this.pictures);
+      }, (error) => this.page.say(error.message));
+    } else if (message.type === "status") {
+      this.status = message;
+      this.draw();
+    }
+  }
+
+  #rows(buffer) {
+    const size = new DataView(buffer).getUint32(0, true);
+    const head = JSON.parse(new TextDecoder().decode(new Uint8Array(buffer, 4, size)));
+    const { scene } = this.page.state;
+    if (head.channel !== scene.channel || head.row % scene.stride) return;
+    const wide = scene.columns;
+    head.layers.forEach((name, k) => {
+      const values = new Float32Array(buffer, 4 + size + 4 * k * wide, wide);
+      scene.patch(name, head.row / scene.stride, scene.stride > 1 ? values.filter((_, at) => at % scene.stride === 0) : values);
+    });
+    for (const name of ["range", "range_before"]) if (scene.maps.has(name)) scene.smooth(name);
+    this.rows += 1;
+    document.documentElement.dataset.rows = String(this.rows);
+    this.page.refresh();
+  }
+
+  draw() {
+    const { status } = this;
+    if (!status) return;
+    const colours = this.page.colours();
+    this.state.textContent = status.state === "running" ? `taking ${status.kind || "the first sample"}` : status.state;
+    this.state.classList.toggle("lost", Boolean(status.error));
+    if (status.error) this.page.say(status.error);
+    const share = status.done / Math.max(status.total, 1);
+    this.bar.style.width = `${100 * share}%`;
+    this.bar.parentElement.ariaValueNow = String(Math.round(100 * share));
+    const flagged = Object.entries(status.flagged);
+    const rows = [["samples", `${status.done} of ${status.total} (${(100 * share).toFixed(0)} %)`]];
+    if (status.rate !== null) rows.push(["rate", `${short(status.rate, 3)} a second`]);
+    if (status.left !== null) rows.push(["time left", duration(status.left)]);
+    rows.push(["scan time", duration(status.elapsed)]);
+    for (const [name, count] of flagged) rows.push([name, `${count} (${short((100 * count) / status.done, 2)} %)`]);
+    this.list.replaceChildren(...rows.flatMap(([term, text]) => [made("dt", "", term), made("dd", "", text)]));
+    this.advice.replaceChildren(...status.advice.map((text) => made("div", "advice", text[0].toUpperCase() + text.slice(1) + ".")));
+    this.#drift(status.drift, colours);
+    this.replay.hidden = status.state !== "finished";
+    document.documentElement.dataset.done = String(status.done);
+    document.documentElement.dataset.state = status.state;
+  }
+
+  #drift({ elapsed, change, error }, colours) {
+    this.drift.hidden = change.length < 2;
+    if (this.drift.hidden) return;
+    fitted(this.drift);
+    const ctx = this.drift.getContext("2d");
+    const ratio = this.drift.width / this.drift.clientWidth;
+    ctx.setTransform(ratio, 0, 0, ratio, 0, 0);
+    const [width, height] = [this.drift.clientWidth, this.drift.clientHeight];
+    ctx.clearRect(0, 0, width, height);
+    const size = Math.max(0.01, ...change.map((value, k) => Math.abs(value) + Math.min(error[k] ?? 0, 0.2))) * 1.15;
+    const span = Math.max(elapsed.at(-1) - elapsed[0], 1e-9);
+    const x = (time) => 40 + ((time - elapsed[0]) / span) * (width - 50);
+    const y = (value) => (height + 12) / 2 - (value / size) * ((height - 18) / 2);
+    ctx.font = `11px ${colours.font}`;
+    ctx.textBaseline = "middle";
+    ctx.fillStyle = colours.soft;
+    ctx.textAlign = "left";
+    ctx.fillText("open water against its first shots", 0, 6);
+    ctx.textAlign = "right";
+    ctx.strokeStyle = colours.line;
+    for (const value of ticks(-size, size, 3).values) {
+      ctx.fillText(`${value > 0 ? "+" : ""}${short(100 * value, 2)} %`, 35, y(value));
+      ctx.beginPath();
+      ctx.moveTo(40, y(value));
+      ctx.lineTo(width, y(value));
+      ctx.stroke();
+    }
+    ctx.strokeStyle = ctx.fillStyle = colours.accent;
+    change.forEach((value, k) => {
+      ctx.beginPath();
+      ctx.arc(x(elapsed[k]), y(value), 3, 0, 7);
+      ctx.fill();
+      if (error[k] === null) return;
+      ctx.beginPath();
+      ctx.moveTo(x(elapsed[k]), y(value - error[k]));
+      ctx.lineTo(x(elapsed[k]), y(value + error[k]));
+      ctx.stroke();
+    });
+    this.drift.setAttribute("aria-label", `Open water changed by ${short(100 * change.at(-1), 2)} percent since the first shots`);
+  }
+
+  /** A finished scan once more, from its first pixel to its last. */
+  #replaying() {
+    const play = made("button", "mini", "replay");
+    play.type = "button";
+    const slider = document.createElement("input");
+    slider.type = "range";
+    slider.min = "0";
+    slider.max = "1000";
+    slider.value = "1000";
+    slider.ariaLabel = "Time of the scan";
+    let timer = 0;
+    const stop = () => {
+      clearInterval(timer);
+      timer = 0;
+      play.textContent = "replay";
+    };
+    slider.addEventListener("input", () => this.#until(Number(slider.value) / 1000));
+    play.addEventListener("click", () => {
+      if (timer) return stop();
+      if (slider.value === "1000") slider.value = "0";
+      play.textContent = "pause";
+      timer = setInterval(() => {
+        slider.value = String(Number(slider.value) + 8);
+        this.#until(Number(slider.value) / 1000).catch(stop);
+        if (slider.value === "1000") stop();
+      }, 80);
+      return undefined;
+    });
+    this.replay.append(play, slider);
+  }
+
+  async #until(share) {
+    const { scene } = this.page.state;
+    const { values: time } = await scene.load("time");
+    const known = time.filter(Number.isFinite);
+    const first = known.reduce((a, b) => Math.min(a, b), Infinity);
+    const last = known.reduce((a, b) => Math.max(a, b), -Infinity);
+    const limit = first + share * (last - first);
+    for (const [name, map] of scene.maps) {
+      if (name === "time" || map.layer.kind === "hidden") continue;
+      map.all ??= map.values.slice();
+      const missing = map.layer.kind === "flags" ? 1 : NaN;
+      map.values = map.all.map((value, at) => (share >= 1 || time[at] <= limit ? value : missing));
+      scene.upload(name);
+    }
+    document.documentElement.dataset.replayed = String(share);
+    this.page.refresh();
+  }
 }

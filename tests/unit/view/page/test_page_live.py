@@ -1,0 +1,241 @@
+"""A page that follows a scan reads what is there, and its writer does not notice."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import struct
+import tempfile
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+from starlette.testclient import TestClient
+
+from amulor import acquisition, simulation
+from amulor.acquisition.journal.file import FILE_NAME
+from amulor.acquisition.journal.journal import Journal
+from amulor.acquisition.plan import Key
+from amulor.acquisition.settings import Settings
+from amulor.errors import FormatError
+from amulor.survey import Survey
+from amulor.view import page
+from amulor.view.page.advice import Drift, Going, advice
+from amulor.view.page.live import Live
+
+TOKEN = "a-token-for-tests"
+OWN = {"host": "127.0.0.1:8000", "origin": "http://127.0.0.1:8000"}
+
+
+@pytest.fixture
+def folder() -> Iterator[Path]:
+    memory = Path("/dev/shm")
+    place = tempfile.mkdtemp(dir=memory if memory.is_dir() else None)
+    yield Path(place) / "scan"
+    shutil.rmtree(place)
+
+
+@pytest.fixture(scope="module")
+def survey(plate: Survey) -> Survey:
+    return plate.with_(
+        {
+            "scan.columns": 8,
+            "scan.rows": 3,
+            "scan.dwell": "50 ms",
+            "scan.open_water": {"columns": 3, "rows": 2, "repeats": 3},
+        }
+    )
+
+
+def scan(
+    survey: Survey, folder: Path, acknowledged: Callable[[Key], None] = lambda key: None
+) -> None:
+    acquisition.acquire(
+        survey,
+        folder,
+        settings=Settings.model_validate({"procedure": {"dark_readings": 2}}),
+        scene=simulation.scene_light,
+        acknowledged=acknowledged,
+    )
+
+
+class Clock:
+    now = 0.0
+
+    def __call__(self) -> float:
+        return self.now
+
+
+def test_a_scan_grows_on_the_page_and_ends_as_its_cube(
+    survey: Survey, folder: Path
+) -> None:
+    clock = Clock()
+    shown: list[Live] = []
+    done: list[int] = []
+    rows: list[tuple[int, float]] = []
+    blank: list[float] = []
+
+    def looked(key: Key) -> None:
+        clock.now += 0.05
+        if not shown:
+            shown.append(Live(folder, clock=clock))
+            first = shown[0].recording.layer("VV", "range", 1)
+            blank.append(float(np.isfinite(first).mean()))
+        if key.kind == "scan" and key.column % 8 == 7:
+            live = shown[0]
+            live.look()
+            done.append(live.status["done"])
+            _, status, fresh = live.snapshot(0)
+            assert status["state"] == "running"
+            rows.extend((one.row, float(one.layers["range"][3])) for one in fresh)
+
+    scan(survey, folder, looked)
+    live = shown[0]
+    assert blank == [0.0]
+    assert done == sorted(done)
+    assert len(done) == 6
+    # Rows that came one by one lie where the plate is, the water taken out.
+    assert rows
+    assert_allclose([value for _, value in rows], 1.5, rtol=0, atol=0.06)
+    live.look()
+    assert live.status["state"] == "finished"
+    assert live.status["done"] == live.status["total"]
+    with Journal.read(folder) as journal:
+        cube = acquisition.build(journal)
+    expected = page.recording_of(cube)
+    for name in ("range", "range_before", "uncertainty"):
+        np.testing.assert_array_equal(
+            live.recording.layer("VH", name, 1), expected.layer("VH", name, 1)
+        )
+    assert live.recording.layer("VH", "time", 1).shape == (3, 8)
+    live.stop()
+
+
+def test_following_writes_nothing_and_leaves_no_reader_in_the_way(
+    survey: Survey, folder: Path
+) -> None:
+    from amulor.acquisition.journal import file as journal_file
+
+    kept: list[Live] = []
+
+    def looked(key: Key) -> None:
+        if not kept:
+            kept.append(Live(folder))
+        if key.column == 2:
+            kept[0].look()
+
+    scan(survey, folder, looked)
+    before = (folder / FILE_NAME).read_bytes()
+    kept[0].look()
+    assert (folder / FILE_NAME).read_bytes() == before
+    # A reader that holds on would keep the writer's log from being emptied.
+    connection = journal_file.writer(folder / FILE_NAME)
+    busy, *_ = connection.execute("PRAGMA wal_checkpoint(TRUNCATE)").fetchone()
+    connection.close()
+    assert busy == 0
+    kept[0].stop()
+
+
+def test_the_websocket_brings_status_and_rows(
+    survey: Survey, folder: Path, served: Callable[..., TestClient]
+) -> None:
+    scan(survey, folder)
+    live = Live(folder)
+    client = served(live)
+    with client.websocket_connect(f"/{TOKEN}/live", headers=OWN) as socket:
+        said = []
+        while {"status", "picture"} - {one["type"] for one in said}:
+            said.append(json.loads(socket.receive_text()))
+    status = next(one for one in said if one["type"] == "status" and one.get("done"))
+    assert status["state"] == "finished"
+    scene = client.get(f"/{TOKEN}/scene").json()
+    assert scene["live"] is True
+    live.stop()
+
+
+def test_a_row_travels_as_numbers_behind_a_head() -> None:
+    from amulor.view.page.live import Rows, message_of
+
+    sent = message_of(Rows(1, "VV", 3, {"range": np.array([1.0, 2.0])}))
+    (size,) = struct.unpack_from("<I", sent)
+    head = json.loads(sent[4 : 4 + size])
+    assert head["row"] == 3
+    assert (4 + size) % 4 == 0
+    assert np.frombuffer(sent, "<f4", offset=4 + size).tolist() == [1.0, 2.0]
+
+
+def test_a_journal_that_breaks_gives_words_and_comes_back(
+    survey: Survey, folder: Path
+) -> None:
+    scan(survey, folder)
+    live = Live(folder)
+    path = folder / FILE_NAME
+    moved = path.with_name("elsewhere")
+    path.rename(moved)
+    live.look()
+    assert "holds no journal" in live.status["error"]
+    moved.rename(path)
+    live.look()
+    assert "error" not in live.status
+    assert live.status["state"] == "finished"
+    with pytest.raises(FormatError, match="holds no journal"):
+        Live(folder.parent)
+
+
+def test_newer_samples_are_those_after_a_number(survey: Survey, folder: Path) -> None:
+    scan(survey, folder)
+    with Journal.read(folder) as journal:
+        everything = journal.newer(0)
+        assert len(everything) == journal.count()
+        middle = everything[50][0]
+        assert journal.newer(middle) == everything[51:]
+        assert journal.newer(everything[-1][0]) == []
+        kinds = [(key, record) for _, key, record in everything if key.kind == "dark"]
+        assert kinds == [*journal.samples("dark")]
+
+
+GOOD = {"running": True, "done": 500, "scanned": 400, "open_water": 80, "dark": 20}
+
+
+def test_a_scan_that_goes_well_needs_no_advice() -> None:
+    steady = Drift(elapsed=(0, 9), change=(0.0, 0.004), error=(0.0, 0.01))
+    assert advice(Going(**GOOD, rate=8.0, silent=0.2, drift=steady)) == []
+
+
+@pytest.mark.parametrize(
+    ("change", "error", "said"),
+    [
+        (0.04, 0.005, ["open water drifted +4 % (± 0 %): take a reference"]),
+        (-0.04, 0.012, ["open water drifted -4 % (± 1 %): take a reference"]),
+        (0.04, 0.02, []),
+        (0.015, 0.001, []),
+        (0.5, float("inf"), []),
+    ],
+)
+def test_drift_is_worth_a_reference_if_it_is_sure(
+    change: float, error: float, said: list[str]
+) -> None:
+    drift = Drift(elapsed=(0, 9), change=(0.0, change), error=(0.0, error))
+    assert advice(Going(**GOOD, drift=drift)) == said
+
+
+def test_flags_silence_and_missing_references_are_told() -> None:
+    found = advice(
+        Going(
+            running=True,
+            done=500,
+            scanned=400,
+            open_water=0,
+            dark=0,
+            flagged={"overload": 25, "off position": 2},
+            rate=2.0,
+            silent=60.0,
+        )
+    )
+    assert "no sample for 60 s" in found[0]
+    assert found[1].startswith("5% of the samples overload")
+    assert "no open-water shots" in found[2]
+    assert "no dark readings" in found[3]
+    assert len(found) == 4

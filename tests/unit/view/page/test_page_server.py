@@ -1,0 +1,304 @@
+"""The page gets the numbers of the cube, and words where there are none."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+import xarray as xr
+from numpy.testing import assert_allclose, assert_array_equal
+from starlette.testclient import TestClient
+
+from amulor import imaging, io
+from amulor.cli import main
+from amulor.cube import QualityFlag
+from amulor.errors import CubeError
+from amulor.imaging.geometry import beams_of
+from amulor.view import page
+from amulor.view.page import beams, large
+from amulor.view.page import recording as recordings
+from amulor.view.page.layers import WORDS
+from amulor.view.page.packing import packed, unpacked
+from amulor.view.page.saved import static_files
+
+TOKEN = "a-token-for-tests"
+
+
+def layer(client: TestClient, channel: str, name: str, form: str = "<f4") -> np.ndarray:
+    answer = client.get(f"/{TOKEN}/layer/{channel}/{name}")
+    assert answer.status_code == 200, answer.text
+    return np.frombuffer(answer.content, form)
+
+
+def test_a_map_holds_the_numbers_of_the_range_image(
+    client: TestClient, target: xr.Dataset
+) -> None:
+    scene = client.get(f"/{TOKEN}/scene", params={"channel": "VH"}).json()
+    assert (scene["rows"], scene["columns"], scene["channel"]) == (6, 12, "VH")
+    image = imaging.range_image(target, polarization="VH")
+    for name, variable in (
+        ("range", "slant_range"),
+        ("uncertainty", "slant_range_uncertainty"),
+        ("amplitude", "intensity"),
+    ):
+        assert_array_equal(
+            layer(client, "VH", name),
+            image[variable].values.astype(np.float32).ravel(),
+        )
+    flags = layer(client, "VH", "flags", "<u2").reshape(6, 12)
+    assert_array_equal(
+        flags & int(QualityFlag.NO_TARGET),
+        image["quality_flag"].values & int(QualityFlag.NO_TARGET),
+    )
+
+
+def test_the_picture_before_rejection_lies_nearer(client: TestClient) -> None:
+    before = layer(client, "VV", "range_before")
+    after = layer(client, "VV", "range")
+    # Milk: the water pulls the plate towards the instrument by centimetres.
+    assert np.nanmedian(after) == pytest.approx(1.5, abs=0.02)
+    assert np.nanmedian(after - before) > 0.02
+
+
+def test_points_of_the_page_are_those_of_the_cloud(
+    recording: page.Recording, target: xr.Dataset
+) -> None:
+    image = imaging.range_image(target, polarization="VV")
+    nodes = recording.nodes("VV")
+    found = beams.interpolated(nodes, np.arange(6), np.arange(12))
+    points = found[..., :3] + image["slant_range"].values[..., None] * found[..., 3:6]
+    beam = beams_of(image)
+    exact = beam.entry + image["slant_range"].values[..., None] * beam.direction
+    usable = np.isfinite(exact).all(axis=-1)
+    assert_allclose(points[usable], exact[usable], rtol=0, atol=2e-5)
+    assert_allclose(found[..., 6], image["azimuth"].values, rtol=0, atol=2e-5)
+
+
+def test_beams_that_jitter_keep_a_node_each() -> None:
+    rng = np.random.default_rng(1)
+
+    def read(rows: np.ndarray, columns: np.ndarray) -> np.ndarray:
+        values = np.zeros((50, 60, 8))
+        values[..., 3:6] = np.random.default_rng(1).normal(size=(50, 60, 3))
+        return values[np.ix_(rows, columns)]
+
+    del rng
+    nodes = beams.nodes_of(read, (50, 60), farthest=2.0)
+    assert nodes.values.shape == (50, 60, 8)
+    smooth = beams.nodes_of(
+        lambda rows, columns: np.ones((len(rows), len(columns), 8)),
+        (500, 600),
+        farthest=2.0,
+    )
+    assert smooth.values.shape[0] < 12
+    assert (smooth.rows[0], smooth.rows[-1]) == (0, 499)
+
+
+def test_a_spectrum_is_that_of_the_samples(
+    client: TestClient, target: xr.Dataset
+) -> None:
+    found = client.get(f"/{TOKEN}/spectrum/VV/2/7").json()
+    one = target.sel(polarization="VV").isel(row=2, column=7)
+    signal = one["in_phase"].values + 1j * one["quadrature"].values
+    water = one["water_in_phase"].values + 1j * one["water_quadrature"].values
+    assert_allclose(found["frequency"], target["modulation_frequency"].values)
+    assert_allclose(found["after"]["amplitude"], np.abs(signal))
+    assert_allclose(found["before"]["amplitude"], np.abs(signal + water))
+    assert_allclose(found["water"]["phase"], np.angle(water))
+
+
+def test_the_server_measures_what_the_library_measures(
+    client: TestClient, target: xr.Dataset
+) -> None:
+    request = {"kind": "distance", "channel": "VV", "pixels": [[1, 1], [4, 10]]}
+    found = client.post(f"/{TOKEN}/measure", json=request).json()
+    image = imaging.flag_outliers(
+        imaging.flag_mixed(imaging.range_image(target, polarization="VV"))
+    )
+    expected = imaging.measure.distance(image, (1, 1), (4, 10))
+    assert found["lines"][0]["value"] == expected.value
+    assert found["lines"][0]["uncertainty"] == expected.uncertainty
+    # The plate is flat: 9 columns and 3 rows apart.
+    assert found["lines"][0]["value"] == pytest.approx(0.093, abs=0.01)
+    request = {"kind": "plane", "channel": "VV", "region": [5, 11, 0, 0]}
+    found = client.post(f"/{TOKEN}/measure", json=request).json()
+    offset = next(line for line in found["lines"] if line["label"] == "offset")
+    assert abs(abs(offset["value"]) - 1.5) < 4 * offset["uncertainty"] + 0.005
+
+
+@pytest.mark.parametrize(
+    ("request_", "words"),
+    [
+        ({"kind": "volume", "pixels": [[0, 0]]}, "cannot be measured"),
+        ({"kind": "distance", "pixels": [[0, 0]]}, "needs 2 points, got 1"),
+        ({"kind": "distance", "pixels": [[0, 0], [0, 99]]}, "column must be from 0"),
+        ({"kind": "distance", "pixels": [[0, 0], [0, "1"]]}, "whole number"),
+        ({"kind": "distance", "pixels": [[0, 0]] * 201}, "pick 1 to 200"),
+        ({"kind": "distance", "pixels": [[0, 0], [0]]}, "a row and a column"),
+        ({"kind": "height", "pixels": [[0, 0], [1, 1]], "axis": [0, 0]}, "an axis"),
+        ({"kind": "height", "pixels": [[0, 0], [1, 1]], "axis": [0, 0, 0]}, "length"),
+        ({"kind": "area", "pixels": [[0, 0], [1, 1]]}, "at least 3 corners"),
+        ({"kind": "plane", "region": [0, 0, 0]}, "a region has"),
+        ({"kind": "sphere", "region": [0, 0, 1, 1]}, "at least 5 usable"),
+        ({"kind": "distance", "channel": "RR", "pixels": [[0, 0]]}, "no channel 'RR'"),
+        ([], "must be a JSON object"),
+    ],
+)
+def test_a_request_that_makes_no_sense_is_answered_in_words(
+    client: TestClient, request_: object, words: str
+) -> None:
+    answer = client.post(f"/{TOKEN}/measure", json=request_)
+    assert answer.status_code == 422
+    assert words in answer.json()["error"]
+
+
+def test_no_json_and_no_such_thing_are_answered_in_words(client: TestClient) -> None:
+    answer = client.post(f"/{TOKEN}/measure", content=b"{")
+    assert answer.json() == {"error": "the request is no JSON"}
+    deep = b"[" * 100_000
+    assert client.post(f"/{TOKEN}/measure", content=deep).status_code == 422
+    for path in ("layer/VV/nothing", "spectrum/VV/6/0", "scene?channel=XX"):
+        assert client.get(f"/{TOKEN}/{path}").status_code == 422, path
+
+
+def test_every_flag_has_words() -> None:
+    assert set(WORDS) == {flag for flag in QualityFlag if flag}
+
+
+def test_numbers_come_back_from_a_page() -> None:
+    content = np.random.default_rng(1).normal(size=1000).astype("<f4").tobytes()
+    assert unpacked(packed(content, width=4), width=4) == content
+
+
+def test_a_saved_page_holds_all_it_needs(
+    recording: page.Recording, target: xr.Dataset, tmp_path: Path
+) -> None:
+    path = tmp_path / "page.html"
+    page.save_page(recording, path, measurements=[{"kind": "distance"}])
+    text = path.read_text()
+    assert "http://" not in text.replace("http://www.w3.org/", "")
+    assert 'src="static' not in text
+    assert 'href="static' not in text
+    start = text.index('data-name="layer/VV/range"')
+    data = text[text.index(">", start) + 1 : text.index("</script>", start)]
+    image = imaging.range_image(target, polarization="VV")
+    assert_array_equal(
+        np.frombuffer(unpacked(data, width=4), "<f4").reshape(6, 12),
+        image["slant_range"].values.astype(np.float32),
+    )
+    with pytest.raises(Exception, match="exists"):
+        page.save_page(recording, path)
+
+
+def test_a_title_cannot_become_a_script(target: xr.Dataset) -> None:
+    evil = target.assign_attrs(title="</script><script>alert(1)</script>")
+    text = page.saved_page(page.recording_of(evil, name="<b>.nc"))
+    assert "alert(1)</script>" not in text
+
+
+def test_files_import_only_what_is_there() -> None:
+    import re
+
+    files = static_files()
+    for name, content in files.items():
+        if name.endswith(".js"):
+            for used in re.findall(rb'from "([^"]+)"', content):
+                assert used.startswith(b"./"), (name, used)
+                assert used[2:].decode() in files, (name, used)
+
+
+def test_many_pixels_are_drawn_by_strides(
+    target: xr.Dataset, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(recordings, "MOST_PIXELS", 20)
+    thin = page.recording_of(target)
+    scene = thin.describe("VV")
+    assert scene["stride"] == 2
+    image = imaging.range_image(target, polarization="VV")
+    assert_array_equal(
+        thin.layer("VV", "range", 2), image["slant_range"].values[::2, ::2]
+    )
+
+
+def test_a_large_file_is_read_in_bands_and_says_the_same(
+    target: xr.Dataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    image = imaging.range_image(target, polarization="VV")
+    path = tmp_path / "large.nc"
+    io.write_cube(image, path)
+    small = page.opened(path)
+    monkeypatch.setattr(large, "_LARGE", 1)
+    monkeypatch.setattr(large, "_BAND", 4)
+    found = page.opened(path)
+    assert found.channels == small.channels == ["VV"]
+    for name in small.layers("VV"):
+        for stride in (1, 2, 3):
+            assert_array_equal(
+                found.layer("VV", name, stride),
+                small.layer("VV", name, stride).astype(
+                    np.uint16 if name == "flags" else np.float32
+                ),
+            )
+    assert_array_equal(found.nodes("VV").values, small.nodes("VV").values)
+    assert found.describe()["sharing"]["alike"] == small.describe()["sharing"]["alike"]
+    from amulor.view.page.measuring import measured
+
+    request = {"kind": "distance", "channel": "VV", "pixels": [[1, 1], [4, 10]]}
+    one, other = measured(found, request), measured(small, request)
+    assert_allclose(
+        one["lines"][0]["uncertainty"], other["lines"][0]["uncertainty"], rtol=1e-9
+    )
+    content = bytearray(path.read_bytes())
+    content[5000] ^= 1
+    path.write_bytes(content)
+    with pytest.raises(Exception, match="is damaged"):
+        page.opened(path)
+
+
+def test_samples_beside_an_image_must_be_its_own(target: xr.Dataset) -> None:
+    image = imaging.range_image(target, polarization="VV")
+    with_both = page.recording_of(image, samples=target)
+    assert "range_before" in with_both.layers("VV")
+    assert with_both.has_spectrum
+    with pytest.raises(CubeError, match="name the cube that the image was made from"):
+        page.recording_of(image, samples=target.isel(row=slice(3)))
+    with pytest.raises(CubeError, match="is of level 'point_cloud'"):
+        page.recording_of(imaging.point_cloud(image))
+
+
+def test_the_command_saves_a_page_and_explains_damage(
+    target: xr.Dataset, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path, out = tmp_path / "target.nc", tmp_path / "page.html"
+    io.write_cube(target, path)
+    assert main(["view", str(path), "--save", str(out)]) == 0
+    assert out.stat().st_size > 50_000
+    assert main(["view", str(path), "--save", str(out)]) == 1
+    assert "exists" in capsys.readouterr().err
+    assert main(["view", str(path), "--save", str(tmp_path / "page.txt")]) == 2
+    content = bytearray(path.read_bytes())
+    content[len(content) // 2] ^= 255
+    path.write_bytes(content)
+    assert main(["view", str(path)]) == 1
+    assert "is damaged" in capsys.readouterr().err
+
+
+def test_a_file_that_is_damaged_while_it_is_open_gives_a_message(
+    target: xr.Dataset,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    served: Callable[..., TestClient],
+) -> None:
+    path = tmp_path / "large.nc"
+    io.write_cube(imaging.range_image(target, polarization="VV"), path)
+    monkeypatch.setattr(large, "_LARGE", 1)
+    client = served(page.opened(path))
+    assert client.get(f"/{TOKEN}/scene").status_code == 200
+    size = path.stat().st_size
+    with path.open("r+b") as file:
+        file.write(b"\0" * size)
+    answer = client.get(f"/{TOKEN}/layer/VV/uncertainty")
+    assert answer.status_code == 422
+    assert "can no longer be read" in answer.json()["error"]
