@@ -17,7 +17,7 @@ from amulor.view import (
     figures,
     write_report,
 )
-from amulor.view.image_report import flag_sentence
+from amulor.view.image_report import flag_sentence, interactive
 from amulor.view.report import Part
 
 
@@ -71,6 +71,7 @@ def write(
             "The dark gap beside the first step is where it hides the ladder from the "
             "receiver.",
         ),
+        *interactive(after),
         Heading("All 40 line profiles over each other"),
         Picture(
             figures.profiles(images),

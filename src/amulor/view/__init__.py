@@ -3,6 +3,7 @@
 from amulor.view import figures, image_report
 from amulor.view.report import (
     Heading,
+    Interactive,
     Listing,
     Paragraph,
     Picture,
@@ -12,6 +13,7 @@ from amulor.view.report import (
 
 __all__ = [
     "Heading",
+    "Interactive",
     "Listing",
     "Paragraph",
     "Picture",

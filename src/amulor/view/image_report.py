@@ -14,6 +14,7 @@ from amulor.view import figures
 from amulor.view.error_budget import error_budgets
 from amulor.view.report import (
     Heading,
+    Interactive,
     Listing,
     Paragraph,
     Part,
@@ -67,6 +68,7 @@ def write(
             Picture(
                 figures.surfaces(drawable), "Height is counted towards the instrument."
             ),
+            *interactive(drawable),
         ]
     parts.append(Heading("Where this comes from"))
     for name, image in images.items():
@@ -99,6 +101,45 @@ def flag_sentence(image: xr.Dataset) -> str:
     reason = image.attrs.get("interval_unsettled", "")
     unsettled = f" Ranges may be off by whole intervals: {reason}." if reason else ""
     return f"Grey pixels hold no range. Flags, of {pixels} pixels: {listed}.{unsettled}"
+
+
+def interactive(images: Mapping[str, xr.Dataset]) -> list[Part]:
+    """Return range images as pages that can be turned, for reports.
+
+    Parameters
+    ----------
+    images : mapping of str to xarray.Dataset
+        Name to range image.
+
+    Returns
+    -------
+    list of Part
+        One page each; a sentence for those that are too large for a report.
+    """
+    from amulor.view import page
+
+    parts: list[Part] = []
+    for name, image in images.items():
+        if image["slant_range"].size > _LARGEST_IN_REPORT:
+            parts.append(
+                Paragraph(
+                    f"{name} is too large to be turned here: amulor view shows it."
+                )
+            )
+            continue
+        shown = page.saved_page(page.recording_of(image, name=name))
+        parts.append(
+            Interactive(
+                f"{name}: drag to turn it, pick two points to measure their distance "
+                "with its uncertainty.",
+                shown,
+            )
+        )
+    return parts
+
+
+#: Pixels of an image that a report carries as a page [1].
+_LARGEST_IN_REPORT = 400_000
 
 
 def _is_surface(image: xr.Dataset) -> bool:

@@ -63,7 +63,17 @@ class Listing:
     """The text."""
 
 
-Part = Heading | Paragraph | Picture | Table | Listing
+@dataclass(frozen=True)
+class Interactive:
+    """A page inside the report; on paper a picture stands in its place."""
+
+    title: str
+    """What it shows."""
+    page: str
+    """HTML, as of `amulor.view.page.saved_page`."""
+
+
+Part = Heading | Paragraph | Picture | Table | Listing | Interactive
 
 
 def write_report(
@@ -132,6 +142,14 @@ def _rendered(part: Part) -> str:
         )
     if isinstance(part, Table):
         return _table(part)
+    if isinstance(part, Interactive):
+        # Apart from the report: its scripts reach nothing outside of their frame.
+        return (
+            f'<figure class="interactive"><iframe title="{html.escape(part.title)}" '
+            'sandbox="allow-scripts allow-downloads" loading="lazy" '
+            f'srcdoc="{html.escape(part.page, quote=True)}"></iframe>'
+            f"<figcaption>{html.escape(part.title)}</figcaption></figure>"
+        )
     return (
         f"<details><summary>{html.escape(part.title)}</summary>"
         f"<pre>{html.escape(part.text)}</pre></details>"
@@ -194,6 +212,9 @@ th, td { text-align: right; padding: .3rem .7rem; border-bottom: 1px solid var(-
   white-space: nowrap; }
 th:first-child, td:first-child { text-align: left; }
 thead th { border-bottom: 2px solid var(--ink); font-weight: 600; }
+.interactive iframe { width: 100%; height: 30rem; border: 1px solid var(--line);
+  border-radius: 8px; }
+@media print { .interactive { display: none; } }
 .warning { color: #b03a00; font-weight: 600; }
 details { margin: .6rem 0; border: 1px solid var(--line); border-radius: 6px;
   padding: .4rem .8rem; }

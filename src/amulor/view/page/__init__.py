@@ -1,9 +1,17 @@
-"""The browser page: a server for this computer, and pages saved as one file."""
+"""The browser page: a server for this computer, and pages saved as one file.
 
-from amulor.view.page.live import Live
-from amulor.view.page.recording import Recording, opened, recording_of
-from amulor.view.page.saved import save_page, saved_page
-from amulor.view.page.serve import background, serve
+Saving needs no package beyond those of amulor; serving needs the extra `view`.
+"""
+
+from typing import TYPE_CHECKING
+
+from amulor import _lazy
+
+if TYPE_CHECKING:
+    from amulor.view.page.live import Live
+    from amulor.view.page.recording import Recording, opened, recording_of
+    from amulor.view.page.saved import save_page, saved_page
+    from amulor.view.page.serving import background, serve
 
 __all__ = [
     "Live",
@@ -15,3 +23,19 @@ __all__ = [
     "saved_page",
     "serve",
 ]
+
+if not TYPE_CHECKING:
+    __getattr__, __dir__ = _lazy.attach(
+        __name__,
+        __all__,
+        origin={
+            "Live": "amulor.view.page.live",
+            "Recording": "amulor.view.page.recording",
+            "background": "amulor.view.page.serving",
+            "opened": "amulor.view.page.recording",
+            "recording_of": "amulor.view.page.recording",
+            "save_page": "amulor.view.page.saved",
+            "saved_page": "amulor.view.page.saved",
+            "serve": "amulor.view.page.serving",
+        },
+    )

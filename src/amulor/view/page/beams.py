@@ -15,7 +15,7 @@ Floats = NDArray[np.float64]
 Numbers = NDArray[np.intp]
 
 #: A point may lie this far from where its own beam would put it [m].
-TOLERANCE = 2e-5
+TOLERANCE = 2e-6
 #: Values of a node: place at range zero (3), direction (3), azimuth, elevation.
 VALUES = 8
 _FIRST_STEP = 64

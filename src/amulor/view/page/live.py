@@ -211,7 +211,7 @@ class Live:
         """
         self.start()
         gone = asyncio.create_task(_until_gone(socket))
-        sent_picture, sent_version = self.pictures, self._version
+        sent_picture, sent_version = self.pictures, 0
         sent_status: dict[str, Any] | None = None
         try:
             while not gone.done():
@@ -223,7 +223,7 @@ class Live:
                     for one in rows:
                         await socket.send_bytes(message_of(one))
                     sent_version = rows[-1].version
-                if status != sent_status:
+                if status and status != sent_status:
                     await socket.send_text(json.dumps({"type": "status", **status}))
                     sent_status = status
                 await asyncio.wait({gone}, timeout=_POLL)

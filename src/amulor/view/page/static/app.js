@@ -654,6 +654,8 @@ function thumbnailsLater() {
   later = setTimeout(() => state.scene?.maps.size && (thumbnails(), redraw()), 150);
 }
 
+let reloading = Promise.resolve();
+
 /** What the live part needs of the page. */
 const page = {
   state,
@@ -666,8 +668,12 @@ const page = {
     const before = state.scene.limits(state.scene.main);
     const nothing = before[0] === 0 && before[1] === 1;
     if (nothing) views.placed = state.calmed = false;
-    await opened(state.scene.channel);
-    await point(state.cursor);
+    // One after the other: two at once would mix their maps.
+    reloading = reloading.catch(() => {}).then(async () => {
+      await opened(state.scene.channel);
+      await point(state.cursor);
+    });
+    return reloading;
   },
   /** Show what came in, in colours that fit it. */
   refresh() {
@@ -696,5 +702,7 @@ async function main() {
   document.documentElement.dataset.complete = "yes";
 }
 
+// In a report, the map and the points alone; measuring goes on in the map.
+if (window.self !== window.top) document.documentElement.dataset.embedded = "yes";
 window.amulor = state;
 main().catch(failed);

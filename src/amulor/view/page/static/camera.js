@@ -13,7 +13,7 @@ export class Camera {
   home({ target, size }) {
     this.start = { target, size };
     this.target = [...target];
-    this.distance = size * 1.55;
+    this.distance = size * 1.3;
     this.turn = -0.5;
     this.rise = 0.42;
   }

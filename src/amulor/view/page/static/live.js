@@ -46,6 +46,7 @@ export class Live {
     const address = new URL("live", location.href);
     address.protocol = "ws:";
     const socket = new WebSocket(address);
+    this.socket = socket;
     socket.binaryType = "arraybuffer";
     socket.onopen = () => {
       this.page.say("");
@@ -97,11 +98,11 @@ export class Live {
 
   draw() {
     const { status } = this;
-    if (!status) return;
+    if (status?.error) this.page.say(status.error);
+    if (status?.state === undefined) return;
     const colours = this.page.colours();
     this.state.textContent = status.state === "running" ? `taking ${status.kind || "the first sample"}` : status.state;
     this.state.classList.toggle("lost", Boolean(status.error));
-    if (status.error) this.page.say(status.error);
     const share = status.done / Math.max(status.total, 1);
     this.bar.style.width = `${100 * share}%`;
     this.bar.parentElement.ariaValueNow = String(Math.round(100 * share));

@@ -83,7 +83,7 @@ export class MapView {
     const ratio = canvas.width / Math.max(canvas.clientWidth, 1);
     ctx.lineWidth = ratio;
     if (state.cursor) {
-      const [x, y] = this.spot(scene, state.cursor);
+      const [x, y] = this.spot(scene, state.cursor).map((at) => Math.round(at) + 0.5);
       halo(ctx, ratio, colours, () => {
         ctx.beginPath();
         ctx.moveTo(0, y);

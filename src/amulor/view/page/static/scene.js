@@ -15,16 +15,19 @@ export class Scene {
 
   /** Load what is described; maps come when they are asked for. */
   async open(channel) {
+    const before = [this.channel, this.wide, this.high].join();
     Object.assign(this, await this.source.scene(channel));
-    this.maps.clear();
     this.loading.clear();
     this.wide = Math.ceil(this.columns / this.stride);
     this.high = Math.ceil(this.rows / this.stride);
     this.byName = new Map(this.layers.map((layer) => [layer.name, layer]));
+    // Of a scan that grows, the maps that are there stay until the new ones are.
+    if (before !== [this.channel, this.wide, this.high].join()) this.maps.clear();
     const main = this.byName.has("range") ? "range" : "range_before";
-    this.main = main;
     this.renderer.keep("table flags", 256, 1, flagTable(this.flags, "#2c7f62"));
     const [nodes] = await Promise.all([this.source.layer(this.channel, "beams", false), this.load(main)]);
+    this.main = main;
+    for (const name of this.maps.keys()) if (!this.byName.has(name)) this.maps.delete(name);
     this.#place(nodes);
     if (this.byName.has("range") && this.byName.has("range_before")) {
       this.byName.set("shift", { name: "shift", label: "Moved by water", unit: "m", kind: "signed", before: false, derived: true });
@@ -89,7 +92,7 @@ export class Scene {
     const { layer, values } = this.maps.get(name);
     const shown = layer.kind === "flags" ? this.#ranks(values) : values;
     this.renderer.keep(`map ${name}`, this.wide, this.high, shown);
-    if (name === this.main || name === "range_before") this.smooth(name);
+    if (name === "range" || name === "range_before") this.smooth(name);
   }
 
   #ranks(values) {
