@@ -216,8 +216,11 @@ class PhotonModel:
                 if light == "water"
                 else (found.target, found.target_error)
             )
-            ratios.append(seen / expected)
-            errors.append(rough / abs(expected))
+            # Water that sends nothing back by small angles keeps sending nothing.
+            lit = expected != 0
+            safe = np.where(lit, expected, 1.0)
+            ratios.append(np.where(lit, seen / safe, 1.0))
+            errors.append(np.where(lit, rough / abs(safe), 0.0))
         nodes = len(grid.places)
         value, error = np.array(ratios).T, np.array(errors).T
         rest = Factor(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from functools import lru_cache
 from typing import Any
 
@@ -28,6 +29,9 @@ NEGLIGIBLE = 0.02
 #: Range in which the shape k of the curve beyond the split angle is looked for.
 _LOWEST, _HIGHEST = -5.0, 12.0
 _POINTS = 2000
+#: Stands for a phase function of 0 straight backwards; the models take that from the
+#: survey [1/sr].
+_DARK = 1e-6
 
 Array = NDArray[np.float64]
 
@@ -168,6 +172,9 @@ def whole_phase_function(water: WaterProperties) -> PhaseFunction:
     SurveyError
         If no phase function has the moments that are stated.
     """
+    if water.phase_function is None and water.backscatter_vsf == 0:
+        # What small angles need is the forward part, which has a curve to join on to.
+        water = replace(water, backscatter_vsf=_DARK * water.scattering)
     return phase_function_of(water)
 
 

@@ -43,7 +43,9 @@ class WaterBeforeTarget:
     survey: Survey | None
     """The survey that the fraction was computed from."""
     turbidity: Turbidity | None
-    """How the shots corrected it."""
+    """How the shots corrected it; None where it is taken as it stands."""
+    told: Turbidity | None
+    """What the shots tell of the survey's water, whether it was corrected or not."""
     signal: Complex
     """Water signal up to the target, or to the end where that is not known [V]."""
     fluctuation: Covariance
@@ -92,13 +94,13 @@ def water_before_target(
     water, common = expected_at_pixels(fits, samples.shape)
     difference = subtract(samples, water)
     text = cube.attrs.get("survey")
-    survey, turbidity, hidden, steeper = None, None, None, None
+    survey, told, turbidity, hidden, steeper = None, None, None, None, None
     path = np.full(samples.shape[2:], np.nan)
     if text:
         survey = Survey.from_text(text, name="survey in the cube")
+        told = turbidity_of(cube, survey, water, common)
         if not survey_is_right:
-            turbidity = turbidity_of(cube, survey, water, common)
-            survey = turbidity.survey
+            turbidity, survey = told, told.survey
         errors = covariance_of(cube) + common
         depth, path = column.depth(cube, difference, errors, survey, interval=interval)
         hidden = column.hidden_fraction(cube, survey, depth)
@@ -117,6 +119,7 @@ def water_before_target(
         ),
         survey=survey,
         turbidity=turbidity,
+        told=told,
         signal=signal,
         fluctuation=fluctuation_of(fits, signal),
         common=common,

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from amulor.errors import SurveyError
-from amulor.optics import small_angle_closure, small_angle_diffusion
+from amulor.optics import small_angle, small_angle_diffusion
 from amulor.survey import Survey, WaterProperties, water_properties
 from amulor.survey.view import View, kernel_arguments, medium, view
 from amulor.survey.whole_function import whole_function_arguments, whole_phase_function
@@ -55,7 +55,7 @@ def water_signal(
     water = water_properties(survey)
     where = view(survey, azimuth, elevation, medium=medium(survey, water))
     far = np.inf if survey.water.column_end is None else survey.water.column_end
-    form = small_angle_closure if _has_phase_function(water) else small_angle_diffusion
+    form = small_angle if _has_phase_function(water) else small_angle_diffusion
     signal: Complex = form.water_response(
         modulation_frequency[:, None],
         backscatter_vsf=1.0,

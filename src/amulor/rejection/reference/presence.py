@@ -71,8 +71,9 @@ def shows_target(
     water that has the standard deviation `DEPARTURE`, against twice as many degrees of
     freedom as there are samples. It is refused in `SIZE` of the pixels at most where
     it is true. Errors are those of the samples and of the reference, the fluctuation
-    and the drift of the whole column. Cut columns come from the survey;
-    without one, only the whole column counts.
+    and the drift of the whole column. Cut columns come from the survey
+    in the turbidity that the shots tell; without a survey, only the whole column
+    counts.
     """
     from scipy.stats import chi2
 
@@ -80,7 +81,8 @@ def shows_target(
     frequencies, channels, *shape = whole.shape
     errors = covariance_of(cube) + water.common + fluctuation_of(water.fits, whole)
     saturated = cube["saturated"].values != 0 if "saturated" in cube else None
-    cut = _cut_columns(cube, water.survey, interval)
+    told = water.told
+    cut = None if told is None else _cut_columns(cube, told.survey, interval)
     largest = None if cut is None else np.abs(cut.smooth).max(axis=(1, 2, 3))
     which = np.repeat(np.arange(frequencies), channels)
 
@@ -90,11 +92,7 @@ def shows_target(
     left, column = flat(water.difference), flat(whole)
     drift = flat(water.drift)
     parts = [flat(each) for each in (errors.in_phase, errors.quadrature, errors.cross)]
-    model_error = (
-        0.0
-        if water.turbidity is None
-        else float(np.hypot(water.turbidity.shown, MODEL_ERROR))
-    )
+    model_error = 0.0 if told is None else float(np.hypot(told.shown, MODEL_ERROR))
     seen = np.zeros(left.shape[1], dtype=bool)
     for first in range(0, seen.size, _AT_ONCE):
         chosen = slice(first, first + _AT_ONCE)
@@ -259,11 +257,9 @@ def _between(place: Floats, count: int) -> tuple[NDArray[np.intp], Floats]:
 
 
 def _cut_columns(
-    cube: xr.Dataset, survey: Survey | None, interval: tuple[float, float] | None
-) -> _Cut | None:
-    """Return cut columns from a survey; None without one."""
-    if survey is None:
-        return None
+    cube: xr.Dataset, survey: Survey, interval: tuple[float, float] | None
+) -> _Cut:
+    """Return cut columns from a survey."""
     properties = water_properties(survey)
     frequency = cube["modulation_frequency"].values
     nearest, farthest = (0.0, np.inf) if interval is None else interval
