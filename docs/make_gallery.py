@@ -129,8 +129,8 @@ def page(study: dict[str, Any]) -> str:
         (DOCS / "gallery" / "ricci2010-discussion.md").read_text().strip(),
         "## What the conclusions depend on",
         "Every number that is not printed in the paper was taken to both ends of its "
-        "range, one at a time. These conclusions flip; all others hold, or fail, at "
-        "both ends of every range.",
+        f"range, one at a time, for figures {_looked_into(study)}. These conclusions "
+        "flip; all others of these figures hold, or fail, at both ends of every range.",
         _table(
             ["figure", "statement", "as it is", "flips when"],
             [
@@ -166,6 +166,12 @@ def page(study: dict[str, Any]) -> str:
         ),
     ]
     return "\n\n".join(parts) + "\n"
+
+
+def _looked_into(study: dict[str, Any]) -> str:
+    """Return the figures whose dependences are known, in words."""
+    numbers = [str(n) for n in sorted({e["figure"] for e in study["sensitivity"]})]
+    return " and ".join([", ".join(numbers[:-1]), numbers[-1]][-len(numbers) :])
 
 
 def _table(header: list[str], rows: list[list[str]]) -> str:

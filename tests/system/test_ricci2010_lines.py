@@ -13,7 +13,13 @@ from amulor.optics.polarization.depolarization import realizability_defect
 from amulor.optics.polarization.mueller import detected_fraction
 from amulor.studies.ricci2010.figures import figure_10, figure_11, figure_12
 from amulor.studies.ricci2010.parameters import load, varied
-from amulor.studies.ricci2010.scenes import line_checks, milk_quadrature, short_lines
+from amulor.studies.ricci2010.scenes import (
+    line_checks,
+    milk_light,
+    milk_quadrature,
+    short_lines,
+    trade_off,
+)
 from amulor.studies.ricci2010.scenes import milk_tank as tank
 from amulor.studies.ricci2010.study import Study
 from amulor.transport import Medium, PlaneTarget, ScatteringMatrix, Source, simulate
@@ -272,3 +278,64 @@ def test_the_receiver_sees_more_water_from_pixel_to_pixel(quick):
     assert found.phase[0] == found.measured[0] == 0.0
     early = short_lines.advance_along(np.exp(1j * WAVE * np.linspace(3.0, 2.9, 80)))
     assert_allclose(early[-1], np.degrees(WAVE * 0.1))
+
+
+# Other milk, other tanks -------------------------------------------------------------
+
+
+def test_a_mixture_scatters_what_its_parts_do():
+    fat, casein = (
+        tank.milk(changed(milk_diameter=d, milk_index=n))
+        for d, n in ((0.6e-6, 1.475), (0.15e-6, tank.CASEIN_INDEX))
+    )
+    both = tank.milk(changed(milk_diameter=0.6e-6, milk_index=1.475, casein_share=0.4))
+    assert_allclose(both.value, 0.6 * fat.value + 0.4 * casein.value, rtol=1e-12)
+    back = -1
+    crossed = [0.5 * (1 - part.matrix[back, 1, 1]) * part.value[back]
+               for part in (fat, casein, both)]  # fmt: skip
+    assert_allclose(crossed[2], 0.6 * crossed[0] + 0.4 * crossed[1], atol=1e-15)
+    plain = tank.milk(changed())
+    assert_allclose(plain.matrix[back].diagonal(), [1, 1, -1, -1], atol=1e-6)
+
+
+def test_walls_send_back_light_without_polarization(quick):
+    # Half of it passes any analyser, and twice the reflectance sends back twice as
+    # much, up to light that meets the walls twice.
+    water, place = tank.medium(quick, 0.85), np.zeros(1)
+    light = {}
+    for share in (0.02, 0.04):
+        light[share] = milk_light.returned_by_walls(
+            changed(quick, wall_reflectance=share), water, place, histories=32_768
+        )
+    for pair in ("VH", "RR", "RL"):
+        batches = light[0.02][pair] - light[0.02]["VV"]
+        error = np.std(batches) / np.sqrt(batches.size - 1)
+        assert abs(batches.mean()) < 4 * error
+    (little, error), (more, other) = (
+        (abs(x.mean()), np.std(x) / np.sqrt(x.size - 1))
+        for x in (light[share]["VV"] for share in (0.02, 0.04))
+    )
+    assert little > 4 * error
+    assert abs(more - 2 * little) < 4 * np.hypot(2 * error, other)
+
+
+def test_larger_spheres_trade_crossed_light_for_light_of_the_same_hand(quick):
+    # Single scattering by spheres crosses nothing straight back, but some degrees off
+    # it sends back light of the same hand, which small ones do not.
+    found = {
+        size: trade_off.drifts_of(
+            quick, trade_off.SetUp("", "", {"milk_diameter": size * 1e-6})
+        )
+        for size in (0.25, 3.0)
+    }
+    small, large = found[0.25], found[3.0]
+    assert abs(small.crossed) < 0.2 + 4 * small.crossed_error
+    assert large.same > 3 * abs(large.crossed)
+    assert large.same - large.crossed > 3 * large.same_error
+    # The plate was made as bright as VV of 7 degrees needs.
+    brighter = small.reflectance / quick["plate_reflectance"]
+    light = quick.once(short_lines.LIGHT["d"])["VV"]
+    drift = short_lines.rise_weight() @ short_lines.advance_along(
+        light.water + brighter * light.target
+    )
+    assert_allclose(drift, 7.0, atol=1e-3)

@@ -2,26 +2,37 @@
 
 from __future__ import annotations
 
+import textwrap
 from dataclasses import replace
 
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from amulor.studies.ricci2010.checks import Check, within
 from amulor.studies.ricci2010.figures import line_panels
-from amulor.studies.ricci2010.figures.drawing import NARROW, mark_synthetic
-from amulor.studies.ricci2010.scenes import line_checks
+from amulor.studies.ricci2010.figures.drawing import WIDE, letter, mark_synthetic
+from amulor.studies.ricci2010.scenes import line_checks, trade_off
 from amulor.studies.ricci2010.scenes import short_lines as lines
 from amulor.studies.ricci2010.study import Study
-from amulor.view.style import new_figure, style
+from amulor.view.style import COLOURS, new_figure, style
 
 TITLE = "Crossed linear against same circular polarization"
 CAPTION = (
-    "Advance of the phase along a line at the highest turbidity of figures 10 and 11: "
-    "crossed linear (VH, filled) and same circular (RR, open) polarization. Marks are "
-    "synthetic measurements: polarized Monte Carlo in Mie spheres of milk, with the "
-    "phase error of the apparatus added. Black: without noise."
+    "(a) Advance of the phase along a line at the highest turbidity of figures 10 and "
+    "11: crossed linear (VH, filled) and same circular (RR, open) polarization. Marks "
+    "are synthetic measurements: polarized Monte Carlo in Mie spheres of milk, with "
+    "the phase error of the apparatus added. Black: without noise. (b) The same "
+    "turbidity with other particles and other tanks, the reflectance of the plate "
+    "chosen so that VV drifts by 7 degrees: drifts of VH and RR without noise, "
+    "standard errors where they show. Beside each the reflectance that this takes; "
+    "open circles need more than 1. Shaded: what the text states of both."
 )
+
+#: Drift of VH in figure 10(d) that the text states, read to half a degree [degrees].
+_CROSSED = (2.5, 3.5)
+#: Set-ups with less drift than this are named together [degrees].
+_CROWDED = 0.45
 
 
 def checks(study: Study) -> list[Check]:
@@ -85,7 +96,7 @@ def echo_ratio(study: Study) -> float:
 
 
 def draw(study: Study) -> Figure:
-    """Return figure 12.
+    """Return figure 12, and beside it what other set-ups would give.
 
     Parameters
     ----------
@@ -95,13 +106,85 @@ def draw(study: Study) -> Figure:
     Returns
     -------
     matplotlib.figure.Figure
-        One panel.
+        Two panels.
     """
     with style():
-        figure = new_figure(NARROW, 3.0)
-        axis = figure.subplots()
-        line_panels.panel(study, axis, "d", ("VH", "RR"), subtracted=False)
-        axis.set_title(line_panels.water_name(study, "d"))
-        figure.legend(loc="outside upper center", ncols=1)
+        figure = new_figure(WIDE, 3.6)
+        left, right = figure.subplots(1, 2, width_ratios=(1, 1.15))
+        line_panels.panel(study, left, "d", ("VH", "RR"), subtracted=False)
+        left.legend(loc="upper left")
+        left.set_ylim(-1.6, 3.4)
+        _draw_trade_off(study, right)
+        letter((left, right), ("the line", "other milk, other tanks: VV at 7 degrees"))
         mark_synthetic(figure)
     return figure
+
+
+def _draw_trade_off(study: Study, axis: Axes) -> None:
+    """Draw what each set-up makes of VH and RR, and what the text states."""
+    low, high = _CROSSED
+    axis.fill_between(
+        [low, high],
+        [line_checks.FLAT, line_checks.FLAT],
+        [low - line_checks.FLAT, high - line_checks.FLAT],
+        color=COLOURS[2],
+        alpha=0.25,
+        lw=0,
+        label="what the text states",
+    )
+    ends = np.linspace(0.0, 4.0, 81)
+    axis.plot(ends, ends, color="#777777", lw=0.8, label="RR as VH")
+    axis.plot(
+        ends,
+        2 / echo_ratio(study) * ends,
+        "--",
+        color="#777777",
+        lw=0.8,
+        label="water straight back, this plate",
+    )
+    groups = dict.fromkeys(set_up.group for set_up in trade_off.SET_UPS)
+    colour = dict(zip(groups, (COLOURS[0], COLOURS[1], COLOURS[3]), strict=True))
+    named: set[str] = set()
+    crowd: list[trade_off.Drifts] = []
+    for found in study.once(trade_off.drifts):
+        group = found.set_up.group
+        possible = found.reflectance <= 1
+        axis.errorbar(
+            found.crossed,
+            found.same,
+            xerr=found.crossed_error,
+            yerr=found.same_error,
+            fmt="o",
+            ms=4,
+            lw=0.7,
+            color=colour[group],
+            mfc=colour[group] if possible else "white",
+            label=None if group in named else group,
+        )
+        named.add(group)
+        if max(found.crossed, found.same) < _CROWDED:
+            crowd.append(found)
+            continue
+        axis.annotate(
+            f"{found.set_up.label}, {found.reflectance:.2g}",
+            (found.crossed, found.same),
+            xytext=(5, -7),
+            textcoords="offset points",
+            fontsize=5.5,
+        )
+    if crowd:
+        near = "; ".join(f"{d.set_up.label}, {d.reflectance:.2g}" for d in crowd)
+        axis.text(
+            -0.6,
+            -0.85,
+            textwrap.fill(f"near 0: {near}", 66),
+            fontsize=5.5,
+            va="bottom",
+        )
+    axis.set(xlabel="drift of VH [degree]", ylabel="drift of RR [degree]")
+    axis.set_xlim(-0.7, 4.0)
+    axis.set_yscale("symlog", linthresh=1.0, linscale=0.7)
+    axis.set_ylim(-0.9, 25)
+    axis.set_yticks([0, 1, 3, 10, 20], ["0", "1", "3", "10", "20"])
+    axis.grid(True)
+    axis.legend(loc="upper left", fontsize=6)

@@ -22,10 +22,18 @@ from amulor.studies.ricci2010.scenes.milk_quadrature import (
     scattered_once,
     widened,
 )
-from amulor.studies.ricci2010.scenes.milk_tank import LINE, bench, medium, places, plate
+from amulor.studies.ricci2010.scenes.milk_tank import (
+    LINE,
+    bench,
+    medium,
+    places,
+    plate,
+    walls,
+)
 from amulor.studies.ricci2010.study import Study
 from amulor.transport import (
     Medium,
+    MeshTarget,
     PlaneTarget,
     Source,
     simulate,
@@ -89,7 +97,8 @@ def scattered_more(
         Pair of `PAIRS` to its light, shape (n, batches) [1]. All runs share their
         random numbers, so differences are surer than values.
     """
-    return _traced(study, water, place, histories, water_parts, plate_there=plate_there)
+    target = _plate(study) if plate_there else None
+    return _traced(study, water, place, histories, water_parts, target=target)
 
 
 def reflected_and_scattered(
@@ -114,13 +123,48 @@ def reflected_and_scattered(
         As of `scattered_more`. Its ratio to the unscattered echo is that of a receiver
         that is `WIDER`.
     """
-    traced = _traced(study, water, place, histories, plate_parts, wider=WIDER)
+    traced = _traced(
+        study, water, place, histories, plate_parts, target=_plate(study), wider=WIDER
+    )
     wide = reflected_at_once(study, water, place, wider=WIDER)
     true = reflected_at_once(study, water, place)
     return {
         pair: light * (true[pair] / wide[pair])[:, None]
         for pair, light in traced.items()
     }
+
+
+def returned_by_walls(
+    study: Study, water: Medium, place: Array, *, histories: int
+) -> dict[str, Complex]:
+    """Return what is scattered to the walls of the tank, and by them to the receiver.
+
+    Parameters
+    ----------
+    study : Study
+        Numbers.
+    water : Medium
+        Water.
+    place : ndarray
+        Where the beam is aimed at on the plane of the plate, shape (n,) [m].
+    histories : int
+        Paths at each of them.
+
+    Returns
+    -------
+    dict of str to ndarray
+        As of `scattered_more`. What walls send to the plate is left out.
+    """
+    return _traced(study, water, place, histories, plate_parts, target=walls(study))
+
+
+def _plate(study: Study) -> PlaneTarget:
+    """Return the plate as a surface for photons."""
+    return PlaneTarget(
+        position=(0.0, 0.0, study.once(bench).distance),
+        reflectance=study["plate_reflectance"],
+        mueller=plate(study),
+    )
 
 
 def _traced(
@@ -130,16 +174,11 @@ def _traced(
     histories: int,
     parts: Callable[[str], bool],
     *,
+    target: PlaneTarget | MeshTarget | None,
     wider: float = 1.0,
-    plate_there: bool = True,
 ) -> dict[str, Complex]:
     """Return parts of the light of a polarized Monte Carlo, shape (n, batches)."""
     here = study.once(bench)
-    target = PlaneTarget(
-        position=(0.0, 0.0, here.distance),
-        reflectance=study["plate_reflectance"],
-        mueller=plate(study),
-    )
     result: dict[str, list[Complex]] = {pair: [] for pair in PAIRS}
     for launched in "VR":
         for direction in here.beam(place):
@@ -150,7 +189,7 @@ def _traced(
                 [study["frequency"]],
                 histories=histories,
                 seed=study.seed,
-                target=target if plate_there else None,
+                target=target,
             )
             chosen = [k for k, name in enumerate(tally.parts) if parts(name)]
             stokes = tally.batches[..., 0][:, chosen].sum(axis=1)
@@ -165,7 +204,7 @@ def water_parts(name: str) -> bool:
 
 
 def plate_parts(name: str) -> bool:
-    """Return whether a part of a tally met the plate and was scattered in the water."""
+    """Return whether a part of a tally met a surface and was scattered in the water."""
     return name == "target, scattered"
 
 
@@ -202,6 +241,10 @@ def line_light(study: Study, attenuation: float) -> dict[str, LineLight]:
         study, water, nodes, histories=histories // 4, plate_there=True
     )
     spread = reflected_and_scattered(study, water, nodes, histories=histories)
+    if study["wall_reflectance"] > 0:
+        sides = returned_by_walls(study, water, nodes, histories=histories // 4)
+        # As many batches as of the water: both have as many paths.
+        more = {pair: more[pair] + sides[pair] for pair in PAIRS}
     lines = {}
     for pair in PAIRS:
         by_batch = join @ (more[pair] + spread[pair])

@@ -16,7 +16,12 @@ from amulor.optics.water.molecular_scattering import (
     molecular_scattering,
 )
 from amulor.studies.ricci2010.study import Study
-from amulor.transport import GaussianReceiver, Medium, ScatteringMatrix
+from amulor.transport import (
+    GaussianReceiver,
+    Medium,
+    MeshTarget,
+    ScatteringMatrix,
+)
 
 Array = NDArray[np.float64]
 
@@ -26,6 +31,20 @@ LINE, PIXELS = 0.10, 80
 ANGLES = np.linspace(0.0, np.pi, 721)
 #: Temperature of the tank; 10 degrees move the scattering of water by 3 % [degC].
 TEMPERATURE = 20.0
+#: Index of casein at 405 nm (Frisvad et al. 2007) [1].
+CASEIN_INDEX = 1.503
+#: Where the walls of the tank begin, beside laser and receiver [m].
+WALL_START = 0.03
+
+
+@dataclass(frozen=True, eq=False)
+class Milk:
+    """What the particles of milk scatter, at `ANGLES`."""
+
+    value: Array
+    """Phase function, shape (angles,) [1/sr]."""
+    matrix: Array
+    """Reduced Mueller matrix, shape (angles, 4, 4) [1]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,7 +111,7 @@ def places(count: int = PIXELS) -> Array:
     return np.linspace(-LINE / 2, LINE / 2, count)
 
 
-def milk(study: Study) -> mie.Suspension:
+def milk(study: Study) -> Milk:
     """Return what the particles of milk scatter.
 
     Parameters
@@ -102,20 +121,39 @@ def milk(study: Study) -> mie.Suspension:
 
     Returns
     -------
-    Suspension
-        Spheres of log-normal diameter; only ratios of its coefficients mean anything.
+    Milk
+        Spheres of log-normal diameter: fat, or all that has one diameter, and casein
+        where it has a share.
     """
+    share = study["casein_share"]
+    main = _spheres(study, study["milk_diameter"], study["milk_index"])
+    if share == 0:
+        return Milk(main.value, main.mueller(ANGLES))
+    casein = _spheres(study, study["casein_diameter"], CASEIN_INDEX)
+    parts = ((1 - share, main), (share, casein))
+    value = sum((f * spheres.value for f, spheres in parts), np.zeros(ANGLES.size))
+    matrix = sum(
+        (
+            (f * spheres.value / value)[:, None, None] * spheres.mueller(ANGLES)
+            for f, spheres in parts
+        ),
+        np.zeros((ANGLES.size, 4, 4)),
+    )
+    return Milk(value, matrix)
+
+
+def _spheres(study: Study, diameter: float, index: float) -> mie.Suspension:
+    """Return spheres of a volume-to-surface diameter; only ratios mean anything."""
     spread = np.sqrt(np.log1p(study["milk_spread"] ** 2))
     step = np.linspace(-3.5, 3.5, 71)
     number = np.exp(-0.5 * step**2)
     size = np.exp(spread * step)
-    # The stated diameter is that of volume to surface.
-    size *= study["milk_diameter"] * (number @ size**2) / (number @ size**3)
+    size *= diameter * (number @ size**2) / (number @ size**3)
     return mie.size_distribution(
         size,
         number=number * 1e15,
         wavelength=study["wavelength"],
-        particle_index=study["milk_index"],
+        particle_index=index,
         medium_index=study["index"],
         angle=ANGLES,
     )
@@ -164,7 +202,7 @@ def medium(study: Study, attenuation: float) -> Medium:
     value = own + other
     matrix = (
         own[:, None, None] * water_matrix(ANGLES)
-        + other[:, None, None] * spheres.mueller(ANGLES)
+        + other[:, None, None] * spheres.matrix
     ) / value[:, None, None]
     return Medium.homogeneous(
         absorption=tap - molecules,
@@ -190,6 +228,30 @@ def water_matrix(angle: ArrayLike) -> Array:
         m33=1.5 * ordered * cosine / whole,
         m34=0.0,
         m44=1.5 * ordered * (1 - 2 * delta) / (1 - delta) * cosine / whole,
+    )
+
+
+def walls(study: Study) -> MeshTarget:
+    """Return the four walls of the tank along the beam, from the window to the plate.
+
+    Parameters
+    ----------
+    study : Study
+        Numbers; the reflectance of the walls above 0.
+
+    Returns
+    -------
+    MeshTarget
+        An ideal depolarizer.
+    """
+    half = study["tank_width"] / 2
+    corners = np.array([(-half, -half), (half, -half), (half, half), (-half, half)])
+    ends = (WALL_START, study["short_distance"])
+    vertices = [(x, y, z) for z in ends for x, y in corners]
+    sides = [(i, (i + 1) % 4) for i in range(4)]
+    faces = [face for i, j in sides for face in ((i, j, j + 4), (i, j + 4, i + 4))]
+    return MeshTarget(
+        vertices=vertices, faces=faces, reflectance=study["wall_reflectance"]
     )
 
 

@@ -1,0 +1,151 @@
+"""What each kind of milk and of tank makes of figures 10(d) and 12 at one time."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.optimize import brentq
+
+from amulor.studies.ricci2010.parameters import varied
+from amulor.studies.ricci2010.scenes.milk_light import LineLight
+from amulor.studies.ricci2010.scenes.short_lines import (
+    LIGHT,
+    advance_along,
+    rise_weight,
+    standard_error,
+)
+from amulor.studies.ricci2010.study import Study
+
+#: Drift of VV that the reflectance of the plate is set to: that of figure 10(d) [deg].
+PARALLEL = 7.0
+#: Reflectances that are tried, over that of the study [1].
+_BRIGHTER = (0.01, 100.0)
+
+
+@dataclass(frozen=True)
+class SetUp:
+    """One kind of milk, tank and plate."""
+
+    group: str
+    """What is varied."""
+    label: str
+    """Its value."""
+    numbers: Mapping[str, float]
+    """Numbers of the study that it changes, in the units of `amulor.units`."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Drifts:
+    """What a set-up makes of the most milk, where VV drifts by `PARALLEL`."""
+
+    set_up: SetUp
+    """Which one."""
+    crossed: float
+    """Drift of VH [degrees]."""
+    crossed_error: float
+    """Its standard error, from the Monte Carlo [degrees]."""
+    same: float
+    """Drift of RR [degrees]."""
+    same_error: float
+    """Its standard error [degrees]."""
+    reflectance: float
+    """What the plate then reflects; more than 1 cannot be [1]."""
+
+
+#: All that are compared, at the turbidity of figure 10(d).
+SET_UPS = (
+    *(
+        SetUp("spheres of one diameter", f"{d:g} µm", {"milk_diameter": d * 1e-6})
+        for d in (0.15, 0.25, 0.4, 0.6, 1.0, 2.0, 3.0)
+    ),
+    *(
+        SetUp(
+            "fat of 0.6 µm and casein",
+            f"{share:.0%} casein",
+            {
+                "milk_diameter": 0.6e-6,
+                "milk_index": 1.475,
+                "casein_share": share,
+            },
+        )
+        for share in (0.25, 0.5, 0.75)
+    ),
+    *(
+        SetUp(
+            "walls, spheres of 0.25 µm",
+            f"walls {share:.0%}",
+            {"wall_reflectance": share},
+        )
+        for share in (0.05, 0.1, 0.2, 0.4)
+    ),
+)
+
+
+def drifts(study: Study) -> tuple[Drifts, ...]:
+    """Return what all set-ups make of the lines.
+
+    Parameters
+    ----------
+    study : Study
+        Numbers that they do not change.
+
+    Returns
+    -------
+    tuple of Drifts
+        In the order of `SET_UPS`; every third of them if quick.
+    """
+    return tuple(
+        drifts_of(study, set_up)
+        for set_up in (SET_UPS[::3] if study.quick else SET_UPS)
+    )
+
+
+def drifts_of(study: Study, set_up: SetUp) -> Drifts:
+    """Return what one set-up makes of the lines.
+
+    Parameters
+    ----------
+    study : Study
+        Numbers that it does not change.
+    set_up : SetUp
+        Which one.
+
+    Returns
+    -------
+    Drifts
+        The reflectance of the plate is that which makes VV drift as stated: it scales
+        the light of the plate and leaves that of the water.
+    """
+    numbers = dict(study.parameters)
+    for name, value in set_up.numbers.items():
+        numbers = varied(numbers, name, value)
+    other = study.with_parameters(numbers)
+    light = other.once(LIGHT["d"])
+
+    def excess(logarithm: float) -> float:
+        return _drift(light["VV"], float(np.exp(logarithm)))[0] - PARALLEL
+
+    scale = float(np.exp(brentq(excess, *np.log(_BRIGHTER), xtol=1e-6)))
+    (crossed, crossed_error), (same, same_error) = (
+        _drift(light[pair], scale) for pair in ("VH", "RR")
+    )
+    return Drifts(
+        set_up=set_up,
+        crossed=crossed,
+        crossed_error=crossed_error,
+        same=same,
+        same_error=same_error,
+        reflectance=scale * other["plate_reflectance"],
+    )
+
+
+def _drift(light: LineLight, brighter: float) -> tuple[float, float]:
+    """Return the drift of a line with a brighter plate, and its error [degrees]."""
+    signal = light.water + brighter * light.target
+    rise = rise_weight()
+    return (
+        float(rise @ advance_along(signal)),
+        standard_error((light.batches / signal).imag @ rise),
+    )
