@@ -82,12 +82,6 @@ def checks(study: Study) -> list[Check]:
             left,
             place=_PLACE,
         ),
-        steps_agree(
-            study,
-            "the frequency alone, nothing subtracted, gives the steps",
-            left,
-            place="",
-        ),
         within(
             "the water is optically thin, up to the ladder",
             study["ladder_attenuation"] * study["turbid_distance"],

@@ -27,8 +27,8 @@ CAPTION = (
     "turbidity; (c) experiment 3, farther target. Filled circles: synthetic "
     "measurement; open circles: after open-water subtraction; crosses: joint estimate "
     "from some 28 of the frequencies without any open-water shot; black line: echo "
-    "without water; grey line: the same experiment, light spread by the small-angle "
-    "form (29)."
+    "without water or noise; grey line: the same experiment, light spread by the "
+    "small-angle form (29)."
 )
 #: Successive maxima, and minima, of experiment 2 stand 33.5 to 43.4 MHz apart, read to
 #: 2 MHz; those of experiment 3 about 25 MHz [MHz].
@@ -114,7 +114,7 @@ def checks(study: Study) -> list[Check]:
 def draw(study: Study) -> Figure:
     """Draw the three panels."""
     with style():
-        figure = new_figure(WIDE, 2.5)
+        figure = new_figure(WIDE, 2.7)
         axes = figure.subplots(1, 3)
         for axis, sweep, other in zip(
             axes,
@@ -125,7 +125,14 @@ def draw(study: Study) -> Figure:
             # Over the mean echo, since the volts of the original are not known.
             unit = np.abs(sweep.truth).mean()
             f, every = sweep.frequency / 1e6, shared.shown(sweep)
-            axis.plot(f, np.abs(sweep.truth) / unit, "-", color="black", lw=0.8)
+            axis.plot(
+                f,
+                np.abs(sweep.truth) / unit,
+                "-",
+                color="black",
+                lw=0.8,
+                label="echo without water or noise",
+            )
             axis.plot(
                 f,
                 np.abs(other.signal) / np.abs(other.truth).mean(),
@@ -168,7 +175,7 @@ def draw(study: Study) -> Figure:
         axes[0].set_ylabel("amplitude over mean echo [1]")
         letter(axes, shared.TITLES)
         handles, labels = axes[0].get_legend_handles_labels()
-        figure.legend(handles, labels, loc="outside upper center", ncols=4)
+        figure.legend(handles, labels, loc="outside upper center", ncols=3)
         mark_synthetic(figure)
     return figure
 

@@ -14,7 +14,10 @@ from amulor import cube as cubes
 from amulor import rejection
 from amulor.optics import extrema, interference
 from amulor.simulation import DiffusionModel, SmallAngleModel, simulate
-from amulor.studies.ricci2010.scenes.water_sweeps import asymmetry
+from amulor.studies.ricci2010.scenes.water_sweeps import (
+    asymmetry,
+    forward_fraction,
+)
 from amulor.studies.ricci2010.study import Study
 from amulor.survey import Survey
 
@@ -42,7 +45,7 @@ name = "Ricci et al. 2010, experiment {number} of section 8"
 [water]
 absorption = "{absorption} 1/m"
 scattering = "{scattering} 1/m"
-forward_fraction = 1.0
+forward_fraction = {forward_fraction}
 second_moment = "{second_moment} rad^2"
 phase_function_at_180 = "{backscatter} 1/sr"
 asymmetry = {asymmetry}
@@ -288,6 +291,7 @@ def _survey(
             absorption=attenuation * study["absorption_share"],
             scattering=attenuation * (1 - study["absorption_share"]),
             second_moment=moment,
+            forward_fraction=forward_fraction(moment, split_angle=study["split_angle"]),
             backscatter=study["long_backscatter"] * possible / reflectance,
             asymmetry=asymmetry(moment, split_angle=study["split_angle"]),
             split_angle=study["split_angle"],

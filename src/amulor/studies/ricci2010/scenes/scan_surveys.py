@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import xarray as xr
 
 from amulor import imaging
+from amulor.studies.ricci2010.scenes.water_sweeps import forward_fraction
 from amulor.studies.ricci2010.study import Study
 from amulor.survey import Survey
 from amulor.units import write
@@ -84,6 +85,8 @@ def survey_of(
     matrix = [water.m22, -water.m22, 1 - 2 * water.m22]
     m22, m44 = study["m22_target"], study["m44_target"]
 
+    forward = forward_fraction(water.second_moment, split_angle=study["split_angle"])
+
     def text(value: float, quantity: str) -> str:
         return f'"{write(value, quantity)}"'
 
@@ -94,7 +97,7 @@ name = "{name}"
 [water]
 absorption = {text(fraction * water.attenuation, "attenuation coefficient")}
 scattering = {text((1 - fraction) * water.attenuation, "attenuation coefficient")}
-forward_fraction = 1.0
+forward_fraction = {forward}
 second_moment = {text(water.second_moment, "angle squared")}
 phase_function_at_180 = {text(water.backscatter, "solid-angle density")}
 refractive_index = {study["index"]}

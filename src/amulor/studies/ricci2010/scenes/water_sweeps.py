@@ -238,6 +238,26 @@ def asymmetry(second_moment: float, *, split_angle: float) -> float:
     return float(brentq(excess, 0.0, 0.9999, xtol=1e-13))
 
 
+def forward_fraction(second_moment: float, *, split_angle: float) -> float:
+    """Return how much of Henyey-Greenstein of a second moment is forward.
+
+    Parameters
+    ----------
+    second_moment : float
+        Second moment of the forward part, sin-weighted and renormalised [rad^2].
+    split_angle : float
+        Where the forward part ends [rad].
+
+    Returns
+    -------
+    float
+        The share of b that all figures of the study call b_f [1].
+    """
+    g = asymmetry(second_moment, split_angle=split_angle)
+    fraction, _ = henyey_greenstein_function(asymmetry=g).forward_split(split_angle)
+    return float(fraction)
+
+
 def _phase_function(study: Study, *, turbidity: Turbidity) -> PhaseFunction:
     g = asymmetry(study[f"second_moment_{turbidity}"], split_angle=study["split_angle"])
     return henyey_greenstein_function(asymmetry=g)
