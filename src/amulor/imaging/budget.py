@@ -17,11 +17,15 @@ from amulor.imaging.calibration import (
     calibration_terms,
     joint_instrument_terms,
 )
+from amulor.imaging.geometry import beams_of
 from amulor.imaging.late_light import late_light
 from amulor.imaging.ranges import Ranges
 from amulor.survey import Survey
 
 Floats = NDArray[np.float64]
+
+#: Frequencies from which on the samples show the shape of the water signal.
+_SHAPE_KNOWN = 4
 
 
 def completed(
@@ -49,6 +53,8 @@ def completed(
     seen = np.where(ranges.usable, ranges.slant_range, np.nan)
     light = late_light(one, seen, survey=survey, weight=ranges.weight)
     ranges, shared = _without_instrument(one, ranges)
+    if light.note == "taken off":
+        ranges = _without_late_light(one, ranges)
     # What the survey states wins over what the estimation took for lack of it.
     shared |= calibration_terms(one, ranges.path, ranges.slope, survey=survey)
     unknown = _unknown_of_water(one)
@@ -109,6 +115,31 @@ def _without_instrument(
         )
     divided = {**ranges.terms, "water_model": common}
     return replace(ranges, common=common, total=total, terms=divided), terms
+
+
+def _without_late_light(one: xr.Dataset, ranges: Ranges) -> Ranges:
+    """Return ranges less what a joint estimation put in for late light.
+
+    It knows the light by its spread alone; the image knows the water, takes the delay
+    off and states what is left. Few frequencies cannot show that the water has another
+    shape than its model: there both are kept.
+    """
+    names = ("joint_late_echo_uncertainty", "joint_spread_rad2_per_m")
+    if "joint_slant_range" not in one or any(name not in one.attrs for name in names):
+        return ranges
+    few = one.sizes.get("modulation_frequency", 1) < _SHAPE_KNOWN
+    if few or ranges.common is None:
+        return ranges
+    part, spread = (float(one.attrs[name]) for name in names)
+    depth = ranges.slant_range - beams_of(one).length_before
+    known = np.square(part * 0.25 * spread * np.square(depth))
+    with np.errstate(invalid="ignore"):
+        common, total = (
+            np.sqrt(np.maximum(values**2 - known, 0.0))
+            for values in (ranges.common, ranges.total)
+        )
+    divided = {**ranges.terms, "water_model": common}
+    return replace(ranges, common=common, total=total, terms=divided)
 
 
 def _unknown_of_water(one: xr.Dataset) -> list[str]:

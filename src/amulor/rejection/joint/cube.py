@@ -23,11 +23,11 @@ from amulor.rejection.joint.solve import Result
 Floats = NDArray[np.float64]
 
 #: A path is settled when another interval is less likely than this [1].
-_WRONG = 3e-4
+WRONG = 3e-4
 #: A p-value of the samples below this says that the model is wrong [1].
-_DISAGREEMENT = 1e-4
+DISAGREEMENT = 1e-4
 #: Departures matter when they move a path by this much of its uncertainty [1].
-_MATTERS = 0.3
+MATTERS = 0.3
 #: Step of the optical path for the derivative of the slant range [m].
 _DIFFERENCE = 1e-5
 
@@ -113,16 +113,16 @@ def cube_of(
         own = 1 / np.sqrt(information)
         sigma = np.hypot(own, np.sqrt(shared_variance))
         departure = over_pixels([part.departure for part in parts])
-        matters = slope * departure > _MATTERS * np.hypot(slope * sigma, np.sqrt(known))
+        matters = slope * departure > MATTERS * np.hypot(slope * sigma, np.sqrt(known))
     freedom, cost, p_value = _misfit(parts, detected, rows_columns)
     flag = np.zeros(rows_columns, dtype=np.int16)
     wrong = over_pixels([part.estimates.wrong for part in parts])
-    flag[detected & (wrong > _WRONG)] |= QualityFlag.AMBIGUOUS
+    flag[detected & (wrong > WRONG)] |= QualityFlag.AMBIGUOUS
     if _intervals_look_alike(shared, frame.phase_per_path, scan.span):
         flag[detected] |= QualityFlag.AMBIGUOUS
     two = np.isfinite(over_pixels([part.near for part in parts]))
     flag[two] |= QualityFlag.MIXED
-    contradicted = (p_value < _DISAGREEMENT) & ~two
+    contradicted = (p_value < DISAGREEMENT) & ~two
     flag[contradicted] |= QualityFlag.WATER_RESIDUAL
     if shared.evidence > DECISIVE:
         flag[detected & matters] |= QualityFlag.WATER_RESIDUAL
@@ -189,7 +189,7 @@ def _intervals_look_alike(shared: Shared, rate: Floats, span: float) -> bool:
     shift = np.arange(0.5 * period, max(span, period) + period, period / 48)
     turned = np.exp(1j * rate * shift[:, None])
     apart = np.sum(np.abs(turned - 1) ** 2, axis=1) / width**2
-    return bool(np.any(apart < -2 * np.log(_WRONG)))
+    return bool(np.any(apart < -2 * np.log(WRONG)))
 
 
 def _variables(maps: dict[str, Floats]) -> dict[str, xr.Variable]:

@@ -15,7 +15,7 @@ Floats = NDArray[np.float64]
 #: What the interpolation over the scan may miss, of the largest overlap [1].
 _MISSED = 1e-4
 #: Steps of the degree over one angle, and the largest number of nodes.
-_FIRST, _STEP, _MOST = 2, 2, 400
+_FIRST, _STEP, MOST = 2, 2, 400
 #: Where between the ends of an angle it is tried [1].
 _TRIED = np.array([-0.83, -0.31, 0.12, 0.57, 0.94])
 #: Angles that differ by less are one [rad].
@@ -121,10 +121,10 @@ def directions_of(
         ]
         results = [(*missed(way), way) for way in ways]
         error, found, degrees = min(results, key=lambda result: result[0])
-        if found.azimuth.size * found.elevation.size > _MOST:
+        if found.azimuth.size * found.elevation.size > MOST:
             raise CubeError(
                 "the water signal changes too quickly over the scan to be tabulated "
-                f"({error:.1g} of it is missed between {_MOST} directions); split the "
+                f"({error:.1g} of it is missed between {MOST} directions); split the "
                 "scan into smaller ones"
             )
     return found

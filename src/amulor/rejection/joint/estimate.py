@@ -90,8 +90,9 @@ def joint(
         `slant_range` [m], its `slant_range_uncertainty`, the part of it that all pixels
         share (`slant_range_common_uncertainty`), the Cramer-Rao `slant_range_bound`,
         `slant_range_lower` and `slant_range_upper` ends of the 68 % interval from the
-        profile of the likelihood, the `wrong_interval_probability` and the `misfit`
-        (chi-square over its degrees of freedom).
+        profile of the likelihood, the `wrong_interval_probability`, the `misfit`
+        (chi-square over its degrees of freedom), and the slant ranges of both surfaces
+        where there are two, `nearer_surface` and `farther_surface` [m].
         Attributes that begin with `joint_` hold what the pixels share.
 
     Raises
@@ -122,7 +123,13 @@ def joint(
     the receiver and late echoes move all ranges together
     (`slant_range_common_uncertainty`). The direction of the receiver is estimated with
     its prior, and the scale of the stated noise from differences between neighbouring
-    pixels; see decision 11.
+    pixels; see decision 11. The strength of the water may change smoothly with the time
+    of the pixels.
+
+    Samples that disagree with the rest of their pixel are left out, a third of them at
+    most, and flagged `OUTLIER`; so is the whole pixel where it stays open which samples
+    are wrong. `MIXED`: two surfaces explain a pixel and one does not, from three
+    frequencies on; see decision 14.
 
     Flags: `NO_TARGET` where open water explains the samples about as well;
     `AMBIGUOUS` where another interval is likelier than 3e-4; `WATER_RESIDUAL` where

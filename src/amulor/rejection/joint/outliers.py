@@ -15,15 +15,16 @@ Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]
 
 #: Probability that the sample that disagrees most of a good pixel is left out [1].
-_CHANCE = 1e-3
+CHANCE = 1e-3
 #: Part of the samples of a pixel that may be left out: the breakdown point [1].
 BREAKDOWN = 1 / 3
 #: Another sample that explains the last disagreement as well, but for this in
 #: chi-square, leaves open which of both is wrong [1].
-_MARGIN = 9.0
+MARGIN = 9.0
 #: A frequency that more of the pixels would lose in a channel shows that the model is
-#: wrong there, not the pixels [1].
-_MANY = 0.15
+#: wrong there, not the pixels; so does one that some would lose, many times more than
+#: lose another one, beyond standard errors of chance [1].
+_MANY, _TIMES, _CHANCES = 0.15, 3.0, 4.0
 
 
 @dataclass(frozen=True)
@@ -81,7 +82,7 @@ def disagrees(estimates: Estimates, typical: float = 1.0) -> Bools:
         pixel: 2 log(n / 1e-3) of n samples of two outputs.
     """
     samples = np.maximum(estimates.used / 2, 1)
-    return np.asarray(estimates.outlying > 2 * typical * np.log(samples / _CHANCE))
+    return np.asarray(estimates.outlying > 2 * typical * np.log(samples / CHANCE))
 
 
 def may_be_left_out(
@@ -101,11 +102,15 @@ def may_be_left_out(
     Returns
     -------
     ndarray of bool, shape (channel, frequency)
-        False where one pixel in seven disagrees: there it is the model that does.
+        False where one pixel in seven disagrees, or far more than elsewhere: there it
+        is the model that does. Particles and spikes prefer no frequency.
     """
     wrong = estimates.which[disagrees(estimates, typical)]
     count = np.bincount(wrong, minlength=shape[0] * shape[1])
-    few = count <= max(_MANY * len(estimates.path), 1)
+    usual = float(np.median(count))
+    most = _TIMES * usual + _CHANCES * np.sqrt(usual + 1)
+    pixels = len(estimates.path)
+    few = count <= min(most, max(_MANY * pixels, 1))
     return np.asarray(few.reshape(shape))
 
 
@@ -187,4 +192,4 @@ def without_outliers(
             pixels, usable=usable, signal=np.where(usable, pixels.signal, 0.0)
         )
         estimates = Estimates(**found)
-    return Kept(pixels, estimates, stuck | ((left > 0) & (margin < _MARGIN * typical)))
+    return Kept(pixels, estimates, stuck | ((left > 0) & (margin < MARGIN * typical)))

@@ -89,7 +89,7 @@ def fit(
         return found.state
     # A drift that follows the distance looks like a model that is wrong.
     other = _followed(replace(begun, problem=found.problem), neighbours=False)
-    return min((found.state, other.state), key=other.problem.cost)
+    return min((found.state, other.state), key=found.problem.cost)
 
 
 def _followed(begun: Begun, *, neighbours: bool = True) -> Begun:
@@ -107,8 +107,9 @@ def _followed(begun: Begun, *, neighbours: bool = True) -> Begun:
         before = state.fluctuation, state.noise_scale
         state, estimates = problem.scattered(state, paths, neighbours=neighbours)
         changed = False
-        if number:
-            cleaner, state = _cleaned(problem, state, estimates, neighbours=neighbours)
+        # Samples stay those that both were made to: only so can they be compared.
+        if number and neighbours:
+            cleaner, state = _cleaned(problem, state, estimates)
             changed = cleaner is not problem
             problem = cleaner
         now = state.fluctuation, state.noise_scale
@@ -126,7 +127,7 @@ def _followed(begun: Begun, *, neighbours: bool = True) -> Begun:
 
 
 def _cleaned(
-    problem: Problem, state: Shared, estimates: Estimates, *, neighbours: bool
+    problem: Problem, state: Shared, estimates: Estimates
 ) -> tuple[Problem, Shared]:
     """Return the problem without samples that disagree, and what scatter is left."""
     for _ in range(_CLEANINGS):
@@ -143,8 +144,6 @@ def _cleaned(
             break
         problem = problem.of(found.pixels)
         state, estimates = problem.scattered(
-            replace(state, judged=allowed),
-            found.estimates.path,
-            neighbours=neighbours,
+            replace(state, judged=allowed), found.estimates.path
         )
     return problem, state

@@ -20,9 +20,9 @@ Bools = NDArray[np.bool_]
 FEWEST = 3
 #: Pixels that fit one surface with a smaller p-value are asked, and those from which
 #: samples were left out [1].
-_ASKED = 1e-3
+ASKED = 1e-3
 #: A second surface is real beyond this p-value of the likelihood ratio [1].
-_REAL = 1e-4
+REAL = 1e-4
 #: What explanations cost, in chi-square: a parameter and the choice of the pixel, for
 #: a surface; the choice of a sample and two parameters, for a spoiled one [1].
 _PARAMETER, _SURFACE, _SAMPLE = 5.0, 6.0, 14.0
@@ -123,7 +123,7 @@ def asked(estimates: Estimates, detected: Bools, left_out: Bools) -> Bools:
     if estimates.influence.shape[2] < FEWEST:
         return np.zeros(len(detected), dtype=bool)
     freedom = np.maximum(estimates.used - 1 - estimates.amplitude.shape[1], 1)
-    poor = chi2.sf(estimates.cost, freedom) < _ASKED
+    poor = chi2.sf(estimates.cost, freedom) < ASKED
     return np.asarray(detected & (poor | left_out))
 
 
@@ -154,8 +154,8 @@ def are_two(
     channels = one.amplitude.shape[1]
     extra = channels + 1
     freedom = np.maximum(one.used - 2 * extra, 1)
-    is_real = one.cost - pair.cost > chi2.isf(_REAL, extra)
-    fits = chi2.sf(pair.cost, freedom) > _REAL
+    is_real = one.cost - pair.cost > chi2.isf(REAL, extra)
+    fits = chi2.sf(pair.cost, freedom) > REAL
     two = pair.cost + _SURFACE + _PARAMETER * extra
     spoiled = rest.cost + _SAMPLE * number_left_out
     return np.asarray(is_real & fits & (two < spoiled))
