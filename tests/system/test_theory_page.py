@@ -20,6 +20,7 @@ PAGES = sorted((ROOT / "docs" / "theory").glob("*.md"))
 TEXTS = {page.stem: page.read_text("utf-8") for page in PAGES}
 WITH_EXAMPLES = [name for name, text in TEXTS.items() if "```python" in text]
 FENCE = re.compile(r"^```(\w*)\n(.*?)^```$", flags=re.DOTALL | re.MULTILINE)
+LONG = ("photon-transport", "joint-estimation")
 MATH = re.compile(r"^\$\$\n(.*?)^\$\$$|\$([^$\n]+)\$", flags=re.DOTALL | re.MULTILINE)
 
 
@@ -39,7 +40,7 @@ outputs = _script("make_theory_outputs")
 
 def _marked(name: str) -> object:
     """Return the name of a page, marked where its examples take long."""
-    marks = [pytest.mark.slow] if name == "photon-transport" else []
+    marks = [pytest.mark.slow] if name in LONG else []
     return pytest.param(name, marks=marks)
 
 
