@@ -39,6 +39,8 @@ _STARTS: tuple[Widths, ...] = (
     (1e-3, 1e-6, 1e-6, 1e-6, 0.1),
 )
 
+#: Information below which there is none, far from where its inverse overflows [1].
+_NOTHING = 1e-200
 #: Twice the logarithm of odds beyond which the model's departures are real [1].
 DECISIVE = 10.0
 #: No widths yet.
@@ -243,7 +245,9 @@ def whitened_columns(weights: Floats, values: Complex) -> Floats:
 
 def inverse_of(matrix: Floats) -> Floats:
     """Return the inverse of normal equations, rows and columns scaled first."""
-    scale = np.sqrt(np.maximum(np.diag(matrix), np.finfo(float).tiny))
+    diagonal = np.diag(matrix)
+    # Of a parameter that nothing depends on, only that it is not known.
+    scale = np.sqrt(np.where(diagonal > _NOTHING, diagonal, 1.0))
     scaled = matrix / np.outer(scale, scale)
     values, vectors = np.linalg.eigh(scaled)
     values = np.maximum(values, 1e-13 * values[-1])

@@ -7,6 +7,7 @@ from numpy.testing import assert_allclose
 
 from amulor.rejection.joint._kernels.bundles import Covariances, WaterModel
 from amulor.rejection.joint._kernels.common import common
+from amulor.rejection.joint.priors import inverse_of
 
 
 def test_the_common_covariance_is_that_of_dense_algebra() -> None:
@@ -49,3 +50,16 @@ def test_the_common_covariance_is_that_of_dense_algebra() -> None:
         assert_allclose(
             [[xx, xy], [xy, yy]], dense, rtol=1e-12, atol=1e-12 * abs(dense).max()
         )
+
+
+def test_a_parameter_that_nothing_depends_on_is_not_known() -> None:
+    rng = np.random.default_rng(4)
+    root = rng.standard_normal((3, 3))
+    known = root @ root.T
+    matrix = np.zeros((4, 4))
+    matrix[:3, :3] = known
+    inverse = inverse_of(matrix)
+    assert_allclose(inverse[:3, :3], np.linalg.inv(known), rtol=1e-9)
+    # Far more than any other, and finite.
+    assert 1e9 < inverse[3, 3] < np.inf
+    assert_allclose(inverse[3, :3], 0, atol=1e-9)
