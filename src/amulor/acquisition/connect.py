@@ -9,6 +9,7 @@ from typing import Any, cast
 from amulor.acquisition import plugins
 from amulor.acquisition.clock import Clock, RealClock, VirtualClock
 from amulor.acquisition.devices import Devices
+from amulor.acquisition.drivers.digitiser import DigitiserLockIn
 from amulor.acquisition.drivers.pi_gcs import (
     PiController,
     PiMount,
@@ -241,6 +242,7 @@ def _addresses(settings: Settings) -> list[str]:
         settings.target,
         settings.laser,
         settings.source,
+        settings.digitiser,
     )
     return sorted(
         {
@@ -311,6 +313,8 @@ def _scanner(settings: Settings, stages: _Stages, clock: Clock) -> Scanner:
 
 def _lock_in(settings: Settings, clock: Clock) -> LockIn:
     own = settings.lock_in
+    if own.driver == "digitiser":
+        return DigitiserLockIn(_other("digitiser", settings, clock), clock=clock)
     if own.driver not in ("sr844", "sr865a", "zurich"):
         return cast(LockIn, _other("lock_in", settings, clock))
     external = own.reference == "external"

@@ -119,8 +119,9 @@ def digest(settings: Settings, identities: dict[str, str]) -> str:
         scan stops.
     """
     content = settings.model_dump(mode="json", exclude={"simulation": True})
-    if settings.source.driver == "none":
-        del content["source"]
+    for name in ("source", "digitiser"):
+        if content[name]["driver"] == "none":
+            del content[name]
     if settings.laser.interlock_input is None:
         del content["laser"]["interlock_voltage"]
     for part in content.values():

@@ -84,10 +84,11 @@ class DwellReader:
         self._dwell = survey.scan.dwell
         self._settling = procedure.settling
         self._known = procedure.output_filter == "known"
-        self._buffer = procedure.readings == "buffer"
         self._lock_in, self._clock = lock_in, clock
         #: What a lock-in says that waits, integrates and knows its error by itself.
         self._records = getattr(lock_in, "records", False)
+        self._buffer = procedure.readings == "buffer" or self._records
+        self._known = self._known and not self._records
         if self._known:
             # One more: what the filter holds at the start is to be known.
             intervals = intervals_of(survey)
@@ -113,7 +114,7 @@ class DwellReader:
         Dwell
             One signal for each frequency.
         """
-        if self._buffer and self._records:
+        if self._records:
             return self._recorded()
         if changed or not self._known:
             self._clock.sleep(self._settling * self._constant)

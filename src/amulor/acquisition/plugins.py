@@ -16,6 +16,7 @@ GROUPS = {
     "scanner": "amulor.scanners",
     "laser": "amulor.lasers",
     "source": "amulor.sources",
+    "digitiser": "amulor.digitisers",
 }
 
 
@@ -109,4 +110,5 @@ _NEEDED = {
     "scanner": (*_EVERY, "move"),
     "laser": (*_EVERY, "on", "off"),
     "source": (*_EVERY, "set_frequency"),
+    "digitiser": (*_EVERY, "prepare", "set_range", "set_frequencies", "acquire"),
 }  # fmt: skip

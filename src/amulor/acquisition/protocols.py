@@ -130,6 +130,46 @@ class BufferedLockIn(LockIn, Protocol):
         """
 
 
+@dataclass(frozen=True, kw_only=True)
+class Waveform:
+    """One record of a digitiser, all inputs at the same moments."""
+
+    signal: NDArray[np.float64]
+    """The detector, of shape (n,) [V]."""
+    reference: NDArray[np.float64] | None
+    """What modulates the laser, of the same shape; None if every record starts in phase
+    with it."""
+    sample_rate: float
+    """As the digitiser counts it [1/s]."""
+    clipped: bool = False
+    """Whether the converter came to its end."""
+    shows_mean: bool = False
+    """Whether the mean of the record is the mean output of the detector."""
+
+
+class Digitiser(Device, Protocol):
+    """What records the detector directly; no modulation is its safe state."""
+
+    ranges: tuple[float, ...]
+    """Largest voltages that it takes, rising [V]."""
+    shows_mean: bool
+    """Whether the detector's mean output passes its input."""
+
+    def prepare(self) -> None:
+        """Set all that a scan needs."""
+
+    def set_range(self, number: int) -> None:
+        """Take one of the ranges, by its number."""
+
+    def set_frequencies(
+        self, frequencies: Sequence[float], *, timeout: float
+    ) -> list[float]:
+        """Modulate by all of them at once [Hz]; return what is put out [Hz]."""
+
+    def acquire(self, duration: float) -> Waveform:
+        """Return a record of a time [s], or of what the memory takes."""
+
+
 class Source(Device, Protocol):
     """A generator that modulates the laser; no output is its safe state.
 

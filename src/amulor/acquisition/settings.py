@@ -30,7 +30,7 @@ from amulor.survey.quantity import (
 #: Drivers that can stand in one file with devices that are not simulated.
 _ANYWHERE = ("simulated", "none", "operator")
 #: Auxiliary inputs and outputs of each lock-in, counted from 1.
-_INPUTS = {"simulated": 4, "sr844": 2, "sr865a": 4, "zurich": 2}
+_INPUTS = {"simulated": 4, "sr844": 2, "sr865a": 4, "zurich": 2, "digitiser": 0}
 _OUTPUTS = {"simulated": 4, "sr844": 2, "sr865a": 4, "zurich": 4}
 #: Angle of a linear polarizer for the states that it makes or passes [rad].
 _LINEAR_POLARIZER = {
@@ -42,7 +42,7 @@ _LINEAR_POLARIZER = {
 
 
 LockInDriver = Annotated[
-    str, known("lock_in", "simulated", "sr844", "sr865a", "zurich")
+    str, known("lock_in", "simulated", "sr844", "sr865a", "zurich", "digitiser")
 ]
 ScannerDriver = Annotated[str, known("scanner", "simulated", "pi_gcs")]
 
@@ -51,8 +51,9 @@ class LockInSettings(Linked):
     """The lock-in amplifier."""
 
     driver: LockInDriver = "simulated"
-    """Which instrument it is: simulated, sr844, sr865a, zurich, or the name of one that
-    an installed package offers (entry point amulor.lock_ins)."""
+    """Which instrument it is: simulated, sr844, sr865a, zurich, digitiser (the one that
+    the part `digitiser` names), or the name of one that an installed package offers
+    (entry point amulor.lock_ins)."""
     options: Options = None
     """What a lock-in of another package wants to be told."""
     mean_output_input: Annotated[int, Field(ge=1, le=4)] | None = None
@@ -68,7 +69,7 @@ class LockInSettings(Linked):
 
     @model_validator(mode="after")
     def _address_is_stated(self) -> Self:
-        own = self.driver in _INPUTS and self.driver != "simulated"
+        own = self.driver in ("sr844", "sr865a", "zurich")
         need(self.address is not None or not own, "lock_in.address")
         return self
 
@@ -91,12 +92,26 @@ class LockInSettings(Linked):
     @model_validator(mode="after")
     def _input_is_there(self) -> Self:
         last = _INPUTS.get(self.driver, 4)
+        if self.mean_output_input is not None and self.mean_output_input > last == 0:
+            raise ValueError(
+                f"the driver {self.driver!r} has no auxiliary inputs; take "
+                "lock_in.mean_output_input out"
+            )
         if self.mean_output_input is not None and self.mean_output_input > last:
             raise ValueError(
                 f"the driver {self.driver!r} has auxiliary inputs 1 to {last}, stated "
                 f"is mean_output_input = {self.mean_output_input}; wire another one"
             )
         return self
+
+
+class DigitiserSettings(Linked):
+    """What records the detector directly; lock_in.driver is "digitiser" then."""
+
+    driver: Annotated[str, known("digitiser", "none")] = "none"
+    """Name of one that an installed package offers (entry point amulor.digitisers)."""
+    options: Options = None
+    """What it wants to be told."""
 
 
 class ScannerSettings(Linked):
@@ -261,6 +276,8 @@ class Settings(Description):
     """What lets light out."""
     target: TargetSettings = TargetSettings()
     """What takes the target out of the beam."""
+    digitiser: DigitiserSettings = DigitiserSettings()
+    """What records the detector directly, if no lock-in does."""
     source: SourceSettings = SourceSettings()
     """What modulates the laser, if the lock-in does not."""
     procedure: Procedure = Procedure()
@@ -312,6 +329,16 @@ class Settings(Description):
             raise ValueError(
                 "the part source makes the frequency, but the lock-in takes its own; "
                 'set lock_in.reference = "external"'
+            )
+        return self
+
+    @model_validator(mode="after")
+    def _digitiser_is_named(self) -> Self:
+        used = self.lock_in.driver == "digitiser"
+        if used != (self.digitiser.driver != "none"):
+            raise ValueError(
+                'lock_in.driver = "digitiser" and the part digitiser with its driver '
+                "belong together; state both, or none of them"
             )
         return self
 

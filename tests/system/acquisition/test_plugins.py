@@ -11,7 +11,8 @@ import pytest
 
 from amulor import acquisition
 from amulor.acquisition.clock import VirtualClock
-from amulor.acquisition.connect import connect
+from amulor.acquisition.connect import _lock_in, connect
+from amulor.acquisition.drivers.digitiser import DigitiserLockIn
 from amulor.acquisition.drivers.scpi import ScpiLaser, ScpiSource
 from amulor.acquisition.journal.journal import Journal
 from amulor.acquisition.links.tcp import DeviceServer
@@ -52,7 +53,7 @@ def installed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> str:
     """Install the package of the page, and return its devices file."""
     text = PAGE.read_text("utf-8")
     (program,) = re.findall(r"```python\n(.*?)```", text, flags=re.DOTALL)
-    declared, devices, _ = re.findall(r"```toml\n(.*?)```", text, flags=re.DOTALL)
+    declared, devices, *_ = re.findall(r"```toml\n(.*?)```", text, flags=re.DOTALL)
     (tmp_path / "galvos.py").write_text(program)
     info = tmp_path / "galvos-1.0.dist-info"
     info.mkdir()
@@ -93,6 +94,37 @@ def test_a_scan_by_the_scanner_of_the_page(tiny, folder, installed) -> None:
             cube[angle], cube[f"user_commanded_{angle}"], atol=1e-6 * TURN
         )
     assert not rehearsal.bench.laser_on
+
+
+def test_a_digitiser_of_the_page_is_a_lock_in(tmp_path, monkeypatch) -> None:
+    blocks = re.findall(r"```toml\n(.*?)```", PAGE.read_text("utf-8"), flags=re.DOTALL)
+    (text,) = (block for block in blocks if "[digitiser]" in block)
+    info = tmp_path / "card-1.0.dist-info"
+    info.mkdir()
+    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: card\nVersion: 1.0\n")
+    (info / "entry_points.txt").write_text("[amulor.digitisers]\nmy_card = card:Card\n")
+    (tmp_path / "card.py").write_text(
+        "from amulor.acquisition.simulated.digitiser import SimulatedDigitiser\n"
+        "class Card(SimulatedDigitiser):\n"
+        "    def __init__(self, wiring):\n"
+        "        super().__init__(None, memory=wiring.options['memory'])\n"
+    )
+    monkeypatch.syspath_prepend(tmp_path)
+    others = {"driver": "pi_gcs", "address": "tcp://a:1"}
+    settings = Settings.model_validate(
+        {
+            **tomllib.loads(text),
+            "laser": {**others, "driver": "scpi", "scpi": {}},
+            **dict.fromkeys(("scanner", "launch", "analyser", "target"), others),
+        }
+    )
+    lock_in = _lock_in(settings, VirtualClock())
+    assert isinstance(lock_in, DigitiserLockIn)
+    assert lock_in.full_scale() == 10.0
+    content = settings.model_dump(mode="json", exclude_none=True)
+    del content["digitiser"]
+    with pytest.raises(ValueError, match="belong together; state both"):
+        Settings.model_validate(content)
 
 
 def test_what_no_package_offers_is_told_by_name(installed) -> None:
@@ -155,7 +187,8 @@ class Script:
 def page_settings() -> Settings:
     """Return the second devices file of the page, completed."""
     text = PAGE.read_text("utf-8")
-    *_, devices = re.findall(r"```toml\n(.*?)```", text, flags=re.DOTALL)
+    blocks = re.findall(r"```toml\n(.*?)```", text, flags=re.DOTALL)
+    (devices,) = (block for block in blocks if "[source.scpi]" in block)
     content = tomllib.loads(devices)
     content |= {
         "scanner": {"driver": "pi_gcs", "address": "tcp://127.0.0.1:1"},

@@ -128,7 +128,14 @@ class PiController:
         # Not in one packet with a question: a controller may answer it before it moves.
         self._link.send("MOV " + " ".join(words))
         end = Deadline(self._clock, timeout)
-        while any(value != 1 for value in self._values("ONT?", axes).values()):
+        # Both are questions: where it stands is wanted as soon as it is there.
+        question = f"ONT? {listed}\nPOS? {listed}"
+        while True:
+            answers = self._link.ask(question, answers=2 * len(axes))
+            on_target = self._parsed(answers[: len(axes)], axes, "ONT?")
+            result = self._parsed(answers[len(axes) :], axes, "POS?")
+            if all(value == 1 for value in on_target.values()):
+                break
             if end.passed():
                 self.raise_error()
                 raise InstrumentError(
@@ -136,7 +143,6 @@ class PiController:
                     f"{timeout:g} s after MOV; see what holds them"
                 )
             self._clock.sleep(_POLL)
-        result = self._values("POS?", axes)
         if any(abs(result[axis] - goal) > _ASTRAY for axis, goal in goals.items()):
             self.raise_error()
         return [result[axis] for axis in axes]

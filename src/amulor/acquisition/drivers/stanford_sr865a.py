@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
+
+import numpy as np
 
 from amulor.acquisition.clock import Clock, Deadline
 from amulor.acquisition.drivers.stanford import Stanford
 from amulor.acquisition.links.visa import Conversation
-from amulor.acquisition.protocols import Overload, Reading
+from amulor.acquisition.protocols import Overload, Reading, Recorded
 from amulor.errors import InstrumentError
 
 #: Time constants by the code of OFLT [s].
@@ -29,8 +32,21 @@ INPUT_RANGES = (1.0, 0.3, 0.1, 0.03, 0.01)
 OUTPUT, UNLOCKED, INPUT = 0b11, 8, 16
 _FREQUENCIES = (1e-3, 4e6)
 _POLL = 0.01
+#: Bytes of a captured point (X and Y), points that the largest buffer takes, points a
+#: time constant that are asked for at least, and questions in one packet.
+_POINT, _CAPACITY, _POINTS, _PACKET = 8, 4096 * 1024 // 8, 4.0, 64
+#: Most points that an answer may be late before a second question is the better way.
+_MOST_LATE = 20
+#: Bits of CAPTURESTAT?: points are recorded; the buffer has come to its end.
+_RECORDING, _WRAPPED = 1, 4
+#: How often points that are late are asked for.
+_ATTEMPTS = 10
 #: Fraction of the full scale below which a finer one is taken; the steps are 2 and 2.5.
 _FINER_BELOW = 0.3
+
+
+class _BufferIsFull(Exception):  # noqa: N818  it is no error, and nobody sees it
+    """The capture has come to its end; it is to begin anew."""
 
 
 class Sr865a(Stanford):
@@ -77,11 +93,13 @@ class Sr865a(Stanford):
             external=external,
         )
         self._amplitude = modulation_amplitude
+        self._rate = self._zero = self._late = 0.0
 
     def prepare(self, *, time_constant: float) -> None:
         """Set internal reference, one-pole output filter and time constant [s]."""
         code = self.index_of(time_constant, TIME_CONSTANTS, "time constant")
         self._scale = self._range = 0
+        self._constant, self._rate = time_constant, 0.0
         self._frequency = math.nan
         lines = [
             "*RST",
@@ -119,10 +137,15 @@ class Sr865a(Stanford):
 
     def read(self) -> Reading:
         """Return the outputs and the state of this instant."""
-        values = "0,1" if self._mean_input is None else f"0,1,{3 + self._mean_input}"
-        line = f"SNAP? {values}"
-        snapshot, status = self._link.ask(f"{line}\nLIAS?", answers=2)
-        result = self.parsed(snapshot, line, count=values.count(",") + 1)
+        snapshot, status = self._link.ask(f"{self._snap()}\nLIAS?", answers=2)
+        return self._reading(snapshot, status)
+
+    def _snap(self) -> str:
+        return "SNAP? 0,1" + f",{3 + (self._mean_input or 0)}" * bool(self._mean_input)
+
+    def _reading(self, snapshot: str, status: str) -> Reading:
+        count = 2 if self._mean_input is None else 3
+        result = self.parsed(snapshot, self._snap(), count=count)
         bits = int(self.parsed(status, "LIAS?", count=1)[0])
         overload = Overload.NONE
         if bits & INPUT:
@@ -136,6 +159,111 @@ class Sr865a(Stanford):
             overload=overload,
             unlocked=bool(bits & UNLOCKED),
         )
+
+    def record(self, duration: float) -> Recorded:
+        """Return the outputs of a time [s] that begins with this call.
+
+        Notes
+        -----
+        The capture buffer (manual, pages 134 to 139) runs all the time, and what is
+        wanted of it is asked for by CAPTUREVAL?, in one packet with what tells how far
+        it has come: CAPTUREGET? would need it to be stopped, which waits for a block of
+        256 points. A point counts only if it was taken after this call; with the rate
+        f, that with number i of n in the buffer is younger than (n - i) / f when the
+        question was sent.
+        """
+        for _ in range(_ATTEMPTS):
+            try:
+                return self._record(duration)
+            except _BufferIsFull:
+                self._start_capture()
+        raise InstrumentError(
+            f"the capture of SR865A at {self._link.address} is full as soon as it "
+            "begins; switch it off and on"
+        )
+
+    def _record(self, duration: float) -> Recorded:
+        rate = self._rate or self._start_capture()
+        asked = self._clock.now()
+        count = math.floor(duration * rate) + 1
+        # By what was seen before, a point later than the first one after this call, and
+        # by as much more as an answer is late: that cannot be told from age.
+        guard = min(2 + math.ceil(self._late * rate), _MOST_LATE)
+        first = max(math.floor((asked - self._zero) * rate) + guard, 0)
+        if first + 2 * count > _CAPACITY:
+            raise _BufferIsFull
+        # Half of what an answer takes, the question is on its way.
+        self._clock.sleep((count + guard + 1) / rate - self._late / 2)
+        points: dict[int, complex] = {}
+        wanted, surely_after = [*range(first, first + count)], _CAPACITY
+        overload, unlocked = Overload.NONE, False
+        for _ in range(_ATTEMPTS):
+            for start in range(0, len(wanted), _PACKET):
+                part = wanted[start : start + _PACKET]
+                sent, there, last = self._points_and_state(part, points)
+                overload, unlocked = overload | last.overload, unlocked | last.unlocked
+                youngest = max(there - math.floor((sent - asked) * rate), 0)
+                surely_after = min(surely_after, youngest)
+            kept = sorted(number for number in points if number >= surely_after)[:count]
+            if len(kept) == count == kept[-1] - kept[0] + 1:
+                break
+            first = surely_after
+            wanted = [n for n in range(first, first + count) if n not in points]
+            self._clock.sleep(max(first + count + 1 - there, 0) / rate)
+        else:
+            raise InstrumentError(
+                f"SR865A at {self._link.address} has captured {len(kept)} of {count} "
+                f"points after {_ATTEMPTS} questions; switch it off and on"
+            )
+        signals = [[math.sqrt(2) * points[number].conjugate()] for number in kept]
+        return Recorded(
+            times=np.asarray(np.arange(count) / rate),
+            signals=np.array(signals, dtype=complex),
+            mean=last.mean,
+            modulation_frequencies=(self._frequency,),
+            overload=overload,
+            unlocked=unlocked,
+        )
+
+    def _points_and_state(
+        self, wanted: Sequence[int], points: dict[int, complex]
+    ) -> tuple[float, int, Reading]:
+        """Note points of the buffer; return when, how many there are, and the state."""
+        questions = [f"CAPTUREVAL? {number}" for number in wanted]
+        lines = ["CAPTUREBYTES?", *questions, "CAPTURESTAT?", self._snap(), "LIAS?"]
+        sent = self._clock.now()
+        length, *values, running, snapshot, status = self._link.ask(
+            "\n".join(lines), answers=len(lines)
+        )
+        state = int(self.parsed(running, "CAPTURESTAT?", count=1)[0])
+        if not state & _RECORDING and state & _WRAPPED:
+            raise _BufferIsFull
+        if not state & _RECORDING:
+            # The age of a point is known by the newest one: that must be of now.
+            raise InstrumentError(
+                f"the capture of SR865A at {self._link.address} has been stopped; see "
+                "that nobody else drives it"
+            )
+        there = int(self.parsed(length, "CAPTUREBYTES?", count=1)[0]) // _POINT
+        got = self._clock.now()
+        self._zero = (sent + got) / 2 - there / self._rate
+        self._late = max(got - sent, 0.9 * self._late)
+        for number, line, value in zip(wanted, questions, values, strict=True):
+            if number < there:  # others are zero
+                points[number] = complex(*self.parsed(value, line, count=2))
+        return sent, there, self._reading(snapshot, status)
+
+    def _start_capture(self) -> float:
+        """Let the capture buffer run from its beginning; return its rate [1/s]."""
+        if self._rate:
+            self._link.send("CAPTURESTOP")
+        fastest = self.number("CAPTURERATEMAX?")
+        divisor = math.floor(math.log2(max(fastest * self._constant / _POINTS, 1)))
+        lines = ["CAPTURECFG 1", f"CAPTURELEN {_CAPACITY * _POINT // 1024}"]
+        self.configure([*lines, f"CAPTURERATE {min(divisor, 20)}", "CAPTURESTART 0,0"])
+        self._zero = self._clock.now()
+        self._rate = self.number("CAPTURERATE?")
+        return self._rate
 
     def relieve(self, overload: Overload) -> bool:
         """Take one step that makes room: IRNG for the input, SCAL for the outputs."""

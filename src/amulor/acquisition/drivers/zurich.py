@@ -15,9 +15,9 @@ from collections.abc import Callable, Sequence
 from typing import Any, TypeVar, cast
 
 import numpy as np
-from numpy.typing import NDArray
 
 from amulor.acquisition.clock import Clock, Deadline
+from amulor.acquisition.drivers.zurich_stream import streamed
 from amulor.acquisition.protocols import Overload, Reading, Recorded
 from amulor.errors import AmulorError, InstrumentError, MissingExtraError
 
@@ -40,8 +40,6 @@ _RATE = 10.0
 _FINER_BELOW = 0.2
 #: Fraction of the input range that counts as an overload, and a full converter.
 _FULL, _CONVERTER = 0.99, 127
-#: Longest that one poll waits for data beyond what is recorded, and all of them [s].
-_ANSWER, _LATE = 0.5, 2.0
 #: Largest relative difference of the time constant that is set and the one meant.
 _SAME_CONSTANT = 0.01
 
@@ -183,7 +181,7 @@ class ZurichLockIn:
     def prepare(self, *, time_constant: float) -> None:
         """Set internal reference, one-pole output filter and time constant [s]."""
         self._constant = time_constant
-        self._clockbase = 0.0
+        self._subscribed = False
         self._set_range(len(INPUT_RANGES) - 1)
         self._demodulate(0)
         set_to = float(self._device.demods[0].timeconstant())
@@ -266,7 +264,7 @@ class ZurichLockIn:
             for place in range(count, there):
                 self._device.demods[place].enable(0)
             self._drive(count)
-            self._clockbase = 0.0  # the subscriptions are others now
+            self._subscribed = False  # of others, from now on
         for place, frequency in enumerate(frequencies):
             self._device.oscs[place].freq(frequency)
         set_to = [float(self._device.oscs[place].freq()) for place in range(count)]
@@ -303,69 +301,31 @@ class ZurichLockIn:
         nodes = [
             self._device.demods[place].sample for place in range(len(self._frequencies))
         ]
-        if not self._clockbase:
+        if not self._subscribed:
             for node in nodes:
                 node.subscribe()
-            self._clockbase = float(self._device.clockbase())
-        begin = int(self._device.status.time())
-        end = begin + math.ceil(duration * self._clockbase)
-        parts = self._polled(nodes, end, duration)
-        times, columns, means, used = parts[0]["timestamp"], [], [], []
-        kept = (times >= begin) & (times <= end)
-        # One at least: the first after that moment.
-        kept |= times == times[times >= begin][:1]
-        first, count = int(np.argmax(kept)), int(kept.sum())
-        for part in parts:
-            start = int(np.searchsorted(part["timestamp"], begin))
-            taken = slice(start, start + count)
-            columns.append(np.sqrt(2) * (part["x"] - 1j * part["y"])[taken])
-            used.append(float(part["frequency"][taken][-1]))
-            if self._mean_input is not None:
-                means.append(part[f"auxin{self._mean_input - 1}"][taken].mean())
-        shortest = min(len(column) for column in columns)
-        when = (times[first : first + shortest] - times[first]) / self._clockbase
-        steps = np.diff(when)
-        if steps.size and steps.max() > 1.5 * steps.min():
-            raise InstrumentError(
-                f"{self.identity()} has lost samples on the way to the data server; "
-                "take a longer time constant, or a better network"
-            )
+            self._subscribed = True
+        parts = streamed(
+            self._device,
+            nodes,
+            duration=duration,
+            interval=self._constant / _RATE,
+            clock=self._clock,
+        )
+        mean = math.nan
+        if self._mean_input is not None:
+            mean = float(parts[0][f"auxin{self._mean_input - 1}"].mean())
         return Recorded(
-            times=when,
-            signals=np.stack([column[:shortest] for column in columns], axis=1),
-            mean=float(means[0]) if means else math.nan,
-            modulation_frequencies=tuple(used),
+            times=parts[0]["time"],
+            signals=np.stack(
+                [math.sqrt(2) * (part["x"] - 1j * part["y"]) for part in parts], axis=1
+            ),
+            mean=mean,
+            modulation_frequencies=tuple(
+                float(part["frequency"][-1]) for part in parts
+            ),
             overload=self._overload(),
         )
-
-    def _polled(
-        self, nodes: list[Any], end: int, duration: float
-    ) -> list[dict[str, NDArray[Any]]]:
-        """Return what was streamed of each node until a tick of the instrument."""
-        parts: list[list[dict[str, Any]]] = [[] for _ in nodes]
-        # The first sample comes within one interval after the end of no time at all.
-        limit = Deadline(self._clock, duration + _LATE + 2 * self._constant)
-        wait = duration + 2 * self._constant / _RATE
-        while True:
-            found = self._device.session.poll(recording_time=wait, timeout=_ANSWER)
-            for node, got in zip(nodes, parts, strict=True):
-                if node in found:
-                    got.append(found[node])
-            if all(got and got[-1]["timestamp"][-1] >= end for got in parts):
-                break
-            if limit.passed():
-                raise InstrumentError(
-                    f"{self.identity()} has streamed no data for {_LATE:g} s; check "
-                    "that its demodulators are enabled and the data server runs"
-                )
-            wait = self._constant / _RATE
-        return [
-            {
-                name: np.concatenate([np.asarray(one[name]) for one in got])
-                for name in got[0]
-            }
-            for got in parts
-        ]
 
     def _overload(self) -> Overload:
         if self._family == "HF2":

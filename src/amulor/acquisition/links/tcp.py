@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import socket
 import threading
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from types import TracebackType
 from typing import Protocol
 
@@ -17,8 +17,10 @@ class LinkLostError(Exception):
 class Speaker(Protocol):
     """What a simulated device says."""
 
-    def answer(self, line: str) -> list[str]:
+    def answer(self, line: str) -> Sequence[str | bytes]:
         """Return the answers to one line, none to one that has none.
+
+        Text is ended by a line feed; bytes, such as a binary block, by nothing.
 
         Raises
         ------
@@ -30,6 +32,10 @@ class Speaker(Protocol):
         A device with an attribute `at_once` (bytes) is handed each of these characters
         without the end of a line.
         """
+
+
+def _sent(answer: str | bytes) -> bytes:
+    return answer if isinstance(answer, bytes) else f"{answer}\n".encode("latin-1")
 
 
 class _Lines:
@@ -138,9 +144,7 @@ class DeviceServer:
                     for answer in self._speaker.answer(line)
                 ]
                 if answers:
-                    link.sendall(
-                        "".join(f"{text}\n" for text in answers).encode("latin-1")
-                    )
+                    link.sendall(b"".join(map(_sent, answers)))
         except (LinkLostError, OSError, UnicodeDecodeError):
             pass
         finally:

@@ -6,16 +6,15 @@ import cmath
 import math
 import threading
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
 from amulor.acquisition.clock import Clock
 from amulor.acquisition.settings import SimulationSettings
 from amulor.acquisition.simulated.faults import Faults
-from amulor.acquisition.simulated.scene import LightByDirection, Scene
+from amulor.acquisition.simulated.places import Places, Tone, mount_angles
+from amulor.acquisition.simulated.scene import Scene
 from amulor.acquisition.uncertainty import reading_variance
-from amulor.optics.polarization import stokes
 from amulor.survey import Survey
 from amulor.survey.counting import background_rate
 
@@ -29,48 +28,12 @@ TARGET_SPEED = 0.2
 LOCK_TIME = 0.05
 #: Frequencies beside the planned ones whose light is kept.
 _MOST_OTHERS = 16
-#: Directions nearer to each other than this count as one [rad].
-_SAME = 1e-5
-
 #: The arrival of what does not move.
 _STANDS = -math.inf
 
 
 def _or_never(arrival: float) -> float:
     return math.inf if arrival == _STANDS else arrival
-
-
-@dataclass
-class _Tone:
-    """One modulation frequency: the light at it, and the filter behind its mixer."""
-
-    frequency: float
-    scan: _Places
-    open_water: _Places
-    channel: int
-    """Its place in that light [1]."""
-    level: complex = 0j
-    noise: complex = 0j
-    input: complex = 0j
-
-
-class _Places:
-    """Light of one arrangement, and the place that is nearest to a direction."""
-
-    def __init__(self, light: LightByDirection) -> None:
-        self.light = light
-        self._direction = light.azimuth + 1j * light.elevation
-        # Places looked up before, by the direction in steps of `_SAME`.
-        self._known: dict[tuple[int, int], int] = {}
-
-    def nearest(self, azimuth: float, elevation: float) -> int:
-        """Return the number of the place nearest to a direction [rad]."""
-        key = (round(azimuth / _SAME), round(elevation / _SAME))
-        number = self._known.get(key)
-        if number is None:
-            away = np.abs(self._direction - complex(azimuth, elevation))
-            number = self._known[key] = int(np.argmin(away))
-        return number
 
 
 class Bench:
@@ -116,10 +79,10 @@ class Bench:
         self._scene = scene
         # Light of all planned frequencies, and of each other one that was ever set.
         light = scene(survey)
-        self._planned = (_Places(light.with_target), _Places(light.open_water))
-        self._others: dict[float, tuple[_Places, _Places]] = {}
+        self._planned = (Places(light.with_target), Places(light.open_water))
+        self._others: dict[float, tuple[Places, Places]] = {}
         self._tones = [self._tone(survey.instrument.modulation_frequencies[0])]
-        self._pairs = _mount_angles(survey, launch, analyser)
+        self._pairs = mount_angles(survey, launch, analyser)
         self._daylight = background_rate(survey)
         self._locked_at = -math.inf
         self._filter(survey.instrument.lock_in.time_constant)
@@ -293,10 +256,30 @@ class Bench:
             return 0.0
         return self._settings.position_error * float(self._rng.standard_normal())
 
+    @property
+    def time_constant(self) -> float:
+        """Of the output filter [s]."""
+        return self._time_constant
+
+    def instant(self) -> tuple[list[complex], float]:
+        """Return what enters the filters now [V], and the mean output [V].
+
+        It counts as a reading.
+        """
+        _, mean = self.outputs()
+        with self._lock:
+            turn = cmath.exp(1j * self._settings.phase_drift * self._time)
+            pickup = self._settings.pickup
+            return [tone.input * turn + pickup for tone in self._tones], mean
+
     def start_trace(
         self, interval: float, *, most: int, start: float | None = None
     ) -> None:
         """Begin to keep the outputs of every interval [s], from now or a moment on."""
+        # Loaded before time counts.
+        from scipy.signal import lfilter
+
+        self._lfilter = lfilter
         with self._lock:
             self._advance()
             self._trace = []
@@ -317,7 +300,32 @@ class Bench:
                 break
             self._settle(moment)
             self._trace.append([tone.level + tone.noise for tone in self._tones])
+            more = int((until - moment) / self._trace_interval * (1 - 1e-12))
+            if (more := min(more, self._trace_most - len(self._trace))) > 0:
+                self._settle_in_steps(more)
         self._settle(until)
+
+    def _settle_in_steps(self, count: int) -> None:
+        """Let time run on from one moment that is kept to so many more of them."""
+        keep = math.exp(-self._trace_interval / self._time_constant)
+        fresh = math.sqrt(max(1 - keep**2, 0.0)) * self._spread
+        moments = self._time + self._trace_interval * np.arange(1, count + 1)
+        turn = np.exp(1j * self._settings.phase_drift * moments)
+        columns = []
+        for tone in self._tones:
+            aim = tone.input * turn + self._settings.pickup
+            drawn = self._rng.standard_normal((2, count))
+            for name, enters in (
+                ("level", (1 - keep) * aim),
+                ("noise", fresh * (drawn[0] + 1j * drawn[1])),
+            ):
+                start = [keep * getattr(tone, name)]
+                left, _ = self._lfilter([1.0], [1.0, -keep], enters, zi=start)
+                setattr(tone, name, complex(left[-1]))
+                columns.append(left)
+        shown = np.stack(columns[::2], axis=1) + np.stack(columns[1::2], axis=1)
+        self._trace.extend(shown.tolist())
+        self._time = float(moments[-1])
 
     def _settle(self, until: float) -> None:
         """Let the one-pole filter and its noise run on to a time [s]."""
@@ -336,13 +344,13 @@ class Bench:
             )
         self._time = until
 
-    def _tone(self, frequency: float) -> _Tone:
+    def _tone(self, frequency: float) -> Tone:
         planned = self.survey.instrument.modulation_frequencies
         if frequency in planned:
-            return _Tone(frequency, *self._planned, planned.index(frequency))
-        return _Tone(frequency, *self._light_at(frequency), 0)
+            return Tone(frequency, *self._planned, planned.index(frequency))
+        return Tone(frequency, *self._light_at(frequency), 0)
 
-    def _light_at(self, frequency: float) -> tuple[_Places, _Places]:
+    def _light_at(self, frequency: float) -> tuple[Places, Places]:
         """Return the light at a frequency that is not planned [Hz]."""
         if frequency not in self._others:
             path = "instrument.modulation_frequencies"
@@ -351,8 +359,8 @@ class Bench:
             while len(self._others) >= _MOST_OTHERS:
                 del self._others[next(iter(self._others))]
             self._others[frequency] = (
-                _Places(light.with_target),
-                _Places(light.open_water),
+                Places(light.with_target),
+                Places(light.open_water),
             )
         return self._others[frequency]
 
@@ -418,14 +426,3 @@ class Bench:
             + walk
             + floor * float(self._rng.standard_normal())
         )
-
-
-def _mount_angles(
-    survey: Survey, launch: Mapping[str, float], analyser: Mapping[str, float]
-) -> list[complex]:
-    """Return launch + 1j * analyser angle of each pair, far off if not stated [rad]."""
-    pairs = []
-    for pair in survey.instrument.polarizations:
-        launched, analysed = stokes.pair_states(pair)
-        pairs.append(complex(launch.get(launched, 1e3), analyser.get(analysed, 1e3)))
-    return pairs

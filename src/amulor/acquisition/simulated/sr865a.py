@@ -7,6 +7,7 @@ import functools
 import math
 
 from amulor.acquisition.simulated.bench import Bench
+from amulor.acquisition.simulated.sr865a_capture import Capture
 from amulor.acquisition.simulated.stanford import (
     Number,
     Setting,
@@ -71,8 +72,15 @@ class SimulatedSr865a(SimulatedStanford):
     }  # fmt: skip
 
     def __init__(self, bench: Bench) -> None:
+        self._capture: Capture | None = None
         super().__init__(bench)
+        self._capture = Capture(
+            bench,
+            shown=self._four,
+            time_constant=lambda: self._time_constant(self._set["OFLT"]),
+        )
         own = self._handlers
+        own.update(self._capture.commands())
         own["AUXV"], own["AUXV?"] = own.pop("AUXO"), own.pop("AUXO?")
         own["OUTP?"] = lambda text: [self._shown(self._values()[self._parameter(text)])]
         own["FREQINT"], own["FREQINT?"] = own["FREQ"], own["FREQ?"]
@@ -90,7 +98,16 @@ class SimulatedSr865a(SimulatedStanford):
             own[name] = functools.partial(self._set_number, name)
             own[f"{name}?"] = functools.partial(self._number, name)
 
+    def _four(self, output: complex) -> tuple[float, float, float, float]:
+        """Return X, Y, R [V rms] and theta [deg] of an output of the bench."""
+        turned = output.conjugate() / math.sqrt(2)
+        turned *= cmath.exp(-1j * math.radians(self._numbers["PHAS"][0]))
+        angle = math.degrees(cmath.phase(turned))
+        return turned.real, turned.imag, abs(turned), angle
+
     def _reset(self, argument: str) -> list[str]:
+        if self._capture is not None:
+            self._capture.reset()
         self._numbers = {
             name: [own.after_reset] * max(own.channels, 1)
             for name, own in self.numbers.items()

@@ -6,7 +6,7 @@ import functools
 import math
 import re
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 from amulor.acquisition.links.tcp import LinkLostError
@@ -69,7 +69,7 @@ class SimulatedStanford:
         self.bench = bench
         self.lines: list[str] = []
         self._lock = threading.Lock()
-        self._handlers: dict[str, Callable[[str], list[str]]] = {
+        self._handlers: dict[str, Callable[[str], Sequence[str | bytes]]] = {
             "*IDN?": lambda _: [
                 f"Stanford_Research_Systems,{self.model},s/n00000,{SIMULATOR}"
             ],
@@ -93,12 +93,12 @@ class SimulatedStanford:
             self._handlers[f"{word}?"] = functools.partial(self._is_enabled, word)
         self._reset("")
 
-    def answer(self, line: str) -> list[str]:
+    def answer(self, line: str) -> list[str | bytes]:
         """Return the answers to one line, which may hold several commands."""
         with self._lock:
             self.lines.append(line)
             del self.lines[:-_KEPT]
-            result: list[str] = []
+            result: list[str | bytes] = []
             for command in line.split(";"):
                 answers = self._one(command.strip())
                 if answers is None:  # silent from here on: it "does not answer"
@@ -106,7 +106,7 @@ class SimulatedStanford:
                 result += answers
             return result
 
-    def _one(self, command: str) -> list[str] | None:
+    def _one(self, command: str) -> Sequence[str | bytes] | None:
         parsed = _COMMAND.fullmatch(command.upper())
         if parsed is None:
             self._bits["*ESR"] |= _COMMAND_ERROR * bool(command)

@@ -1,0 +1,171 @@
+"""A lock-in amplifier made of a digitiser: its records are demodulated here."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+from amulor.acquisition.clock import Clock
+from amulor.acquisition.demodulation import clock_offset, demodulate
+from amulor.acquisition.protocols import Digitiser, Overload, Reading, Recorded
+from amulor.errors import InstrumentError
+
+#: Fraction of the range that counts as clipped, and below which a finer one is taken.
+_FULL, _FINER_BELOW = 0.999, 0.25
+#: How far a tone of the reference must stand out of its noise, in deviations [1].
+_PRESENT = 10.0
+
+
+class DigitiserLockIn:
+    """A digitiser that sees the detector, and what modulates the laser as reference.
+
+    Parameters
+    ----------
+    digitiser : Digitiser
+        What records.
+    clock : Clock
+        What waits go by.
+
+    Notes
+    -----
+    Phases are those of the detector against the reference, tone by tone, so that
+    neither the start of a record nor a common trigger matters; a difference of the
+    clocks of digitiser and generator is found in the reference and taken out. There is
+    no output filter, and nothing is waited for. Where no reference is recorded, the
+    digitiser promises to start each record in phase with its own generator.
+    """
+
+    #: It waits, integrates and tells its errors by itself.
+    records = True
+
+    def __init__(self, digitiser: Digitiser, *, clock: Clock) -> None:
+        self._digitiser, self._clock = digitiser, clock
+        self._frequencies: tuple[float, ...] = ()
+        self._range = len(digitiser.ranges) - 1
+
+    def identity(self) -> str:
+        """Return maker, model, serial number and firmware."""
+        return self._digitiser.identity()
+
+    def prepare(self, *, time_constant: float) -> None:
+        """Set the coarsest range; a time constant there is none."""
+        self._digitiser.prepare()
+        self._set_range(len(self._digitiser.ranges) - 1)
+
+    def set_frequency(self, frequency: float, *, timeout: float) -> float:
+        """Set the modulation frequency [Hz], return what is set [Hz]."""
+        return self.set_frequencies([frequency], timeout=timeout)[0]
+
+    def set_frequencies(
+        self, frequencies: Sequence[float], *, timeout: float
+    ) -> list[float]:
+        """Modulate by all of them at once [Hz], return what is set [Hz]."""
+        found = self._digitiser.set_frequencies(frequencies, timeout=timeout)
+        if len(found) != len(frequencies):
+            raise InstrumentError(
+                f"{self.identity()} modulates by {len(found)} frequencies, asked for "
+                f"are {len(frequencies)}; lower procedure.frequencies_at_once"
+            )
+        self._frequencies = tuple(found)
+        return [*found]
+
+    def read(self) -> Reading:
+        """Return the outputs of one record."""
+        return self.read_all()[0]
+
+    def read_all(self) -> list[Reading]:
+        """Return the outputs of one record, of every frequency."""
+        found = self.record(0.0)
+        return [
+            Reading(
+                signal=complex(signal),
+                mean=found.mean,
+                modulation_frequency=frequency,
+                overload=found.overload,
+                unlocked=found.unlocked,
+            )
+            for signal, frequency in zip(
+                found.signals.mean(axis=0), found.modulation_frequencies, strict=True
+            )
+        ]
+
+    def record(self, duration: float) -> Recorded:
+        """Return the mean of the records that fit into a time [s], one at least."""
+        began = self._clock.now()
+        signals, variances, means, offsets = [], [], [], []
+        overload, unlocked = Overload.NONE, False
+        while True:
+            left = duration - (self._clock.now() - began)
+            found = self._digitiser.acquire(max(left, 0.0))
+            values = np.asarray(found.signal, dtype=float)
+            rate, used = found.sample_rate, [*self._frequencies]
+            if found.clipped or np.max(np.abs(values)) >= _FULL * self.full_scale():
+                overload |= Overload.INPUT
+            turn, extra = np.ones(len(used), dtype=complex), np.zeros(len(used))
+            if found.reference is not None:
+                offset = clock_offset(
+                    found.reference, sample_rate=rate, frequencies=used
+                )
+                offsets.append(offset)
+                used = [frequency * (1 + offset) for frequency in used]
+                reference = demodulate(
+                    found.reference, sample_rate=rate, frequencies=used
+                )
+                size = np.abs(reference.signals)
+                unlocked |= bool(np.any(size <= _PRESENT * reference.spreads))
+                turn = np.conj(reference.signals) / np.maximum(size, 1e-300)
+                extra = reference.spreads / np.maximum(size, 1e-300)
+            tones = demodulate(values, sample_rate=rate, frequencies=used)
+            signals.append(tones.signals * turn)
+            variances.append(tones.spreads**2 + (np.abs(tones.signals) * extra) ** 2)
+            means.append(tones.offset if found.shows_mean else math.nan)
+            # Another one of the same length must fit.
+            length = len(values) / rate
+            if self._clock.now() - began + length > duration * (1 + 1e-9):
+                break
+        count = len(signals)
+        # The generator's clock is what the frequencies are stated by.
+        return Recorded(
+            times=np.linspace(0.0, duration, count),
+            signals=np.array(signals),
+            mean=float(np.mean(means)),
+            modulation_frequencies=self._frequencies,
+            overload=overload,
+            unlocked=unlocked,
+            spreads=tuple(np.sqrt(np.sum(variances, axis=0)) / count),
+        )
+
+    def relieve(self, overload: Overload) -> bool:
+        """Take the next larger range, if there is one."""
+        if self._range == len(self._digitiser.ranges) - 1:
+            return False
+        self._set_range(self._range + 1)
+        return True
+
+    def sharpen(self, amplitude: float) -> bool:
+        """Take the next smaller range if this peak amplitude [V] leaves room."""
+        if self._range == 0 or amplitude > _FINER_BELOW * self.full_scale():
+            return False
+        # The mean of the detector needs room, too, where the input shows it.
+        if self._digitiser.shows_mean:
+            return False
+        self._set_range(self._range - 1)
+        return True
+
+    def full_scale(self) -> float:
+        """Return the largest voltage of the present range [V]."""
+        return self._digitiser.ranges[self._range]
+
+    def make_safe(self) -> None:
+        """Put no modulation out."""
+        self._digitiser.make_safe()
+
+    def close(self) -> None:
+        """Let go of the digitiser."""
+        self._digitiser.close()
+
+    def _set_range(self, number: int) -> None:
+        self._digitiser.set_range(number)
+        self._range = number
