@@ -16,7 +16,9 @@ from amulor.acquisition.drivers.pi_gcs import (
     PiScanner,
     PiTargetStage,
 )
+from amulor.acquisition.drivers.pymeasure import PymeasureLockIn
 from amulor.acquisition.drivers.scpi import ScpiLaser, ScpiSource
+from amulor.acquisition.drivers.scpi_lock_in import ScpiLockIn
 from amulor.acquisition.drivers.stanford_sr844 import Sr844
 from amulor.acquisition.drivers.stanford_sr865a import Sr865a
 from amulor.acquisition.drivers.zurich import ZurichLockIn
@@ -272,11 +274,15 @@ class _Stages:
 
 def _other(part: str, settings: Settings, clock: Clock) -> Any:
     """Return a device of another package."""
+    driver = getattr(settings, part).driver
+    return plugins.make(part, driver, _wiring(part, settings, clock))
+
+
+def _wiring(part: str, settings: Settings, clock: Clock) -> plugins.Wiring:
     own = getattr(settings, part)
-    wiring = plugins.Wiring(
+    return plugins.Wiring(
         address=own.address, timeout=own.timeout, clock=clock, options=own.options or {}
     )
-    return plugins.make(part, own.driver, wiring)
 
 
 def _laser(settings: Settings, lock_in: LockIn, clock: Clock) -> Laser:
@@ -315,6 +321,17 @@ def _lock_in(settings: Settings, clock: Clock) -> LockIn:
     own = settings.lock_in
     if own.driver == "digitiser":
         return DigitiserLockIn(_other("digitiser", settings, clock), clock=clock)
+    if own.driver == "pymeasure":
+        return PymeasureLockIn(_wiring("lock_in", settings, clock))
+    if own.driver == "scpi":
+        assert own.scpi is not None
+        link = _linked(own)
+        external = own.reference == "external"
+        try:
+            return ScpiLockIn(link, own.scpi, clock=clock, external=external)
+        except BaseException:
+            link.close()
+            raise
     if own.driver not in ("sr844", "sr865a", "zurich"):
         return cast(LockIn, _other("lock_in", settings, clock))
     external = own.reference == "external"

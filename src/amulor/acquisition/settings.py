@@ -9,6 +9,7 @@ from typing import Annotated, Literal, Self
 from pydantic import Field, model_validator
 
 from amulor.acquisition.settings_light import LaserSettings, SourceSettings
+from amulor.acquisition.settings_lock_in import ScpiLockInSettings
 from amulor.acquisition.settings_parts import (
     Axis,
     Linked,
@@ -42,7 +43,17 @@ _LINEAR_POLARIZER = {
 
 
 LockInDriver = Annotated[
-    str, known("lock_in", "simulated", "sr844", "sr865a", "zurich", "digitiser")
+    str,
+    known(
+        "lock_in",
+        "simulated",
+        "sr844",
+        "sr865a",
+        "zurich",
+        "digitiser",
+        "scpi",
+        "pymeasure",
+    ),
 ]
 ScannerDriver = Annotated[str, known("scanner", "simulated", "pi_gcs")]
 
@@ -52,8 +63,11 @@ class LockInSettings(Linked):
 
     driver: LockInDriver = "simulated"
     """Which instrument it is: simulated, sr844, sr865a, zurich, digitiser (the one that
-    the part `digitiser` names), or the name of one that an installed package offers
-    (entry point amulor.lock_ins)."""
+    the part `digitiser` names), scpi (commands, stated in `scpi`), pymeasure
+    (attributes, stated in `options`), or the name of one that an installed package
+    offers (entry point amulor.lock_ins)."""
+    scpi: ScpiLockInSettings | None = None
+    """Commands of a lock-in; needed by "scpi"."""
     options: Options = None
     """What a lock-in of another package wants to be told."""
     mean_output_input: Annotated[int, Field(ge=1, le=4)] | None = None
@@ -69,8 +83,9 @@ class LockInSettings(Linked):
 
     @model_validator(mode="after")
     def _address_is_stated(self) -> Self:
-        own = self.driver in ("sr844", "sr865a", "zurich")
+        own = self.driver in ("sr844", "sr865a", "zurich", "scpi")
         need(self.address is not None or not own, "lock_in.address")
+        need(self.scpi is not None or self.driver != "scpi", "lock_in.scpi")
         return self
 
     @model_validator(mode="after")
@@ -346,7 +361,7 @@ class Settings(Description):
     def _lock_in_takes_a_comb(self) -> Self:
         if self.procedure.frequencies_at_once is None:
             return self
-        if self.lock_in.driver in ("sr844", "sr865a"):
+        if self.lock_in.driver in ("sr844", "sr865a", "scpi"):
             raise ValueError(
                 f"the lock-in {self.lock_in.driver!r} has one oscillator; take "
                 "procedure.frequencies_at_once out, or use a lock-in with several"

@@ -4,16 +4,21 @@ from __future__ import annotations
 
 import contextlib
 import math
+import re
+import tomllib
 from collections.abc import Iterator
+from pathlib import Path
 from types import ModuleType
 from typing import Any
 
 import numpy as np
 import pytest
 
+from amulor import acquisition
+from amulor.acquisition.journal.journal import Journal
 from amulor.acquisition.rehearsal import Rehearsal, rehearse
 from amulor.acquisition.settings import Settings
-from amulor.simulation import scene_light
+from amulor.simulation import scene_light, simulate
 from amulor.survey import Survey
 
 # What these packages do when they are imported is not ours to judge.
@@ -293,3 +298,39 @@ def test_pipython_is_told_errors_as_the_manual_says(
     assert not device.IsMoving("5")["5"]
     assert not device.qONT("5")["5"] or device.qPOS("5")["5"] < 1
     assert not rehearsal.bench.laser_on
+
+
+# -- pymeasure as a device -------------------------------------------------------------
+
+
+def test_an_instrument_of_pymeasure_takes_a_scan(tiny, folder) -> None:
+    client("pymeasure.instruments.srs")
+    page = Path(__file__).parents[3] / "docs" / "how-to" / "add-an-instrument.md"
+    blocks = re.findall(r"```toml\n(.*?)```", page.read_text("utf-8"), flags=re.DOTALL)
+    (text,) = (block for block in blocks if 'driver = "pymeasure"' in block)
+    tiny = tiny.with_(
+        {
+            "instrument.modulation_frequencies": ["500 kHz"],
+            "water.signal_fluctuation": "0 %",
+        }
+    )
+    wanted = Settings.model_validate({"procedure": {"dark_readings": 3}})
+    with rehearse(
+        tiny, wanted, scene=scene_light, model="sr865a", speed=30
+    ) as rehearsal:
+        host, port = place(rehearsal.settings.lock_in.address or "")
+        content = rehearsal.settings.model_dump(mode="json", exclude_unset=True)
+        content["lock_in"] = tomllib.loads(text)["lock_in"]
+        content["lock_in"]["address"] = f"TCPIP::{host}::{port}::SOCKET"
+        settings = Settings.model_validate(content, context={"from_text": True})
+        outcome = acquisition.acquire(tiny, folder, settings=settings)
+        assert not rehearsal.bench.laser_on
+    assert outcome.finished
+    with Journal.read(folder) as journal:
+        cube = acquisition.build(journal)
+    truth = simulate(tiny, rng=1)
+    for name in ("in_phase", "quadrature"):
+        expected = truth[f"truth_target_{name}"] + truth[f"truth_water_{name}"]
+        pulls = ((cube[name] - expected) / cube[f"{name}_uncertainty"]).values
+        assert abs(pulls.mean()) < 5 / np.sqrt(pulls.size)
+        assert abs(pulls.std() - 1) < 5 / np.sqrt(2 * pulls.size)

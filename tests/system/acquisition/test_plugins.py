@@ -22,7 +22,7 @@ from amulor.acquisition.settings import Settings
 from amulor.acquisition.settings_light import LaserSettings, SourceSettings
 from amulor.acquisition.simulated.bench import SCAN_SPEED, Bench
 from amulor.errors import InstrumentError
-from amulor.simulation import scene_light
+from amulor.simulation import scene_light, simulate
 
 PAGE = Path(__file__).parents[3] / "docs" / "how-to" / "add-an-instrument.md"
 TURN = 0.0349
@@ -94,6 +94,46 @@ def test_a_scan_by_the_scanner_of_the_page(tiny, folder, installed) -> None:
             cube[angle], cube[f"user_commanded_{angle}"], atol=1e-6 * TURN
         )
     assert not rehearsal.bench.laser_on
+
+
+@pytest.mark.parametrize("filter_", [None, "known"])
+def test_a_lock_in_by_commands_of_the_page(tiny, folder, filter_) -> None:
+    blocks = re.findall(r"```toml\n(.*?)```", PAGE.read_text("utf-8"), flags=re.DOTALL)
+    (text,) = (block for block in blocks if "[lock_in.scpi]" in block)
+    tiny = tiny.with_(
+        {
+            "instrument.modulation_frequencies": ["3.9 MHz"],
+            "water.signal_fluctuation": "0 %",
+        }
+    )
+    wanted = Settings.model_validate(
+        {"procedure": {"dark_readings": 3, "output_filter": filter_}}
+    )
+    with rehearse(
+        tiny, wanted, scene=scene_light, speed=100, model="sr865a"
+    ) as rehearsal:
+        content = rehearsal.settings.model_dump(mode="json", exclude_unset=True)
+        content |= tomllib.loads(text)
+        content["lock_in"]["address"] = rehearsal.settings.lock_in.address
+        settings = Settings.model_validate(content, context={"from_text": True})
+        with pytest.raises(InstrumentError, match=r"has no 0\.02 s, which the survey"):
+            acquisition.acquire(
+                tiny.with_({"instrument.lock_in.time_constant": "20 ms",
+                            "scan.dwell": "100 ms"}),
+                folder / "other", settings=settings,
+            )  # fmt: skip
+        assert acquisition.acquire(tiny, folder / "a", settings=settings).finished
+        assert not rehearsal.bench.laser_on
+    with Journal.read(folder / "a") as journal:
+        cube = acquisition.build(journal)
+    truth = simulate(tiny, rng=1)
+    for name in ("in_phase", "quadrature"):
+        expected = truth[f"truth_target_{name}"] + truth[f"truth_water_{name}"]
+        pulls = ((cube[name] - expected) / cube[f"{name}_uncertainty"]).values
+        assert abs(pulls.mean()) < 5 / np.sqrt(pulls.size)
+        assert abs(pulls.std() - 1) < 5 / np.sqrt(2 * pulls.size)
+    # Scales became finer while nothing overloaded.
+    assert cube["user_full_scale"].values.min() < 1
 
 
 def test_a_digitiser_of_the_page_is_a_lock_in(tmp_path, monkeypatch) -> None:
