@@ -9,6 +9,7 @@ from typing import Any, cast
 from amulor.acquisition import plugins
 from amulor.acquisition.clock import Clock, RealClock, VirtualClock
 from amulor.acquisition.devices import Devices
+from amulor.acquisition.drivers.analog import AnalogScanner, outputs_of
 from amulor.acquisition.drivers.digitiser import DigitiserLockIn
 from amulor.acquisition.drivers.pi_gcs import (
     PiController,
@@ -223,7 +224,7 @@ def _real(settings: Settings, ask: Callable[[str], None] | None) -> Devices:
             laser=laser,
             lock_in=lock_in,
             source=source,
-            scanner=_scanner(settings, stages, clock),
+            scanner=_scanner(settings, stages, lock_in, clock),
             launch=_mount(settings.launch, stages),
             analyser=_mount(settings.analyser, stages),
             target=_target(settings.target, stages, ask),
@@ -310,8 +311,19 @@ def _source(settings: Settings, clock: Clock) -> Source | None:
     return cast(Source, _other("source", settings, clock))
 
 
-def _scanner(settings: Settings, stages: _Stages, clock: Clock) -> Scanner:
+def _scanner(
+    settings: Settings, stages: _Stages, lock_in: LockIn, clock: Clock
+) -> Scanner:
     own = settings.scanner
+    if own.driver == "analog":
+        assert own.analog is not None
+        outputs = outputs_of(own.analog, lock_in=lock_in, address=own.address)
+        tolerance = settings.procedure.position_tolerance
+        try:
+            return AnalogScanner(outputs, own.analog, clock=clock, tolerance=tolerance)
+        except BaseException:
+            outputs.close()
+            raise
     if own.driver == "pi_gcs":
         return PiScanner(stages.at(own), own)
     return cast(Scanner, _other("scanner", settings, clock))

@@ -8,6 +8,7 @@ from typing import Annotated, Literal, Self
 
 from pydantic import Field, model_validator
 
+from amulor.acquisition.settings_analog import AnalogSettings
 from amulor.acquisition.settings_light import LaserSettings, SourceSettings
 from amulor.acquisition.settings_lock_in import ScpiLockInSettings
 from amulor.acquisition.settings_parts import (
@@ -55,7 +56,7 @@ LockInDriver = Annotated[
         "pymeasure",
     ),
 ]
-ScannerDriver = Annotated[str, known("scanner", "simulated", "pi_gcs")]
+ScannerDriver = Annotated[str, known("scanner", "simulated", "pi_gcs", "analog")]
 
 
 class LockInSettings(Linked):
@@ -133,8 +134,11 @@ class ScannerSettings(Linked):
     """What turns the beam."""
 
     driver: ScannerDriver = "simulated"
-    """Which controller it is: simulated, pi_gcs, or the name of one that an installed
-    package offers (entry point amulor.scanners)."""
+    """Which controller it is: simulated, pi_gcs, analog (mirrors on voltages, stated in
+    `analog`), or the name of one that an installed package offers (entry point
+    amulor.scanners)."""
+    analog: AnalogSettings | None = None
+    """Mirrors on analog outputs; needed by "analog"."""
     options: Options = None
     """What a scanner of another package wants to be told."""
     azimuth_axis: Axis = "1"
@@ -158,6 +162,7 @@ class ScannerSettings(Linked):
     @model_validator(mode="after")
     def _address_is_stated(self) -> Self:
         need(self.address is not None or self.driver != "pi_gcs", "scanner.address")
+        need(self.analog is not None or self.driver != "analog", "scanner.analog")
         need(self.angle_per_unit != 0, "scanner.angle_per_unit, not 0,")
         need(
             (self.park_azimuth is None) == (self.park_elevation is None),
@@ -328,6 +333,23 @@ class Settings(Description):
                 f"the lock-in {self.lock_in.driver!r} has auxiliary outputs 1 to "
                 f"{last}, stated is laser.output = {self.laser.output}; wire another "
                 "one"
+            )
+        return self
+
+    @model_validator(mode="after")
+    def _mirrors_have_outputs_of_their_own(self) -> Self:
+        own = self.scanner.analog
+        if self.scanner.driver != "analog" or own is None or own.outputs != "lock_in":
+            return self
+        taken = [own.azimuth.output, own.elevation.output]
+        if self.laser.driver == "lock_in_output":
+            taken.append(str(self.laser.output))
+        last = _OUTPUTS.get(self.lock_in.driver, 4)
+        there = [str(number) for number in range(1, last + 1)]
+        if len({*taken}) < len(taken) or not {*taken} <= {*there}:
+            raise ValueError(
+                f"mirrors and laser need outputs of their own among "
+                f"{', '.join(there)} of the lock-in, stated are {', '.join(taken)}"
             )
         return self
 
