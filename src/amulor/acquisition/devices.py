@@ -31,6 +31,7 @@ _SINCE_LATER = (
     "modulation_amplitude", "options", "reference", "scpi", "interlock_input",
     "output_filter", "frequencies_at_once", "readings", "analog",
 )  # fmt: skip
+_LASER_SINCE_LATER = ("current", "temperature", "prepare", "error", "no_error")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -119,6 +120,10 @@ def digest(settings: Settings, identities: dict[str, str]) -> str:
         scan stops.
     """
     content = settings.model_dump(mode="json", exclude={"simulation": True})
+    for name in _LASER_SINCE_LATER:
+        words = content["laser"]["scpi"]
+        if words is not None and words[name] is None:
+            del words[name]
     for name in ("source", "digitiser"):
         if content[name]["driver"] == "none":
             del content[name]

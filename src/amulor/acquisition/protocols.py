@@ -200,7 +200,9 @@ class Laser(Device, Protocol):
     """The light source; off is its safe state.
 
     One that also has a method ``check()`` is asked in every sample with light; it
-    raises an `InstrumentError` if the interlock is open, which ends the scan.
+    raises an `InstrumentError` if the interlock is open, which ends the scan. One with
+    a method ``readings()`` is asked in every sample; it returns what it knows of
+    ``laser_current`` [A] and ``laser_temperature`` [degC].
     """
 
     def on(self) -> None:

@@ -136,6 +136,7 @@ class Sampler:
         elif self._dark_level.is_dark(step.key.polarization, means):
             flags |= SampleFlag.NO_LIGHT
         self._count_overloads(flags)
+        told: dict[str, float] = getattr(self._devices.laser, "readings", dict)()
         scale = self._devices.lock_in.full_scale()
         if step.key.kind != DARK and not flags & SampleFlag.NO_LIGHT:
             # All frequencies share the input.
@@ -161,6 +162,7 @@ class Sampler:
                 elapsed=elapsed,
                 segment=segment,
                 **self._stands,
+                **told,
             )
             records.append(record)
         return records

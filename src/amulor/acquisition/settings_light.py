@@ -28,6 +28,16 @@ class ScpiLaserSettings(Description):
     """Asked before light is let out and at every sample; left out if there is none."""
     interlock_closed: str = "1"
     """What the answer is while the interlock is closed."""
+    current: str | None = None
+    """Asked in every sample for the current of the diode [A]; not if left out."""
+    temperature: str | None = None
+    """Asked in every sample for the temperature of the diode [degC]; or not."""
+    prepare: tuple[str, ...] | None = None
+    """Sent once, before light is let out, such as "SOUR:CURR 0.08"."""
+    error: str | None = None
+    """Asked after light was let out; left out if the driver knows no such question."""
+    no_error: str | None = None
+    """What the answer begins with if there is none; "0" if left out."""
 
 
 class ScpiSourceSettings(Description):

@@ -21,6 +21,7 @@ from amulor.acquisition.rehearsal import rehearse
 from amulor.acquisition.settings import Settings
 from amulor.acquisition.settings_light import LaserSettings, SourceSettings
 from amulor.acquisition.simulated.bench import SCAN_SPEED, Bench
+from amulor.acquisition.simulated.laser_driver import SimulatedLaserDriver
 from amulor.errors import InstrumentError
 from amulor.simulation import scene_light, simulate
 
@@ -365,3 +366,64 @@ def test_a_lock_in_without_outputs_cannot_be_the_gate(tiny, monkeypatch) -> None
         monkeypatch.delattr("amulor.acquisition.drivers.stanford.Stanford.set_output")
         with pytest.raises(InstrumentError, match="has no 'set_output'"):
             connect(tiny, rehearsal.settings)
+
+
+# -- laser diode drivers ---------------------------------------------------------------
+
+
+def _with_driver(rehearsal, server) -> Settings:
+    """Return a devices file with the laser diode driver of the page."""
+    blocks = re.findall(r"```toml\n(.*?)```", PAGE.read_text("utf-8"), flags=re.DOTALL)
+    (text,) = (block for block in blocks if "MEAS:CURR?" in block)
+    content = rehearsal.settings.model_dump(mode="json", exclude_unset=True)
+    content["laser"] = {**tomllib.loads(text)["laser"], "address": server.address}
+    return Settings.model_validate(content, context={"from_text": True})
+
+
+def test_current_and_temperature_of_the_diode_are_in_every_sample(tiny, folder) -> None:
+    with (
+        rehearse(tiny, Settings(), scene=scene_light, speed=500) as rehearsal,
+        DeviceServer(SimulatedLaserDriver(rehearsal.bench)) as server,
+    ):
+        settings = _with_driver(rehearsal, server)
+        assert acquisition.acquire(tiny, folder, settings=settings).finished
+        assert not rehearsal.bench.laser_on
+    with Journal.read(folder) as journal:
+        dark = [record for _, record in journal.samples("dark")]
+        lit = [record for _, record in journal.samples("scan")]
+        cube = acquisition.build(journal)
+    assert {record.laser_current for record in dark} == {0.0}
+    assert {record.laser_current for record in lit} == {0.075}
+    assert {record.laser_temperature for record in dark} == {25.0}
+    assert all(25.0 <= record.laser_temperature <= 25.5 for record in lit)
+    assert cube["user_laser_current"].attrs["units"] == "A"
+    np.testing.assert_array_equal(cube["user_laser_current"], 0.075)
+
+
+def test_a_diode_driver_tells_an_interlock_and_an_error(tiny, folder) -> None:
+    wanted = Settings.model_validate({"simulation": {"faults": ["interlock@25x9999"]}})
+    with (
+        rehearse(tiny, wanted, scene=scene_light, speed=500) as rehearsal,
+        DeviceServer(SimulatedLaserDriver(rehearsal.bench)) as server,
+    ):
+        settings = _with_driver(rehearsal, server)
+        told: list = []
+        with pytest.raises(InstrumentError, match="interlock of the laser is open"):
+            acquisition.acquire(
+                tiny, folder, settings=settings, acknowledged=told.append
+            )
+        assert not rehearsal.bench.laser_on
+    assert told
+    with Journal.read(folder) as journal:
+        assert journal.count() == len(told)
+    words = settings.laser.scpi
+    assert words is not None
+    link = Script(**{
+        words.interlock: "1", words.error: "-221,conflict", "OUTP?": "0",
+        words.current: "9.9E37 A",
+    })  # fmt: skip
+    laser = ScpiLaser(link, settings.laser)
+    with pytest.raises(InstrumentError, match="refused to be switched on: -221"):
+        laser.on()
+    with pytest.raises(InstrumentError, match=r"'9\.9E37 A', needed is a number"):
+        laser.readings()

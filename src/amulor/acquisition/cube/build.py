@@ -296,6 +296,13 @@ def _user_variables(
                 "rad",
             ),
             ("target_position", "target", "where the stage of the target stood", "m"),
+            ("laser_current", "laser_current", "current of the laser diode", "A"),
+            (
+                "laser_temperature",
+                "laser_temperature",
+                "temperature of the laser diode",
+                "degC",
+            ),
         )
         if np.isfinite(getattr(samples, short)).any()
     }

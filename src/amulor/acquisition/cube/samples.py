@@ -61,6 +61,7 @@ class Samples:
         self.modulation_frequency = empty()
         self.launch, self.analyser, self.target = empty(), empty(), empty()
         self.interval, self.spread = empty(), empty()
+        self.laser_current, self.laser_temperature = empty(), empty()
         self.flags = np.zeros(shape, dtype=np.int16)
         self.segment = np.zeros(shape, dtype=np.int32)
         self.takes = np.zeros(shape, dtype=np.int32)
@@ -87,7 +88,10 @@ class Samples:
             "flags", "segment",
         ):  # fmt: skip
             getattr(self, name)[at] = getattr(record, name)
-        for name in ("launch", "analyser", "target", "interval", "spread"):
+        for name in (
+            "launch", "analyser", "target", "interval", "spread", "laser_current",
+            "laser_temperature",
+        ):  # fmt: skip
             stands = getattr(record, name)
             getattr(self, name)[at] = np.nan if stands is None else stands
         self.takes[at] += 1

@@ -126,7 +126,36 @@ class ScpiLaser(_Scpi):
     def on(self) -> None:
         """Let light out, if the interlock is closed."""
         self.check()
+        self._say(self._words.prepare or ())
         self._say(self._words.on)
+        if self._words.error is not None:
+            answer = self._answer(self._words.error)
+            if not answer.startswith(self._words.no_error or "0"):
+                raise InstrumentError(
+                    f"the laser at {self._link.address} has refused to be switched on: "
+                    f"{answer}; see laser.scpi of the devices file"
+                )
+
+    def readings(self) -> dict[str, float]:
+        """Return current [A] and temperature [degC], as far as they are asked for."""
+        found = {}
+        for name, question in (
+            ("laser_current", self._words.current),
+            ("laser_temperature", self._words.temperature),
+        ):
+            if question is None:
+                continue
+            answer = self._answer(question)
+            try:
+                found[name] = float(answer)
+            except ValueError:
+                found[name] = math.nan
+            if not math.isfinite(found[name]):
+                raise InstrumentError(
+                    f"the laser at {self._link.address} has answered {question!r} by "
+                    f"{answer!r}, needed is a number; see laser.scpi"
+                )
+        return found
 
     def off(self) -> None:
         """Let no light out, and read back that it is so."""

@@ -47,3 +47,7 @@ class Record:
     spread: float | None = None
     """Standard deviation of either output where the record itself tells it, None
     otherwise [V]."""
+    laser_current: float | None = None
+    """Current of the laser diode, None where nobody tells it [A]."""
+    laser_temperature: float | None = None
+    """Temperature of the laser diode, None where nobody tells it [degC]."""
