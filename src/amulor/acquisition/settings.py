@@ -10,7 +10,7 @@ from pydantic import Field, model_validator
 
 from amulor.acquisition.settings_analog import AnalogSettings
 from amulor.acquisition.settings_light import LaserSettings, SourceSettings
-from amulor.acquisition.settings_lock_in import ScpiLockInSettings
+from amulor.acquisition.settings_lock_in import DigitiserSettings, LockInSettings
 from amulor.acquisition.settings_parts import (
     Axis,
     Linked,
@@ -31,8 +31,7 @@ from amulor.survey.quantity import (
 
 #: Drivers that can stand in one file with devices that are not simulated.
 _ANYWHERE = ("simulated", "none", "operator")
-#: Auxiliary inputs and outputs of each lock-in, counted from 1.
-_INPUTS = {"simulated": 4, "sr844": 2, "sr865a": 4, "zurich": 2, "digitiser": 0}
+#: Auxiliary outputs of each lock-in, counted from 1.
 _OUTPUTS = {"simulated": 4, "sr844": 2, "sr865a": 4, "zurich": 4}
 #: Angle of a linear polarizer for the states that it makes or passes [rad].
 _LINEAR_POLARIZER = {
@@ -43,91 +42,7 @@ _LINEAR_POLARIZER = {
 }
 
 
-LockInDriver = Annotated[
-    str,
-    known(
-        "lock_in",
-        "simulated",
-        "sr844",
-        "sr865a",
-        "zurich",
-        "digitiser",
-        "scpi",
-        "pymeasure",
-    ),
-]
 ScannerDriver = Annotated[str, known("scanner", "simulated", "pi_gcs", "analog")]
-
-
-class LockInSettings(Linked):
-    """The lock-in amplifier."""
-
-    driver: LockInDriver = "simulated"
-    """Which instrument it is: simulated, sr844, sr865a, zurich, digitiser (the one that
-    the part `digitiser` names), scpi (commands, stated in `scpi`), pymeasure
-    (attributes, stated in `options`), or the name of one that an installed package
-    offers (entry point amulor.lock_ins)."""
-    scpi: ScpiLockInSettings | None = None
-    """Commands of a lock-in; needed by "scpi"."""
-    options: Options = None
-    """What a lock-in of another package wants to be told."""
-    mean_output_input: Annotated[int, Field(ge=1, le=4)] | None = None
-    """Auxiliary input that the mean output of the detector is wired to [1]."""
-    modulation_amplitude: Annotated[Voltage, Field(gt=0, le=2)] | None = None
-    """Root mean square of the modulation output, which drives the laser; needed where
-    it can be set (sr865a, zurich) [V]."""
-    lock_timeout: Patience = 10.0
-    """How long the reference may take to lock [s]."""
-    reference: Literal["external"] | None = None
-    """"external": the frequency comes from the part `source`; of its own oscillator if
-    left out."""
-
-    @model_validator(mode="after")
-    def _address_is_stated(self) -> Self:
-        own = self.driver in ("sr844", "sr865a", "zurich", "scpi")
-        need(self.address is not None or not own, "lock_in.address")
-        need(self.scpi is not None or self.driver != "scpi", "lock_in.scpi")
-        return self
-
-    @model_validator(mode="after")
-    def _amplitude_is_stated(self) -> Self:
-        settable = self.driver in ("sr865a", "zurich")
-        stated = self.modulation_amplitude is not None
-        if settable and not stated:
-            raise ValueError(
-                "lock_in.modulation_amplitude is needed: what the modulation input of "
-                'the laser takes, such as "0.5 V"'
-            )
-        if stated and not settable and self.driver in _INPUTS:
-            raise ValueError(
-                f"the driver {self.driver!r} cannot set lock_in.modulation_amplitude; "
-                "take it out"
-            )
-        return self
-
-    @model_validator(mode="after")
-    def _input_is_there(self) -> Self:
-        last = _INPUTS.get(self.driver, 4)
-        if self.mean_output_input is not None and self.mean_output_input > last == 0:
-            raise ValueError(
-                f"the driver {self.driver!r} has no auxiliary inputs; take "
-                "lock_in.mean_output_input out"
-            )
-        if self.mean_output_input is not None and self.mean_output_input > last:
-            raise ValueError(
-                f"the driver {self.driver!r} has auxiliary inputs 1 to {last}, stated "
-                f"is mean_output_input = {self.mean_output_input}; wire another one"
-            )
-        return self
-
-
-class DigitiserSettings(Linked):
-    """What records the detector directly; lock_in.driver is "digitiser" then."""
-
-    driver: Annotated[str, known("digitiser", "none")] = "none"
-    """Name of one that an installed package offers (entry point amulor.digitisers)."""
-    options: Options = None
-    """What it wants to be told."""
 
 
 class ScannerSettings(Linked):
