@@ -8,6 +8,7 @@ import json
 import struct
 import threading
 import time
+import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -111,7 +112,8 @@ class Live:
         """Read what is new, once; what stands in the way is said in the status."""
         try:
             self._look()
-        except AmulorError as error:
+        except (AmulorError, ValueError, LookupError, OSError) as error:
+            # Whatever it is, the page says so, and it is tried again.
             self._close()
             with self._lock:
                 self.status = {**self.status, "error": str(error)}
@@ -176,7 +178,9 @@ class Live:
         seen = self._progress.seen
         begun = self._clock()
         assert self._journal is not None
-        with contextlib.suppress(AmulorError):
+        with contextlib.suppress(AmulorError), warnings.catch_warnings():
+            # A scan that has begun has means of nothing in it.
+            warnings.simplefilter("ignore", RuntimeWarning)
             cube = acquisition.build(self._journal)
             found = recording_of(cube, name=self.name)
             for channel in found.channels:

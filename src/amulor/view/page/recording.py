@@ -226,7 +226,9 @@ class Recording:
         """
         if self._samples is None or channel not in self._samples.amulor.polarizations:
             return None
-        cube = self._samples if self._target is None else self._target
+        cube = self._samples
+        if self._target is not None and channel in self._target.amulor.polarizations:
+            cube = self._target
         names = [
             name for name in ("water_in_phase", "water_quadrature") if name in cube
         ]
@@ -492,10 +494,35 @@ def _levels(cube: xr.Dataset, notes: list[str]) -> tuple[xr.Dataset, xr.Dataset 
         )
         return cube, None
     try:
-        return cube, rejection.open_water(cube)
+        return cube, _rejected(cube)
     except AmulorError as error:
         notes.append(f"The water could not be taken out: {error}.")
         return cube, None
+
+
+def _rejected(cube: xr.Dataset) -> xr.Dataset:
+    """Return samples less their open water, of a scan that goes on channel by channel.
+
+    A target that one channel has not seen yet would count as none at all.
+    """
+    there = np.isfinite(cube["in_phase"].values).all(axis=0)
+    if bool((there == there[:1]).all()):
+        return rejection.open_water(cube)
+    begun = [
+        name
+        for name, seen in zip(cube.amulor.polarizations, there, strict=True)
+        if seen.any()
+    ]
+    parts = [rejection.open_water(cube.sel(polarization=[name])) for name in begun]
+    return xr.concat(
+        parts,
+        dim="polarization",
+        data_vars="minimal",
+        coords="minimal",
+        compat="override",
+        join="override",
+        combine_attrs="override",
+    )
 
 
 def _with_water(target: xr.Dataset) -> xr.Dataset:

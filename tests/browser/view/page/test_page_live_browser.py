@@ -99,7 +99,7 @@ def test_a_scan_grows_while_the_page_is_open(
                 "document.documentElement.dataset.state === 'finished'",
                 timeout=120_000,
             )
-            until(shown, f"({KNOWN}) >= 155", timeout=60_000)
+            until(shown, f"({KNOWN}) >= 155", timeout=90_000)
             assert shown.evaluate("amulor.scene.byName.has('range_before')")
             assert one.errors == []
             # Once more from the start.
