@@ -19,7 +19,7 @@ TOLERANCE = 2e-6
 #: Values of a node: place at range zero (3), direction (3), azimuth, elevation.
 VALUES = 8
 _FIRST_STEP = 64
-_CHECKED = 200_000
+_CHECKED = 30_000
 
 
 class BeamReader(Protocol):

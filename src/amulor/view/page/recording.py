@@ -160,6 +160,7 @@ class Recording:
         self._interval = interval
         self._channels: dict[str, Channel] = {}
         self._kept: xr.Dataset | None = None
+        self._nodes: dict[str, beams.Nodes] = {}
         self._lock = threading.Lock()
 
     @property
@@ -349,6 +350,11 @@ class Recording:
 
     def nodes(self, channel: str) -> beams.Nodes:
         """Return the beams of a channel on a coarse grid."""
+        if channel not in self._nodes:
+            self._nodes[channel] = self._nodes_of(channel)
+        return self._nodes[channel]
+
+    def _nodes_of(self, channel: str) -> beams.Nodes:
         picture = self.channel(channel).shown
         stride = self.stride(channel)
         ranges = picture.values("slant_range", stride)
