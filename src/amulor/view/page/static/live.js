@@ -70,7 +70,16 @@ export class Live {
 
   #told(message) {
     if (message.type === "picture") {
-      this.page.reload().then(() => {
+      // Rows that come meanwhile would be overwritten: they wait for the maps.
+      this.loads = (this.loads ?? 0) + 1;
+      this.held ??= [];
+      this.page.reload().finally(() => {
+        this.loads -= 1;
+        if (this.loads) return;
+        const { held } = this;
+        this.held = null;
+        for (const buffer of held) this.#rows(buffer);
+      }).then(() => {
         this.pictures = (this.pictures ?? 0) + 1;
         document.documentElement.dataset.pictures = String(this.pictures);
       }, (error) => this.page.say(error.message));
@@ -81,6 +90,10 @@ export class Live {
   }
 
   #rows(buffer) {
+    if (this.held) {
+      this.held.push(buffer);
+      return;
+    }
     const size = new DataView(buffer).getUint32(0, true);
     const head = JSON.parse(new TextDecoder().decode(new Uint8Array(buffer, 4, size)));
     const { scene } = this.page.state;
