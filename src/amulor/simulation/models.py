@@ -24,7 +24,7 @@ from amulor.survey.view import (
     refuse_beam_and_edges,
     refuse_layers,
 )
-from amulor.survey.whole_function import whole_function_arguments
+from amulor.survey.waters.whole_function import whole_function_arguments
 
 Complex = NDArray[np.complex128]
 Error = NDArray[np.float64]

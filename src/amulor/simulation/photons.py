@@ -15,7 +15,7 @@ from amulor.simulation.photon_grid import Grid, grid_of
 from amulor.simulation.photon_runs import Light, Place, Setting, follow, way
 from amulor.survey import Survey, WaterProperties
 from amulor.survey.view import View, refuse_beam_and_edges, refuse_layers
-from amulor.survey.whole_function import whole_phase_function
+from amulor.survey.waters.whole_function import whole_phase_function
 from amulor.transport import Progress
 
 __all__ = ["PhotonModel"]

@@ -14,7 +14,7 @@ from amulor.optics import rays
 from amulor.survey import Survey, WaterProperties, water_properties
 from amulor.survey.view import beam_arguments, has_sharp_receiver, seen_from_water
 from amulor.survey.view import medium as crossed_by
-from amulor.survey.whole_function import phase_function_of
+from amulor.survey.waters.whole_function import phase_function_of
 from amulor.transport import (
     DiscReceiver,
     GaussianReceiver,
@@ -71,7 +71,7 @@ def monte_carlo_response(
     Notes
     -----
     `amulor.transport.simulate` with the phase function of
-    `amulor.survey.whole_function.phase_function_of`, the Gaussian receiver of
+    `amulor.survey.waters.whole_function.phase_function_of`, the Gaussian receiver of
     eq. (38) of Ricci et al. 2010, as rebuilt, and a thin beam. Behind a window the
     receiver is put where it seems to be from the water, with a gap that lets all light
     pass.

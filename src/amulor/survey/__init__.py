@@ -10,7 +10,13 @@ from amulor.survey.instrument import (
     Receiver,
     Window,
 )
-from amulor.survey.named_water import (
+from amulor.survey.properties import WaterProperties, water_properties
+from amulor.survey.scan import OpenWater, Scan
+from amulor.survey.surface import Lambertian, OrenNayar, TabulatedSurface
+from amulor.survey.survey import Survey, json_schema
+from amulor.survey.target import Disc, Mesh, Plate, Staircase
+from amulor.survey.water import Water
+from amulor.survey.waters.named import (
     Case1Water,
     JerlovWater,
     LayeredWater,
@@ -20,7 +26,7 @@ from amulor.survey.named_water import (
     SphereWater,
     WaterLayer,
 )
-from amulor.survey.phase_function import (
+from amulor.survey.waters.phase_function import (
     FournierForand,
     HenyeyGreenstein,
     Petzold,
@@ -28,12 +34,6 @@ from amulor.survey.phase_function import (
     Tabulated,
     TwoTerm,
 )
-from amulor.survey.properties import WaterProperties, water_properties
-from amulor.survey.scan import OpenWater, Scan
-from amulor.survey.surface import Lambertian, OrenNayar, TabulatedSurface
-from amulor.survey.survey import Survey, json_schema
-from amulor.survey.target import Disc, Mesh, Plate, Staircase
-from amulor.survey.water import Water
 
 __all__ = [
     "Calibration",

@@ -9,9 +9,9 @@ from amulor.errors import SurveyError
 from amulor.optics import phase_functions
 from amulor.optics.phase_functions.phase_function import PhaseFunction
 from amulor.optics.water import seawater
-from amulor.survey.resolve import LayerOptics, WaterOptics, resolved
 from amulor.survey.survey import Survey
 from amulor.survey.water import Water
+from amulor.survey.waters.resolve import LayerOptics, WaterOptics, resolved
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -14,10 +14,10 @@ from amulor.survey.calibration import Calibration
 from amulor.survey.changes import changed
 from amulor.survey.daylight import Daylight
 from amulor.survey.instrument import Instrument
-from amulor.survey.named_water import WaterStated
 from amulor.survey.quantity import Description
 from amulor.survey.scan import Scan
 from amulor.survey.target import Target
+from amulor.survey.waters.named import WaterStated
 
 _SIZE_LIMIT = 1_000_000
 #: Samples of one cube: 6 GB at the widest step of processing.

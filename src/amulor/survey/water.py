@@ -13,7 +13,6 @@ from pydantic import (
 )
 
 from amulor.survey.mueller import ReducedMueller
-from amulor.survey.phase_function import PhaseFunctionStated
 from amulor.survey.quantity import (
     Angle,
     AngleSquared,
@@ -24,6 +23,7 @@ from amulor.survey.quantity import (
     PerSteradian,
     Temperature,
 )
+from amulor.survey.waters.phase_function import PhaseFunctionStated
 
 
 class WaterState(Description):

@@ -20,7 +20,7 @@ from amulor.simulation import (
 )
 from amulor.survey import Survey, water_properties
 from amulor.survey.view import medium, view
-from amulor.survey.whole_function import whole_function_arguments
+from amulor.survey.waters.whole_function import whole_function_arguments
 
 #: An asymmetry in place of moments.
 WHOLE = {

@@ -16,7 +16,7 @@ from amulor.simulation import DiffusionModel, simulate
 from amulor.survey import Survey, water_properties
 from amulor.survey.counting import integration_time
 from amulor.survey.view import kernel_arguments, medium, view
-from amulor.survey.whole_function import whole_function_arguments
+from amulor.survey.waters.whole_function import whole_function_arguments
 
 #: A survey without any noise.
 QUIET = {

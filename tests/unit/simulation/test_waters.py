@@ -13,7 +13,7 @@ from amulor.simulation import DiffusionModel, SmallAngleModel, simulate
 from amulor.simulation.backscatter import small_angle_response
 from amulor.simulation.transport import monte_carlo_response
 from amulor.survey import Survey, water_properties
-from amulor.survey.whole_function import phase_function_of
+from amulor.survey.waters.whole_function import phase_function_of
 
 FREQUENCIES = np.array([0.0, 20e6, 60e6])
 HENYEY_GREENSTEIN = {"kind": "henyey-greenstein", "asymmetry": 0.95}

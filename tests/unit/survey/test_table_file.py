@@ -9,8 +9,8 @@ import pytest
 
 from amulor.errors import SurveyError
 from amulor.survey import Survey, Tabulated, TabulatedSurface, table_file
-from amulor.survey.phase_function import phase_function
 from amulor.survey.surface import brightness
+from amulor.survey.waters.phase_function import phase_function
 
 
 def test_commas_spaces_and_notes_are_read(tmp_path: Path) -> None:

@@ -11,7 +11,7 @@ import pytest
 from amulor.cli import main
 from amulor.errors import SurveyError
 from amulor.survey.water import Water
-from amulor.survey.whole_function import phase_function_of
+from amulor.survey.waters.whole_function import phase_function_of
 
 EXAMPLES = sorted(
     entry.name

@@ -12,7 +12,10 @@ from amulor.errors import SurveyError
 from amulor.optics import small_angle, small_angle_diffusion
 from amulor.survey import Survey, WaterProperties, water_properties
 from amulor.survey.view import View, kernel_arguments, medium, view
-from amulor.survey.whole_function import whole_function_arguments, whole_phase_function
+from amulor.survey.waters.whole_function import (
+    whole_function_arguments,
+    whole_phase_function,
+)
 
 Floats = NDArray[np.float64]
 Complex = NDArray[np.complex128]

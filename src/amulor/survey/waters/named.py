@@ -6,7 +6,6 @@ from typing import Annotated, Any, Literal, Self
 
 from pydantic import Discriminator, Field, Tag, model_validator
 
-from amulor.survey.phase_function import PhaseFunctionStated
 from amulor.survey.quantity import (
     Description,
     Fraction,
@@ -15,6 +14,7 @@ from amulor.survey.quantity import (
     PerMetre,
 )
 from amulor.survey.water import Water, WaterState, refuse_clear
+from amulor.survey.waters.phase_function import PhaseFunctionStated
 
 
 class SeaWater(WaterState):

@@ -12,7 +12,8 @@ from amulor.errors import SurveyError
 from amulor.optics.phase_functions import mie, mixture, models, tables
 from amulor.optics.phase_functions.phase_function import PhaseFunction
 from amulor.optics.water import case_1, milk, seawater, types
-from amulor.survey.named_water import (
+from amulor.survey.water import Water, WaterState
+from amulor.survey.waters.named import (
     Case1Water,
     JerlovWater,
     LayeredWater,
@@ -22,8 +23,7 @@ from amulor.survey.named_water import (
     SphereWater,
     WaterStated,
 )
-from amulor.survey.phase_function import phase_function
-from amulor.survey.water import Water, WaterState
+from amulor.survey.waters.phase_function import phase_function
 
 #: Wavelengths at which coefficients of Petzold's stations hold, about 530 nm [m].
 _PETZOLD_SPAN = 20e-9

@@ -16,11 +16,11 @@ from amulor.optics import phase_functions
 from amulor.optics.phase_functions.models import henyey_greenstein_function, isotropic
 from amulor.optics.phase_functions.phase_function import PhaseFunction
 from amulor.optics.phase_functions.tables import tabulated
-from amulor.survey.phase_function import phase_function as stated_phase_function
 from amulor.survey.properties import WaterProperties
 from amulor.survey.survey import Survey
 from amulor.survey.view import View, beam_arguments, kernel_arguments, refuse_layers
 from amulor.survey.water import Water
+from amulor.survey.waters.phase_function import phase_function as stated_phase_function
 
 __all__ = ["phase_function_of", "whole_function_arguments", "whole_phase_function"]
 

@@ -1,0 +1,1 @@
+"""Waters by name, what each resolves to, and its whole phase function."""
