@@ -8,11 +8,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from paper_form import simulate
 
 from amulor import imaging, io, rejection
 from amulor.cli import main
 from amulor.cube import QualityFlag
+from amulor.simulation import simulate
 from amulor.studies.trust.scenes import models
 from amulor.studies.trust.study import run
 from amulor.studies.trust.surveys import plate, survey

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -20,6 +21,8 @@ Complex = NDArray[np.complex128]
 
 #: Factors of a and b that are tried, in even steps of the logarithm [1].
 _FACTORS = np.geomspace(0.25, 4.0, 49)
+#: Every which of them is tried first.
+_COARSE = 6
 #: Directions of the scan whose open water is compared with the model.
 _DIRECTIONS = 9
 #: What the model may be off by where too few frequencies could show it, in parts of
@@ -69,7 +72,7 @@ def turbidity_of(
 
     Notes
     -----
-    Open water of the survey, (46) of Ricci et al. 2010, as rebuilt, times a factor for
+    Open water of the survey by `model.water_signal`, times a factor for
     each channel above zero, against the shots: the phases tell how deep the light
     comes from, at one frequency already, and the amplitudes how that is spread. The
     uncertainty of the factor is where chi-square rises by one, or by what it has for
@@ -91,11 +94,10 @@ def turbidity_of(
         cube[name].values.ravel()[directions] for name in ("azimuth", "elevation")
     ]
     frequency = cube["modulation_frequency"].values
-    square = np.array(
-        [
-            _chi_square(_model(scaled(survey, factor), places, frequency), seen, weight)
-            for factor in _FACTORS
-        ]
+    square = _around_the_lowest(
+        lambda factor: _chi_square(
+            _model(scaled(survey, factor), places, frequency), seen, weight
+        )
     )
     step = float(np.log(_FACTORS[1] / _FACTORS[0]))
     place, lowest, curvature = _minimum(square)
@@ -163,6 +165,25 @@ def _chi_square(model: Complex, seen: Complex, weight: Floats) -> float:
         strength = max(product / power, 0.0) if power > 0 else 0.0
         total += float(np.sum(w * np.abs(own - strength * model) ** 2))
     return total
+
+
+def _around_the_lowest(chi_square: Callable[[float], float]) -> Floats:
+    """Return chi-squares of `_FACTORS` at and beside the lowest, infinite elsewhere.
+
+    Each sixth factor first, then halfway, then neighbours until none is lower.
+    """
+    found = np.full(len(_FACTORS), np.inf)
+    last = len(_FACTORS) - 1
+    waiting = set(range(0, last + 1, _COARSE))
+    while waiting:
+        for k in waiting:
+            found[k] = chi_square(float(_FACTORS[k]))
+        known = np.isfinite(found).sum() > last // _COARSE + 1
+        best = int(np.clip(found.argmin(), 1, last - 1))
+        reach = 1 if known else _COARSE // 2
+        around = {max(best - reach, 0), best, min(best + reach, last)}
+        waiting = {k for k in around if np.isinf(found[k])}
+    return found
 
 
 def _minimum(square: Floats) -> tuple[float, float, float]:

@@ -8,8 +8,8 @@ from typing import Any
 
 import xarray as xr
 
+from amulor.simulation import simulate
 from amulor.studies.trust.case import Case, case_of
-from amulor.studies.trust.light import simulate
 from amulor.studies.trust.scenes.models import around
 from amulor.studies.trust.surveys import plate, scaled, survey
 from amulor.survey import Survey, water_properties

@@ -6,10 +6,9 @@ import functools
 
 import xarray as xr
 
-from amulor import simulation
-from amulor.simulation.models import SmallAngleModel
+from amulor.simulation import simulate
+from amulor.simulation.models import DiffusionModel, SmallAngleModel
 from amulor.studies.trust.case import Case, case_of
-from amulor.studies.trust.light import simulate
 from amulor.studies.trust.surveys import plate, stairs, survey
 
 
@@ -132,4 +131,17 @@ def _small_angle(count: int, seed: int, split: float, *targets: str) -> xr.Datas
         count, *targets, water=_SMALL_ANGLE_WATER | {"split_angle": split},
         columns=16, rows=12,
     )  # fmt: skip
-    return simulation.simulate(made, rng=seed, model=SmallAngleModel())
+    return simulate(made, rng=seed, model=SmallAngleModel())
+
+
+def paper_form(count: int, seed: int) -> Case:
+    """Return a plate by the diffusion form of the paper: far from what photons do."""
+    made = survey(count, plate(2.6, lean=20))
+    cube = simulate(made, rng=seed, model=DiffusionModel())
+    return case_of(cube, interval=around(2.6))
+
+
+def paper_form_empty(count: int, seed: int) -> Case:
+    """Return water without any target by the same form."""
+    cube = simulate(survey(count), rng=seed, model=DiffusionModel())
+    return case_of(cube, interval=around(2.6))

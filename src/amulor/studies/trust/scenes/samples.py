@@ -7,8 +7,8 @@ import xarray as xr
 from numpy.typing import NDArray
 from scipy.constants import speed_of_light
 
+from amulor.simulation import simulate
 from amulor.studies.trust.case import Case, case_of
-from amulor.studies.trust.light import simulate
 from amulor.studies.trust.scenes.models import around
 from amulor.studies.trust.surveys import plate, survey
 
