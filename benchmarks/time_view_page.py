@@ -215,7 +215,10 @@ time.sleep(600)
 
 
 def main() -> None:
-    """Print all figures and their ratio to what the page promises."""
+    """Print all figures and their ratio to limits, and add them to the history."""
+    import history
+
+    figures: dict[str, float] = {}
     with tempfile.TemporaryDirectory() as place:
         for side, name in ((1000, "1 million"), (3163, "10 million")):
             path = Path(place) / f"{side}.nc"
@@ -226,6 +229,7 @@ def main() -> None:
             found = served(path)
             print(f"{name} pixels, file of {path.stat().st_size / 1e6:.0f} MB")
             first = found["first_picture_s"]
+            figures |= {f"{name} pixels, {key}": one for key, one in found.items()}
             print(f"  scene, beams and range  {first:.2f} s", end="")
             print(f"  ratio {first / FIRST_PICTURE:.2f}" if side == 1000 else "")
             print(f"  all maps                {found['all_maps_s']:.2f} s")
@@ -240,6 +244,9 @@ def main() -> None:
     print(f"a commit                {alone * 1e3:.3f} ms", end="")
     print(f", with a page {watched * 1e3:.3f} ms", end="")
     print(f"  ratio {watched / alone / SLOWER:.2f}")
+    figures |= scan
+    figures["commit with a page over alone, 1"] = watched / alone
+    history.append("time_view_page", figures)
     usage = resource.getrusage(resource.RUSAGE_SELF)
     print(f"(processor time {usage.ru_utime:.0f} s)")
 
