@@ -117,7 +117,7 @@ def cdom_absorption(
     wavelength: ArrayLike,
     *,
     absorption_at_440: ArrayLike,
-    slope: ArrayLike = CDOM_SLOPE,
+    cdom_slope: ArrayLike = CDOM_SLOPE,
 ) -> NDArray[np.float64]:
     r"""Return the absorption of coloured dissolved organic matter (yellow substance).
 
@@ -127,7 +127,7 @@ def cdom_absorption(
         Wavelength in vacuum, 350e-9 to 700e-9 [m].
     absorption_at_440 : array_like
         Absorption coefficient at 440 nm, not negative [1/m].
-    slope : array_like
+    cdom_slope : array_like
         Spectral slope S, not negative [1/m].
 
     Returns
@@ -151,8 +151,8 @@ def cdom_absorption(
     """
     vacuum = within(wavelength, 350e-9, 700e-9, name="wavelength", unit="m")
     known = not_negative(absorption_at_440, name="absorption_at_440", unit="1/m")
-    steep = not_negative(slope, name="slope", unit="1/m")
-    broadcast(wavelength=vacuum, absorption_at_440=known, slope=steep)
+    steep = not_negative(cdom_slope, name="cdom_slope", unit="1/m")
+    broadcast(wavelength=vacuum, absorption_at_440=known, cdom_slope=steep)
     return np.asarray(known * np.exp(-steep * (vacuum - _REFERENCE)))
 
 

@@ -209,7 +209,7 @@ def _case_1(water: Case1Water, wavelength: float) -> WaterOptics:
     back = float(case_1.particle_backscattering(wavelength, **pigment))
     molecules = _molecules(water, wavelength)
     cdom = case_1.cdom_absorption(
-        wavelength, absorption_at_440=dissolved, slope=water.cdom_slope
+        wavelength, absorption_at_440=dissolved, cdom_slope=water.cdom_slope
     )
     return WaterOptics(
         absorption=_absorption(water, wavelength)

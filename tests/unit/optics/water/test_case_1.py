@@ -81,7 +81,7 @@ def test_living_matter_is_a_part_of_all_particles_and_backscatter_of_scatter(
 
 def test_dissolved_matter_falls_by_e_over_an_inverse_slope():
     found = case_1.cdom_absorption(
-        [440e-9, 490e-9], absorption_at_440=0.02, slope=0.02e9
+        [440e-9, 490e-9], absorption_at_440=0.02, cdom_slope=0.02e9
     )
     assert_allclose(found, [0.02, 0.02 / np.e], rtol=1e-12)
 
