@@ -331,6 +331,9 @@ def fit_of_power(modulation_frequency: ArrayLike, amplitude: ArrayLike) -> LowPa
 
     grid = _grid(x)
     start = _closest(np.sum((y - form(grid[:, None])) ** 2, axis=1), f)
+    # The level is held, so that a form can be closest to a sweep that rises.
+    if np.sum((y - y.mean()) * form(grid[start])) <= 0:
+        raise _not_shown(f)
 
     def slope(logarithm: NDArray[np.float64]) -> NDArray[np.float64]:
         shape = form(logarithm[0])
@@ -380,11 +383,16 @@ def _closest(residual_sum: NDArray[np.float64], f: NDArray[np.float64]) -> int:
     """Return the place of the least sum of squares, inside of the grid."""
     closest = int(np.argmin(residual_sum))
     if closest in (0, residual_sum.size - 1):
-        raise ValueError(
-            f"the amplitudes between {f.min():g} and {f.max():g} Hz do not show where "
-            "they fall to 1/sqrt(2); a cut-off cannot be fitted to them"
-        )
+        raise _not_shown(f)
     return closest
+
+
+def _not_shown(f: NDArray[np.float64]) -> ValueError:
+    """Return the error of a sweep that does not fall."""
+    return ValueError(
+        f"the amplitudes between {f.min():g} and {f.max():g} Hz do not show where "
+        "they fall to 1/sqrt(2); a cut-off cannot be fitted to them"
+    )
 
 
 def fit_if_shown(

@@ -169,9 +169,10 @@ def test_result_of_a_fit_cannot_be_changed():
         ([1.0, 2.0, 3.0], [1.0, 2.0, 3.0], "do not show where they fall"),
     ],
 )
-def test_data_that_fix_no_cut_off_are_refused(frequency, amplitude, text):
+@pytest.mark.parametrize("form", [fit, fit_of_power])
+def test_data_that_fix_no_cut_off_are_refused(form, frequency, amplitude, text):
     with pytest.raises(ValueError, match=text):
-        fit(frequency, amplitude)
+        form(frequency, amplitude)
 
 
 def test_values_out_of_range_are_refused_by_name():
@@ -278,10 +279,3 @@ def test_standard_error_of_the_fit_of_power_is_the_scatter_of_repeated_fits():
     stated = np.mean([result.cut_off_standard_error for result in results])
     # 300 fits: a standard deviation is found within 4 %.
     assert_allclose(stated, spread, rtol=0.15)
-
-
-def test_fit_of_power_refuses_what_the_free_fit_refuses():
-    with pytest.raises(ValueError, match="at least 3 different"):
-        fit_of_power([1e6, 1e6, 2e6], [1.0, 1.0, 0.5])
-    with pytest.raises(ValueError, match="do not show where"):
-        fit_of_power([1e6, 2e6, 3e6], [1.0, 1.0, 1.0])

@@ -32,6 +32,7 @@ GOOD = {
     "baseline": 0.1,
     "beam_divergence": 0.001,
     "beam_radius": 0.001,
+    "cdom_slope": 0.014e9,
     "chlorophyll": 1.0,
     "cosine": 0.9,
     "covariance": 0.0,
@@ -161,7 +162,8 @@ MEASURED = {
 }  # fmt: skip
 # Functions of a whole sweep, which have tests of their own.
 SWEEPS = {
-    "cut_off", "cut_off_of_sweep", "fit", "fit_if_shown", "find", "group_depth",
+    "cut_off", "cut_off_of_sweep", "fit", "fit_if_shown", "fit_of_power", "find",
+    "group_depth",
     "ripple", "tabulated", "from_cumulative", "size_distribution", "amplitudes",
     "sphere", "gauss_legendre", "forward_split", "optical_path", "enter_water",
     "return_length", "slant_range_of_path", "path_limits", "maximum_distance",
