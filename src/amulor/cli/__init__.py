@@ -49,7 +49,7 @@ COMMANDS = {
     "export": ("export:export", "Write a range image as a point cloud."),
     "view": (
         "view:view",
-        "Show a file in the browser: maps, 3D, measuring with errors.",
+        "Show a file or scan in the browser: maps, 3D, measuring with errors.",
     ),
     "report": ("report:report", "Draw range images into one HTML file."),
     "reproduce ricci2010": (

@@ -24,7 +24,7 @@ def view(
     browser: Annotated[bool, Parameter(negative="")] = False,
     overwrite: Annotated[bool, Parameter(negative="")] = False,
 ) -> None:
-    """Show a file in the browser: maps, 3D, profiles, spectra, measuring with errors.
+    """Show a file or scan in the browser: maps, 3D, measuring with errors.
 
     Parameters
     ----------
