@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import warnings
 from dataclasses import dataclass
 from pathlib import Path
@@ -44,6 +45,8 @@ _WORDS = "zero_output breakdown no_number"
 #: A sample is a breakdown that is farther from each of its neighbours than so many
 #: typical distances, and than so many of its standard uncertainties [1].
 _BREAKDOWN, _SURE = 12.0, 8.0
+#: And farther from all mixtures of two of them than so often they differ [1].
+_SPREAD = 2.0
 #: What lock-ins put out for no number is above this [V].
 _NO_VOLTAGE = 1e6
 _SAMPLE = ("modulation_frequency", "polarization", "row", "column")
@@ -100,8 +103,11 @@ def read_recordings(
     Notes
     -----
     A breakdown of the detector stands alone: it is farther from each of its eight
-    neighbours than 12 typical distances and than 8 of its standard uncertainties; of
-    a shot the same holds for all others of its channel.
+    neighbours, and from each mixture of two of them, which a beam on an edge sees, than
+    12 typical distances, than 8 of its standard uncertainties, and than twice what its
+    neighbours differ among each other. Two breakdowns side by side are not seen, and a
+    bright object of one pixel looks like one. A shot is a breakdown if it is so many
+    typical distances and uncertainties off the median of its channel.
     """
     path = Path(path)
     samples = samples_of(read_table(path, described), described, survey)
@@ -225,23 +231,46 @@ def _outputs(
 
 
 def _breakdowns(signal: Complex, uncertainty: Floats) -> NDArray[np.bool_]:
-    """Return which pixels stand alone, far from each of their neighbours."""
+    """Return which pixels stand alone, far from all that their neighbours explain."""
     wide = np.pad(
         signal, ((0, 0), (0, 0), (1, 1), (1, 1)), constant_values=complex(np.nan)
     )
     rows, columns = signal.shape[2:]
+    around = [
+        wide[:, :, down : down + rows, right : right + columns]
+        for down, right in itertools.product(range(3), repeat=2)
+        if (down, right) != (1, 1)
+    ]
     nearest = np.full(signal.shape, np.inf)
-    for down in range(3):
-        for right in range(3):
-            if (down, right) != (1, 1):
-                other = wide[:, :, down : down + rows, right : right + columns]
-                nearest = np.fmin(nearest, np.abs(signal - other))
+    for other in around:
+        nearest = np.fmin(nearest, np.abs(signal - other))
     nearest[~np.isfinite(signal) | ~np.isfinite(nearest)] = np.nan
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", RuntimeWarning)  # channels without a number
         typical = np.nanmedian(nearest, axis=(2, 3), keepdims=True)
     far = np.maximum(_BREAKDOWN * typical, _SURE * uncertainty)
-    return np.asarray(nearest > far)
+    broken = np.asarray(nearest > far)
+    beside = np.stack([other[broken] for other in around])
+    off, spread = _off_mixtures(signal[broken], beside)
+    broken[broken] = off > np.maximum(far[broken], _SPREAD * spread)
+    return broken
+
+
+def _off_mixtures(signal: Complex, beside: Complex) -> tuple[Floats, Floats]:
+    """Return the distance of samples from mixtures of two neighbours, and their spread.
+
+    A beam on an edge sees a mixture of both sides. `beside` has the neighbours of each
+    sample along its first axis, no numbers where there are none.
+    """
+    off, spread = np.full(signal.shape, np.inf), np.zeros(signal.shape)
+    for one, other in itertools.combinations_with_replacement(beside, 2):
+        span = other - one
+        length = np.abs(span)
+        along = ((signal - one) * span.conj()).real
+        share = np.clip(along / np.where(length > 0, length, 1) ** 2, 0, 1)
+        off = np.fmin(off, np.abs(signal - one - share * span))
+        spread = np.fmax(spread, length)
+    return off, spread
 
 
 def _shots(

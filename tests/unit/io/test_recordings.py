@@ -201,6 +201,37 @@ def test_edges_of_targets_are_no_breakdowns(tmp_path, plate) -> None:
     assert not found["user_sample_flag"].any()
 
 
+@pytest.mark.parametrize("times", [1.2, 30.0, 0.5])
+def test_round_edges_are_no_breakdowns_and_what_stands_on_the_target_is(
+    tmp_path, plate, times
+) -> None:
+    # On the edge of a disc beams see both sides, each pixel with another share.
+    survey = plate.with_(
+        {
+            "scan.columns": 24,
+            "scan.rows": 16,
+            "targets": [
+                {"kind": "disc", "position": ["4 mm", "3 mm", "1.5 m"],
+                 "diameter": "5 cm", "reflectance": 0.5},
+            ],
+        }
+    )  # fmt: skip
+    lines = written(simulate(survey, rng=1), water=False)
+    found = read_recordings(
+        saved(tmp_path / "scan.csv", lines), mapped(tmp_path, XY), survey
+    )
+    assert not found["user_sample_flag"].any()
+    # The middle of the disc in the second channel; the first ones have 16 x 24 lines.
+    middle = 1 + 16 * 24 + 8 * 24 + 12
+    lines[middle][:2] = [f"{times * float(cell):.6e}" for cell in lines[middle][:2]]
+    found = read_recordings(
+        saved(tmp_path / "scan.csv", lines), mapped(tmp_path, XY), survey
+    )
+    flag = found["user_sample_flag"].values
+    assert flag[0, 1, 8, 12] == BREAKDOWN
+    assert (flag != 0).sum() == 1
+
+
 def test_samples_of_one_place_are_averaged(tmp_path, survey, cube) -> None:
     lines = written(cube, water=False)
     again = [[f"{2 * float(line[0]):.12e}", *line[1:]] for line in lines[1:25]]
