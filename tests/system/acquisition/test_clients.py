@@ -168,6 +168,8 @@ def test_the_makers_package_configures_and_reads_an_sr865a(sr865a: Rehearsal) ->
         assert len(device.data.get_channel_values()) == 4
         assert device.aux.input[0] == pytest.approx(sr865a.bench.output()[1])
         device.aux.output[0] = 0.0
+        # A command is not answered: what came before a question has been done by then.
+        assert device.aux.output[0] == 0.0
         assert not sr865a.bench.laser_on
 
 
@@ -177,6 +179,7 @@ def test_the_makers_package_reads_the_status_of_an_sr865a(sr865a: Rehearsal) -> 
         assert device.status.get_status_text() == "OK"
         # A new frequency unlocks, and that latches: bit 3, told once.
         device.ref.frequency = 5e5
+        assert device.ref.frequency == 5e5
         sr865a.bench.clock.sleep(1.0)
         assert device.status.lock_in_bit["UNLK"]
         assert device.status.lock_in == 0
