@@ -42,7 +42,7 @@ from amulor.acquisition.settings import (
     Settings,
     TargetSettings,
 )
-from amulor.acquisition.settings_parts import Linked
+from amulor.acquisition.settings.parts import Linked
 from amulor.acquisition.simulated.bench import Bench
 from amulor.acquisition.simulated.devices import (
     SimulatedLaser,

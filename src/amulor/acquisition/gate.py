@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Protocol
 
-from amulor.acquisition.settings_light import LaserSettings
+from amulor.acquisition.settings.light import LaserSettings
 from amulor.errors import InstrumentError
 
 #: Largest voltage that counts as off; an enable input of TTL levels needs 0.8 V [V].

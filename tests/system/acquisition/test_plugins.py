@@ -19,7 +19,7 @@ from amulor.acquisition.links.tcp import DeviceServer
 from amulor.acquisition.plugins import Wiring, make, names
 from amulor.acquisition.rehearsal import rehearse
 from amulor.acquisition.settings import Settings
-from amulor.acquisition.settings_light import LaserSettings, SourceSettings
+from amulor.acquisition.settings.light import LaserSettings, SourceSettings
 from amulor.acquisition.simulated.bench import SCAN_SPEED, Bench
 from amulor.acquisition.simulated.laser_driver import SimulatedLaserDriver
 from amulor.errors import InstrumentError

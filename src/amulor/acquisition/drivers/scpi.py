@@ -6,7 +6,7 @@ import math
 
 from amulor.acquisition.clock import Clock
 from amulor.acquisition.links.visa import Conversation
-from amulor.acquisition.settings_light import LaserSettings, SourceSettings
+from amulor.acquisition.settings.light import LaserSettings, SourceSettings
 from amulor.errors import InstrumentError
 
 

@@ -7,7 +7,7 @@ import math
 from amulor.acquisition.clock import Clock, Deadline
 from amulor.acquisition.links.visa import Conversation
 from amulor.acquisition.protocols import Overload, Reading
-from amulor.acquisition.settings_lock_in import ScpiLockInSettings
+from amulor.acquisition.settings.lock_in import ScpiLockInSettings
 from amulor.errors import InstrumentError
 
 _POLL = 0.01

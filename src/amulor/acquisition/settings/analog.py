@@ -7,7 +7,7 @@ from typing import Annotated, Literal, Self
 
 from pydantic import Field, model_validator
 
-from amulor.acquisition.settings_parts import need
+from amulor.acquisition.settings.parts import need
 from amulor.survey.quantity import Angle, Description, Time, Voltage
 
 Volts = Annotated[Voltage, Field(ge=-100, le=100)]

@@ -8,10 +8,10 @@ from typing import Annotated, Literal, Self
 
 from pydantic import Field, model_validator
 
-from amulor.acquisition.settings_analog import AnalogSettings
-from amulor.acquisition.settings_light import LaserSettings, SourceSettings
-from amulor.acquisition.settings_lock_in import DigitiserSettings, LockInSettings
-from amulor.acquisition.settings_parts import (
+from amulor.acquisition.settings.analog import AnalogSettings
+from amulor.acquisition.settings.light import LaserSettings, SourceSettings
+from amulor.acquisition.settings.lock_in import DigitiserSettings, LockInSettings
+from amulor.acquisition.settings.parts import (
     Axis,
     Linked,
     Options,

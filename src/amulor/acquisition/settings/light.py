@@ -6,7 +6,7 @@ from typing import Annotated, Self
 
 from pydantic import Field, model_validator
 
-from amulor.acquisition.settings_parts import Linked, Options, known, need
+from amulor.acquisition.settings.parts import Linked, Options, known, need
 from amulor.survey.quantity import Description, Time, Voltage
 
 LaserDriver = Annotated[str, known("laser", "simulated", "lock_in_output", "scpi")]

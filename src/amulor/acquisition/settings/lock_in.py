@@ -6,7 +6,7 @@ from typing import Annotated, Literal, Self
 
 from pydantic import Field, model_validator
 
-from amulor.acquisition.settings_parts import Linked, Options, Patience, known, need
+from amulor.acquisition.settings.parts import Linked, Options, Patience, known, need
 from amulor.survey.quantity import Description, Time, Voltage
 
 #: Auxiliary inputs of each lock-in, counted from 1.

@@ -1,0 +1,30 @@
+"""The devices file: one TOML that says which devices take a scan, and how."""
+
+from amulor.acquisition.settings.devices_file import (
+    MountSettings,
+    Procedure,
+    ScannerSettings,
+    Settings,
+    SimulationSettings,
+    TargetSettings,
+)
+from amulor.acquisition.settings.light import LaserSettings, SourceSettings
+from amulor.acquisition.settings.lock_in import DigitiserSettings, LockInSettings
+
+__all__ = [
+    "DigitiserSettings",
+    "LaserSettings",
+    "LockInSettings",
+    "MountSettings",
+    "Procedure",
+    "ScannerSettings",
+    "Settings",
+    "SimulationSettings",
+    "SourceSettings",
+    "TargetSettings",
+]
+
+
+def __dir__() -> list[str]:
+    """List the public names, not the modules that they come from."""
+    return sorted(__all__)
