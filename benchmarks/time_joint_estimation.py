@@ -30,7 +30,7 @@ from amulor.rejection.joint import (
 )
 from amulor.rejection.joint.drift import trends_of
 from amulor.rejection.joint.estimate import joint
-from amulor.rejection.joint.frame import frame_of
+from amulor.rejection.joint.overlap.frame import frame_of
 from amulor.rejection.joint.samples import flat
 from amulor.simulation import simulate
 from amulor.survey import Survey

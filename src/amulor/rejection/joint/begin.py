@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from amulor.rejection.joint.integral import table_of
+from amulor.rejection.joint.overlap.integral import table_of
 from amulor.rejection.joint.priors import NONE, Shared, layout_of
 from amulor.rejection.joint.problem import Problem
 from amulor.rejection.joint.scatter import are_inliers

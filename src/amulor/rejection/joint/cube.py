@@ -15,8 +15,8 @@ from amulor.optics import rays
 from amulor.rejection.build import target_cube
 from amulor.rejection.covariance import Covariance, covariance_of
 from amulor.rejection.joint.drift import change_of
-from amulor.rejection.joint.frame import Frame
 from amulor.rejection.joint.instrument import Instrument, late_echo, range_variance
+from amulor.rejection.joint.overlap.frame import Frame
 from amulor.rejection.joint.priors import DECISIVE, Shared
 from amulor.rejection.joint.solve import Result
 

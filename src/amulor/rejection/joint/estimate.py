@@ -13,12 +13,12 @@ from amulor.rejection.joint import pixels as joint_pixels
 from amulor.rejection.joint import shared as joint_shared
 from amulor.rejection.joint.cube import Scan, cube_of
 from amulor.rejection.joint.drift import trends_of
-from amulor.rejection.joint.frame import frame_of
 from amulor.rejection.joint.instrument import (
     DIRECTION,
     LATE_ECHO,
     Instrument,
 )
+from amulor.rejection.joint.overlap.frame import frame_of
 from amulor.rejection.joint.pixels import Pixels
 from amulor.rejection.joint.samples import (
     FEWEST_FREQUENCIES,

@@ -8,8 +8,8 @@ from numpy.typing import NDArray
 from amulor.rejection.joint._kernels import model as kernels
 from amulor.rejection.joint._kernels.bundles import Signals
 from amulor.rejection.joint._kernels.threads import spread
+from amulor.rejection.joint.overlap.table import Table, from_pairs
 from amulor.rejection.joint.pixels import Pixels, coefficients, places
-from amulor.rejection.joint.table import Table, from_pairs
 
 Floats = NDArray[np.float64]
 Complex = NDArray[np.complex128]

@@ -11,8 +11,8 @@ from amulor.optics import rays
 from amulor.rejection.covariance import Covariance
 from amulor.rejection.joint._kernels import bundles
 from amulor.rejection.joint._kernels import model as kernels
-from amulor.rejection.joint.frame import Frame
-from amulor.rejection.joint.table import Table, to_pairs
+from amulor.rejection.joint.overlap.frame import Frame
+from amulor.rejection.joint.overlap.table import Table, to_pairs
 
 Floats = NDArray[np.float64]
 Complex = NDArray[np.complex128]

@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import solve_triangular
 
-from amulor.rejection.joint.shape import COEFFICIENTS, Shape
-from amulor.rejection.joint.table import Table
+from amulor.rejection.joint.overlap.shape import COEFFICIENTS, Shape
+from amulor.rejection.joint.overlap.table import Table
 
 Floats = NDArray[np.float64]
 Complex = NDArray[np.complex128]

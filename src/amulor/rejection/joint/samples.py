@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from amulor.errors import CubeError
 from amulor.rejection.covariance import Covariance, covariance_of
 from amulor.rejection.joint import pixels as joint_pixels
-from amulor.rejection.joint.frame import Frame, frame_of
+from amulor.rejection.joint.overlap.frame import Frame, frame_of
 from amulor.rejection.joint.pixels import Pixels
 
 Floats = NDArray[np.float64]

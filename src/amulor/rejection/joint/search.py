@@ -11,6 +11,7 @@ from amulor.rejection.joint._kernels import bundles
 from amulor.rejection.joint._kernels import search as kernels
 from amulor.rejection.joint._kernels.threads import spread
 from amulor.rejection.joint.model import foreground
+from amulor.rejection.joint.overlap.table import Table, from_pairs, to_pairs
 from amulor.rejection.joint.pixels import (
     Pixels,
     echo_of,
@@ -19,7 +20,6 @@ from amulor.rejection.joint.pixels import (
     places,
     samples,
 )
-from amulor.rejection.joint.table import Table, from_pairs, to_pairs
 
 Floats = NDArray[np.float64]
 Complex = NDArray[np.complex128]

@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from amulor.rejection.joint.begin import Begun, begin, may_be_all
-from amulor.rejection.joint.frame import Frame
-from amulor.rejection.joint.integral import table_of
 from amulor.rejection.joint.outliers import may_be_left_out, without_outliers
+from amulor.rejection.joint.overlap.frame import Frame
+from amulor.rejection.joint.overlap.integral import table_of
 from amulor.rejection.joint.pixels import Pixels
 from amulor.rejection.joint.priors import DECISIVE, NONE, Shared
 from amulor.rejection.joint.problem import Problem

@@ -15,8 +15,8 @@ from amulor.rejection.joint._kernels import common as kernels
 from amulor.rejection.joint._kernels.bundles import Covariances, WaterModel
 from amulor.rejection.joint._kernels.threads import spread
 from amulor.rejection.joint.drift import drifted
-from amulor.rejection.joint.frame import Frame
 from amulor.rejection.joint.outliers import Kept, part_of, without_outliers
+from amulor.rejection.joint.overlap.frame import Frame
 from amulor.rejection.joint.pixels import Pixels
 from amulor.rejection.joint.priors import Shared, layout_of
 from amulor.rejection.joint.scatter import is_detected

@@ -8,9 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from amulor.rejection.joint._kernels import start as kernels
-from amulor.rejection.joint.frame import Frame
-from amulor.rejection.joint.integral import table_of
 from amulor.rejection.joint.model import water_at
+from amulor.rejection.joint.overlap.frame import Frame
+from amulor.rejection.joint.overlap.integral import table_of
+from amulor.rejection.joint.overlap.shape import Shape
 from amulor.rejection.joint.pixels import (
     Pixels,
     echo_of,
@@ -21,7 +22,6 @@ from amulor.rejection.joint.pixels import (
     weight,
 )
 from amulor.rejection.joint.priors import whitened
-from amulor.rejection.joint.shape import Shape
 
 Floats = NDArray[np.float64]
 Complex = NDArray[np.complex128]

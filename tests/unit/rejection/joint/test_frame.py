@@ -8,11 +8,11 @@ from numpy.testing import assert_allclose
 
 from amulor.optics import small_angle_diffusion
 from amulor.rejection.covariance import Covariance
-from amulor.rejection.joint.frame import frame_of
-from amulor.rejection.joint.integral import table_of
 from amulor.rejection.joint.model import water_at
+from amulor.rejection.joint.overlap.frame import frame_of
+from amulor.rejection.joint.overlap.integral import table_of
+from amulor.rejection.joint.overlap.shape import Shape
 from amulor.rejection.joint.pixels import Pixels
-from amulor.rejection.joint.shape import Shape
 from amulor.survey import Survey, water_properties
 from amulor.survey.view import kernel_arguments, medium, view
 

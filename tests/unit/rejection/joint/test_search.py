@@ -10,9 +10,9 @@ from numpy.testing import assert_allclose
 from scipy.constants import speed_of_light
 
 from amulor.rejection.covariance import Covariance
+from amulor.rejection.joint.overlap.table import Table
 from amulor.rejection.joint.pixels import Pixels, weight
 from amulor.rejection.joint.search import Estimates, estimate
-from amulor.rejection.joint.table import Table
 
 FREQUENCIES = np.array([12e6, 31e6, 57e6, 83e6, 104e6, 139e6])
 

@@ -8,9 +8,9 @@ from numpy.typing import NDArray
 
 from amulor.errors import CubeError
 from amulor.rejection.joint._kernels import model as kernels
-from amulor.rejection.joint.frame import SMALLEST_STRENGTH, Frame, unseen
-from amulor.rejection.joint.shape import COEFFICIENTS, Shape, hats
-from amulor.rejection.joint.table import Table
+from amulor.rejection.joint.overlap.frame import SMALLEST_STRENGTH, Frame, unseen
+from amulor.rejection.joint.overlap.shape import COEFFICIENTS, Shape, hats
+from amulor.rejection.joint.overlap.table import Table
 
 Floats = NDArray[np.float64]
 

@@ -11,8 +11,8 @@ from scipy.constants import speed_of_light
 
 from amulor.errors import CubeError
 from amulor.optics import rays, small_angle_diffusion
-from amulor.rejection.joint.directions import directions_of
-from amulor.rejection.joint.shape import Shape, hats
+from amulor.rejection.joint.overlap.directions import directions_of
+from amulor.rejection.joint.overlap.shape import Shape, hats
 from amulor.survey import Survey, water_properties
 from amulor.survey.view import kernel_arguments, medium, view
 

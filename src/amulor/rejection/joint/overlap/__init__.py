@@ -1,0 +1,1 @@
+"""How receiver and light overlap: geometry, tables and integrals of a scan."""
