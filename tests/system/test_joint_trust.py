@@ -5,12 +5,19 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
+from paper_form import follow_paper_form
 
 from amulor import imaging, rejection
 from amulor.cube import QualityFlag
 from amulor.studies.trust.scenes import models, samples
 from amulor.studies.trust.score import Score
 from amulor.studies.trust.study import run
+
+
+@pytest.fixture(autouse=True)
+def scenes_of_the_paper_form(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let the scenes follow the form that is fitted; others are in the whole study."""
+    follow_paper_form(monkeypatch)
 
 
 def holds(score: Score, *, trusted: float) -> bool:

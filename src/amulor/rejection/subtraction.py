@@ -123,9 +123,11 @@ def subtract_open_water(
             )
             residual = np.where(np.isnan(residual), residual, 0)
     change = along(water.drift * water.signal, 12**-0.5)
-    # Only the water in front of the target fluctuates, drifts and departs.
+    # Only the water in front of the target fluctuates, drifts and departs; a column
+    # that is not put back is no change of the water.
+    hidden = 0.0 if put_back or residual is None else np.nan_to_num(residual)
     strength = strength_of(
-        target,
+        target - hidden,
         water.signal,
         counting + water.fluctuation,
         water.common + column + change,

@@ -8,9 +8,12 @@ from numpy.typing import NDArray
 Floats = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
-#: The error of the first surface over its distance from the second. Unscattered light
-#: stands as a peak on the rest, so that the logarithm is no polynomial either [1].
+#: The error of the first surface over its distance from the second, where that is
+#: large. Unscattered light stands as a peak on the rest, so that the logarithm is no
+#: polynomial either [1].
 _BEYOND = 3.0
+#: Distance from which on it is large, in parts of the signal [1].
+_LARGE = 0.02
 #: A logarithm needs a signal that stands this many standard errors off zero.
 _SURE = 5.0
 
@@ -68,7 +71,7 @@ def disagreement(signal: Complex, logarithm: Complex, middle: complex) -> Comple
     Returns
     -------
     ndarray of complex
-        Difference :math:`S_0 e^{q} - p`, three times [V].
+        Difference :math:`S_0 e^{q} - p`, up to three times [V].
 
     Notes
     -----
@@ -81,5 +84,7 @@ def disagreement(signal: Complex, logarithm: Complex, middle: complex) -> Comple
     """
     # Beyond the shots a polynomial may run away: no farther than ten times the signal.
     bounded = np.minimum(logarithm.real, np.log(10.0)) + 1j * logarithm.imag
-    difference: Complex = _BEYOND * (middle * np.exp(bounded) - signal)
-    return difference
+    difference: Complex = middle * np.exp(bounded) - signal
+    size, whole = np.abs(difference), np.abs(signal)
+    large = np.divide(size, _LARGE * whole, out=np.ones(size.shape), where=whole > 0)
+    return np.asarray(difference * (1 + (_BEYOND - 1) * np.minimum(large, 1.0)))
