@@ -1,5 +1,8 @@
 """From a survey to the cube that its instrument would record."""
 
+from typing import TYPE_CHECKING
+
+from amulor import _lazy
 from amulor.simulation.measurement import simulate
 from amulor.simulation.models import (
     ClosureModel,
@@ -7,8 +10,10 @@ from amulor.simulation.models import (
     SignalModel,
     SmallAngleModel,
 )
-from amulor.simulation.photons import PhotonModel
 from amulor.simulation.scene_light import SceneLight, scene_light
+
+if TYPE_CHECKING:
+    from amulor.simulation.photons import PhotonModel
 
 __all__ = [
     "ClosureModel",
@@ -20,3 +25,9 @@ __all__ = [
     "scene_light",
     "simulate",
 ]
+
+if not TYPE_CHECKING:
+    # Photon transport is loaded by those who follow photons.
+    __getattr__, __dir__ = _lazy.attach(
+        __name__, __all__, origin={"PhotonModel": "amulor.simulation.photons"}
+    )

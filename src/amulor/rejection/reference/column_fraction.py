@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
 
 import numpy as np
 from numpy.polynomial import chebyshev
@@ -198,13 +197,12 @@ def integrated(survey: Survey, places: Floats, frequency: Floats) -> Complex:
         Fractions [1].
     """
     azimuth, elevation, depth = places
-    place: dict[str, Any] = {
-        "azimuth": azimuth,
-        "elevation": elevation,
-        "modulation_frequency": frequency,
-    }
-    whole = water_signal(survey, **place)
-    behind = whole - water_signal(survey, **place, end=depth)
+    # Open water does not depend on the depth: once for each direction.
+    beams, own = np.unique(places[:2], axis=1, return_inverse=True)
+    whole = water_signal(survey, *beams, modulation_frequency=frequency)[:, own]
+    behind = whole - water_signal(
+        survey, azimuth, elevation, modulation_frequency=frequency, end=depth
+    )
     # A receiver that sees no water has none behind the target either.
     fraction: Complex = np.divide(
         behind, whole, out=np.zeros_like(behind), where=whole != 0

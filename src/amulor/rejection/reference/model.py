@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import lru_cache
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from amulor.errors import SurveyError
 from amulor.optics import small_angle, small_angle_diffusion
 from amulor.survey import Survey, WaterProperties, water_properties
-from amulor.survey.view import View, kernel_arguments, medium, view
+from amulor.survey.view import kernel_arguments, medium, view
 from amulor.survey.waters.whole_function import (
     whole_function_arguments,
     whole_phase_function,
@@ -50,29 +50,27 @@ def water_signal(
 
     Notes
     -----
-    The closure of eq. (29) of Ricci et al. 2010, as rebuilt, with the whole phase
-    function of the water, which is as fast as the diffusion form (46) and within some
-    percent of photons; water whose stated moments no phase function has by the
-    diffusion form.
+    Eq. (29) of Ricci et al. 2010, as rebuilt, with the whole phase function of the
+    water, within some percent of photons; water whose stated moments no phase function
+    has by the diffusion form (46).
     """
     water = water_properties(survey)
     where = view(survey, azimuth, elevation, medium=medium(survey, water))
     far = np.inf if survey.water.column_end is None else survey.water.column_end
-    form = small_angle if _has_phase_function(water) else small_angle_diffusion
-    signal: Complex = form.water_response(
+    form: Callable[..., Complex]
+    if _has_phase_function(water):
+        form = small_angle.water_response
+        arguments = whole_function_arguments(survey, water, where)
+    else:
+        form = small_angle_diffusion.water_response
+        arguments = kernel_arguments(survey, water, where)
+    return form(
         modulation_frequency[:, None],
         backscatter_vsf=1.0,
         group_index=water.group_index,
         end=far if end is None else np.minimum(end, far),
-        **_arguments(survey, water, where),
+        **arguments,
     )
-    return signal
-
-
-def _arguments(survey: Survey, water: WaterProperties, where: View) -> dict[str, Any]:
-    if _has_phase_function(water):
-        return whole_function_arguments(survey, water, where)
-    return kernel_arguments(survey, water, where)
 
 
 @lru_cache(maxsize=8)
