@@ -23,10 +23,10 @@ from amulor.optics import (
 )
 from amulor.optics._water_column import Receiver
 from amulor.optics.phase_functions import henyey_greenstein
+from amulor.optics.small_angle import _columns, sharp_receiver
 from amulor.optics.small_angle import _kernels as gaussian_kernels
 from amulor.optics.small_angle import _sharp_kernels as sharp_kernels
-from amulor.optics.small_angle import sharp_receiver
-from amulor.optics.small_angle._columns import Arguments
+from amulor.optics.small_angle._columns import LOOK, Arguments
 from amulor.optics.small_angle._columns import Column as SmallAngleColumn
 from amulor.optics.small_angle_diffusion import _kernels as diffusion_kernels
 from amulor.optics.small_angle_diffusion import impulse_response
@@ -137,8 +137,9 @@ def _exchanged(original, one, other):
     return make
 
 
-def _pairs(bundle):
-    return list(itertools.combinations(bundle._fields, 2))
+def _pairs(bundle, without=()):
+    fields = [name for name in bundle._fields if name not in without]
+    return list(itertools.combinations(fields, 2))
 
 
 FREQUENCIES = [3e7]
@@ -197,13 +198,23 @@ def test_the_small_angle_form_is_that_of_the_oracle(gaussian_oracle):
     assert_allclose(_gaussian(), gaussian_oracle, rtol=1e-6)
 
 
-@pytest.mark.parametrize(("one", "other"), _pairs(gaussian_kernels.Water))
+@pytest.mark.parametrize(("one", "other"), _pairs(gaussian_kernels.Water, LOOK))
 def test_two_exchanged_arguments_of_the_small_angle_form_show(
     one, other, gaussian_oracle, monkeypatch
 ):
     make = _exchanged(gaussian_kernels.Water, one, other)
     monkeypatch.setattr(gaussian_kernels, "Water", make)
     assert abs(_gaussian() / gaussian_oracle - 1) > 1e-4
+
+
+@pytest.mark.parametrize(("one", "other"), list(itertools.combinations(LOOK, 2)))
+def test_two_exchanged_columns_of_how_depths_are_looked_at_show(
+    one, other, gaussian_oracle, sharp_oracle, monkeypatch
+):
+    names = {one: other, other: one}
+    monkeypatch.setattr(_columns, "LOOK", [names.get(n, n) for n in LOOK])
+    assert abs(_gaussian() / gaussian_oracle - 1) > 1e-4
+    assert abs(_sharp() / sharp_oracle - 1) > 1e-6
 
 
 def _sharp():
@@ -235,6 +246,25 @@ def test_two_exchanged_arguments_of_the_form_with_sharp_edges_show(
     make = _exchanged(sharp_kernels.Water, one, other)
     monkeypatch.setattr(sharp_kernels, "Water", make)
     assert abs(_sharp() / sharp_oracle - 1) > 1e-6
+
+
+@pytest.mark.parametrize(
+    "form", [small_angle, small_angle_closure, sharp_receiver], ids=lambda f: f.__name__
+)
+def test_depths_that_are_looked_at_each_in_its_own_way_are_what_they_are_alone(form):
+    # Twelve pixels of two waters, one of them at the very start of the water.
+    rng = np.random.default_rng(3)
+    depth = np.append(0.0, rng.uniform(0.2, 3.0, 11)).reshape(3, 4)
+    view = {
+        name: _SMALL[name] * rng.uniform(0.5, 1.5, depth.shape)
+        for name in ("baseline", "tilt", "cross_tilt", "standoff")
+    }
+    absorption = np.where(np.arange(4) % 2, 0.1, 0.3)
+    together = form.overlap(depth, **_SMALL | view | {"absorption": absorption})
+    for index in np.ndindex(depth.shape):
+        alone = {name: value[index] for name, value in view.items()}
+        alone["absorption"] = absorption[index[1]]
+        assert together[index] == form.overlap(depth[index], **_SMALL | alone)
 
 
 def test_a_column_of_the_small_angle_form_is_made_by_name():

@@ -13,7 +13,7 @@ from amulor.optics import _bounds
 from amulor.optics._water_column import Receiver, checked, phase_per_depth
 from amulor.optics.small_angle._tables import PhaseFunction, Table, table
 
-__all__ = ["Arguments", "Column", "overlap_of", "response_of"]
+__all__ = ["Arguments", "Column", "looks", "overlap_of", "response_of"]
 
 Array = NDArray[np.float64]
 Many = Callable[[Array, Array, "Column", Table], NDArray[np.complex128] | None]
@@ -32,26 +32,44 @@ class Arguments(Receiver):
 
 #: What columns of one table may differ in, in the order of its rows.
 VIEW = ("baseline", "tilt", "cross_tilt", "end")
+#: What depths of one call may differ in, in the order of the rows of `looks`.
+LOOK = ("baseline", "tilt", "cross_tilt", "standoff")
 
 
 class Column(NamedTuple):
-    """A column of water seen by an instrument (SI units)."""
+    """A column of water seen by an instrument (SI units).
+
+    Where each depth is looked at in its own way, such as the pixels of a target, what
+    `LOOK` names has an element for each depth.
+    """
 
     absorption: float
     scattering: float
-    baseline: float
+    baseline: Any
     receiver_radius: float
     acceptance_angle: float
     beam_radius: float
     beam_divergence: float
-    tilt: float
-    cross_tilt: float
-    standoff: float
+    tilt: Any
+    cross_tilt: Any
+    standoff: Any
     end: float
+
+    def look(self) -> dict[str, float]:
+        """Return how all depths are looked at, or zeros where each has its own."""
+        view = {name: getattr(self, name) for name in LOOK}
+        each = any(np.ndim(value) for value in view.values())
+        return dict.fromkeys(view, 0.0) if each else view
 
     def loss(self, spread: Table) -> float:
         """Return 2 k', by which light is lost on its way there and back [1/m]."""
         return 2 * (self.absorption + self.scattering * (1 - spread.fraction))
+
+
+def looks(depth: Array, column: Column) -> Array:
+    """Return depths and how they are looked at as rows, for the compiled loops."""
+    view = (getattr(column, name) for name in LOOK)
+    return np.stack(np.broadcast_arrays(depth, *view), axis=1)
 
 
 def overlap_of(
@@ -62,11 +80,33 @@ def overlap_of(
     phase_function: PhaseFunction,
     split_angle: float,
 ) -> Array:
-    """Return F(z), with light giving that of the depths of one column."""
+    """Return F(z), with light giving that of the depths of one water and receiver."""
     z = np.asarray(checked("depth", depth))
     spread = table(phase_function, split_angle)
     columns = _columns(arguments, depth=z)
-    return np.asarray(_by_column(light, z, columns, spread, dtype=float))
+    names, values = list(columns), list(columns.values())
+    z, *values = np.broadcast_arrays(z, *values)
+    out = np.empty(z.shape)
+    flat = {n: value.ravel() for n, value in zip(names, values, strict=True)}
+    shared = [name for name in names if name not in LOOK]
+    varied = [name for name in shared if columns[name].size > 1]
+    for part in _alike([flat[name] for name in varied], z.size):
+        fields: dict[str, Any] = {name: float(flat[name][part[0]]) for name in shared}
+        fields |= {name: flat[name][part] for name in LOOK}
+        column = Column(**fields)
+        out.flat[part] = light(z.ravel()[part], column, spread)
+    return out
+
+
+def _alike(values: list[Array], count: int) -> list[NDArray[np.intp]]:
+    """Return where all of some values are the same, for each that there are."""
+    if count == 0:
+        return []
+    if not values:
+        return [np.arange(count)]
+    _, group = np.unique(np.stack(values, axis=1), axis=0, return_inverse=True)
+    order = np.argsort(group.ravel(), kind="stable")
+    return np.split(order, np.flatnonzero(np.diff(group.ravel()[order])) + 1)
 
 
 def response_of(

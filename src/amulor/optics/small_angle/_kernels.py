@@ -14,11 +14,11 @@ from amulor.optics._quadrature.kernels import ORDER, Panel, add_panel
 __all__ = [
     "Water",
     "add_panels",
+    "aimed",
     "j0",
     "lost",
     "polynomial",
     "scattered",
-    "scattered_aside",
     "spread",
 ]
 
@@ -38,7 +38,11 @@ _SPLIT_END = 100.0  # phase up to which the edge of the forward part is followed
 
 
 class Water(NamedTuple):
-    """One column of water, with beam and receiver as one Gaussian."""
+    """One column of water, with beam and receiver as one Gaussian.
+
+    Where each depth is looked at in its own way, baseline, tilts and standoff here do
+    not count.
+    """
 
     loss: float
     """2 k' [1/m]."""
@@ -183,36 +187,42 @@ def _scattered_at(
 
 
 @numba.njit(cache=True, error_model="numpy")
-def scattered(
-    depth: Array, water: Water, table: Array, bessel: Array, rule: Array, out: Array
-) -> None:
-    """Fill out with F(z) / pi R^2 gamma^2 of light scattered forward.
-
-    Eq. (29) less its unscattered part, docs/theory/water-signal.md: an integral over
-    the spatial frequency kappa of J0(kappa offset), the Gaussian of receiver and beam
-    and exp[2 b_f z P(kappa z) / kappa z]. Compiled, as the panels of kappa follow from
-    what oscillates at each depth, and tables are looked up for each node.
-    """
-    work = np.empty((3, rule.shape[1]))
-    for n in range(depth.size):
-        z = depth[n]
-        offset = _offset(z, water)
-        out[n] = _scattered_at(z, offset, water, table, bessel, rule, work)
+def aimed(look: Array, water: Water) -> Water:
+    """Return a column that is looked at as a row of depth and view says."""
+    return Water(
+        water.loss,
+        water.forward,
+        water.split_angle,
+        look[1],
+        look[2],
+        look[3],
+        look[4],
+        water.radius_squared,
+        water.angle_squared,
+    )
 
 
 @numba.njit(cache=True, error_model="numpy")
-def scattered_aside(
-    place: Array, water: Water, table: Array, bessel: Array, rule: Array, out: Array
+def scattered(
+    look: Array, water: Water, table: Array, bessel: Array, rule: Array, out: Array
 ) -> None:
-    """Fill out with the same at depths and distances of beam and axis, place[:, :2].
+    """Fill out with F(z) / pi R^2 gamma^2 of light scattered forward.
 
-    Compiled for the same reason; `_many` keeps what comes out in a table.
+    A row of look is depth, baseline, tilt, cross tilt and standoff. Eq. (29)
+    less its unscattered part, docs/theory/water-signal.md: an integral over the spatial
+    frequency kappa of J0(kappa offset), the Gaussian of receiver and beam and
+    exp[2 b_f z P(kappa z) / kappa z]. Compiled, as the panels of kappa follow from what
+    oscillates at each depth, and tables are looked up for each node.
     """
     work = np.empty((3, rule.shape[1]))
-    for n in range(place.shape[0]):
-        out[n] = _scattered_at(
-            place[n, 0], place[n, 1], water, table, bessel, rule, work
-        )
+    for n in range(look.shape[0]):
+        z = look[n, 0]
+        if z <= 0.0:  # nothing is scattered before the water begins
+            out[n] = 0.0
+            continue
+        own = aimed(look[n], water)
+        offset = _offset(z, own)
+        out[n] = _scattered_at(z, offset, own, table, bessel, rule, work)
 
 
 @numba.njit(cache=True, error_model="numpy")

@@ -111,13 +111,14 @@ def _tables(depth: Array, view: Array, shared: Shared) -> tuple[Array, Array]:
     place = np.arange(count)[:, None] + (node + 1) / 2
     apart = low[:, None, None] + width[:, None, None] * place
     offset = np.sqrt(np.maximum(np.expm1(apart), 0.0) * area[:, :, None])
-    places = np.stack(
-        [np.broadcast_to(depth[:, None, None], offset.shape).ravel(), offset.ravel()],
-        axis=1,
-    )
-    out = np.empty(len(places))
-    _kernels.scattered_aside(
-        np.ascontiguousarray(places),
+    # Depth, baseline, tilts and standoff of receivers that look straight ahead.
+    look = np.zeros((offset.size, 5))
+    look[:, 0] = np.broadcast_to(depth[:, None, None], offset.shape).ravel()
+    look[:, 1] = offset.ravel()
+    look[:, 4] = water.standoff
+    out = np.empty(len(look))
+    _kernels.scattered(
+        look,
         water,
         shared.cells,
         bessel(),

@@ -32,7 +32,7 @@ _PANELS = 4000  # after which an integral counts as cut off
 
 
 class Water(NamedTuple):
-    """One column of water, the beam and the receiver."""
+    """Water, beam and receiver."""
 
     loss: float
     """2 k' [1/m]."""
@@ -40,14 +40,6 @@ class Water(NamedTuple):
     """2 b_f [1/m]."""
     split_angle: float
     """Where the forward part of the phase function ends [rad]."""
-    baseline: float
-    """rho_0 [m]."""
-    tilt: float
-    """n_0 along the baseline [rad]."""
-    cross_tilt: float
-    """n_0 across it [rad]."""
-    standoff: float
-    """zeta - z [m]."""
     receiver_radius: float
     """R [m]."""
     acceptance_angle: float
@@ -180,11 +172,11 @@ def _envelope(kappa: float, radius: tuple[float, float, float]) -> float:
 
 
 @numba.njit(cache=True, error_model="numpy")
-def _place(z: float, water: Water) -> _Place:
-    """Return what a depth is."""
-    path = z + water.standoff
-    along = water.baseline - water.tilt * path
-    offset = math.hypot(along, water.cross_tilt * path)
+def _place(look: Array, water: Water) -> _Place:
+    """Return what a depth is that is looked at as a row says."""
+    z = look[0]
+    path = z + look[4]
+    offset = math.hypot(look[1] - look[2] * path, look[3] * path)
     radius = (offset, water.receiver_radius, water.acceptance_angle * path)
     beam = water.beam_radius_squared + water.beam_divergence_squared * path * path
     thickness = water.forward * z
@@ -343,10 +335,11 @@ def _transformed(place: _Place, tables: Tables, rate: Array, value: Complex) -> 
 
 
 @numba.njit(cache=True, error_model="numpy")
-def collected(depth: Array, water: Water, tables: Tables, out: Array) -> None:
+def collected(look: Array, water: Water, tables: Tables, out: Array) -> None:
     """Fill out with F(z) / pi R^2 gamma^2, less the unscattered light of a thin beam.
 
-    Eq. (29) with the transform of two uniform discs, docs/theory/water-signal.md.
+    A row of look is depth, baseline, tilt, cross tilt and standoff. Eq. (29)
+    with the transform of two uniform discs, docs/theory/water-signal.md.
     Between two spatial frequencies kappa a Bessel function is either a plain factor
     or, far out, two waves with smooth factors; waves that turn fast are integrated by
     the Legendre series of their factors. Compiled, as the width of each panel follows
@@ -354,10 +347,10 @@ def collected(depth: Array, water: Water, tables: Tables, out: Array) -> None:
     """
     rate = np.empty(4)
     value = np.empty((4, NODES), dtype=np.complex128)
-    for n in range(depth.size):
-        place = _place(depth[n], water)
+    for n in range(look.shape[0]):
+        place = _place(look[n], water)
         if place.thickness == 0.0 and place.beam == 0.0:
             out[n] = 0.0
             continue
         total = _transformed(place, tables, rate, value)
-        out[n] = 0.5 * total * math.exp(-water.loss * depth[n])
+        out[n] = 0.5 * total * math.exp(-water.loss * place.depth)

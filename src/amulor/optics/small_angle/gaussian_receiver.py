@@ -7,6 +7,7 @@ of the forward peak.
 from __future__ import annotations
 
 from functools import cache, partial
+from typing import Any
 
 import numpy as np
 from numpy.polynomial import legendre
@@ -19,6 +20,7 @@ from amulor.optics.small_angle._columns import (
     VIEW,
     Arguments,
     Column,
+    looks,
     overlap_of,
     response_of,
 )
@@ -272,7 +274,7 @@ def _widths(column: Column) -> tuple[float, float]:
     return float(radius), float(angle)
 
 
-def _without_forward_scattering(column: Column) -> dict[str, float]:
+def _without_forward_scattering(column: Column) -> dict[str, Any]:
     """Return the arguments of the diffusion form for unscattered light."""
     radius, angle = _widths(column)
     return {
@@ -299,17 +301,14 @@ def _beam_loss(column: Column) -> float:
 def _light(depth: Array, column: Column, spread: Table) -> Array:
     """Return F(z) [sr]."""
     closed = small_angle_diffusion.overlap(depth, **_without_forward_scattering(column))
-    light = closed * _beam_loss(column)
-    lit = depth > 0  # nothing is scattered before the water begins
-    light[lit] += _scattered(depth[lit], column, spread)
-    return light
+    return closed * _beam_loss(column) + _scattered(depth, column, spread)
 
 
 def _scattered(depth: Array, column: Column, spread: Table) -> Array:
     """Return F(z) of light that was scattered forward at least once [sr]."""
-    out = np.zeros(depth.size)
-    water = _water(column, spread)
-    _kernels.scattered(depth, water, spread.cells, bessel(), _frequency_rule(), out)
+    out = np.empty(depth.size)
+    water, rule = _water(column, spread), _frequency_rule()
+    _kernels.scattered(looks(depth, column), water, spread.cells, bessel(), rule, out)
     return _peak(column) * out
 
 
@@ -320,10 +319,7 @@ def _water(column: Column, spread: Table) -> _kernels.Water:
         loss=column.loss(spread),
         forward=2 * column.scattering * spread.fraction,
         split_angle=spread.split,
-        baseline=column.baseline,
-        tilt=column.tilt,
-        cross_tilt=column.cross_tilt,
-        standoff=column.standoff,
+        **column.look(),
         radius_squared=radius**2,
         angle_squared=angle**2,
     )

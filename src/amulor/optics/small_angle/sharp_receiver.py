@@ -17,6 +17,7 @@ from amulor.optics.small_angle import _sharp_kernels as _kernels
 from amulor.optics.small_angle._columns import (
     Arguments,
     Column,
+    looks,
     overlap_of,
     response_of,
 )
@@ -317,11 +318,8 @@ def _light(depth: Array, column: Column, spread: Table) -> Array:
     """Return F(z) [sr]."""
     path = depth + column.standoff
     thin = (column.beam_radius == 0) & (column.beam_divergence * path == 0)
-    light = np.zeros(depth.shape)
-    light[thin] = _unscattered(depth[thin], column)
-    lit = ~thin | (depth > 0)  # nothing is scattered before the water begins
-    light[lit] += _collected(depth[lit], column, spread)
-    return light
+    unscattered = np.where(thin, _unscattered(depth, column), 0.0)
+    return unscattered + _collected(depth, column, spread)
 
 
 def _collected(depth: Array, column: Column, spread: Table) -> Array:
@@ -330,17 +328,13 @@ def _collected(depth: Array, column: Column, spread: Table) -> Array:
         loss=column.loss(spread),
         forward=2 * column.scattering * spread.fraction,
         split_angle=spread.split,
-        baseline=column.baseline,
-        tilt=column.tilt,
-        cross_tilt=column.cross_tilt,
-        standoff=column.standoff,
         receiver_radius=column.receiver_radius,
         acceptance_angle=column.acceptance_angle,
         beam_radius_squared=column.beam_radius**2,
         beam_divergence_squared=column.beam_divergence**2,
     )
     out = np.zeros(depth.size)
-    _kernels.collected(depth, water, _tables_of(spread), out)
+    _kernels.collected(looks(depth, column), water, _tables_of(spread), out)
     return np.pi * (column.receiver_radius * column.acceptance_angle) ** 2 * out
 
 

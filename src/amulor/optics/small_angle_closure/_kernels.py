@@ -10,7 +10,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from amulor.optics._quadrature.kernels import ORDER, Panel, add_panel
-from amulor.optics.small_angle._kernels import LINEAR, PER_OCTAVE, WIDTH, Water
+from amulor.optics.small_angle._kernels import (
+    LINEAR,
+    PER_OCTAVE,
+    WIDTH,
+    Water,
+    aimed,
+)
 
 __all__ = ["Layout", "collected", "water_column"]
 
@@ -134,13 +140,14 @@ def _taken(z: float, water: Water, table: Array) -> float:
 
 
 @numba.njit(cache=True, error_model="numpy")
-def collected(depth: Array, water: Water, table: Array, out: Array) -> None:
+def collected(look: Array, water: Water, table: Array, out: Array) -> None:
     """Fill out with F(z) / pi R^2 gamma^2.
 
-    Compiled, as S(z) is found step by step at each depth, docs/theory/water-signal.md.
+    A row of look is depth, baseline, tilt, cross tilt and standoff.
+    Compiled, as S(z) is found step by step, docs/theory/water-signal.md.
     """
-    for n in range(depth.size):
-        out[n] = _taken(depth[n], water, table)
+    for n in range(look.shape[0]):
+        out[n] = _taken(look[n, 0], aimed(look[n], water), table)
 
 
 @numba.njit(cache=True, error_model="numpy")

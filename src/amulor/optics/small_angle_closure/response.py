@@ -16,6 +16,7 @@ from amulor.optics.small_angle import _kernels as small_angle_kernels
 from amulor.optics.small_angle._columns import (
     Arguments,
     Column,
+    looks,
     overlap_of,
     response_of,
 )
@@ -272,10 +273,7 @@ def _water(column: Column, spread: Table) -> small_angle_kernels.Water:
         loss=column.loss(spread),
         forward=2 * column.scattering * spread.fraction,
         split_angle=spread.split,
-        baseline=column.baseline,
-        tilt=column.tilt,
-        cross_tilt=column.cross_tilt,
-        standoff=column.standoff,
+        **column.look(),
         radius_squared=column.receiver_radius**2 + column.beam_radius**2,
         angle_squared=column.acceptance_angle**2 + column.beam_divergence**2,
     )
@@ -289,7 +287,8 @@ def _peak(column: Column) -> float:
 def _light(depth: Array, column: Column, spread: Table) -> Array:
     """Return F(z) [sr]."""
     out = np.empty(depth.size)
-    _kernels.collected(depth, _water(column, spread), spread.cells, out)
+    water = _water(column, spread)
+    _kernels.collected(looks(depth, column), water, spread.cells, out)
     return np.asarray(_peak(column) * out)
 
 

@@ -179,6 +179,7 @@ def test_negative_frequency_and_depth_are_refused():
 
 def test_compiled_loop_is_the_loop_as_written():
     depth = np.array([0.5, 4.0, 30.0])
+    look = np.column_stack([depth, *np.tile([0.1, 0.01, 0.02, 0.0], (3, 1)).T])
     kept = table(PEAKED, np.pi / 2)
     water = _small_angle_kernels.Water(
         loss=0.4,
@@ -194,7 +195,7 @@ def test_compiled_loop_is_the_loop_as_written():
     node, weight = np.polynomial.legendre.leggauss(16)
     rule = np.stack([(node + 1) / 2, weight / 2])
     compiled, written = np.empty(3), np.empty(3)
-    arguments = (depth, water, kept.cells, bessel(), rule)
+    arguments = (look, water, kept.cells, bessel(), rule)
     _small_angle_kernels.scattered(*arguments, compiled)
     _small_angle_kernels.scattered.py_func(*arguments, written)
     # Contracted multiplications round once less.

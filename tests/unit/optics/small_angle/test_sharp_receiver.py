@@ -156,15 +156,12 @@ def test_a_turning_panel_is_integrated_in_closed_form(rate):
 
 def test_compiled_loop_is_the_loop_as_written():
     depth = np.array([0.5, 4.0, 30.0])
+    look = np.column_stack([depth, *np.tile([0.1, 0.01, 0.02, 0.0], (3, 1)).T])
     kept = table(PEAKED, np.pi / 2)
     thin = kernels.Water(
         loss=0.4,
         forward=1.2,
         split_angle=np.pi / 2,
-        baseline=0.1,
-        tilt=0.01,
-        cross_tilt=0.02,
-        standoff=0.0,
         receiver_radius=0.02,
         acceptance_angle=0.08,
         beam_radius_squared=0.0,
@@ -174,7 +171,7 @@ def test_compiled_loop_is_the_loop_as_written():
     tables = small_angle_sharp_receiver._tables_of(kept)
     for water in (thin, wide):
         compiled, written = np.empty(3), np.empty(3)
-        arguments = (depth, water, tables)
+        arguments = (look, water, tables)
         kernels.collected(*arguments, compiled)
         kernels.collected.py_func(*arguments, written)
         # Waves that cancel; contracted multiplications round once less.

@@ -28,9 +28,10 @@ WATER = Water(
 
 def test_compiled_and_plain_overlaps_are_the_same():
     depth = np.array([0.0, 0.2, 1.5, 6.0])
+    look = np.column_stack([depth, *np.tile([0.1, 0.02, 0.01, 0.1], (4, 1)).T])
     compiled, plain = np.empty(4), np.empty(4)
-    _kernels.collected(depth, WATER, SPREAD.cells, compiled)
-    _kernels.collected.py_func(depth, WATER, SPREAD.cells, plain)
+    _kernels.collected(look, WATER, SPREAD.cells, compiled)
+    _kernels.collected.py_func(look, WATER, SPREAD.cells, plain)
     assert_allclose(compiled, plain, rtol=1e-12)
 
 
