@@ -1,12 +1,21 @@
-"""How commands print: tables, JSON, and a progress bar on terminals only."""
+"""How commands print: tables, JSON, and how far they are, as a bar or as lines."""
 
 from __future__ import annotations
 
 import json
 import sys
+import threading
+import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from typing import Any
+
+from amulor import _progress
+
+#: In a pipe, work says what it does after this time [s], ...
+_SILENT = 2.0
+#: ... and that it goes on with the same after this one [s].
+_AGAIN = 30.0
 
 
 def print_json(value: Any) -> None:
@@ -47,7 +56,7 @@ def print_table(
 
 @contextmanager
 def progress_bar(*, quiet: bool = False) -> Iterator[Callable[[str, float], None]]:
-    """Show a progress bar on a terminal, and nothing in a pipe.
+    """Show what `amulor._progress` is told: a bar on a terminal, lines in a pipe.
 
     Parameters
     ----------
@@ -58,10 +67,72 @@ def progress_bar(*, quiet: bool = False) -> Iterator[Callable[[str, float], None
     ------
     callable
         Takes what is done now and the share of the work done before it.
+
+    Notes
+    -----
+    Lines go to standard error, the first after two seconds, then for each new step, no
+    more often than every two seconds or tenth of the time so far; the same step is said
+    again after half a minute.
     """
-    if quiet or not sys.stderr.isatty():
+    if quiet:
         yield lambda step, share: None
         return
+    shown = _bar() if sys.stderr.isatty() else _lines()
+    with shown as advance, _progress.listening(advance):
+        yield advance
+
+
+@contextmanager
+def _lines() -> Iterator[_progress.Listener]:
+    """Write what is done as lines, and nothing about work that is soon done."""
+    log = _Log(time.monotonic)
+    done = threading.Event()
+
+    def write() -> None:
+        while not done.wait(0.25):
+            line = log.line()
+            if line:
+                print(line, file=sys.stderr, flush=True)
+
+    writer = threading.Thread(target=write, daemon=True)
+    writer.start()
+    try:
+        yield log.advance
+    finally:
+        done.set()
+        writer.join()
+
+
+class _Log:
+    """Which lines a log gets."""
+
+    def __init__(self, clock: Callable[[], float]) -> None:
+        self._clock = clock
+        self._begun = self._written_at = clock()
+        self._now = ("", 0.0)
+        self._written = ""
+
+    def advance(self, step: str, share: float) -> None:
+        """Take what is done now."""
+        self._now = (step, share)
+
+    def line(self) -> str:
+        """Return a line if it is time for one, else nothing."""
+        moment = self._clock()
+        step, share = self._now
+        # The longer it takes, the fewer lines.
+        pause = max(_SILENT, (moment - self._begun) / 10)
+        if step == self._written:
+            pause = max(_AGAIN, pause)
+        if not step or moment - self._written_at < pause:
+            return ""
+        self._written_at, self._written = moment, step
+        return f"amulor: {moment - self._begun:.0f} s, {share:.0%} done, {step}"
+
+
+@contextmanager
+def _bar() -> Iterator[_progress.Listener]:
+    """Show a bar that goes when the work is done."""
     from rich.console import Console
     from rich.progress import (
         BarColumn,

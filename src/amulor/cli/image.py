@@ -35,15 +35,23 @@ def image(
     overwrite
         Replace a file that is there.
     """
-    from amulor import imaging, io
+    from amulor import _progress, imaging, io
     from amulor.cli._arguments import interval_of
+    from amulor.cli._output import progress_bar
 
     interval = interval_of(nearest, farthest)
     io.check_output(output, overwrite=overwrite, inputs=[cube])
-    target = io.read_cube(cube)
-    result = imaging.range_image(target, polarization=polarization, interval=interval)
-    result = imaging.flag_outliers(imaging.flag_mixed(result))
-    io.write_cube(result, output, overwrite=overwrite)
+    with progress_bar() as advance:
+        advance(f"reading {cube}", 0.0)
+        target = io.read_cube(cube)
+        with _progress.part(0.2, 0.6):
+            result = imaging.range_image(
+                target, polarization=polarization, interval=interval
+            )
+        advance("edges and outliers", 0.6)
+        result = imaging.flag_outliers(imaging.flag_mixed(result))
+        advance(f"writing {output}", 0.8)
+        io.write_cube(result, output, overwrite=overwrite)
     usable = result["slant_range"].notnull()
     flags = result["quality_flag"]
     if not usable.any():

@@ -84,7 +84,7 @@ def reject(
     overwrite
         Replace a file that is there.
     """
-    from amulor import io, rejection
+    from amulor import _progress, io, rejection
     from amulor.cli._arguments import UsageError, interval_of, quantity_of
     from amulor.cli._output import print_json, progress_bar
     from amulor.errors import CubeError
@@ -105,51 +105,57 @@ def reject(
     column = _fraction("--column-uncertainty", column_uncertainty)
     inputs = [cube] if open_water is None else [cube, open_water]
     io.check_output(output, overwrite=overwrite, inputs=inputs)
-    samples = io.read_cube(cube)
-    if open_water is not None:
-        samples = rejection.with_open_water(samples, io.read_cube(open_water))
     comparison: Comparison | None = None
-    try:
-        with progress_bar(quiet=json) as advance:
-            advance(_WAITING.get(method, "taking the water out"), 0.0)
-            if method == "auto":
-                comparison = rejection.compare(samples, interval=interval)
-                target = rejection.auto(
-                    samples, interval=interval, comparison=comparison
-                )
-            elif method == "open-water":
-                target = rejection.open_water(
-                    samples, interval=interval, column_uncertainty=column
-                )
-            elif method in ("polarization", "unmix"):
-                target = rejection.unmix(
-                    samples,
-                    target_ratio=target_ratio,
-                    water_ratio=water_ratio,
-                    water_fluctuation=fluctuation,
-                )
-            elif method == "frequency":
-                target = rejection.frequency(
-                    samples, modulation_frequency=kept, interval=interval
-                )
-            elif method == "combined":
-                target = rejection.combined(
-                    samples, interval=interval, target_ratio=target_ratio
-                )
-            elif method == "joint":
-                target = rejection.joint(samples, interval=interval)
-            else:
-                target = {
-                    "cross-polarized": rejection.cross_polarized,
-                    "co-polarized": rejection.co_polarized,
-                    "none": rejection.keep_water,
-                }[method](samples)
-    except ValueError as error:
-        stated = (target_ratio, water_ratio, fluctuation, column, kept, interval)
-        # The formulas refuse their arguments; without options these come from the cube.
-        kind = CubeError if all(value is None for value in stated) else UsageError
-        raise kind(str(error)) from None
-    io.write_cube(target, output, overwrite=overwrite)
+    with progress_bar(quiet=json) as advance:
+        advance(f"reading {cube}", 0.0)
+        samples = io.read_cube(cube)
+        if open_water is not None:
+            samples = rejection.with_open_water(samples, io.read_cube(open_water))
+        advance(_WAITING.get(method, "taking the water out"), 0.1)
+        try:
+            with _progress.part(0.1, 0.9):
+                if method == "auto":
+                    with _progress.part(0.0, 0.8):
+                        comparison = rejection.compare(samples, interval=interval)
+                    with _progress.part(0.8, 1.0):
+                        target = rejection.auto(
+                            samples, interval=interval, comparison=comparison
+                        )
+                elif method == "open-water":
+                    target = rejection.open_water(
+                        samples, interval=interval, column_uncertainty=column
+                    )
+                elif method in ("polarization", "unmix"):
+                    target = rejection.unmix(
+                        samples,
+                        target_ratio=target_ratio,
+                        water_ratio=water_ratio,
+                        water_fluctuation=fluctuation,
+                    )
+                elif method == "frequency":
+                    target = rejection.frequency(
+                        samples, modulation_frequency=kept, interval=interval
+                    )
+                elif method == "combined":
+                    target = rejection.combined(
+                        samples, interval=interval, target_ratio=target_ratio
+                    )
+                elif method == "joint":
+                    target = rejection.joint(samples, interval=interval)
+                else:
+                    target = {
+                        "cross-polarized": rejection.cross_polarized,
+                        "co-polarized": rejection.co_polarized,
+                        "none": rejection.keep_water,
+                    }[method](samples)
+        except ValueError as error:
+            stated = (target_ratio, water_ratio, fluctuation, column, kept, interval)
+            # The formulas refuse their arguments; without options these come from the
+            # cube.
+            kind = CubeError if all(value is None for value in stated) else UsageError
+            raise kind(str(error)) from None
+        advance(f"writing {output}", 0.9)
+        io.write_cube(target, output, overwrite=overwrite)
     if json:
         print_json(_figures(output, method, target, comparison))
         return

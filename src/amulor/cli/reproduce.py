@@ -62,8 +62,7 @@ def ricci2010(
     needed = [extra for extra, few in _EXTRAS.items() if few.intersection(numbers)]
     _extras.require(*needed, purpose="redrawing these figures")
     reproduce.check_outputs(output, numbers, overwrite=overwrite)
-    with progress_bar(quiet=json) as bar:
-        progress = bar if json or sys.stderr.isatty() else _say
+    with progress_bar(quiet=json) as progress:
         results = _interruptible(
             lambda: reproduce.run(
                 numbers,
@@ -96,11 +95,6 @@ def ricci2010(
         print()
     print(tables.tally(c for redrawn in results.figures for c in redrawn.checks))
     print(f"Report: {output / 'report.html'}")
-
-
-def _say(step: str, share: float) -> None:
-    """Print a step of the work on a line of its own, where no bar can be drawn."""
-    print(f"{share:4.0%} {step}", file=sys.stderr, flush=True)
 
 
 def _interruptible(work: Callable[[], Result]) -> Result:

@@ -41,7 +41,7 @@ def simulate(
     overwrite
         Replace a file that is there.
     """
-    from amulor import io
+    from amulor import _progress, io
     from amulor.errors import SurveyError
     from amulor.simulation import (
         ClosureModel,
@@ -62,21 +62,18 @@ def simulate(
     io.check_output(output, overwrite=overwrite, inputs=[survey])
     described = Survey.from_toml(survey)
     try:
-        with progress_bar() as advance:
+        with progress_bar() as advance, _progress.part(0.0, 0.9):
             models: dict[str, SignalModel] = {
                 "small-angle": SmallAngleModel(),
                 "closure": ClosureModel(),
                 "diffusion": DiffusionModel(),
-                "photons": PhotonModel(
-                    relative_error=goal, seed=seed, progress=advance
-                ),
+                "photons": PhotonModel(relative_error=goal, seed=seed),
             }
-            chosen = models[model]
-            advance(f"simulating, {chosen.title}", 0.0)
-            cube = simulate_survey(described, rng=seed, model=chosen)
+            cube = simulate_survey(described, rng=seed, model=models[model])
+            advance(f"writing {output}", 0.9)
+            io.write_cube(cube, output, overwrite=overwrite)
     except SurveyError as problem:
         raise SurveyError(f"{survey}: {problem}") from None
-    io.write_cube(cube, output, overwrite=overwrite)
     print(f"{output}: {_sizes(cube.sizes)}")
     reason = unsettled_interval(
         described, modulation_frequency=described.instrument.modulation_frequencies

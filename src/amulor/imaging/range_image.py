@@ -10,6 +10,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from amulor import cube as cubes
+from amulor._progress import tell
 from amulor.cube import UNUSABLE, QualityFlag
 from amulor.errors import CubeError, SurveyError
 from amulor.imaging import budget
@@ -90,6 +91,7 @@ def range_image(
     if joint:
         ranges = ranges_of_joint(one, interval=interval)
     else:
+        tell("ranges and their intervals", 0.0)
         path = _settled_path(one, interval)
         factor = noise_scale(
             path,
@@ -97,9 +99,11 @@ def range_image(
             modulation_frequency=one["modulation_frequency"].values,
         )
         if factor > 1:
+            tell("ranges with the noise that shows", 0.3)
             one = with_noise_scaled(one, factor)
             path = _settled_path(one, interval)
         ranges = ranges_of_path(one, path)
+    tell("error budget", 0.6)
     image = _image(one, ranges, interval=interval)
     reason = "" if interval is not None else _unsettled(one)
     if reason:

@@ -13,6 +13,7 @@ from scipy.constants import speed_of_light
 from scipy.stats import chi2
 
 from amulor import cube as cubes
+from amulor._progress import part, tell
 from amulor.cube import UNUSABLE, QualityFlag
 from amulor.errors import AmulorError, CubeError
 from amulor.optics import ambiguity, detection, ranging
@@ -182,11 +183,14 @@ def compare(cube: xr.Dataset, *, interval: Interval = None) -> Comparison:
     """
     cube = cubes.checked(cube, "samples")
     rows: list[Row] = []
-    for method in _METHODS:
+    for number, method in enumerate(_METHODS):
         if method is _WITHOUT_SHOTS and not _shots_are_doubted(cube, rows):
             continue
+        share = number / len(_METHODS)
+        tell(f"trying {method.name}", share)
         try:
-            target = method.run(cube, interval)
+            with part(share, (number + 1) / len(_METHODS)):
+                target = method.run(cube, interval)
         except (AmulorError, ValueError) as error:
             rows.append(_not_run(method.name, str(error)))
             continue
@@ -236,10 +240,15 @@ def auto(
     CubeError
         As `compare`.
     """
+    compared = 0.0 if comparison is not None else 0.8
     if comparison is None:
-        comparison = compare(cube, interval=interval)
+        with part(0.0, compared):
+            comparison = compare(cube, interval=interval)
     method = next(one for one in _METHODS if one.name == comparison.method)
-    target = method.run(cube, interval).sel(polarization=[comparison.polarization])
+    tell(f"taking the water out by {method.name}", compared)
+    with part(compared, 1.0):
+        target = method.run(cube, interval)
+    target = target.sel(polarization=[comparison.polarization])
     return target.assign_attrs(
         rejection_method=comparison.method, rejection_reason=comparison.reason
     )

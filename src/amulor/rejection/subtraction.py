@@ -8,6 +8,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
+from amulor._progress import part, tell
 from amulor.rejection import quality
 from amulor.rejection.covariance import Covariance, along, covariance_of
 from amulor.rejection.reference.before_target import (
@@ -100,9 +101,11 @@ def subtract_open_water(
         As `amulor.rejection.open_water`.
     """
     _refuse_odd_fraction(column_uncertainty)
-    water = water_before_target(
-        cube, interval=interval, survey_is_right=column_uncertainty is not None
-    )
+    with part(0.0, 0.7):
+        water = water_before_target(
+            cube, interval=interval, survey_is_right=column_uncertainty is not None
+        )
+    tell("where there are targets", 0.7)
     seen = shows_target(cube, water, interval=interval)
     target, water_signal = water.difference, water.to_the_end
     counting = covariance_of(cube)
@@ -122,6 +125,7 @@ def subtract_open_water(
                 else water.hidden_error
             )
             residual = np.where(np.isnan(residual), residual, 0)
+    tell("errors of the target signal", 0.85)
     change = along(water.drift * water.signal, 12**-0.5)
     # Only the water in front of the target fluctuates, drifts and departs; a column
     # that is not put back is no change of the water.

@@ -10,6 +10,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from amulor import cube
+from amulor._progress import part, tell
 from amulor.optics.rays import Medium
 from amulor.simulation import geometry as geometry_of
 from amulor.simulation import lock_in, signal
@@ -62,11 +63,17 @@ def simulate(
     seed = int(rng) if isinstance(rng, numbers.Integral) else None
     generator = np.random.default_rng(rng)
     water = water_properties(survey)
+    tell("following the beams to the targets", 0.0)
     geometry = geometry_of.trace(survey, water)
-    target = signal.target_light(survey, water, geometry, model=model)
-    column = signal.water_light(
-        survey, water, geometry.view, end=geometry.depth, model=model
-    )
+    tell(f"light of the targets, {model.title}", 0.1)
+    with part(0.1, 0.3):
+        target = signal.target_light(survey, water, geometry, model=model)
+    tell(f"light of the water, {model.title}", 0.3)
+    with part(0.3, 0.7):
+        column = signal.water_light(
+            survey, water, geometry.view, end=geometry.depth, model=model
+        )
+    tell("noise of detector and lock-in", 0.7)
     samples = lock_in.sample(survey, target, column, rng=generator)
     medium = medium_of(survey, water)
     measured = cube.build(
@@ -94,6 +101,7 @@ def simulate(
         ),
     )
     if survey.scan.open_water is not None:
+        tell("open-water shots", 0.8)
         measured = cube.attach(
             measured, _open_water(survey, water, medium, generator, model), "open_water"
         )

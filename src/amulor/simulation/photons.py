@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from amulor import _progress
 from amulor.simulation.models import Error, SmallAngleModel
 from amulor.simulation.photon_grid import Grid, grid_of
 from amulor.simulation.photon_runs import Light, Place, Setting, follow, way
@@ -257,11 +258,10 @@ class PhotonModel:
         light: Light = self._known[key]
         return light
 
-    def _reported(self, count: tuple[int, int]) -> Callable[[Progress], None] | None:
+    def _reported(self, count: tuple[int, int]) -> Callable[[Progress], None]:
         """Return what tells how far photons have come at one place of several."""
-        if self.progress is None:
-            return None
-        tell, (number, places) = self.progress, count
+        tell = _progress.tell if self.progress is None else self.progress
+        number, places = count
 
         def report(state: Progress) -> None:
             part = min(1.0, (self.relative_error / state.relative_error) ** 2)

@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from amulor import _extras, imaging, io, rejection
+from amulor._progress import part
 from amulor.io.files import atomic_output
 from amulor.simulation import simulate
 from amulor.studies import ladder_report
@@ -111,27 +112,28 @@ def run(
         ) as temporary:
             temporary.write_text(text, encoding="utf-8")
         progress(f"simulating the scan in {water} water", start)
-        measured = simulate(survey, rng=source)
+        with part(start, start + 0.15):
+            measured = simulate(survey, rng=source)
         io.write_cube(
             measured, folder / f"ladder_{water}_samples.nc", overwrite=overwrite
         )
         progress(f"taking the water signal out, {water}", start + 0.15)
-        stages = {
-            "before": rejection.keep_water(measured),
-            "after": rejection.open_water(measured),
-        }
+        with part(start + 0.15, start + 0.25):
+            stages = {
+                "before": rejection.keep_water(measured),
+                "after": rejection.open_water(measured),
+            }
         io.write_cube(
             stages["after"],
             folder / f"ladder_{water}_target_signal.nc",
             overwrite=overwrite,
         )
         for number, channel in enumerate(CHANNELS):
-            progress(
-                f"range image and point cloud, {channel} {water}",
-                start + 0.25 + 0.07 * number,
-            )
+            done_so_far = start + 0.25 + 0.07 * number
+            progress(f"range image and point cloud, {channel} {water}", done_so_far)
             for stage in STAGES:
-                image = imaging.range_image(stages[stage], polarization=channel)
+                with part(done_so_far, done_so_far + 0.07):
+                    image = imaging.range_image(stages[stage], polarization=channel)
                 image = imaging.flag_outliers(imaging.flag_mixed(image))
                 cases.append(
                     evaluate(survey, image, water=water, channel=channel, stage=stage)

@@ -37,16 +37,6 @@ def _children(process: int) -> list[int]:
 
 
 @pytest.mark.slow
-def test_a_pipe_gets_a_line_for_each_step(tmp_path: Path) -> None:
-    with _started(tmp_path / "out", "--quick", "--figure", "1") as process:
-        _, said = process.communicate(timeout=120)
-    assert process.returncode == 0
-    steps = [line for line in said.splitlines() if "%" in line]
-    assert steps[0] == "  0% figure 1"
-    assert steps[-1] == " 99% writing figures and report"
-
-
-@pytest.mark.slow
 @pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="reads /proc")
 @pytest.mark.parametrize("word", ["figure 1", "varied"])
 def test_ctrl_c_ends_the_command_and_its_workers(tmp_path: Path, word: str) -> None:

@@ -7,6 +7,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from amulor import cube as cubes
+from amulor._progress import tell
 from amulor.errors import CubeError
 from amulor.rejection.covariance import Covariance
 from amulor.rejection.joint import pixels as joint_pixels
@@ -37,6 +38,8 @@ Complex = NDArray[np.complex128]
 
 #: Pixels worked on at once: this bounds the memory beyond the cube itself.
 _AT_ONCE = 16_384
+#: Share of the work before them, about [1].
+_SHARED_TAKES = 0.3
 
 
 def joint(
@@ -195,6 +198,7 @@ def joint(
         np.linspace(0, len(chosen) - 1, min(SHARING, len(chosen))).astype(int)
     ]
     some = pixels(chosen)
+    tell("water that all pixels share", 0.0)
     shared = joint_shared.fit(
         frame,
         some,
@@ -203,10 +207,12 @@ def joint(
         deepest=float(some.depths.max()),
         turn_width=instrument.direction,
     )
-    parts = [
-        solve(frame, pixels(slice(begin, begin + _AT_ONCE)), shared, transfer)
-        for begin in range(0, len(signal), _AT_ONCE)
-    ]
+    parts = []
+    for begin in range(0, len(signal), _AT_ONCE):
+        share = _SHARED_TAKES + (1 - _SHARED_TAKES) * begin / len(signal)
+        tell(f"ranges from pixel {begin:,} on, of {len(signal):,}", share)
+        some_more = pixels(slice(begin, begin + _AT_ONCE))
+        parts.append(solve(frame, some_more, shared, transfer))
     span = float((some.longest - some.shortest).max())
     scan = Scan(cube, frame, azimuth, elevation, enough, span)
     return cube_of(scan, parts, shared, instrument)

@@ -8,6 +8,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
+from amulor._progress import tell
 from amulor.rejection.covariance import Covariance, covariance_of
 from amulor.rejection.reference import column
 from amulor.rejection.reference.fit import Reference
@@ -89,6 +90,7 @@ def water_before_target(
     CubeError
         As `open_water`.
     """
+    tell("open water at each pixel", 0.0)
     fits = fit_shots(cube, shots_of(cube))
     samples = cube.amulor.signal.values
     water, common = expected_at_pixels(fits, samples.shape)
@@ -98,10 +100,12 @@ def water_before_target(
     path = np.full(samples.shape[2:], np.nan)
     if text:
         survey = Survey.from_text(text, name="survey in the cube")
+        tell("turbidity that the shots tell", 0.2)
         told = turbidity_of(cube, survey, water, common)
         if not survey_is_right:
             turbidity, survey = told, told.survey
         errors = covariance_of(cube) + common
+        tell("water behind the targets", 0.6)
         depth, path = column.depth(cube, difference, errors, survey, interval=interval)
         hidden = column.hidden_fraction(cube, survey, depth)
         if turbidity is not None:
