@@ -51,6 +51,10 @@ COMMANDS = {
         "view:view",
         "Show a file or scan in the browser: maps, 3D, measuring with errors.",
     ),
+    "watch": (
+        "watch:watch",
+        "Watch a scan in the terminal: picture, rate, drift, what to do.",
+    ),
     "report": ("report:report", "Draw range images into one HTML file."),
     "reproduce ricci2010": (
         "reproduce:ricci2010",

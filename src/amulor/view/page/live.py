@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-import asyncio
 import contextlib
-import json
-import struct
 import threading
 import time
 import warnings
@@ -16,7 +13,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from amulor import acquisition
 from amulor import cube as cubes
@@ -31,7 +27,7 @@ from amulor.view.page.quick import quick_layers
 from amulor.view.page.recording import Recording, recording_of
 
 #: How often the journal is looked at [s].
-_POLL = 0.2
+POLL = 0.2
 #: All pixels are worked out again after this time, or longer if it takes long [s].
 _AGAIN = 2.0
 #: At most this part of the time is spent on that [1].
@@ -90,6 +86,11 @@ class Live:
         self._stop = threading.Event()
         self._thread: threading.Thread | None = None
 
+    @property
+    def polarizations(self) -> list[str]:
+        """Names of the channels that the scan measures."""
+        return list(self._survey.instrument.polarizations)
+
     def start(self) -> None:
         """Begin to follow, in a thread."""
         if self._thread is None:
@@ -105,7 +106,7 @@ class Live:
     def _run(self) -> None:
         while not self._stop.is_set():
             self.look()
-            self._stop.wait(_POLL)
+            self._stop.wait(POLL)
         self._close()
 
     def look(self) -> None:
@@ -199,65 +200,34 @@ class Live:
             rows = [one for one in self._rows.values() if one.version > version]
             return self.pictures, dict(self.status), sorted(rows, key=_by_version)
 
-    async def follow(self, socket: WebSocket) -> None:
-        """Send a page what is new until it is gone.
+    def now(self, channel: str, name: str) -> Floats:
+        """Return a map as it is now, rows newer than the last picture included.
 
         Parameters
         ----------
-        socket : WebSocket
-            Accepted. A page that is slow gets the newest of every row, and no queue
-            grows for it.
+        channel : str
+            Polarization channel.
+        name : str
+            Name of the map, such as `range` or `range_before`.
 
-        Raises
-        ------
-        WebSocketDisconnect
-            When the page is gone.
+        Returns
+        -------
+        ndarray, shape (rows, columns)
+            NaN where nothing is measured yet.
         """
-        self.start()
-        gone = asyncio.create_task(_until_gone(socket))
-        sent_picture, sent_version = self.pictures, 0
-        sent_status: dict[str, Any] | None = None
-        try:
-            while not gone.done():
-                picture, status, rows = self.snapshot(sent_version)
-                if picture != sent_picture:
-                    await socket.send_text(json.dumps({"type": "picture"}))
-                    sent_picture = picture
-                if rows:
-                    for one in rows:
-                        await socket.send_bytes(message_of(one))
-                    sent_version = rows[-1].version
-                if status and status != sent_status:
-                    await socket.send_text(json.dumps({"type": "status", **status}))
-                    sent_status = status
-                await asyncio.wait({gone}, timeout=_POLL)
-        finally:
-            gone.cancel()
+        with self._lock:
+            recording, rows = self.recording, list(self._rows.values())
+        values = np.full(recording.channel().shown.shape, np.nan)
+        if channel in recording.channels and name in recording.layers(channel):
+            values[:] = recording.layer(channel, name, 1)
+        for one in rows:
+            if one.channel == channel and name in one.layers:
+                values[one.row] = one.layers[name]
+        return values
 
 
 def _by_version(one: Rows) -> int:
     return one.version
-
-
-async def _until_gone(socket: WebSocket) -> None:
-    with contextlib.suppress(WebSocketDisconnect, RuntimeError):
-        while True:
-            await socket.receive_text()
-
-
-def message_of(rows: Rows) -> bytes:
-    """Return a row as it travels: length of a JSON head, head, numbers of 32 bits."""
-    head = json.dumps(
-        {
-            "type": "rows",
-            "channel": rows.channel,
-            "row": rows.row,
-            "layers": list(rows.layers),
-        }
-    ).encode()
-    head += b" " * (-len(head) % 4)
-    numbers = [np.asarray(values, "<f4").tobytes() for values in rows.layers.values()]
-    return struct.pack("<I", len(head)) + head + b"".join(numbers)
 
 
 def blank(survey: Survey, name: str) -> Recording:

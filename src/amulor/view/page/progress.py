@@ -108,25 +108,32 @@ class Progress:
         return part
 
     def drift(self) -> Drift:
-        """Return how the open water changed, each direction against its own first."""
-        rounds: dict[int, list[tuple[float, float]]] = {}
+        """Return how the open water changed, each direction against its own first.
+
+        All directions and channels together by least squares, so that a channel that
+        hardly sees the water says little; the error comes from how they disagree.
+        """
+        rounds: dict[int, list[tuple[float, float, float]]] = {}
         for (frequency, name, *_), shots in self._shots.items():
             dark = np.mean(self._dark.get((frequency, name), [0.0]))
             base = min(shots.values(), key=lambda shot: shot[1])[0] - dark
             if base == 0:
                 continue
+            size = float(abs(base))
             for number, (signal, elapsed) in shots.items():
-                ratio = float(((signal - dark) / base).real) - 1
-                rounds.setdefault(number, []).append((ratio, elapsed))
+                more = float(((signal - dark) * np.conj(base)).real) / size - size
+                rounds.setdefault(number, []).append((more, size, elapsed))
         found: list[tuple[float, float, float]] = []
         for number in sorted(rounds):
-            ratios, times = np.array(rounds[number]).T
-            error = (
-                float(np.std(ratios, ddof=1) / np.sqrt(ratios.size))
-                if ratios.size > 2
-                else float("inf")
-            )
-            found.append((float(np.mean(times)), float(np.mean(ratios)), error))
+            more, size, times = np.array(rounds[number]).T
+            power = np.sum(size**2)
+            change = float(np.sum(more * size) / power)
+            error = float("inf")
+            if size.size > 2:
+                apart = (more - change * size) * size
+                spread = np.sum(apart**2) * size.size / (size.size - 1)
+                error = float(np.sqrt(spread) / power)
+            found.append((float(np.mean(times)), change, error))
         if len(found) < 2:
             return Drift()
         times, changes, errors = zip(*sorted(found), strict=True)

@@ -177,6 +177,11 @@ class Recording:
             return [own]
         return known
 
+    @property
+    def samples(self) -> xr.Dataset | None:
+        """Level `samples`, if it is known."""
+        return self._samples
+
     def channel(self, name: str | None = None) -> Channel:
         """Return the pictures of a channel, the first one if none is named."""
         wanted = self.channels[0] if name is None else name
@@ -234,8 +239,10 @@ class Recording:
             name for name in ("water_in_phase", "water_quadrature") if name in cube
         ]
         at = cube.amulor.polarizations.index(channel)
-        part = cube[names].isel(row=[row])
-        return part.isel(polarization=at, drop=True) if names else part
+        # The samples carry the beams along where the water is not known.
+        part = cube[names or ["in_phase"]].isel(row=[row])
+        part = part.isel(polarization=at, drop=True)
+        return part if names else part.drop_vars("in_phase")
 
     def spectrum(self, channel: str, row: int, column: int) -> dict[str, Any] | None:
         """Return amplitude and phase of a pixel over the modulation frequency.

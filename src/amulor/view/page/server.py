@@ -17,6 +17,7 @@ from starlette.types import ASGIApp
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from amulor.errors import AmulorError, CubeError
+from amulor.view.page import feed
 from amulor.view.page.layers import stored
 from amulor.view.page.live import Live
 from amulor.view.page.measuring import measured
@@ -157,7 +158,7 @@ class _Pages:
             return
         await socket.accept()
         try:
-            await self._shown.follow(socket)
+            await feed.follow(self._shown, socket)
         except WebSocketDisconnect:
             return
 

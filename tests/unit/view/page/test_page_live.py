@@ -17,6 +17,7 @@ from starlette.testclient import TestClient
 from amulor import acquisition, simulation
 from amulor.acquisition.journal.file import FILE_NAME
 from amulor.acquisition.journal.journal import Journal
+from amulor.acquisition.journal.record import Record
 from amulor.acquisition.plan import Key
 from amulor.acquisition.settings import Settings
 from amulor.errors import FormatError
@@ -24,6 +25,7 @@ from amulor.survey import Survey
 from amulor.view import page
 from amulor.view.page.advice import Drift, Going, advice
 from amulor.view.page.live import Live
+from amulor.view.page.progress import Progress
 
 TOKEN = "a-token-for-tests"
 OWN = {"host": "127.0.0.1:8000", "origin": "http://127.0.0.1:8000"}
@@ -61,6 +63,24 @@ def scan(
     )
 
 
+def sample(signal: complex, *, elapsed: float) -> Record:
+    return Record(
+        in_phase=signal.real,
+        quadrature=signal.imag,
+        mean=None,
+        readings=1,
+        full_scale=1.0,
+        flags=0,
+        commanded_azimuth=0.0,
+        commanded_elevation=0.0,
+        azimuth=0.0,
+        elevation=0.0,
+        modulation_frequency=39e6,
+        elapsed=elapsed,
+        segment=0,
+    )
+
+
 class Clock:
     now = 0.0
 
@@ -89,7 +109,11 @@ def test_a_scan_grows_on_the_page_and_ends_as_its_cube(
             done.append(live.status["done"])
             _, status, fresh = live.snapshot(0)
             assert status["state"] == "running"
-            rows.extend((one.row, float(one.layers["range"][3])) for one in fresh)
+            assert "error" not in status
+            # As long as the water is not known, rows come with it left in.
+            assert all("range_before" in one.layers for one in fresh)
+            corrected = [one for one in fresh if "range" in one.layers]
+            rows.extend((one.row, float(one.layers["range"][3])) for one in corrected)
 
     scan(survey, folder, looked)
     live = shown[0]
@@ -156,7 +180,8 @@ def test_the_websocket_brings_status_and_rows(
 
 
 def test_a_row_travels_as_numbers_behind_a_head() -> None:
-    from amulor.view.page.live import Rows, message_of
+    from amulor.view.page.feed import message_of
+    from amulor.view.page.live import Rows
 
     sent = message_of(Rows(1, "VV", 3, {"range": np.array([1.0, 2.0])}))
     (size,) = struct.unpack_from("<I", sent)
@@ -194,6 +219,43 @@ def test_newer_samples_are_those_after_a_number(survey: Survey, folder: Path) ->
         assert journal.newer(everything[-1][0]) == []
         kinds = [(key, record) for _, key, record in everything if key.kind == "dark"]
         assert kinds == [*journal.samples("dark")]
+
+
+def test_drift_is_found_within_its_error_where_a_channel_sees_no_water(
+    survey: Survey,
+) -> None:
+    """A channel of noise alone, as VH in milk, must not tell that the water changed."""
+    rng = np.random.default_rng(7)
+    found, errors = [], []
+    meta = {"devices": ""}
+    (frequency,) = survey.instrument.modulation_frequencies
+    for _ in range(300):
+        progress = Progress(survey, meta, clock=Clock())
+        for channel, size in (("VV", 1.0), ("VH", 0.003)):
+            for place in range(6):
+                for repeat in range(3):
+                    true = size * (1 + 0.02 * repeat) * np.exp(0.7j)
+                    noise = 0.003 * (rng.normal() + 1j * rng.normal())
+                    record = sample(true + noise, elapsed=float(repeat))
+                    key = Key(
+                        kind="open_water",
+                        frequency=frequency,
+                        polarization=channel,
+                        row=0,
+                        column=place,
+                        repeat=repeat,
+                    )
+                    progress.take(key, record)
+        drift = progress.drift()
+        assert abs(drift.change[0]) < 1e-15
+        found.append((drift.change[2] - 0.04) / drift.error[2])
+        errors.append(drift.error[2])
+    z = np.array(found)
+    # 0.003 of noise twice, in six directions; VH adds nothing to it.
+    assert_allclose(np.median(errors), 0.003 * (2 / 6) ** 0.5, rtol=0.25)
+    # Six directions that count: Student's t of 5 degrees, and 300 draws.
+    assert abs(z.mean()) < 4 / 300**0.5 * z.std()
+    assert 0.8 < np.quantile(abs(z), 0.68) < 1.4
 
 
 GOOD = {"running": True, "done": 500, "scanned": 400, "open_water": 80, "dark": 20}

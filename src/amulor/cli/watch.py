@@ -1,0 +1,142 @@
+"""`amulor watch`: a running scan in the terminal, for a line without a browser."""
+
+from __future__ import annotations
+
+import sys
+import time
+from datetime import datetime
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal
+
+from cyclopts import Parameter
+
+from amulor.cli._arguments import UsageError
+
+if TYPE_CHECKING:
+    from rich.console import RenderableType
+
+    from amulor.view.page import Live
+
+#: How often the journal is looked at [s].
+_POLL = 0.5
+
+
+def watch(
+    folder: Path,
+    /,
+    *,
+    polarization: str | None = None,
+    show: Literal["range", "amplitude", "uncertainty"] = "range",
+    every: str = "10 s",
+    once: Annotated[bool, Parameter(negative="")] = False,
+) -> None:
+    """Watch a scan in the terminal: picture, rate, drift, what to do.
+
+    Parameters
+    ----------
+    folder
+        Folder that "amulor acquire" was given; the scan may be going on or finished,
+        and is only read.
+    polarization
+        Channel to show, such as VH; the first one by default.
+    show
+        Map to show.
+    every
+        In a pipe: time between two lines, such as "1 min".
+    once
+        Show what is there now, and stop.
+    """
+    from amulor.cli._arguments import quantity_of
+    from amulor.view.page import Live
+
+    pause = quantity_of("--every", every, "time")
+    if not pause > 0:
+        raise UsageError(f"--every: needed is a time above 0, found {every}")
+    live = Live(folder)
+    live.look()
+    channel = _channel(live, polarization)
+    try:
+        if sys.stdout.isatty():
+            _on_screen(live, channel, show, once=once)
+        else:
+            _in_lines(live, channel, pause, once=once)
+    except KeyboardInterrupt:
+        # Watching ends like this; the scan goes on.
+        return
+    finally:
+        live.stop()
+
+
+def _channel(live: Live, wanted: str | None) -> str:
+    names = live.polarizations
+    if wanted is None:
+        return names[0]
+    if wanted not in names:
+        raise UsageError(
+            f"--polarization: the scan has no channel {wanted!r}, only "
+            f"{', '.join(names)}"
+        )
+    return wanted
+
+
+def _ended(live: Live) -> bool:
+    return "error" not in live.status and live.status.get("state") == "finished"
+
+
+def _on_screen(live: Live, channel: str, show: str, *, once: bool) -> None:
+    """Draw until the scan is finished or somebody presses Ctrl-C."""
+    from rich.console import Console
+    from rich.live import Live as Screen
+
+    from amulor.view import terminal
+
+    console = Console()
+    plain = console.color_system is None
+
+    def drawn() -> RenderableType:
+        return terminal.screen(
+            live,
+            channel=channel,
+            wanted=show,
+            size=(console.width, console.height),
+            plain=plain,
+            now=datetime.now(),
+        )
+
+    if once:
+        console.print(drawn())
+        return
+    with Screen(drawn(), console=console, auto_refresh=False) as screen:
+        while not _ended(live):
+            time.sleep(_POLL)
+            live.look()
+            screen.update(drawn(), refresh=True)
+
+
+def _in_lines(live: Live, channel: str, pause: float, *, once: bool) -> None:
+    """Print a line every so often, and advice when it is new."""
+    from amulor.view import terminal
+
+    said: list[str] = []
+    written = -float("inf")
+    while True:
+        ended = _ended(live)
+        fresh = [one for one in _advice(live) if one not in said]
+        if ended or once or fresh or time.monotonic() - written >= pause:
+            now = datetime.now()
+            ratio = terminal.signal_to_noise(live, channel)
+            line = terminal.going(live.status, ratio=ratio, now=now)
+            print(f"{now:%H:%M:%S} {line}", flush=True)
+            for one in fresh:
+                print(f"{now:%H:%M:%S} note: {one}", flush=True)
+            said, written = _advice(live), time.monotonic()
+        if ended or once:
+            return
+        time.sleep(_POLL)
+        live.look()
+
+
+def _advice(live: Live) -> list[str]:
+    """Return what is worth doing, and what stands in the way of reading."""
+    said = [str(one) for one in live.status.get("advice", [])]
+    return [*said, str(live.status["error"])] if "error" in live.status else said

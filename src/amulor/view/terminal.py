@@ -1,0 +1,286 @@
+"""A running scan as text: its picture in half blocks, how it goes, what to do."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from datetime import datetime, timedelta
+from typing import TYPE_CHECKING, Any
+
+import matplotlib
+import numpy as np
+from numpy.typing import NDArray
+
+from amulor.view.page.layers import MAPS
+from amulor.view.style import BRIGHTNESS_MAP, DISTANCE_MAP
+
+if TYPE_CHECKING:
+    from rich.console import RenderableType
+    from rich.text import Text
+
+    from amulor.view.page import Live
+
+__all__ = ["CHOICES", "going", "map_name", "picture", "screen", "signal_to_noise"]
+
+Floats = NDArray[np.float64]
+
+#: Maps that can be watched, and the colours that tell them.
+CHOICES = {
+    "range": DISTANCE_MAP,
+    "amplitude": BRIGHTNESS_MAP,
+    "uncertainty": "magma",
+}
+#: From little to much, on terminals without colours.
+_SHADES = " .:-=+*#%@"
+#: A cell of the terminal holds this pixel above another one.
+_HALF = "▀"
+_UNITS = {layer.name: layer.unit for layer in MAPS.values()}
+
+
+def map_name(live: Live, channel: str, wanted: str) -> str:
+    """Return the name of a map, before rejection as long as there is none after it.
+
+    Parameters
+    ----------
+    live : Live
+        The scan.
+    channel : str
+        Polarization channel.
+    wanted : str
+        A key of `CHOICES`.
+
+    Returns
+    -------
+    str
+        As in `Live.now`.
+    """
+    after = np.isfinite(live.now(channel, wanted)).any()
+    return wanted if after else f"{wanted}_before"
+
+
+def shrunk(values: Floats, rows: int, columns: int) -> Floats:
+    """Return the means of blocks, of what is known in them.
+
+    Parameters
+    ----------
+    values : ndarray, shape (rows, columns)
+        A map; NaN where nothing is known.
+    rows, columns : int
+        Most rows and columns that there is room for.
+
+    Returns
+    -------
+    ndarray
+        Not larger than that, of the same aspect; NaN where a block knows nothing. A
+        small map is enlarged by a whole number, so that it can be seen.
+    """
+    times = min(rows // values.shape[0], columns // values.shape[1])
+    if times > 1:
+        return values.repeat(times, axis=0).repeat(times, axis=1)
+    step = max(
+        1, math.ceil(values.shape[0] / rows), math.ceil(values.shape[1] / columns)
+    )
+    shape = tuple(-(-size // step) for size in values.shape)
+    padded = np.full((shape[0] * step, shape[1] * step), np.nan)
+    padded[: values.shape[0], : values.shape[1]] = values
+    blocks = padded.reshape(shape[0], step, shape[1], step)
+    known = np.isfinite(blocks)
+    count = known.sum(axis=(1, 3))
+    total = np.where(known, blocks, 0.0).sum(axis=(1, 3))
+    mean: Floats = np.divide(total, count, out=np.full(shape, np.nan), where=count > 0)
+    return mean
+
+
+def limits(values: Floats) -> tuple[float, float]:
+    """Return what the ends of the colours stand for: 2 and 98 % of the pixels."""
+    known = values[np.isfinite(values)]
+    if known.size == 0:
+        return 0.0, 1.0
+    low, high = np.quantile(known, [0.02, 0.98])
+    return float(low), float(high if high > low else low + max(abs(low), 1e-12) * 1e-3)
+
+
+def picture(values: Floats, *, colours: str, plain: bool = False) -> Text:
+    """Return a map as lines of half blocks, two rows of pixels to a line.
+
+    Parameters
+    ----------
+    values : ndarray, shape (rows, columns)
+        As many rows and columns as there is room for; NaN stays empty.
+    colours : str
+        Name of a colour map.
+    plain : bool
+        Without colours, by letters from light to dark, a row of pixels to a line.
+
+    Returns
+    -------
+    rich.text.Text
+        To be printed.
+    """
+    from rich.text import Text
+
+    low, high = limits(values)
+    known = np.isfinite(values)
+    part = np.where(known, np.clip((values - low) / (high - low), 0.0, 1.0), 0.0)
+    if plain:
+        shade = (part * (len(_SHADES) - 2)).round().astype(int) + 1
+        lines = (
+            "".join(_SHADES[s] if there else " " for s, there in zip(*row, strict=True))
+            for row in zip(shade, known, strict=True)
+        )
+        return Text("\n".join(lines), no_wrap=True)
+    red_green_blue = (matplotlib.colormaps[colours](part)[..., :3] * 255).astype(int)
+    text = Text(no_wrap=True)
+    for top in range(0, len(values), 2):
+        if top:
+            text.append("\n")
+        for column in range(values.shape[1]):
+            above = _colour(red_green_blue, known, top, column)
+            below = _colour(red_green_blue, known, top + 1, column)
+            if above is None and below is None:
+                text.append(" ")
+            elif above is None:
+                text.append("▄", style=f"{below}")
+            else:
+                text.append(_HALF, style=f"{above} on {below}" if below else above)
+    return text
+
+
+def _colour(
+    shades: NDArray[np.int_], known: NDArray[np.bool_], row: int, column: int
+) -> str | None:
+    """Return the colour of a pixel as rich names it, None where there is none."""
+    if row >= len(known) or not known[row, column]:
+        return None
+    red, green, blue = shades[row, column]
+    return f"rgb({red},{green},{blue})"
+
+
+def signal_to_noise(live: Live, channel: str) -> float | None:
+    """Return the median amplitude over its standard uncertainty.
+
+    Parameters
+    ----------
+    live : Live
+        The scan.
+    channel : str
+        Polarization channel.
+
+    Returns
+    -------
+    float or None
+        Of the samples of the last picture [1]; None before there is one.
+    """
+    samples = live.recording.samples
+    if samples is None or channel not in samples.amulor.polarizations:
+        return None
+    one = samples.sel(polarization=channel)
+    size = np.hypot(one["in_phase"].values, one["quadrature"].values)
+    error = np.hypot(
+        one["in_phase_uncertainty"].values, one["quadrature_uncertainty"].values
+    )
+    ratio = size / np.where(error > 0, error / math.sqrt(2), np.nan)
+    known = ratio[np.isfinite(ratio)]
+    return float(np.median(known)) if known.size else None
+
+
+def going(status: Mapping[str, Any], *, ratio: float | None, now: datetime) -> str:
+    """Return how a scan goes in one line.
+
+    Parameters
+    ----------
+    status : mapping
+        Of `Live.status`.
+    ratio : float or None
+        Signal over noise [1].
+    now : datetime
+        For the time at which the scan ends.
+
+    Returns
+    -------
+    str
+        Share done, rate, time left and end, flags, signal over noise, drift.
+    """
+    done, total = int(status.get("done", 0)), int(status.get("total", 0))
+    words = [str(status.get("state", "not begun"))]
+    if words[0] == "running":
+        words[0] = str(status.get("kind", "")) or "running"
+    if total:
+        words.append(f"{done:,} of {total:,} samples ({done / total:.0%})")
+    if status.get("rate"):
+        words.append(f"{status['rate']:.0f}/s")
+    if status.get("left") is not None:
+        ends = now + timedelta(seconds=float(status["left"]))
+        left = timedelta(seconds=int(status["left"]))
+        words.append(f"{left} left, ends at {ends:%H:%M}")
+    flagged = status.get("flagged") or {}
+    words += [f"{count:,} {name}" for name, count in sorted(flagged.items())]
+    if ratio is not None:
+        words.append(f"signal/noise {ratio:.3g}")
+    drift = status.get("drift") or {}
+    if drift.get("change"):
+        change, error = drift["change"][-1], drift["error"][-1]
+        if change is not None:
+            doubt = "?" if error is None else f"{error * 100:.1f}"
+            words.append(f"open water {change * 100:+.1f} ± {doubt} %")
+    return ", ".join(words)
+
+
+def screen(
+    live: Live,
+    *,
+    channel: str,
+    wanted: str,
+    size: tuple[int, int],
+    plain: bool,
+    now: datetime,
+) -> RenderableType:
+    """Return all that a terminal shows of a scan.
+
+    Parameters
+    ----------
+    live : Live
+        The scan.
+    channel : str
+        Polarization channel.
+    wanted : str
+        A key of `CHOICES`.
+    size : tuple of int
+        Columns and lines of the terminal.
+    plain : bool
+        Whether it has no colours.
+    now : datetime
+        Time.
+
+    Returns
+    -------
+    RenderableType
+        Name, picture with its scale, how it goes, and what is worth doing.
+    """
+    from rich.console import Group
+    from rich.text import Text
+
+    status = live.status
+    name = map_name(live, channel, wanted)
+    values = live.now(channel, name)
+    wide, high = size
+    said = [Text(str(line), style="bold yellow") for line in status.get("advice", [])]
+    if "error" in status:
+        said.append(Text(str(status["error"]), style="bold red"))
+    room = max(2, high - 5 - len(said))
+    small = shrunk(values, room if plain else 2 * room, max(2, wide - 1))
+    low, top = limits(small)
+    unit = _UNITS.get(wanted, "")
+    scale = f"{wanted} {low:.4g} to {top:.4g} {unit}"
+    if not np.isfinite(small).any():
+        scale = f"{wanted}: nothing measured yet"
+    elif name != wanted:
+        scale += ", water left in"
+    ratio = signal_to_noise(live, channel)
+    return Group(
+        Text(f"{live.name}, {channel}", style="bold"),
+        picture(small, colours=CHOICES[wanted], plain=plain),
+        Text(scale, style="dim"),
+        Text(going(status, ratio=ratio, now=now)),
+        *said,
+    )
