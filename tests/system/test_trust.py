@@ -261,6 +261,27 @@ def test_what_was_acquired_is_worth_what_was_simulated() -> None:
         assert row.score.worst < 4.5, row
 
 
+@pytest.mark.parametrize(
+    "scene", ["noise", "wide", pytest.param("tall", marks=pytest.mark.slow)]
+)
+def test_understated_noise_and_wide_scans_hold_with_few_frequencies(scene: str) -> None:
+    # 72 to 91 % and 57 to 98 %: no residual showed the noise, and 9 x 3 shots were
+    # spanned by polynomials of the signal, which missed up to 40 % of it.
+    for row in run([scene], ["open-water", "combined"], [1]):
+        assert row.score.trusted > 0.98, row
+        assert row.score.inside_95 > 0.92, row
+        assert row.score.worst < 4.5, row
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("scene", ["noise", "wide", "tall", "wide paper's form"])
+def test_the_same_with_two_and_four_frequencies(scene: str) -> None:
+    for row in run([scene], ["open-water", "combined", "polarization"], [2, 4]):
+        assert row.score.trusted > 0.98, row
+        assert row.score.inside_95 > 0.92, row
+        assert row.score.worst < 4.5, row
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("scene", ["photons c 0.25 1/m", "photons c 1 1/m"])
 def test_intervals_hold_from_half_to_three_attenuation_lengths(scene: str) -> None:
@@ -289,9 +310,6 @@ def test_intervals_hold_the_surface_in_water_made_of_photons(function: str) -> N
 
 #: Off by what no data can show, and the survey does not say so.
 UNKNOWABLE = {"delay", "baseline", "index"}
-#: Noise understated twofold: what the fluctuation of the water covers of it, no
-#: residual shows.
-NOISE = {"noise"}
 
 
 @pytest.mark.study
@@ -305,7 +323,6 @@ def test_what_is_trusted_holds_in_every_scene(method: str, count: int) -> None:
             continue
         if score.empty and score.phantoms > 0:
             wrong.append(row)
-        least = 0.7 if row.scene in NOISE else 0.87
-        if score.trusted > 0 and (score.inside_95 < least or score.far > 0.05):
+        if score.trusted > 0 and (score.inside_95 < 0.87 or score.far > 0.05):
             wrong.append(row)
     assert not wrong, wrong

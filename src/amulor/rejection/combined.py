@@ -14,6 +14,7 @@ from amulor.rejection.channels import mixing, ratios
 from amulor.rejection.channels.names import pair_of
 from amulor.rejection.covariance import along
 from amulor.rejection.open_water import cube_of, reference_attributes
+from amulor.rejection.reference.noise import with_noise_of_shots
 from amulor.rejection.subtraction import subtract_open_water
 
 Floats = NDArray[np.float64]
@@ -74,7 +75,7 @@ def combined(
     :math:`\delta` is an error that they share: :math:`\delta = 0` gives the weighted
     mean of the channels, a large one gives unmixing.
     """
-    cube = cubes.checked(cube, "samples")
+    cube = with_noise_of_shots(cubes.checked(cube, "samples"))
     _refuse_odd(target_ratio, water_change)
     co, cross = pair_of(cube)
     left = subtract_open_water(

@@ -50,6 +50,16 @@ class Covariance:
             self.in_phase * factor, self.quadrature * factor, self.cross * factor
         )
 
+    def turned(self, factor: Complex) -> Covariance:
+        """Return the covariance of errors times complex factors."""
+        a, b = factor.real, factor.imag
+        product = 2 * a * b * self.cross
+        return Covariance(
+            a**2 * self.in_phase + b**2 * self.quadrature - product,
+            b**2 * self.in_phase + a**2 * self.quadrature + product,
+            a * b * (self.in_phase - self.quadrature) + (a**2 - b**2) * self.cross,
+        )
+
     def part(self, index: Any) -> Covariance:
         """Return the covariance of some of the outputs."""
         return Covariance(

@@ -11,6 +11,7 @@ from amulor import cube as cubes
 from amulor.cube import QualityFlag
 from amulor.rejection import quality
 from amulor.rejection.build import target_cube
+from amulor.rejection.reference.noise import with_noise_of_shots
 from amulor.rejection.subtraction import Subtraction, subtract_open_water
 
 
@@ -84,7 +85,7 @@ def open_water(
     .. [1] R. Ricci et al., EURASIP J. Adv. Signal Process. 2010, 958360,
        :doi:`10.1155/2010/958360`.
     """
-    cube = cubes.checked(cube, "samples")
+    cube = with_noise_of_shots(cubes.checked(cube, "samples"))
     left = subtract_open_water(
         cube,
         interval=interval,

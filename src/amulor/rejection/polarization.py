@@ -19,6 +19,7 @@ from amulor.rejection.channels.names import (
 )
 from amulor.rejection.covariance import Covariance, along, covariance_of
 from amulor.rejection.merit import merit
+from amulor.rejection.reference.noise import with_noise_of_shots
 from amulor.rejection.reference.shots import fit_shots, fluctuation_of
 
 
@@ -210,7 +211,7 @@ def unmix(
     With co-polarized :math:`A = T + W` and cross-polarized
     :math:`B = r_t T + r_w W`, :math:`T = (B - r_w A) / (r_t - r_w)`.
     """
-    cube = cubes.checked(cube, "samples")
+    cube = with_noise_of_shots(cubes.checked(cube, "samples"))
     co, cross = pair_of(cube)
     if target_ratio is None:
         of_target = ratios.target_ratio(cube)

@@ -12,6 +12,7 @@ from amulor.optics.polarization import mueller, stokes
 from amulor.rejection.build import saturated_in_any, target_cube
 from amulor.rejection.channels import mixing
 from amulor.rejection.covariance import Covariance, covariance_of
+from amulor.rejection.reference.noise import with_noise_of_shots
 from amulor.rejection.reference.shots import fit_shots, fluctuation_of
 
 Floats = NDArray[np.float64]
@@ -111,7 +112,7 @@ def unmix_stokes(
     states it is the fit of the Stokes vector by those of target and water. The
     fluctuation of the water is taken from the open-water shots, if there are any.
     """
-    cube = cubes.checked(cube, "samples")
+    cube = with_noise_of_shots(cubes.checked(cube, "samples"))
     chosen = _launched_as(cube, launched)
     if len(chosen) < 2:
         raise CubeError(

@@ -13,7 +13,8 @@ from amulor.errors import CubeError
 from amulor.rejection.channels.names import pair_of
 from amulor.rejection.covariance import common_covariance_of, covariance_of
 from amulor.rejection.open_water import open_water
-from amulor.rejection.reference.fit import FEWEST_SHOTS
+from amulor.rejection.reference.noise import with_noise_of_shots
+from amulor.rejection.reference.places import FEWEST_SHOTS
 
 Floats = NDArray[np.float64]
 Complex = NDArray[np.complex128]
@@ -58,7 +59,7 @@ def water_ratio(cube: xr.Dataset, *, water_only: ArrayLike | None = None) -> Rat
     frequency, and their mean weighted by the scatter that the samples show: it holds
     the noise of the instrument and the fluctuation of the water in both channels.
     """
-    cube = cubes.checked(cube, "samples")
+    cube = with_noise_of_shots(cubes.checked(cube, "samples"))
     co, cross = pair_of(cube)
     if water_only is not None:
         mask = np.asarray(water_only, dtype=bool)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from amulor.rejection.reference import fit
+from amulor.rejection.reference import surface
 from amulor.rejection.reference.model import water_signal
 from amulor.survey import OpenWater, Survey
 from amulor.survey.directions import open_water_directions
@@ -87,7 +87,9 @@ def _error(survey: Survey, plan: OpenWater) -> float:
     if scan.rows == 1:
         up = np.array([scan.elevation])
     checks = np.stack([each.ravel() for each in np.meshgrid(across, up)], axis=1)
-    expected = fit.noiseless(_open_water(survey, places), plan.repeats, places, checks)
+    expected = surface.noiseless(
+        _open_water(survey, places), plan.repeats, places, checks
+    )
     truth = _open_water(survey, checks)
     return float(
         np.max(np.abs(expected - truth).max(axis=1) / np.abs(truth).max(axis=1))

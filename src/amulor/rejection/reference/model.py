@@ -28,6 +28,7 @@ def water_signal(
     *,
     modulation_frequency: Floats,
     end: Floats | float | None = None,
+    paper: bool = False,
 ) -> Complex:
     """Return the light of the water up to some depth, in any unit.
 
@@ -42,6 +43,8 @@ def water_signal(
     end : array_like, shape (n,), optional
         Depth at which the water ends; where the survey ends it by default, and there
         at the latest [m].
+    paper : bool
+        Whether to take the diffusion form of the paper in any case.
 
     Returns
     -------
@@ -58,7 +61,7 @@ def water_signal(
     where = view(survey, azimuth, elevation, medium=medium(survey, water))
     far = np.inf if survey.water.column_end is None else survey.water.column_end
     form: Callable[..., Complex]
-    if _has_phase_function(water):
+    if not paper and _has_phase_function(water):
         form = small_angle.water_response
         arguments = whole_function_arguments(survey, water, where)
     else:

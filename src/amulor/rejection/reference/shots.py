@@ -11,7 +11,10 @@ from numpy.typing import NDArray
 from amulor.errors import CubeError
 from amulor.rejection.covariance import Covariance, covariance_of, stacked
 from amulor.rejection.reference import fit as reference
-from amulor.rejection.reference.fit import FEWEST_SHOTS, NO_DRIFT, fluctuation
+from amulor.rejection.reference.drift import NO_DRIFT, Drift
+from amulor.rejection.reference.places import FEWEST_SHOTS
+from amulor.rejection.reference.scatter import fluctuation
+from amulor.rejection.reference.shape import shape_of
 from amulor.survey import Survey
 
 Floats = NDArray[np.float64]
@@ -89,16 +92,15 @@ def fit_shots(cube: xr.Dataset, shots: xr.Dataset) -> list[reference.Reference]:
         [cube["azimuth"].values.ravel(), cube["elevation"].values.ravel()], axis=1
     )
     known = all(name in shots for name in _AXES)
-    places = (
-        np.stack([_alike(cube, shots, name) for name in _AXES], axis=1)
-        if known
-        else np.zeros((shots.sizes["shot"], 2))
-    )
+    places = directions_of(cube, shots)
     signal = shots.amulor.signal.values
     errors = covariance_of(shots)
     usable = np.isfinite(signal + errors.in_phase + errors.quadrature + errors.cross)
     if known:
         _refuse_a_scan_beyond_the_shots(cube, places, pixels)
+    shapes = None
+    if known:
+        shapes = shape_of(cube, places, pixels, signal=signal, errors=errors)
     fits = []
     for index in np.ndindex(signal.shape[:2]):
         use = usable[index]
@@ -108,11 +110,32 @@ def fit_shots(cube: xr.Dataset, shots: xr.Dataset) -> list[reference.Reference]:
                 f"numbers, needed are {FEWEST_SHOTS}; record more"
             )
         own = errors.part(index).part(use)
-        fit = reference.fit(signal[index][use], own, places[use], pixels)
+        shape = None if shapes is None else shapes[index[0]].part(use)
+        fit = reference.fit(signal[index][use], own, places[use], pixels, shape=shape)
         # Shots of unknown directions may be pixels: their order is no time.
         fits.append(fit if known else replace(fit, drift=NO_DRIFT))
     _refuse_strong_drift(cube, fits, signal.shape[:2])
     return fits
+
+
+def directions_of(cube: xr.Dataset, shots: xr.Dataset) -> Floats:
+    """Return the directions of shots, equal where they were sent to the same.
+
+    Parameters
+    ----------
+    cube : xarray.Dataset
+        Level `samples`, which tells how far stages miss.
+    shots : xarray.Dataset
+        Its open-water shots.
+
+    Returns
+    -------
+    ndarray, shape (n, 2)
+        Azimuth and elevation, all zero where they are not known [rad].
+    """
+    if not all(name in shots for name in _AXES):
+        return np.zeros((shots.sizes["shot"], 2))
+    return np.stack([_alike(cube, shots, name) for name in _AXES], axis=1)
 
 
 def expected_at_pixels(
@@ -232,7 +255,7 @@ def _place(cube: xr.Dataset, index: tuple[int, ...]) -> str:
     return f"{frequency:g} MHz in channel {cube['polarization'].values[index[1]]}"
 
 
-def _is_real(drift: reference.Drift, fits: list[reference.Reference]) -> bool:
+def _is_real(drift: Drift, fits: list[reference.Reference]) -> bool:
     return drift.chance * len(fits) < _REAL_DRIFT
 
 

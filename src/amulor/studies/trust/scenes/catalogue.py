@@ -6,6 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 
+from amulor.simulation.models import DiffusionModel
 from amulor.studies.trust.case import Case
 from amulor.studies.trust.scenes import acquired, knowledge, models, photons, samples
 
@@ -76,6 +77,10 @@ SCENES: tuple[Scene, ...] = (
            models.far_two, (2,)),
     _scene("tall", "scan of 9 x 19 degrees with 9 x 3 shots", models.tall),
     _scene("wide", "scan of 19 x 4 degrees with 9 x 3 shots", models.wide),
+    _scene("wide paper's form", "the same by the diffusion form of the paper",
+           partial(models.wide, model=DiffusionModel())),
+    _scene("wide photons", "the same, light followed photon by photon",
+           models.wide_photons, (2, 4)),
     _scene("stairs", "dim treads of 3 %", models.staircase),
     _scene("coastal", "plate in coastal water", models.coastal),
     _scene("harbour", "plate in harbour water", models.harbour),

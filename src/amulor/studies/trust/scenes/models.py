@@ -6,8 +6,13 @@ import functools
 
 import xarray as xr
 
-from amulor.simulation import simulate
-from amulor.simulation.models import DiffusionModel, SmallAngleModel
+from amulor.simulation import PhotonModel, simulate
+from amulor.simulation.models import (
+    DEFAULT_MODEL,
+    DiffusionModel,
+    SignalModel,
+    SmallAngleModel,
+)
 from amulor.studies.trust.case import Case, case_of
 from amulor.studies.trust.surveys import plate, stairs, survey
 
@@ -72,10 +77,15 @@ def tall(count: int, seed: int) -> Case:
     return case_of(simulate(made, rng=seed), interval=around(2.6))
 
 
-def wide(count: int, seed: int) -> Case:
+def wide(count: int, seed: int, *, model: SignalModel = DEFAULT_MODEL) -> Case:
     """Return a wide scan, 19 x 4 degrees, with the 9 x 3 shots of the default."""
     made = survey(count, plate(2.6, reflectance=0.2), wide=19, tall=4)
-    return case_of(simulate(made, rng=seed), interval=around(2.6))
+    return case_of(simulate(made, rng=seed, model=model), interval=around(2.6))
+
+
+def wide_photons(count: int, seed: int) -> Case:
+    """Return the wide scan in light that was followed photon by photon."""
+    return wide(count, seed, model=PhotonModel(relative_error=0.01))
 
 
 def staircase(count: int, seed: int) -> Case:

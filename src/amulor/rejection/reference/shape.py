@@ -1,0 +1,228 @@
+"""How a model of the water varies with direction, to interpolate shots against."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
+
+import numpy as np
+import xarray as xr
+from numpy.polynomial import chebyshev
+from numpy.typing import NDArray
+from scipy.constants import speed_of_light
+
+from amulor.errors import SurveyError
+from amulor.rejection.covariance import Covariance
+from amulor.rejection.reference.model import water_signal
+from amulor.rejection.reference.places import FEWEST_SHOTS, places_of
+from amulor.rejection.reference.surface import missed, noise_of, surface_of
+from amulor.survey import Survey, water_properties
+from amulor.survey.properties import by_coefficients
+from amulor.survey.view import medium, view
+
+Floats = NDArray[np.float64]
+Complex = NDArray[np.complex128]
+
+_Model = Callable[[Floats, Floats], Complex]
+
+#: A polynomial of the signal itself that misses less of directions left out of the
+#: model, in parts of its largest signal, needs no model: a quarter of that between the
+#: shots, as much as ten of them scatter [1].
+_SMOOTH = 0.02
+#: A model that varies more than by this factor is no measure of a signal [1].
+_LARGEST_RATIO = 1e6
+#: Factors of the survey's a and b that are tried.
+_FACTORS = (1.0, 0.5, 0.7, 1.4, 2.0)
+#: Nodes along azimuth and elevation of the table of large scans, and the pixels from
+#: which on it pays.
+_NODES = 33
+_MANY = 4 * _NODES**2
+#: Pixels worked on at once: this bounds the memory.
+_AT_ONCE = 16_384
+
+
+@dataclass(frozen=True)
+class Shape:
+    """Water signal of a model at one frequency, in any unit."""
+
+    at_shots: Complex
+    """Over the shots."""
+    at_pixels: Complex
+    """Over the pixels."""
+
+    def part(self, use: NDArray[np.bool_]) -> Shape:
+        """Return the same for some of the shots."""
+        return Shape(self.at_shots[use], self.at_pixels)
+
+
+def shape_of(
+    cube: xr.Dataset,
+    shots: Floats,
+    pixels: Floats,
+    *,
+    signal: Complex,
+    errors: Covariance,
+) -> list[Shape] | None:
+    """Return how the water varies over the shots and pixels of a cube.
+
+    Parameters
+    ----------
+    cube : xarray.Dataset
+        Level `samples`; its frequencies and its survey count.
+    shots, pixels : ndarray, shape (n, 2)
+        Azimuth and elevation [rad].
+    signal : ndarray, shape (frequencies, channels, n)
+        What the shots measured; not a number where one is lost [V].
+    errors : Covariance
+        Stated errors of that.
+
+    Returns
+    -------
+    list of Shape or None
+        Frequency by frequency; None where the survey says nothing of the water, where a
+        polynomial follows its water from direction to direction well enough, or follows
+        the shots better than any model.
+
+    Notes
+    -----
+    Open water by `model.water_signal` in the survey's turbidity and in others, and by
+    the diffusion form (46) of Ricci et al. 2010, as rebuilt, each with the delay of
+    every direction. The one is taken whose ratio to the shots, as a polynomial over the
+    directions, foretells directions that are left out best, all frequencies and
+    channels together. Large scans take it from a product of Chebyshev polynomials.
+    """
+    text = cube.attrs.get("survey")
+    if not text:
+        return None
+    survey = Survey.from_text(str(text), name="survey in the cube")
+    frequency = cube["modulation_frequency"].values
+    places = places_of(shots)
+    first = np.unique(places.group, return_index=True)[1]
+    directions = shots[first]
+    if len(directions) < 2 or survey.scan.moves == "both":
+        return None
+    try:
+        candidates = _candidates(survey)
+        seen = [each(directions, frequency) for each in candidates]
+    except SurveyError:
+        return None
+    if missed(seen[0], len(shots) // len(directions), directions) < _SMOOTH:
+        return None
+    usable = np.isfinite(signal + errors.in_phase + errors.quadrature + errors.cross)
+    scores = [_left_out(None, shots, signal, errors, usable)]
+    scores += [
+        _left_out(each[:, places.group], shots, signal, errors, usable) for each in seen
+    ]
+    best = int(np.argmin(scores)) - 1
+    if best < 0:
+        return None
+    model = candidates[best]
+    between = (_tabled if len(pixels) > _MANY else _plain)(model, pixels, frequency)
+    return [
+        Shape(own[places.group], over)
+        for own, over in zip(seen[best], between, strict=True)
+    ]
+
+
+def _candidates(survey: Survey) -> list[_Model]:
+    """Return models of the water, that of the survey as it stands first."""
+
+    def of(factor: float) -> _Model:
+        other = by_coefficients(survey, factor=factor) if factor != 1 else survey
+        return partial(open_water, other)
+
+    return [
+        *(of(factor) for factor in _FACTORS),
+        partial(open_water, survey, paper=True),
+    ]
+
+
+def _left_out(
+    model: Complex | None,
+    shots: Floats,
+    signal: Complex,
+    errors: Covariance,
+    usable: NDArray[np.bool_],
+) -> float:
+    """Return how badly a model foretells directions that are left out."""
+    if model is not None:
+        strength = np.abs(model)
+        if strength.min() * _LARGEST_RATIO <= strength.max():
+            return np.inf
+    total = 0.0
+    for index in np.ndindex(signal.shape[:2]):
+        use = usable[index]
+        if use.sum() < FEWEST_SHOTS:
+            continue
+        places = places_of(shots[use])
+        own, instrument = signal[index][use], errors.part(index).part(use)
+        total += surface_of(
+            own,
+            instrument,
+            places,
+            noise=noise_of(own, instrument, places),
+            model=None if model is None else model[index[0]][use],
+        ).left_out
+    return total
+
+
+def open_water(
+    survey: Survey, places: Floats, frequency: Floats, *, paper: bool = False
+) -> Complex:
+    """Return the open water of a survey with the delay before the water.
+
+    Parameters
+    ----------
+    survey : Survey
+        Its water and instrument count.
+    places : ndarray, shape (n, 2)
+        Azimuth and elevation [rad].
+    frequency : ndarray, shape (m,)
+        Modulation frequencies [Hz].
+    paper : bool
+        Whether by the diffusion form of the paper.
+
+    Returns
+    -------
+    ndarray of complex, shape (m, n)
+        Water signal, in any unit.
+    """
+    water = water_properties(survey)
+    where = view(survey, *places.T, medium=medium(survey, water))
+    response = water_signal(
+        survey, *places.T, modulation_frequency=frequency, paper=paper
+    )
+    turn = 2j * np.pi * frequency[:, None] * where.optical_offset / speed_of_light
+    return np.asarray(response * np.exp(turn))
+
+
+def _plain(model: _Model, places: Floats, frequency: Floats) -> Complex:
+    return model(places, frequency)
+
+
+def _tabled(model: _Model, places: Floats, frequency: Floats) -> Complex:
+    """Return the same from a table over the directions."""
+    low, high = places.min(axis=0), places.max(axis=0)
+    centre, half = (low + high) / 2, np.where(high > low, (high - low) / 2, 1.0)
+    count = [_NODES if extent > 0 else 1 for extent in high - low]
+    axes = [np.cos(np.pi * (np.arange(n) + 0.5) / n) for n in count]
+    inverse = [
+        np.linalg.inv(chebyshev.chebvander(axis, len(axis) - 1)) for axis in axes
+    ]
+    nodes = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 2)
+    value = model(centre + half * nodes, frequency)
+    value = value.reshape(len(frequency), *count)
+    table = np.einsum("fij,ai,bj->abf", value, *inverse, optimize=True)
+    # One product of real matrices: real and imaginary parts side by side.
+    real = np.ascontiguousarray(table.reshape(count[0], -1)).view(float)
+    found = np.empty((len(frequency), len(places)), dtype=complex)
+    for begin in range(0, len(places), _AT_ONCE):
+        part = slice(begin, begin + _AT_ONCE)
+        across, up = (
+            chebyshev.chebvander((places[part, k] - centre[k]) / half[k], count[k] - 1)
+            for k in (0, 1)
+        )
+        rows = (across @ real).view(complex).reshape(len(across), count[1], -1)
+        found[:, part] = np.einsum("nbf,nb->fn", rows, up)
+    return found
