@@ -1,4 +1,4 @@
-"""Scans simulated with the form of the paper, for tests of what fits that form."""
+"""Scans simulated with the form of the paper: another model that has to hold."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ from amulor import simulation
 from amulor.simulation import DiffusionModel
 from amulor.studies.trust.scenes import knowledge, models, samples
 
-#: As `amulor.simulate`, by the diffusion form (46), which joint estimation fits: what
-#: it says of its own model is asked of scans that follow it.
+#: As `amulor.simulate`, by the diffusion form (46): another model than the one that
+#: rejection takes by default.
 simulate = partial(simulation.simulate, model=DiffusionModel())
 
 

@@ -8,10 +8,9 @@ import itertools
 import numpy as np
 import pytest
 import xarray as xr
-from paper_form import simulate
 from scipy.constants import speed_of_light
 
-from amulor import rejection
+from amulor import rejection, simulate
 from amulor.cube import QualityFlag
 from amulor.imaging import range_image
 from amulor.optics import small_angle
@@ -174,7 +173,7 @@ def two_peaks(angle: np.ndarray) -> np.ndarray:
 
 
 class OtherModel:
-    """Signals in the small-angle form (29), which keeps the unscattered light."""
+    """Signals of another phase function than the survey's, without its amplitudes."""
 
     def __init__(self, survey: Survey) -> None:
         self.cube = simulate(survey, rng=1)

@@ -9,9 +9,8 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 import xarray as xr
-from paper_form import simulate
 
-from amulor import rejection
+from amulor import rejection, simulate
 from amulor.cube import QualityFlag
 from amulor.imaging import range_image
 from amulor.optics import rays

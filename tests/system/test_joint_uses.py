@@ -8,10 +8,9 @@ import numpy as np
 import pytest
 import xarray as xr
 from numpy.testing import assert_allclose
-from paper_form import simulate
 from scipy.constants import speed_of_light
 
-from amulor import rejection
+from amulor import rejection, simulate
 from amulor.cube import QualityFlag
 from amulor.errors import CubeError
 from amulor.imaging import range_image

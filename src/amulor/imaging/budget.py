@@ -124,7 +124,7 @@ def _without_late_light(one: xr.Dataset, ranges: Ranges) -> Ranges:
     off and states what is left. Few frequencies cannot show that the water has another
     shape than its model: there both are kept.
     """
-    names = ("joint_late_echo_uncertainty", "joint_spread_rad2_per_m")
+    names = ("joint_late_echo_uncertainty", "joint_late_echo_spread_rad2_per_m")
     if "joint_slant_range" not in one or any(name not in one.attrs for name in names):
         return ranges
     few = one.sizes.get("modulation_frequency", 1) < _SHAPE_KNOWN

@@ -105,7 +105,12 @@ def cube_of(
     slope = (to_range(path + _DIFFERENCE) - to_range(path)) / _DIFFERENCE
     known = range_variance(instrument, path, beam, frame.receiver, frame.medium)
     depth = over_pixels([part.depth for part in parts])
-    late = late_echo(np.where(detected, depth, np.nan), shared.shape.spread)
+    reached = np.where(detected, depth, np.nan)
+    typical = float(np.median(depth[detected])) if detected.any() else 0.0
+    late_spread = shared.shape.spread
+    if instrument.late_echo:
+        late_spread = frame.late_spread(typical, shared.shape)
+    late = late_echo(reached, late_spread)
     known = known + (instrument.late_echo * late) ** 2
     shared_variance = over_pixels([part.shared_variance for part in parts])
     information = over_pixels([part.estimates.information for part in parts])
@@ -135,6 +140,7 @@ def cube_of(
         water_signal=water,
         common=common,
         step="reject, joint estimation",
+        joint_late_echo_spread_rad2_per_m=late_spread,
         **_attributes(shared, instrument),
     )
     flag[over_pixels([part.unsettled for part in parts])] |= QualityFlag.OUTLIER

@@ -59,8 +59,9 @@ def joint(
     ----------
     cube : xarray.Dataset
         Level `samples` with at least two modulation frequencies and the attribute
-        `survey`, of which the instrument and the scan are used and the optical
-        properties of the water are not. Open-water shots are used if there are any.
+        `survey`, of which the instrument, the scan and the shape of the water's phase
+        function are used; how much it scatters and absorbs, and how far, is not.
+        Open-water shots are used if there are any.
     interval : tuple of float, optional
         Nearest and farthest slant range that are possible [m]. From 0 to the
         unambiguous range of the frequencies by default.
@@ -80,10 +81,10 @@ def joint(
         Standard uncertainty of the axis of the receiver in azimuth and elevation
         [rad]; 1 degree by default.
     late_echo_uncertainty : float, optional
-        Standard uncertainty of how late the echo is by scattering on its way, over the
-        mean detour that the estimated spread of the light would make [1]. By default
-        0.5, and 0 for a simulation without late light; 0 is right where `echo_transfer`
-        holds it, or the range of the echo is asked for.
+        Standard uncertainty of how late the echo is by scattering on its way, over
+        twice what `optics.late_echo` says for the estimated spread of the light [1]. By
+        default 0.5, and 0 for a simulation without late light; 0 is right where
+        `echo_transfer` holds it, or the range of the echo is asked for.
 
     Returns
     -------
@@ -112,13 +113,15 @@ def joint(
     In channel c and at frequency f a pixel shows
     :math:`A_c H(f) e^{2 \pi i f p / c_0} + s_c W(f; k', b_f \langle\theta^2\rangle,
     z)`, with the optical path p and the depth z of the target, and W the water signal
-    (46) of [1]_, as rebuilt, that ends there. Strengths and shape of W belong to the
-    whole scan. A smooth factor on its overlap, light from in front of all targets and
-    departures of the echo at each frequency, with priors whose widths the data choose,
-    stand for what the model does not know; their uncertainty is part of that of the
-    result. A random change of the water signal from sample to sample is estimated from
-    the scatter. Light that is scattered on its way to the target arrives late; what
-    `echo_transfer` does not hold of that is in the slant range, and in its uncertainty.
+    (29) of [1]_, as rebuilt, that ends there, by the phase function of the survey's
+    water, stretched in angle; (46) where that water has none. Strengths and shape of W
+    belong to the whole scan. A smooth factor on its overlap, light from in front of all
+    targets and departures of the echo at each frequency, with priors whose widths the
+    data choose, stand for what the model does not know; their uncertainty is part of
+    that of the result. A random change of the water signal from sample to sample is
+    estimated from the scatter. Light that is scattered on its way to the target arrives
+    late; what `echo_transfer` does not hold of that is in the slant range, and in its
+    uncertainty.
 
     Open-water shots may be of other water: their strength and, at each frequency, a
     departure from the water of the scan have priors whose widths the data choose.
@@ -236,5 +239,8 @@ def _checked_transfer(
 
 def _late_echo(cube: xr.Dataset) -> float:
     """Return how uncertain the delay of scattered light is, over its theory."""
-    absent = str(cube.attrs.get("late_echo", "")) == "absent"
-    return 0.0 if absent else LATE_ECHO
+    stated = cube.attrs.get("late_echo")
+    if stated is None:
+        # Models that say nothing of late light send none.
+        return 0.0 if cube.attrs.get("simulated", 0) else LATE_ECHO
+    return 0.0 if str(stated) == "absent" else LATE_ECHO

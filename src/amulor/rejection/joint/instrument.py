@@ -78,7 +78,8 @@ def late_echo(depth: Floats, spread: float) -> Floats:
     depth : ndarray
         Way through the water to the target [m].
     spread : float
-        Growth b_f <theta^2> of the mean square angle of the light [rad^2/m].
+        Growth of the mean square angle of the light that is still in view, see
+        `Frame.late_spread` [rad^2/m].
 
     Returns
     -------
@@ -89,9 +90,8 @@ def late_echo(depth: Floats, spread: float) -> Floats:
     -----
     A path that is inclined by small angles of mean square :math:`\sigma^2 z` at the
     depth z is longer by :math:`\int \theta^2 / 2 \, dz = \sigma^2 z^2 / 4`. Unscattered
-    light and a receiver that accepts small angles only make the echo less late: 0.35 to
-    0.5 of it in photon transport through waters with the phase functions of Petzold,
-    of Fournier and Forand, and two Henyey-Greenstein terms.
+    light and a receiver that accepts small angles only make the echo less late: the
+    spread in view is such that half of this detour is what theory says.
     """
     late: Floats = 0.25 * spread * np.square(depth)
     return late

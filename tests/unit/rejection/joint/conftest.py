@@ -7,16 +7,9 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 import xarray as xr
-from paper_form import follow_paper_form, simulate
 
+from amulor import simulate
 from amulor.survey import Survey
-
-
-@pytest.fixture(autouse=True)
-def scenes_of_the_paper_form(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Let scenes of the trust study follow the form that is fitted."""
-    follow_paper_form(monkeypatch)
-
 
 FREQUENCIES = np.array([12e6, 31e6, 57e6, 83e6, 104e6, 139e6])
 

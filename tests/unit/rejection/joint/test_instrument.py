@@ -7,9 +7,9 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
-from paper_form import simulate
 from scipy.constants import speed_of_light
 
+from amulor import simulate
 from amulor.optics import rays
 from amulor.rejection import joint
 from amulor.rejection.joint.instrument import Instrument, late_echo, range_variance
@@ -91,7 +91,14 @@ def test_a_receiver_that_looks_elsewhere_is_found_out(count: int) -> None:
     [
         (samples.late_instrument, {"delay_uncertainty": 1e-10}),
         (knowledge.wrong_index, {"group_index_uncertainty": 2e-3}),
-        (knowledge.wrong_baseline, {"receiver_position_uncertainty": 5e-3}),
+        # Beside its place the receiver is seen to look past the scan.
+        (
+            knowledge.wrong_baseline,
+            {
+                "receiver_position_uncertainty": 5e-3,
+                "receiver_direction_uncertainty": np.radians(1.0),
+            },
+        ),
     ],
 )
 def test_an_instrument_one_standard_uncertainty_off_is_covered(

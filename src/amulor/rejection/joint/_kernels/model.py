@@ -47,7 +47,7 @@ def water_to(
 ) -> None:
     """Fill in W(z) and dW/dz, Hermite's cubic between the nodes of the table.
 
-    The integral (46) of docs/theory/water-signal.md up to z, in units of its strength.
+    The integral (29) of docs/theory/water-signal.md up to z, in units of its strength.
     Compiled because every step of the search takes it, at all frequencies.
     """
     step, value, slope = table.step, table.value, table.slope
@@ -336,7 +336,7 @@ def integrate(
 ) -> None:
     """Fill in running sums of profile times phasor, a node every `order` points.
 
-    The integral (46) of docs/theory/water-signal.md up to every node of depth, by
+    The integral (29) of docs/theory/water-signal.md up to every node of depth, by
     Gauss's rule; the node after number `count` holds the sum of everything. Compiled
     because numpy would keep every term.
     """

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -9,12 +10,21 @@ import xarray as xr
 from numpy.typing import NDArray
 from scipy.constants import speed_of_light
 
-from amulor.errors import CubeError
+from amulor.errors import CubeError, SurveyError
 from amulor.optics import rays, small_angle_diffusion
+from amulor.optics.late_echo import late_echo
 from amulor.rejection.joint.overlap.directions import directions_of
+from amulor.rejection.joint.overlap.scattered import Scattered
 from amulor.rejection.joint.overlap.shape import Shape, hats
-from amulor.survey import Survey, water_properties
-from amulor.survey.view import kernel_arguments, medium, view
+from amulor.survey import Survey, WaterProperties, water_properties
+from amulor.survey.view import (
+    beam_arguments,
+    kernel_arguments,
+    medium,
+    seen_from_water,
+    view,
+)
+from amulor.survey.waters.whole_function import whole_phase_function
 
 Floats = NDArray[np.float64]
 Complex = NDArray[np.complex128]
@@ -55,6 +65,7 @@ class Frame:
         end = survey.water.column_end
         self.end = np.inf if end is None else end
         self._properties = properties
+        self._scattered = _scattered_light(survey, properties, self.medium)
         self._turned: dict[tuple[float, ...], dict[str, Any]] = {}
         shape = Shape(0.3, 0.02, 0.4, np.zeros(0), np.zeros(0))
         depth = np.linspace(0.02, 12.0, 240)
@@ -103,7 +114,8 @@ class Frame:
             "second_moment",
         ):
             del arguments[name]
-        return arguments
+        radius, angle = _widths(survey, self._properties, where.acceptance)
+        return arguments | {"receiver_radius": radius, "acceptance_angle": angle}
 
     def optical_offset(self, azimuth: Floats, elevation: Floats) -> Floats:
         """Return the optical path before the water, out and back [m]."""
@@ -130,9 +142,11 @@ class Frame:
     def _overlap(self, depth: Floats, shape: Shape, where: dict[str, Any]) -> Floats:
         """Return the overlap of (direction, depth), without the correction.
 
-        (43) of Ricci et al. 2010, as rebuilt, for the light that was scattered and
-        again, without spread, for the light that was not; together they have the
-        spread of the model. Scattering without bounds leaves (43) itself.
+        (29) of Ricci et al. 2010, as rebuilt, with the phase function of the survey's
+        water, stretched to the spread of the shape. Where it has none, (43) for the
+        light that was scattered and again, without spread, for the light that was not;
+        together they have the spread of the model. Scattering without bounds leaves
+        (43) itself.
         """
         straight = np.exp(-2 * shape.forward_scattering * depth)
         # The smallest number keeps the start of the water in range.
@@ -149,9 +163,51 @@ class Frame:
                 **geometry,
             )
 
+        light: Floats
+        if self._scattered is not None:
+            scattered = self._scattered.light(
+                depth,
+                forward_scattering=shape.forward_scattering,
+                spread=shape.spread,
+                offset=self._offset(where),
+            )
+            lost = np.exp(-2 * shape.reduced_attenuation * depth)
+            light = straight * overlap(0.0) + lost * scattered
+            return light
         spread = np.where(depth > 0, shape.spread / bent, 0.0)
-        light: Floats = straight * overlap(0.0) + bent * overlap(spread)
+        light = straight * overlap(0.0) + bent * overlap(spread)
         return light
+
+    def _offset(self, where: dict[str, Any]) -> Floats:
+        """Return how far aside the beams are, at the depths of scattered light [m]."""
+        assert self._scattered is not None
+        path = self._scattered.depth + np.asarray(where["standoff"])[:, None]
+        along = where["baseline"][:, None] - where["tilt"][:, None] * path
+        offset: Floats = np.hypot(along, where["cross_tilt"][:, None] * path)
+        return offset
+
+    def late_spread(self, depth: float, shape: Shape) -> float:
+        """Return the spread whose mean detour is twice what an echo is late [rad^2/m].
+
+        In the middle of the scan, by `optics.late_echo`, for water of the survey's
+        phase function with the spread of the shape. Where it has none, that spread.
+        """
+        light = self._scattered
+        if light is None or not depth > 0:
+            return shape.spread
+        azimuth, elevation = self.directions.middle
+        where = self._arguments(np.array([azimuth]), np.array([elevation]))
+        late = late_echo(
+            0.0,
+            depth=depth,
+            scattering=shape.spread / (light.moment * light.fraction),
+            phase_function=light.function,
+            split_angle=light.split_angle,
+            group_index=self.medium.group_index,
+            **where,
+        )
+        found = 8 * float(late[0]) / depth**2
+        return found if np.isfinite(found) else shape.spread
 
     def nothing_left(self, shape: Shape) -> float:
         """Return the depth that all but a trace of the water signal comes from [m]."""
@@ -174,6 +230,43 @@ class Frame:
         factor = np.exp(shape.correction @ hats(depth, shape.knots))
         overlap: Floats = self.directions.centre @ self.overlap(depth, shape) * factor
         return overlap
+
+
+def _widths(
+    survey: Survey, properties: WaterProperties, acceptance: float
+) -> tuple[float, float]:
+    """Return radius [m] and semi-angle [rad] of receiver and beam together."""
+    beam = beam_arguments(survey, properties)
+    return (
+        float(np.hypot(survey.instrument.receiver.radius, beam.get("beam_radius", 0))),
+        float(np.hypot(acceptance, beam.get("beam_divergence", 0))),
+    )
+
+
+def _scattered_light(
+    survey: Survey, properties: WaterProperties, medium: rays.Medium
+) -> Scattered | None:
+    """Return the small-angle form for the survey's water, None where it has none."""
+    if (
+        properties.layers
+        or properties.forward_scattering * properties.second_moment == 0
+    ):
+        return None
+    # What is sent straight back does not count: the strength of the water is free.
+    forward = replace(properties, backscatter_vsf=0.0)
+    try:
+        function = whole_phase_function(forward)
+    except SurveyError:
+        return None
+    standoff, acceptance = seen_from_water(survey, medium)
+    radius, angle = _widths(survey, properties, acceptance)
+    return Scattered(
+        function,
+        properties.split_angle,
+        radius=radius,
+        angle=angle,
+        standoff=standoff,
+    )
 
 
 #: A receiver that takes in less than this sees no beam [sr m].

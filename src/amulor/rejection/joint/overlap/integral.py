@@ -53,7 +53,7 @@ def table_of(
 
     Notes
     -----
-    (46) of Ricci et al. 2010, as rebuilt and conjugated, by Gauss's rule with
+    (29) of Ricci et al. 2010, as rebuilt and conjugated, by Gauss's rule with
     four points between neighbouring nodes.
     """
     period = 2 * np.pi / frame.phase_per_path.max() / (2 * frame.medium.group_index)

@@ -20,7 +20,8 @@ class Shape:
     reduced_attenuation: float
     """Reduced attenuation coefficient k' = a + b_d [1/m]."""
     spread: float
-    """Growth b_f <theta^2> of the mean square angle of the light [rad^2/m]."""
+    """Growth b_f <theta^2> of the mean square angle of the light, which stretches the
+    phase function of the survey's water [rad^2/m]."""
     forward_scattering: float
     """Forward scattering b_f, above which some light is not scattered at all [1/m]."""
     correction: Floats
