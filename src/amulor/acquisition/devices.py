@@ -29,7 +29,7 @@ _NO_PART_OF_IT = (
 #: Settings that older journals do not know; left out where they say nothing.
 _SINCE_LATER = (
     "modulation_amplitude", "options", "reference", "scpi", "interlock_input",
-    "output_filter", "frequencies_at_once", "readings", "analog",
+    "output_filter", "frequencies_at_once", "readings", "analog", "pan_tilt",
 )  # fmt: skip
 _LASER_SINCE_LATER = ("current", "temperature", "prepare", "error", "no_error")
 

@@ -11,7 +11,8 @@ import pytest
 
 from amulor import acquisition
 from amulor.acquisition.clock import VirtualClock
-from amulor.acquisition.connect import _lock_in, connect
+from amulor.acquisition.connect import connect
+from amulor.acquisition.drivers.chosen import lock_in_of
 from amulor.acquisition.drivers.digitiser import DigitiserLockIn
 from amulor.acquisition.drivers.scpi import ScpiLaser, ScpiSource
 from amulor.acquisition.journal.journal import Journal
@@ -159,7 +160,7 @@ def test_a_digitiser_of_the_page_is_a_lock_in(tmp_path, monkeypatch) -> None:
             **dict.fromkeys(("scanner", "launch", "analyser", "target"), others),
         }
     )
-    lock_in = _lock_in(settings, VirtualClock())
+    lock_in = lock_in_of(settings, VirtualClock())
     assert isinstance(lock_in, DigitiserLockIn)
     assert lock_in.full_scale() == 10.0
     content = settings.model_dump(mode="json", exclude_none=True)

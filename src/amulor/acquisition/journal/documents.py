@@ -81,7 +81,7 @@ def documents(journal: Journal) -> Iterator[tuple[str, dict[str, Any]]]:
             moment = began[record.segment] + record.elapsed - first[record.segment]
             if number == 1:
                 yield "descriptor", _descriptor(descriptor, start, kind, moment)
-            data = _data(key, record)
+            data = data_of(key, record)
             latest = max(latest, moment)
             counted[kind] = number
             yield (
@@ -110,28 +110,34 @@ def documents(journal: Journal) -> Iterator[tuple[str, dict[str, Any]]]:
 
 
 def _descriptor(uid: str, start: str, kind: str, moment: float) -> dict[str, Any]:
-    names = [*Key._fields[1:], *(field.name for field in fields(Record))]
+    keys = data_keys()
     return {
         "uid": uid,
         "run_start": start,
         "name": kind,
         "time": moment,
-        "data_keys": {
-            name: {
-                "source": f"amulor:{name}",
-                "dtype": "string" if name == "polarization" else "number",
-                "shape": [],
-                **({"units": _UNITS[name]} if name in _UNITS else {}),
-            }
-            for name in names
-        },
+        "data_keys": keys,
         "configuration": {},
         "hints": {},
-        "object_keys": {"amulor": names},
+        "object_keys": {"amulor": [*keys]},
     }
 
 
-def _data(key: Key, record: Record) -> dict[str, Any]:
+def data_keys() -> dict[str, dict[str, Any]]:
+    """Return what a sample consists of, as descriptors of the event model say it."""
+    names = [*Key._fields[1:], *(field.name for field in fields(Record))]
+    return {
+        name: {
+            "source": f"amulor:{name}",
+            "dtype": "string" if name == "polarization" else "number",
+            "shape": [],
+            **({"units": _UNITS[name]} if name in _UNITS else {}),
+        }
+        for name in names
+    }
+
+
+def data_of(key: Key, record: Record) -> dict[str, Any]:
     """Return what a sample holds, the kind apart, which is the stream."""
     content = {**key._asdict(), **vars(record)}
     del content["kind"]

@@ -7,7 +7,7 @@ import socket
 import threading
 from collections.abc import Iterator, Sequence
 from types import TracebackType
-from typing import Protocol
+from typing import Any, Protocol
 
 
 class LinkLostError(Exception):
@@ -30,7 +30,8 @@ class Speaker(Protocol):
         Notes
         -----
         A device with an attribute `at_once` (bytes) is handed each of these characters
-        without the end of a line.
+        without the end of a line. One with a method `cutter`, which returns an object
+        like `_Lines`, is handed what that makes of the bytes of one link.
         """
 
 
@@ -135,7 +136,8 @@ class DeviceServer:
             threading.Thread(target=self._serve, args=(link,), daemon=True).start()
 
     def _serve(self, link: socket.socket) -> None:
-        lines = _Lines(getattr(self._speaker, "at_once", b""))
+        own = getattr(self._speaker, "cutter", None)
+        lines: Any = own() if own else _Lines(getattr(self._speaker, "at_once", b""))
         try:
             while received := link.recv(4096):
                 answers = [

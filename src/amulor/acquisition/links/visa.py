@@ -119,6 +119,11 @@ class Link:
         manager = pyvisa.ResourceManager()
         return cls(address, timeout=timeout, manager=manager, serial=serial)
 
+    @property
+    def resource(self) -> Any:
+        """What PyVISA talks through, for devices that know no lines."""
+        return self._resource
+
     def send(self, line: str) -> None:
         """Send one line that has no answer."""
         with self._explained(line):

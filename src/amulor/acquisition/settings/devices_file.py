@@ -11,6 +11,7 @@ from pydantic import Field, model_validator
 from amulor.acquisition.settings.analog import AnalogSettings
 from amulor.acquisition.settings.light import LaserSettings, SourceSettings
 from amulor.acquisition.settings.lock_in import DigitiserSettings, LockInSettings
+from amulor.acquisition.settings.pan_tilt import PanTiltSettings
 from amulor.acquisition.settings.parts import (
     Axis,
     Linked,
@@ -42,7 +43,9 @@ _LINEAR_POLARIZER = {
 }
 
 
-ScannerDriver = Annotated[str, known("scanner", "simulated", "pi_gcs", "analog")]
+ScannerDriver = Annotated[
+    str, known("scanner", "simulated", "pi_gcs", "analog", "pelco_d", "ophyd_async")
+]
 
 
 class ScannerSettings(Linked):
@@ -50,10 +53,13 @@ class ScannerSettings(Linked):
 
     driver: ScannerDriver = "simulated"
     """Which controller it is: simulated, pi_gcs, analog (mirrors on voltages, stated in
-    `analog`), or the name of one that an installed package offers (entry point
-    amulor.scanners)."""
+    `analog`), pelco_d (a pan-tilt head, stated in `pan_tilt`), ophyd_async (two axes,
+    stated in `options`), or the name of one that an installed package offers (entry
+    point amulor.scanners)."""
     analog: AnalogSettings | None = None
     """Mirrors on analog outputs; needed by "analog"."""
+    pan_tilt: PanTiltSettings | None = None
+    """How a pan-tilt head counts; by default as most do."""
     options: Options = None
     """What a scanner of another package wants to be told."""
     azimuth_axis: Axis = "1"
@@ -76,8 +82,10 @@ class ScannerSettings(Linked):
 
     @model_validator(mode="after")
     def _address_is_stated(self) -> Self:
-        need(self.address is not None or self.driver != "pi_gcs", "scanner.address")
+        wired = self.driver in ("pi_gcs", "pelco_d")
+        need(self.address is not None or not wired, "scanner.address")
         need(self.analog is not None or self.driver != "analog", "scanner.analog")
+        need(bool(self.options) or self.driver != "ophyd_async", "scanner.options")
         need(self.angle_per_unit != 0, "scanner.angle_per_unit, not 0,")
         need(
             (self.park_azimuth is None) == (self.park_elevation is None),
@@ -265,6 +273,19 @@ class Settings(Description):
             raise ValueError(
                 f"mirrors and laser need outputs of their own among "
                 f"{', '.join(there)} of the lock-in, stated are {', '.join(taken)}"
+            )
+        return self
+
+    @model_validator(mode="after")
+    def _steps_are_within_the_tolerance(self) -> Self:
+        step = math.radians(0.01)
+        if self.scanner.driver == "pelco_d" and (
+            self.procedure.position_tolerance < step
+        ):
+            raise ValueError(
+                "a pan-tilt head by Pelco-D counts in 0.01 degrees, "
+                "procedure.position_tolerance is less, and every sample would be "
+                'flagged; state what the head is good for, such as "0.05 deg"'
             )
         return self
 

@@ -9,7 +9,9 @@ from pydantic import Field, model_validator
 from amulor.acquisition.settings.parts import Linked, Options, known, need
 from amulor.survey.quantity import Description, Time, Voltage
 
-LaserDriver = Annotated[str, known("laser", "simulated", "lock_in_output", "scpi")]
+LaserDriver = Annotated[
+    str, known("laser", "simulated", "lock_in_output", "scpi", "ophyd_async")
+]
 SourceDriver = Annotated[str, known("source", "none", "scpi")]
 
 
@@ -89,8 +91,9 @@ class LaserSettings(Linked):
 
     driver: LaserDriver = "simulated"
     """"lock_in_output": an auxiliary output of the lock-in is wired to the enable input
-    of the laser; "scpi": commands, stated in `scpi`; or the name of one that an
-    installed package offers (entry point amulor.lasers)."""
+    of the laser; "scpi": commands, stated in `scpi`; "ophyd_async": parts, stated in
+    `options`; or the name of one that an installed package offers (entry point
+    amulor.lasers)."""
     options: Options = None
     """What a laser of another package wants to be told."""
     scpi: ScpiLaserSettings | None = None
@@ -112,4 +115,5 @@ class LaserSettings(Linked):
         if self.driver == "scpi":
             need(self.address is not None, "laser.address")
             need(self.scpi is not None, "laser.scpi")
+        need(bool(self.options) or self.driver != "ophyd_async", "laser.options")
         return self

@@ -22,6 +22,7 @@ LockInDriver = Annotated[
         "digitiser",
         "scpi",
         "pymeasure",
+        "ophyd_async",
     ),
 ]
 Bits = Annotated[int, Field(ge=0, lt=2**32)]
@@ -91,8 +92,8 @@ class LockInSettings(Linked):
     driver: LockInDriver = "simulated"
     """Which instrument it is: simulated, sr844, sr865a, zurich, digitiser (the one that
     the part `digitiser` names), scpi (commands, stated in `scpi`), pymeasure
-    (attributes, stated in `options`), or the name of one that an installed package
-    offers (entry point amulor.lock_ins)."""
+    (attributes) and ophyd_async (parts), both stated in `options`, or the name of one
+    that an installed package offers (entry point amulor.lock_ins)."""
     scpi: ScpiLockInSettings | None = None
     """Commands of a lock-in; needed by "scpi"."""
     options: Options = None
@@ -113,6 +114,7 @@ class LockInSettings(Linked):
         own = self.driver in ("sr844", "sr865a", "zurich", "scpi")
         need(self.address is not None or not own, "lock_in.address")
         need(self.scpi is not None or self.driver != "scpi", "lock_in.scpi")
+        need(bool(self.options) or self.driver != "ophyd_async", "lock_in.options")
         return self
 
     @model_validator(mode="after")

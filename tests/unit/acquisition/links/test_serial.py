@@ -12,6 +12,7 @@ from amulor.acquisition import connect as connecting
 from amulor.acquisition.drivers.pi_gcs import PiController
 from amulor.acquisition.drivers.stanford_sr844 import Sr844
 from amulor.acquisition.drivers.stanford_sr865a import Sr865a
+from amulor.acquisition.links import opening
 from amulor.acquisition.links.visa import Link, SerialPort
 from amulor.acquisition.settings import LockInSettings, ScannerSettings, Settings
 from amulor.errors import InstrumentError
@@ -65,7 +66,7 @@ def test_each_device_is_linked_as_its_part_of_the_file_says(monkeypatch) -> None
         asked[address] = serial
         raise InstrumentError("enough")
 
-    monkeypatch.setattr(connecting, "open_link", open_link)
+    monkeypatch.setattr(opening, "open_link", open_link)
     for part in ("sr844", "sr865a"):
         settings = Settings.model_validate(
             {

@@ -1,0 +1,211 @@
+"""A device of ophyd-async and its parts, called from outside of its event loop."""
+
+from __future__ import annotations
+
+import contextlib
+import importlib
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from typing import Any
+
+from amulor.acquisition.links.async_loop import AsyncLoop
+from amulor.acquisition.plugins import Wiring
+from amulor.errors import InstrumentError, MissingExtraError
+
+#: What the options of every such device may say.
+_EVERY = ("class", "arguments", "identity", "prepare")
+
+
+class OphydDevice:
+    """A device of ophyd-async and its parts, called from outside of its event loop.
+
+    Parameters
+    ----------
+    device : object
+        Connected.
+    loop : AsyncLoop
+        That it was connected in.
+    timeout : float
+        How long one answer may take [s].
+    identity : str, optional
+        Part whose value is recorded as what it says it is.
+    """
+
+    def __init__(
+        self,
+        device: Any,
+        *,
+        loop: AsyncLoop,
+        timeout: float,
+        identity: str | None = None,
+    ) -> None:
+        self.device, self._loop, self._timeout = device, loop, timeout
+        kind = type(device)
+        self._name = f"{kind.__module__}:{kind.__qualname__} {device.name}".strip()
+        self._said = "" if identity is None else f", {self.value(identity)}"
+
+    @classmethod
+    def made(
+        cls, part: str, wiring: Wiring, *, needed: Sequence[str], more: Sequence[str]
+    ) -> OphydDevice:
+        """Make and connect the device that a part of the devices file names.
+
+        Parameters
+        ----------
+        part : str
+            Of the devices file, for messages.
+        wiring : Wiring
+            Its options name the class, or a function that returns a device, and parts.
+        needed, more : sequence of str
+            Options that must and may be stated.
+
+        Returns
+        -------
+        OphydDevice
+            In an event loop of its own.
+
+        Raises
+        ------
+        InstrumentError
+            If options are missing, unknown or name nothing, or it cannot be connected.
+        MissingExtraError
+            If its package is not installed.
+        """
+        own = wiring.options
+        missing = [name for name in ("class", *needed) if name not in own]
+        unknown = [name for name in own if name not in (*_EVERY, *needed, *more)]
+        if missing or unknown:
+            raise InstrumentError(
+                f"{part}.options lacks {', '.join(missing) or 'nothing'} and has "
+                f"{', '.join(unknown) or 'nothing'} that is not known; needed are "
+                f"class, {', '.join(needed)}"
+            )
+        kind = _imported(part, str(own["class"]))
+        loop = AsyncLoop()
+        try:
+            device = loop.run(
+                lambda: _connected(kind, own.get("arguments", {}), part, wiring),
+                timeout=wiring.timeout,
+            )
+            found = cls(
+                device, loop=loop, timeout=wiring.timeout, identity=own.get("identity")
+            )
+            for name, value in own.get("prepare", {}).items():
+                found.set(name, value)
+            return found
+        except InstrumentError:
+            loop.close()
+            raise
+        except Exception as error:  # a program of others
+            loop.close()
+            raise InstrumentError(
+                f"the {part} {own['class']} cannot be connected: "
+                f"{type(error).__name__}: {error}; check {part}.options and power"
+            ) from error
+
+    def identity(self) -> str:
+        """Return the class, the name, and what one of its parts says."""
+        return f"ophyd-async {self._name}{self._said}"
+
+    def part(self, path: str) -> Any:
+        """Return a part of the device by its path, such as "stage.pan" or "out.1"."""
+        found = self.device
+        for name in filter(None, path.split(".")):
+            try:
+                found = found[int(name)] if name.isdigit() else getattr(found, name)
+            except (AttributeError, LookupError):
+                raise InstrumentError(
+                    f"{self._name} has no {path!r}; see the options of this device in "
+                    "the devices file"
+                ) from None
+        return found
+
+    def call(
+        self, what: str, call: Callable[[], Any], *, timeout: float | None = None
+    ) -> Any:
+        """Do something in the event loop, and say what failed.
+
+        Raises
+        ------
+        InstrumentError
+            If it fails, or takes longer than an answer may.
+        """
+        limit = self._timeout if timeout is None else timeout
+        try:
+            return self._loop.run(call, timeout=limit)
+        except InstrumentError:
+            raise
+        except Exception as error:  # a program of others
+            text = " ".join(str(error).split())
+            late = f"not done within {limit:g} s"
+            raise InstrumentError(
+                f"{self._name} has failed to {what}: {type(error).__name__}: "
+                f"{text or late}; check device, power and network"
+            ) from error
+
+    def value(self, path: str) -> Any:
+        """Return what a part says."""
+        part = self.part(path)
+        return self.call(f"tell its {path}", lambda: value_of(part))
+
+    def set(self, path: str, value: Any, *, timeout: float | None = None) -> None:
+        """Set a part and wait until it is set."""
+        part = self.part(path)
+        self.call(f"set {path} to {value}", lambda: part.set(value), timeout=timeout)
+
+    def close(self) -> None:
+        """Let go of the event loop; it may be called twice."""
+        self._loop.close()
+
+
+@contextlib.contextmanager
+def closed_if_it_fails(own: OphydDevice) -> Iterator[None]:
+    """Let go of a device unless all goes well."""
+    try:
+        yield
+    except BaseException:
+        own.close()
+        raise
+
+
+def _imported(part: str, text: str) -> Any:
+    module, _, name = text.partition(":")
+    try:
+        return getattr(importlib.import_module(module), name)
+    except ImportError as error:
+        if str(error.name or "").startswith(("ophyd_async", "bluesky")):
+            raise MissingExtraError(
+                "ophyd-async", extra="bluesky", purpose=f"a {part} by {text}"
+            ) from None
+        raise InstrumentError(
+            f"{part}.options.class {text!r} cannot be imported: {error}"
+        ) from None
+    except AttributeError:
+        raise InstrumentError(
+            f"{module} has no {name!r}; see {part}.options.class, such as "
+            "my_beamline.devices:Head"
+        ) from None
+
+
+async def _connected(
+    kind: Any, arguments: Mapping[str, Any], part: str, wiring: Wiring
+) -> Any:
+    device = kind(**arguments)
+    if not device.name:
+        device.set_name(part)
+    await device.connect(timeout=wiring.timeout)
+    return device
+
+
+async def done(awaitable: Any) -> Any:
+    """Wait for a coroutine, or for a status, which is no coroutine."""
+    return await awaitable
+
+
+async def value_of(part: Any) -> Any:
+    """Return what a signal, or a device with one value, says."""
+    if hasattr(part, "get_value"):
+        return await part.get_value()
+    if hasattr(part, "locate"):
+        return (await part.locate())["readback"]
+    (only,) = (await part.read()).values()
+    return only["value"]
