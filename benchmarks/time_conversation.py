@@ -115,7 +115,7 @@ def measured(
     ratio = float(input_variance_ratio(record.readings, spacing=interval / constant))
     return (
         (after - before) / count,
-        wall - survey.scan.dwell,
+        wall - record.readings * interval,
         record.readings,
         2 * constant / ratio / wall,
     )

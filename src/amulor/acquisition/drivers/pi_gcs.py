@@ -12,7 +12,8 @@ from amulor.errors import InstrumentError
 
 #: What ERR? answers after a stop on purpose.
 _STOPPED = 10
-_POLL = 2e-3
+#: Time between two looks: short ones first, twice as long each time, up to this [s].
+_FIRST_POLL, _POLL = 0.2e-3, 2e-3
 #: What the identity of a controller holds, in small letters.
 _MAKER = "physik instrumente"
 #: Asks for the axes that move, as bits of a hexadecimal number: the one character 5.
@@ -127,7 +128,7 @@ class PiController:
         words = [f"{axis} {goal:.7f}" for axis, goal in goals.items()]
         # Not in one packet with a question: a controller may answer it before it moves.
         self._link.send("MOV " + " ".join(words))
-        end = Deadline(self._clock, timeout)
+        end, wait = Deadline(self._clock, timeout), _FIRST_POLL
         # Both are questions: where it stands is wanted as soon as it is there.
         question = f"ONT? {listed}\nPOS? {listed}"
         while True:
@@ -142,7 +143,8 @@ class PiController:
                     f"axes {listed} at {self._link.address} are not on target "
                     f"{timeout:g} s after MOV; see what holds them"
                 )
-            self._clock.sleep(_POLL)
+            self._clock.sleep(wait)
+            wait = min(2 * wait, _POLL)
         if any(abs(result[axis] - goal) > _ASTRAY for axis, goal in goals.items()):
             self.raise_error()
         return [result[axis] for axis in axes]

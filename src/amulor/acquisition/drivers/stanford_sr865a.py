@@ -35,8 +35,11 @@ _POLL = 0.01
 #: Bytes of a captured point (X and Y), points that the largest buffer takes, points a
 #: time constant that are asked for at least, and questions in one packet.
 _POINT, _CAPACITY, _POINTS, _PACKET = 8, 4096 * 1024 // 8, 4.0, 64
-#: Most points that an answer may be late before a second question is the better way.
-_MOST_LATE = 20
+#: Fastest capture: the buffer lasts for half a minute [1/s].
+_FASTEST = 20e3
+#: How far the clocks of instrument and computer may run apart, in parts; a computer
+#: that is set by others goes so much wrong for a while.
+_DRIFT = 5e-4
 #: Bits of CAPTURESTAT?: points are recorded; the buffer has come to its end.
 _RECORDING, _WRAPPED = 1, 4
 #: How often points that are late are asked for.
@@ -93,7 +96,9 @@ class Sr865a(Stanford):
             external=external,
         )
         self._amplitude = modulation_amplitude
-        self._rate = self._zero = self._late = 0.0
+        self._rate, self._stride = 0.0, 1
+        #: When the buffer began, at the earliest and the latest, as known at a moment.
+        self._began_after, self._began_before, self._noted = -math.inf, math.inf, 0.0
 
     def prepare(self, *, time_constant: float) -> None:
         """Set internal reference, one-pole output filter and time constant [s]."""
@@ -168,9 +173,15 @@ class Sr865a(Stanford):
         The capture buffer (manual, pages 134 to 139) runs all the time, and what is
         wanted of it is asked for by CAPTUREVAL?, in one packet with what tells how far
         it has come: CAPTUREGET? would need it to be stopped, which waits for a block of
-        256 points. A point counts only if it was taken after this call; with the rate
-        f, that with number i of n in the buffer is younger than (n - i) / f when the
-        question was sent.
+        256 points. It runs as fast as it may, and every so many points are asked for:
+        the finer its steps, the less is lost before the first of them.
+
+        A point counts only if it was taken after this call. If n points were there when
+        a question was answered, and f is the rate, the buffer began after
+        :math:`t_s - n / f`, where :math:`t_s` is when the question was sent, however
+        late the answer came. The latest of these bounds counts, less what the clocks
+        may have run apart since. That it began before the answers came tells whether
+        the instrument counts as is thought.
         """
         for _ in range(_ATTEMPTS):
             try:
@@ -185,39 +196,33 @@ class Sr865a(Stanford):
     def _record(self, duration: float) -> Recorded:
         rate = self._rate or self._start_capture()
         asked = self._clock.now()
-        count = math.floor(duration * rate) + 1
-        # By what was seen before, a point later than the first one after this call, and
-        # by as much more as an answer is late: that cannot be told from age.
-        guard = min(2 + math.ceil(self._late * rate), _MOST_LATE)
-        first = max(math.floor((asked - self._zero) * rate) + guard, 0)
-        if first + 2 * count > _CAPACITY:
+        count = math.ceil(duration * rate / self._stride - 1e-9) + 1
+        began = self._began_after - _DRIFT * (asked - self._noted)
+        first = max(math.ceil((asked - began) * rate), 0)
+        wanted = [first + self._stride * number for number in range(count)]
+        if wanted[-1] + self._stride > _CAPACITY:
             raise _BufferIsFull
-        # Half of what an answer takes, the question is on its way.
-        self._clock.sleep((count + guard + 1) / rate - self._late / 2)
+        # The question then arrives just after the last one was taken.
+        self._wait(wanted[-1])
         points: dict[int, complex] = {}
-        wanted, surely_after = [*range(first, first + count)], _CAPACITY
         overload, unlocked = Overload.NONE, False
         for _ in range(_ATTEMPTS):
-            for start in range(0, len(wanted), _PACKET):
-                part = wanted[start : start + _PACKET]
-                sent, there, last = self._points_and_state(part, points)
+            missing = [number for number in wanted if number not in points]
+            for start in range(0, len(missing), _PACKET):
+                part = missing[start : start + _PACKET]
+                last = self._points_and_state(part, points)
                 overload, unlocked = overload | last.overload, unlocked | last.unlocked
-                youngest = max(there - math.floor((sent - asked) * rate), 0)
-                surely_after = min(surely_after, youngest)
-            kept = sorted(number for number in points if number >= surely_after)[:count]
-            if len(kept) == count == kept[-1] - kept[0] + 1:
+            if len(points) == count:
                 break
-            first = surely_after
-            wanted = [n for n in range(first, first + count) if n not in points]
-            self._clock.sleep(max(first + count + 1 - there, 0) / rate)
+            self._wait(wanted[-1])
         else:
             raise InstrumentError(
-                f"SR865A at {self._link.address} has captured {len(kept)} of {count} "
+                f"SR865A at {self._link.address} has captured {len(points)} of {count} "
                 f"points after {_ATTEMPTS} questions; switch it off and on"
             )
-        signals = [[math.sqrt(2) * points[number].conjugate()] for number in kept]
+        signals = [[math.sqrt(2) * points[number].conjugate()] for number in wanted]
         return Recorded(
-            times=np.asarray(np.arange(count) / rate),
+            times=np.asarray(np.arange(count) * (self._stride / rate)),
             signals=np.array(signals, dtype=complex),
             mean=last.mean,
             modulation_frequencies=(self._frequency,),
@@ -225,10 +230,15 @@ class Sr865a(Stanford):
             unlocked=unlocked,
         )
 
+    def _wait(self, number: int) -> None:
+        """Wait until a question that is sent then most likely finds a point there."""
+        moment = self._began_after + (number + 0.6) / self._rate
+        self._clock.sleep(moment - self._clock.now())
+
     def _points_and_state(
         self, wanted: Sequence[int], points: dict[int, complex]
-    ) -> tuple[float, int, Reading]:
-        """Note points of the buffer; return when, how many there are, and the state."""
+    ) -> Reading:
+        """Note points of the buffer, and return its state."""
         questions = [f"CAPTUREVAL? {number}" for number in wanted]
         lines = ["CAPTUREBYTES?", *questions, "CAPTURESTAT?", self._snap(), "LIAS?"]
         sent = self._clock.now()
@@ -244,25 +254,42 @@ class Sr865a(Stanford):
                 f"the capture of SR865A at {self._link.address} has been stopped; see "
                 "that nobody else drives it"
             )
-        there = int(self.parsed(length, "CAPTUREBYTES?", count=1)[0]) // _POINT
-        got = self._clock.now()
-        self._zero = (sent + got) / 2 - there / self._rate
-        self._late = max(got - sent, 0.9 * self._late)
+        there = self._note(sent, length)
         for number, line, value in zip(wanted, questions, values, strict=True):
             if number < there:  # others are zero
                 points[number] = complex(*self.parsed(value, line, count=2))
-        return sent, there, self._reading(snapshot, status)
+        return self._reading(snapshot, status)
+
+    def _note(self, sent: float, length: str) -> int:
+        """Return how many points there are, and note when the buffer began."""
+        there = int(self.parsed(length, "CAPTUREBYTES?", count=1)[0]) // _POINT
+        apart = _DRIFT * (sent - self._noted)
+        self._noted, past = sent, there / self._rate
+        self._began_after = max(self._began_after - apart, sent - past)
+        answered = self._clock.now() - past + 1 / self._rate
+        self._began_before = min(self._began_before + apart, answered)
+        if self._began_after > self._began_before:
+            raise InstrumentError(
+                f"the buffer of SR865A at {self._link.address} does not count its "
+                "points as they come, so that their age is not known; take "
+                'procedure.readings = "buffer" out of the devices file'
+            )
+        return there
 
     def _start_capture(self) -> float:
         """Let the capture buffer run from its beginning; return its rate [1/s]."""
         if self._rate:
             self._link.send("CAPTURESTOP")
         fastest = self.number("CAPTURERATEMAX?")
-        divisor = math.floor(math.log2(max(fastest * self._constant / _POINTS, 1)))
+        divisor = max(math.ceil(math.log2(fastest / _FASTEST)), 0)
         lines = ["CAPTURECFG 1", f"CAPTURELEN {_CAPACITY * _POINT // 1024}"]
         self.configure([*lines, f"CAPTURERATE {min(divisor, 20)}", "CAPTURESTART 0,0"])
-        self._zero = self._clock.now()
         self._rate = self.number("CAPTURERATE?")
+        self._stride = max(math.floor(self._rate * self._constant / _POINTS), 1)
+        self._began_after, self._began_before = -math.inf, math.inf
+        self._noted = sent = self._clock.now()
+        (length,) = self._link.ask("CAPTUREBYTES?")
+        self._note(sent, length)
         return self._rate
 
     def relieve(self, overload: Overload) -> bool:
