@@ -60,6 +60,7 @@ TABLES: list[tuple[str, type[BaseModel], str | None]] = [
     ("[scan]", survey.Scan, None),
     ("[scan.open_water]", survey.OpenWater, None),
     ("[calibration]", survey.Calibration, None),
+    ("[pose]", survey.Pose, "pose"),
 ]
 
 

@@ -9,7 +9,12 @@ from amulor.errors import MissingExtraError
 #: Modules that an extra of pyproject.toml installs, by the name of their package.
 MODULES = {
     "scene": {"trimesh": "trimesh", "embreex": "embreex"},
-    "export": {"pye57": "pye57", "laspy[lazrs]": "lazrs"},
+    "export": {
+        "pye57": "pye57",
+        "laspy[lazrs]": "lazrs",
+        "ezdxf": "ezdxf",
+        "tifffile": "tifffile",
+    },
     "mie": {"miepython": "miepython"},
     "unwrap": {"scikit-image": "skimage"},
     "view": {

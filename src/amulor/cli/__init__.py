@@ -46,7 +46,10 @@ COMMANDS = {
     "info": ("info:info", "Say what a file holds."),
     "reject": ("reject:reject", "Take the water signal out of a measurement cube."),
     "image": ("image:image", "Turn a target signal into a range image."),
-    "export": ("export:export", "Write a range image as a point cloud."),
+    "export": (
+        "export:export",
+        "Write a range image as a cloud, mesh, drawing, section or comparison.",
+    ),
     "view": (
         "view:view",
         "Show a file or scan in the browser: maps, 3D, measuring with errors.",

@@ -1,11 +1,25 @@
-"""`amulor export`: from a range image to a point cloud file."""
+"""`amulor export`: from a range image to what is handed over."""
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, Literal
 
-from cyclopts import Parameter
+from cyclopts import Parameter, validators
+
+from amulor.cli._arguments import UsageError, check_ending, quantity_of, refusing
+from amulor.cli._output import progress_bar
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+    from amulor.handover import Order
+    from amulor.imaging import Frame
+
+Product = Literal[
+    "cloud", "mesh", "orthoimage", "dem", "contours", "section", "deviation"
+]
 
 
 def export(
@@ -13,27 +27,214 @@ def export(
     /,
     *,
     output: Annotated[Path, Parameter(alias="-o")],
+    product: Product | None = None,
+    good_only: Annotated[bool, Parameter(negative="")] = False,
+    largest_uncertainty: str | None = None,
+    without_mixed: Annotated[bool, Parameter(negative="")] = False,
+    axes: Literal["instrument", "z-up", "pose"] = "instrument",
+    pose: Path | None = None,
+    seen_from: Literal["front", "top"] = "front",
+    scale: str = "1:10",
+    dpi: Annotated[float, Parameter(validator=validators.Number(gte=10, lte=2400))] = (
+        300
+    ),
+    cell: str | None = None,
+    show: Literal["amplitude", "height", "relief", "uncertainty"] = "amplitude",
+    contours: str | None = None,
+    line: str | None = None,
+    against: Path | None = None,
+    unit: Literal["m", "cm", "mm", "inch"] = "m",
+    farthest: str | None = None,
+    title: str = "",
     overwrite: Annotated[bool, Parameter(negative="")] = False,
 ) -> None:
-    """Write a range image as a point cloud.
+    """Write a range image as a cloud, mesh, drawing, section or comparison.
 
     Parameters
     ----------
     image
         Range image (netCDF), from `amulor image`.
     output
-        File to write; its ending says the format: .ply, .laz, .las, .e57 or .nc.
+        File to write; its ending says the format: .ply, .laz, .las, .e57, .xyz, .csv
+        or .nc for a cloud, .tif for heights, .png, .pdf or .svg for an orthoimage,
+        .dxf for lines.
+    product
+        What to make, where the ending and the other options leave a choice: a mesh is
+        a .ply, a section a .dxf, .svg or .csv, a deviation a map, a table or a mesh.
+    good_only
+        Leave out all points that carry a quality flag.
+    largest_uncertainty
+        Leave out points with a larger standard uncertainty, such as "2 mm".
+    without_mixed
+        Leave out mixed pixels and outliers of a cloud; surfaces never hold them.
+    axes
+        x right, y down, z forward of the instrument; or x right, y forward, z up; or
+        east, north, up by the pose.
+    pose
+        TOML file with a section [pose]; that of the survey by default.
+    seen_from
+        The side that a drawing is seen from: elevation or plan.
+    scale
+        Scale of a drawing, such as 1:20.
+    dpi
+        Dots to an inch of paper of an orthoimage.
+    cell
+        Size of a cell of a raster, such as "2 mm"; by default that of a dot of an
+        orthoimage, and about the spacing of the pixels otherwise.
+    show
+        What an orthoimage shows.
+    contours
+        Interval of contour lines, such as "5 mm".
+    line
+        Section from and to right, up in the drawing, such as "--line=-6cm,0m,6cm,0m".
+    against
+        Mesh (.ply, .stl, .obj, .off, .glb) in the chosen axes, or range image of an
+        earlier scan (.nc) from the same place, to compare with.
+    unit
+        Unit of that mesh.
+    farthest
+        Larger deviations are other objects and left out, such as "2 cm".
+    title
+        Title of a drawing; that of the range image by default.
     overwrite
         Replace a file that is there.
     """
-    from amulor import imaging, io
-    from amulor.cli._arguments import check_ending
+    from amulor import handover, io
 
-    check_ending("--output", output, [*io.CLOUD_SUFFIXES, ".nc"])
-    io.check_output(output, overwrite=overwrite, inputs=[image])
-    cloud = imaging.point_cloud(io.read_cube(image))
-    if output.suffix.lower() == ".nc":
-        io.write_cube(cloud, output, overwrite=overwrite)
-    else:
-        io.write_cloud(cloud, output, overwrite=overwrite)
-    print(f"{output}: {cloud.sizes['point']} points")
+    check_ending("--output", output, _endings(product))
+    if product is None:
+        product = handover.product_of(
+            output, line=line, against=against, contours=contours
+        )
+        check_ending("--output", output, handover.ENDINGS[product])
+    order = _order(
+        product,
+        lengths={"--cell": cell, "--contours": contours, "--farthest": farthest},
+        line=line,
+        others={
+            "side": seen_from,
+            "show": show,
+            "scale": scale_of("--scale", scale),
+            "dots_per_inch": dpi,
+            "against": against,
+            "unit": unit,
+            "title": title,
+        },
+    )
+    largest = (
+        None
+        if largest_uncertainty is None
+        else quantity_of("--largest-uncertainty", largest_uncertainty, "length")
+    )
+    inputs = [path for path in (image, pose, against) if path is not None]
+    io.check_output(output, overwrite=overwrite, inputs=inputs)
+    with progress_bar() as progress:
+        progress("reading", 0.0)
+        cube = io.read_cube(image)
+        frame, cube = _chosen(cube, axes, pose, largest, good_only, without_mixed)
+        progress(f"making the {product}", 0.2)
+        said = handover.hand_over(cube, output, order, frame=frame, overwrite=overwrite)
+    print(f"{output}: {said}")
+
+
+def scale_of(option: str, text: str) -> float:
+    """Return the scale of a drawing that an option states.
+
+    Parameters
+    ----------
+    option : str
+        Its name.
+    text : str
+        Such as "1:20".
+
+    Returns
+    -------
+    float
+        Metres of the object to one of the paper [1].
+
+    Raises
+    ------
+    UsageError
+        If it is no such text, or the number is not above 0.
+    """
+    found = re.fullmatch(r"\s*1\s*:\s*(\d+(?:\.\d+)?)\s*", text)
+    if not found or not float(found[1]) > 0:
+        raise UsageError(f"{option} {text!r}: write a scale such as 1:20")
+    return float(found[1])
+
+
+def _endings(product: str | None) -> list[str]:
+    """Return the endings that may be, before anything is read."""
+    from amulor.handover import ENDINGS
+
+    wanted = [name for name in ENDINGS if product in (None, name)]
+    return list(dict.fromkeys(ending for name in wanted for ending in ENDINGS[name]))
+
+
+def _order(
+    product: Product,
+    *,
+    lengths: dict[str, str | None],
+    line: str | None,
+    others: dict[str, object],
+) -> Order:
+    """Return the order, with lengths in metres and what it needs in it."""
+    from amulor.handover import Order
+
+    found = {}
+    for option, text in lengths.items():
+        value = None if text is None else quantity_of(option, text, "length")
+        if value is not None and not value > 0:
+            raise UsageError(f"{option} {text}: must be above 0 m")
+        found[option.removeprefix("--")] = value
+    needed = {
+        "section": ("--line", line),
+        "deviation": ("--against", others["against"]),
+        "contours": ("--contours", lengths["--contours"]),
+    }
+    if product in needed and needed[product][1] is None:
+        raise UsageError(f"a product {product} needs {needed[product][0]}")
+    return Order(
+        product=product,
+        line=None if line is None else _line_of(line),
+        **found,  # type: ignore[arg-type]
+        **others,  # type: ignore[arg-type]
+    )
+
+
+def _line_of(text: str) -> tuple[float, float, float, float]:
+    parts = [part.strip() for part in text.split(",")]
+    if len(parts) != 4:
+        raise UsageError(
+            f"--line {text!r}: state four lengths, right and up of both ends, such as "
+            '"--line=-6cm,0m,6cm,0m"'
+        )
+    a, b, c, d = (quantity_of("--line", part, "length") for part in parts)
+    if (a, b) == (c, d):
+        raise UsageError(f"--line {text!r}: both ends are the same")
+    return a, b, c, d
+
+
+def _chosen(
+    cube: xr.Dataset,
+    axes: Literal["instrument", "z-up", "pose"],
+    pose: Path | None,
+    largest: float | None,
+    good_only: bool,
+    without_mixed: bool,
+) -> tuple[Frame, xr.Dataset]:
+    """Return the frame, and the image without what is left out."""
+    from amulor import cube as cubes
+    from amulor import imaging, survey
+
+    cube = cubes.checked(cube, "range_image")
+    stated = None if pose is None else survey.read_pose(pose)
+    frame = imaging.frame_of(cube, "pose" if pose is not None else axes, pose=stated)
+    with refusing("--largest-uncertainty"):
+        cube = imaging.leave_out(
+            cube,
+            good_only=good_only,
+            largest_uncertainty=largest,
+            mixed=without_mixed,
+        )
+    return frame, cube

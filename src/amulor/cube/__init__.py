@@ -11,9 +11,16 @@ from amulor.cube.build import build, open_water
 from amulor.cube.check import check, checked
 from amulor.cube.dimensions import restore_dimensions
 from amulor.cube.provenance import attributes, digest, note
-from amulor.cube.schema import LEVELS, SCHEMA_VERSION, UNUSABLE, QualityFlag
+from amulor.cube.schema import (
+    DOUBTFUL,
+    LEVELS,
+    SCHEMA_VERSION,
+    UNUSABLE,
+    QualityFlag,
+)
 
 __all__ = [
+    "DOUBTFUL",
     "LEVELS",
     "SCHEMA_VERSION",
     "UNUSABLE",

@@ -45,6 +45,10 @@ UNUSABLE = (
     | QualityFlag.AMBIGUOUS
 )
 
+#: A pixel with one of these has a range that is doubtful by itself; `RELATIVE` and
+#: `NO_OPEN_WATER` concern the whole scan.
+DOUBTFUL = QualityFlag.WATER_RESIDUAL | QualityFlag.MIXED | QualityFlag.OUTLIER
+
 
 def flag_attributes() -> dict[str, Any]:
     """Return the CF attributes that explain a `quality_flag` variable.
@@ -269,6 +273,9 @@ LEVELS = {
                 "slant_range_common_uncertainty": _optional(
                     _POINT, "m", "part of the uncertainty that all points share"
                 ),
+                "x_uncertainty": _optional(_POINT, "m", "standard uncertainty of x"),
+                "y_uncertainty": _optional(_POINT, "m", "standard uncertainty of y"),
+                "z_uncertainty": _optional(_POINT, "m", "standard uncertainty of z"),
                 "quality_flag": _optional(
                     _POINT, "1", "reason why a point is doubtful"
                 ),

@@ -8,32 +8,50 @@ from numpy.typing import NDArray
 
 from amulor import cube as cubes
 from amulor.cube import UNUSABLE
+from amulor.imaging.frame import Frame, frame_of
 from amulor.imaging.geometry import beams_of
 
 
-def point_cloud(image: xr.Dataset) -> xr.Dataset:
-    """Place every usable pixel of a range image in space.
+def point_cloud(image: xr.Dataset, *, frame: Frame | None = None) -> xr.Dataset:
+    r"""Place every usable pixel of a range image in space.
 
     Parameters
     ----------
     image : xarray.Dataset
         Level `range_image`.
+    frame : Frame, optional
+        Axes of the points, from `frame_of`; by default x right, y down, z forward in
+        the axes of the instrument, in which the emitter stands at its
+        `emitter_position`.
 
     Returns
     -------
     xarray.Dataset
-        Level `point_cloud`; x right, y down, z forward in the axes of the instrument,
-        in which the emitter stands at its `emitter_position`. `row` and `column` say
-        which pixel a point comes from, the attribute `scan_shape` how many rows and
-        columns the scan has. Points lie on the beam as bent by the window.
+        Level `point_cloud`. `row` and `column` say which pixel a point comes from, the
+        attribute `scan_shape` how many rows and columns the scan has, `frame_matrix`
+        (16 numbers, row by row) how the instrument's axes turned into those of the
+        points. Points lie on the beam as bent by the window.
+
+    Notes
+    -----
+    `x_uncertainty` and its like are :math:`u_x^2 = d_x^2 u_r^2 + \sum_k s_{kx}^2` with
+    the beam's direction d, the standard uncertainty of the slant range and the shifts s
+    by the stated errors of the pose. Directions of the beams count as known. Errors of
+    the three coordinates of a point are one and the same error, that of its range, so
+    they are correlated fully.
     """
     image = cubes.checked(image, "range_image")
+    frame = frame or frame_of(image)
     flag = image["quality_flag"].values
     row, column = np.nonzero((flag & UNUSABLE) == 0)
     beam = beams_of(image)
     water = image["slant_range"].values - beam.length_before
     position = beam.entry + water[..., None] * beam.direction
-    points = position[row, column]
+    points = frame.place(position[row, column])
+    along = frame.turn(np.broadcast_to(beam.direction, position.shape)[row, column])
+    sigma = image["slant_range_uncertainty"].values[row, column]
+    variance = (along * sigma[:, None]) ** 2
+    variance += (frame.shared_errors(points) ** 2).sum(axis=0)
     cloud = cubes.build(
         "point_cloud",
         {
@@ -41,10 +59,12 @@ def point_cloud(image: xr.Dataset) -> xr.Dataset:
             "y": points[:, 1],
             "z": points[:, 2],
             "intensity": image["intensity"].values[row, column],
-            "slant_range_uncertainty": image["slant_range_uncertainty"].values[
-                row, column
-            ],
+            "slant_range_uncertainty": sigma,
             **_common(image, row, column),
+            **{
+                f"{axis}_uncertainty": np.sqrt(variance[:, number])
+                for number, axis in enumerate("xyz")
+            },
             "quality_flag": flag[row, column],
             "row": row.astype(np.int32),
             "column": column.astype(np.int32),
@@ -55,8 +75,16 @@ def point_cloud(image: xr.Dataset) -> xr.Dataset:
             **image.attrs,
             "level": "point_cloud",
             "scan_shape": np.array(flag.shape, dtype=np.int32),
+            "frame": frame.name,
+            "frame_axes": frame.axes,
+            "frame_matrix": frame.matrix.ravel(),
+            "crs": frame.crs,
+            "crs_offset": np.array(frame.crs_offset),
+            "pose_unknown": ", ".join(frame.unknown),
         },
     )
+    for axis, meaning in zip("xyz", frame.meanings, strict=True):
+        cloud[axis].attrs["long_name"] = meaning
     return cubes.note(cloud, "point cloud")
 
 

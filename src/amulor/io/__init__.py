@@ -20,6 +20,7 @@ from amulor.io.netcdf import read_cube, write_cube
 from amulor.io.ply import write_ply
 from amulor.io.slab_response import Slabs, mean_delay, read_slabs, slab_response
 from amulor.io.tallies import read_tally, write_tally
+from amulor.io.text_cloud import write_text
 from amulor.io.transients import medium_from_minimum, read_transients
 
 __all__ = [
@@ -42,10 +43,11 @@ __all__ = [
     "write_laz",
     "write_ply",
     "write_tally",
+    "write_text",
 ]
 
 #: Suffixes that `write_cloud` knows.
-CLOUD_SUFFIXES = (".ply", ".laz", ".las", ".e57")
+CLOUD_SUFFIXES = (".ply", ".laz", ".las", ".e57", ".xyz", ".csv")
 
 
 def write_cloud(
@@ -86,6 +88,8 @@ def write_cloud(
         write_laz(cloud, path, overwrite=overwrite)
     elif suffix == ".e57":
         write_e57(cloud, path, shape=shape, overwrite=overwrite)
+    elif suffix in (".xyz", ".csv"):
+        write_text(cloud, path, overwrite=overwrite)
     else:
         raise FormatError(
             f"{path} has the suffix {suffix!r}, which names no format for point "

@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Hashable, Mapping
+from typing import Any
+
 import numpy as np
 import xarray as xr
+from numpy.typing import NDArray
 
 from amulor import cube as cubes
+from amulor.cube import DOUBTFUL
 from amulor.errors import CubeError
 
-#: What the axes mean, for the header of a file that has no place for it.
-AXES = "right-handed: x right, y down, z forward, in the instrument's axes [m]"
+# What the axes mean, for the header of a file that has no place for it.
+_AXES = "right-handed: x right, y down, z forward, in the instrument's axes [m]"
 
 # Largest number that each format can hold.
 _LAST = {"row": 2**31 - 1, "column": 2**31 - 1, "quality_flag": 2**15 - 1}
@@ -76,7 +81,7 @@ def provenance_lines(cloud: xr.Dataset) -> list[str]:
         "name: text", without line breaks; several lines for the history.
     """
     named = ("title", "source", "history", "amulor_schema_version", "software_versions")
-    lines = [f"axes: {AXES}"]
+    lines = frame_lines(cloud.attrs)
     for key in named:
         text = str(cloud.attrs.get(key, ""))
         lines += [f"{key}: {line.strip()}" for line in text.splitlines()]
@@ -86,6 +91,55 @@ def provenance_lines(cloud: xr.Dataset) -> list[str]:
         masks = np.atleast_1d(flags.get("flag_masks", []))
         bits = ", ".join(f"{m} {n}" for m, n in zip(masks, names, strict=False))
         lines.append(f"quality_flag: 0 good, or a sum of {bits}")
+    if "x_uncertainty" in cloud:
+        lines.append(
+            "uncertainty: standard uncertainties (GUM, k = 1), of the range along the "
+            "beam; those of x, y and z of a point are one error and correlate fully"
+        )
     if cloud.attrs.get("simulated"):
         lines.append("simulated: the points come from a simulation")
     return lines
+
+
+def frame_lines(attributes: Mapping[Hashable, Any]) -> list[str]:
+    """Return what the coordinates of a product mean, one statement a line.
+
+    Parameters
+    ----------
+    attributes : mapping
+        Those of a point cloud or of what was made of it.
+
+    Returns
+    -------
+    list of str
+        Axes, the transformation from the instrument's, and the reference system.
+    """
+    lines = [f"axes: {attributes.get('frame_axes', _AXES)}"]
+    if attributes.get("frame", "instrument") != "instrument":
+        numbers = " ".join(f"{v:.12g}" for v in attributes["frame_matrix"])
+        lines.append(f"from the instrument's axes, 4 x 4 row by row: {numbers}")
+    if attributes.get("crs"):
+        offset = ", ".join(f"{v:.12g}" for v in attributes["crs_offset"])
+        lines.append(f"reference system: {attributes['crs']}; add ({offset}) m")
+    if attributes.get("pose_unknown"):
+        lines.append(f"uncertainty of the pose not known: {attributes['pose_unknown']}")
+    return lines
+
+
+def doubtful(cloud: xr.Dataset) -> NDArray[np.bool_]:
+    """Return which points have a range that is doubtful by itself.
+
+    Parameters
+    ----------
+    cloud : xarray.Dataset
+        A point cloud.
+
+    Returns
+    -------
+    ndarray of bool, shape (point,)
+        None without quality flags.
+    """
+    if "quality_flag" not in cloud:
+        return np.zeros(cloud.sizes["point"], dtype=bool)
+    flags = cloud["quality_flag"].values.astype(np.int64)
+    return np.asarray((flags & int(DOUBTFUL)) != 0)

@@ -12,14 +12,15 @@ from typing import Any
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
 from amulor import cube as cubes
 from amulor.errors import CubeError, FormatError, MissingExtraError
-from amulor.io._cloud import checked_cloud, provenance_lines
+from amulor.io._cloud import checked_cloud, doubtful, provenance_lines
 from amulor.io.files import atomic_output
 
 # What `cartesianInvalidState` says of a pixel, after ASTM E2807.
-_VALID, _NOTHING_MEANT = 0, 2
+_VALID, _DIRECTION_ONLY, _NOTHING_MEANT = 0, 1, 2
 
 
 def write_e57(
@@ -57,16 +58,20 @@ def write_e57(
     Notes
     -----
     Records go row by row. Coordinates and intensity are stored in double precision. A
-    pixel without a point has zeros and `cartesianInvalidState` 2. The format has no
-    field for an uncertainty or a quality flag; a PLY or LAZ file holds them.
+    pixel without a point has zeros and `cartesianInvalidState` 2; one whose range is
+    doubtful has its coordinates and 1, so that its direction is to be relied on only.
+    Points are stored in the instrument's axes, and `pose` turns them into those of
+    the cloud. The format has no field for an uncertainty or a quality flag; a PLY or
+    LAZ file holds them.
     """
     libe57 = _libe57()
     name = f"the cloud for {path}"
     cloud = checked_cloud(cloud, name=name)
+    cloud, matrix = _in_the_instrument(cloud)
     columns = _records(cloud, shape or _shape_of(cloud), name=name)
     with atomic_output(Path(path), overwrite=overwrite) as temporary:
         try:
-            _write(libe57, temporary, cloud, columns)
+            _write(libe57, temporary, cloud, columns, matrix)
         except libe57.E57Exception as error:
             reason = str(error).partition("\n")[0]
             raise FormatError(
@@ -121,13 +126,45 @@ def _records(
     records["rowIndex"] = (pixels // shape[1]).astype(np.longlong)
     records["columnIndex"] = (pixels % shape[1]).astype(np.longlong)
     state = np.full(pixels.size, _NOTHING_MEANT, dtype=np.int8)
-    state[pixel] = _VALID
+    state[pixel] = np.where(doubtful(cloud), _DIRECTION_ONLY, _VALID)
     records["cartesianInvalidState"] = state
     return records
 
 
+def _in_the_instrument(
+    cloud: xr.Dataset,
+) -> tuple[xr.Dataset, NDArray[np.float64] | None]:
+    """Return the cloud in the instrument's axes, and the matrix that takes it back."""
+    if cloud.attrs.get("frame", "instrument") == "instrument":
+        return cloud, None
+    matrix = np.asarray(cloud.attrs["frame_matrix"], dtype=float).reshape(4, 4)
+    placed = np.stack([cloud[axis].values for axis in "xyz"], axis=1)
+    own = (placed - matrix[:3, 3]) @ matrix[:3, :3]
+    return (
+        cloud.assign(
+            {
+                axis: cloud[axis].copy(data=own[:, number])
+                for number, axis in enumerate("xyz")
+            }
+        ),
+        matrix,
+    )
+
+
+def _pose(matrix: NDArray[np.float64]) -> dict[str, dict[str, float]]:
+    """Return a pose as the format states it: unit quaternion and translation."""
+    x, y, z, w = Rotation.from_matrix(matrix[:3, :3]).as_quat()
+    rotation = {"w": float(w), "x": float(x), "y": float(y), "z": float(z)}
+    place = dict(zip("xyz", matrix[:3, 3].tolist(), strict=True))
+    return {"rotation": rotation, "translation": place}
+
+
 def _write(
-    libe57: Any, path: Path, cloud: xr.Dataset, records: Mapping[str, NDArray[Any]]
+    libe57: Any,
+    path: Path,
+    cloud: xr.Dataset,
+    records: Mapping[str, NDArray[Any]],
+    matrix: NDArray[np.float64] | None,
 ) -> None:
     file = libe57.ImageFile(str(path), "w")
     try:
@@ -154,6 +191,7 @@ def _write(
             "name": str(cloud.attrs.get("title") or "scan"),
             "description": text,
             **_bounds(cloud, records),
+            **({} if matrix is None else {"pose": _pose(matrix)}),
         })  # fmt: skip
         _write_points(libe57, file, scan, records)
         file.close()

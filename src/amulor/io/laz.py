@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from amulor.cube import provenance
 from amulor.errors import CubeError, FormatError, MissingExtraError
-from amulor.io._cloud import checked_cloud, provenance_lines
+from amulor.io._cloud import checked_cloud, doubtful, provenance_lines
 from amulor.io.files import atomic_output
 
 #: Step of the coordinates in the file [m]: the rounding, half of it, is far below the
@@ -37,6 +37,9 @@ _EXTRA = (
         "slant_range_common_uncertainty",
         "part that points share [m]",
     ),
+    ("sigma_x", np.float64, "x_uncertainty", "standard uncertainty of x [m]"),
+    ("sigma_y", np.float64, "y_uncertainty", "standard uncertainty of y [m]"),
+    ("sigma_z", np.float64, "z_uncertainty", "standard uncertainty of z [m]"),
     ("quality_flag", np.uint16, "quality_flag", "amulor flag bits, 0: good [1]"),
     ("row", np.uint32, "row", "row of the scan [1]"),
     ("column", np.uint32, "column", "column of the scan [1]"),
@@ -73,7 +76,8 @@ def write_laz(
     Point format 6. Coordinates are rounded to 1e-6 m, which limits the cloud to
     4294 m along each axis. `intensity` is the amplitude in parts of the largest one,
     which is 65535; the amplitude itself and the other variables are extra dimensions
-    with their units in the description. Provenance stands in an extended record of
+    with their units in the description. Points whose range is doubtful are withheld,
+    which readers leave out or mark. Provenance and axes stand in an extended record of
     the user "amulor".
     """
     laspy = _laspy()
@@ -95,6 +99,7 @@ def write_laz(
     points["intensity"] = _brightness(cloud["intensity"].values, name=name)
     points["return_number"] = np.ones(cloud.sizes["point"], dtype=np.uint8)
     points["number_of_returns"] = np.ones(cloud.sizes["point"], dtype=np.uint8)
+    points["withheld"] = doubtful(cloud).astype(np.uint8)
     for key, kind, variable, _ in kept:
         points[key] = cloud[variable].values.astype(kind)
     text = "\n".join(provenance_lines(cloud))

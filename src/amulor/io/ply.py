@@ -1,13 +1,15 @@
-"""Writes point clouds as PLY files."""
+"""Writes point clouds and meshes as PLY files."""
 
 from __future__ import annotations
 
 import os
 import textwrap
+from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
 import xarray as xr
+from numpy.typing import ArrayLike, NDArray
 
 from amulor.io._cloud import checked_cloud, provenance_lines
 from amulor.io.files import atomic_output
@@ -26,6 +28,9 @@ _PROPERTIES = (
         "<f8",
         "slant_range_common_uncertainty",
     ),
+    ("scalar_sigma_x", "double", "<f8", "x_uncertainty"),
+    ("scalar_sigma_y", "double", "<f8", "y_uncertainty"),
+    ("scalar_sigma_z", "double", "<f8", "z_uncertainty"),
     ("scalar_quality_flag", "int", "<i4", "quality_flag"),
     ("scalar_row", "int", "<i4", "row"),
     ("scalar_column", "int", "<i4", "column"),
@@ -35,9 +40,14 @@ _LINE_LENGTH = 200
 
 
 def write_ply(
-    cloud: xr.Dataset, path: str | os.PathLike[str], *, overwrite: bool = False
+    cloud: xr.Dataset,
+    path: str | os.PathLike[str],
+    *,
+    faces: ArrayLike | None = None,
+    scalars: Mapping[str, tuple[ArrayLike, str]] | None = None,
+    overwrite: bool = False,
 ) -> None:
-    """Write a point cloud to a binary PLY file, without loss.
+    """Write a point cloud, or a mesh over its points, to a binary PLY file.
 
     Parameters
     ----------
@@ -45,6 +55,11 @@ def write_ply(
         A cube of level `point_cloud`.
     path : path-like
         File to make, by custom with the suffix `.ply`.
+    faces : array_like of int, shape (m, 3), optional
+        Triangles between the points, by their numbers; none for a cloud.
+    scalars : mapping of str to tuple, optional
+        Further properties of the points: name to values of shape (n,) and what they
+        are.
     overwrite : bool
         Whether an existing file is replaced.
 
@@ -52,33 +67,52 @@ def write_ply(
     ------
     CubeError
         If the cube is no point cloud, is empty, or has points without a position.
+    ValueError
+        If a triangle names a point that is not there, or a property has another
+        number of values.
     FormatError
         If the file exists and `overwrite` is not set, or cannot be written.
 
     Notes
     -----
-    Little-endian, one element `vertex`; coordinates [m] as `double`, the other
+    Little-endian, without loss, an element `vertex` and for triangles one `face`;
+    coordinates [m] as `double`, the other
     variables as properties that start with `scalar_`. Units and provenance stand in
     comments.
     """
     cloud = checked_cloud(cloud, name=f"the cloud for {path}")
     kept = [entry for entry in _PROPERTIES if entry[3] in cloud]
+    more = {
+        name: np.asarray(values, dtype=float)
+        for name, (values, _) in (scalars or {}).items()
+    }
+    count = cloud.sizes["point"]
+    if any(values.shape != (count,) for values in more.values()):
+        raise ValueError(f"scalars must have {count} values each, as many as points")
     vertices = np.empty(
-        cloud.sizes["point"], dtype=[(name, code) for name, _, code, _ in kept]
+        count,
+        dtype=[(name, code) for name, _, code, _ in kept]
+        + [(name, "<f8") for name in more],
     )
     for name, _, _, variable in kept:
         vertices[name] = cloud[variable].values
+    for name, values in more.items():
+        vertices[name] = values
+    triangles = _triangles(faces, count)
     comments = [
         f"{name}: {cloud[variable].attrs['long_name']} "
         f"[{cloud[variable].attrs['units']}]"
         for name, _, _, variable in kept
     ]
+    comments += [f"{name}: {about}" for name, (_, about) in (scalars or {}).items()]
     header = [
         "ply",
         "format binary_little_endian 1.0",
         *(f"comment {line}" for line in _ascii(provenance_lines(cloud) + comments)),
         f"element vertex {vertices.size}",
         *(f"property {kind} {name}" for name, kind, _, _ in kept),
+        *(f"property double {name}" for name in more),
+        *_face_lines(triangles),
         "end_header\n",
     ]
     with (
@@ -87,6 +121,29 @@ def write_ply(
     ):
         file.write("\n".join(header).encode("ascii"))
         file.write(vertices.data)
+        if faces is not None:
+            file.write(triangles.data)
+
+
+def _triangles(faces: ArrayLike | None, count: int) -> NDArray[np.void]:
+    """Return triangles as the records of the file."""
+    corners = np.zeros((0, 3)) if faces is None else np.asarray(faces)
+    if corners.ndim != 2 or corners.shape[1] != 3:
+        raise ValueError(f"faces must have the shape (m, 3), got {corners.shape}")
+    if corners.size and not (corners.min() >= 0 and corners.max() < count):
+        raise ValueError(f"faces must name points from 0 to {count - 1}")
+    records = np.empty(len(corners), dtype=[("number", "u1"), ("corners", "<i4", 3)])
+    records["number"], records["corners"] = 3, corners
+    return records
+
+
+def _face_lines(triangles: NDArray[np.void]) -> list[str]:
+    if not len(triangles):
+        return []
+    return [
+        f"element face {len(triangles)}",
+        "property list uchar int vertex_indices",
+    ]
 
 
 def _ascii(lines: list[str]) -> list[str]:

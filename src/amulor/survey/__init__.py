@@ -11,7 +11,7 @@ from amulor.survey.instrument import (
     Window,
 )
 from amulor.survey.properties import WaterProperties, water_properties
-from amulor.survey.scan import OpenWater, Scan
+from amulor.survey.scan import OpenWater, Pose, Scan, read_pose
 from amulor.survey.surface import Lambertian, OrenNayar, TabulatedSurface
 from amulor.survey.survey import Survey, json_schema
 from amulor.survey.target import Disc, Mesh, Plate, Staircase
@@ -56,6 +56,7 @@ __all__ = [
     "Petzold",
     "PetzoldWater",
     "Plate",
+    "Pose",
     "PureWater",
     "Rayleigh",
     "Receiver",
@@ -71,5 +72,6 @@ __all__ = [
     "WaterProperties",
     "Window",
     "json_schema",
+    "read_pose",
     "water_properties",
 ]

@@ -1,13 +1,16 @@
-"""The scan: which directions, how long at each, in which order, what moves."""
+"""The scan: directions, time, order, what moves; and where the instrument stands."""
 
 from __future__ import annotations
 
 import math
+from pathlib import Path
 from typing import Annotated, Literal
 
 from pydantic import Field
 
-from amulor.survey.quantity import Angle, Description, Time
+from amulor.errors import SurveyError
+from amulor.survey import toml_file
+from amulor.survey.quantity import Angle, Description, Length, Position, Time
 
 
 class OpenWater(Description):
@@ -44,3 +47,62 @@ class Scan(Description):
     """What turns: the beam alone, or emitter and receiver together."""
     open_water: OpenWater | None = None
     """Reference shots without a target; left out if there are none."""
+
+
+class Pose(Description):
+    """Place and attitude of the instrument, in metres east, north and up."""
+
+    position: Position = (0.0, 0.0, 0.0)
+    """Origin of the instrument's axes (east, north, up), in the local frame [m]."""
+    heading: Annotated[Angle, Field(ge=-2 * math.pi, le=2 * math.pi)] = 0.0
+    """Direction of the forward axis, clockwise from grid north [rad]."""
+    pitch: Annotated[Angle, Field(ge=-math.pi / 2, le=math.pi / 2)] = 0.0
+    """How far the forward axis points upwards; -90 deg looks straight down, with the
+    upper edge of the scan towards the heading [rad]."""
+    roll: Annotated[Angle, Field(ge=-math.pi, le=math.pi)] = 0.0
+    """How far the right axis points downwards, about the forward axis [rad]."""
+    crs: Annotated[str, Field(max_length=200)] = ""
+    """Reference system that the local frame belongs to, such as "EPSG:32632" or a
+    name; none if left out."""
+    crs_offset: Position = (0.0, 0.0, 0.0)
+    """What has to be added to the local frame to be in the reference system (east,
+    north, up). Kept apart, since millimetres of coordinates in the millions are lost
+    in many programs [m]."""
+    position_uncertainty: Annotated[Length, Field(ge=0, le=1000)] | None = None
+    """Standard uncertainty of each coordinate of the position; not known if left out
+    [m]."""
+    heading_uncertainty: Annotated[Angle, Field(ge=0, le=1)] | None = None
+    """Standard uncertainty of the heading; not known if left out [rad]."""
+    level_uncertainty: Annotated[Angle, Field(ge=0, le=1)] | None = None
+    """Standard uncertainty of pitch and of roll; not known if left out [rad]."""
+
+
+class _PoseFile(Description):
+    """A file with nothing but a pose."""
+
+    pose: Pose
+    """Where the instrument stands in the world."""
+
+
+def read_pose(path: str | Path) -> Pose:
+    """Read the section [pose] of a TOML file that has nothing else.
+
+    Parameters
+    ----------
+    path : str or pathlib.Path
+        The file.
+
+    Returns
+    -------
+    Pose
+        In SI units.
+
+    Raises
+    ------
+    SurveyError
+        With one line for each thing that is wrong.
+    """
+    text = toml_file.text_of(path, error=SurveyError)
+    return toml_file.described(
+        text, _PoseFile, name=str(path), what="a file with a [pose]", error=SurveyError
+    ).pose

@@ -15,7 +15,7 @@ from amulor.survey.changes import changed
 from amulor.survey.daylight import Daylight
 from amulor.survey.instrument import Instrument
 from amulor.survey.quantity import Description
-from amulor.survey.scan import Scan
+from amulor.survey.scan import Pose, Scan
 from amulor.survey.target import Target
 from amulor.survey.waters.named import WaterStated
 
@@ -41,6 +41,8 @@ class Survey(Description):
     """How well delay, geometry and index are known; not known if left out."""
     daylight: Daylight | None = None
     """Daylight in the water; dark if left out."""
+    pose: Pose | None = None
+    """Where the instrument stands in the world; not known if left out."""
 
     @model_validator(mode="after")
     def _dwell_lets_the_lock_in_settle(self) -> Self:

@@ -14,6 +14,8 @@ SIGNATURES = {
     ".laz": b"LASF",
     ".las": b"LASF",
     ".e57": b"ASTM-E57",
+    ".xyz": b"# axes: ",
+    ".csv": b"# axes: ",
     ".PLY": b"ply\n",
     ".LAZ": b"LASF",
     ".E57": b"ASTM-E57",

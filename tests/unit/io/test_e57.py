@@ -52,16 +52,21 @@ def test_pixels_without_a_point_are_invalid_and_zero(point_cloud, path):
     write_e57(point_cloud, path, shape=SHAPE)
     found = read_all(path)
     expected = np.full(ROWS * COLUMNS, 2)
-    expected[order_in_scan(point_cloud)] = 0
+    # 16, 64 and 128 are doubts of a single range: its direction is still right.
+    doubt = (point_cloud["quality_flag"].values & (16 | 64 | 128)) != 0
+    assert 0 < doubt.sum() < doubt.size
+    expected[order_in_scan(point_cloud)] = doubt
     np.testing.assert_array_equal(found["cartesianInvalidState"], expected)
     for name in ("cartesianX", "cartesianY", "cartesianZ", "intensity"):
         assert set(found[name][expected == 2]) == {0}
 
 
 def test_a_common_reader_gets_the_valid_points_only(point_cloud, path):
+    doubt = (point_cloud["quality_flag"].values & (16 | 64 | 128)) != 0
     write_e57(point_cloud, path, shape=SHAPE)
     with pye57.E57(str(path)) as file:
         found = file.read_scan(0, intensity=True, row_column=True)
+    point_cloud = point_cloud.isel(point=~doubt)
     order = np.argsort(order_in_scan(point_cloud))
     for axis in "xyz":
         np.testing.assert_array_equal(
@@ -71,8 +76,35 @@ def test_a_common_reader_gets_the_valid_points_only(point_cloud, path):
     np.testing.assert_array_equal(found["columnIndex"], point_cloud["column"][order])
 
 
+def test_a_pose_is_the_formats_own_and_readers_apply_it(point_cloud, path):
+    # A quarter turn about x and a shift; written by hand, row by row.
+    matrix = np.array([[1, 0, 0, 5.0], [0, 0, 1, 6.0], [0, -1, 0, 7.0], [0, 0, 0, 1]])
+    own = np.stack([point_cloud[axis].values for axis in "xyz"], axis=1)
+    placed = own @ matrix[:3, :3].T + matrix[:3, 3]
+    cloud = point_cloud.drop_vars("quality_flag").assign(
+        {
+            axis: point_cloud[axis].copy(data=placed[:, i])
+            for i, axis in enumerate("xyz")
+        }
+    )
+    cloud = cloud.assign_attrs(
+        frame="z-up", frame_axes="x right, y forward, z up", frame_matrix=matrix.ravel()
+    )
+    write_e57(cloud, path, shape=SHAPE)
+    order = np.argsort(order_in_scan(point_cloud))
+    with pye57.E57(str(path)) as file:
+        raw = file.read_scan(0, transform=False)
+        found = file.read_scan(0, transform=True)
+        np.testing.assert_allclose(file.get_header(0).translation, [5, 6, 7])
+    for number, axis in enumerate("XYZ"):
+        name = f"cartesian{axis}"
+        np.testing.assert_allclose(raw[name], own[order, number], atol=1e-12)
+        np.testing.assert_allclose(found[name], placed[order, number], atol=1e-12)
+
+
 def test_a_full_scan_has_no_invalid_pixel(make, rng, path):
-    write_e57(make.point_cloud(rng, points=ROWS * COLUMNS), path, shape=SHAPE)
+    cloud = make.point_cloud(rng, points=ROWS * COLUMNS, quality=False)
+    write_e57(cloud, path, shape=SHAPE)
     assert set(read_all(path)["cartesianInvalidState"]) == {0}
 
 

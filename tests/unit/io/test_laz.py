@@ -58,6 +58,35 @@ def test_a_cloud_without_any_light_is_black(point_cloud, path):
     assert set(laspy.read(path).intensity) == {0}
 
 
+def test_doubtful_points_are_withheld(point_cloud, path):
+    write_laz(point_cloud, path)
+    # Water left in, mixed, outlying; what concerns the whole scan withholds nothing.
+    expected = (point_cloud["quality_flag"].values & (16 | 64 | 128)) != 0
+    assert 0 < expected.sum() < expected.size
+    np.testing.assert_array_equal(laspy.read(path).withheld, expected)
+
+
+def test_uncertainties_of_the_coordinates_are_extra_dimensions(point_cloud, rng, path):
+    sigmas = {
+        f"{axis}_uncertainty": (
+            "point",
+            rng.uniform(1e-5, 1e-2, 40),
+            {"units": "m", "long_name": f"drawn errors of {axis}"},
+        )
+        for axis in "xyz"
+    }
+    write_laz(point_cloud.assign(sigmas), path)
+    found = laspy.read(path)
+    units = {
+        item.name: item.description for item in found.point_format.extra_dimensions
+    }
+    for axis in "xyz":
+        np.testing.assert_array_equal(
+            found[f"sigma_{axis}"], sigmas[f"{axis}_uncertainty"][1]
+        )
+        assert units[f"sigma_{axis}"] == f"standard uncertainty of {axis} [m]"
+
+
 def test_descriptions_carry_the_units(point_cloud, path):
     write_laz(point_cloud, path)
     extra = laspy.read(path).point_format.extra_dimensions

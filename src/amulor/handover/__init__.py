@@ -1,0 +1,11 @@
+"""What is handed over of a scan: drawings, models, tables, and the archive folder."""
+
+from amulor.handover.order import ENDINGS, Order, product_of
+from amulor.handover.products import hand_over
+
+__all__ = ["ENDINGS", "Order", "hand_over", "product_of"]
+
+
+def __dir__() -> list[str]:
+    """List the public names, not the modules that they come from."""
+    return sorted(__all__)

@@ -1,0 +1,326 @@
+"""Line drawings, rasters and sheets of a surface, written in their formats."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from amulor.errors import CubeError
+from amulor.handover.order import Order
+from amulor.imaging import products
+from amulor.io import drawings as formats
+from amulor.io.files import atomic_output
+from amulor.view.style import style
+
+Said = tuple[str, list[str]]
+_INCH = 0.0254
+
+
+def write_section(
+    surface: products.Surface,
+    plane: products.Plane,
+    path: Path,
+    order: Order,
+    said: Said,
+    *,
+    overwrite: bool,
+) -> str:
+    """Cut a surface and write the profile.
+
+    Parameters
+    ----------
+    surface, plane
+        What is cut, and the drawing that the line lies in.
+    path : pathlib.Path
+        File to make (DXF, SVG or CSV).
+    order : Order
+        With its line.
+    said : tuple
+        Title and statements.
+    overwrite : bool
+        Whether an existing file is replaced.
+
+    Returns
+    -------
+    str
+        What was written.
+    """
+    assert order.line is not None
+    cut = products.section(surface, plane, start=order.line[:2], end=order.line[2:])
+    pieces = int(cut.piece.max()) + 1
+    line = ", ".join(f"{v:g}" for v in order.line)
+    median = float(np.median(cut.uncertainty)) * 1e3
+    statements = [
+        f"Section between the places ({line}) m, right and up, of the drawing seen "
+        f"from the {plane.side}: distance along it, and height ({plane.names[2]}) "
+        "towards the viewer from the origin of the axes",
+        f"Standard uncertainty across the profile: median {median:.2g} mm; the band is "
+        "two of them wide to either side",
+        *said[1],
+    ]
+    if path.suffix.lower() == ".csv":
+        right = cut.start[0] + cut.along / _length(cut) * (cut.end[0] - cut.start[0])
+        up = cut.start[1] + cut.along / _length(cut) * (cut.end[1] - cut.start[1])
+        formats.write_table(
+            {
+                "piece": cut.piece,
+                "along [m]": cut.along,
+                f"{plane.names[2]} [m]": cut.height,
+                "standard_uncertainty [m]": cut.uncertainty,
+                "own_part [m]": cut.own,
+                f"{plane.names[0]} [m]": right,
+                f"{plane.names[1]} [m]": up,
+            },
+            path,
+            statements=[said[0], *statements],
+            overwrite=overwrite,
+        )
+    else:
+        lines = tuple(
+            formats.Line(
+                points=np.stack([cut.along, cut.height], axis=1)[cut.piece == number],
+                layer="section",
+                band=cut.uncertainty[cut.piece == number],
+            )
+            for number in range(pieces)
+        )
+        drawing = formats.Drawing(
+            title=f"{said[0]}: section",
+            lines=lines,
+            axes=("along", plane.names[2]),
+            statements=tuple(statements),
+        )
+        _write_lines(drawing, path, order.scale, overwrite=overwrite)
+    return (
+        f"section of {_length(cut):.3f} m in {pieces} "
+        f"piece{'s' if pieces > 1 else ''}, standard uncertainty {median:.2g} mm "
+        "(median)"
+    )
+
+
+def write_contours(
+    raster: products.Raster, path: Path, order: Order, said: Said, *, overwrite: bool
+) -> str:
+    """Write the contour lines of a raster.
+
+    Parameters
+    ----------
+    raster : amulor.imaging.products.Raster
+        Heights.
+    path : pathlib.Path
+        File to make (DXF, SVG or CSV).
+    order : Order
+        With the interval.
+    said : tuple
+        Title and statements.
+    overwrite : bool
+        Whether an existing file is replaced.
+
+    Returns
+    -------
+    str
+        What was written.
+    """
+    interval = order.contours if order.contours is not None else 0.01
+    found = products.contours(raster, interval=interval)
+    if not found:
+        raise CubeError(
+            f"no contour line every {interval * 1e3:g} mm stands out of the noise; "
+            "take another interval, or larger cells (--cell), which average more pixels"
+        )
+    sigma = float(np.nanmedian(raster.uncertainty))
+    statements = [f"Contours every {interval * 1e3:g} mm", *said[1]]
+    doubt = ""
+    if interval < 4 * sigma:
+        doubt = (
+            f"; noise draws them, too: the interval is less than four standard "
+            f"uncertainties ({sigma * 1e3:.2g} mm), take larger cells (--cell)"
+        )
+        statements.append(doubt.removeprefix("; ").capitalize())
+    if path.suffix.lower() == ".csv":
+        counts = [len(line.points) for line in found]
+        points = np.concatenate([line.points for line in found])
+        formats.write_table(
+            {
+                "line": np.repeat(np.arange(len(found)), counts),
+                "level [m]": np.repeat([line.level for line in found], counts),
+                f"{raster.plane.names[0]} [m]": points[:, 0],
+                f"{raster.plane.names[1]} [m]": points[:, 1],
+                "standard_uncertainty_of_level [m]": np.repeat(
+                    [line.uncertainty for line in found], counts
+                ),
+            },
+            path,
+            statements=[said[0], *statements],
+            overwrite=overwrite,
+        )
+    else:
+        drawing = formats.Drawing(
+            title=f"{said[0]}: contours",
+            lines=tuple(
+                formats.Line(
+                    points=line.points,
+                    layer="contours",
+                    label=f"{line.level:.4g}" if len(line.points) > 20 else "",
+                    elevation=line.level,
+                )
+                for line in found
+            ),
+            axes=raster.plane.names[:2],
+            statements=tuple(statements),
+        )
+        _write_lines(drawing, path, order.scale, overwrite=overwrite)
+    levels = len({line.level for line in found})
+    return f"{len(found)} contour lines at {levels} levels{doubt}"
+
+
+def cell_of(order: Order, surface: products.Surface) -> float:
+    """Return the size of a cell: as stated, that of a dot, or of the pixels.
+
+    Parameters
+    ----------
+    order : Order
+        Its cell, scale and dots count.
+    surface : amulor.imaging.products.Surface
+        Its spacing counts.
+
+    Returns
+    -------
+    float
+        Size [m].
+    """
+    if order.cell is not None:
+        return order.cell
+    if order.product == "orthoimage":
+        return order.scale * _INCH / order.dots_per_inch
+    # A round number near the spacing: 1, 2 or 5 times a power of ten.
+    power = 10.0 ** np.floor(np.log10(surface.spacing))
+    steps = np.array([1.0, 2.0, 5.0, 10.0]) * power
+    return float(steps[np.argmin(np.abs(np.log(steps / surface.spacing)))])
+
+
+def raster_statement(raster: products.Raster) -> str:
+    """Return what a raster says of its cells and heights.
+
+    Parameters
+    ----------
+    raster : amulor.imaging.products.Raster
+        Any.
+
+    Returns
+    -------
+    str
+        One statement.
+    """
+    names = raster.plane.names
+    return (
+        f"Seen from the {raster.plane.side}; heights ({names[2]}) count towards the "
+        "viewer from the origin of the axes, with a standard uncertainty of "
+        f"{np.nanmedian(raster.uncertainty) * 1e3:.2g} mm (median). Cells "
+        f"{raster.cell * 1e3:.3g} mm, pixels of the scan "
+        f"{raster.surface.spacing * 1e3:.3g} mm"
+    )
+
+
+def bands_of(raster: products.Raster, *, first: str) -> list[formats.Band]:
+    """Return the bands of a raster's GeoTIFF.
+
+    Parameters
+    ----------
+    raster : amulor.imaging.products.Raster
+        Any.
+    first : str
+        "orthoimage" puts the amplitude first, anything else the height.
+
+    Returns
+    -------
+    list of Band
+        Height, combined standard uncertainty, its own part, amplitude.
+    """
+    heights = [
+        formats.Band(name="height towards the viewer", unit="m", values=raster.height),
+        formats.Band(
+            name="combined standard uncertainty of the height",
+            unit="m",
+            values=raster.uncertainty,
+        ),
+        formats.Band(
+            name="part of it that is noise of the pixels", unit="m", values=raster.own
+        ),
+    ]
+    light = formats.Band(
+        name="amplitude of the target signal", unit="V", values=raster.amplitude
+    )
+    return [light, *heights] if first == "orthoimage" else [*heights, light]
+
+
+def write_bands(
+    raster: products.Raster,
+    bands: Sequence[formats.Band],
+    path: Path,
+    said: Sequence[str],
+    *,
+    overwrite: bool,
+) -> None:
+    """Write bands of a raster as a GeoTIFF in its frame.
+
+    Parameters
+    ----------
+    raster : amulor.imaging.products.Raster
+        Its edges and frame count. Only a plan lies in a reference system.
+    bands : sequence of Band
+        Values.
+    path : pathlib.Path
+        File to make.
+    said : sequence of str
+        Statements.
+    overwrite : bool
+        Whether an existing file is replaced.
+    """
+    frame = raster.surface.frame
+    plan = raster.plane.side == "top"
+    formats.write_geotiff(
+        bands,
+        path,
+        cell=raster.cell,
+        left=raster.left,
+        top=raster.top,
+        crs=frame.crs if plan else "",
+        offset=frame.crs_offset[:2] if plan else (0.0, 0.0),
+        statements=said,
+        overwrite=overwrite,
+    )
+
+
+def save_sheet(figure: Figure, path: Path, *, overwrite: bool) -> None:
+    """Write a sheet as PDF, SVG or PNG in its size on paper.
+
+    Parameters
+    ----------
+    figure : matplotlib.figure.Figure
+        The sheet.
+    path : pathlib.Path
+        File to make.
+    overwrite : bool
+        Whether an existing file is replaced.
+    """
+    kind = path.suffix.lower().removeprefix(".")
+    plain = {"pdf": {"CreationDate": None}, "svg": {"Date": None}, "png": {}}
+    with atomic_output(path, overwrite=overwrite) as temporary, style():
+        figure.savefig(temporary, format=kind, dpi=300, metadata=plain[kind])
+
+
+def _write_lines(
+    drawing: formats.Drawing, path: Path, scale: float, *, overwrite: bool
+) -> None:
+    if path.suffix.lower() == ".dxf":
+        formats.write_dxf(drawing, path, overwrite=overwrite)
+    else:
+        formats.write_svg(drawing, path, scale=scale, overwrite=overwrite)
+
+
+def _length(cut: products.Section) -> float:
+    return float(np.hypot(cut.end[0] - cut.start[0], cut.end[1] - cut.start[1]))

@@ -1,0 +1,133 @@
+"""Makes a product of a range image and writes it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import xarray as xr
+
+from amulor import imaging, io
+from amulor.cube import DOUBTFUL
+from amulor.errors import FormatError
+from amulor.handover import drawings, references
+from amulor.handover.mesh import write_mesh
+from amulor.handover.order import ENDINGS, Order
+from amulor.handover.statements import statements_of
+from amulor.imaging import products
+from amulor.imaging.frame import Frame
+from amulor.io import drawings as formats
+from amulor.view.sheet import Sheet, colours_of, sheet
+
+
+def hand_over(
+    image: xr.Dataset,
+    path: Path,
+    order: Order,
+    *,
+    frame: Frame | None = None,
+    overwrite: bool = False,
+) -> str:
+    """Make a product of a range image and write it to a file.
+
+    Parameters
+    ----------
+    image : xarray.Dataset
+        Level `range_image`.
+    path : pathlib.Path
+        File to make, with an ending of the product's.
+    order : Order
+        What is wanted.
+    frame : Frame, optional
+        Its axes; the instrument's by default.
+    overwrite : bool
+        Whether an existing file is replaced.
+
+    Returns
+    -------
+    str
+        What was written, in a few words and numbers.
+
+    Raises
+    ------
+    CubeError
+        If the image holds nothing to be drawn, or the order does not fit it.
+    FormatError
+        If the file exists, has an ending of another product, or cannot be written.
+    MissingExtraError
+        If the package that writes the format is not installed.
+    """
+    ending = path.suffix.lower()
+    if ending not in ENDINGS[order.product]:
+        raise FormatError(
+            f"{path}: a product {order.product} is written to "
+            f"{', '.join(ENDINGS[order.product])}"
+        )
+    frame = frame or imaging.frame_of(image)
+    if order.product == "cloud":
+        return _cloud(image, path, frame, overwrite=overwrite)
+    surface = products.surface(image, frame=frame)
+    said = statements_of(image, frame)
+    title = order.title or str(image.attrs.get("title") or "scan")
+    if order.product == "mesh":
+        write_mesh(image, path, surface, overwrite=overwrite)
+        return f"{len(surface.position)} vertices, {len(surface.triangles)} triangles"
+    if order.product == "deviation":
+        return references.write_deviation(
+            image, path, order, surface, (title, said), overwrite=overwrite
+        )
+    plane = products.plane_of(frame, order.side)
+    if order.product == "section":
+        return drawings.write_section(
+            surface, plane, path, order, (title, said), overwrite=overwrite
+        )
+    raster = products.raster(surface, plane, cell=drawings.cell_of(order, surface))
+    said = [drawings.raster_statement(raster), *said]
+    if order.product == "contours":
+        return drawings.write_contours(
+            raster, path, order, (title, said), overwrite=overwrite
+        )
+    if ending in (".tif", ".tiff"):
+        bands = drawings.bands_of(raster, first=order.product)
+        drawings.write_bands(raster, bands, path, said, overwrite=overwrite)
+    elif ending == ".png":
+        pixels, limits, unit = colours_of(raster, order.show)
+        said.insert(0, f"{order.show} from {limits[0]:.4g} to {limits[1]:.4g} {unit}")
+        formats.write_picture(
+            pixels,
+            path,
+            dots_per_metre=order.scale / raster.cell,
+            texts={
+                "Title": f"{title}, 1:{order.scale:g}",
+                "Description": "\n".join(said),
+            },
+            overwrite=overwrite,
+        )
+    else:
+        lines = (
+            ()
+            if order.contours is None
+            else products.contours(raster, interval=order.contours)
+        )
+        if lines:
+            said.insert(0, f"Contours every {(order.contours or 0) * 1e3:g} mm")
+        show = "height" if order.product == "dem" else order.show
+        about = Sheet(title=title, scale=order.scale, statements=said, contours=lines)
+        drawings.save_sheet(sheet(raster, about, show=show), path, overwrite=overwrite)
+    rows, columns = raster.height.shape
+    return (
+        f"{columns} x {rows} cells of {raster.cell * 1e3:.3g} mm, 1:{order.scale:g}, "
+        f"standard uncertainty of heights {np.nanmedian(raster.uncertainty) * 1e3:.2g} "
+        "mm (median)"
+    )
+
+
+def _cloud(image: xr.Dataset, path: Path, frame: Frame, *, overwrite: bool) -> str:
+    cloud = imaging.point_cloud(image, frame=frame)
+    if path.suffix.lower() == ".nc":
+        io.write_cube(cloud, path, overwrite=overwrite)
+    else:
+        io.write_cloud(cloud, path, overwrite=overwrite)
+    marked = int(((cloud["quality_flag"].values & int(DOUBTFUL)) != 0).sum())
+    doubt = f", {marked} of them doubtful" if marked else ""
+    return f"{cloud.sizes['point']} points{doubt}"

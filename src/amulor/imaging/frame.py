@@ -1,0 +1,219 @@
+"""Frames that points are handed over in: the instrument's, z up, or the world's."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+import xarray as xr
+from numpy.typing import ArrayLike, NDArray
+
+from amulor.errors import CubeError, SurveyError
+from amulor.survey import Pose, Survey
+
+Floats = NDArray[np.float64]
+Axes = Literal["instrument", "z-up", "pose"]
+
+_TEXTS: dict[str, tuple[str, tuple[str, str, str]]] = {
+    "instrument": (
+        "right-handed: x right, y down, z forward, in the instrument's axes [m]",
+        ("position to the right", "position downwards", "position forwards"),
+    ),
+    "z-up": (
+        "right-handed: x right, y forward, z up, from the instrument's origin [m]",
+        ("position to the right", "position forwards", "position upwards"),
+    ),
+    "pose": (
+        "right-handed: x east, y north, z up, in the local frame of the pose [m]",
+        ("position to the east", "position to the north", "position upwards"),
+    ),
+}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Frame:
+    """Axes of a product, and how the instrument's axes turn into them."""
+
+    name: Axes
+    """Which of the three."""
+    rotation: Floats
+    """From right, down, forward into the axes of the frame, shape (3, 3) [1]."""
+    position: Floats
+    """Origin of the instrument's axes in the frame, shape (3,) [m]."""
+    crs: str = ""
+    """Reference system that it belongs to; none if empty."""
+    crs_offset: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    """What to add for coordinates of that system [m]."""
+    pose: Pose | None = None
+    """What it was made from."""
+
+    @property
+    def axes(self) -> str:
+        """What the axes mean, in a sentence."""
+        return _TEXTS[self.name][0]
+
+    @property
+    def meanings(self) -> tuple[str, str, str]:
+        """What each coordinate is."""
+        return _TEXTS[self.name][1]
+
+    @property
+    def matrix(self) -> Floats:
+        """The whole transformation of homogeneous coordinates, shape (4, 4)."""
+        matrix = np.eye(4)
+        matrix[:3, :3], matrix[:3, 3] = self.rotation, self.position
+        return matrix
+
+    @property
+    def up(self) -> Floats:
+        """Upwards, shape (3,) [1]."""
+        axis = (0.0, -1.0, 0.0) if self.name == "instrument" else (0.0, 0.0, 1.0)
+        return np.array(axis)
+
+    def place(self, points: ArrayLike) -> Floats:
+        """Return points of the instrument's axes in this frame.
+
+        Parameters
+        ----------
+        points : array_like, last axis (3,)
+            Right, down, forward [m].
+
+        Returns
+        -------
+        ndarray
+            Of the same shape [m].
+        """
+        return np.asarray(points, dtype=float) @ self.rotation.T + self.position
+
+    def turn(self, directions: ArrayLike) -> Floats:
+        """Return directions of the instrument's axes in this frame.
+
+        Parameters
+        ----------
+        directions : array_like, last axis (3,)
+            Right, down, forward [1].
+
+        Returns
+        -------
+        ndarray
+            Of the same shape [1].
+        """
+        return np.asarray(directions, dtype=float) @ self.rotation.T
+
+    def shared_errors(self, points: ArrayLike) -> Floats:
+        r"""Return how the errors of the pose move points, one vector for each.
+
+        Parameters
+        ----------
+        points : array_like, shape (n, 3)
+            In this frame [m].
+
+        Returns
+        -------
+        ndarray, shape (6, n, 3)
+            Shift by one standard uncertainty of east, north, up, heading, pitch and
+            roll; 0 for what is not stated, see `unknown`. Independent of each other,
+            and the same error for all points [m].
+
+        Notes
+        -----
+        First order: a turn by a small angle about the unit axis w shifts p by
+        :math:`u\, w \times (p - p_0)`.
+        """
+        at = np.asarray(points, dtype=float)
+        shifts = np.zeros((6, *at.shape))
+        if self.pose is None:
+            return shifts
+        away = at - self.position
+        for axis in range(3):
+            shifts[axis, :, axis] = self.pose.position_uncertainty or 0.0
+        heading = self.pose.heading_uncertainty or 0.0
+        level = self.pose.level_uncertainty or 0.0
+        shifts[3] = heading * np.cross(-self.up, away)
+        shifts[4] = level * np.cross(self.rotation[:, 0], away)
+        shifts[5] = level * np.cross(self.rotation[:, 2], away)
+        return shifts
+
+    @property
+    def unknown(self) -> tuple[str, ...]:
+        """What of the pose has no stated uncertainty."""
+        if self.pose is None:
+            return ()
+        stated = {
+            "position": self.pose.position_uncertainty,
+            "heading": self.pose.heading_uncertainty,
+            "level": self.pose.level_uncertainty,
+        }
+        return tuple(name for name, value in stated.items() if value is None)
+
+
+def frame_of(
+    image: xr.Dataset, axes: Axes = "instrument", *, pose: Pose | None = None
+) -> Frame:
+    """Return a frame for the points of a range image.
+
+    Parameters
+    ----------
+    image : xarray.Dataset
+        With its survey, where the pose comes from that.
+    axes : str
+        "instrument": x right, y down, z forward. "z-up": x right, y forward, z up, for
+        an instrument that stands level. "pose": x east, y north, z up.
+    pose : amulor.survey.Pose, optional
+        Where the instrument stands; by default what the image's survey says.
+
+    Returns
+    -------
+    Frame
+        The frame.
+
+    Raises
+    ------
+    CubeError
+        If a pose is needed and nobody states one.
+    """
+    if axes == "instrument":
+        return Frame(name=axes, rotation=np.eye(3), position=np.zeros(3))
+    if axes == "z-up":
+        turned = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])
+        return Frame(name=axes, rotation=turned, position=np.zeros(3))
+    pose = pose or _stated(image)
+    if pose is None:
+        raise CubeError(
+            "the survey of the image states no pose; write a section [pose] into a "
+            "TOML file (heading, pitch, roll, position) and give it with --pose, or "
+            "take the axes z-up"
+        )
+    return Frame(
+        name=axes,
+        rotation=_attitude(pose),
+        position=np.array(pose.position),
+        crs=pose.crs,
+        crs_offset=pose.crs_offset,
+        pose=pose,
+    )
+
+
+def _attitude(pose: Pose) -> Floats:
+    """Return right, down and forward in east, north, up as columns."""
+    sine, cosine = np.sin(pose.heading), np.cos(pose.heading)
+    level = np.array([sine, cosine, 0.0])
+    up = np.array([0.0, 0.0, 1.0])
+    right = np.array([cosine, -sine, 0.0])
+    forward = np.cos(pose.pitch) * level + np.sin(pose.pitch) * up
+    above = np.cos(pose.pitch) * up - np.sin(pose.pitch) * level
+    rolled = np.cos(pose.roll) * right - np.sin(pose.roll) * above
+    down = -(np.cos(pose.roll) * above + np.sin(pose.roll) * right)
+    return np.stack([rolled, down, forward], axis=1)
+
+
+def _stated(image: xr.Dataset) -> Pose | None:
+    """Return the pose in the survey of an image, None without one."""
+    text = image.attrs.get("survey")
+    if not text:
+        return None
+    try:
+        return Survey.from_text(str(text)).pose
+    except SurveyError:
+        return None

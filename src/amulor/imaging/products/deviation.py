@@ -1,0 +1,223 @@
+"""How far a scan lies off a model or an earlier scan, and where that is significant."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import norm
+
+from amulor.errors import CubeError, MissingExtraError
+from amulor.imaging.products.surface import Surface
+
+Floats = NDArray[np.float64]
+
+#: Of the pixels called significant, at most this share is so by chance.
+FALSE_SHARE = 0.05
+
+
+@dataclass(frozen=True, kw_only=True)
+class Deviation:
+    """Distances of the vertices of a surface from a reference."""
+
+    value: Floats
+    """Distance from the reference along its normal, positive towards the instrument;
+    not a number where the beam meets no reference, shape (n,) [m]."""
+    uncertainty: Floats
+    """Combined standard uncertainty, that of an earlier scan included, shape (n,)
+    [m]."""
+    own: Floats
+    """Part of it that is noise of single pixels [m]."""
+    significant: NDArray[np.bool_]
+    """Where the deviation is none of chance, shape (n,)."""
+    surface: Surface
+    """The scan."""
+    mean: float
+    """Mean deviation [m]."""
+    mean_uncertainty: float
+    """Its standard uncertainty, what the pixels share included [m]."""
+    spread: float
+    """Root mean square about the mean [m]."""
+
+    @property
+    def compared(self) -> int:
+        """How many vertices have a deviation [1]."""
+        return int(np.isfinite(self.value).sum())
+
+
+def deviation(
+    surface: Surface,
+    vertices: Floats,
+    faces: NDArray[np.intp],
+    *,
+    own: Floats | None = None,
+    shared: Floats | None = None,
+    farthest: float | None = None,
+) -> Deviation:
+    r"""Compare a scan with a reference surface.
+
+    Parameters
+    ----------
+    surface : Surface
+        The scan.
+    vertices : ndarray, shape (k, 3)
+        Of the reference, in the scan's frame [m].
+    faces : ndarray of int, shape (m, 3)
+        Its triangles.
+    own, shared : ndarray, shape (k,), optional
+        Standard uncertainties of the reference along its own beams: what each vertex
+        has by itself, and what all share; 0 for a model [m].
+    farthest : float, optional
+        Deviations beyond this are left out, as other objects [m].
+
+    Returns
+    -------
+    Deviation
+        Where the scan's beams, taken to both sides, meet the reference.
+
+    Raises
+    ------
+    CubeError
+        If no beam meets the reference.
+    MissingExtraError
+        If trimesh or embreex is not installed.
+
+    Notes
+    -----
+    Each beam is followed to the reference, so that the deviation of a pixel rests on
+    its own range alone: with :math:`\Delta r` the measured less the reference's range,
+    beam d and the reference's normal N, the deviation is :math:`-\Delta r\,|d \cdot
+    N|`, and :math:`u = |d \cdot N| \sqrt{u_1^2 + u_2^2}`. Significance is by Benjamini
+    and Hochberg [1]_: of the pixels called significant 5 % are so by chance, whatever
+    their number. The places of beams and model count as known, but for the pose.
+
+    References
+    ----------
+    .. [1] Y. Benjamini, Y. Hochberg, J. R. Stat. Soc. B 57 (1995) 289,
+       :doi:`10.1111/j.2517-6161.1995.tb02031.x`.
+    """
+    hit, face = _met(surface, vertices, faces)
+    corner = vertices[faces[face]]
+    normal = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
+    normal /= np.linalg.norm(normal, axis=1, keepdims=True)
+    start, ahead = surface.position[hit], surface.direction[hit]
+    facing = np.einsum("ij,ij->i", ahead, normal)
+    off = np.einsum("ij,ij->i", corner[:, 0] - start, normal) / facing
+    value = off * np.abs(facing)
+    each = (facing * surface.own[hit]) ** 2
+    common = (facing * surface.shared[hit]) ** 2
+    if own is not None or shared is not None:
+        place = start + off[:, None] * ahead
+        weight = _barycentric(corner, place)
+        mine = np.zeros(len(vertices)) if own is None else own
+        theirs = np.zeros(len(vertices)) if shared is None else shared
+        each += facing**2 * ((weight * mine[faces[face]]) ** 2).sum(axis=1)
+        common += (facing * (weight * theirs[faces[face]]).sum(axis=1)) ** 2
+    pose = surface.frame.shared_errors(start)
+    common += (np.einsum("kij,ij->ki", pose, normal) ** 2).sum(axis=0)
+    near = np.isfinite(value)
+    if farthest is not None:
+        near &= np.abs(value) <= farthest
+    if not near.any():
+        raise CubeError(
+            "no pixel lies near the reference along its beam; look whether both are in "
+            "the same frame (--axes) and unit (--unit), and at --farthest"
+        )
+    return _result(surface, hit[near], value[near], each[near], common[near])
+
+
+def _met(
+    surface: Surface, vertices: Floats, faces: NDArray[np.intp]
+) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Return which vertices' beams meet the reference, and in which triangle."""
+    try:
+        import embreex  # noqa: F401  trimesh looks for rays with it
+        import trimesh
+    except ImportError as error:
+        raise MissingExtraError(
+            "trimesh, embreex", extra="scene", purpose="comparing with a reference"
+        ) from error
+    mesh: Any = trimesh.Trimesh(vertices, faces, process=False)
+    # From well before the scan's point, so that a reference nearer than it is met too.
+    origin = surface.position - surface.direction * _before(surface)[:, None]
+    met, number = mesh.ray.intersects_id(
+        origin, surface.direction, multiple_hits=True, max_hits=20
+    )
+    met, number = np.asarray(met, dtype=np.intp), np.asarray(number, dtype=np.intp)
+    if not len(met):
+        return met, number
+    corner = vertices[faces[met]]
+    normal = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
+    with np.errstate(divide="ignore", invalid="ignore"):
+        off = np.einsum(
+            "ij,ij->i", corner[:, 0] - surface.position[number], normal
+        ) / np.einsum("ij,ij->i", surface.direction[number], normal)
+    # Of several surfaces that a beam meets, the one next to the measured point.
+    order = np.lexsort((np.abs(off), number))
+    number, met = number[order], met[order]
+    first = np.r_[True, number[1:] != number[:-1]]
+    return number[first], met[first]
+
+
+def _before(surface: Surface) -> Floats:
+    """Return how far before its point a beam starts: at the instrument [m]."""
+    away = surface.position - surface.frame.position
+    return np.asarray(np.linalg.norm(away, axis=1))
+
+
+def _barycentric(corner: Floats, place: Floats) -> Floats:
+    """Return the shares of the three corners at points of triangles."""
+    one, other = corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]
+    off = place - corner[:, 0]
+    a = np.einsum("ij,ij->i", one, one)
+    b = np.einsum("ij,ij->i", one, other)
+    c = np.einsum("ij,ij->i", other, other)
+    x, y = np.einsum("ij,ij->i", off, one), np.einsum("ij,ij->i", off, other)
+    below = a * c - b * b
+    second, third = (c * x - b * y) / below, (a * y - b * x) / below
+    return np.stack([1 - second - third, second, third], axis=1)
+
+
+def _result(
+    surface: Surface,
+    hit: NDArray[np.intp],
+    value: Floats,
+    each: Floats,
+    common: Floats,
+) -> Deviation:
+    count = len(surface.position)
+
+    def spread_out(values: Floats) -> Floats:
+        whole = np.full(count, np.nan)
+        whole[hit] = values
+        return whole
+
+    sigma = np.sqrt(each + common)
+    significant = np.zeros(count, dtype=bool)
+    significant[hit] = _significant(value, sigma)
+    mean = float(value.mean())
+    shared = float(np.sqrt(common).mean())
+    return Deviation(
+        value=spread_out(value),
+        uncertainty=spread_out(sigma),
+        own=spread_out(np.sqrt(each)),
+        significant=significant,
+        surface=surface,
+        mean=mean,
+        mean_uncertainty=float(np.hypot(np.sqrt(each.sum()) / len(value), shared)),
+        spread=float(value.std()),
+    )
+
+
+def _significant(value: Floats, sigma: Floats) -> NDArray[np.bool_]:
+    """Return which values are not zero, with few false ones among them."""
+    with np.errstate(divide="ignore", invalid="ignore"):
+        chance = 2 * norm.sf(np.abs(value) / sigma)
+    chance = np.where(np.isfinite(chance), chance, 1.0)
+    order = np.sort(chance)
+    below = order <= FALSE_SHARE * np.arange(1, len(order) + 1) / len(order)
+    if not below.any():
+        return np.zeros(len(value), dtype=bool)
+    return np.asarray(chance <= order[np.flatnonzero(below)[-1]])

@@ -1,0 +1,256 @@
+"""Orthographic rasters of a surface: heights, their uncertainty, brightness."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy import sparse
+
+from amulor.errors import CubeError
+from amulor.imaging.products import _kernels
+from amulor.imaging.products.plane import Plane
+from amulor.imaging.products.surface import Surface
+
+Floats = NDArray[np.float64]
+
+#: Cells of a raster, those between which are averaged counted too.
+MOST_CELLS = 60_000_000
+#: Errors grow by at most this factor where a surface is seen from its edge [1].
+_LARGEST_GAIN = 20.0
+#: Cells whose averages are worked out at a time.
+_AT_ONCE = 2_000_000
+
+
+@dataclass(frozen=True, kw_only=True)
+class Raster:
+    """Cells of equal size over a drawing plane; the first row is the upper one."""
+
+    height: Floats
+    """Towards the viewer from the frame's origin, not a number where there is no
+    surface, shape (rows, columns) [m]."""
+    uncertainty: Floats
+    """Combined standard uncertainty of the height at its place, errors of the frame's
+    pose included where they are stated [m]."""
+    own: Floats
+    """Part of it that is noise of the pixels of a cell [m]."""
+    amplitude: Floats
+    """Mean amplitude of the target signal [V]."""
+    cell: float
+    """Size of a cell [m]."""
+    left: float
+    """Coordinate of the left edge [m]."""
+    top: float
+    """Coordinate of the upper edge [m]."""
+    plane: Plane
+    """What right, up and towards the viewer mean."""
+    surface: Surface
+    """What it was made of."""
+    layers: dict[str, Floats]
+    """Means of further values of the vertices."""
+
+    @property
+    def columns(self) -> Floats:
+        """Coordinates of the middles of the columns [m]."""
+        count = self.height.shape[1]
+        return np.asarray(self.left + self.cell * (np.arange(count) + 0.5))
+
+    @property
+    def rows(self) -> Floats:
+        """Coordinates of the middles of the rows, downwards in the raster [m]."""
+        count = self.height.shape[0]
+        return np.asarray(self.top - self.cell * (np.arange(count) + 0.5))
+
+
+def raster(
+    surface: Surface,
+    plane: Plane,
+    *,
+    cell: float,
+    layers: Mapping[str, ArrayLike] | None = None,
+) -> Raster:
+    r"""Return a surface in orthographic projection.
+
+    Parameters
+    ----------
+    surface : Surface
+        Vertices and triangles.
+    plane : Plane
+        From where it is seen.
+    cell : float
+        Size of a cell [m].
+    layers : mapping of str to array_like, optional
+        Further values of the vertices, shape (n,); not a number for none.
+
+    Returns
+    -------
+    Raster
+        Cell edges lie on whole multiples of the size, so that rasters of one frame fit
+        over each other.
+
+    Raises
+    ------
+    CubeError
+        If the raster would be too large, or no cell holds a surface.
+    ValueError
+        If the size is not above 0 m.
+
+    Notes
+    -----
+    The surface is linear in each triangle; of surfaces over each other the nearest to
+    the viewer counts. A cell larger than the pixels' spacing is the mean of points in
+    it that are as close as the pixels, which weighs each pixel i by :math:`w_i`. With
+    :math:`g_i = d_i \cdot N_i / (e \cdot N_i)`, by which the height at a place changes
+    with the range (beam d, normal N, axis e towards the viewer),
+    :math:`u^2 = \sum_i w_i^2 g_i^2 u_i^2 + (\sum_i w_i g_i c_i)^2` with the own part u
+    and the shared part c of the ranges' uncertainty, and the pose.
+    """
+    if not cell > 0:
+        raise ValueError(f"cell must be above 0 m, got {cell:g} m")
+    flat = surface.position @ plane.axes.T
+    used = np.unique(surface.triangles)
+    low, high = flat[used, :2].min(axis=0), flat[used, :2].max(axis=0)
+    first, last = np.floor(low / cell), np.ceil(high / cell)
+    columns, rows = (int(n) for n in np.maximum(last - first, 1))
+    parts = max(1, round(cell / surface.spacing))
+    if rows * columns * parts**2 > MOST_CELLS:
+        raise CubeError(
+            f"a raster of {columns} x {rows} cells of {cell * 1e3:g} mm, averaged over "
+            f"{parts} x {parts} points each, is too large; at most {MOST_CELLS:.0e} "
+            "points fit: take larger cells, a smaller scale, or fewer dots per inch"
+        )
+    left, top = float(first[0] * cell), float(last[1] * cell)
+    fine = cell / parts
+    corners = np.stack(
+        [(flat[:, 0] - left) / fine, (top - flat[:, 1]) / fine, flat[:, 2]], axis=1
+    )
+    shape = (rows * parts, columns * parts)
+    height = np.full(shape, np.nan)
+    owner = np.full(shape, -1, dtype=np.int32)
+    weight = np.zeros((*shape, 2), dtype=np.float64)
+    _kernels.draw(corners, surface.triangles, height, owner, weight)
+    extra = {
+        name: np.asarray(values, dtype=float) for name, values in (layers or {}).items()
+    }
+    found, others = _averaged(
+        surface, plane, flat[:, 2], (owner, weight), parts, list(extra.values())
+    )
+    if not np.isfinite(found[0]).any():
+        raise CubeError(
+            f"no cell of {cell * 1e3:g} mm holds a surface seen from the {plane.side}; "
+            "take smaller cells, or look from the other side"
+        )
+    return Raster(
+        height=found[0],
+        own=found[1],
+        uncertainty=_combined(surface, plane, found, left, top, cell),
+        amplitude=found[3],
+        cell=cell,
+        left=left,
+        top=top,
+        plane=plane,
+        surface=surface,
+        layers=dict(zip(extra, others, strict=True)),
+    )
+
+
+def gains(surface: Surface, towards: Floats) -> Floats:
+    """Return how the surface moves along an axis when a range grows.
+
+    Parameters
+    ----------
+    surface : Surface
+        Its beams and normals count.
+    towards : ndarray, shape (3,)
+        Unit vector of the axis, in the frame [1].
+
+    Returns
+    -------
+    ndarray, shape (n,)
+        Shift along the axis at a fixed place across it, over that of the range; of a
+        vertex without a normal, and at most of one seen from its edge, limited [1].
+    """
+    along = surface.direction @ towards
+    across = np.einsum("ij,ij->i", surface.direction, surface.normal)
+    facing = surface.normal @ towards
+    with np.errstate(invalid="ignore", divide="ignore"):
+        gain = across / facing
+    gain = np.where(np.isfinite(gain), gain, along)
+    return np.asarray(np.clip(gain, -_LARGEST_GAIN, _LARGEST_GAIN))
+
+
+def _averaged(
+    surface: Surface,
+    plane: Plane,
+    height: Floats,
+    drawn: tuple[NDArray[np.int32], Floats],
+    parts: int,
+    layers: list[Floats],
+) -> tuple[Floats, list[Floats]]:
+    """Return height, own error, shared error and amplitude of cells, and the layers."""
+    owner, weight = drawn
+    rows, columns = owner.shape[0] // parts, owner.shape[1] // parts
+    gain = gains(surface, plane.axes[2])
+    own, shared = (gain * surface.own) ** 2, gain * surface.shared
+    found = np.full((4 + len(layers), rows, columns), np.nan)
+    band = max(1, _AT_ONCE // max(1, owner.shape[1] * parts))
+    for start in range(0, rows, band):
+        stop = min(rows, start + band)
+        fine = slice(start * parts, stop * parts)
+        part = owner[fine]
+        there = np.nonzero(part >= 0)
+        if not there[0].size:
+            continue
+        cells = there[0] // parts * columns + there[1] // parts
+        first, second = weight[fine][there].T
+        shares = np.concatenate([first, second, 1 - first - second])
+        vertices = surface.triangles[part[there]].T.ravel()
+        matrix = sparse.csr_array(
+            (shares, (np.tile(cells, 3), vertices)),
+            shape=((stop - start) * columns, len(height)),
+        )
+        total = np.bincount(cells, minlength=matrix.shape[0]).astype(float)
+        with np.errstate(invalid="ignore", divide="ignore"):
+            inverse = np.where(total > 0, 1 / total, np.nan)
+        square = matrix.power(2)
+        values = np.stack(
+            [
+                matrix @ height * inverse,
+                np.sqrt(square @ own) * inverse,
+                np.abs(matrix @ shared) * inverse,
+                matrix @ surface.amplitude * inverse,
+            ]
+        )
+        found[:4, start:stop] = values.reshape(4, stop - start, columns)
+        for number, layer in enumerate(layers):
+            there_is = np.isfinite(layer).astype(float)
+            with np.errstate(invalid="ignore", divide="ignore"):
+                mean = matrix @ np.nan_to_num(layer) / (matrix @ there_is)
+            found[4 + number, start:stop] = mean.reshape(stop - start, columns)
+    return found[:4], list(found[4:])
+
+
+def _combined(
+    surface: Surface, plane: Plane, found: Floats, left: float, top: float, cell: float
+) -> Floats:
+    """Return the combined uncertainty of heights, with what the pose adds."""
+    variance = found[1] ** 2 + found[2] ** 2
+    if surface.frame.pose is None:
+        return np.asarray(np.sqrt(variance))
+    rows, columns = found[0].shape
+    at = np.stack(
+        [
+            np.broadcast_to(left + cell * (np.arange(columns) + 0.5), (rows, columns)),
+            np.broadcast_to(
+                (top - cell * (np.arange(rows) + 0.5))[:, None], (rows, columns)
+            ),
+            found[0],
+        ],
+        axis=-1,
+    ).reshape(-1, 3)
+    shifts = surface.frame.shared_errors(at @ plane.axes) @ plane.axes[2]
+    return np.asarray(
+        np.sqrt(variance + (shifts**2).sum(axis=0).reshape(rows, columns))
+    )

@@ -1,0 +1,209 @@
+"""Sections of a surface along any line, with their uncertainty."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from amulor.errors import CubeError
+from amulor.imaging.products.plane import Plane
+from amulor.imaging.products.surface import Surface
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Section:
+    """Where a plane cuts a surface; each piece is a line without gaps."""
+
+    along: Floats
+    """Distance from the start of the line, shape (n,) [m]."""
+    height: Floats
+    """Towards the viewer from the frame's origin, shape (n,) [m]."""
+    uncertainty: Floats
+    """Combined standard uncertainty across the profile, shape (n,) [m]."""
+    own: Floats
+    """Part of it that is noise of single pixels [m]."""
+    piece: NDArray[np.intp]
+    """Number of the piece that a point belongs to, shape (n,) [1]."""
+    start: tuple[float, float]
+    """Where the line begins, right and up in the drawing [m]."""
+    end: tuple[float, float]
+    """Where it ends [m]."""
+    plane: Plane
+    """What right, up and towards the viewer mean."""
+    surface: Surface
+    """What was cut."""
+
+
+def section(
+    surface: Surface, plane: Plane, *, start: ArrayLike, end: ArrayLike
+) -> Section:
+    r"""Cut a surface along a line of a drawing.
+
+    Parameters
+    ----------
+    surface : Surface
+        Vertices and triangles.
+    plane : Plane
+        The drawing.
+    start, end : array_like, shape (2,)
+        Ends of the line, right and up [m].
+
+    Returns
+    -------
+    Section
+        Points where the cut crosses sides of triangles, in order along each piece.
+
+    Raises
+    ------
+    CubeError
+        If the line meets no surface, or has no length.
+
+    Notes
+    -----
+    A point between the pixels i and j is their mean with weights w; its range errors
+    move the profile across itself by :math:`g = d \cdot N / \sqrt{1 - (N \cdot q)^2}`
+    with the beam d, the normal N and the normal q of the cutting plane.
+    """
+    first, last = (np.asarray(v, dtype=float) for v in (start, end))
+    length = float(np.linalg.norm(last - first))
+    if not length > 0:
+        raise CubeError("the line of the section has no length; give two points apart")
+    along = (last - first) / length
+    flat = surface.position @ plane.axes.T
+    side = (flat[:, :2] - first) @ np.array([-along[1], along[0]])
+    sides, neighbours = _crossed(surface.triangles, side)
+    if not len(sides):
+        raise CubeError(_missed(surface, flat, first, last))
+    i, j = sides.T
+    share = side[i] / (side[i] - side[j])
+    points = (1 - share)[:, None] * flat[i] + share[:, None] * flat[j]
+    distance = (points[:, :2] - first) @ along
+    across = plane.axes[:2].T @ np.array([-along[1], along[0]])
+    gain = _gain(surface, across)
+    own = np.hypot(
+        (1 - share) * gain[i] * surface.own[i], share * gain[j] * surface.own[j]
+    )
+    shared = (1 - share) * gain[i] * surface.shared[i]
+    shared += share * gain[j] * surface.shared[j]
+    pose = _pose_errors(surface, points @ plane.axes, plane, along)
+    values = np.stack([distance, points[:, 2], np.sqrt(own**2 + shared**2 + pose), own])
+    values, neighbours = _with_ends(values, neighbours, length)
+    inside = (values[0] >= -1e-12) & (values[0] <= length + 1e-12)
+    order, piece = _pieces(neighbours, inside, values[0])
+    if not len(order):
+        raise CubeError(_missed(surface, flat, first, last))
+    along_it, height, sigma, noise = values[:, order]
+    return Section(
+        along=along_it,
+        height=height,
+        uncertainty=sigma,
+        own=noise,
+        piece=piece,
+        start=(float(first[0]), float(first[1])),
+        end=(float(last[0]), float(last[1])),
+        plane=plane,
+        surface=surface,
+    )
+
+
+def _crossed(
+    triangles: NDArray[np.intp], side: Floats
+) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Return sides of triangles that the cut crosses, and which of them are joined.
+
+    A vertex on the cut counts as beyond it, so that every crossed triangle has two.
+    """
+    beyond = side >= 0
+    cut = triangles[np.ptp(beyond[triangles].astype(int), axis=1) > 0]
+    edges = np.stack([cut, np.roll(cut, -1, axis=1)], axis=-1)
+    differs = beyond[edges[..., 0]] != beyond[edges[..., 1]]
+    pairs = np.sort(edges[differs].reshape(-1, 2), axis=1)
+    if not len(pairs):
+        return pairs, pairs
+    unique, place = np.unique(pairs, axis=0, return_inverse=True)
+    return unique, np.asarray(place).reshape(-1, 2)
+
+
+def _with_ends(
+    values: Floats, neighbours: NDArray[np.intp], length: float
+) -> tuple[Floats, NDArray[np.intp]]:
+    """Return the points and the joints with those where the line itself ends."""
+    points, joints, many = [values], [neighbours], values.shape[1]
+    for end in (0.0, length):
+        one, other = values[0][neighbours].T
+        passing = np.flatnonzero((one < end) != (other < end))
+        share = (end - one[passing]) / (other[passing] - one[passing])
+        i, j = neighbours[passing].T
+        points.append(values[:, i] * (1 - share) + values[:, j] * share)
+        numbers = many + np.arange(len(passing))
+        many += len(passing)
+        within = (values[0][i] < end) == (end > 0)
+        joints.append(np.stack([np.where(within, i, j), numbers], axis=1))
+    return np.concatenate(points, axis=1), np.concatenate(joints)
+
+
+def _pieces(
+    neighbours: NDArray[np.intp], inside: NDArray[np.bool_], distance: Floats
+) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Return points in order along lines without gaps, and the number of each line."""
+    joined: dict[int, list[int]] = {}
+    for one, other in neighbours.tolist():
+        if inside[one] and inside[other]:
+            joined.setdefault(one, []).append(other)
+            joined.setdefault(other, []).append(one)
+    lines: list[list[int]] = []
+    left = set(joined)
+    # Ends of lines first; what is left then are rings.
+    starts = sorted(left, key=lambda p: (len(joined[p]) != 1, distance[p]))
+    for begin in starts:
+        if begin not in left:
+            continue
+        line, here = [begin], begin
+        left.discard(begin)
+        while True:
+            onward = [p for p in joined[here] if p in left]
+            if not onward:
+                break
+            here = onward[0]
+            left.discard(here)
+            line.append(here)
+        if len(line) > 2 and begin in joined[line[-1]]:
+            line.append(begin)
+        lines.append(line)
+    lines.sort(key=lambda line: float(distance[line].min()))
+    order = np.array([p for line in lines for p in line], dtype=np.intp)
+    piece = np.repeat(np.arange(len(lines)), [len(line) for line in lines])
+    return order, piece
+
+
+def _gain(surface: Surface, across: Floats) -> Floats:
+    """Return how far the profile moves across itself when a range grows [1]."""
+    normal = surface.normal
+    towards = np.einsum("ij,ij->i", surface.direction, normal)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        gain = towards / np.sqrt(1 - (normal @ across) ** 2)
+    return np.asarray(np.clip(np.where(np.isfinite(gain), gain, 1.0), -20.0, 20.0))
+
+
+def _pose_errors(
+    surface: Surface, points: Floats, plane: Plane, along: Floats
+) -> Floats:
+    """Return the variance of points of a section by the pose, within the cut [m^2]."""
+    shifts = surface.frame.shared_errors(points) @ plane.axes.T
+    return np.asarray(
+        ((shifts[..., :2] @ along) ** 2 + shifts[..., 2] ** 2).sum(axis=0)
+    )
+
+
+def _missed(surface: Surface, flat: Floats, first: Floats, last: Floats) -> str:
+    used = flat[np.unique(surface.triangles), :2]
+    low, high = used.min(axis=0), used.max(axis=0)
+    return (
+        f"the line from ({first[0]:g}, {first[1]:g}) to ({last[0]:g}, {last[1]:g}) m "
+        f"meets no surface, which reaches from ({low[0]:.3f}, {low[1]:.3f}) to "
+        f"({high[0]:.3f}, {high[1]:.3f}) m"
+    )

@@ -1,0 +1,220 @@
+"""The surface that a range image samples: triangles between neighbouring pixels."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from amulor import cube as cubes
+from amulor.cube import DOUBTFUL, UNUSABLE, QualityFlag
+from amulor.errors import CubeError
+from amulor.imaging.common import own_variance
+from amulor.imaging.frame import Frame, frame_of
+from amulor.imaging.geometry import beams_of
+
+Floats = NDArray[np.float64]
+
+#: Beyond this angle between beam and normal two pixels are taken for two surfaces.
+STEEPEST = np.radians(80)
+#: A step between pixels counts as one if it stands out of noise this many times [1].
+_SURE = 3.5
+#: Normals are means over so many pixels in each direction [1].
+_SMOOTHED = 5
+
+
+@dataclass(frozen=True, kw_only=True)
+class Surface:
+    """Usable pixels as vertices, and the triangles between them."""
+
+    position: Floats
+    """Vertices in the frame, shape (n, 3) [m]."""
+    direction: Floats
+    """Where each moves when its range grows, shape (n, 3) [1]."""
+    normal: Floats
+    """Unit normals towards the instrument, means over neighbours; not a number where a
+    vertex has no triangle, shape (n, 3) [1]."""
+    own: Floats
+    """Standard uncertainty of the range that is each pixel's own, shape (n,) [m]."""
+    shared: Floats
+    """Standard uncertainty of the range that the pixels share, shape (n,) [m]."""
+    amplitude: Floats
+    """Amplitude of the target signal, shape (n,) [V]."""
+    pixel: NDArray[np.intp]
+    """Number of the pixel, row by row, shape (n,) [1]."""
+    triangles: NDArray[np.intp]
+    """Numbers of vertices, counter-clockwise seen from the instrument, shape (m, 3)."""
+    shape: tuple[int, int]
+    """Rows and columns of the scan."""
+    frame: Frame
+    """What the positions mean."""
+    attributes: dict[str, object]
+    """Those of the range image."""
+
+    @property
+    def spacing(self) -> float:
+        """Median distance of neighbouring vertices [m]."""
+        corner = self.position[self.triangles]
+        sides = np.linalg.norm(corner - np.roll(corner, 1, axis=1), axis=-1)
+        # The longest side is the diagonal between pixels.
+        return float(np.median(np.sort(sides, axis=1)[:, :2]))
+
+
+def surface(
+    image: xr.Dataset,
+    *,
+    frame: Frame | None = None,
+    steepest: float = STEEPEST,
+) -> Surface:
+    r"""Return the surface through the pixels of a range image.
+
+    Parameters
+    ----------
+    image : xarray.Dataset
+        Level `range_image`. Mixed pixels and outliers are left out: they hang where
+        nothing is.
+    frame : Frame, optional
+        Axes of the vertices; the instrument's by default.
+    steepest : float
+        Largest angle between beam and normal over which neighbours belong together,
+        below pi / 2 [rad].
+
+    Returns
+    -------
+    Surface
+        Vertices and triangles.
+
+    Raises
+    ------
+    CubeError
+        If no three neighbouring pixels have a range.
+    ValueError
+        If the angle is not between 0 and pi / 2.
+
+    Notes
+    -----
+    Neighbours are apart, and no triangle joins them, if their ranges differ by more
+    than the distance across the beams times tan(steepest), and by more than 3.5
+    standard uncertainties of the difference of their own noise, so that noise tears no
+    holes.
+    """
+    image = cubes.checked(image, "range_image")
+    if not 0 < steepest < np.pi / 2:
+        raise ValueError(
+            f"steepest must lie between 0 and 90 degrees, got {np.degrees(steepest):g}"
+        )
+    frame = frame or frame_of(image)
+    beam = beams_of(image)
+    distance = image["slant_range"].values
+    flag = image["quality_flag"].values.astype(np.int64)
+    hanging = int(UNUSABLE | (DOUBTFUL & ~QualityFlag.WATER_RESIDUAL))
+    usable = ((flag & hanging) == 0) & np.isfinite(distance)
+    direction = np.broadcast_to(beam.direction, (*distance.shape, 3))
+    inside = beam.entry + (distance - beam.length_before)[..., None] * direction
+    place = frame.place(inside)
+    variance = own_variance(image)
+    corners = _triangles(usable, distance, direction, variance, np.tan(steepest))
+    if not len(corners):
+        raise CubeError(
+            "no three neighbouring pixels of the range image have a range, so there is "
+            "no surface to draw; look at its quality flags"
+        )
+    corners = _facing(corners, inside, direction)
+    turned = frame.turn(direction)
+    normal = _normals(place, corners)
+    total = image["slant_range_uncertainty"].values
+    number = np.full(distance.size, -1)
+    number[np.flatnonzero(usable)] = np.arange(int(usable.sum()))
+    return Surface(
+        position=place[usable],
+        direction=turned[usable],
+        normal=normal[usable],
+        own=np.sqrt(variance[usable]),
+        shared=np.sqrt(np.maximum(total**2 - variance, 0.0))[usable],
+        amplitude=image["intensity"].values[usable],
+        pixel=np.flatnonzero(usable),
+        triangles=number[corners],
+        shape=(distance.shape[0], distance.shape[1]),
+        frame=frame,
+        attributes={str(key): value for key, value in image.attrs.items()},
+    )
+
+
+def _triangles(
+    usable: NDArray[np.bool_],
+    distance: Floats,
+    direction: Floats,
+    variance: Floats,
+    steepness: float,
+) -> NDArray[np.intp]:
+    """Return the pixels of triangles, each square of four divided along a diagonal."""
+    numbers = np.arange(usable.size).reshape(usable.shape)
+    a, b = numbers[:-1, :-1], numbers[:-1, 1:]
+    c, d = numbers[1:, :-1], numbers[1:, 1:]
+    halves = [(a, c, b), (b, c, d), (a, c, d), (a, d, b)]
+    flat_range, flat_usable = distance.ravel(), usable.ravel()
+    flat_direction, flat_variance = direction.reshape(-1, 3), variance.ravel()
+
+    def joined(one: NDArray[np.intp], other: NDArray[np.intp]) -> NDArray[np.bool_]:
+        both = flat_usable[one] & flat_usable[other]
+        step = np.abs(flat_range[one] - flat_range[other])
+        apart = np.linalg.norm(flat_direction[one] - flat_direction[other], axis=-1)
+        across = apart * np.minimum(flat_range[one], flat_range[other])
+        noise = np.sqrt(flat_variance[one] + flat_variance[other])
+        return np.asarray(
+            both & ~((step > steepness * across) & (step > _SURE * noise))
+        )
+
+    whole = [joined(i, j) & joined(j, k) & joined(k, i) for i, j, k in halves]
+    # The diagonal that leaves more of the square; of two whole squares the shorter one.
+    falling = whole[2].astype(int) + whole[3]
+    rising = whole[0].astype(int) + whole[1]
+    with np.errstate(invalid="ignore"):
+        level = np.abs(flat_range[a] - flat_range[d]) < np.abs(
+            flat_range[b] - flat_range[c]
+        )
+    take_falling = (falling > rising) | ((falling == rising) & level)
+    chosen = []
+    for number, corner in enumerate(halves):
+        where = whole[number] & (take_falling if number > 1 else ~take_falling)
+        chosen.append(np.stack([pixel[where] for pixel in corner], axis=1))
+    return np.concatenate(chosen)
+
+
+def _facing(
+    triangles: NDArray[np.intp], place: Floats, direction: Floats
+) -> NDArray[np.intp]:
+    """Return triangles counter-clockwise as the instrument sees them."""
+    corner = place.reshape(-1, 3)[triangles]
+    area = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
+    away = np.einsum("ij,ij->i", area, direction.reshape(-1, 3)[triangles[:, 0]]) > 0
+    return np.where(away[:, None], triangles[:, ::-1], triangles)
+
+
+def _normals(place: Floats, triangles: NDArray[np.intp]) -> Floats:
+    """Return means of the normals of the triangles around every pixel."""
+    corner = place.reshape(-1, 3)[triangles]
+    area = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
+    total = np.zeros((place.shape[0] * place.shape[1], 3))
+    for side in range(3):
+        for axis in range(3):
+            total[:, axis] += np.bincount(
+                triangles[:, side], area[:, axis], minlength=len(total)
+            )
+    touched = np.any(total != 0, axis=1)
+    around = total.reshape(place.shape)
+    mean: Floats = np.stack(
+        [
+            ndimage.uniform_filter(around[..., i], _SMOOTHED, mode="nearest")
+            for i in range(3)
+        ],
+        axis=-1,
+    ).reshape(-1, 3)
+    length = np.linalg.norm(mean, axis=1)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        unit = mean / length[:, None]
+    unit[~touched | (length == 0)] = np.nan
+    return np.asarray(unit.reshape(place.shape))

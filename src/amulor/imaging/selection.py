@@ -1,0 +1,74 @@
+"""Leaves pixels out of a range image: doubtful, uncertain or mixed ones."""
+
+from __future__ import annotations
+
+import numpy as np
+import xarray as xr
+
+from amulor import cube as cubes
+from amulor.cube import UNUSABLE, QualityFlag
+from amulor.imaging.common import with_flag
+
+
+def leave_out(
+    image: xr.Dataset,
+    *,
+    good_only: bool = False,
+    largest_uncertainty: float | None = None,
+    mixed: bool = False,
+) -> xr.Dataset:
+    """Return a range image in which some pixels count as not measured.
+
+    Parameters
+    ----------
+    image : xarray.Dataset
+        Level `range_image`.
+    good_only : bool
+        Leave out all pixels that carry any flag.
+    largest_uncertainty : float, optional
+        Leave out pixels whose combined standard uncertainty is larger [m].
+    mixed : bool
+        Leave out mixed pixels and outliers, whose points hang where nothing is.
+
+    Returns
+    -------
+    xarray.Dataset
+        Those pixels flagged `MISSING`; the history says how many were taken, and why.
+
+    Raises
+    ------
+    ValueError
+        If the largest uncertainty is not above 0 m.
+    """
+    image = cubes.checked(image, "range_image")
+    if largest_uncertainty is not None and not largest_uncertainty > 0:
+        raise ValueError(
+            f"largest uncertainty must be above 0 m, got {largest_uncertainty:g} m"
+        )
+    flag = image["quality_flag"].values
+    usable = (flag & UNUSABLE) == 0
+    reasons = {}
+    if good_only:
+        reasons["doubtful"] = flag != 0
+    if mixed:
+        between = QualityFlag.MIXED | QualityFlag.OUTLIER
+        reasons["mixed or outlying"] = (flag & between) != 0
+    if largest_uncertainty is not None:
+        limit = f"more uncertain than {largest_uncertainty * 1e3:g} mm"
+        sigma = image["slant_range_uncertainty"].values
+        reasons[limit] = ~(sigma <= largest_uncertainty)
+    gone = np.zeros(flag.shape, dtype=bool)
+    said = []
+    for reason, where in reasons.items():
+        new = where & usable & ~gone
+        gone |= new
+        said.append(f"{int(new.sum())} {reason}")
+    if not gone.any():
+        return image
+    kept = {
+        str(name): values.where(~gone)
+        for name, values in image.data_vars.items()
+        if str(name).startswith("slant_range") and values.dims == ("row", "column")
+    }
+    image = with_flag(image.assign(kept), QualityFlag.MISSING, gone)
+    return cubes.note(image, f"left out: {', '.join(said)}")

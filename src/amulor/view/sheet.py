@@ -1,0 +1,322 @@
+"""Drawing sheets at a stated scale: picture, grid, scale bar, statements."""
+
+from __future__ import annotations
+
+import textwrap
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+from matplotlib import colormaps
+from matplotlib.axes import Axes
+from matplotlib.colors import LightSource, Normalize
+from matplotlib.figure import Figure
+from matplotlib.patches import Rectangle
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from amulor.errors import FormatError
+from amulor.imaging.products import Contour, Raster
+from amulor.view.style import BRIGHTNESS_MAP, DIFFERENCE_MAP, DISTANCE_MAP, style
+
+Floats = NDArray[np.float64]
+Shown = Literal["amplitude", "height", "relief", "uncertainty", "deviation"]
+
+#: ISO 216 sheets, short and long side [mm].
+_SHEETS = {
+    "A4": (210, 297),
+    "A3": (297, 420),
+    "A2": (420, 594),
+    "A1": (594, 841),
+    "A0": (841, 1189),
+}
+# Border of the sheet, room for numbers beside the picture, and below it [mm].
+_BORDER, _TICKS, _BLOCK = 10.0, 16.0, 52.0
+_INCH = 25.4
+# Where a scan has a surface, but nothing to be coloured.
+_GREY = (226, 226, 226, 255)
+#: Part of the cells that limits of colours may leave out on either side [%].
+_STRAY = 1.0
+_COLOURS = {
+    "amplitude": BRIGHTNESS_MAP,
+    "height": DISTANCE_MAP,
+    "relief": BRIGHTNESS_MAP,
+    "uncertainty": "cividis",
+    "deviation": DIFFERENCE_MAP,
+}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Sheet:
+    """What stands on a sheet beside the picture."""
+
+    title: str
+    """What is drawn."""
+    scale: float
+    """Metres of the object to one of the paper; 20 for 1:20 [1]."""
+    statements: Sequence[str]
+    """Frame, errors and provenance, one statement each."""
+    contours: Sequence[Contour] = ()
+    """Lines drawn over the picture."""
+
+
+def colours_of(
+    raster: Raster, show: Shown, *, values: Floats | None = None
+) -> tuple[NDArray[np.uint8], tuple[float, float], str]:
+    """Return a raster as a picture.
+
+    Parameters
+    ----------
+    raster : Raster
+        What is shown.
+    show : str
+        "amplitude" in grey, "height" and "uncertainty" in colours, "relief" as lit from
+        the upper left.
+    values : ndarray, shape (rows, columns), optional
+        What is shown instead, in colours about zero: deviations [m].
+
+    Returns
+    -------
+    pixels : ndarray of uint8, shape (rows, columns, 4)
+        Red, green, blue and opacity; clear where there is no surface.
+    limits : tuple of float
+        Values of the two ends of the colours, in `unit`.
+    unit : str
+        mV or mm, or none of relief.
+    """
+    if show == "relief":
+        return _relief(raster), (0.0, 1.0), ""
+    unit = "mV" if show == "amplitude" else "mm"
+    shown = {
+        "amplitude": raster.amplitude,
+        "height": raster.height,
+        "uncertainty": raster.uncertainty,
+        "deviation": values,
+    }[show]
+    if shown is None:
+        raise ValueError("deviations are needed to be shown")
+    shown = shown * 1e3
+    finite = shown[np.isfinite(shown)]
+    low, high = (float(v) for v in np.percentile(finite, [_STRAY, 100 - _STRAY]))
+    if show == "deviation":
+        high = max(abs(low), abs(high))
+        low = -high
+    if not high > low:
+        low, high = low - 0.5, low + 0.5
+    pixels = colormaps[_COLOURS[show]](
+        Normalize(low, high, clip=True)(shown), bytes=True
+    )
+    pixels = np.array(pixels, dtype=np.uint8)
+    pixels[~np.isfinite(shown)] = 0
+    if show == "deviation":
+        pixels[np.isfinite(raster.height) & ~np.isfinite(shown)] = _GREY
+    return pixels, (low, high), unit
+
+
+def sheet(
+    raster: Raster, said: Sheet, *, show: Shown, values: Floats | None = None
+) -> Figure:
+    """Draw a raster on the smallest ISO sheet that holds it at its scale.
+
+    Parameters
+    ----------
+    raster : Raster
+        What is drawn.
+    said : Sheet
+        Title, scale, statements and contours.
+    show : str
+        As `colours_of`.
+    values : ndarray, shape (rows, columns), optional
+        Deviations [m].
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+        In its size on paper: a millimetre of the figure is one of the sheet.
+
+    Raises
+    ------
+    FormatError
+        If no sheet up to A0 holds it at this scale.
+    """
+    rows, columns = raster.height.shape
+    wide = columns * raster.cell / said.scale * 1e3
+    high = rows * raster.cell / said.scale * 1e3
+    name, width, height = _paper(wide, high, said.scale)
+    pixels, limits, unit = colours_of(raster, show, values=values)
+    with style():
+        figure = Figure(figsize=(width / _INCH, height / _INCH))
+        room = height - 2 * _BORDER - _BLOCK - _TICKS
+        left = _TICKS + _BORDER + (width - 2 * _BORDER - _TICKS - wide) / 2
+        low = _BORDER + _BLOCK + _TICKS + (room - high) / 2
+        axis = figure.add_axes(
+            (left / width, low / height, wide / width, high / height)
+        )
+        extent = (
+            raster.left,
+            raster.left + columns * raster.cell,
+            raster.top - rows * raster.cell,
+            raster.top,
+        )
+        axis.imshow(pixels, extent=extent, interpolation="none", aspect="auto")
+        for line in said.contours:
+            axis.plot(*line.points.T, color="#D55E00", lw=0.35)
+        axis.set_xlim(extent[:2])
+        axis.set_ylim(extent[2:])
+        _grid(axis, said.scale, raster.plane.names)
+        _block(figure, (width, height), said, name, raster)
+        if unit:
+            _colour_bar(figure, (width, height), show, limits, unit)
+    return figure
+
+
+def _paper(wide: float, high: float, scale: float) -> tuple[str, float, float]:
+    """Return the smallest sheet for a picture of some size [mm]."""
+    needed = wide + 2 * _BORDER + _TICKS, high + 2 * _BORDER + _TICKS + _BLOCK
+    for name, (short, long) in _SHEETS.items():
+        for width, height in ((long, short), (short, long)):
+            if needed[0] <= width and needed[1] <= height:
+                return name, float(width), float(height)
+    raise FormatError(
+        f"at 1:{scale:g} the drawing needs {needed[0]:.0f} x {needed[1]:.0f} mm, more "
+        "than an A0 sheet; take a smaller scale, such as "
+        f"1:{_rounded(scale * max(needed[0] / 1189, needed[1] / 841) * 1.05):g}"
+    )
+
+
+def _rounded(value: float) -> float:
+    """Return the next 1, 2 or 5 times a power of ten that is not below a value."""
+    power = 10.0 ** np.floor(np.log10(value))
+    return float(next(s * power for s in (1, 2, 5, 10) if s * power >= value * 0.999))
+
+
+def _grid(axis: Axes, scale: float, names: tuple[str, str, str]) -> None:
+    """Draw crossing lines every 20 to 50 mm of paper, with their coordinates."""
+    step = _rounded(0.02 * scale)
+    if max(np.ptp(axis.get_xlim()), np.ptp(axis.get_ylim())) < 4 * step:
+        step = _rounded(0.008 * scale)
+    digits = max(0, int(np.ceil(-np.log10(step))))
+    for which, (low, high) in (("x", axis.get_xlim()), ("y", axis.get_ylim())):
+        places = step * np.arange(np.ceil(low / step - 1e-9), np.floor(high / step) + 1)
+        labels = [f"{place + 0.0:.{digits}f}" for place in np.round(places, 9)]
+        getattr(axis, f"set_{which}ticks")(places, labels)
+    axis.grid(color="#56B4E9", lw=0.25, alpha=0.8)
+    axis.tick_params(labelsize=6, length=2, width=0.3)
+    axis.tick_params(axis="y", rotation=90)
+    for label in axis.get_yticklabels():
+        label.set_verticalalignment("center")
+    axis.set_xlabel(f"{names[0]} [m]", fontsize=7)
+    axis.set_ylabel(f"{names[1]} [m]", fontsize=7)
+    for spine in axis.spines.values():
+        spine.set_visible(True)
+        spine.set_linewidth(0.3)
+
+
+def _block(
+    figure: Figure,
+    size: tuple[float, float],
+    said: Sheet,
+    paper: str,
+    raster: Raster,
+) -> None:
+    """Write the title block with the scale bar below the picture."""
+    width, height = size
+    frame = figure.add_axes((0, 0, 1, _BLOCK / height + _BORDER / height))
+    frame.set_xlim(0, width)
+    frame.set_ylim(0, _BLOCK + _BORDER)
+    frame.axis("off")
+    frame.add_patch(
+        Rectangle(
+            (_BORDER, _BORDER), width - 2 * _BORDER, _BLOCK - 4, fill=False, lw=0.5
+        )
+    )
+    top = _BORDER + _BLOCK - 4
+    words = textwrap.shorten(said.title, 90, placeholder=" ...")
+    frame.text(_BORDER + 4, top - 6, words, fontsize=10, weight="bold", va="center")
+    frame.text(
+        width - _BORDER - 4,
+        top - 6,
+        f"1:{said.scale:g} on {paper}",
+        fontsize=10,
+        weight="bold",
+        va="center",
+        ha="right",
+    )
+    _scale_bar(frame, said.scale, (_BORDER + 6, top - 16))
+    room = width - 2 * _BORDER - 8
+    letters = int(room / 1.16)
+    lines = [
+        line
+        for statement in said.statements
+        for line in textwrap.wrap(statement, letters, subsequent_indent="   ")
+    ]
+    size_of_text = 6.0 if len(lines) <= 9 else 6.0 * 9 / len(lines)
+    frame.text(_BORDER + 4, top - 23, "\n".join(lines), fontsize=size_of_text, va="top")
+
+
+def _scale_bar(frame: Axes, scale: float, at: tuple[float, float]) -> None:
+    """Draw a bar of four parts whose length on paper is true."""
+    length = _rounded(0.03 * scale)
+    size = length / scale * 1e3
+    for part in range(4):
+        frame.add_patch(
+            Rectangle(
+                (at[0] + part * size / 4, at[1]),
+                size / 4,
+                1.6,
+                facecolor="#000000" if part % 2 == 0 else "#ffffff",
+                edgecolor="#000000",
+                lw=0.3,
+            )
+        )
+    unit, factor = ("mm", 1e3) if length < 1 else ("m", 1.0)
+    for part in (0, 2, 4):
+        text = f"{length * factor * part / 4:g}" + (f" {unit}" if part == 4 else "")
+        frame.text(
+            at[0] + part * size / 4, at[1] - 1, text, fontsize=6, va="top", ha="center"
+        )
+
+
+def _colour_bar(
+    figure: Figure,
+    size: tuple[float, float],
+    show: Shown,
+    limits: tuple[float, float],
+    unit: str,
+) -> None:
+    """Draw what the colours mean at the right of the title block."""
+    width, height = size
+    long = 50.0
+    axis: Any = figure.add_axes(
+        (
+            (width - _BORDER - 8 - long) / width,
+            (_BORDER + _BLOCK - 4 - 16.5) / height,
+            long / width,
+            2.4 / height,
+        )
+    )
+    ramp = np.linspace(0, 1, 256)[None]
+    axis.imshow(
+        ramp, aspect="auto", cmap=_COLOURS[show], extent=(limits[0], limits[1], 0, 1)
+    )
+    axis.set_yticks([])
+    axis.locator_params(axis="x", nbins=4)
+    axis.tick_params(labelsize=6, length=1.5, width=0.3, pad=1)
+    axis.set_title(f"{show} [{unit}]", fontsize=6, loc="right", pad=2, weight="normal")
+
+
+def _relief(raster: Raster) -> NDArray[np.uint8]:
+    """Return a raster lit from the upper left, over means of 3 x 3 cells."""
+    there = np.isfinite(raster.height)
+    filled = np.where(there, raster.height, 0.0)
+    weight = ndimage.uniform_filter(there.astype(float), 3)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        mean = ndimage.uniform_filter(filled, 3) / weight
+    mean = np.where(there, mean, np.nanmean(raster.height))
+    light = LightSource(azdeg=315, altdeg=40).hillshade(
+        mean, dx=raster.cell, dy=raster.cell
+    )
+    grey = (255 * np.clip(light, 0, 1)).astype(np.uint8)
+    opacity = np.where(there, 255, 0).astype(np.uint8)
+    return np.stack([grey, grey, grey, opacity], axis=-1)

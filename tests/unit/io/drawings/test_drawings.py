@@ -1,0 +1,235 @@
+"""Drawings are read back by other programs' readers with the numbers put in."""
+
+from __future__ import annotations
+
+import csv
+import sys
+import xml.etree.ElementTree as ET
+
+import numpy as np
+import pytest
+from PIL import Image, TiffImagePlugin
+
+from amulor.errors import FormatError, MissingExtraError
+from amulor.io.drawings import (
+    Band,
+    Drawing,
+    Line,
+    write_dxf,
+    write_geotiff,
+    write_picture,
+    write_svg,
+    write_table,
+)
+
+SVG = "{http://www.w3.org/2000/svg}"
+
+
+@pytest.fixture
+def values():
+    values = np.arange(12.0).reshape(3, 4) / 7 - 1.5
+    values[1, 2] = np.nan
+    return values
+
+
+@pytest.fixture
+def drawing():
+    steps = np.array([[0.0, -1.5], [0.02, -1.5], [0.02, -1.46], [0.04, -1.46]])
+    flat = np.array([[0.0, -1.4], [0.1, -1.4]])
+    return Drawing(
+        title="A ladder <&> µm",
+        lines=(
+            Line(points=steps, layer="section"),
+            Line(points=flat, layer="other", label="-1.4", band=np.full(2, 5e-4)),
+        ),
+        axes=("along", "nearer"),
+        statements=("standard uncertainty 0.5 mm",),
+    )
+
+
+class TestGeotiff:
+    def test_one_band_is_read_by_another_program(self, values, tmp_path):
+        path = tmp_path / "dem.tif"
+        write_geotiff(
+            [Band(name="height", unit="m", values=values)],
+            path,
+            cell=0.002,
+            left=-0.05,
+            top=0.04,
+            statements=["axes: right, up"],
+        )
+        with Image.open(path) as found:
+            np.testing.assert_array_equal(np.array(found), values.astype(np.float32))
+            tags = dict(found.tag_v2)
+        assert tags[33550] == (0.002, 0.002, 0.0)
+        # Column 0, row 0 (the upper left corner) lies at left and top.
+        assert tags[33922] == (0.0, 0.0, 0.0, -0.05, 0.04, 0.0)
+        keys = np.array(tags[34735]).reshape(-1, 4)
+        assert keys[0].tolist() == [1, 1, 1, len(keys) - 1]
+        stated = {key: value for key, _, _, value in keys[1:].tolist()}
+        # A model of the user's own, cells as areas, metres.
+        assert (stated[1024], stated[1025], stated[3076]) == (32767, 1, 9001)
+        assert tags[42113].strip("\0 ") == "nan"
+        assert "right, up" in tags[TiffImagePlugin.IMAGEDESCRIPTION]
+
+    def test_bands_keep_their_order_and_names(self, values, tmp_path):
+        tifffile = pytest.importorskip("tifffile")
+        path = tmp_path / "dem.tif"
+        bands = [
+            Band(name="height", unit="m", values=values),
+            Band(name="its standard uncertainty <1 mm", unit="m", values=values / 100),
+        ]
+        write_geotiff(bands, path, cell=0.002, left=0.0, top=0.0)
+        with tifffile.TiffFile(path) as file:
+            found = file.asarray()
+            metadata = file.pages[0].tags[42112].value
+        np.testing.assert_allclose(found[1], values / 100, rtol=1e-7)
+        items = ET.fromstring(metadata).findall("Item")
+        names = {
+            i.get("sample"): i.text for i in items if i.get("role") == "description"
+        }
+        assert names == {"0": "height", "1": "its standard uncertainty <1 mm"}
+
+    def test_a_stated_system_has_its_code_and_the_offset_added(self, values, tmp_path):
+        path = tmp_path / "dem.tif"
+        write_geotiff(
+            [Band(name="height", unit="m", values=values)],
+            path,
+            cell=0.5,
+            left=10.25,
+            top=20.5,
+            crs="EPSG:32632",
+            offset=(512000.0, 4890000.0),
+        )
+        with Image.open(path) as found:
+            tags = dict(found.tag_v2)
+        assert tags[33922][3:5] == (512010.25, 4890020.5)
+        keys = np.array(tags[34735]).reshape(-1, 4)[1:].tolist()
+        stated = {key: value for key, _, _, value in keys}
+        assert (stated[1024], stated[3072]) == (1, 32632)
+
+    def test_without_its_package_it_says_what_to_install(
+        self, values, tmp_path, monkeypatch
+    ):
+        monkeypatch.setitem(sys.modules, "tifffile", None)
+        with pytest.raises(MissingExtraError, match=r"amulor\[export\]"):
+            write_geotiff(
+                [Band(name="h", unit="m", values=values)],
+                tmp_path / "x.tif",
+                cell=1,
+                left=0,
+                top=0,
+            )
+        assert list(tmp_path.iterdir()) == []
+
+
+class TestDxf:
+    def test_lines_come_back_in_metres_on_their_layers(self, drawing, tmp_path):
+        ezdxf = pytest.importorskip("ezdxf")
+        path = tmp_path / "section.dxf"
+        write_dxf(drawing, path)
+        document = ezdxf.readfile(path)
+        assert not document.audit().has_errors
+        assert document.units == 6  # metres
+        lines = document.modelspace().query('LWPOLYLINE[layer=="section"]')
+        assert len(lines) == 1
+        np.testing.assert_array_equal(
+            np.array(lines[0].get_points("xy")), drawing.lines[0].points
+        )
+        (band,) = document.modelspace().query('LWPOLYLINE[layer=="uncertainty"]')
+        assert band.closed
+        across = np.array(band.get_points("xy"))[:, 1]
+        assert set(np.round(np.abs(across + 1.4), 12)) == {1e-3}  # two of 0.5 mm
+        texts = [t.dxf.text for t in document.modelspace().query("TEXT")]
+        assert "standard uncertainty 0.5 mm" in texts
+
+    def test_the_file_is_plain_pairs_of_code_and_value(self, drawing, tmp_path):
+        # The format as it is written down, without the library that wrote it.
+        pytest.importorskip("ezdxf")
+        path = tmp_path / "section.dxf"
+        write_dxf(drawing, path)
+        lines = path.read_text().splitlines()
+        pairs = list(zip(lines[::2], lines[1::2], strict=True))
+        assert pairs[-1] == ("  0", "EOF")
+        start = next(
+            n
+            for n, (code, value) in enumerate(pairs)
+            if (code.strip(), value) == ("0", "LWPOLYLINE")
+        )
+        entity = []
+        for code, value in pairs[start + 1 :]:
+            if code.strip() == "0":
+                break
+            entity.append((int(code), value))
+        x = [float(value) for code, value in entity if code == 10]
+        y = [float(value) for code, value in entity if code == 20]
+        np.testing.assert_array_equal(np.stack([x, y], 1), drawing.lines[0].points)
+
+    def test_without_its_package_it_says_what_to_install(
+        self, drawing, tmp_path, monkeypatch
+    ):
+        monkeypatch.setitem(sys.modules, "ezdxf", None)
+        with pytest.raises(MissingExtraError, match=r"amulor\[export\]"):
+            write_dxf(drawing, tmp_path / "x.dxf")
+
+
+class TestSvg:
+    @pytest.mark.parametrize("scale", [1.0, 5.0])
+    def test_millimetres_are_those_of_the_paper(self, drawing, tmp_path, scale):
+        path = tmp_path / "section.svg"
+        write_svg(drawing, path, scale=scale)
+        root = ET.parse(path).getroot()
+        assert root.get("width").endswith("mm")
+        assert root.get("viewBox").split()[2] == root.get("width")[:-2]
+        lines = root.findall(f".//{SVG}g[@id='section']/{SVG}polyline")
+        points = np.array(
+            [[float(v) for v in p.split(",")] for p in lines[0].get("points").split()]
+        )
+        found = points[2] - points[1]
+        # A step of 40 mm, upwards on paper.
+        np.testing.assert_allclose(found, [0, -40 / scale], atol=2e-3)
+        bar = root.findall(f".//{SVG}g[@id='scale-bar']/{SVG}rect")
+        length = sum(float(part.get("width")) for part in bar)
+        label = root.findall(f".//{SVG}g[@id='scale-bar']/{SVG}text")[1].text
+        assert label.endswith(" mm")
+        assert length * scale == pytest.approx(float(label[:-3]), abs=0.01)
+
+    def test_a_sheet_of_a_football_field_is_refused(self, drawing, tmp_path):
+        with pytest.raises(FormatError, match="smaller scale"):
+            write_svg(drawing, tmp_path / "x.svg", scale=0.01)
+
+    def test_nothing_to_draw_is_refused(self, drawing, tmp_path):
+        with pytest.raises(FormatError, match="no line"):
+            write_svg(
+                Drawing(title="", lines=(), axes=("a", "b")), tmp_path / "x", scale=1
+            )
+
+
+def test_a_table_is_read_with_its_header(tmp_path):
+    path = tmp_path / "t.csv"
+    write_table(
+        {"piece": [0, 1], "along [m]": [0.1234567, np.nan], "sure": [True, False]},
+        path,
+        statements=["a note,\nin two lines"],
+    )
+    lines = path.read_text().splitlines()
+    assert lines[0] == "# a note, in two lines"
+    rows = list(csv.reader(lines[1:]))
+    assert rows == [
+        ["piece", "along [m]", "sure"],
+        ["0", "0.1234567", "1"],
+        ["1", "", "0"],
+    ]
+
+
+def test_a_picture_knows_its_size_on_paper(tmp_path):
+    path = tmp_path / "p.png"
+    pixels = np.random.default_rng(1).integers(0, 256, (5, 7, 4)).astype(np.uint8)
+    write_picture(
+        pixels, path, dots_per_metre=300 / 0.0254, texts={"Title": "µm at 1:20"}
+    )
+    with Image.open(path) as found:
+        found.load()
+        np.testing.assert_array_equal(np.array(found), pixels)
+        assert found.info["dpi"] == pytest.approx((300, 300), abs=0.02)
+        assert found.text["Title"] == "µm at 1:20"
