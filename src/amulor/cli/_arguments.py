@@ -133,6 +133,10 @@ def interval_of(
     return near, far
 
 
+#: Endings of netCDF files, which cubes are written to.
+CUBE_ENDINGS = (".nc", ".nc4")
+
+
 def check_ending(option: str, path: Path, endings: Sequence[str]) -> None:
     """Refuse a file name whose ending names none of some formats.
 

@@ -30,7 +30,10 @@ def recover(
         Replace a file that is there.
     """
     from amulor import acquisition, io
+    from amulor.cli._arguments import CUBE_ENDINGS, check_ending
 
+    if output is not None:
+        check_ending("--output", output, CUBE_ENDINGS)
     known = None
     if calibration is not None:
         known = acquisition.Calibration.from_toml(calibration)

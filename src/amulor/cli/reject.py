@@ -85,7 +85,13 @@ def reject(
         Replace a file that is there.
     """
     from amulor import _progress, io, rejection
-    from amulor.cli._arguments import UsageError, interval_of, quantity_of
+    from amulor.cli._arguments import (
+        CUBE_ENDINGS,
+        UsageError,
+        check_ending,
+        interval_of,
+        quantity_of,
+    )
     from amulor.cli._output import print_json, progress_bar
     from amulor.errors import CubeError
 
@@ -105,6 +111,7 @@ def reject(
     column = _fraction("--column-uncertainty", column_uncertainty)
     inputs = [cube] if open_water is None else [cube, open_water]
     io.check_output(output, overwrite=overwrite, inputs=inputs)
+    check_ending("--output", output, CUBE_ENDINGS)
     comparison: Comparison | None = None
     with progress_bar(quiet=json) as advance:
         advance(f"reading {cube}", 0.0)

@@ -7,7 +7,13 @@ from typing import Annotated, Literal
 
 from cyclopts import Parameter
 
-from amulor.cli._arguments import SEED, UsageError, quantity_of
+from amulor.cli._arguments import (
+    CUBE_ENDINGS,
+    SEED,
+    UsageError,
+    check_ending,
+    quantity_of,
+)
 from amulor.cli._output import progress_bar
 
 
@@ -60,6 +66,7 @@ def simulate(
             f"--error: needed is a relative error above 0 and below 1, found {error}"
         )
     io.check_output(output, overwrite=overwrite, inputs=[survey])
+    check_ending("--output", output, CUBE_ENDINGS)
     described = Survey.from_toml(survey)
     try:
         with progress_bar() as advance, _progress.part(0.0, 0.9):
@@ -75,6 +82,13 @@ def simulate(
     except SurveyError as problem:
         raise SurveyError(f"{survey}: {problem}") from None
     print(f"{output}: {_sizes(cube.sizes)}")
+    if described.targets:
+        hit = float((cube.amulor.truth["target"] >= 0).mean())
+        overload = float((cube["saturated"] != 0).mean())
+        print(
+            f"{hit:.1%} of the beams meet a target, {overload:.1%} of the samples "
+            "overload the detector"
+        )
     reason = unsettled_interval(
         described, modulation_frequency=described.instrument.modulation_frequencies
     )

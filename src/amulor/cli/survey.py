@@ -12,7 +12,8 @@ from amulor.cli._output import print_json
 
 if TYPE_CHECKING:
     from amulor.rejection.reference.grid import Plan
-    from amulor.survey import Scan, WaterProperties
+    from amulor.simulation import Expectation
+    from amulor.survey import Scan, Survey, WaterProperties
 
 
 def check(
@@ -44,6 +45,7 @@ def check(
     reach = target_reach(survey)
     reason = unsettled_interval(survey, modulation_frequency=frequencies)
     plan = judge_plan(survey)
+    expected, unknown = _expected(survey)
     scan = survey.scan
     samples = len(frequencies) * len(survey.instrument.polarizations)
     seconds = scan.rows * scan.columns * samples * scan.dwell
@@ -60,6 +62,7 @@ def check(
                 "interval_unsettled": reason,
                 "open_water_plan": None if plan is None else asdict(plan),
                 "scan_time_s": seconds,
+                "expected": None if expected is None else asdict(expected),
             }
         )
         return
@@ -73,6 +76,10 @@ def check(
         print(f"  {value / 1e6:g} MHz: unambiguous over {interval:.3f} m")
     if reach is not None:
         print(f"  beams meet targets at {reach[0]:.4g} to {reach[1]:.4g} m")
+    if expected is not None:
+        _print_expected(survey, expected)
+    elif unknown:
+        print(f"  what to expect is not known: {unknown}")
     if plan is not None and plan.error > LARGEST_ERROR:
         _warn_of_sparse_shots(scan, plan)
     if reason and survey.targets:
@@ -80,6 +87,84 @@ def check(
             f"  warning: {reason}; add a frequency, or state --nearest and --farthest "
             "in amulor image"
         )
+
+
+#: Signal over noise below which a channel is worth a warning [1].
+_WEAK = 5.0
+
+
+def _expected(survey: Survey) -> tuple[Expectation | None, str]:
+    """Return what the samples will be like, or why that is not known."""
+    from amulor.errors import AmulorError
+    from amulor.simulation import expectation
+
+    if not survey.targets:
+        return None, ""
+    try:
+        return expectation(survey), ""
+    except AmulorError as error:
+        return None, str(error)
+
+
+def _print_expected(survey: Survey, expected: Expectation) -> None:
+    """Print what the samples will be like, and warn of what spoils them."""
+    print(f"  {expected.hit:.0%} of the beams meet a target")
+    for number, target in enumerate(survey.targets):
+        if expected.hit_each[number] == 0:
+            print(
+                f"  warning: no beam meets targets.{number} ({target.kind}): "
+                f"{_whereabouts(survey, target.position)}"
+            )
+    if not expected.hit:
+        return
+    for frequency, ratios, waters in zip(
+        survey.instrument.modulation_frequencies,
+        expected.signal_to_noise,
+        expected.water_to_echo,
+        strict=True,
+    ):
+        for channel, ratio, water in zip(
+            survey.instrument.polarizations, ratios, waters, strict=True
+        ):
+            print(
+                f"  {frequency / 1e6:g} MHz {channel}: echo over noise {ratio:.3g}, "
+                f"water over echo {water:.2g}"
+            )
+            if ratio < _WEAK:
+                print(
+                    f"  warning: {channel} at {frequency / 1e6:g} MHz is mostly noise; "
+                    "more power, a longer dwell or a nearer target"
+                )
+    if expected.saturated:
+        print(
+            f"  warning: {expected.saturated:.0%} of the samples overload the detector "
+            f"({survey.instrument.detector.saturation:g} V); less power or gain"
+        )
+
+
+def _whereabouts(survey: Survey, position: tuple[float, float, float]) -> str:
+    """Return where a target stands that no beam meets."""
+    right, down, forward = (
+        value - origin
+        for value, origin in zip(
+            position, survey.instrument.emitter.position, strict=True
+        )
+    )
+    if forward <= 0:
+        return f"it stands {-forward:.3g} m behind the instrument"
+    scan = survey.scan
+    seen = []
+    for name, angle, middle, span in (
+        ("azimuth", math.atan2(right, forward), scan.azimuth, scan.azimuth_span),
+        ("elevation", math.atan2(-down, forward), scan.elevation, scan.elevation_span),
+    ):
+        low, high = middle - span / 2, middle + span / 2
+        if not low <= angle <= high:
+            seen.append(
+                f"its centre has {name} {math.degrees(angle):.3g} degrees, the scan "
+                f"{math.degrees(low):.3g} to {math.degrees(high):.3g}"
+            )
+    return "; ".join(seen) or "another target hides it, or it lies between two beams"
 
 
 def _water(water: WaterProperties) -> dict[str, Any]:

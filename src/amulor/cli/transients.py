@@ -42,7 +42,13 @@ def transients(
     """
     from amulor import cube as cubes
     from amulor import io
-    from amulor.cli._arguments import frequencies_of, quantity_of, refusing
+    from amulor.cli._arguments import (
+        CUBE_ENDINGS,
+        check_ending,
+        frequencies_of,
+        quantity_of,
+        refusing,
+    )
     from amulor.io.transients import medium_from_minimum, read_transients
 
     frequencies = frequencies_of("--frequency", frequency)
@@ -50,6 +56,7 @@ def transients(
         None if scan_side is None else quantity_of("--scan-side", scan_side, "length")
     )
     io.check_output(output, overwrite=overwrite, inputs=[file])
+    check_ending("--output", output, CUBE_ENDINGS)
     with refusing():
         cube = read_transients(file, frequencies, scene=scene, scan_side=side)
         if medium:

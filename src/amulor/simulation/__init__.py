@@ -3,6 +3,7 @@
 from typing import TYPE_CHECKING
 
 from amulor import _lazy
+from amulor.simulation.expectation import Expectation, expectation
 from amulor.simulation.measurement import simulate
 from amulor.simulation.models import (
     ClosureModel,
@@ -18,10 +19,12 @@ if TYPE_CHECKING:
 __all__ = [
     "ClosureModel",
     "DiffusionModel",
+    "Expectation",
     "PhotonModel",
     "SceneLight",
     "SignalModel",
     "SmallAngleModel",
+    "expectation",
     "scene_light",
     "simulate",
 ]

@@ -153,5 +153,15 @@ SpectralRadiance = Annotated[
 ]
 Fraction = Annotated[float, _read("fraction"), _finite]
 
+
+def _no_truth(value: Any) -> Any:
+    """Refuse true and false, which Python takes for 1 and 0."""
+    if isinstance(value, bool):
+        raise ValueError(f"found {str(value).lower()}; needed is a whole number")
+    return value
+
+
+Count = Annotated[int, BeforeValidator(_no_truth)]
+
 Position = tuple[Length, Length, Length]
 Rotation = tuple[Angle, Angle, Angle]

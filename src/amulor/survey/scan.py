@@ -10,26 +10,33 @@ from pydantic import Field
 
 from amulor.errors import SurveyError
 from amulor.survey import toml_file
-from amulor.survey.quantity import Angle, Description, Length, Position, Time
+from amulor.survey.quantity import (
+    Angle,
+    Count,
+    Description,
+    Length,
+    Position,
+    Time,
+)
 
 
 class OpenWater(Description):
     """Shots of the same water without the target, spread over the scan."""
 
-    columns: Annotated[int, Field(ge=1, le=10_000)] = 9
+    columns: Annotated[Count, Field(ge=1, le=10_000)] = 9
     """Directions along a row; the first and the last are the scan's own edges [1]."""
-    rows: Annotated[int, Field(ge=1, le=10_000)] = 3
+    rows: Annotated[Count, Field(ge=1, le=10_000)] = 3
     """Rows of directions [1]."""
-    repeats: Annotated[int, Field(ge=1, le=100_000)] = 10
+    repeats: Annotated[Count, Field(ge=1, le=100_000)] = 10
     """Samples in each direction [1]."""
 
 
 class Scan(Description):
     """A rectangular grid of directions."""
 
-    columns: Annotated[int, Field(ge=1, le=20_000)]
+    columns: Annotated[Count, Field(ge=1, le=20_000)]
     """Pixels along a row [1]."""
-    rows: Annotated[int, Field(ge=1, le=20_000)]
+    rows: Annotated[Count, Field(ge=1, le=20_000)]
     """Rows of pixels, the first one on top [1]."""
     azimuth_span: Annotated[Angle, Field(ge=0, lt=math.pi)]
     """Angle between the first and the last column [rad]."""

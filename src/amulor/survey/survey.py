@@ -12,6 +12,7 @@ from amulor.errors import SurveyError
 from amulor.survey import files, messages, toml_file
 from amulor.survey.calibration import Calibration
 from amulor.survey.changes import changed
+from amulor.survey.checks.limits import beyond
 from amulor.survey.daylight import Daylight
 from amulor.survey.instrument import Instrument
 from amulor.survey.quantity import Description
@@ -109,7 +110,13 @@ class Survey(Description):
             raise SurveyError(
                 f"{path}: is no text; a survey is a TOML file in UTF-8"
             ) from None
-        return cls.from_text(text, name=str(path), folder=path.parent)
+        survey = cls.from_text(text, name=str(path), folder=path.parent)
+        slips = list(beyond(survey.model_dump(mode="python", exclude_none=True)))
+        if slips:
+            raise SurveyError(
+                "\n".join(f"{path}: {field}: {said}" for field, said in slips)
+            )
+        return survey
 
     @classmethod
     def from_text(

@@ -9,7 +9,14 @@ from pydantic import Field, model_validator
 
 from amulor.errors import SurveyError
 from amulor.survey.mueller import SURFACES, ReducedMueller
-from amulor.survey.quantity import Description, Fraction, Length, Position, Rotation
+from amulor.survey.quantity import (
+    Count,
+    Description,
+    Fraction,
+    Length,
+    Position,
+    Rotation,
+)
 from amulor.survey.surface import SurfaceStated
 
 #: Painted metal; m22 is published, m33 follows from symmetry, m44 is assumed.
@@ -68,7 +75,7 @@ class Disc(_Target):
     """Outer diameter [m]."""
     central_hole: Annotated[Length, Field(ge=0)] = 0.0
     """Diameter of the hole in the middle, 0 for none [m]."""
-    hole_count: Annotated[int, Field(ge=0, le=100)] = 0
+    hole_count: Annotated[Count, Field(ge=0, le=100)] = 0
     """Number of small holes, evenly round the middle [1]."""
     hole_diameter: Annotated[Length, Field(ge=0)] = 0.0
     """Diameter of the small holes [m]."""

@@ -1,0 +1,103 @@
+"""What to expect of a scan before it is taken: hits, signal, water, overload."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from amulor.simulation import geometry as geometry_of
+from amulor.simulation import lock_in, signal
+from amulor.simulation.models import DEFAULT_MODEL, SignalModel
+from amulor.survey import Survey, water_properties
+
+__all__ = ["Expectation", "expectation"]
+
+Floats = NDArray[np.float64]
+
+#: Beams that are followed along each side of the scan.
+_BEAMS = 25
+
+
+@dataclass(frozen=True, kw_only=True)
+class Expectation:
+    """What the samples of a scan will be like; NaN where no beam meets a target."""
+
+    hit: float
+    """Share of the beams that meet a target [1]."""
+    hit_each: tuple[float, ...]
+    """The same for each target of the survey [1]."""
+    saturated: float
+    """Share of the samples that overload the detector [1]."""
+    signal_to_noise: Floats
+    """Median echo over its standard uncertainty, (modulation_frequency, polarization)
+    [1]."""
+    water_to_echo: Floats
+    """Median of the water in front of the target over the echo, of the same shape
+    [1]."""
+
+
+def expectation(survey: Survey, *, model: SignalModel = DEFAULT_MODEL) -> Expectation:
+    """Return what the samples of a scan will be like, from a few of its beams.
+
+    Parameters
+    ----------
+    survey : Survey
+        What is to be measured, and with what.
+    model : SignalModel
+        Forward model; the small-angle form with the whole phase function by default.
+
+    Returns
+    -------
+    Expectation
+        From at most 25 x 25 beams, spread evenly from edge to edge.
+
+    Raises
+    ------
+    SurveyError
+        As `amulor.simulate`.
+    MissingExtraError
+        If there are targets and the extra `scene` is not installed.
+
+    Notes
+    -----
+    The uncertainty is that of one sample: counting, dark counts, daylight and the phase
+    floor; the water's fluctuation is not noise of the instrument.
+    """
+    scan = survey.scan
+    few = survey.with_(
+        {
+            "scan.columns": min(scan.columns, _BEAMS),
+            "scan.rows": min(scan.rows, _BEAMS),
+        }
+    )
+    water = water_properties(few)
+    geometry = geometry_of.trace(few, water)
+    echo = signal.target_light(few, water, geometry, model=model)
+    column = signal.water_light(
+        few, water, geometry.view, end=geometry.depth, model=model
+    )
+    samples = lock_in.sample(few, echo, column, rng=np.random.default_rng(0))
+    noise = np.sqrt((samples.in_phase_variance + samples.quadrature_variance) / 2)
+    size = np.abs(lock_in.expected_signal(few, echo))
+    behind = np.abs(lock_in.expected_signal(few, column))
+    met = geometry.target >= 0
+    number = range(len(survey.targets))
+    return Expectation(
+        hit=float(met.mean()),
+        hit_each=tuple(float((geometry.target == each).mean()) for each in number),
+        saturated=float((samples.saturated != 0).mean()),
+        signal_to_noise=_median(size / noise, met),
+        water_to_echo=_median(
+            np.divide(behind, size, out=np.full(size.shape, np.inf), where=size > 0),
+            met,
+        ),
+    )
+
+
+def _median(values: Floats, met: NDArray[np.bool_]) -> Floats:
+    """Return the median over the beams that meet a target."""
+    if not met.any():
+        return np.full(values.shape[:2], np.nan)
+    return np.asarray(np.median(values[:, :, met], axis=-1))

@@ -1,0 +1,1 @@
+"""What a survey file must keep to be about an instrument that can exist."""

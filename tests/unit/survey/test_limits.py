@@ -1,0 +1,100 @@
+"""Numbers of a survey file that no instrument has are refused, with the reason."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from amulor import units
+from amulor.errors import SurveyError
+from amulor.survey import Survey
+from amulor.survey.checks.limits import LIMITS, beyond
+
+SLIPS = {
+    "receiver far off": ('["7 cm",', '["70 m",', "at most 20.0 m: emitter and"),
+    "scattering": ('"0.595 1/m"', '"6e199 1/m"', "at most 1000.0 1/m: undiluted milk"),
+    "absorption": ('"0.255 1/m"', '"1e308 1/m"', "at most 1000.0 1/m"),
+    "power": ('power = "20 mW"', 'power = "20 kW"', "at most 100.0 W: modulated"),
+    "millihertz": ('["39 MHz"]', '["39 mHz"]', "at least 1000.0 Hz: below, phases"),
+    "dwell": ('dwell = "125 ms"', 'dwell = "2 h"', "at most 3600.0 s"),
+}
+
+
+def _file(text: str, folder: Path) -> Path:
+    path = folder / "survey.toml"
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+@pytest.mark.parametrize("name", SLIPS)
+def test_a_slip_in_a_file_is_refused_with_the_reason(
+    name: str, plate_text: str, tmp_path: Path
+) -> None:
+    old, new, said = SLIPS[name]
+    changed = plate_text.replace(old, new, 1)
+    assert changed != plate_text
+    with pytest.raises(SurveyError, match=said) as refused:
+        Survey.from_toml(_file(changed, tmp_path))
+    message = str(refused.value)
+    assert message.count("\n") == 0
+    assert "survey.toml: " in message
+
+
+def test_each_slip_gets_its_line(plate_text: str, tmp_path: Path) -> None:
+    text = plate_text.replace('["39 MHz"]', '["39 mHz", "50 MHz"]')
+    text = text.replace('dwell = "125 ms"', 'dwell = "2 h"')
+    with pytest.raises(SurveyError) as refused:
+        Survey.from_toml(_file(text, tmp_path))
+    first, second = str(refused.value).splitlines()
+    assert "instrument.modulation_frequencies.0: found" in first
+    assert "scan.dwell: found" in second
+
+
+def test_python_may_go_to_the_limits_of_the_formulas(plate: Survey) -> None:
+    wild = plate.with_({"instrument.power": "1e9 W", "water.scattering": "1e4 1/m"})
+    assert wild.instrument.power == 1e9
+    # And what was simulated from it is read back.
+    assert Survey.from_text(wild.to_toml()) == wild
+
+
+@pytest.mark.parametrize("field", ["columns", "rows"])
+def test_true_is_no_number_of_pixels(
+    field: str, plate_text: str, tmp_path: Path
+) -> None:
+    lines = [
+        f"{field} = true" if line.startswith(f"{field} =") else line
+        for line in plate_text.splitlines()
+    ]
+    with pytest.raises(SurveyError, match="found true; needed is a whole number"):
+        Survey.from_toml(_file("\n".join(lines), tmp_path))
+
+
+@given(
+    path=st.sampled_from(sorted(LIMITS)),
+    value=st.floats(allow_nan=False, allow_infinity=False),
+)
+def test_what_is_beyond_is_told_and_nothing_else(path: str, value: float) -> None:
+    limit = LIMITS[path]
+    content: object = value
+    for part in reversed(path.split(".")):
+        content = [content] if part == "*" else {part: content}
+    found = list(beyond(content))
+    small = limit.least is not None and abs(value) < limit.least
+    assert len(found) == (abs(value) > limit.most or small)
+    for where, said in found:
+        assert where == path.replace("*", "0")
+        assert limit.reason in said
+        assert units.write(value, limit.quantity) in said
+
+
+def test_every_limit_is_of_a_field_that_there_is() -> None:
+    """A field that is renamed must not lose its limit without a word."""
+    from amulor.survey import json_schema
+
+    text = str(json_schema())
+    for path in LIMITS:
+        name = [part for part in path.split(".") if part != "*"][-1]
+        assert f"'{name}'" in text, path
