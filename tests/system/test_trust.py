@@ -203,6 +203,13 @@ def test_pixels_that_see_two_plates_are_not_called_good(scene: str) -> None:
         assert row.score.trusted == 0, row
 
 
+def test_one_frequency_of_two_noisy_channels_sees_two_plates_as_well() -> None:
+    # Noise of 1.2 mm: 75 % of the pixels were trusted, 8 or 12 mm off.
+    for row in run(["mixed 2 cm"], ["polarization"], [1]):
+        assert row.score.pixels == 32
+        assert row.score.trusted <= 0.1, row
+
+
 def test_surfaces_without_an_edge_have_no_mixed_pixels() -> None:
     for scene in ("flat", "slope 75"):
         for row in run([scene], ["open-water"], [16]):

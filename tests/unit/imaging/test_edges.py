@@ -49,6 +49,36 @@ def test_mixed_pixels_of_an_edge_are_found(
     assert not found[off < 1e-6].any()
 
 
+@pytest.mark.parametrize("turned", [False, True])
+def test_a_gap_of_a_few_times_the_noise_is_seen_along_its_edge(
+    written: Make, turned: bool
+) -> None:
+    # Two columns between surfaces 16 standard errors apart, 6.4 from either: means of
+    # five pixels see all but a few, and single pixels a fourth of them.
+    share = np.clip((np.arange(24) - 10.5) / 2.5, 0, 1)
+    share[[11, 12]] = 0.4, 0.6
+    share[13:] = 1
+    seen = []
+    for seed in range(6):
+        rng = np.random.default_rng(seed)
+        noise = SIGMA * rng.standard_normal((16, 24))
+        distance = 2.4 + 16 * SIGMA * share + noise
+        found = imaging.mixed_pixels(written(distance.T if turned else distance))
+        found = found.T if turned else found
+        seen.append(found[:, 11:13].mean())
+        assert found[:, [*range(11), *range(13, 24)]].mean() < 0.003
+    assert np.mean(seen) > 0.9
+
+
+def test_a_slanting_edge_without_mixed_pixels_has_none(written: Make) -> None:
+    rows, columns = np.indices((16, 24))
+    surface = np.where(columns > 8 + rows / 2, 2.42, 2.4)
+    for seed in range(4):
+        rng = np.random.default_rng(seed)
+        noisy = surface + SIGMA * rng.standard_normal(surface.shape)
+        assert imaging.mixed_pixels(written(noisy)).mean() < 0.005
+
+
 @pytest.mark.parametrize(
     "surface",
     [
