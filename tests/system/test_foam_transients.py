@@ -17,6 +17,7 @@ from scipy.constants import speed_of_light
 from amulor import cube as cubes
 from amulor import imaging, rejection
 from amulor.cli import main
+from amulor.cube import QualityFlag
 from amulor.io import read_cube
 from amulor.io.slab_response import mean_delay, read_slabs, slab_response
 from amulor.io.transients import medium_from_minimum, read_transients
@@ -246,6 +247,101 @@ def test_the_range_image_is_farther_by_the_step(scenes):
     # In the middle, where the echo is bright; single pixels have a foam of their own
     # (15 % from pixel to pixel), which moves them by centimetres.
     assert_allclose(np.median(step[10:22, 10:22]), LABELS, atol=0.02)
+
+
+# Echoes that overlap
+
+
+def moved(cm, folder):
+    """Save real foam and letter, the letter moved by so much; return its two echoes.
+
+    The foam is what no scene shows the letter in, bridged by a straight logarithm; the
+    far letter is the near one, later and weaker with the square of its distance. Blocks
+    of 4 x 4 pixels are taken together.
+    """
+    file = np.load(DATA / "letter_u_54_78.npz")
+    counts = file["counts"].astype(float).reshape(2, 8, 4, 8, 4, -1).sum(axis=(2, 4))
+    whole = counts.sum(axis=(1, 2))
+    foam = np.where(np.arange(512) < 325, whole[1], whole[0])
+    bridge = np.arange(325, 466)
+    ends = [whole[1, 300:325].mean(), whole[0, 466:490].mean()]
+    foam[bridge] = np.exp(np.interp(bridge, [312, 478], np.log(ends)))
+    share = counts[..., :230].sum(axis=(0, -1))
+    medium = share[..., None] / share.sum() * foam
+    near = np.maximum(counts[0] - medium, 0)
+    near[..., :225] = 0
+    bins = np.arange(512.0)
+    later = 2 * cm / 100 / speed_of_light / file["bin_width_s"]
+    weaker = (0.54 / (0.54 + cm / 100)) ** 2
+    far = np.apply_along_axis(
+        lambda echo: weaker * np.interp(bins - later, bins, echo, left=0), -1, near
+    )
+    rng = np.random.default_rng(cm)
+    seen = rng.poisson(np.stack([medium + near, medium + far]))
+    path = folder / f"moved_{cm}.npz"
+    np.savez_compressed(path, counts=seen, bin_width_s=file["bin_width_s"])
+    return path, (near, far)
+
+
+@pytest.mark.parametrize("cm", [6, 12, 18, 24])
+def test_a_medium_with_an_echo_in_it_is_stated_as_such(cm, tmp_path, capsys):
+    # Steps came out 2.6, 1.5, 1.15 and 1.05 times too long, and nothing said so.
+    path, echoes = moved(cm, tmp_path)
+    medium = medium_from_minimum(path, FREQUENCY)
+    turn = 2j * np.pi * FREQUENCY[:, None]
+    for scene, echo in enumerate(echoes):
+        cube = cubes.attach(
+            read_transients(path, FREQUENCY, scene=scene), medium, "open_water"
+        )
+        left = rejection.open_water(cube)
+        signal = left.amulor.signal.values[:, 0].sum(axis=(1, 2))
+        seconds = (np.arange(512) + 0.5) * 16e-12
+        each = np.tensordot(np.exp(turn * seconds), echo, axes=(1, 2))
+        truth = each.sum(axis=(1, 2))
+        # Along the error that the shots share: the echo that is missing.
+        error = 64 * np.sqrt(
+            medium["common_in_phase_uncertainty"].values[:, 0] ** 2
+            + medium["common_quadrature_uncertainty"].values[:, 0] ** 2
+        )
+        assert np.all(np.abs(signal - truth) < 1.6 * error)
+        # Where the error is most of the echo, nothing is called a target.
+        flag = left["quality_flag"].values[:, 0]
+        if cm == 6 and scene == 1:
+            assert np.mean((flag & QualityFlag.NO_TARGET) != 0) > 0.95
+        image = imaging.range_image(left.sel(modulation_frequency=[100e6]))
+        interval = speed_of_light / 200e6
+        expected = np.angle(each[1]) * interval / (2 * np.pi)
+        off = image["slant_range"].values - expected % interval
+        within = np.abs(off) < 2.5 * image["slant_range_uncertainty"].values
+        known = np.isfinite(off)
+        assert np.mean(within[known]) > 0.9 if known.any() else cm < 12
+    arguments = ["import", "transients", str(path), "--scene", "0", "--medium"]
+    output = str(tmp_path / "cube.nc")
+    assert main([*arguments, "--frequency", "100MHz", "-o", output]) == 0
+    assert "overlap in time" in capsys.readouterr().out
+
+
+def test_the_real_step_is_one_within_what_the_shots_state(scenes):
+    # 1.02 to 1.00 by frequency, with bars that hold 1: the minimum has a bump of some
+    # percent of the echo, and what it moves either scene by is stated.
+    bars, sums = [], []
+    for scene in scenes:
+        left = rejection.open_water(scene)
+        signal = left.amulor.signal.values[:, 0].sum(axis=(1, 2))
+        shared = left["common_in_phase_uncertainty"].values[:, 0, 0, 0]
+        across = left["common_quadrature_uncertainty"].values[:, 0, 0, 0]
+        number = scene.sizes["row"] * scene.sizes["column"]
+        moved_by = number * np.hypot(shared, across) / np.abs(signal)
+        bars.append(moved_by * speed_of_light / (4 * np.pi * FREQUENCY) / LABELS)
+        sums.append(signal)
+    clean = np.angle(sums[1] / sums[0]) * speed_of_light / (4 * np.pi * FREQUENCY)
+    interval = speed_of_light / (2 * FREQUENCY)
+    slope = (clean + interval * np.round((LABELS - clean) / interval)) / LABELS
+    bar = np.hypot(*bars)
+    assert np.all(np.abs(slope - 1) < bar + 0.001)
+    # And bars that say something: from a quarter at 50 MHz to 2 % at 400 MHz.
+    assert np.all(bar < 14e6 / FREQUENCY)
+    assert np.all(np.diff(bar) < 0)
 
 
 # Letters S and T

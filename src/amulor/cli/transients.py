@@ -7,6 +7,9 @@ from typing import Annotated
 
 from cyclopts import Parameter
 
+#: Part of an echo in the medium that is worth a word [1].
+_OVERLAP = 0.03
+
 
 def transients(
     file: Path,
@@ -40,6 +43,8 @@ def transients(
     overwrite
         Replace a file that is there.
     """
+    import numpy as np
+
     from amulor import cube as cubes
     from amulor import io
     from amulor.cli._arguments import (
@@ -57,13 +62,22 @@ def transients(
     )
     io.check_output(output, overwrite=overwrite, inputs=[file])
     check_ending("--output", output, CUBE_ENDINGS)
+    overlap = 0.0
     with refusing():
         cube = read_transients(file, frequencies, scene=scene, scan_side=side)
         if medium:
             shots = medium_from_minimum(file, frequencies)
+            overlap = float(np.max(shots.attrs["echo_overlap"]))
             cube = cubes.attach(cube, shots, "open_water")
     io.write_cube(cube, output, overwrite=overwrite)
     print(
         f"{output}: {cube.sizes['row']} x {cube.sizes['column']} pixels at "
         f"{cube.sizes['modulation_frequency']} frequencies"
     )
+    if overlap > _OVERLAP:
+        print(
+            f"note: the echoes of the scenes overlap in time; {overlap:.0%} of the "
+            "weakest one is taken for the medium, so ranges of the scenes come out too "
+            "far apart; the stated errors hold it; record scenes farther apart, or the "
+            "medium alone"
+        )

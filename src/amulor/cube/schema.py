@@ -103,6 +103,7 @@ class Level:
 
 
 _SAMPLE = ("modulation_frequency", "polarization", "row", "column")
+_CHANNEL = ("modulation_frequency", "polarization")
 _PIXEL = ("row", "column")
 _POINT = ("point",)
 
@@ -303,6 +304,15 @@ OPEN_WATER_VARIABLES = {
     ),
     "in_phase_quadrature_covariance": _optional(
         _SHOT, "V2", "covariance of the two outputs"
+    ),
+    "common_in_phase_uncertainty": _optional(
+        _CHANNEL, "V", "part of the in-phase error that all shots share"
+    ),
+    "common_quadrature_uncertainty": _optional(
+        _CHANNEL, "V", "part of the quadrature error that all shots share"
+    ),
+    "common_covariance": _optional(
+        _CHANNEL, "V2", "covariance of the errors that all shots share"
     ),
     "azimuth": _optional(("shot",), "rad", "direction of the beam"),
     "elevation": _optional(("shot",), "rad", "direction of the beam"),

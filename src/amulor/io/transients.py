@@ -14,6 +14,7 @@ from amulor import cube as cubes
 from amulor.errors import FormatError
 from amulor.io.fourier import Coefficients, checked_frequency, transform, weights
 from amulor.io.histograms import Histograms, read_histograms
+from amulor.io.overlap import overlap_of
 
 __all__ = ["VOLTS_PER_COUNT", "medium_from_minimum", "read_transients"]
 
@@ -229,7 +230,9 @@ def medium_from_minimum(
     -------
     xarray.Dataset
         A shot without a target for each pixel, in the place of open-water shots; to
-        be attached with `amulor.cube.attach(cube, medium, "open_water")`.
+        be attached with `amulor.cube.attach(cube, medium, "open_water")`. Its attribute
+        `echo_overlap` says for each frequency how strong the echo is that was taken
+        for the medium, over the weakest echo that is left, 1 at most [1].
 
     Raises
     ------
@@ -242,11 +245,13 @@ def medium_from_minimum(
     sum is taken, in all pixels: the shots add up to the bin-wise minimum of the
     summed histograms, and no pixel is picked by its own noise. That is the medium,
     as far as in every bin one scene has no echo. It comes out too large where echoes
-    overlap, and too small by counting noise, the smaller of two equal means
-    :math:`\mu` being low by :math:`\sqrt{\mu / \pi}`. All shots state the same
-    uncertainty, that of counting photons on average, so none weighs more than
-    another. They hold counts of the scenes themselves: subtracted as if they were
-    independent, they overstate the uncertainty of what is left.
+    overlap, by about as much as the minimum has a bump between them
+    (`amulor.io.overlap.overlap_of`): that counts as an error along it, which all shots
+    share, in the `common_` variables. It comes out too small by counting noise, the
+    smaller of two equal means :math:`\mu` being low by :math:`\sqrt{\mu / \pi}`. All
+    shots state the same uncertainty, that of counting photons on average, so none
+    weighs more than another. They hold counts of the scenes themselves: subtracted as
+    if they were independent, they overstate the uncertainty of what is left.
 
     Examples
     --------
@@ -278,7 +283,18 @@ def medium_from_minimum(
     bins = np.arange(smallest.size)
     medium = np.moveaxis(histograms.counts[smallest, ..., bins], 0, -1)
     shots = transform(medium.reshape(-1, smallest.size), weight)
-    return cubes.open_water(_outputs(_evenly(shots), axis=1))
+    outputs = _outputs(_evenly(shots), axis=1)
+    sums = histograms.counts.sum(axis=(1, 2)).astype(float)
+    # Transforms of fractions of counts, whose noise does not matter here.
+    echo = transform(overlap_of(sums)[None], weight).signal[:, 0] * VOLTS_PER_COUNT
+    left = transform(sums - sums.min(axis=0), weight).signal * VOLTS_PER_COUNT
+    share = echo / shots.signal.shape[-1]
+    outputs["common_in_phase_uncertainty"] = np.abs(share.real)[:, None]
+    outputs["common_quadrature_uncertainty"] = np.abs(share.imag)[:, None]
+    outputs["common_covariance"] = (share.real * share.imag)[:, None]
+    weakest = np.maximum(np.abs(left).min(axis=-1), np.finfo(float).tiny)
+    overlap = np.minimum(np.abs(echo) / weakest, 1.0)
+    return cubes.open_water(outputs).assign_attrs(echo_overlap=overlap)
 
 
 def _evenly(shots: Coefficients) -> Coefficients:

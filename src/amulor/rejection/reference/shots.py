@@ -9,7 +9,12 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from amulor.errors import CubeError
-from amulor.rejection.covariance import Covariance, covariance_of, stacked
+from amulor.rejection.covariance import (
+    Covariance,
+    common_covariance_of,
+    covariance_of,
+    stacked,
+)
 from amulor.rejection.reference import fit as reference
 from amulor.rejection.reference.drift import NO_DRIFT, Drift
 from amulor.rejection.reference.places import FEWEST_SHOTS
@@ -98,6 +103,7 @@ def fit_shots(cube: xr.Dataset, shots: xr.Dataset) -> list[reference.Reference]:
     usable = np.isfinite(signal + errors.in_phase + errors.quadrature + errors.cross)
     if known:
         _refuse_a_scan_beyond_the_shots(cube, places, pixels)
+    shared = common_covariance_of(shots) if "common_covariance" in shots else None
     shapes = None
     if known:
         shapes = shape_of(cube, places, pixels, signal=signal, errors=errors)
@@ -112,6 +118,8 @@ def fit_shots(cube: xr.Dataset, shots: xr.Dataset) -> list[reference.Reference]:
         own = errors.part(index).part(use)
         shape = None if shapes is None else shapes[index[0]].part(use)
         fit = reference.fit(signal[index][use], own, places[use], pixels, shape=shape)
+        if shared is not None:
+            fit = replace(fit, common=fit.common + shared.part((*index, None)))
         # Shots of unknown directions may be pixels: their order is no time.
         fits.append(fit if known else replace(fit, drift=NO_DRIFT))
     _refuse_strong_drift(cube, fits, signal.shape[:2])
