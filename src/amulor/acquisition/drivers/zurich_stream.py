@@ -55,7 +55,7 @@ def streamed(
     is asked for first, and the timestamps of the samples.
     """
     clockbase = float(device.clockbase())
-    begin = int(device.status.time())
+    begin = _ticks(device, clockbase)
     end = begin + math.ceil(duration * clockbase)
     whole = _polled(device, nodes, end, duration, interval, clock)
     starts = [int(np.searchsorted(part["timestamp"], begin)) for part in whole]
@@ -78,6 +78,18 @@ def streamed(
                 "a longer time constant, or a better network"
             )
     return parts
+
+
+def _ticks(device: Any, clockbase: float) -> int:
+    """Return the time of the instrument in steps of its clock.
+
+    A UHFLI tells them, an HF2LI seconds (the maker's list of its nodes). Taken for
+    steps, seconds would lie before all that was ever streamed.
+    """
+    time = device.status.time()
+    if str(device.device_type).startswith("HF2"):
+        return math.floor(float(time) * clockbase)
+    return int(time)
 
 
 def _polled(
