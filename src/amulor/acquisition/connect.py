@@ -200,7 +200,12 @@ def _addresses(settings: Settings) -> list[str]:
 def _laser(settings: Settings, lock_in: LockIn, clock: Clock) -> Laser:
     own = settings.laser
     if own.driver == "scpi":
-        return ScpiLaser(linked(own), own)
+        link = linked(own)
+        try:
+            return ScpiLaser(link, own)
+        except BaseException:
+            link.close()
+            raise
     if own.driver == "ophyd_async":
         return OphydLaser.made(chosen.wiring("laser", settings, clock))
     if own.driver != "lock_in_output":

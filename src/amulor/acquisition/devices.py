@@ -24,14 +24,20 @@ from amulor.acquisition.settings import Settings
 #: Settings that change no sample.
 _NO_PART_OF_IT = (
     "address", "baud_rate", "flow_control", "clock_speed", "attempts", "patience",
-    "darkness_patience",
+    "darkness_patience", "lock",
 )  # fmt: skip
 #: Settings that older journals do not know; left out where they say nothing.
 _SINCE_LATER = (
     "modulation_amplitude", "options", "reference", "scpi", "interlock_input",
     "output_filter", "frequencies_at_once", "readings", "analog", "pan_tilt",
 )  # fmt: skip
-_LASER_SINCE_LATER = ("current", "temperature", "prepare", "error", "no_error")
+_WORDS_SINCE_LATER = {
+    "laser": (
+        "current", "temperature", "prepare", "error", "no_error", "lock",
+        "lock_granted", "unlock",
+    ),
+    "source": ("lock", "lock_granted", "unlock"),
+}  # fmt: skip
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -120,20 +126,21 @@ def digest(settings: Settings, identities: dict[str, str]) -> str:
         scan stops.
     """
     content = settings.model_dump(mode="json", exclude={"simulation": True})
-    for name in _LASER_SINCE_LATER:
-        words = content["laser"]["scpi"]
-        if words is not None and words[name] is None:
-            del words[name]
+    for part, names in _WORDS_SINCE_LATER.items():
+        words = content[part]["scpi"] or {}
+        for name in names:
+            if name in words and words[name] is None:
+                del words[name]
     for name in ("source", "digitiser"):
         if content[name]["driver"] == "none":
             del content[name]
     if settings.laser.interlock_input is None:
         del content["laser"]["interlock_voltage"]
-    for part in content.values():
-        for name in [*part]:
-            later = name in _SINCE_LATER and part[name] is None
+    for own in content.values():
+        for name in [*own]:
+            later = name in _SINCE_LATER and own[name] is None
             if name in _NO_PART_OF_IT or name.endswith("timeout") or later:
-                del part[name]
+                del own[name]
     return cube.digest(json.dumps([content, identities], sort_keys=True))
 
 

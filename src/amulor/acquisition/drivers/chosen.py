@@ -77,7 +77,12 @@ def source_of(settings: Settings, clock: Clock) -> Source | None:
     if own.driver == "none":
         return None
     if own.driver == "scpi":
-        return ScpiSource(linked(own), own, clock=clock)
+        link = linked(own)
+        try:
+            return ScpiSource(link, own, clock=clock)
+        except BaseException:
+            link.close()
+            raise
     return cast(Source, other("source", settings, clock))
 
 

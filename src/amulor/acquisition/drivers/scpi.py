@@ -2,11 +2,17 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
 
 from amulor.acquisition.clock import Clock
 from amulor.acquisition.links.visa import Conversation
-from amulor.acquisition.settings.light import LaserSettings, SourceSettings
+from amulor.acquisition.settings.light import (
+    LaserSettings,
+    ScpiLaserSettings,
+    ScpiSourceSettings,
+    SourceSettings,
+)
 from amulor.errors import InstrumentError
 
 
@@ -17,18 +23,36 @@ class _Scpi:
     ----------
     link : Conversation
         An open link.
+    words : object
+        Its commands; `lock` is asked before anything is set.
     """
 
-    def __init__(self, link: Conversation) -> None:
+    def __init__(
+        self, link: Conversation, words: ScpiLaserSettings | ScpiSourceSettings
+    ) -> None:
         self._link = link
+        self._unlock: str | None = None
         (self._identity,) = link.ask("*IDN?")
+        if words.lock is not None:
+            answer = self._answer(words.lock)
+            if answer != (words.lock_granted or "1"):
+                raise InstrumentError(
+                    f"{self._identity} at {link.address} answers {answer!r} to "
+                    f"{words.lock}: another program, maybe on another computer, drives "
+                    "it; wait for that, or stop it"
+                )
+            self._unlock = words.unlock
 
     def identity(self) -> str:
         """Return maker, model, serial number and firmware."""
         return self._identity
 
     def close(self) -> None:
-        """Close the link."""
+        """Let others drive it, and close the link."""
+        if self._unlock is not None:
+            with contextlib.suppress(InstrumentError):
+                self._link.send(self._unlock)
+            self._unlock = None
         self._link.close()
 
     def _say(self, lines: tuple[str, ...]) -> None:
@@ -56,7 +80,7 @@ class ScpiSource(_Scpi):
     def __init__(
         self, link: Conversation, settings: SourceSettings, *, clock: Clock
     ) -> None:
-        super().__init__(link)
+        super().__init__(link, settings.scpi)
         self._settings, self._words, self._clock = settings, settings.scpi, clock
         self._puts_out = False
         assert settings.amplitude is not None
@@ -119,8 +143,8 @@ class ScpiLaser(_Scpi):
     """
 
     def __init__(self, link: Conversation, settings: LaserSettings) -> None:
-        super().__init__(link)
         assert settings.scpi is not None
+        super().__init__(link, settings.scpi)
         self._words = settings.scpi
 
     def on(self) -> None:

@@ -12,6 +12,7 @@ def open_link(
     *,
     timeout: float,
     serial: SerialPort = SerialPort(),  # noqa: B008 - it is frozen
+    lock: bool = False,
 ) -> Conversation:
     """Open the link that an address names.
 
@@ -23,6 +24,8 @@ def open_link(
         How long one answer may take [s].
     serial : SerialPort
         How characters go, if the address is that of a serial port.
+    lock : bool
+        Whether the instrument's own lock is taken, over VXI-11 or HiSLIP.
 
     Returns
     -------
@@ -32,13 +35,13 @@ def open_link(
     Raises
     ------
     InstrumentError
-        If nothing can be reached there.
+        If nothing can be reached there, or another program has locked it.
     MissingExtraError
         If PyVISA is needed and not installed.
     """
     if address.startswith(SCHEME):
         return DirectLink(address, timeout=timeout)
-    return Link.open(address, timeout=timeout, serial=serial)
+    return Link.open(address, timeout=timeout, serial=serial, lock=lock)
 
 
 def linked(own: Linked, *, serial_end: str = "\n") -> Conversation:
@@ -47,4 +50,4 @@ def linked(own: Linked, *, serial_end: str = "\n") -> Conversation:
     port = SerialPort(
         end=serial_end, baud_rate=own.baud_rate, flow_control=own.flow_control
     )
-    return open_link(own.address, timeout=own.timeout, serial=port)
+    return open_link(own.address, timeout=own.timeout, serial=port, lock=bool(own.lock))

@@ -57,6 +57,8 @@ class Link:
         A `pyvisa.ResourceManager`.
     serial : SerialPort
         How characters go, if the address is that of a serial port.
+    lock : bool
+        Whether the instrument's own lock is taken, and held until the link is closed.
 
     Notes
     -----
@@ -71,13 +73,17 @@ class Link:
         timeout: float,
         manager: Any,
         serial: SerialPort = SerialPort(),
+        lock: bool = False,
     ) -> None:
         self.address = address
+        self._lock = lock
         self._serial = serial if address.upper().startswith("ASRL") else None
         self._timeout = timeout
         self._manager = manager
         self._resource: Any = None
         self._open()
+        if lock:
+            self._take_lock()
 
     @classmethod
     def open(
@@ -86,6 +92,7 @@ class Link:
         *,
         timeout: float,
         serial: SerialPort = SerialPort(),
+        lock: bool = False,
     ) -> Link:
         """Open a link.
 
@@ -97,6 +104,8 @@ class Link:
             How long one answer may take [s].
         serial : SerialPort
             How characters go, if the address is that of a serial port.
+        lock : bool
+            Whether the instrument's own lock is taken.
 
         Returns
         -------
@@ -108,7 +117,7 @@ class Link:
         MissingExtraError
             If PyVISA is not installed.
         InstrumentError
-            If nothing can be reached there.
+            If nothing can be reached there, or another program has locked it.
         """
         try:
             pyvisa = importlib.import_module("pyvisa")
@@ -117,7 +126,7 @@ class Link:
                 "pyvisa", extra="acquire", purpose="talking to instruments"
             ) from None
         manager = pyvisa.ResourceManager()
-        return cls(address, timeout=timeout, manager=manager, serial=serial)
+        return cls(address, timeout=timeout, manager=manager, serial=serial, lock=lock)
 
     @property
     def resource(self) -> Any:
@@ -139,6 +148,10 @@ class Link:
         """Close the link and open it again."""
         self.close()
         self._open()
+        if self._lock:
+            # That of the old link may still stand: to be heard matters more.
+            with contextlib.suppress(Exception):
+                self._resource.lock_excl(0)
 
     def close(self) -> None:
         """Close the link; it may be called twice."""
@@ -163,6 +176,18 @@ class Link:
             raise InstrumentError(
                 f"nothing can be reached at {self.address}: {_reason(error)}; check "
                 "address, cable and power, and that no other program holds the link"
+            ) from error
+
+    def _take_lock(self) -> None:
+        """Take the lock that the instrument has, which ends with the link."""
+        try:
+            self._resource.lock_excl(0)
+        except Exception as error:  # as above
+            self.close()
+            raise InstrumentError(
+                f"{self.address} cannot be locked: {_reason(error)}; another program, "
+                "maybe on another computer, has it: wait for that, or stop it. If its "
+                "link has no locks, take lock out of the devices file"
             ) from error
 
     def _port_settings(self) -> dict[str, Any]:

@@ -40,6 +40,13 @@ class ScpiLaserSettings(Description):
     """Asked after light was let out; left out if the driver knows no such question."""
     no_error: str | None = None
     """What the answer begins with if there is none; "0" if left out."""
+    lock: str | None = None
+    """Asked first, for the right to drive it, such as "SYST:LOCK:REQ?"; not if left
+    out."""
+    lock_granted: str | None = None
+    """What the answer is if that is given; "1" if left out."""
+    unlock: str | None = None
+    """Sent at the end, such as "SYST:LOCK:REL"."""
 
 
 class ScpiSourceSettings(Description):
@@ -61,6 +68,13 @@ class ScpiSourceSettings(Description):
     """Asked after settings; left out if the generator knows no such question."""
     no_error: str = "+0"
     """What the answer begins with if there is none."""
+    lock: str | None = None
+    """Asked first, for the right to drive it, such as "SYST:LOCK:REQ?"; not if left
+    out."""
+    lock_granted: str | None = None
+    """What the answer is if that is given; "1" if left out."""
+    unlock: str | None = None
+    """Sent at the end, such as "SYST:LOCK:REL"."""
 
 
 class SourceSettings(Linked):

@@ -51,6 +51,23 @@ class Linked(Description):
     flow_control: Literal["none", "xon_xoff", "rts_cts", "dtr_dsr"] | None = None
     """Flow control of a serial port; what the VISA library takes, none, if left out."""
 
+    lock: Literal[True] | None = None
+    """true: the lock of the instrument itself is taken over VXI-11 or HiSLIP (VISA
+    names such as "TCPIP::10.0.0.5::INSTR"), so that no program on any computer can
+    drive it meanwhile, nor switch it off; nobody else is kept out if left out."""
+
+    @model_validator(mode="after")
+    def _only_these_links_have_locks(self) -> Self:
+        address = "" if self.address is None else self.address.upper()
+        if self.lock and not (
+            address.startswith("TCPIP") and address.endswith("::INSTR")
+        ):
+            raise ValueError(
+                f"lock needs VXI-11 or HiSLIP, but the address is {self.address!r}; "
+                "take it out, or state a name such as TCPIP::10.0.0.5::INSTR"
+            )
+        return self
+
     @model_validator(mode="after")
     def _only_serial_ports_have_it(self) -> Self:
         stated = [

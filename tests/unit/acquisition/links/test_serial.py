@@ -62,7 +62,10 @@ def test_baud_rate_and_flow_control_are_those_of_the_file(name) -> None:
 def test_each_device_is_linked_as_its_part_of_the_file_says(monkeypatch) -> None:
     asked = {}
 
-    def open_link(address: str, *, timeout: float, serial: SerialPort) -> object:
+    def open_link(
+        address: str, *, timeout: float, serial: SerialPort, lock: bool
+    ) -> object:
+        assert not lock
         asked[address] = serial
         raise InstrumentError("enough")
 
