@@ -4,51 +4,26 @@ from __future__ import annotations
 
 import contextlib
 import datetime
-import json
-import operator
 import sqlite3
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import MISSING, fields
 from pathlib import Path
 from typing import Any
 
 from amulor.acquisition.journal import file as journal_file
 from amulor.acquisition.journal.file import FILE_NAME, explained
 from amulor.acquisition.journal.record import Record
+from amulor.acquisition.journal.schema import (
+    INSERT,
+    KEY_NAMES,
+    RECORD_FIELDS,
+    SCHEMA_VERSION,
+    SINCE_LATER,
+    TABLES,
+    refuse_another,
+    row_of,
+)
 from amulor.acquisition.plan import Key
-from amulor.errors import FormatError, InstrumentError, SurveyError
-
-#: Raised when a journal of an older amulor can no longer be gone on with.
-SCHEMA_VERSION = "1"
-
-_KEY_COLUMNS = (
-    "kind TEXT NOT NULL, row INTEGER NOT NULL, column INTEGER NOT NULL, "
-    "frequency REAL NOT NULL, polarization TEXT NOT NULL, repeat INTEGER NOT NULL"
-)
-_KEY_NAMES = ", ".join(Key._fields)
-_RECORD_FIELDS = tuple(field.name for field in fields(Record))
-_RECORD_NAMES = ", ".join(_RECORD_FIELDS)
-#: What a journal of an older amulor may lack; added when it is gone on with.
-_SINCE_LATER = tuple(
-    field.name for field in fields(Record) if field.default is not MISSING
-)
-_RECORD_COLUMNS = ", ".join(
-    f"{field.name} "
-    + ("INTEGER" if field.type == "int" else "REAL")
-    + ("" if "None" in str(field.type) else " NOT NULL")
-    for field in fields(Record)
-)
-_VALUES = operator.attrgetter(*(field.name for field in fields(Record)))
-_PLACES = ", ".join("?" * (len(Key._fields) + len(fields(Record))))
-_INSERT = f"INSERT INTO samples ({_KEY_NAMES}, {_RECORD_NAMES}) VALUES ({_PLACES})"
-#: A journal is append-only: samples are inserted, never changed, never deleted.
-_TABLES = (
-    "CREATE TABLE meta (key TEXT PRIMARY KEY, value TEXT)",
-    f"CREATE TABLE samples (number INTEGER PRIMARY KEY, {_KEY_COLUMNS}, "
-    f"{_RECORD_COLUMNS}, UNIQUE ({_KEY_NAMES}))",
-    "CREATE TABLE segments (number INTEGER PRIMARY KEY, started TEXT, ended TEXT, "
-    "reason TEXT)",
-)
+from amulor.errors import FormatError
 
 
 class Journal:
@@ -138,7 +113,7 @@ class Journal:
         path = folder / FILE_NAME
         try:
             journal_file.make(
-                path, tables=_TABLES, meta={"journal_schema": SCHEMA_VERSION, **meta}
+                path, tables=TABLES, meta={"journal_schema": SCHEMA_VERSION, **meta}
             )
             return cls(folder, journal_file.writer(path), claim)
         except BaseException:
@@ -269,7 +244,7 @@ class Journal:
         """
         with explained(self._path):
             # Without an open transaction the statement is one of its own.
-            self._connection.execute(_INSERT, (*key, *_VALUES(record)))
+            self._connection.execute(INSERT, row_of(key, record))
 
     def commit_together(self, samples: Sequence[tuple[Key, Record]]) -> None:
         """Write the samples of one dwell; all of them survive, or none.
@@ -287,11 +262,11 @@ class Journal:
         if len(samples) == 1:
             self.commit(*samples[0])
             return
-        rows = [(*key, *_VALUES(record)) for key, record in samples]
+        rows = [row_of(key, record) for key, record in samples]
         with explained(self._path):
             self._connection.execute("BEGIN IMMEDIATE")
             try:
-                self._connection.executemany(_INSERT, rows)
+                self._connection.executemany(INSERT, rows)
                 self._connection.execute("COMMIT")
             except BaseException:
                 # On a full disk it may have been undone already.
@@ -302,21 +277,14 @@ class Journal:
     def keys(self) -> set[Key]:
         """Return the keys of all samples."""
         with explained(self._path):
-            rows = self._connection.execute(f"SELECT {_KEY_NAMES} FROM samples")
+            rows = self._connection.execute(f"SELECT {KEY_NAMES} FROM samples")
             return {Key(*row) for row in rows}
 
     def samples(self, kind: str) -> Iterator[tuple[Key, Record]]:
         """Yield the samples of one kind in the order in which they were taken."""
-        split = len(Key._fields)
         with explained(self._path):
-            there = self._columns()
-            known = [name for name in _RECORD_FIELDS if name in there]
-            names = ", ".join([_KEY_NAMES, *known])
-            for row in self._connection.execute(
-                f"SELECT {names} FROM samples WHERE kind = ? ORDER BY number", (kind,)
-            ):
-                values = dict(zip(known, row[split:], strict=True))
-                yield Key(*row[:split]), Record(**values)
+            for _, key, record in self._found("kind = ?", kind):
+                yield key, record
 
     def newer(self, than: int) -> list[tuple[int, Key, Record]]:
         """Return samples of all kinds that came after one, with their numbers.
@@ -332,22 +300,18 @@ class Journal:
             Number, key and record, in the order in which they were taken; read at
             once, so that no reader is left in the way of the writer.
         """
-        split = 1 + len(Key._fields)
         with explained(self._path):
-            there = self._columns()
-            known = [name for name in _RECORD_FIELDS if name in there]
-            names = ", ".join(["number", _KEY_NAMES, *known])
-            rows = self._connection.execute(
-                f"SELECT {names} FROM samples WHERE number > ? ORDER BY number", (than,)
-            ).fetchall()
-        return [
-            (
-                row[0],
-                Key(*row[1:split]),
-                Record(**dict(zip(known, row[split:], strict=True))),
-            )
-            for row in rows
-        ]
+            return [*self._found("number > ?", than)]
+
+    def _found(self, which: str, value: object) -> Iterator[tuple[int, Key, Record]]:
+        there = self._columns()
+        known = [name for name in RECORD_FIELDS if name in there]
+        names, split = ", ".join(["number", KEY_NAMES, *known]), len(Key._fields)
+        for number, *row in self._connection.execute(
+            f"SELECT {names} FROM samples WHERE {which} ORDER BY number", (value,)
+        ):
+            content = dict(zip(known, row[split:], strict=True))
+            yield number, Key(*row[:split]), Record(**content)
 
     def _columns(self) -> set[str]:
         rows = self._connection.execute("PRAGMA table_info(samples)")
@@ -357,7 +321,7 @@ class Journal:
         """Let a journal of an older amulor hold what is recorded now."""
         with explained(self._path):
             there = self._columns()
-            for name in _SINCE_LATER:
+            for name in SINCE_LATER:
                 if name not in there:
                     self._connection.execute(
                         f"ALTER TABLE samples ADD COLUMN {name} REAL"
@@ -432,39 +396,7 @@ class Journal:
         SurveyError, InstrumentError
             If the survey or the instrument is.
         """
-        result = self.meta()
-        version = result.get("journal_schema")
-        if version != SCHEMA_VERSION:
-            raise FormatError(
-                f"{self._path}: the journal has schema {version!r}, this amulor knows "
-                f"{SCHEMA_VERSION!r}; use the amulor that began the scan"
-            )
-        same = {"survey_digest": "", "instrument_digest": "", **result, **meta}
-        if result.get("survey_digest", "") != same["survey_digest"]:
-            raise SurveyError(
-                f"{self.folder} holds a scan of another survey "
-                f"({result['survey_digest'][:15]}..., now "
-                f"{meta['survey_digest'][:15]}...); go on with the survey.toml in that "
-                "folder, or name a new folder"
-            )
-        if result.get("instrument_digest", "") != same["instrument_digest"]:
-            other = _differences(result["identities"], meta["identities"])
-            raise InstrumentError(
-                f"{self.folder} holds a scan by other devices or another procedure: "
-                f"{other}; go on with the devices.toml in that folder, or name a new "
-                "folder"
-            )
-
-
-def _differences(before: str, now: str) -> str:
-    """Say which device of a scan is another one than before."""
-    old, new = json.loads(before), json.loads(now)
-    changed = [
-        f"{name} was {old.get(name, 'not there')}, is {new.get(name, 'not there')}"
-        for name in dict.fromkeys([*old, *new])
-        if old.get(name) != new.get(name)
-    ]
-    return "; ".join(changed) or "each device is the same, what it is told is not"
+        refuse_another(self.folder, self._path, self.meta(), meta)
 
 
 def _now() -> str:

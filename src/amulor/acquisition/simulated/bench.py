@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import cmath
+import importlib
 import math
 import threading
 from collections.abc import Mapping, Sequence
@@ -12,6 +13,7 @@ import numpy as np
 from amulor.acquisition.clock import Clock
 from amulor.acquisition.settings import SimulationSettings
 from amulor.acquisition.simulated.faults import Faults
+from amulor.acquisition.simulated.filtering import in_steps
 from amulor.acquisition.simulated.places import Places, Tone, mount_angles
 from amulor.acquisition.simulated.scene import Scene
 from amulor.acquisition.uncertainty import reading_variance
@@ -277,9 +279,7 @@ class Bench:
     ) -> None:
         """Begin to keep the outputs of every interval [s], from now or a moment on."""
         # Loaded before time counts.
-        from scipy.signal import lfilter
-
-        self._lfilter = lfilter
+        importlib.import_module("scipy.signal")
         with self._lock:
             self._advance()
             self._trace = []
@@ -302,30 +302,18 @@ class Bench:
             self._trace.append([tone.level + tone.noise for tone in self._tones])
             more = int((until - moment) / self._trace_interval * (1 - 1e-12))
             if (more := min(more, self._trace_most - len(self._trace))) > 0:
-                self._settle_in_steps(more)
+                self._trace += in_steps(
+                    self._tones,
+                    start=self._time,
+                    interval=self._trace_interval,
+                    count=more,
+                    time_constant=self._time_constant,
+                    spread=self._spread,
+                    settings=self._settings,
+                    rng=self._rng,
+                )
+                self._time += more * self._trace_interval
         self._settle(until)
-
-    def _settle_in_steps(self, count: int) -> None:
-        """Let time run on from one moment that is kept to so many more of them."""
-        keep = math.exp(-self._trace_interval / self._time_constant)
-        fresh = math.sqrt(max(1 - keep**2, 0.0)) * self._spread
-        moments = self._time + self._trace_interval * np.arange(1, count + 1)
-        turn = np.exp(1j * self._settings.phase_drift * moments)
-        columns = []
-        for tone in self._tones:
-            aim = tone.input * turn + self._settings.pickup
-            drawn = self._rng.standard_normal((2, count))
-            for name, enters in (
-                ("level", (1 - keep) * aim),
-                ("noise", fresh * (drawn[0] + 1j * drawn[1])),
-            ):
-                start = [keep * getattr(tone, name)]
-                left, _ = self._lfilter([1.0], [1.0, -keep], enters, zi=start)
-                setattr(tone, name, complex(left[-1]))
-                columns.append(left)
-        shown = np.stack(columns[::2], axis=1) + np.stack(columns[1::2], axis=1)
-        self._trace.extend(shown.tolist())
-        self._time = float(moments[-1])
 
     def _settle(self, until: float) -> None:
         """Let the one-pole filter and its noise run on to a time [s]."""

@@ -1,0 +1,106 @@
+"""What a journal looks like inside, and whether it is that of a scan that is meant."""
+
+from __future__ import annotations
+
+import json
+import operator
+from collections.abc import Mapping
+from dataclasses import MISSING, fields
+from pathlib import Path
+from typing import Any
+
+from amulor.acquisition.journal.record import Record
+from amulor.acquisition.plan import Key
+from amulor.errors import FormatError, InstrumentError, SurveyError
+
+#: Raised when a journal of an older amulor can no longer be gone on with.
+SCHEMA_VERSION = "1"
+
+_KEY_COLUMNS = (
+    "kind TEXT NOT NULL, row INTEGER NOT NULL, column INTEGER NOT NULL, "
+    "frequency REAL NOT NULL, polarization TEXT NOT NULL, repeat INTEGER NOT NULL"
+)
+KEY_NAMES = ", ".join(Key._fields)
+RECORD_FIELDS = tuple(field.name for field in fields(Record))
+_RECORD_NAMES = ", ".join(RECORD_FIELDS)
+#: What a journal of an older amulor may lack; added when it is gone on with.
+SINCE_LATER = tuple(
+    field.name for field in fields(Record) if field.default is not MISSING
+)
+_RECORD_COLUMNS = ", ".join(
+    f"{field.name} "
+    + ("INTEGER" if field.type == "int" else "REAL")
+    + ("" if "None" in str(field.type) else " NOT NULL")
+    for field in fields(Record)
+)
+_VALUES = operator.attrgetter(*(field.name for field in fields(Record)))
+_PLACES = ", ".join("?" * (len(Key._fields) + len(fields(Record))))
+INSERT = f"INSERT INTO samples ({KEY_NAMES}, {_RECORD_NAMES}) VALUES ({_PLACES})"
+#: A journal is append-only: samples are inserted, never changed, never deleted.
+TABLES = (
+    "CREATE TABLE meta (key TEXT PRIMARY KEY, value TEXT)",
+    f"CREATE TABLE samples (number INTEGER PRIMARY KEY, {_KEY_COLUMNS}, "
+    f"{_RECORD_COLUMNS}, UNIQUE ({KEY_NAMES}))",
+    "CREATE TABLE segments (number INTEGER PRIMARY KEY, started TEXT, ended TEXT, "
+    "reason TEXT)",
+)
+
+
+def row_of(key: Key, record: Record) -> tuple[Any, ...]:
+    """Return what `INSERT` takes."""
+    return (*key, *_VALUES(record))
+
+
+def refuse_another(
+    folder: Path, path: Path, result: Mapping[str, str], meta: Mapping[str, str]
+) -> None:
+    """Raise unless a journal is of this schema, and of the scan that is meant.
+
+    Parameters
+    ----------
+    folder, path : pathlib.Path
+        Of the scan and of its journal, for messages.
+    result : mapping
+        What the journal says.
+    meta : mapping
+        What is known now; what is left out is not compared.
+
+    Raises
+    ------
+    FormatError
+        If the schema is another one.
+    SurveyError, InstrumentError
+        If the survey or the instrument is.
+    """
+    version = result.get("journal_schema")
+    if version != SCHEMA_VERSION:
+        raise FormatError(
+            f"{path}: the journal has schema {version!r}, this amulor knows "
+            f"{SCHEMA_VERSION!r}; use the amulor that began the scan"
+        )
+    same = {"survey_digest": "", "instrument_digest": "", **result, **meta}
+    if result.get("survey_digest", "") != same["survey_digest"]:
+        raise SurveyError(
+            f"{folder} holds a scan of another survey "
+            f"({result['survey_digest'][:15]}..., now "
+            f"{meta['survey_digest'][:15]}...); go on with the survey.toml in that "
+            "folder, or name a new folder"
+        )
+    if result.get("instrument_digest", "") != same["instrument_digest"]:
+        other = _differences(result["identities"], meta["identities"])
+        raise InstrumentError(
+            f"{folder} holds a scan by other devices or another procedure: "
+            f"{other}; go on with the devices.toml in that folder, or name a new "
+            "folder"
+        )
+
+
+def _differences(before: str, now: str) -> str:
+    """Say which device of a scan is another one than before."""
+    old, new = json.loads(before), json.loads(now)
+    changed = [
+        f"{name} was {old.get(name, 'not there')}, is {new.get(name, 'not there')}"
+        for name in dict.fromkeys([*old, *new])
+        if old.get(name) != new.get(name)
+    ]
+    return "; ".join(changed) or "each device is the same, what it is told is not"
