@@ -9,19 +9,17 @@ import numpy as np
 import xarray as xr
 from matplotlib import colormaps
 from matplotlib.axes import Axes
-from matplotlib.colors import ListedColormap
 from matplotlib.figure import Figure
-from matplotlib.patches import Patch
 from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
-from amulor.cube import UNUSABLE
 from amulor.imaging import point_cloud
+from amulor.view.maps import Map, draw_maps, quality_map, usual_limits
 from amulor.view.style import (
     BRIGHTNESS_MAP,
     DIFFERENCE_MAP,
     DISTANCE_MAP,
-    MISSING_COLOUR,
+    ERROR_MAP,
     new_figure,
     style,
 )
@@ -42,36 +40,33 @@ def signal_images(cube: xr.Dataset, *, frequency: int = 0) -> Figure:
     Returns
     -------
     matplotlib.figure.Figure
-        One row for each channel.
+        Two maps for each channel.
     """
     channels = [str(value) for value in cube["polarization"].values]
     amplitude = cube.amulor.amplitude.values[frequency]
     phase = cube.amulor.phase.values[frequency]
-    with style():
-        figure = new_figure(7.2, 0.35 + 1.5 * len(channels))
-        axes = figure.subplots(len(channels), 2, squeeze=False)
-        for number, channel in enumerate(channels):
-            # Around the mean direction, so that no wrap cuts through the picture.
-            mean = np.angle(np.nansum(np.exp(1j * phase[number])))
-            turned = np.angle(np.exp(1j * (phase[number] - mean)))
-            _image(
-                axes[number, 0],
-                cube,
-                amplitude[number] * 1e3,
+    maps = []
+    for number, channel in enumerate(channels):
+        # Around the mean direction, so that no wrap cuts through the picture.
+        mean = np.angle(np.nansum(np.exp(1j * phase[number])))
+        turned = np.angle(np.exp(1j * (phase[number] - mean)))
+        maps += [
+            Map(
                 title=f"{channel}: amplitude",
+                values=amplitude[number] * 1e3,
                 label="mV",
                 colours=BRIGHTNESS_MAP,
                 limits=(0.0, float(np.nanmax(amplitude[number])) * 1e3),
-            )
-            _image(
-                axes[number, 1],
-                cube,
-                np.degrees(turned),
+            ),
+            Map(
                 title=f"{channel}: phase about its mean, {np.degrees(mean):.1f}°",
+                values=np.degrees(turned),
                 label="degrees",
                 colours=DISTANCE_MAP,
-            )
-    return figure
+            ),
+        ]
+    with style():
+        return draw_maps([(cube, drawn) for drawn in maps])
 
 
 def range_images(before: xr.Dataset, after: xr.Dataset) -> Figure:
@@ -87,41 +82,36 @@ def range_images(before: xr.Dataset, after: xr.Dataset) -> Figure:
     matplotlib.figure.Figure
         Four panels; both ranges in the same colours.
     """
-    with style():
-        figure = new_figure(7.2, 3.2)
-        axes = figure.subplots(2, 2)
-        ranges = [image["slant_range"].values * 1e3 for image in (before, after)]
-        limits = _limits(np.concatenate([values.ravel() for values in ranges]), 0.05)
-        for axis, image, values, name in zip(
-            axes[0], (before, after), ranges, ("before", "after"), strict=True
-        ):
-            _image(
-                axis,
-                image,
-                values,
+    ranges = [image["slant_range"].values * 1e3 for image in (before, after)]
+    limits = usual_limits(np.concatenate([values.ravel() for values in ranges]), 0.05)
+    moved = ranges[0] - ranges[1]
+    maps = [
+        *(
+            Map(
                 title=f"slant range {name} rejection",
+                values=values,
                 label="mm",
                 colours=DISTANCE_MAP,
                 limits=limits,
             )
-        _image(
-            axes[1, 0],
-            after,
-            after["slant_range_uncertainty"].values * 1e3,
+            for values, name in zip(ranges, ("before", "after"), strict=True)
+        ),
+        Map(
             title="uncertainty after rejection",
+            values=after["slant_range_uncertainty"].values * 1e3,
             label="mm",
-            colours="magma",
-        )
-        _image(
-            axes[1, 1],
-            after,
-            (ranges[0] - ranges[1]),
+            colours=ERROR_MAP,
+        ),
+        Map(
             title="moved by rejection (before - after)",
+            values=moved,
             label="mm",
             colours=DIFFERENCE_MAP,
-            limits=_even(ranges[0] - ranges[1]),
-        )
-    return figure
+            limits=_even(moved),
+        ),
+    ]
+    with style():
+        return draw_maps([(after, drawn) for drawn in maps])
 
 
 def image_overview(image: xr.Dataset) -> Figure:
@@ -137,29 +127,24 @@ def image_overview(image: xr.Dataset) -> Figure:
     matplotlib.figure.Figure
         Four panels.
     """
+    panels = (
+        ("slant range", "slant_range", "mm", DISTANCE_MAP),
+        ("uncertainty", "slant_range_uncertainty", "mm", ERROR_MAP),
+        ("brightness", "intensity", "mV", BRIGHTNESS_MAP),
+    )
+    maps = [
+        Map(title=title, values=image[name].values * 1e3, label=label, colours=colours)
+        for title, name, label, colours in panels
+    ]
     with style():
-        figure = new_figure(7.2, 3.2)
-        axes = figure.subplots(2, 2)
-        panels = (
-            ("slant range", image["slant_range"].values * 1e3, "mm", DISTANCE_MAP),
-            (
-                "uncertainty",
-                image["slant_range_uncertainty"].values * 1e3,
-                "mm",
-                "magma",
-            ),
-            ("brightness", image["intensity"].values * 1e3, "mV", BRIGHTNESS_MAP),
-        )
-        for axis, (title, values, label, colours) in zip(
-            axes.ravel(), panels, strict=False
-        ):
-            _image(axis, image, values, title=title, label=label, colours=colours)
-        _quality(axes[1, 1], image)
-    return figure
+        return draw_maps([(image, drawn) for drawn in (*maps, quality_map(image))])
 
 
 def profiles(images: Mapping[str, Mapping[str, xr.Dataset]]) -> Figure:
     """Draw all rows of range images over each other, as line profiles.
+
+    Of more rows than can be told apart, the median and the bands that hold 68 and 95
+    of 100 rows are drawn.
 
     Parameters
     ----------
@@ -182,9 +167,7 @@ def profiles(images: Mapping[str, Mapping[str, xr.Dataset]]) -> Figure:
                 axis = axes[row, column]
                 letter = chr(ord("a") + row * len(images) + column)
                 across, height = _heights(by_stage[stage])
-                axis.plot(
-                    across.T, height.T, color=_stage_colour(row), lw=0.4, alpha=0.35
-                )
+                _rows_of(axis, across, height, _stage_colour(row))
                 name = f"{case}, {stage}" if len(stages) > 1 else case
                 axis.set_title(f"({letter}) {name}" if len(images) > 1 else name)
                 axis.grid(lw=0.3, color="#dddddd")
@@ -193,7 +176,9 @@ def profiles(images: Mapping[str, Mapping[str, xr.Dataset]]) -> Figure:
         for axis in axes[:, 0]:
             axis.set_ylabel("nearer [mm]")
         bounds = [_heights(by[stages[-1]])[1] for by in images.values()]
-        axes[0, 0].set_ylim(_limits(np.concatenate([b.ravel() for b in bounds]), 0.5))
+        axes[0, 0].set_ylim(
+            usual_limits(np.concatenate([b.ravel() for b in bounds]), 0.5)
+        )
     return figure
 
 
@@ -215,7 +200,7 @@ def surfaces(images: Mapping[str, xr.Dataset]) -> Figure:
     with style():
         figure = new_figure(3.6 * columns, 2.75 * rows)
         heights = [_grid(image)[2] for image in images.values()]
-        low, high = _limits(np.concatenate([h.ravel() for h in heights]), 0.25)
+        low, high = usual_limits(np.concatenate([h.ravel() for h in heights]), 0.25)
         for number, (title, image) in enumerate(images.items()):
             axis: Any = figure.add_subplot(rows, columns, number + 1, projection="3d")
             x, y, z = _grid(image)
@@ -237,88 +222,25 @@ def surfaces(images: Mapping[str, xr.Dataset]) -> Figure:
             axis.set_zlabel("nearer [mm]", labelpad=-3)
             axis.set_zlim(low, high)
             axis.set_ylim(float(np.nanmin(-y)), float(np.nanmax(-y)))
-            axis.yaxis.set_major_locator(MaxNLocator(3))
-            axis.zaxis.set_major_locator(MaxNLocator(5))
             axis.tick_params(pad=-2, labelsize=6)
             axis.view_init(elev=30, azim=-72)
             spans = [np.ptp(x), max(np.ptp(y), 0.4 * np.ptp(x)), 0.6 * np.ptp(x)]
             axis.set_box_aspect(spans, zoom=1.02)
+            # As many numbers as an axis of its length has room for.
+            for span, ruler in zip(
+                spans, (axis.xaxis, axis.yaxis, axis.zaxis), strict=True
+            ):
+                room = int(7 * span / max(spans))
+                ruler.set_major_locator(MaxNLocator(max(1, room)))
     return figure
 
 
-def _image(
-    axis: Axes,
-    cube: xr.Dataset,
-    values: Floats,
-    *,
-    title: str,
-    label: str,
-    colours: str,
-    limits: tuple[float, float] | None = None,
-) -> None:
-    low, high = limits or _limits(values)
-    palette = colormaps[colours].with_extremes(bad=MISSING_COLOUR)
-    azimuth = np.degrees(cube["azimuth"].values)
-    elevation = np.degrees(cube["elevation"].values)
-    flat = np.ptp(azimuth) == 0 or np.ptp(elevation) == 0
-    extent = (
-        None
-        if flat
-        else (azimuth[0, 0], azimuth[0, -1], elevation[-1, 0], elevation[0, 0])
-    )
-    drawn = axis.imshow(
-        values, cmap=palette, vmin=low, vmax=high, extent=extent, interpolation="none"
-    )
-    axis.set_title(title)
-    axis.set_xlabel("column" if flat else "azimuth [°]")
-    axis.set_ylabel("row" if flat else "elevation [°]")
-    assert axis.figure is not None
-    bar = axis.figure.colorbar(drawn, ax=axis, shrink=0.9, pad=0.02)
-    bar.set_label(label)
-    bar.outline.set_linewidth(0.4)
-
-
-def _quality(axis: Axes, image: xr.Dataset) -> None:
-    """Draw which pixels are good, doubtful or unusable."""
-    flag = image["quality_flag"].values
-    state = np.where(flag == 0, 0, np.where((flag & UNUSABLE) == 0, 1, 2))
-    axis.imshow(
-        state,
-        cmap=ListedColormap(list(_QUALITY.values())),
-        vmin=0,
-        vmax=2,
-        interpolation="none",
-    )
-    axis.set_title("quality")
-    axis.set_xlabel("column")
-    axis.set_ylabel("row")
-    patches = [
-        Patch(facecolor=colour, edgecolor="#999999", linewidth=0.4, label=name)
-        for name, colour in _QUALITY.items()
-    ]
-    axis.legend(
-        handles=patches, loc="upper center", bbox_to_anchor=(0.5, -0.45), ncols=3
-    )
-
-
-_QUALITY = {"good": "#ffffff", "doubtful": "#E69F00", "no range": "#5d6f79"}
-
-#: Fraction of the pixels on either side that limits may leave out [%].
-_STRAY = 3.5
-
-
-def _limits(values: Floats, margin: float = 0.0) -> tuple[float, float]:
-    """Return limits that a few stray pixels do not stretch."""
-    finite = values[np.isfinite(values)]
-    if finite.size == 0:
-        return 0.0, 1.0
-    low, high = np.percentile(finite, [_STRAY, 100 - _STRAY])
-    room = max(high - low, 1e-9)
-    return float(low - margin * room), float(high + margin * room)
+#: More rows than these are drawn as a band [1].
+_MOST_LINES = 60
 
 
 def _even(values: Floats) -> tuple[float, float]:
-    low, high = _limits(values)
+    low, high = usual_limits(values)
     size = max(abs(low), abs(high), 1e-9)
     return -size, size
 
@@ -341,6 +263,28 @@ def _grid(image: xr.Dataset) -> tuple[Floats, Floats, Floats]:
     y = np.where(np.isfinite(y), y, -far * np.tan(elevation))
     deepest = np.nanpercentile(z, 98) if np.isfinite(z).any() else 0.0
     return x, y, deepest - z
+
+
+def _rows_of(axis: Axes, across: Floats, height: Floats, colour: str) -> None:
+    """Draw rows as lines, or many of them as a band."""
+    if len(height) <= _MOST_LINES:
+        axis.plot(across.T, height.T, color=colour, lw=0.4, alpha=0.35)
+        return
+    there = np.isfinite(height).sum(axis=0) > 0.02 * len(height)
+    if not there.any():
+        return
+    right = np.median(across[:, there], axis=0)
+    low, under, middle, over, high = np.nanquantile(
+        height[:, there], [0.025, 0.16, 0.5, 0.84, 0.975], axis=0
+    )
+    gap = np.flatnonzero(np.diff(np.flatnonzero(there)) > 1) + 1
+    right, low, under, middle, over, high = (
+        np.insert(values, gap, np.nan)
+        for values in (right, low, under, middle, over, high)
+    )
+    axis.fill_between(right, low, high, color=colour, alpha=0.18, lw=0)
+    axis.fill_between(right, under, over, color=colour, alpha=0.35, lw=0)
+    axis.plot(right, middle, color=colour, lw=0.8)
 
 
 def _heights(image: xr.Dataset) -> tuple[Floats, Floats]:

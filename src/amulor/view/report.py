@@ -214,7 +214,26 @@ th:first-child, td:first-child { text-align: left; }
 thead th { border-bottom: 2px solid var(--ink); font-weight: 600; }
 .interactive iframe { width: 100%; height: 30rem; border: 1px solid var(--line);
   border-radius: 8px; }
-@media print { .interactive { display: none; } }
+@page { size: A4; margin: 16mm 14mm 18mm; }
+@page { @bottom-right { content: counter(page) " / " counter(pages);
+  font: 8pt sans-serif; color: #5d6f79; } }
+@media print {
+  .interactive { display: none; }
+  body { background: #fff; font-size: 10pt; }
+  main { max-width: none; margin: 0; padding: 0; box-shadow: none; }
+  p, figcaption, caption { max-width: none; orphans: 3; widows: 3; }
+  h1 { font-size: 16pt; }
+  h2 { font-size: 12pt; margin-top: 1.4rem; break-after: avoid; }
+  figure, .table { break-inside: avoid; }
+  thead { display: table-header-group; }
+  tr { break-inside: avoid; }
+  .table { overflow: visible; }
+  table { font-size: 8pt; width: 100%; }
+  th, td { white-space: normal; padding: .2rem .35rem; vertical-align: top; }
+  details { display: block; border: 0; padding: 0; }
+  details:not([open])::details-content { content-visibility: visible; display: block; }
+  pre { white-space: pre-wrap; overflow-wrap: anywhere; font-size: 6.5pt; }
+}
 .warning { color: #b03a00; font-weight: 600; }
 details { margin: .6rem 0; border: 1px solid var(--line); border-radius: 6px;
   padding: .4rem .8rem; }

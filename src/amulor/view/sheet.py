@@ -18,7 +18,13 @@ from scipy import ndimage
 
 from amulor.errors import FormatError
 from amulor.imaging.products import Contour, Raster
-from amulor.view.style import BRIGHTNESS_MAP, DIFFERENCE_MAP, DISTANCE_MAP, style
+from amulor.view.style import (
+    BRIGHTNESS_MAP,
+    DIFFERENCE_MAP,
+    DISTANCE_MAP,
+    ERROR_MAP,
+    style,
+)
 
 Floats = NDArray[np.float64]
 Shown = Literal["amplitude", "height", "relief", "uncertainty", "deviation"]
@@ -42,7 +48,7 @@ _COLOURS = {
     "amplitude": BRIGHTNESS_MAP,
     "height": DISTANCE_MAP,
     "relief": BRIGHTNESS_MAP,
-    "uncertainty": "cividis",
+    "uncertainty": ERROR_MAP,
     "deviation": DIFFERENCE_MAP,
 }
 

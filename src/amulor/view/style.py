@@ -12,8 +12,10 @@ from matplotlib.figure import Figure
 
 #: Okabe and Ito's colours, in the order in which lines take them.
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
-#: For distances, for brightness, for signed differences.
+#: Each means one thing, in every figure, sheet and page: distances, brightness, signed
+#: differences, and uncertainties.
 DISTANCE_MAP, BRIGHTNESS_MAP, DIFFERENCE_MAP = "viridis", "gray", "RdBu_r"
+ERROR_MAP = "cividis"
 #: Pixels without a value.
 MISSING_COLOUR = "#d9d9d9"
 

@@ -1,5 +1,6 @@
 """Lengths, angles, areas and shapes measured in range images, with their errors."""
 
+from amulor.imaging.measure.checks import Check, Checked, compared, read_checks
 from amulor.imaging.measure.figures import (
     Measurement,
     Pixel,
@@ -13,6 +14,8 @@ from amulor.imaging.measure.points import Points, points_of
 from amulor.imaging.measure.sharing import reference_basis
 
 __all__ = [
+    "Check",
+    "Checked",
     "Fit",
     "Measurement",
     "Pixel",
@@ -20,11 +23,13 @@ __all__ = [
     "angle",
     "area",
     "circle",
+    "compared",
     "cylinder",
     "distance",
     "height",
     "plane",
     "points_of",
+    "read_checks",
     "reference_basis",
     "sphere",
 ]
