@@ -57,6 +57,9 @@ COMMANDS = {
     "watch": (
         "watch:watch",
         "Watch a scan in the terminal: picture, rate, drift, what to do.",
+    "archive": (
+        "archive:archive",
+        "Write the archive folder of a project, or check one.",
     ),
     "report": ("report:report", "Draw range images into one HTML file."),
     "reproduce ricci2010": (

@@ -1,0 +1,79 @@
+"""`amulor archive`: the folder that heritage archives ask for, and its validator."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+from cyclopts import Parameter
+
+from amulor.cli._arguments import UsageError
+from amulor.cli._output import print_json, progress_bar
+from amulor.errors import FormatError
+
+
+def archive(
+    project: Path | None = None,
+    /,
+    *,
+    output: Annotated[Path | None, Parameter(alias="-o")] = None,
+    check: Path | None = None,
+    json: Annotated[bool, Parameter(negative="")] = False,
+) -> None:
+    """Write the archive folder of a project, or check one.
+
+    Parameters
+    ----------
+    project
+        Description of the project (TOML): sections [project], [registration], and a
+        table [[scans]] for each scan.
+    output
+        Folder to make; must not be there.
+    check
+        An archive to look through instead: names what is missing, and ends with 1 if
+        anything is.
+    json
+        Print the result for other programs.
+    """
+    if check is not None:
+        if project is not None or output is not None:
+            raise UsageError("--check looks at an archive; give no project or --output")
+        _look_through(check, json=json)
+        return
+    if project is None or output is None:
+        raise UsageError(
+            "name a project file and the folder to make (--output), or an archive to "
+            "look through (--check)"
+        )
+    from amulor import _extras
+    from amulor.handover.archive import read_project, write_archive
+
+    if output.exists():
+        raise FormatError(f"{output} exists already; choose another name")
+    described = read_project(project)
+    _extras.require("export", purpose="the archive")
+    with progress_bar(quiet=json) as progress:
+        counts = write_archive(described, output, progress=progress)
+    if json:
+        print_json({"folder": output, **counts})
+        return
+    scans = f"{counts['scans']} scan{'s' if counts['scans'] > 1 else ''}"
+    print(f"{output}: {scans}, {counts['points']} points, {counts['files']} files")
+
+
+def _look_through(folder: Path, *, json: bool) -> None:
+    from amulor.handover.archive import missing_of
+
+    with progress_bar(quiet=json) as progress:
+        progress("comparing checksums", 0.0)
+        found = missing_of(folder)
+    if json:
+        print_json({"folder": folder, "complete": not found, "missing": found})
+    if found:
+        raise FormatError(
+            "\n".join(found)
+            if not json
+            else f"{folder}: {len(found)} things are missing"
+        )
+    if not json:
+        print(f"{folder}: complete, all checksums agree")

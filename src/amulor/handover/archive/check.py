@@ -1,0 +1,215 @@
+"""Names what is missing or wrong in an archive, by reading nothing but its files."""
+
+from __future__ import annotations
+
+import csv
+import re
+from collections.abc import Mapping, Sequence
+from pathlib import Path, PurePosixPath
+
+import numpy as np
+
+from amulor.errors import FormatError
+from amulor.handover.archive import layout
+
+#: Names that every file system and archive takes.
+_PORTABLE = re.compile(r"^[A-Za-z0-9][A-Za-z0-9._-]*$")
+#: What the first bytes of registered clouds are.
+_SIGNATURES = {".laz": b"LASF", ".las": b"LASF", ".e57": b"ASTM-E57"}
+
+
+def missing_of(folder: Path) -> list[str]:
+    """Return what an archive lacks.
+
+    Parameters
+    ----------
+    folder : pathlib.Path
+        An archive, from `write_archive` or made by hand in its form.
+
+    Returns
+    -------
+    list of str
+        One line for each thing that is missing or wrong; empty for a whole archive.
+
+    Raises
+    ------
+    FormatError
+        If there is no such folder.
+
+    Notes
+    -----
+    Looked for are: the tables with all their fields; for each scan its raw files, its
+    registered clouds with as many points as are stated, its matrix, which must be a
+    turn and a shift; a checksum of every file, and no file without; names that all file
+    systems take.
+    """
+    if not folder.is_dir():
+        raise FormatError(f"{folder} is no folder; name an archive")
+    found: list[str] = []
+    if not (folder / layout.README).is_file():
+        found.append(f"{layout.README} is missing: what the folder holds, in words")
+    project = _field_table(folder, layout.PROJECT, layout.PROJECT_FIELDS, found)
+    registration = _field_table(
+        folder, layout.REGISTRATION, layout.REGISTRATION_FIELDS, found
+    )
+    scans = _scan_table(folder, found)
+    for field, table in (("project", project), ("registration", registration)):
+        stated = table.get("number of scans", "")
+        if scans and stated and stated != str(len(scans)):
+            found.append(
+                f"{field}.csv: states {stated} scans, but {layout.SCANS} has "
+                f"{len(scans)}"
+            )
+    for scan in scans:
+        found += _scan_problems(folder, scan)
+    found += _file_problems(folder)
+    return found
+
+
+def _field_table(
+    folder: Path, name: str, fields: Sequence[str], found: list[str]
+) -> dict[str, str]:
+    """Read a table of fields and values, and note those that are missing."""
+    rows = _rows(folder, name, found)
+    values = {row.get("field") or "": (row.get("value") or "").strip() for row in rows}
+    if rows:
+        found += [
+            f"{name}: the field '{field}' is "
+            f"{'empty' if field in values else 'missing'}"
+            for field in fields
+            if not values.get(field)
+        ]
+    return values
+
+
+def _scan_table(folder: Path, found: list[str]) -> list[Mapping[str, str]]:
+    rows = _rows(folder, layout.SCANS, found)
+    for number, row in enumerate(rows):
+        name = row.get("scan") or f"number {number + 1}"
+        found += [
+            f"{layout.SCANS}: scan {name}: the field '{field}' is "
+            f"{'empty' if field in row else 'missing'}"
+            for field in layout.SCAN_FIELDS
+            if not (row.get(field) or "").strip()
+        ]
+    return rows
+
+
+def _rows(folder: Path, name: str, found: list[str]) -> list[Mapping[str, str]]:
+    path = folder / name
+    if not path.is_file():
+        found.append(f"{name} is missing")
+        return []
+    try:
+        with path.open(encoding="utf-8", newline="") as file:
+            rows: list[Mapping[str, str]] = list(csv.DictReader(file))
+    except (OSError, UnicodeDecodeError, csv.Error) as error:
+        found.append(f"{name} cannot be read: {error}")
+        return []
+    if not rows:
+        found.append(f"{name} has no line")
+    return rows
+
+
+def _scan_problems(folder: Path, scan: Mapping[str, str]) -> list[str]:
+    name = scan.get("scan") or "?"
+    found = []
+    for field, what in (("raw files", "raw"), ("registered cloud", "registered cloud")):
+        for text in (part.strip() for part in (scan.get(field) or "").split(";")):
+            if text and not _inside(folder, text):
+                found.append(f"scan {name}: {what} {text} is not in the archive")
+    matrix = (scan.get("matrix") or "").strip()
+    if matrix and not _inside(folder, matrix):
+        found.append(f"scan {name}: its matrix {matrix} is not in the archive")
+    elif matrix:
+        found += [f"scan {name}: {problem}" for problem in _matrix(folder / matrix)]
+    for text in (
+        part.strip() for part in (scan.get("registered cloud") or "").split(";")
+    ):
+        if text and _inside(folder, text):
+            found += [
+                f"scan {name}: {problem}"
+                for problem in _cloud(folder / text, text, scan.get("points") or "")
+            ]
+    return found
+
+
+def _matrix(path: Path) -> list[str]:
+    try:
+        matrix = np.loadtxt(path)
+    except (OSError, ValueError, UnicodeDecodeError):
+        return [f"the matrix {path.name} is no table of numbers"]
+    if matrix.shape != (4, 4) or not np.isfinite(matrix).all():
+        return [f"the matrix {path.name} is not of 4 x 4 finite numbers"]
+    turn = matrix[:3, :3]
+    whole = np.allclose(turn @ turn.T, np.eye(3), atol=1e-6)
+    if not whole or np.linalg.det(turn) < 0 or not np.allclose(matrix[3], [0, 0, 0, 1]):
+        return [
+            f"the matrix {path.name} is no turn and shift: it scales, mirrors or shears"
+        ]
+    return []
+
+
+def _cloud(path: Path, name: str, points: str) -> list[str]:
+    ending = path.suffix.lower()
+    if ending in _SIGNATURES:
+        with path.open("rb") as file:
+            start = file.read(8)
+        if not start.startswith(_SIGNATURES[ending]):
+            return [f"{name} is no {ending.removeprefix('.').upper()} file"]
+        return []
+    if ending != ".xyz":
+        return []
+    with path.open("rb") as file:
+        count = sum(1 for line in file if line.strip() and not line.startswith(b"#"))
+    if points.isdigit() and count != int(points):
+        return [f"{name} has {count} points, {layout.SCANS} says {points}"]
+    return []
+
+
+def _file_problems(folder: Path) -> list[str]:
+    """Return what is wrong with names and checksums."""
+    present = {
+        path.relative_to(folder).as_posix(): path
+        for path in sorted(folder.rglob("*"))
+        if path.is_file()
+    }
+    found = [
+        f"{name}: the name is not portable; use letters, digits, point, - and _"
+        for name in present
+        if not all(_PORTABLE.match(part) for part in PurePosixPath(name).parts)
+    ]
+    manifest = present.pop(layout.MANIFEST, None)
+    if manifest is None:
+        return [*found, f"{layout.MANIFEST} is missing: the checksums of all files"]
+    listed: dict[str, str] = {}
+    for line in manifest.read_text(encoding="utf-8", errors="replace").splitlines():
+        digest, _, name = line.partition("  ")
+        if not re.fullmatch(r"[0-9a-f]{64}", digest) or not name:
+            found.append(f"{layout.MANIFEST}: a line is no checksum: {line[:60]!r}")
+            continue
+        listed[name] = digest
+    found += [
+        f"{name} is missing, the manifest lists it"
+        for name in listed
+        if name not in present
+    ]
+    found += [
+        f"{name} has no checksum in the manifest"
+        for name in present
+        if name not in listed
+    ]
+    found += [
+        f"{name} is damaged or changed: its checksum differs"
+        for name, path in present.items()
+        if name in listed and layout.digest_of(path) != listed[name]
+    ]
+    return found
+
+
+def _inside(folder: Path, name: str) -> bool:
+    """Return whether a path of a table names something in the archive."""
+    path = PurePosixPath(name)
+    if path.is_absolute() or ".." in path.parts:
+        return False
+    return (folder / path).exists()

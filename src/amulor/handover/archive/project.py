@@ -1,0 +1,156 @@
+"""The file that describes a project for its archive."""
+
+from __future__ import annotations
+
+import datetime
+from pathlib import Path
+from typing import Annotated, Self
+
+from pydantic import Field, model_validator
+
+from amulor.errors import SurveyError
+from amulor.survey import Pose, toml_file
+from amulor.survey.quantity import Description, Length
+
+_Text = Annotated[str, Field(min_length=1, max_length=2000)]
+#: Names that file systems and archives all take.
+_Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_-]{0,59}$")]
+
+
+class About(Description):
+    """What was surveyed, where, when, by whom and with what."""
+
+    name: _Name
+    """Name of the project, the start of file names: letters, digits, - and _."""
+    title: _Text
+    """What it is about, in a line."""
+    monument: _Text
+    """Name of the monument or object, and its number in a register."""
+    place: _Text
+    """Where it is, with coordinates or a grid reference."""
+    first_day: datetime.date
+    """First day of the survey."""
+    last_day: datetime.date
+    """Last day of the survey."""
+    conditions: _Text
+    """Conditions: depth, visibility, temperature, light, currents."""
+    scanner: _Text
+    """Make and model of the instrument."""
+    serial_number: _Text
+    """Its serial number."""
+    operator: _Text
+    """Who measured: person and organisation."""
+    control_data: _Text
+    """Control that was measured: points, scale bars, or "none"."""
+    purpose: _Text
+    """Why it was surveyed."""
+    copyright: _Text
+    """Who holds the rights, and under which licence it may be used."""
+    notes: str = ""
+    """Anything else."""
+
+    @model_validator(mode="after")
+    def _days_in_order(self) -> Self:
+        if self.last_day < self.first_day:
+            raise ValueError(
+                f"last_day ({self.last_day}) lies before first_day ({self.first_day})"
+            )
+        return self
+
+
+class ScanFiles(Description):
+    """One scan of the project."""
+
+    name: _Name
+    """Name of the scan: letters, digits, - and _."""
+    image: Path
+    """Its range image (netCDF), beside the project file unless the path is whole."""
+    raw: Annotated[tuple[Path, ...], Field(min_length=1)]
+    """What was recorded: samples (netCDF), or the folder of a scan with its journal."""
+    pose: Pose | None = None
+    """Where the instrument stood; that of the scan's survey by default."""
+    material: str = ""
+    """Surface that was scanned."""
+    notes: str = ""
+    """Anything else."""
+
+
+class Registration(Description):
+    """How the scans were brought into one frame."""
+
+    method: _Text
+    """Such as "targets", "cloud to cloud", or "single scan, not registered"."""
+    rms_error: Annotated[Length, Field(ge=0)] | None = None
+    """Global root mean square error; needed for more than one scan [m]."""
+    points: Annotated[int, Field(ge=0)] = 0
+    """Control points or targets that were used [1]."""
+    software: str = ""
+    """Program that registered the scans."""
+    notes: str = ""
+    """Anything else."""
+
+
+class Project(Description):
+    """All that an archive of scans needs to be told."""
+
+    project: About
+    """What was surveyed."""
+    registration: Registration
+    """How the scans were brought together."""
+    scans: Annotated[tuple[ScanFiles, ...], Field(min_length=1, max_length=999)]
+    """The scans, in order."""
+
+    @model_validator(mode="after")
+    def _scans_have_names_of_their_own(self) -> Self:
+        names = [scan.name.lower() for scan in self.scans]
+        twice = sorted({name for name in names if names.count(name) > 1})
+        if twice:
+            raise ValueError(f"scans have the same name: {', '.join(twice)}")
+        return self
+
+    @model_validator(mode="after")
+    def _registration_states_its_error(self) -> Self:
+        if len(self.scans) > 1 and self.registration.rms_error is None:
+            raise ValueError(
+                "registration.rms_error is missing, the global root mean square error "
+                'of more than one scan; state it, such as "2 mm"'
+            )
+        return self
+
+
+def read_project(path: Path) -> Project:
+    """Read the description of a project.
+
+    Parameters
+    ----------
+    path : pathlib.Path
+        TOML file; the files that it names are looked for beside it.
+
+    Returns
+    -------
+    Project
+        With whole paths.
+
+    Raises
+    ------
+    SurveyError
+        With one line for each thing that is wrong, or file that is not there.
+    """
+    text = toml_file.text_of(path, error=SurveyError)
+    project = toml_file.described(
+        text, Project, name=str(path), what="a project", error=SurveyError
+    )
+    scans, wrong = [], []
+    for number, scan in enumerate(project.scans):
+        files = {"image": path.parent / scan.image}
+        files |= {f"raw[{n}]": path.parent / raw for n, raw in enumerate(scan.raw)}
+        wrong += [
+            f"{path}: scans[{number}].{field}: {file} does not exist; check the name"
+            for field, file in files.items()
+            if not (file.exists() if field != "image" else file.is_file())
+        ]
+        image, *raw = files.values()
+        scans.append(scan.model_copy(update={"image": image, "raw": tuple(raw)}))
+    if wrong:
+        raise SurveyError("\n".join(wrong))
+    return project.model_copy(update={"scans": tuple(scans)})
