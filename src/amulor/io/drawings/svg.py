@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import textwrap
 from pathlib import Path
 from xml.sax.saxutils import escape
 
@@ -18,6 +19,8 @@ Floats = NDArray[np.float64]
 # Colours of Okabe and Ito, a layer each; sizes on paper [mm].
 _COLOURS = ("#000000", "#0072B2", "#D55E00", "#009E73", "#CC79A7")
 _MARGIN, _LETTERS, _THICK = 15.0, 2.6, 0.25
+#: Letters of a line of statements: the width of a page [1].
+_LINE = 105
 #: Longest sheet that is still printed [mm].
 _LONGEST = 5000.0
 
@@ -51,11 +54,20 @@ def write_svg(
     drawing = checked(drawing, name=str(path))
     left, right, low, high = drawing.limits
     to_paper = 1000.0 / scale
-    widest = max(map(len, (drawing.title, *drawing.statements))) * _LETTERS * 0.55
+    notes = [
+        line
+        for statement in (
+            f"{drawing.axes[0]} {left:.3f} to {right:.3f} m, "
+            f"{drawing.axes[1]} {low:.3f} to {high:.3f} m",
+            *drawing.statements,
+        )
+        for line in textwrap.wrap(statement, _LINE, subsequent_indent="\u2003")
+    ]
+    widest = max(map(len, (drawing.title, *notes))) * _LETTERS * 0.55
     bar = bar_length(right - left, scale)
     width = max((right - left) * to_paper, bar * to_paper, widest) + 2 * _MARGIN
-    notes = 4 + len(drawing.statements)
-    height = (high - low) * to_paper + 2 * _MARGIN + notes * 1.5 * _LETTERS + 12
+    written = (4 + len(notes)) * 1.5 * _LETTERS
+    height = (high - low) * to_paper + 2 * _MARGIN + written + 12
     if max(width, height) > _LONGEST:
         raise FormatError(
             f"{path}: at 1:{scale:g} the sheet would be {max(width, height) / 1e3:.1f} "
@@ -87,15 +99,10 @@ def write_svg(
         body.append("</g>")
     below = (high - low) * to_paper + _MARGIN + 8
     body += _scale_bar(bar, to_paper, below, scale)
-    lines = [
-        f"{drawing.axes[0]} {left:.3f} to {right:.3f} m, "
-        f"{drawing.axes[1]} {low:.3f} to {high:.3f} m",
-        *drawing.statements,
-    ]
     body.append(_text(drawing.title, below + 12, bold=True))
     body += [
         _text(text, below + 12 + (number + 1) * 1.5 * _LETTERS)
-        for number, text in enumerate(lines)
+        for number, text in enumerate(notes)
     ]
     with atomic_output(Path(path), overwrite=overwrite) as temporary:
         temporary.write_text(

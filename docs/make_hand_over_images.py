@@ -1,0 +1,77 @@
+"""Draws docs/images/hand-over: what the commands of docs/how-to/hand-over.md write.
+
+Needs the Chromium of the system, which shows the SVG files.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import re
+import shutil
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+
+import numpy as np
+from matplotlib import image as pictures
+
+from amulor.cli import main
+
+ROOT = Path(__file__).parents[1]
+PAGE = ROOT / "docs" / "how-to" / "hand-over.md"
+FOLDER = ROOT / "docs" / "images" / "hand-over"
+#: Picture, the file that a command writes, and its size on screen.
+PICTURES = {
+    "amphora": ("amphora.svg", (820, 1150)),
+    "ladder": ("ladder_heights.svg", (1150, 820)),
+    "section": ("section.svg", (1000, 620)),
+    "deviation": ("deviation.svg", (820, 1150)),
+}
+
+
+def commands() -> list[str]:
+    """Return the commands of the page that make drawings, and what they need."""
+    words = re.findall(r"^\$ amulor (.+)$", PAGE.read_text("utf-8"), flags=re.MULTILINE)
+    return [line for line in words if not line.startswith(("archive", "report"))]
+
+
+def draw(browser: str) -> None:
+    """Run the commands and take a picture of each drawing."""
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        shutil.copytree(ROOT / "examples" / "amphora", folder / "examples" / "amphora")
+        with contextlib.chdir(folder):
+            for line in commands():
+                if main(line.split()) != 0:
+                    sys.exit(f"failed: {line}")
+        FOLDER.mkdir(parents=True, exist_ok=True)
+        for picture, (file, (width, height)) in PICTURES.items():
+            target = folder / f"{picture}-shot.png"
+            subprocess.run(
+                [
+                    *(browser, "--headless", "--no-sandbox", "--hide-scrollbars"),
+                    f"--screenshot={target}",
+                    f"--window-size={width},{height}",
+                    (folder / file).as_uri(),
+                ],
+                check=True,
+                capture_output=True,
+            )
+            _cropped(target, FOLDER / f"{picture}.png")
+
+
+def _cropped(source: Path, target: Path) -> None:
+    """Write a picture without its empty rim."""
+    pixels = pictures.imread(source)
+    ink = np.any(pixels[..., :3] < 0.98, axis=-1)
+    rows, columns = np.flatnonzero(ink.any(axis=1)), np.flatnonzero(ink.any(axis=0))
+    top, left = max(rows[0] - 12, 0), max(columns[0] - 12, 0)
+    pictures.imsave(target, pixels[top : rows[-1] + 12, left : columns[-1] + 12])
+
+
+if __name__ == "__main__":
+    found = shutil.which("chromium")
+    if found is None:
+        sys.exit("needs chromium")
+    draw(found)
