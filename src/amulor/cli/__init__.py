@@ -57,6 +57,7 @@ COMMANDS = {
     "watch": (
         "watch:watch",
         "Watch a scan in the terminal: picture, rate, drift, what to do.",
+    ),
     "archive": (
         "archive:archive",
         "Write the archive folder of a project, or check one.",
