@@ -24,6 +24,9 @@ LIGHT = ("all", "water", "target")
 ANALYSERS = ("none", "H", "V", "P", "M", "R", "L")
 #: Sum, sum of squares and largest of the contributions of the groups.
 SUM, SQUARE, LARGEST = range(3)
+#: Equal contributions that would scatter as much, fewest from which an error is known:
+#: of fewer the large ones are likely to be missing yet, from sum and error alike.
+_FEWEST = 30
 
 
 def analyser_vector(name: str) -> Array:
@@ -93,11 +96,14 @@ def outweighs(sums: Array, *, groups: int, unseen: float = 0.0) -> bool:
     -------
     bool
         Whether the largest is further from the mean of all others than the error that
-        these alone would state, or the unseen one than that of all.
+        these alone would state, or the unseen one than that of all, or the relative
+        error is that of less than 30 equal contributions.
     """
     if groups < 2:
         return False
     total, square, largest = (float(value) for value in sums)
+    if (square - total**2 / groups) * _FEWEST > total**2:
+        return True
     others = groups - 1
     mean = (total - largest) / others
     spread = max(square - largest**2 - others * mean**2, 0.0)

@@ -177,6 +177,9 @@ def test_a_group_that_outweighs_the_error_is_flagged():
     # Half of all light from one group, which hides in the spread of all of them.
     assert flagged([*rng.exponential(size=1000) ** 3, 6000.0])
     assert flagged([*np.zeros(999), 1.0])
+    # Ten groups with light of 1000, none of which outweighs the rest.
+    assert flagged([*np.zeros(990), *rng.uniform(0.5, 1.5, size=10)])
+    assert not flagged([*np.zeros(940), *rng.uniform(0.5, 1.5, size=60)])
 
 
 def test_each_light_and_analyser_has_its_own_flag():
