@@ -152,7 +152,7 @@ def _run(words: list[str]) -> int:
     }
     for group in groups.values():
         app.command(group)
-    for name, (target, _) in COMMANDS.items():
+    for name, (target, summary) in COMMANDS.items():
         first, _, rest = name.partition(" ")
         if name in groups:  # a command by itself that has commands below it, too
             module, _, function = target.partition(":")
@@ -160,7 +160,8 @@ def _run(words: list[str]) -> int:
             groups[name].default(getattr(imported, function))
             continue
         place, own = (groups[first], rest) if rest else (app, first)
-        place.command(f"amulor.cli.{target}", name=own)
+        # The text is that of the function, which is not imported for the list.
+        place.command(f"amulor.cli.{target}", name=own, help=summary)
     try:
         app(
             words,

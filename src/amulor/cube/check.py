@@ -11,6 +11,7 @@ import xarray as xr
 
 from amulor.cube import accessor, schema
 from amulor.cube.dimensions import restore_dimensions
+from amulor.cube.values import check_values
 from amulor.errors import CubeError
 from amulor.optics.polarization import stokes
 
@@ -88,6 +89,12 @@ def check(
     for variable, spec in expected.variables.items():
         _check_variable(cube.data_vars, variable, spec, name=name, kind="variable")
     _check_coordinates(cube, name=name)
+    own = {
+        variable: cube[variable]
+        for variable in map(str, cube.data_vars)
+        if variable in expected.variables
+    }
+    check_values(own, name=name)
     _check_open_water(cube, name=name)
 
 
@@ -218,3 +225,10 @@ def _check_open_water(cube: xr.Dataset, *, name: str) -> None:
         _check_variable(
             shots.data_vars, variable, spec, name=name, kind="open_water variable"
         )
+    check_values(shots.data_vars, name=f"{name}, open_water")
+    for direction in ("azimuth", "elevation"):
+        if direction in shots and not np.all(np.isfinite(shots[direction])):
+            raise CubeError(
+                f"{name}: open_water {direction} holds values that are not finite; "
+                "drop the shots whose direction is not known"
+            )

@@ -90,6 +90,15 @@ def test_every_command_exists_and_says_what_the_help_says(name: str, capsys) -> 
     assert name.split()[-1] in capsys.readouterr().out
 
 
+@pytest.mark.parametrize("group", sorted({n.split()[0] for n in COMMANDS if " " in n}))
+def test_the_help_of_a_group_says_what_each_command_does(group: str, capsys) -> None:
+    assert main([group, "--help"]) == 0
+    said = " ".join(capsys.readouterr().out.replace("│", " ").split())
+    for name, (_, summary) in COMMANDS.items():
+        if name.startswith(f"{group} "):
+            assert f"{name.split()[1]} {summary}" in said
+
+
 @pytest.mark.parametrize("name", COMMANDS)
 def test_the_help_describes_every_parameter(name: str, capsys) -> None:
     target, _ = COMMANDS[name]

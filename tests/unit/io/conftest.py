@@ -1,6 +1,7 @@
 """Small cubes of every level, with values that a wrong order or unit would show."""
 
 import contextlib
+from collections.abc import Iterable
 from types import SimpleNamespace
 
 import numpy as np
@@ -14,6 +15,18 @@ GEOMETRY = {
     "emitter_position": np.array([0.0, 0.0, 0.0]),
     "receiver_position": np.array([0.35, 0.0, 0.0]),
 }
+
+
+def numbers(
+    rng: np.random.Generator, names: Iterable[str], shape: tuple[int, ...]
+) -> dict[str, np.ndarray]:
+    """Return drawn signals, and uncertainties above zero."""
+    return {
+        name: abs(rng.normal(size=shape))
+        if name.endswith("_uncertainty")
+        else rng.normal(size=shape)
+        for name in names
+    }
 
 
 def attributes(level, **others):
@@ -44,7 +57,7 @@ def make_samples(
     names = ("in_phase", "quadrature", "in_phase_uncertainty", "quadrature_uncertainty")
     built = cubes.build(
         "samples",
-        {name: rng.normal(size=shape) for name in names},
+        numbers(rng, names, shape),
         {
             "modulation_frequency": frequencies,
             "polarization": polarizations,
@@ -55,7 +68,7 @@ def make_samples(
     )
     shots = cubes.open_water(
         {
-            **{name: rng.normal(size=(*shape[:2], 5)) for name in names},
+            **numbers(rng, names, (*shape[:2], 5)),
             "azimuth": np.linspace(-0.1, 0.1, 5),
         }
     )
@@ -85,7 +98,7 @@ def make_target_signal(rng, *, rows=3, columns=4):
     return cubes.build(
         "target_signal",
         {
-            **{name: rng.normal(size=shape) for name in names},
+            **numbers(rng, names, shape),
             "quality_flag": rng.integers(0, 64, shape).astype(np.int16),
         },
         {

@@ -1,0 +1,89 @@
+"""A cube whose numbers no measurement gives is refused, and says where."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import xarray as xr
+from hypothesis import given
+from hypothesis import strategies as st
+
+from amulor import cube as cubes
+from amulor.errors import CubeError
+from amulor.simulation import simulate
+from amulor.survey import Survey
+
+
+@pytest.fixture(scope="module")
+def samples(plate: Survey) -> xr.Dataset:
+    return simulate(plate, rng=1)
+
+
+def _with(cube: xr.Dataset, name: str, value: float, at: tuple[int, ...]) -> xr.Dataset:
+    changed = cube.copy(deep=True)
+    changed[name].values[at] = value
+    return changed
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "said"),
+    [
+        ("in_phase_uncertainty", -1e-3, "is -0.001 V at .* row 2, column 3, but must"),
+        ("quadrature_uncertainty", 0.0, "is 0 V at .* row 2, column 3, but must"),
+        ("in_phase_uncertainty", np.inf, "is inf V at .* row 2, column 3; make"),
+        ("in_phase", 1e300, r"is 1e\+300 V at .* row 2, column 3, more than any"),
+        ("quadrature", -np.inf, "is -inf V at .* row 2, column 3, more than any"),
+    ],
+)
+def test_one_wrong_number_is_found(
+    name: str, value: float, said: str, samples: xr.Dataset
+) -> None:
+    with pytest.raises(CubeError, match=f"^the cube: {name} {said}"):
+        cubes.check(_with(samples, name, value, (0, 1, 2, 3)))
+
+
+def test_a_missing_sample_is_no_wrong_number(samples: xr.Dataset) -> None:
+    changed = samples
+    for name in ("in_phase", "in_phase_uncertainty", "quadrature"):
+        changed = _with(changed, name, np.nan, (0, 1, 2, 3))
+    cubes.check(changed)
+
+
+def test_shots_are_looked_at_too(samples: xr.Dataset) -> None:
+    wrong = _with(samples, "open_water_in_phase_uncertainty", -1.0, (0, 0, 5))
+    with pytest.raises(CubeError, match="open_water: in_phase_uncertainty is -1 V"):
+        cubes.check(wrong)
+    wrong = _with(samples, "open_water_azimuth", np.inf, (4,))
+    with pytest.raises(CubeError, match="open_water azimuth holds values that are no"):
+        cubes.check(wrong)
+
+
+def test_shared_errors_come_together(samples: xr.Dataset) -> None:
+    channel = ("modulation_frequency", "polarization")
+    one = samples.assign(
+        open_water_common_covariance=xr.Variable(
+            channel, np.zeros((1, 2)), {"units": "V2", "long_name": "shared"}
+        )
+    )
+    with pytest.raises(
+        CubeError,
+        match="has common_covariance, but common_in_phase_uncertainty, "
+        "common_quadrature_uncertainty is missing",
+    ):
+        cubes.check(one)
+
+
+@given(
+    value=st.floats(),
+    name=st.sampled_from(["in_phase", "in_phase_uncertainty"]),
+)
+def test_what_is_let_through_can_be_worked_with(
+    value: float, name: str, samples: xr.Dataset
+) -> None:
+    changed = _with(samples, name, value, (0, 0, 0, 0))
+    try:
+        cubes.check(changed)
+    except CubeError:
+        return
+    assert np.isnan(value) or abs(value) <= 1e9
+    assert not (name == "in_phase_uncertainty" and value <= 0)
