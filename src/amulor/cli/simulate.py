@@ -52,7 +52,6 @@ def simulate(
     from amulor.simulation import (
         ClosureModel,
         DiffusionModel,
-        PhotonModel,
         SignalModel,
         SmallAngleModel,
     )
@@ -70,13 +69,20 @@ def simulate(
     described = Survey.from_toml(survey)
     try:
         with progress_bar() as advance, _progress.part(0.0, 0.9):
-            models: dict[str, SignalModel] = {
-                "small-angle": SmallAngleModel(),
-                "closure": ClosureModel(),
-                "diffusion": DiffusionModel(),
-                "photons": PhotonModel(relative_error=goal, seed=seed),
-            }
-            cube = simulate_survey(described, rng=seed, model=models[model])
+            chosen: SignalModel
+            match model:
+                case "small-angle":
+                    chosen = SmallAngleModel()
+                case "closure":
+                    chosen = ClosureModel()
+                case "diffusion":
+                    chosen = DiffusionModel()
+                case "photons":
+                    # Loads photon transport, which the others do without.
+                    from amulor.simulation import PhotonModel
+
+                    chosen = PhotonModel(relative_error=goal, seed=seed)
+            cube = simulate_survey(described, rng=seed, model=chosen)
             advance(f"writing {output}", 0.9)
             io.write_cube(cube, output, overwrite=overwrite)
     except SurveyError as problem:

@@ -10,15 +10,15 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 from scipy.interpolate import RegularGridInterpolator
-from scipy.optimize import brentq
 
 from amulor.errors import SurveyError
 from amulor.imaging.geometry import beams_of
-from amulor.optics import late_echo, phase_functions, ranging
+from amulor.optics import late_echo, ranging
 from amulor.optics.phase_functions.models import henyey_greenstein_function
 from amulor.optics.phase_functions.phase_function import PhaseFunction
 from amulor.survey import Survey, WaterProperties, water_properties
 from amulor.survey.view import medium, view
+from amulor.survey.waters.whole_function import asymmetry_of
 
 Floats = NDArray[np.float64]
 
@@ -33,6 +33,8 @@ _DISPERSION_UNCERTAINTY = 0.3
 _ASYMMETRIES = (0.90, 0.98)
 #: Below this asymmetry small angles do not describe the light [1].
 _LEAST_ASYMMETRY = 0.6
+#: And above which none is taken [1].
+_LARGEST_ASYMMETRY = 0.999
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -270,18 +272,10 @@ def _function(asymmetry: float) -> PhaseFunction:
     return henyey_greenstein_function(asymmetry=asymmetry)
 
 
-@lru_cache(maxsize=16)
 def _asymmetry(moment: float, split_angle: float) -> float | None:
     """Return the asymmetry whose forward part has a second moment, if there is one."""
-
-    def excess(asymmetry: float) -> float:
-        return moment - float(
-            phase_functions.henyey_greenstein_second_moment(
-                asymmetry=asymmetry, split_angle=split_angle
-            )
-        )
-
-    ends = (_LEAST_ASYMMETRY, 0.999)
-    if excess(ends[0]) * excess(ends[1]) > 0:
+    try:
+        found = asymmetry_of(moment, split=split_angle)
+    except SurveyError:
         return None
-    return float(brentq(excess, *ends, xtol=1e-6))
+    return found if _LEAST_ASYMMETRY <= found <= _LARGEST_ASYMMETRY else None

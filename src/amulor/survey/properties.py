@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
 
 from amulor.errors import SurveyError
 from amulor.optics import phase_functions
@@ -11,7 +14,12 @@ from amulor.optics.phase_functions.phase_function import PhaseFunction
 from amulor.optics.water import seawater
 from amulor.survey.survey import Survey
 from amulor.survey.water import Water
+from amulor.survey.waters.phase_function import Tabulated
 from amulor.survey.waters.resolve import LayerOptics, WaterOptics, resolved
+
+#: Angles of a phase function as a table: from the innermost on in even steps of the
+#: logarithm, then evenly, half a degree apart [rad].
+_INNERMOST, _WIDE, _HEAD, _REST = 1e-5, 0.1, 160, 360
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -110,8 +118,9 @@ def by_coefficients(survey: Survey, *, factor: float = 1.0) -> Survey:
     Returns
     -------
     Survey
-        The same to models that take moments; water that was stated by coefficients
-        keeps all else that it states.
+        The same to models that take moments, and to those that take the whole phase
+        function, which it holds as a table; water that was stated by coefficients keeps
+        all else that it states.
     """
     water = survey.water
     if isinstance(water, Water):
@@ -138,10 +147,27 @@ def by_coefficients(survey: Survey, *, factor: float = 1.0) -> Survey:
         "phase_function_at_180": (
             known.backscatter_vsf / known.scattering if scattered else 0.0
         ),
+        "phase_function": (
+            None if known.phase_function is None else _tabulated(known.phase_function)
+        ),
         "refractive_index": known.refractive_index,
         "group_index": known.group_index,
     }
     return survey.model_copy(update={"water": Water.model_validate(stated)})
+
+
+@lru_cache(maxsize=8)
+def _tabulated(function: PhaseFunction) -> Tabulated:
+    """Return a phase function as a survey states one, the same each time."""
+    angle = np.concatenate(
+        [np.geomspace(_INNERMOST, _WIDE, _HEAD)[:-1], np.linspace(_WIDE, np.pi, _REST)]
+    )
+    value = np.maximum(function(angle), np.finfo(float).tiny)
+    return Tabulated(
+        kind="tabulated",
+        angles=tuple(map(float, angle)),
+        values=tuple(map(float, value)),
+    )
 
 
 def _indices(survey: Survey) -> tuple[float, float]:

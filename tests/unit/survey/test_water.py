@@ -265,6 +265,21 @@ def test_water_by_its_coefficients_is_the_same_to_models_of_moments(
     )
 
 
+@pytest.mark.parametrize("kind", ["petzold", "jerlov", "case-1", "pure"])
+def test_water_by_its_coefficients_keeps_the_form_of_its_phase_function(
+    with_water, kind
+):
+    survey = with_water(*of_kind(kind))
+    one = water_properties(survey).phase_function
+    scaled = [by_coefficients(survey, factor=factor) for factor in (1.0, 1.7)]
+    other, again = (water_properties(each).phase_function for each in scaled)
+    # Its transforms are worked out once for all factors.
+    assert other is again
+    angle = np.concatenate([np.geomspace(1e-3, 0.1, 30), np.linspace(0.1, np.pi, 50)])
+    assert_allclose(other(angle), one(angle), rtol=0.01)
+    assert other.asymmetry == pytest.approx(one.asymmetry, abs=1e-3)
+
+
 def test_layers_are_counted_from_the_instrument(with_water):
     water = water_properties(with_water(*of_kind("layers")))
     assert [layer.thickness for layer in water.layers] == [1.0, np.inf]

@@ -189,7 +189,7 @@ def _joined(
     moment: float, fraction: float, backwards: float, *, split: float
 ) -> PhaseFunction:
     """Return a phase function with three given moments."""
-    g = _asymmetry_of(moment, split=split)
+    g = asymmetry_of(moment, split=split)
     forward = henyey_greenstein_function(asymmetry=g)
     below, _ = forward.forward_split(split)
     # Dense where the curve may fall steeply, at the split angle.
@@ -229,8 +229,27 @@ def _joined(
     )
 
 
-def _asymmetry_of(moment: float, *, split: float) -> float:
-    """Return the asymmetry with a second moment below a split angle."""
+@lru_cache(maxsize=32)
+def asymmetry_of(moment: float, *, split: float) -> float:
+    """Return the asymmetry with a second moment below a split angle.
+
+    Parameters
+    ----------
+    moment : float
+        Mean square angle of what is scattered below the split angle [rad^2].
+    split : float
+        Split angle [rad].
+
+    Returns
+    -------
+    float
+        Asymmetry of a Henyey-Greenstein function [1].
+
+    Raises
+    ------
+    SurveyError
+        If none has this moment.
+    """
 
     def excess(g: float) -> float:
         value = phase_functions.henyey_greenstein_second_moment(
