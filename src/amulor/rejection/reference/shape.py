@@ -103,11 +103,12 @@ def shape_of(
     if len(directions) < 2 or survey.scan.moves == "both":
         return None
     try:
+        seen = [open_water(survey, directions, frequency)]
+        if missed(seen[0], len(shots) // len(directions), directions) < _SMOOTH:
+            return None
         candidates = _candidates(survey)
-        seen = [each(directions, frequency) for each in candidates]
+        seen += [each(directions, frequency) for each in candidates[1:]]
     except SurveyError:
-        return None
-    if missed(seen[0], len(shots) // len(directions), directions) < _SMOOTH:
         return None
     usable = np.isfinite(signal + errors.in_phase + errors.quadrature + errors.cross)
     scores = [_left_out(None, shots, signal, errors, usable)]
