@@ -284,7 +284,7 @@ def test_understated_noise_and_wide_scans_hold_with_few_frequencies(scene: str) 
 @pytest.mark.parametrize("scene", ["noise", "wide", "tall", "wide paper's form"])
 def test_the_same_with_two_and_four_frequencies(scene: str) -> None:
     for row in run([scene], ["open-water", "combined", "polarization"], [2, 4]):
-        assert row.score.trusted > 0.98, row
+        assert row.score.trusted > 0.95, row
         assert row.score.inside_95 > 0.92, row
         assert row.score.worst < 4.5, row
 

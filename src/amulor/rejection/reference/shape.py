@@ -12,7 +12,7 @@ from numpy.polynomial import chebyshev
 from numpy.typing import NDArray
 from scipy.constants import speed_of_light
 
-from amulor.errors import SurveyError
+from amulor.errors import AmulorError
 from amulor.rejection.covariance import Covariance
 from amulor.rejection.reference.model import water_signal
 from amulor.rejection.reference.places import FEWEST_SHOTS, places_of
@@ -108,7 +108,7 @@ def shape_of(
             return None
         candidates = _candidates(survey)
         seen += [each(directions, frequency) for each in candidates[1:]]
-    except SurveyError:
+    except AmulorError:
         return None
     usable = np.isfinite(signal + errors.in_phase + errors.quadrature + errors.cross)
     scores = [_left_out(None, shots, signal, errors, usable)]
