@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Any
 
@@ -26,8 +27,12 @@ Floats = NDArray[np.float64]
 WRONG = 3e-4
 #: A p-value of the samples below this says that the model is wrong [1].
 DISAGREEMENT = 1e-4
-#: Departures matter when they move a path by this much of its uncertainty [1].
-MATTERS = 0.3
+#: Departures matter when they move a path by this much of its other uncertainty: then
+#: the interval holds nothing else [1].
+MATTERS = 10.0
+#: The same where the echo departs and the water does not: a delay that all frequencies
+#: share goes with it, and no sample shows that [1].
+ECHO_MATTERS = 0.3
 #: Step of the optical path for the derivative of the slant range [m].
 _DIFFERENCE = 1e-5
 
@@ -109,7 +114,9 @@ def cube_of(
     typical = float(np.median(depth[detected])) if detected.any() else 0.0
     late_spread = shared.shape.spread
     if instrument.late_echo:
-        late_spread = frame.late_spread(typical, shared.shape)
+        place = len(shared.strength) + 1
+        error = math.sqrt(float(shared.covariance[place, place]))
+        late_spread = frame.late_spread(typical, late_spread, error)
     late = late_echo(reached, late_spread)
     known = known + (instrument.late_echo * late) ** 2
     shared_variance = over_pixels([part.shared_variance for part in parts])
@@ -117,8 +124,11 @@ def cube_of(
     with np.errstate(divide="ignore", invalid="ignore"):
         own = 1 / np.sqrt(information)
         sigma = np.hypot(own, np.sqrt(shared_variance))
-        departure = over_pixels([part.departure for part in parts])
-        matters = slope * departure > MATTERS * np.hypot(slope * sigma, np.sqrt(known))
+        departure = np.zeros(rows_columns)
+        if shared.evidence > DECISIVE:
+            departure = slope * over_pixels([part.departure for part in parts])
+        limit = MATTERS if shared.water_departs else ECHO_MATTERS
+        matters = departure > limit * np.hypot(slope * sigma, np.sqrt(known))
     freedom, cost, p_value = _misfit(parts, detected, rows_columns)
     flag = np.zeros(rows_columns, dtype=np.int16)
     wrong = over_pixels([part.estimates.wrong for part in parts])
@@ -129,8 +139,7 @@ def cube_of(
     flag[two] |= QualityFlag.MIXED
     contradicted = (p_value < DISAGREEMENT) & ~two
     flag[contradicted] |= QualityFlag.WATER_RESIDUAL
-    if shared.evidence > DECISIVE:
-        flag[detected & matters] |= QualityFlag.WATER_RESIDUAL
+    flag[detected & matters] |= QualityFlag.WATER_RESIDUAL
     flag[~detected] |= QualityFlag.NO_TARGET
     flag[~scan.enough.reshape(rows_columns)] |= QualityFlag.NO_TARGET
     target = target_cube(
@@ -156,7 +165,8 @@ def cube_of(
     target.attrs["joint_instrument_uncertainty_m"] = float(
         np.sqrt(np.median(seen)) if seen.size else 0.0
     )
-    sigma_common = np.sqrt(slope**2 * shared_variance + known)
+    # What the departures move is as uncertain as it is large.
+    sigma_common = np.sqrt(slope**2 * shared_variance + known + departure**2)
     half = [
         np.hypot(
             slope * over_pixels([getattr(part.estimates, side) for part in parts]),

@@ -140,7 +140,8 @@ def joint(
     Flags: `NO_TARGET` where open water explains the samples about as well;
     `AMBIGUOUS` where another interval is likelier than 3e-4; `WATER_RESIDUAL` where
     the samples contradict the model (chi-square beyond chance 1e-4) or the departures
-    that the scan shows move the path by 0.3 of its uncertainty or more.
+    that the scan shows move the path by ten times its other uncertainty, 0.3 of it if
+    the echo alone departs. What they move it by is part of the uncertainty.
 
     References
     ----------

@@ -118,6 +118,11 @@ class Shared:
         )
 
     @property
+    def water_departs(self) -> bool:
+        """Whether the data prefer that the water is not as the model has it."""
+        return self.widths[0] > _TRIED[0][0] or self.widths[1] > _TRIED[1][0]
+
+    @property
     def shot_factor(self) -> float:
         """Strength of the open-water shots over that of the scan [1]."""
         return float(np.exp(self.shot_change))

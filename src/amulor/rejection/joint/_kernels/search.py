@@ -1,7 +1,7 @@
 """Compiled loops of the joint estimation: the search for the most likely path.
 
-Start (a coarse grid of paths), refine (Gauss-Newton steps from its minima), profile
-(where the likelihood has fallen on either side).
+Refine (Gauss-Newton steps from the minima on a grid of paths), profile (where the
+likelihood has fallen on either side).
 """
 
 from __future__ import annotations
@@ -22,24 +22,19 @@ from amulor.rejection.joint._kernels.bundles import (
     Solutions,
     Workspace,
 )
+from amulor.rejection.joint._kernels.grid import CANDIDATES, start
 from amulor.rejection.joint._kernels.model import (
-    depth_of,
     descent,
     misfit,
     misfit_at,
-    nearest_node,
     pixel_of,
     turn_by,
-    water_at_node,
     water_to,
     workspace_of,
 )
-from amulor.rejection.joint._kernels.options import LANES, inner
+from amulor.rejection.joint._kernels.options import inner
 from amulor.rejection.joint._kernels.outlying import most_outlying
 from amulor.rejection.joint._kernels.weights import fill_weights
-
-#: Local minima of the coarse likelihood that are looked at closely.
-CANDIDATES = 6
 
 #: A minimum is out of the race when it is this much higher [1], and by this fraction of
 #: what the target explains, which the coarse grid may miss.
@@ -48,74 +43,6 @@ _MOST_STEPS = 20
 _HALVINGS = 6
 _WIDENINGS = 6
 _BISECTIONS = 24
-
-
-@inner()
-def _keep(path: float, level: float, candidates: Candidates) -> bool:
-    """Put a minimum in the place of the highest one, if it is lower."""
-    worst = 0
-    for k in range(CANDIDATES):
-        if candidates.level[k] > candidates.level[worst]:
-            worst = k
-    if not level < candidates.level[worst]:
-        return False
-    candidates.path[worst], candidates.level[worst] = path, level
-    return True
-
-
-@inner()
-def _sort(candidates: Candidates) -> None:
-    """Sort minima by their level, the lowest first."""
-    paths, levels = candidates.path, candidates.level
-    for k in range(1, CANDIDATES):
-        path, level = paths[k], levels[k]
-        m = k
-        while m > 0 and levels[m - 1] > level:
-            paths[m], levels[m] = paths[m - 1], levels[m - 1]
-            m -= 1
-        paths[m], levels[m] = path, level
-
-
-@inner(fastmath=LANES)
-def start(
-    pixel: Pixel, model: Model, grid: Grid, work: Workspace, candidates: Candidates
-) -> int:
-    """Fill in the lowest local minima of chi-square on a grid; return their number.
-
-    On the grid the water ends at the nearest node of its table. A minimum is the vertex
-    of the parabola through three points. Compiled because all phases of a period have
-    to be tried in every ambiguity interval of the highest frequency.
-    """
-    spacing = grid.path[1] - grid.path[0]
-    shortest = pixel.limits.shortest - spacing
-    longest = pixel.limits.longest + spacing
-    before, level = np.inf, np.inf
-    filled = -1
-    count = 0
-    for j in range(grid.path.size + 1):
-        after = np.inf
-        if j < grid.path.size and shortest <= grid.path[j] <= longest:
-            depth, _ = depth_of(grid.path[j], pixel.limits)
-            node = nearest_node(depth, model.table)
-            if node != filled:
-                filled = node
-                water_at_node(node, model.table, pixel, work.water)
-            after = misfit(
-                pixel.signal, pixel.weight, model.gain, work.water, grid.phasor[j],
-                work.amplitude,
-            )  # fmt: skip
-        if level < np.inf and level <= before and level < after:
-            place, height = grid.path[j - 1], level
-            bend = before - 2 * level + after
-            if before < np.inf and after < np.inf and bend > 0:
-                shift = 0.5 * (before - after) / bend
-                place += shift * spacing
-                height -= 0.25 * (before - after) * shift
-            if _keep(place, height, candidates):
-                count = min(count + 1, CANDIDATES)
-        before, level = level, after
-    _sort(candidates)
-    return count
 
 
 @inner()

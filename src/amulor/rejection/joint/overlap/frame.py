@@ -31,6 +31,8 @@ Complex = NDArray[np.complex128]
 
 #: Depths behind which less than this fraction of the water signal is left [1].
 _NOTHING_LEFT = 1e-7
+#: Standard uncertainty of the logarithm of the scattering that a survey states [1].
+_STATED = 0.7
 #: Directions of the receiver whose arguments are kept.
 _KEPT = 8
 
@@ -186,28 +188,33 @@ class Frame:
         offset: Floats = np.hypot(along, where["cross_tilt"][:, None] * path)
         return offset
 
-    def late_spread(self, depth: float, shape: Shape) -> float:
+    def late_spread(self, depth: float, spread: float, error: float) -> float:
         """Return the spread whose mean detour is twice what an echo is late [rad^2/m].
 
         In the middle of the scan, by `optics.late_echo`, for water of the survey's
-        phase function with the spread of the shape. Where it has none, that spread.
+        phase function with a given spread, of some relative error: the mean of it and
+        of the survey's, which counts as known to a factor of two. Where the survey has
+        no phase function, the given spread.
         """
         light = self._scattered
         if light is None or not depth > 0:
-            return shape.spread
+            return spread
         azimuth, elevation = self.directions.middle
         where = self._arguments(np.array([azimuth]), np.array([elevation]))
+        stated = self._properties.scattering
+        found = spread / (light.moment * light.fraction)
+        trust = _STATED**2 / (_STATED**2 + error**2)
         late = late_echo(
             0.0,
             depth=depth,
-            scattering=shape.spread / (light.moment * light.fraction),
+            scattering=found**trust * stated ** (1 - trust),
             phase_function=light.function,
             split_angle=light.split_angle,
             group_index=self.medium.group_index,
             **where,
         )
-        found = 8 * float(late[0]) / depth**2
-        return found if np.isfinite(found) else shape.spread
+        seen = 8 * float(late[0]) / depth**2
+        return seen if np.isfinite(seen) else spread
 
     def nothing_left(self, shape: Shape) -> float:
         """Return the depth that all but a trace of the water signal comes from [m]."""

@@ -77,8 +77,9 @@ def table_of(
     middle = 0.5 * (edges[1:] + edges[:-1])
     z = (middle[:, None] + 0.5 * width[:, None] * point).ravel()
     measure = (0.5 * width[:, None] * weight).ravel()
-    profile = _profiles(frame, z, shape, derivatives=derivatives)
+    # First what takes the same series of the scattered light.
     at_edge = _profiles(frame, edges, shape, derivatives=False)[0]
+    profile = _profiles(frame, z, shape, derivatives=derivatives)
     component = _components(profile[0], profile[1:])
     # Phase per depth, out and back: 4 pi f n_g / c_0, as in optics.
     wavenumber = 2 * frame.medium.group_index * frame.phase_per_path
@@ -128,10 +129,12 @@ def _profiles(
     if not derivatives:
         return base[None]
     changes = [-2 * shape.reduced_attenuation * depth * base]
-    for parameter in range(1, COEFFICIENTS + len(shape.turn)):
+    last = COEFFICIENTS + len(shape.turn)
+    # First what takes the same series of the scattered light.
+    for parameter in reversed(range(1, last)):
         step = np.zeros(shape.size)
         step[parameter] = _SMALL
-        changes.append((light(shape.moved(step)) - base) / _SMALL)
+        changes.insert(1, (light(shape.moved(step)) - base) / _SMALL)
     return np.stack([base, *changes, *(base * row for row in hat)])
 
 

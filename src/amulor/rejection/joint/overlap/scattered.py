@@ -16,18 +16,18 @@ from amulor.rejection.joint._kernels import scattered as kernels
 Floats = NDArray[np.float64]
 
 #: Steps of asinh(z / length) between the nodes of depth, and the farthest node [m].
-_STEP, _FARTHEST = 0.03, 2.2e3
+_STEP, _FARTHEST = 0.04, 2.2e3
 #: Edges of panels of the spatial frequency, times the width of the view, with nodes
 #: each, and the turn of the oscillations that one panel follows [rad].
 _PANELS = np.array([0, 0.02, 0.06, 0.15, 0.4, 0.9, 1.8, 3.2, 5.0, 7.0, 10.0])
-_NODES, _PHASE = 10, 14.0
+_NODES, _PHASE = 10, 18.0
 #: Widths of the view beyond which no scattered light is counted [1].
-_ASIDE = 30.0
+_ASIDE = 20.0
 #: Terms of the series over ln(1 + q) for each unit of it, and as many more.
 _PER_UNIT, _FEWEST = 9, 8
 #: Cells of the table of what is lost over the logarithm of x, for each unit of it,
 #: and between which x [1/rad].
-_CELLS, _LOWEST, _HIGHEST = 8, 0.01, 3e4
+_CELLS, _LOWEST, _HIGHEST = 8, 0.02, 3e3
 
 
 class Scattered:
@@ -67,6 +67,7 @@ class Scattered:
         self._area = radius**2 + (angle * self._path) ** 2
         self._peak = np.pi * (radius * angle) ** 2
         self._low, self._high = np.empty(0), np.empty(0)
+        self._known: tuple[float, float, Floats] | None = None
 
     def light(
         self, depth: Floats, *, forward_scattering: float, spread: float, offset: Floats
@@ -92,12 +93,7 @@ class Scattered:
         """
         aside = np.log1p(offset**2 / self._area)
         self._reach(aside)
-        stretch = 0.5 * np.log(spread / (forward_scattering * self.moment))
-        thickness = 2 * forward_scattering * self.depth
-        terms = np.empty(self._rule.shape[:2])
-        kernels.series(
-            thickness, self._place, stretch * _CELLS, self._lost, self._rule, terms
-        )
+        terms = self._terms(forward_scattering, spread)
         at_nodes = np.empty(offset.shape)
         place = (2 * aside - self._low - self._high) / (self._high - self._low)
         kernels.along(np.clip(place, -1, 1), terms, at_nodes)
@@ -108,6 +104,20 @@ class Scattered:
         begun = np.concatenate([np.zeros((len(offset), 1)), at_nodes], axis=1)
         kernels.between(begun, where, out)
         return np.maximum(out, 0.0)
+
+    def _terms(self, forward_scattering: float, spread: float) -> Floats:
+        """Return the series over the offset at every node of depth, or the last one."""
+        known = self._known
+        if known is not None and known[:2] == (forward_scattering, spread):
+            return known[2]
+        stretch = 0.5 * np.log(spread / (forward_scattering * self.moment))
+        thickness = 2 * forward_scattering * self.depth
+        terms = np.empty(self._rule.shape[:2])
+        kernels.series(
+            thickness, self._place, stretch * _CELLS, self._lost, self._rule, terms
+        )
+        self._known = forward_scattering, spread, terms
+        return terms
 
     def _reach(self, aside: Floats) -> None:
         """Make the rule anew where beams are further aside than it reaches."""
@@ -140,7 +150,8 @@ class Scattered:
         value *= (self._peak / self._area)[:, None, None]
         series = chebyshev.chebvander(place, count - 1) * 2 / count
         series[:, 0] /= 2
-        self._rule = np.ascontiguousarray(np.einsum("jt,zjk->ztk", series, value))
+        self._rule = np.ascontiguousarray(series.T @ value)
+        self._known = None
 
 
 def _frequencies(aside: float) -> tuple[Floats, Floats]:
@@ -164,7 +175,7 @@ def _lost(function: PhaseFunction, split_angle: float) -> Floats:
     """Return the logarithm of 1 less the mean transform up to x, over ln x."""
     count = int(np.ceil(np.log(_HIGHEST / _LOWEST) * _CELLS)) + 1
     edge = _LOWEST * np.exp(np.arange(count) / _CELLS)
-    node, weight = legendre.leggauss(3)
+    node, weight = legendre.leggauss(2)
     half = 0.5 * np.diff(edge)[:, None]
     x = edge[:-1, None] + half * (node + 1)
     flat = function.hankel(x.ravel(), split_angle=split_angle).reshape(x.shape)
