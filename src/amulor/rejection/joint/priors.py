@@ -91,6 +91,8 @@ class Shared:
     """Twice the logarithm of how much the data prefer departures over none [1]."""
     misfit: float
     """Sum of squared errors over its degrees of freedom [1]."""
+    shots_left_out: bool = False
+    """Whether the open-water shots are of other water, and have no say."""
 
     @property
     def gain(self) -> Complex:
