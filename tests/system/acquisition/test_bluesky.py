@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
 import tomllib
 from pathlib import Path
 
@@ -226,6 +228,38 @@ def test_light_goes_out_while_nobody_asks_for_a_sample(tiny, folder, few):
     assert not devices.laser.bench.laser_on
     with pytest.raises(InstrumentError, match="was staged before"):
         device.stage()
+
+
+LEAVES = """
+import sys
+from pathlib import Path
+from amulor import Survey
+from amulor.acquisition import Settings
+from amulor.acquisition.bluesky import ScanDevice
+from amulor.acquisition.connect import connect
+from amulor.simulation import scene_light
+
+survey, settings = Survey.from_toml(sys.argv[1]), Settings()
+devices = connect(survey, settings, scene=scene_light)
+bench, set_laser = devices.laser.bench, devices.laser.bench.set_laser
+bench.set_laser = lambda on: (print("light", on, flush=True), set_laser(on))
+device = ScanDevice(survey, Path(sys.argv[2]), settings=settings, devices=devices)
+device.stage().exception(60)
+assert device.set(20).exception(60) is None
+"""
+
+
+@pytest.mark.slow
+def test_a_program_that_just_ends_leaves_no_light_on(tiny, folder) -> None:
+    (folder / "tiny.toml").write_text(tiny.to_toml())
+    words = [sys.executable, "-c", LEAVES, str(folder / "tiny.toml"), str(folder / "s")]
+    found = subprocess.run(words, capture_output=True, text=True, timeout=100)
+    assert found.returncode == 0, found.stderr
+    assert "light True" in found.stdout
+    assert found.stdout.splitlines()[-1] == "light False"
+    with Journal.read(folder / "s") as journal:
+        assert journal.segments()[-1]["ended"] is not None
+        assert journal.count() == 20
 
 
 # -- devices of ophyd-async ------------------------------------------------------------
