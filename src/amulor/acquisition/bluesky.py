@@ -137,6 +137,8 @@ class ScanDevice:
 
     name = "amulor"
     parent = None
+    #: `set` waits for each sample before the next one is asked for.
+    in_step = True
 
     def __init__(
         self,

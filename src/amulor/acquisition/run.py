@@ -17,6 +17,7 @@ from amulor.acquisition import plan
 from amulor.acquisition.connect import connect
 from amulor.acquisition.devices import Devices, digest
 from amulor.acquisition.journal.journal import Journal
+from amulor.acquisition.journal.keeper import Keeper
 from amulor.acquisition.plan import Key, Step
 from amulor.acquisition.reach import refuse_beyond_reach
 from amulor.acquisition.sampler import SPOILED, Sampler
@@ -180,6 +181,11 @@ def acquire(
             return run.go(control or _Unattended(), progress, acknowledged)
 
 
+def _in_step(control: Control) -> bool:
+    """Return whether somebody waits for each sample before the next is asked for."""
+    return bool(getattr(control, "in_step", False))
+
+
 def resume_command(folder: Path) -> str:
     """Return the command that goes on with the scan of a folder.
 
@@ -241,30 +247,7 @@ class _Run:
         missing = self._missing()
         while missing:
             segment = self._journal.begin_segment()
-            reason = "stopped"
-            try:
-                steps = [*self._again(segment), *missing]
-                self._sampler.prepare()
-                self._begin_to_count()
-                total = len(self._done) + sum(len(step.keys) for step in steps)
-                for step in steps:
-                    if control.pause_wanted():
-                        reason = "paused"
-                        break
-                    self._take(step, segment)
-                    for key in step.keys:
-                        acknowledged(key)
-                    progress(self._progress(step, total))
-                else:
-                    reason = "finished"
-            except AmulorError as error:
-                reason = str(error)
-                raise type(error)(self._with_next_step(error)) from error
-            except BaseException as error:
-                reason = f"interrupted by {type(error).__name__}"
-                raise
-            finally:
-                unsafe = self._end(segment, reason)
+            unsafe = self._part(segment, missing, control, progress, acknowledged)
             self._sampler.forget()
             missing = self._missing()
             if missing and (unsafe or not control.go_on()):
@@ -278,6 +261,50 @@ class _Run:
             flagged=self._flagged,
             unsafe=unsafe,
         )
+
+    def _part(
+        self,
+        segment: int,
+        missing: list[Step],
+        control: Control,
+        progress: Callable[[Progress], None],
+        acknowledged: Callable[[Key], None],
+    ) -> list[str]:
+        """Take what is missing until a pause, and say which devices are not safe."""
+        reason, total = "stopped", 0
+
+        def told(step: Step, count: int) -> None:
+            self._done.update(step.keys)
+            self._taken += count
+            for key in step.keys:
+                acknowledged(key)
+            progress(self._progress(step, total))
+
+        with Keeper(self._journal, told, at_once=_in_step(control)) as keeper:
+            try:
+                try:
+                    steps = [*self._again(segment), *missing]
+                    self._sampler.prepare()
+                    self._begin_to_count()
+                    total = len(self._done) + sum(len(step.keys) for step in steps)
+                    for step in steps:
+                        if control.pause_wanted():
+                            reason = "paused"
+                            break
+                        self._take(step, segment, keeper)
+                    keeper.settle()
+                    reason = reason if reason == "paused" else "finished"
+                except AmulorError as error:
+                    reason = str(error)
+                    raise
+                except BaseException as error:
+                    reason = f"interrupted by {type(error).__name__}"
+                    raise
+                finally:
+                    unsafe = self._end(segment, reason, keeper)
+            except AmulorError as error:
+                raise type(error)(self._with_next_step(error)) from error
+        return unsafe
 
     def _missing(self) -> list[Step]:
         planned = plan.steps(self._survey, self._settings.procedure)
@@ -308,14 +335,12 @@ class _Run:
                 self._survey, self._settings.procedure, number=segment - 2
             )
 
-    def _take(self, step: Step, segment: int) -> None:
+    def _take(self, step: Step, segment: int, keeper: Keeper) -> None:
         passed = self._devices.clock.now() - self._clock_start
         records = self._sampler.take(
             step, elapsed=self._elapsed + passed, segment=segment
         )
-        self._journal.commit_together([*zip(step.keys, records, strict=True)])
-        self._done.update(step.keys)
-        self._taken += len(records)
+        keeper.keep(step, records)
         self._flagged += sum(bool(record.flags) for record in records)
         self._sampler.refuse_darkness(step.key.kind, records[0].flags)
 
@@ -332,9 +357,11 @@ class _Run:
             kind=step.key.kind,
         )
 
-    def _end(self, segment: int, reason: str) -> list[str]:
+    def _end(self, segment: int, reason: str, keeper: Keeper) -> list[str]:
         # Light off before anything that could fail, such as a full disk.
         unsafe = self._devices.make_safe()
+        with contextlib.suppress(AmulorError):
+            keeper.settle()
         with contextlib.suppress(AmulorError):
             self._journal.end_segment(segment, "; ".join([reason, *unsafe]))
         return unsafe

@@ -24,6 +24,7 @@ from driven_devices import devices_of
 from amulor import acquisition
 from amulor.acquisition import plan
 from amulor.acquisition.bluesky import ScanDevice
+from amulor.acquisition.journal import keeper
 from amulor.acquisition.journal.file import FILE_NAME
 from amulor.acquisition.journal.journal import Journal
 from amulor.acquisition.journal.record import Record
@@ -56,6 +57,7 @@ def _known_light(survey: Survey) -> SceneLight:
 
 
 _LIGHT: dict[Survey, SceneLight] = {}
+_SLOW = keeper.SLOW
 
 
 def _planned(survey: Survey, settings: Settings) -> list[Key]:
@@ -77,10 +79,12 @@ def _scan(
     if resume:
         with Journal.read(folder) as journal:
             part = len(journal.segments())
+    embedded = way in ("plan", "beside")
     devices = devices_of(
-        "embedded" if way == "plan" else way, survey, settings, scene=_known_light,
-        part=part,
-    )  # fmt: skip
+        "embedded" if embedded else way, survey, settings, scene=_known_light, part=part
+    )
+    # As on a disk that takes its time.
+    keeper.SLOW = 0.0 if way == "beside" else _SLOW
     try:
         if way != "plan":
             return acquisition.acquire(
@@ -94,6 +98,7 @@ def _scan(
             acknowledged,
         )
     finally:
+        keeper.SLOW = _SLOW
         devices.close()
 
 
@@ -249,6 +254,7 @@ WAYS = [
     ("mirrors on outputs", "mirrors", {"position_tolerance": 1e-3}, ()),
     ("a pan-tilt head", "head", {"position_tolerance": 1e-3}, ()),
     ("events of a plan of bluesky", "plan", {}, ("unlock@9x2", "overload@15")),
+    ("commits beside the next dwell", "beside", {}, ("unlock@9x2", "overload@15")),
 ]
 
 

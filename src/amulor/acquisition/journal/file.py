@@ -116,7 +116,10 @@ def writer(path: Path) -> sqlite3.Connection:
         If it cannot be opened.
     """
     with explained(path):
-        connection = sqlite3.connect(path, isolation_level=None, timeout=_PATIENCE)
+        # One thread at a time writes: that of the scan, or one that commits for it.
+        connection = sqlite3.connect(
+            path, isolation_level=None, timeout=_PATIENCE, check_same_thread=False
+        )
         try:
             (mode,) = connection.execute("PRAGMA journal_mode = WAL").fetchone()
             if mode != "wal":  # some file systems of networks cannot do it
