@@ -10,11 +10,12 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from amulor import imaging, io
-from amulor.errors import FormatError, MissingExtraError
+from amulor.errors import CubeError, FormatError, MissingExtraError
 from amulor.handover import drawings
 from amulor.handover.mesh import write_mesh
 from amulor.handover.order import Order
 from amulor.imaging import products
+from amulor.imaging.frame import Frame
 from amulor.io import drawings as formats
 from amulor.view.sheet import Sheet, sheet
 
@@ -117,7 +118,7 @@ def compare(surface: products.Surface, order: Order) -> products.Deviation:
     assert order.against is not None
     if order.against.suffix.lower() == ".nc":
         earlier = io.read_cube(order.against)
-        frame = imaging.frame_of(earlier, surface.frame.name, pose=surface.frame.pose)
+        frame = _frame_of(earlier, surface.frame)
         other = products.surface(earlier, frame=frame)
         return products.deviation(
             surface,
@@ -125,10 +126,19 @@ def compare(surface: products.Surface, order: Order) -> products.Deviation:
             other.triangles,
             own=other.own,
             shared=other.shared,
+            reference=frame,
             farthest=order.farthest,
         )
     vertices, faces = read_mesh(order.against, unit=_UNITS[order.unit])
     return products.deviation(surface, vertices, faces, farthest=order.farthest)
+
+
+def _frame_of(earlier: xr.Dataset, frame: Frame) -> Frame:
+    """Return where an earlier scan stood: as it states, else at the same place."""
+    try:
+        return imaging.frame_of(earlier, frame.name)
+    except CubeError:
+        return imaging.frame_of(earlier, frame.name, pose=frame.pose)
 
 
 def read_mesh(path: Path, *, unit: float) -> tuple[Floats, NDArray[np.intp]]:

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from scipy.stats import norm
 
 from amulor.errors import CubeError, MissingExtraError
+from amulor.imaging.frame import Frame
 from amulor.imaging.products.surface import Surface
 
 Floats = NDArray[np.float64]
@@ -54,6 +55,7 @@ def deviation(
     *,
     own: Floats | None = None,
     shared: Floats | None = None,
+    reference: Frame | None = None,
     farthest: float | None = None,
 ) -> Deviation:
     r"""Compare a scan with a reference surface.
@@ -69,6 +71,10 @@ def deviation(
     own, shared : ndarray, shape (k,), optional
         Standard uncertainties of the reference along its own beams: what each vertex
         has by itself, and what all share; 0 for a model [m].
+    reference : Frame, optional
+        Frame of an earlier scan. If its pose is another one, the errors of both poses
+        count; if it is the same, the instrument was not moved, and they cancel. Without
+        one, the scan's own pose counts.
     farthest : float, optional
         Deviations beyond this are left out, as other objects [m].
 
@@ -115,8 +121,9 @@ def deviation(
         theirs = np.zeros(len(vertices)) if shared is None else shared
         each += facing**2 * ((weight * mine[faces[face]]) ** 2).sum(axis=1)
         common += (facing * (weight * theirs[faces[face]]).sum(axis=1)) ** 2
-    pose = surface.frame.shared_errors(start)
-    common += (np.einsum("kij,ij->ki", pose, normal) ** 2).sum(axis=0)
+    for frame in _poses(surface.frame, reference):
+        pose = frame.shared_errors(start)
+        common += (np.einsum("kij,ij->ki", pose, normal) ** 2).sum(axis=0)
     near = np.isfinite(value)
     if farthest is not None:
         near &= np.abs(value) <= farthest
@@ -159,6 +166,13 @@ def _met(
     number, met = number[order], met[order]
     first = np.r_[True, number[1:] != number[:-1]]
     return number[first], met[first]
+
+
+def _poses(frame: Frame, reference: Frame | None) -> tuple[Frame, ...]:
+    """Return the frames whose poses' errors stand between a scan and its reference."""
+    if reference is None:
+        return (frame,)
+    return () if reference.pose == frame.pose else (frame, reference)
 
 
 def _before(surface: Surface) -> Floats:

@@ -281,3 +281,28 @@ class TestDeviation:
             products.deviation(
                 surface, corners + np.array([0, 0, 1]), faces, farthest=0.5
             )
+
+    def test_poses_count_where_the_instrument_was_moved(self) -> None:
+        image = scenes.plane((0, 0, 1), 1.5, own=1e-4)
+        here = Pose(position_uncertainty=0.01)
+        moved = Pose(position=(0, -0.5, 0), position_uncertainty=0.02)
+        farther = scenes.plane((0, 0, 1), 2.0, own=1e-4)
+        frames = [
+            imaging.frame_of(image, "pose", pose=here),
+            imaging.frame_of(image, "pose", pose=moved),
+        ]
+        one = products.surface(image, frame=frames[0])
+        same = products.deviation(
+            one, one.position, one.triangles, own=one.own, reference=frames[0]
+        )
+        # The instrument stood still: its noise twice, at the vertices themselves.
+        assert np.nanmedian(same.uncertainty) < 2e-4
+        other = products.surface(farther, frame=frames[1])
+        both = products.deviation(
+            one, other.position, other.triangles, own=other.own, reference=frames[1]
+        )
+        # The same wall from half a metre behind, with two poses of 10 and 20 mm.
+        np.testing.assert_allclose(both.value[np.isfinite(both.value)], 0, atol=1e-9)
+        expected = np.hypot(0.01, 0.02)
+        np.testing.assert_allclose(np.nanmedian(both.uncertainty), expected, rtol=1e-3)
+        assert not both.significant.any()
