@@ -109,7 +109,9 @@ def test_a_flat_wall_has_no_contours_and_the_command_says_so(tmp_path, capsys) -
     assert [path.name for path in tmp_path.iterdir()] == ["wall.nc"]
 
 
-@pytest.mark.parametrize("ending", ["png", "pdf", "svg"])
+@pytest.mark.parametrize(
+    "ending", ["png", "svg", pytest.param("pdf", marks=pytest.mark.slow)]
+)
 def test_an_orthoimage_is_true_to_scale(ladder_file, tmp_path, ending) -> None:
     path = tmp_path / f"o.{ending}"
     run(ladder_file, "-o", path, "--scale", "1:2", "--dpi", "300", "--show", "height")
@@ -195,6 +197,16 @@ def test_a_deviation_from_the_model_is_its_offset(
     np.testing.assert_allclose(levels(found), 1.5 - DEPTHS, atol=2e-6)
     significant = np.array([int(row["significant"]) for row in rows])
     np.testing.assert_array_equal(significant == 1, found > 1e-3)
+
+
+@pytest.mark.slow
+def test_deviations_have_maps_and_meshes_too(ladder_file, tmp_path) -> None:
+    model = tmp_path / "wall.obj"
+    corners = [[-90, -90, 1500], [90, -90, 1500], [-90, 90, 1500], [90, 90, 1500]]
+    trimesh.Trimesh(corners, [[0, 1, 2], [1, 3, 2]]).export(model)
+    words = ["--against", model, "--unit", "mm"]
+    run(ladder_file, "-o", tmp_path / "d.csv", *words)
+    rows = read_csv(tmp_path / "d.csv")
     run(ladder_file, "-o", tmp_path / "near.csv", *words, "--farthest", "25mm")
     assert len(read_csv(tmp_path / "near.csv")) < len(rows) / 3
     for ending in ("png", "ply"):
@@ -204,6 +216,7 @@ def test_a_deviation_from_the_model_is_its_offset(
     np.testing.assert_allclose(levels(values), 1.5 - DEPTHS, atol=2e-6)
 
 
+@pytest.mark.slow
 def test_a_scan_against_itself_deviates_by_nothing(
     ladder_file, tmp_path, capsys
 ) -> None:

@@ -30,7 +30,14 @@ def drawn(figure):
 
 
 @pytest.mark.parametrize(
-    ("rows", "columns"), [(200, 30), (30, 200), (60, 60), (400, 20), (12, 6)]
+    ("rows", "columns"),
+    [
+        (200, 30),
+        (30, 200),
+        (12, 6),
+        pytest.param(60, 60, marks=pytest.mark.slow),
+        pytest.param(400, 20, marks=pytest.mark.slow),
+    ],
 )
 def test_maps_are_of_one_shape_and_no_label_is_clipped_or_covered(
     rows, columns
