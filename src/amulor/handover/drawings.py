@@ -225,6 +225,28 @@ def raster_statement(raster: products.Raster) -> str:
     )
 
 
+def relief_statement(raster: products.Raster) -> str:
+    """Return what may be read from the light on a raster, and what not.
+
+    Parameters
+    ----------
+    raster : amulor.imaging.products.Raster
+        Any.
+
+    Returns
+    -------
+    str
+        The smoothing, and the slope that noise alone makes.
+    """
+    apart = max(raster.surface.spacing, raster.cell)
+    slope = float(np.nanmedian(raster.own)) * 2**0.5 / apart
+    return (
+        "Light from the upper left, 40 degrees high, on means of 3 x 3 cells; noise "
+        f"alone tilts neighbouring pixels by {np.degrees(np.arctan(slope)):.1f} "
+        "degrees (standard uncertainty): flatter relief is no tool mark"
+    )
+
+
 def bands_of(raster: products.Raster, *, first: str) -> list[formats.Band]:
     """Return the bands of a raster's GeoTIFF.
 

@@ -112,6 +112,8 @@ def hand_over(
         if lines:
             said.insert(0, f"Contours every {(order.contours or 0) * 1e3:g} mm")
         show = "height" if order.product == "dem" else order.show
+        if show == "relief":
+            said.insert(0, drawings.relief_statement(raster))
         about = Sheet(title=title, scale=order.scale, statements=said, contours=lines)
         drawings.save_sheet(sheet(raster, about, show=show), path, overwrite=overwrite)
     rows, columns = raster.height.shape

@@ -3,7 +3,7 @@
 from amulor.imaging import correlation, metrics
 from amulor.imaging.budget import ErrorBudget, error_budget
 from amulor.imaging.edges import flag_mixed, mixed_pixels
-from amulor.imaging.frame import Frame, frame_of
+from amulor.imaging.frame import Axes, Frame, frame_of
 from amulor.imaging.outliers import flag_outliers, outlying_pixels
 from amulor.imaging.point_cloud import point_cloud
 from amulor.imaging.range_image import range_image
@@ -11,6 +11,7 @@ from amulor.imaging.selection import leave_out
 from amulor.imaging.unwrap import unwrapped_range_image
 
 __all__ = [
+    "Axes",
     "ErrorBudget",
     "Frame",
     "correlation",

@@ -41,6 +41,8 @@ points = 4
 name = "scan1"
 image = "one.nc"
 raw = ["raw_one.nc", "run"]
+[scans.pose]
+position = ["10 m", "20 m", "-5 m"]
 [[scans]]
 name = "scan2"
 image = "two.nc"
@@ -104,7 +106,8 @@ def test_clouds_of_all_formats_are_the_same_points_in_one_frame(whole) -> None:
     assert e57["cartesianX"].min() == pytest.approx(11.43, abs=2e-3)
     assert text[:, 0].max() == pytest.approx(11.5, abs=2e-3)
     first = np.loadtxt(whole / "registered" / "Ladder_scan1.xyz")
-    assert first[:, 1].max() == pytest.approx(1.5, abs=2e-3)  # z up, y forward
+    # Without a heading, forward is north.
+    assert first[:, 1].max() == pytest.approx(21.5, abs=2e-3)
 
 
 def test_matrices_turn_the_instruments_axes_into_the_clouds(source, whole) -> None:
@@ -197,7 +200,7 @@ def edited(path: Path, old: str, new: str) -> None:
             "Ladder_scan2.laz is no LAZ file",
         ),
         (
-            lambda f: edited(f / "registered/Ladder_scan1.xyz", "\n0.", "\n# 0."),
+            lambda f: edited(f / "registered/Ladder_scan1.xyz", "\n10.", "\n# 10."),
             "points, metadata/scans.csv says",
         ),
         (
@@ -273,6 +276,17 @@ def test_nothing_is_left_after_a_failure(source, tmp_path, monkeypatch, step) ->
         ('name = "Ladder"', 'name = "La dder/.."', "name"),
         ("last_day = 2026-05-02", "last_day = 2026-04-02", "lies before first_day"),
         ('image = "one.nc"', 'image = "raw_one.nc"', "raw_one.nc"),
+        ("[scans.pose]\nheading", "[scans.other]\nheading", "scans.1.other"),
+        (
+            '[scans.pose]\nheading = "90 deg"\nposition = ["10 m", "20 m", "-5 m"]\n',
+            "",
+            "scan scan2: neither the project nor its survey states its pose",
+        ),
+        (
+            'heading = "90 deg"',
+            'heading = "90 deg"\ncrs = "EPSG:32632"',
+            "another reference system",
+        ),
     ],
 )
 def test_a_description_that_lacks_something_is_one_line(
@@ -286,3 +300,17 @@ def test_a_description_that_lacks_something_is_one_line(
     assert message.count("\n") == 1
     assert text in message
     assert list(tmp_path.iterdir()) == []
+
+
+def test_a_single_scan_needs_no_pose_and_has_z_up(source, tmp_path) -> None:
+    path = source / "single.toml"
+    path.write_text(
+        PROJECT.split("[[scans]]")[0].replace('rms_error = "1.5 mm"\n', "")
+        + '[[scans]]\nname = "only"\nimage = "one.nc"\nraw = ["raw_one.nc"]\n'
+    )
+    folder = tmp_path / "single"
+    assert main(["archive", str(path), "-o", str(folder)]) == 0
+    points = np.loadtxt(folder / "registered" / "Ladder_only.xyz")
+    assert points[:, 1].max() == pytest.approx(1.5, abs=2e-3)
+    registration = (folder / "metadata" / "registration.csv").read_text()
+    assert "global RMS error [m],single scan" in registration

@@ -112,7 +112,8 @@ def _fill(
     for part in ("raw", "processed", "registered", "registration", "metadata"):
         (hidden / part).mkdir()
     rows: list[Row] = []
-    frames = []
+    progress("reading", 0.0)
+    frames = _frames(project)
     for number, scan in enumerate(project.scans):
         share = number / len(project.scans)
         progress(f"copying {scan.name}", 0.9 * share)
@@ -120,12 +121,9 @@ def _fill(
         progress(f"clouds of {scan.name}", 0.9 * (share + 0.3 / len(project.scans)))
         image = io.read_cube(scan.image)
         try:
-            cubes.check(image, "range_image", name=str(scan.image))
-            row, frame = _scan(name, scan, image, hidden, raw)
+            rows.append(_scan(name, scan, image, hidden, raw, frames[number]))
         except CubeError as error:
             raise CubeError(f"scan {scan.name}: {error}") from None
-        rows.append(row)
-        frames.append(frame)
     _table(hidden / layout.SCANS, layout.SCAN_FIELDS, rows)
     points = sum(int(row["points"]) for row in rows)
     _fields(
@@ -136,6 +134,34 @@ def _fill(
     (hidden / layout.README).write_text(_readme(project, rows), encoding="utf-8")
     _file_list(hidden)
     return {"scans": len(rows), "points": points}
+
+
+def _frames(project: Project) -> list[imaging.Frame]:
+    """Return the frame of each scan's points; all of them are one, or it is refused."""
+    frames = []
+    for scan in project.scans:
+        image = io.read_cube(scan.image)
+        cubes.check(image, "range_image", name=str(scan.image))
+        survey = _survey(image)
+        pose = scan.pose or (None if survey is None else survey.pose)
+        if pose is None and len(project.scans) > 1:
+            raise CubeError(
+                f"scan {scan.name}: neither the project nor its survey states its pose,"
+                " so its points are in no frame with those of other scans; add "
+                "[scans.pose], or archive it alone"
+            )
+        axes: imaging.Axes = "z-up" if pose is None else "pose"
+        frames.append(imaging.frame_of(image, axes, pose=pose))
+        if (frames[-1].crs, frames[-1].crs_offset) != (
+            frames[0].crs,
+            frames[0].crs_offset,
+        ):
+            raise CubeError(
+                f"scan {scan.name}: its pose is in another reference system or has "
+                f"another offset than that of {project.scans[0].name}; state all poses "
+                "in one"
+            )
+    return frames
 
 
 def _copy_raw(scan: ScanFiles, hidden: Path) -> list[str]:
@@ -160,12 +186,15 @@ def _copy_raw(scan: ScanFiles, hidden: Path) -> list[str]:
 
 
 def _scan(
-    name: str, scan: ScanFiles, image: xr.Dataset, hidden: Path, raw: list[str]
-) -> tuple[Row, imaging.Frame]:
+    name: str,
+    scan: ScanFiles,
+    image: xr.Dataset,
+    hidden: Path,
+    raw: list[str],
+    frame: imaging.Frame,
+) -> Row:
     """Write clouds and matrix of a scan, and return what is to be said of it."""
     survey = _survey(image)
-    pose = scan.pose or (None if survey is None else survey.pose)
-    frame = imaging.frame_of(image, "z-up" if pose is None else "pose", pose=pose)
     cloud = imaging.point_cloud(image, frame=frame)
     stem = layout.cloud_name(name, scan.name)
     for ending in (".xyz", ".laz", ".e57"):
@@ -205,7 +234,7 @@ def _scan(
         "material": scan.material,
         "simulated": "yes" if image.attrs.get("simulated") else "no",
         "notes": scan.notes,
-    }, frame
+    }
 
 
 def _project_fields(project: Project, rows: list[Row], points: int) -> Row:
@@ -234,23 +263,16 @@ def _project_fields(project: Project, rows: list[Row], points: int) -> Row:
 
 def _registration_fields(project: Project, frames: Sequence[imaging.Frame]) -> Row:
     stated = project.registration
-    systems = sorted({frame.crs for frame in frames if frame.crs})
     error = stated.rms_error
     return {
         "method": stated.method,
-        "georeferenced": "yes" if systems else "no",
-        "reference system": ", ".join(systems) or "local frame",
+        "georeferenced": "yes" if frames[0].crs else "no",
+        "reference system": frames[0].crs or "local frame",
         "number of scans": str(len(project.scans)),
         "control points": str(stated.points),
         "global RMS error [m]": "single scan" if error is None else f"{error:.4g}",
-        "frame of registered clouds": " | ".join(
-            dict.fromkeys(frame.axes for frame in frames)
-        ),
-        "add to coordinates [m]": " | ".join(
-            dict.fromkeys(
-                ", ".join(f"{v:.12g}" for v in frame.crs_offset) for frame in frames
-            )
-        ),
+        "frame of registered clouds": frames[0].axes,
+        "add to coordinates [m]": ", ".join(f"{v:.12g}" for v in frames[0].crs_offset),
         "software": stated.software,
         "notes": stated.notes,
     }
