@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
 
+import exact_scenes as scenes
 import pytest
 import xarray as xr
-
-sys.path.insert(0, str(Path(__file__).parents[1] / "imaging" / "products"))
-import scenes
 
 from amulor import io
 

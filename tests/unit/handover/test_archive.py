@@ -8,11 +8,11 @@ import shutil
 import subprocess
 from pathlib import Path
 
+import exact_scenes as scenes
 import laspy
 import numpy as np
 import pye57
 import pytest
-import scenes
 
 from amulor import io
 from amulor.cli import main

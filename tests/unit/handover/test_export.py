@@ -7,11 +7,11 @@ import re
 import xml.etree.ElementTree as ET
 from pathlib import Path
 
+import exact_scenes as scenes
 import laspy
 import numpy as np
 import pye57
 import pytest
-import scenes
 import trimesh
 from PIL import Image
 

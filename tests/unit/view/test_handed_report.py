@@ -5,16 +5,12 @@ from __future__ import annotations
 import re
 import shutil
 import subprocess
-import sys
 from itertools import pairwise
-from pathlib import Path
 
+import exact_scenes as scenes
 import numpy as np
 import pytest
 from matplotlib.backends.backend_agg import FigureCanvasAgg
-
-sys.path.insert(0, str(Path(__file__).parents[1] / "imaging" / "products"))
-import scenes
 
 from amulor.cli import main
 from amulor.view import figures, image_report

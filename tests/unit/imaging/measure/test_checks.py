@@ -2,13 +2,8 @@
 
 from __future__ import annotations
 
-import sys
-from pathlib import Path
-
+import exact_scenes as scenes
 import pytest
-
-sys.path.insert(0, str(Path(__file__).parents[1] / "products"))
-import scenes
 
 from amulor.errors import CubeError, SurveyError
 from amulor.imaging.measure import Check, compared, read_checks

@@ -2,14 +2,9 @@
 
 from __future__ import annotations
 
-import sys
-from pathlib import Path
-
+import exact_scenes as scenes
 import numpy as np
 import pytest
-
-sys.path.insert(0, str(Path(__file__).parent))
-import scenes
 
 from amulor import imaging
 from amulor.cube import QualityFlag
