@@ -26,7 +26,7 @@ COMMANDS = {
     ),
     "simulate": ("simulate:simulate", "Simulate a survey into a measurement cube."),
     "acquire": ("acquire:acquire", "Run a scan and record its measurement cube."),
-    "recover": ("recover:recover", "Make the cube of a scan from its journal."),
+    "recover": ("acquire:recover", "Make the cube of a scan from its journal."),
     "devices simulate": (
         "devices:simulate",
         "Serve simulated devices on the network until Ctrl-C.",

@@ -229,7 +229,8 @@ def _chosen(
 
     cube = cubes.checked(cube, "range_image")
     stated = None if pose is None else survey.read_pose(pose)
-    frame = imaging.frame_of(cube, "pose" if pose is not None else axes, pose=stated)
+    chosen = "pose" if pose is not None else axes
+    frame = imaging.frame_of(cube, axes=chosen, pose=stated)
     with refusing("--largest-uncertainty"):
         cube = imaging.leave_out(
             cube,

@@ -12,8 +12,8 @@ from amulor.errors import CubeError
 
 __all__ = ["check_values"]
 
-#: Detectors and lock-ins give volts; more than this is damage [V].
-_LARGEST_SIGNAL = 1e9
+#: Detectors and lock-ins give volts; so much more is damage, or another unit [V].
+_LARGEST_SIGNAL = 1e15
 #: Errors that all samples share come together or not at all.
 _COMMON = (
     "common_in_phase_uncertainty",

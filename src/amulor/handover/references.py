@@ -136,9 +136,9 @@ def compare(surface: products.Surface, order: Order) -> products.Deviation:
 def _frame_of(earlier: xr.Dataset, frame: Frame) -> Frame:
     """Return where an earlier scan stood: as it states, else at the same place."""
     try:
-        return imaging.frame_of(earlier, frame.name)
+        return imaging.frame_of(earlier, axes=frame.name)
     except CubeError:
-        return imaging.frame_of(earlier, frame.name, pose=frame.pose)
+        return imaging.frame_of(earlier, axes=frame.name, pose=frame.pose)
 
 
 def read_mesh(path: Path, *, unit: float) -> tuple[Floats, NDArray[np.intp]]:

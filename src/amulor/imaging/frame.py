@@ -149,7 +149,7 @@ class Frame:
 
 
 def frame_of(
-    image: xr.Dataset, axes: Axes = "instrument", *, pose: Pose | None = None
+    image: xr.Dataset, *, axes: Axes = "instrument", pose: Pose | None = None
 ) -> Frame:
     """Return a frame for the points of a range image.
 

@@ -66,7 +66,7 @@ def registration(images: Mapping[str, xr.Dataset]) -> list[Part]:
         if survey is None or survey.pose is None:
             rows.append([name, "the instrument's own axes", "", "", "", ""])
             continue
-        pose, frame = survey.pose, frame_of(image, "pose")
+        pose, frame = survey.pose, frame_of(image, axes="pose")
         rows.append(
             [
                 name,

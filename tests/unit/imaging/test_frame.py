@@ -50,7 +50,7 @@ def one_pixel(*, azimuth: float, elevation: float, distance: float) -> xr.Datase
 def test_a_pose_turns_points_as_on_a_ship(degrees, point, expected) -> None:
     heading, pitch, roll = np.radians(degrees)
     pose = Pose(position=(10, 20, -30), heading=heading, pitch=pitch, roll=roll)
-    frame = imaging.frame_of(xr.Dataset(), "pose", pose=pose)
+    frame = imaging.frame_of(xr.Dataset(), axes="pose", pose=pose)
     found = frame.place(np.array(point, dtype=float))
     np.testing.assert_allclose(found, np.add(expected, (10, 20, -30)), atol=1e-12)
     assert np.linalg.det(frame.rotation) == pytest.approx(1.0)
@@ -59,7 +59,7 @@ def test_a_pose_turns_points_as_on_a_ship(degrees, point, expected) -> None:
 
 
 def test_z_up_has_forward_as_its_second_axis() -> None:
-    frame = imaging.frame_of(xr.Dataset(), "z-up")
+    frame = imaging.frame_of(xr.Dataset(), axes="z-up")
     np.testing.assert_allclose(frame.place([1.0, 0.5, 2.0]), [1.0, 2.0, -0.5])
     assert np.linalg.det(frame.rotation) == pytest.approx(1.0)
 
@@ -81,7 +81,7 @@ def test_errors_of_a_pose_are_those_of_poses_that_are_drawn() -> None:
         "level_uncertainty": 0.002,
     }
     angles = {"heading": 0.7, "pitch": -0.4, "roll": 0.3}
-    frame = imaging.frame_of(image, "pose", pose=Pose(**angles, **stated))
+    frame = imaging.frame_of(image, axes="pose", pose=Pose(**angles, **stated))
     cloud = imaging.point_cloud(image, frame=frame)
     rng = np.random.default_rng(5)
     inside = imaging.point_cloud(image)
@@ -94,7 +94,7 @@ def test_errors_of_a_pose_are_those_of_poses_that_are_drawn() -> None:
             pitch=-0.4 + rng.normal(scale=0.002),
             roll=0.3 + rng.normal(scale=0.002),
         )
-        one = imaging.frame_of(image, "pose", pose=off)
+        one = imaging.frame_of(image, axes="pose", pose=off)
         longer = at * (1 + rng.normal(scale=1e-3) / 4.0)
         drawn.append(one.place(longer))
     spread = np.std(drawn, axis=0)
@@ -105,23 +105,23 @@ def test_errors_of_a_pose_are_those_of_poses_that_are_drawn() -> None:
 
 def test_what_a_pose_leaves_out_is_said() -> None:
     image = one_pixel(azimuth=0.0, elevation=0.0, distance=1.0)
-    frame = imaging.frame_of(image, "pose", pose=Pose(level_uncertainty=0.01))
+    frame = imaging.frame_of(image, axes="pose", pose=Pose(level_uncertainty=0.01))
     assert frame.unknown == ("position", "heading")
     cloud = imaging.point_cloud(image, frame=frame)
     assert cloud.attrs["pose_unknown"] == "position, heading"
-    assert imaging.frame_of(image, "z-up").unknown == ()
+    assert imaging.frame_of(image, axes="z-up").unknown == ()
 
 
 def test_no_pose_anywhere_is_refused_with_the_remedy() -> None:
     image = one_pixel(azimuth=0.0, elevation=0.0, distance=1.0)
     with pytest.raises(CubeError, match=r"states no pose.*\[pose\].*--pose"):
-        imaging.frame_of(image, "pose")
+        imaging.frame_of(image, axes="pose")
 
 
 def test_the_pose_of_the_survey_is_taken(plate_text: str) -> None:
     text = plate_text + '[pose]\nheading = "90 deg"\nposition = ["1 m", "2 m", "3 m"]\n'
     image = one_pixel(azimuth=0.0, elevation=0.0, distance=1.0)
-    frame = imaging.frame_of(image.assign_attrs(survey=text), "pose")
+    frame = imaging.frame_of(image.assign_attrs(survey=text), axes="pose")
     np.testing.assert_allclose(frame.place([0.0, 0.0, 5.0]), [6.0, 2.0, 3.0])
 
 

@@ -151,7 +151,7 @@ def _frames(project: Project) -> list[imaging.Frame]:
                 "[scans.pose], or archive it alone"
             )
         axes: imaging.Axes = "z-up" if pose is None else "pose"
-        frames.append(imaging.frame_of(image, axes, pose=pose))
+        frames.append(imaging.frame_of(image, axes=axes, pose=pose))
         if (frames[-1].crs, frames[-1].crs_offset) != (
             frames[0].crs,
             frames[0].crs_offset,

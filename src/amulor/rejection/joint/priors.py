@@ -125,6 +125,11 @@ class Shared:
         return self.widths[0] > _TRIED[0][0] or self.widths[1] > _TRIED[1][0]
 
     @property
+    def echo_departs(self) -> bool:
+        """Whether the data ask for departures of the echo from a delay."""
+        return self.widths[2] > _TRIED[2][0]
+
+    @property
     def shot_factor(self) -> float:
         """Strength of the open-water shots over that of the scan [1]."""
         return float(np.exp(self.shot_change))

@@ -87,7 +87,8 @@ def fit(
     found = _followed(begun)
     if not len(targets) or found.state.evidence <= DECISIVE:
         return found.state
-    if by_shots:
+    # An echo that departs is hidden by free water, not explained by it.
+    if by_shots and not found.state.echo_departs:
         alone = fit(
             frame, targets, None, transfer=transfer, deepest=deepest,
             turn_width=turn_width,

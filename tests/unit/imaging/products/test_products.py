@@ -17,7 +17,7 @@ TURNED = (np.sin(0.5), 0.1, np.cos(0.5))
 
 
 def drawing(image, *, cell=2e-3, side="front", axes="instrument", pose=None):
-    frame = imaging.frame_of(image, axes, pose=pose)
+    frame = imaging.frame_of(image, axes=axes, pose=pose)
     surface = products.surface(image, frame=frame)
     return products.raster(surface, products.plane_of(frame, side), cell=cell)
 
@@ -283,8 +283,8 @@ class TestDeviation:
         moved = Pose(position=(0, -0.5, 0), position_uncertainty=0.02)
         farther = scenes.plane((0, 0, 1), 2.0, own=1e-4)
         frames = [
-            imaging.frame_of(image, "pose", pose=here),
-            imaging.frame_of(image, "pose", pose=moved),
+            imaging.frame_of(image, axes="pose", pose=here),
+            imaging.frame_of(image, axes="pose", pose=moved),
         ]
         one = products.surface(image, frame=frames[0])
         same = products.deviation(
