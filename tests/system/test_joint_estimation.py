@@ -121,6 +121,7 @@ def errors(found: xr.Dataset, truth: xr.Dataset) -> tuple[np.ndarray, np.ndarray
     "fluctuation", [0.0, pytest.param(5.0, marks=pytest.mark.slow)]
 )
 @pytest.mark.parametrize("shots", [True, pytest.param(False, marks=pytest.mark.study)])
+@pytest.mark.slow
 def test_intervals_hold_what_they_promise_and_reach_the_bound(
     fluctuation: float, shots: bool
 ) -> None:

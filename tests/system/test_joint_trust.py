@@ -40,6 +40,7 @@ def test_large_scans_are_followed(scene: str) -> None:
         assert holds(row.score, trusted=0.99), row
 
 
+@pytest.mark.slow
 def test_water_that_fluctuates_more_than_open_water_widens_the_interval() -> None:
     # In harbour water the 95 % interval held in 89 %: the water before the target
     # weighed as open water does, whose ends interfere at high frequencies.

@@ -30,6 +30,7 @@ def _failing(checks: list[Check]) -> set[str]:
     return {check.statement for check in checks if not check.passed}
 
 
+@pytest.mark.slow
 def test_what_fails_is_what_the_gallery_discusses(study: Study) -> None:
     failing = {text for figure in FIGURES for text in _failing(figure.checks(study))}
     assert failing == {

@@ -20,6 +20,7 @@ from amulor.studies.trust.surveys import plate, survey
 # Ambiguity --------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("count", [1, 2])
 def test_a_target_beyond_the_repetition_of_the_phases_is_never_trusted(
     count: int,
@@ -43,6 +44,7 @@ def test_the_same_pixels_are_right_once_the_interval_is_stated() -> None:
     assert (image["quality_flag"].values == 0).mean() > 0.9
 
 
+@pytest.mark.slow
 def test_commands_compare_the_interval_with_the_targets_of_the_survey(
     tmp_path: Path, capsys
 ) -> None:
@@ -117,6 +119,7 @@ def test_a_black_surface_ends_the_water_and_is_no_target(count: int) -> None:
     assert np.isnan(image["slant_range"]).all()
 
 
+@pytest.mark.slow
 def test_weak_targets_are_still_seen() -> None:
     # A plate of 1 % sends back less than the water in front of it.
     rows = run(["dark"], ["open-water 20 %", "combined"], [1, 4])
@@ -164,7 +167,16 @@ def test_survey_check_asks_for_denser_shots_where_the_scan_is_tall(
 # The column behind the target -------------------------------------------------------
 
 
-@pytest.mark.parametrize("scene", ["flat", "a, b doubled", "a, b halved", "coastal"])
+@pytest.mark.parametrize(
+    "scene",
+    [
+        "flat",
+        *(
+            pytest.param(name, marks=pytest.mark.slow)
+            for name in ("a, b doubled", "a, b halved", "coastal")
+        ),
+    ],
+)
 def test_open_water_by_default_is_trusted_and_holds_whatever_the_survey_says(
     scene: str,
 ) -> None:
@@ -203,6 +215,7 @@ def test_pixels_that_see_two_plates_are_not_called_good(scene: str) -> None:
         assert row.score.trusted == 0, row
 
 
+@pytest.mark.slow
 def test_one_frequency_of_two_noisy_channels_sees_two_plates_as_well() -> None:
     # Noise of 1.2 mm: 75 % of the pixels were trusted, 8 or 12 mm off.
     for row in run(["mixed 2 cm"], ["polarization"], [1]):
@@ -242,6 +255,7 @@ def test_a_phase_that_disagrees_costs_neither_the_pixel_nor_the_interval(
         assert row.score.worst < 5, row
 
 
+@pytest.mark.slow
 def test_noise_that_is_twice_what_is_stated_is_noticed() -> None:
     # 71 to 75 % of the intervals held.
     for row in run(["noise"], ["open-water", "polarization"], [16]):

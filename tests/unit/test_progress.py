@@ -64,7 +64,10 @@ def test_a_problem_ends_the_listening() -> None:
     assert said == []
 
 
-@pytest.mark.parametrize("method", ["open_water", "combined", "joint", "auto"])
+@pytest.mark.parametrize(
+    "method",
+    ["open_water", "combined", "joint", pytest.param("auto", marks=pytest.mark.slow)],
+)
 def test_the_steps_of_a_scan_rise(method: str, plate_text: str) -> None:
     cubes: list[xr.Dataset] = []
     text = plate_text.replace('["39 MHz"]', '["39 MHz", "60 MHz"]')

@@ -293,6 +293,7 @@ def test_a_termination_leaves_the_laser_off_and_a_folder_that_resumes(
         assert main(["acquire", "scan/survey.toml", "-o", "scan", "--resume"]) == 0
 
 
+@pytest.mark.slow
 def test_ctrl_c_asks_and_the_scan_goes_on_or_ends_and_is_resumed(
     here, survey, terminal, capsys
 ) -> None:

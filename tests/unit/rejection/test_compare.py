@@ -83,6 +83,7 @@ def test_auto_does_what_is_recommended(
     assert list(target["polarization"].values) == [found.polarization]
 
 
+@pytest.mark.slow
 def test_the_recommendation_does_not_hang_on_the_words_of_a_note(
     plate_text: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -145,6 +146,7 @@ def test_a_cube_without_any_target_is_refused(by_hand: Make) -> None:
         rejection.compare(cube)
 
 
+@pytest.mark.slow
 def test_no_method_reads_the_truth(cube: xr.Dataset) -> None:
     lying = cube.copy()
     for name in lying.data_vars:

@@ -286,6 +286,7 @@ def _scores(text: str, seeds: int, step, **options) -> np.ndarray:
     return np.array(found)
 
 
+@pytest.mark.slow
 def test_the_fluctuation_is_that_of_the_water_before_the_target(
     plate_text: str,
 ) -> None:
@@ -310,6 +311,7 @@ def test_the_uncertainty_of_unmixing_holds_in_water_that_fluctuates(
     assert 0.85 < np.nanstd(z) < 1.15
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("frequencies", "interval"),
     [

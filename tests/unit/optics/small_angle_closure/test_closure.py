@@ -196,6 +196,7 @@ def test_after_many_small_scatterings_all_three_forms_agree():
     assert np.all(abs(found / whole - 1) <= abs(diffusion / whole - 1))
 
 
+@pytest.mark.slow
 @settings(deadline=None, max_examples=40)
 @given(
     depth=st.floats(0.05, 30),

@@ -8,6 +8,7 @@ import sys
 from pathlib import Path
 
 import numpy as np
+import pytest
 from numpy.testing import assert_allclose
 
 from amulor.rejection.joint._kernels.bundles import (
@@ -163,6 +164,7 @@ def summed() -> Results:
     return found | named("common", out) | {"between": between, "integral": integral}
 
 
+@pytest.mark.slow
 def test_all_compiled_loops_give_what_they_give_uncompiled(tmp_path: Path) -> None:
     file = tmp_path / "uncompiled.npz"
     subprocess.run(

@@ -57,6 +57,7 @@ def test_an_error_in_a_thread_reaches_the_caller(
         spread(fail, 100, fewest=1)
 
 
+@pytest.mark.slow
 def test_threads_change_no_result(
     samples: xr.Dataset, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -60,6 +60,7 @@ def test_large_images_are_left_to_the_server(
     assert "amulor view shows it" in part.text
 
 
+@pytest.mark.slow
 def test_saving_needs_no_package_of_the_extra() -> None:
     program = (
         "import sys; from amulor.view import page; page.saved_page; page.recording_of; "
