@@ -110,9 +110,10 @@ def test_spoiled_samples_cost_no_trust(scene: str) -> None:
     # 42 to 90 % were trusted, with intervals up to ten times too wide.
     for row in run([scene], ["joint", "joint, no shots"], [2, 16]):
         assert holds(row.score, trusted=0.93), row
-    plain = run(["flat"], ["joint"], [16])[0].score
-    # Three or four per cent of the samples are gone, one per cent of the precision.
-    assert row.score.stated < 1.1 * plain.stated
+    plain = run(["flat"], ["joint, no shots"], [16])[0].score
+    # Three or four per cent of the samples are gone; spikes take one per cent of the
+    # precision, particles, which pull what all pixels share, ten.
+    assert row.score.stated < 1.15 * plain.stated
 
 
 def test_water_that_drifts_during_the_scan_is_followed() -> None:

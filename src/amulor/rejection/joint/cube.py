@@ -254,7 +254,6 @@ def _attributes(shared: Shared, instrument: Instrument) -> dict[str, Any]:
         "joint_forward_scattering_uncertainty_per_m": forward * errors[channels + 2],
         "joint_fluctuation": shared.fluctuation,
         "joint_shot_strength": shared.shot_factor,
-        "joint_shots_left_out": int(shared.shots_left_out),
         "joint_noise_scale": shared.noise_scale,
         "joint_water_drift": change_of(shared.trend),
         "joint_receiver_turn_rad": shared.shape.turn,

@@ -124,8 +124,7 @@ def joint(
     uncertainty.
 
     Open-water shots may be of other water: their strength and, at each frequency, a
-    departure from the water of the scan have priors whose widths the data choose; where
-    only they contradict the model, they are left out (`joint_shots_left_out`).
+    departure from the water of the scan have priors whose widths the data choose.
     What the samples cannot tell widens the intervals: delay, group index, place of
     the receiver and late echoes move all ranges together
     (`slant_range_common_uncertainty`). The direction of the receiver is estimated with

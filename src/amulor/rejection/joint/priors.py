@@ -91,8 +91,6 @@ class Shared:
     """Twice the logarithm of how much the data prefer departures over none [1]."""
     misfit: float
     """Sum of squared errors over its degrees of freedom [1]."""
-    shots_left_out: bool = False
-    """Whether the open-water shots are of other water, and have no say."""
 
     @property
     def gain(self) -> Complex:
@@ -123,11 +121,6 @@ class Shared:
     def water_departs(self) -> bool:
         """Whether the data prefer that the water is not as the model has it."""
         return self.widths[0] > _TRIED[0][0] or self.widths[1] > _TRIED[1][0]
-
-    @property
-    def echo_departs(self) -> bool:
-        """Whether the data ask for departures of the echo from a delay."""
-        return self.widths[2] > _TRIED[2][0]
 
     @property
     def shot_factor(self) -> float:

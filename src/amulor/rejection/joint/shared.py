@@ -87,15 +87,6 @@ def fit(
     found = _followed(begun)
     if not len(targets) or found.state.evidence <= DECISIVE:
         return found.state
-    # An echo that departs is hidden by free water, not explained by it.
-    if by_shots and not found.state.echo_departs:
-        alone = fit(
-            frame, targets, None, transfer=transfer, deepest=deepest,
-            turn_width=turn_width,
-        )  # fmt: skip
-        if alone.evidence <= DECISIVE and alone.misfit < _FITS:
-            # Without the shots nothing departs: they are of other water.
-            return replace(alone, shots_left_out=True)
     # A drift that follows the distance looks like a model that is wrong.
     other = _followed(replace(begun, problem=found.problem), neighbours=False)
     return min((found.state, other.state), key=found.problem.cost)

@@ -159,7 +159,7 @@ def test_shots_of_stronger_or_weaker_water_are_seen_through(change: float) -> No
 
 @pytest.mark.slow
 @pytest.mark.parametrize("factor", [0.5, 1.25])
-def test_shots_of_clearer_or_more_turbid_water_are_left_out(
+def test_shots_of_clearer_or_more_turbid_water_widen_the_intervals(
     factor: float,
 ) -> None:
     target = plate(2.6, lean=20)
@@ -172,12 +172,13 @@ def test_shots_of_clearer_or_more_turbid_water_are_left_out(
     good = (found["quality_flag"].values == 0).all(axis=(0, 1))
     # All were flagged: shots that contradict the scan had a say.
     assert good.mean() > 0.99
-    assert found.attrs["joint_shots_left_out"] == 1
     error = found["joint_slant_range"].values - surfaces
     z = np.abs(error / found["joint_slant_range_uncertainty"].values)[good]
-    # 384 pixels: standard errors of 2.4 and 1.1 points, three of each.
-    assert np.mean(z < 1) == pytest.approx(0.683, abs=0.072)
-    assert np.mean(z < 1.96) == pytest.approx(0.95, abs=0.034)
+    # 384 pixels: standard errors of 2.4 and 1.1 points, three of each. Intervals are
+    # wider than they must be: what explains the shots could be the echo's, too.
+    assert np.mean(z < 1) > 0.61
+    assert np.mean(z < 1.96) > 0.916
+    assert np.median(found["joint_slant_range_uncertainty"]) < 2e-3
 
 
 def test_an_echo_is_late_by_the_detour_of_its_angles() -> None:
