@@ -137,6 +137,31 @@ def interval_of(
 CUBE_ENDINGS = (".nc", ".nc4")
 
 
+def check_cube_output(path: Path, *, overwrite: bool, inputs: Sequence[Path]) -> None:
+    """Refuse a file that no cube can be written to, before the work.
+
+    Parameters
+    ----------
+    path : pathlib.Path
+        Of the option `--output`.
+    overwrite : bool
+        Whether a file that is there may be replaced.
+    inputs : sequence of pathlib.Path
+        Files that are read, and never replaced.
+
+    Raises
+    ------
+    FormatError
+        As `amulor.io.check_output`.
+    UsageError
+        If the ending is not that of netCDF.
+    """
+    from amulor import io
+
+    io.check_output(path, overwrite=overwrite, inputs=inputs)
+    check_ending("--output", path, CUBE_ENDINGS)
+
+
 def check_ending(option: str, path: Path, endings: Sequence[str]) -> None:
     """Refuse a file name whose ending names none of some formats.
 

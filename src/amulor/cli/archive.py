@@ -52,8 +52,8 @@ def archive(
         raise FormatError(f"{output} exists already; choose another name")
     described = read_project(project)
     _extras.require("export", purpose="the archive")
-    with progress_bar(quiet=json) as progress:
-        counts = write_archive(described, output, progress=progress)
+    with progress_bar(quiet=json):
+        counts = write_archive(described, output)
     if json:
         print_json({"folder": output, **counts})
         return

@@ -36,12 +36,11 @@ def image(
         Replace a file that is there.
     """
     from amulor import _progress, imaging, io
-    from amulor.cli._arguments import CUBE_ENDINGS, check_ending, interval_of
+    from amulor.cli._arguments import check_cube_output, interval_of
     from amulor.cli._output import progress_bar
 
     interval = interval_of(nearest, farthest)
-    io.check_output(output, overwrite=overwrite, inputs=[cube])
-    check_ending("--output", output, CUBE_ENDINGS)
+    check_cube_output(output, overwrite=overwrite, inputs=[cube])
     with progress_bar() as advance:
         advance(f"reading {cube}", 0.0)
         target = io.read_cube(cube)

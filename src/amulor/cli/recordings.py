@@ -36,13 +36,12 @@ def recordings(
         Replace a file that is there.
     """
     from amulor import io
-    from amulor.cli._arguments import CUBE_ENDINGS, check_ending
+    from amulor.cli._arguments import check_cube_output
     from amulor.io.recording_map import RecordingMap
     from amulor.io.recordings import read_recordings
     from amulor.survey import Survey
 
-    io.check_output(output, overwrite=overwrite, inputs=[file, survey, columns])
-    check_ending("--output", output, CUBE_ENDINGS)
+    check_cube_output(output, overwrite=overwrite, inputs=[file, survey, columns])
     described = RecordingMap.from_toml(columns)
     cube = read_recordings(
         file,

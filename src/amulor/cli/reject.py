@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 from cyclopts import Parameter
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     import xarray as xr
 
     from amulor.rejection import Comparison
@@ -86,9 +88,8 @@ def reject(
     """
     from amulor import _progress, io, rejection
     from amulor.cli._arguments import (
-        CUBE_ENDINGS,
         UsageError,
-        check_ending,
+        check_cube_output,
         interval_of,
         quantity_of,
     )
@@ -110,8 +111,7 @@ def reject(
     fluctuation = _fraction("--water-fluctuation", water_fluctuation)
     column = _fraction("--column-uncertainty", column_uncertainty)
     inputs = [cube] if open_water is None else [cube, open_water]
-    io.check_output(output, overwrite=overwrite, inputs=inputs)
-    check_ending("--output", output, CUBE_ENDINGS)
+    check_cube_output(output, overwrite=overwrite, inputs=inputs)
     comparison: Comparison | None = None
     with progress_bar(quiet=json) as advance:
         advance(f"reading {cube}", 0.0)
@@ -119,42 +119,36 @@ def reject(
         if open_water is not None:
             samples = rejection.with_open_water(samples, io.read_cube(open_water))
         advance(_WAITING.get(method, "taking the water out"), 0.1)
+        ways: dict[str, Callable[[], xr.Dataset]] = {
+            "auto": lambda: rejection.auto(
+                samples, interval=interval, comparison=comparison
+            ),
+            "open-water": lambda: rejection.open_water(
+                samples, interval=interval, column_uncertainty=column
+            ),
+            "frequency": lambda: rejection.frequency(
+                samples, modulation_frequency=kept, interval=interval
+            ),
+            "combined": lambda: rejection.combined(
+                samples, interval=interval, target_ratio=target_ratio
+            ),
+            "joint": lambda: rejection.joint(samples, interval=interval),
+            "cross-polarized": lambda: rejection.cross_polarized(samples),
+            "co-polarized": lambda: rejection.co_polarized(samples),
+            "none": lambda: rejection.keep_water(samples),
+        }
+        ways["polarization"] = ways["unmix"] = lambda: rejection.unmix(
+            samples,
+            target_ratio=target_ratio,
+            water_ratio=water_ratio,
+            water_fluctuation=fluctuation,
+        )
         try:
-            with _progress.part(0.1, 0.9):
-                if method == "auto":
-                    with _progress.part(0.0, 0.8):
-                        comparison = rejection.compare(samples, interval=interval)
-                    with _progress.part(0.8, 1.0):
-                        target = rejection.auto(
-                            samples, interval=interval, comparison=comparison
-                        )
-                elif method == "open-water":
-                    target = rejection.open_water(
-                        samples, interval=interval, column_uncertainty=column
-                    )
-                elif method in ("polarization", "unmix"):
-                    target = rejection.unmix(
-                        samples,
-                        target_ratio=target_ratio,
-                        water_ratio=water_ratio,
-                        water_fluctuation=fluctuation,
-                    )
-                elif method == "frequency":
-                    target = rejection.frequency(
-                        samples, modulation_frequency=kept, interval=interval
-                    )
-                elif method == "combined":
-                    target = rejection.combined(
-                        samples, interval=interval, target_ratio=target_ratio
-                    )
-                elif method == "joint":
-                    target = rejection.joint(samples, interval=interval)
-                else:
-                    target = {
-                        "cross-polarized": rejection.cross_polarized,
-                        "co-polarized": rejection.co_polarized,
-                        "none": rejection.keep_water,
-                    }[method](samples)
+            if method == "auto":
+                with _progress.part(0.1, 0.74):
+                    comparison = rejection.compare(samples, interval=interval)
+            with _progress.part(0.1 if comparison is None else 0.74, 0.9):
+                target = ways[method]()
         except ValueError as error:
             stated = (target_ratio, water_ratio, fluctuation, column, kept, interval)
             # The formulas refuse their arguments; without options these come from the

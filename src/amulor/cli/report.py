@@ -62,9 +62,7 @@ def report(
             )
             for number, path in enumerate(images)
         }
-        image_report.write(
-            output, cubes, checks=known, progress=progress, overwrite=overwrite
-        )
+        image_report.write(output, cubes, checks=known, overwrite=overwrite)
     print(f"{output}: {len(cubes)} range image{'s' if len(cubes) > 1 else ''}")
 
 

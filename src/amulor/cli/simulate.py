@@ -8,10 +8,9 @@ from typing import Annotated, Literal
 from cyclopts import Parameter
 
 from amulor.cli._arguments import (
-    CUBE_ENDINGS,
     SEED,
     UsageError,
-    check_ending,
+    check_cube_output,
     quantity_of,
 )
 from amulor.cli._output import progress_bar
@@ -64,8 +63,7 @@ def simulate(
         raise UsageError(
             f"--error: needed is a relative error above 0 and below 1, found {error}"
         )
-    io.check_output(output, overwrite=overwrite, inputs=[survey])
-    check_ending("--output", output, CUBE_ENDINGS)
+    check_cube_output(output, overwrite=overwrite, inputs=[survey])
     described = Survey.from_toml(survey)
     try:
         with progress_bar() as advance, _progress.part(0.0, 0.9):

@@ -48,8 +48,7 @@ def transients(
     from amulor import cube as cubes
     from amulor import io
     from amulor.cli._arguments import (
-        CUBE_ENDINGS,
-        check_ending,
+        check_cube_output,
         frequencies_of,
         quantity_of,
         refusing,
@@ -60,8 +59,7 @@ def transients(
     side = (
         None if scan_side is None else quantity_of("--scan-side", scan_side, "length")
     )
-    io.check_output(output, overwrite=overwrite, inputs=[file])
-    check_ending("--output", output, CUBE_ENDINGS)
+    check_cube_output(output, overwrite=overwrite, inputs=[file])
     overlap = 0.0
     with refusing():
         cube = read_transients(file, frequencies, scene=scene, scan_side=side)

@@ -17,6 +17,7 @@ from amulor.handover.order import Order
 from amulor.imaging import products
 from amulor.imaging.frame import Frame
 from amulor.io import drawings as formats
+from amulor.survey.target import METRES
 from amulor.view.sheet import Sheet, sheet
 
 Floats = NDArray[np.float64]
@@ -24,7 +25,6 @@ Said = tuple[str, list[str]]
 
 #: Endings of meshes that are read.
 MESHES = (".ply", ".stl", ".obj", ".off", ".glb")
-_UNITS = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "inch": 0.0254}
 
 
 def write_deviation(
@@ -129,7 +129,7 @@ def compare(surface: products.Surface, order: Order) -> products.Deviation:
             reference=frame,
             farthest=order.farthest,
         )
-    vertices, faces = read_mesh(order.against, unit=_UNITS[order.unit])
+    vertices, faces = read_mesh(order.against, unit=METRES[order.unit])
     return products.deviation(surface, vertices, faces, farthest=order.farthest)
 
 

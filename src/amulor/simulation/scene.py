@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from amulor.errors import MissingExtraError
 from amulor.simulation.texture import Texture, barycentric, load, solid, trimesh_module
 from amulor.survey import Disc, Mesh, Plate, Staircase
+from amulor.survey.target import METRES
 
 #: The ray caster works in single precision; a shadow ray starts this far off [m].
 _LIFT = 2e-5
@@ -311,8 +312,7 @@ def _circle(x: float, y: float, radius: float, spacing: float) -> NDArray[np.flo
 def _mesh(target: Mesh) -> NDArray[np.float64]:
     loaded = load(target)
     corners = np.asarray(loaded.triangles, dtype=float)
-    metres = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "inch": 0.0254}[target.unit]
-    kept: NDArray[np.float64] = corners[solid(corners)] * metres
+    kept: NDArray[np.float64] = corners[solid(corners)] * METRES[target.unit]
     return kept
 
 

@@ -12,7 +12,7 @@ from amulor.errors import SurveyError
 from amulor.optics import ranging, rays
 from amulor.survey.properties import water_properties
 from amulor.survey.survey import Survey
-from amulor.survey.target import Disc, Mesh, Plate, Staircase
+from amulor.survey.target import METRES, Disc, Mesh, Plate, Staircase
 from amulor.survey.view import medium
 
 Floats = NDArray[np.float64]
@@ -219,5 +219,5 @@ def _mesh(target: Mesh) -> list[tuple[Floats, Floats]] | None:
         return None
     if corners.size == 0 or not np.all(np.isfinite(corners)):
         return None
-    metres = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "inch": 0.0254}[target.unit]
+    metres = METRES[target.unit]
     return [(corners.min(axis=0) * metres, corners.max(axis=0) * metres)]

@@ -23,6 +23,10 @@ from amulor.survey.surface import SurfaceStated
 PAINTED_METAL = SURFACES["painted-metal"]
 
 
+#: Metres of the units that coordinates of a mesh may have [m].
+METRES = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "inch": 0.0254}
+
+
 class _Target(Description):
     position: Position
     """Centre of the target (right, down, forward) in the instrument's axes [m]."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -10,6 +10,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from amulor import cube as cubes
+from amulor._progress import tell
 from amulor.imaging.measure import Check, compared
 from amulor.view import figures
 from amulor.view.accuracy import (
@@ -35,7 +36,6 @@ def write(
     images: Mapping[str, xr.Dataset],
     *,
     checks: Sequence[Check] = (),
-    progress: Callable[[str, float], None] = lambda step, share: None,
     overwrite: bool = False,
 ) -> None:
     """Write range images into one self-contained HTML file.
@@ -48,8 +48,6 @@ def write(
         Name to range image (level `range_image`).
     checks : sequence of Check
         Known lengths, measured in each of the images.
-    progress : callable, optional
-        Called with a step and the fraction of the work done before it.
     overwrite : bool
         Whether a file that is there may be replaced.
 
@@ -63,26 +61,26 @@ def write(
     for name, image in images.items():
         cubes.check(image, "range_image", name=name)
     first = next(iter(images.values()))
-    progress("measuring check distances", 0.0)
+    tell("measuring check distances", 0.0)
     measured = {
         name: [compared(image, check) for check in checks]
         for name, image in images.items()
     }
     parts: list[Part] = [Paragraph(_origin(images)), _numbers(images)]
     parts += accuracy_statement(images, measured)
-    progress("working out the error budget", 0.1)
+    tell("working out the error budget", 0.1)
     parts += error_budgets(images)
     parts += instrument_and_water(images)
     parts += registration(images)
     for number, (name, image) in enumerate(images.items()):
-        progress(f"drawing {name}", 0.2 + 0.4 * number / len(images))
+        tell(f"drawing {name}", 0.2 + 0.4 * number / len(images))
         parts += [
             Heading(name),
             Picture(figures.image_overview(image), flag_sentence(image)),
         ]
     # A surface needs two rows and two columns, and something to be drawn of them.
     drawable = {name: image for name, image in images.items() if _is_surface(image)}
-    progress("drawing profiles and surfaces", 0.6)
+    tell("drawing profiles and surfaces", 0.6)
     if drawable:
         staged = {name: {"range image": image} for name, image in drawable.items()}
         parts += [
@@ -103,7 +101,7 @@ def write(
         parts.append(Listing(f"history of {name}", str(image.attrs.get("history", ""))))
         if image.attrs.get("survey"):
             parts.append(Listing(f"survey of {name}", str(image.attrs["survey"])))
-    progress("writing", 0.9)
+    tell("writing", 0.9)
     title = str(first.attrs.get("title") or "Range images")
     write_report(path, title, parts, overwrite=overwrite)
 

@@ -13,6 +13,40 @@ SCHEME = "tcp://"
 _LONGEST = 4096
 
 
+def connected(address: str, timeout: float, *, port: str) -> socket.socket:
+    """Return a socket that is connected to an instrument.
+
+    Parameters
+    ----------
+    address : str
+        "tcp://host:port".
+    timeout : float
+        How long connecting, and then one answer, may take [s].
+    port : str
+        A usual port, for the message.
+
+    Raises
+    ------
+    InstrumentError
+        If this is no address, or nothing can be reached there.
+    """
+    host, _, stated = address.removeprefix(SCHEME).rpartition(":")
+    if not host or not stated.isdigit():
+        raise InstrumentError(
+            f"{address!r} is no address of a link over TCP; needed is "
+            f"tcp://host:port, such as tcp://10.0.0.5:{port}"
+        )
+    try:
+        link = socket.create_connection((host, int(stated)), timeout=timeout)
+    except OSError as error:
+        raise InstrumentError(
+            f"nothing can be reached at {address}: {error}; check address, "
+            "cable and power, and that no other program holds the link"
+        ) from error
+    link.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+    return link
+
+
 class DirectLink:
     """Lines over TCP, each ended by a line feed.
 
@@ -64,21 +98,7 @@ class DirectLink:
             self._socket = None
 
     def _open(self) -> None:
-        host, _, port = self.address.removeprefix(SCHEME).rpartition(":")
-        if not host or not port.isdigit():
-            raise InstrumentError(
-                f"{self.address!r} is no address of a link over TCP; needed is "
-                "tcp://host:port, such as tcp://10.0.0.5:50000"
-            )
-        try:
-            link = socket.create_connection((host, int(port)), timeout=self._timeout)
-        except OSError as error:
-            raise InstrumentError(
-                f"nothing can be reached at {self.address}: {error}; check address, "
-                "cable and power, and that no other program holds the link"
-            ) from error
-        link.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-        self._socket = link
+        self._socket = connected(self.address, self._timeout, port="50000")
         self._rest = b""
 
     @contextlib.contextmanager

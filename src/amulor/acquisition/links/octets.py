@@ -7,7 +7,7 @@ import socket
 from collections.abc import Iterator
 from typing import Any
 
-from amulor.acquisition.links.direct import SCHEME
+from amulor.acquisition.links.direct import SCHEME, connected
 from amulor.acquisition.links.visa import Link, SerialPort
 from amulor.errors import InstrumentError
 
@@ -99,21 +99,7 @@ class OctetLink:
                 self.address, timeout=self._timeout, serial=self._serial
             )
             return
-        host, _, port = self.address.removeprefix(SCHEME).rpartition(":")
-        if not host or not port.isdigit():
-            raise InstrumentError(
-                f"{self.address!r} is no address of a link over TCP; needed is "
-                "tcp://host:port, such as tcp://10.0.0.5:4001"
-            )
-        try:
-            link = socket.create_connection((host, int(port)), timeout=self._timeout)
-        except OSError as error:
-            raise InstrumentError(
-                f"nothing can be reached at {self.address}: {error}; check address, "
-                "cable and power, and that no other program holds the link"
-            ) from error
-        link.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-        self._socket = link
+        self._socket = connected(self.address, self._timeout, port="4001")
 
     def _port(self) -> Any:
         if self._link is None:

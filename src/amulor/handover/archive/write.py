@@ -6,7 +6,7 @@ import csv
 import os
 import secrets
 import shutil
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +14,7 @@ import xarray as xr
 
 from amulor import cube as cubes
 from amulor import imaging, io
+from amulor._progress import tell
 from amulor.cube import DOUBTFUL
 from amulor.errors import CubeError, FormatError, SurveyError
 from amulor.handover.archive import layout
@@ -37,12 +38,7 @@ _FORMATS = {
 }
 
 
-def write_archive(
-    project: Project,
-    folder: Path,
-    *,
-    progress: Callable[[str, float], None] = lambda step, share: None,
-) -> dict[str, int]:
+def write_archive(project: Project, folder: Path) -> dict[str, int]:
     """Write the folder that archives of heritage ask for.
 
     Parameters
@@ -51,8 +47,6 @@ def write_archive(
         From `read_project`.
     folder : pathlib.Path
         To be made; must not be there.
-    progress : callable, optional
-        Called with a step and the fraction of the work done before it.
 
     Returns
     -------
@@ -84,8 +78,8 @@ def write_archive(
     hidden = folder.with_name(f".amulor-{secrets.token_hex(8)}")
     try:
         hidden.mkdir()
-        counts = _fill(project, hidden, progress)
-        progress("checksums", 0.9)
+        counts = _fill(project, hidden)
+        tell("checksums", 0.9)
         _manifest(hidden)
         counts["files"] = sum(path.is_file() for path in hidden.rglob("*"))
         lacking = missing_of(hidden)
@@ -105,20 +99,18 @@ def write_archive(
     return counts
 
 
-def _fill(
-    project: Project, hidden: Path, progress: Callable[[str, float], None]
-) -> dict[str, int]:
+def _fill(project: Project, hidden: Path) -> dict[str, int]:
     name = project.project.name
     for part in ("raw", "processed", "registered", "registration", "metadata"):
         (hidden / part).mkdir()
     rows: list[Row] = []
-    progress("reading", 0.0)
+    tell("reading", 0.0)
     frames = _frames(project)
     for number, scan in enumerate(project.scans):
         share = number / len(project.scans)
-        progress(f"copying {scan.name}", 0.9 * share)
+        tell(f"copying {scan.name}", 0.9 * share)
         raw = _copy_raw(scan, hidden)
-        progress(f"clouds of {scan.name}", 0.9 * (share + 0.3 / len(project.scans)))
+        tell(f"clouds of {scan.name}", 0.9 * (share + 0.3 / len(project.scans)))
         image = io.read_cube(scan.image)
         try:
             rows.append(_scan(name, scan, image, hidden, raw, frames[number]))

@@ -135,7 +135,7 @@ def response_of(
     phases = np.broadcast_to(phases, np.broadcast_shapes(phases.shape, np.shape(vsf)))
     result = None if many is None else _together(many, phases, columns, spread)
     if result is None:
-        result = _by_column(integral, phases, columns, spread, dtype=complex)
+        result = _by_column(integral, phases, columns, spread)
     return np.asarray(vsf * result)
 
 
@@ -188,29 +188,27 @@ def _columns(arguments: Arguments, **others: Any) -> dict[str, NDArray[Any]]:
 
 
 def _by_column(
-    evaluate: Callable[[Array, Column, Table], Any],
-    free: Array,
+    integral: Callable[[Array, Column, Table], NDArray[np.complex128]],
+    phases: Array,
     columns: dict[str, NDArray[Any]],
     spread: Table,
-    *,
-    dtype: type,
-) -> Any:
-    """Return what evaluate makes of the free argument, once for each column."""
+) -> NDArray[np.complex128]:
+    """Return the integrals at all phases, once for each column."""
     inner = np.broadcast_shapes(*(value.shape for value in columns.values()))
-    shape = np.broadcast_shapes(free.shape, inner)
+    shape = np.broadcast_shapes(phases.shape, inner)
     inner = (1,) * (len(shape) - len(inner)) + inner
     columns = {name: np.broadcast_to(value, inner) for name, value in columns.items()}
-    free = np.broadcast_to(free, shape)
-    out: NDArray[Any] = np.empty(shape, dtype=dtype)
-    # Axes along which only the free argument changes share one column.
+    phases = np.broadcast_to(phases, shape)
+    out: NDArray[np.complex128] = np.empty(shape, dtype=complex)
+    # Axes along which only the phase changes share one column.
     for index in np.ndindex(inner):
         place = tuple(
             slice(None) if size == 1 else slice(i, i + 1)
             for i, size in zip(index, inner, strict=True)
         )
-        part = np.ascontiguousarray(free[place]).reshape(-1)
+        part = np.ascontiguousarray(phases[place]).reshape(-1)
         column = Column(
             **{name: float(value[index]) for name, value in columns.items()}
         )
-        out[place] = evaluate(part, column, spread).reshape(out[place].shape)
+        out[place] = integral(part, column, spread).reshape(out[place].shape)
     return out
