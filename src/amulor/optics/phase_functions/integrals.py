@@ -15,6 +15,8 @@ from numpy.typing import ArrayLike, NDArray
 from scipy import special
 
 from amulor.optics._bounds import checked_split_angle, not_negative
+from amulor.optics._quadrature.bessel import bessel
+from amulor.optics.phase_functions import _kernels
 
 __all__ = ["Panels", "forward_split", "gauss_legendre"]
 
@@ -137,10 +139,14 @@ class Panels:
         reach = flat * self.edges[0]  # at most 1e-3
         curvature = (2 - self.head_exponent) / (4 - self.head_exponent) / 4
         total: NDArray[np.float64] = self._innermost() * (1 - curvature * reach**2)
-        for order, chosen in ((7, narrow), (16, ~narrow)):
-            if not np.any(chosen):
-                continue
-            angle, fraction = self._rule(low[chosen], high[chosen], order=order)
+        if np.any(narrow):
+            nodes = _kernels.NODES
+            angle, fraction = self._rule(low[narrow], high[narrow], order=nodes)
+            _kernels.narrow_panels(
+                flat, angle, fraction, bessel(), _legendre(nodes), total
+            )
+        if not np.all(narrow):
+            angle, fraction = self._rule(low[~narrow], high[~narrow])
             # About 2e5 pairs of a frequency and a panel at once.
             step = max(1, 200_000 // angle.shape[0])
             for first in range(0, flat.size, step):
@@ -175,10 +181,10 @@ def _oscillating(
     half = (angle[:, -1] - angle[:, 0]) / (nodes[-1] - nodes[0])
     centre = angle.mean(axis=1)
     stretch = direction_frequency[:, np.newaxis] * half
-    slow = stretch < 1.5
+    slow = stretch < _kernels.SLOW
     row, panel = np.nonzero(slow)
-    bessel = special.j0(direction_frequency[row, np.newaxis] * angle[panel])
-    value = np.sum(fraction[panel] * bessel, axis=1)
+    waves = special.j0(direction_frequency[row, np.newaxis] * angle[panel])
+    value = np.sum(fraction[panel] * waves, axis=1)
     total: NDArray[np.float64] = np.zeros(direction_frequency.size)
     total += np.bincount(row, value, minlength=direction_frequency.size)
     row, panel = np.nonzero(~slow)
@@ -186,15 +192,22 @@ def _oscillating(
         k = direction_frequency[row]
         phased = fraction[panel] * special.hankel1e(0, k[:, np.newaxis] * angle[panel])
         degree = np.arange(order)
-        legendre = special.eval_legendre(degree[:, np.newaxis], nodes)
         # fraction holds the weights of the rule, so these are 2 / (2 l + 1) times the
         # terms of the series; the transform of P_l is 2 i^l j_l.
-        series = phased @ (legendre.T * ((2 * degree + 1) * 1j**degree))
+        series = phased @ (_legendre(order).T * 1j**degree)
         stretched = special.spherical_jn(degree, stretch[row, panel][:, np.newaxis])
         wave = np.exp(1j * k * centre[panel])
         value = np.real(wave * np.sum(series * stretched, axis=1))
         total += np.bincount(row, value, minlength=direction_frequency.size)
     return total
+
+
+@cache
+def _legendre(order: int) -> NDArray[np.float64]:
+    """Return 2 l + 1 times the Legendre polynomials at the nodes, degree by degree."""
+    nodes, _ = gauss_legendre(order)
+    degree = np.arange(order)[:, np.newaxis]
+    return np.ascontiguousarray((2 * degree + 1) * special.eval_legendre(degree, nodes))
 
 
 def forward_split(

@@ -9,22 +9,20 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from amulor.optics._quadrature.bessel import j0, polynomial
 from amulor.optics._quadrature.kernels import ORDER, Panel, add_panel
 
 __all__ = [
     "Water",
     "add_panels",
     "aimed",
-    "j0",
     "lost",
-    "polynomial",
     "scattered",
     "spread",
 ]
 
 Array = NDArray[np.float64]
 
-NO_WAVE = 26  # argument up to which J0 comes from its table, in unit cells
 FAR = 400  # argument up to which the mean of J0 comes from its table, in unit cells
 LINEAR = 48  # cells of equal width at the start of a table of spread
 WIDTH = 2.0  # their width, times the split angle
@@ -62,32 +60,6 @@ class Water(NamedTuple):
     """R^2 + w^2 [m^2]."""
     angle_squared: float
     """gamma^2 + delta^2 [1]."""
-
-
-@numba.njit(cache=True, error_model="numpy", fastmath={"contract"})
-def polynomial(table: Array, cell: int, s: float) -> float:
-    """Return the polynomial of degree 9 of a cell at s from -1 to 1."""
-    j = np.uint64(cell)
-    t = s * s
-    even = table[j, 6] + t * table[j, 8]
-    even = table[j, 0] + t * (table[j, 2] + t * (table[j, 4] + t * even))
-    odd = table[j, 7] + t * table[j, 9]
-    odd = table[j, 1] + t * (table[j, 3] + t * (table[j, 5] + t * odd))
-    return float(even + s * odd)
-
-
-@numba.njit(cache=True, error_model="numpy", fastmath={"contract"})
-def j0(x: float, table: Array) -> float:
-    """Return the Bessel function of order 0 at x >= 0."""
-    if x < NO_WAVE:
-        cell = int(x)
-        return polynomial(table, cell, 2.0 * (x - cell) - 1.0)
-    y = 1.0 / (x * x)
-    p = 1.0 - y * (9 / 128 - y * (3675 / 32768 - y * (2401245 / 4194304)))
-    q = 1 / 8 - y * (75 / 1024 - y * (59535 / 262144 - y * (57972915 / 33554432)))
-    turn = x - 0.25 * math.pi
-    wave = p * math.cos(turn) + q / x * math.sin(turn)
-    return math.sqrt(2.0 / (math.pi * x)) * wave
 
 
 @numba.njit(cache=True, error_model="numpy")

@@ -14,10 +14,10 @@ import numpy as np
 from numpy.polynomial import legendre
 from numpy.typing import NDArray
 
+from amulor.optics._quadrature.bessel import bessel, monomials
 from amulor.optics._quadrature.kernels import ORDER
 from amulor.optics._quadrature.rule import RULE
 from amulor.optics.small_angle import _kernels, _many_kernels
-from amulor.optics.small_angle._tables import bessel, monomials
 
 __all__ = ["FEWEST", "Shared", "integrals"]
 

@@ -8,8 +8,9 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from amulor.optics._quadrature.bessel import polynomial
 from amulor.optics._quadrature.kernels import ORDER, Panel, add_panel
-from amulor.optics.small_angle._kernels import Water, polynomial
+from amulor.optics.small_angle._kernels import Water
 
 __all__ = ["add_columns", "separation"]
 

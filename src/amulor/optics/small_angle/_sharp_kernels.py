@@ -9,6 +9,7 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from amulor.optics._quadrature.bessel import NO_WAVE, j0, polynomial
 from amulor.optics.small_angle import _kernels
 
 __all__ = ["Tables", "Water", "collected"]
@@ -18,7 +19,7 @@ Complex = NDArray[np.complex128]
 Flags = tuple[bool, bool, bool]  # which of the three Bessel functions is a wave
 
 NODES = 16  # of a panel of spatial frequencies
-_NO_WAVE = float(_kernels.NO_WAVE)  # argument up to which a Bessel function is no wave
+_NO_WAVE = float(NO_WAVE)  # argument up to which a Bessel function is no wave
 _GAUSSIAN_END = 10.0  # in 1/e half-widths: exp(-25) is left beyond
 _SCATTERED_END = 25.0  # exponent by which scattering ends the integral
 _PHASE = 24.0  # turn over a panel that its nodes integrate [rad]
@@ -107,7 +108,7 @@ def _disc(x: float, table: Array) -> float:
     """Return the transform 2 J1(x) / x of a disc at x >= 0."""
     if x < _NO_WAVE:
         cell = int(x)
-        return float(_kernels.polynomial(table, cell, 2.0 * (x - cell) - 1.0))
+        return float(polynomial(table, cell, 2.0 * (x - cell) - 1.0))
     wave = _wave_1(x)
     return float(wave.real * math.cos(x) - wave.imag * math.sin(x))
 
@@ -234,7 +235,7 @@ def _plain_factors(
         last = kappa * beam * (last - place.unscattered)
         factor = last
         if not wave[0]:
-            factor *= _kernels.j0(kappa * place.radius[0], bessel)
+            factor *= j0(kappa * place.radius[0], bessel)
         if not wave[1]:
             factor *= _disc(kappa * place.radius[1], disc)
         if not wave[2]:

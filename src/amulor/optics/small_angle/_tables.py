@@ -7,14 +7,15 @@ from functools import cache, lru_cache
 from typing import NamedTuple
 
 import numpy as np
-from numpy.polynomial import chebyshev, legendre
+from numpy.polynomial import legendre
 from numpy.typing import ArrayLike, NDArray
 from scipy.special import j0, j1
 
+from amulor.optics._quadrature.bessel import bessel_nodes, monomials
 from amulor.optics.phase_functions.henyey_greenstein import forward_split
 from amulor.optics.small_angle import _kernels
 
-__all__ = ["PhaseFunction", "Table", "bessel", "disc", "monomials", "table"]
+__all__ = ["PhaseFunction", "Table", "disc", "table"]
 
 Array = NDArray[np.float64]
 PhaseFunction = Callable[[Array], ArrayLike]
@@ -167,35 +168,10 @@ def _gauss() -> tuple[Array, Array]:
     return node, weight
 
 
-def monomials(values: Array) -> Array:
-    """Return polynomials on -1..1 through values at Chebyshev nodes, in cells."""
-    size = values.shape[1]
-    node = np.cos(np.pi * (np.arange(size) + 0.5) / size)
-    order = np.arange(size)
-    series = chebyshev.chebvander(node, size - 1) * (np.where(order, 2, 1) / size)
-    to_powers = np.zeros((size, size))
-    for i in order:
-        power = chebyshev.cheb2poly(np.eye(size)[i, : i + 1])
-        to_powers[i, : power.size] = power
-    return np.ascontiguousarray(values @ series @ to_powers)
-
-
-@cache
-def bessel() -> Array:
-    """Return the table of J0 in cells of width 1."""
-    return monomials(j0(_nodes()))
-
-
 @cache
 def disc() -> Array:
     """Return the table of 2 J1(x) / x in cells of width 1."""
-    return monomials(2 * j1(_nodes()) / _nodes())
-
-
-def _nodes() -> Array:
-    """Return the Chebyshev nodes of the cells of the tables of Bessel functions."""
-    node = np.cos(np.pi * (np.arange(10) + 0.5) / 10)
-    return np.arange(_kernels.NO_WAVE)[:, None] + (node + 1) / 2
+    return monomials(2 * j1(bessel_nodes()) / bessel_nodes())
 
 
 @cache

@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.constants import speed_of_light
 
 from amulor.optics import small_angle_diffusion
+from amulor.optics._quadrature.bessel import bessel
 from amulor.optics.small_angle import _kernels
 from amulor.optics.small_angle._columns import (
     VIEW,
@@ -26,7 +27,7 @@ from amulor.optics.small_angle._columns import (
 )
 from amulor.optics.small_angle._depths import integral, panels
 from amulor.optics.small_angle._many import FEWEST, Shared, integrals
-from amulor.optics.small_angle._tables import PhaseFunction, Table, bessel
+from amulor.optics.small_angle._tables import PhaseFunction, Table
 
 __all__ = ["overlap", "water_response"]
 

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.polynomial import legendre
 from numpy.typing import ArrayLike, NDArray
 
+from amulor.optics._quadrature.bessel import bessel
 from amulor.optics.small_angle import _sharp_kernels as _kernels
 from amulor.optics.small_angle._columns import (
     Arguments,
@@ -22,7 +23,7 @@ from amulor.optics.small_angle._columns import (
     response_of,
 )
 from amulor.optics.small_angle._depths import integral, panels
-from amulor.optics.small_angle._tables import PhaseFunction, Table, bessel, disc
+from amulor.optics.small_angle._tables import PhaseFunction, Table, disc
 
 __all__ = ["overlap", "water_response"]
 
