@@ -126,7 +126,13 @@ COLUMNS = [
 ]
 
 
-@pytest.mark.parametrize(("name", "column"), COLUMNS)
+@pytest.mark.parametrize(
+    ("name", "column"),
+    [
+        pytest.param(*case, marks=[] if case[0] == "two terms" else [pytest.mark.slow])
+        for case in COLUMNS
+    ],
+)
 def test_response_agrees_with_plain_quadrature(name, column):
     expected = oracle.water_response(
         FREQUENCIES, *mean_transform(name), SPLIT, group_index=1.34, **column

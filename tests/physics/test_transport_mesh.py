@@ -90,7 +90,11 @@ OBLIQUE = (np.sin(0.7), 0.2, -np.cos(0.7))
 
 
 @pytest.mark.parametrize("normal", [(0, 0, -1), OBLIQUE], ids=["facing", "oblique"])
-@pytest.mark.parametrize("direct", [True, False], ids=["local estimate", "shifted"])
+@pytest.mark.parametrize(
+    "direct",
+    [True, pytest.param(False, marks=pytest.mark.slow)],
+    ids=["local estimate", "shifted"],
+)
 def test_two_large_triangles_are_a_plane(normal, direct):
     medium = water(0.2, 0.6, henyey_greenstein_function(asymmetry=0.9))
     receiver = DiscReceiver(radius=0.06, acceptance_angle=0.15, position=(0.1, 0, 0))
@@ -231,6 +235,7 @@ def assert_chance_hits_agree(tally, light):
         assert np.all(off <= SIGMAS), (kind, off)
 
 
+@pytest.mark.slow
 def test_light_from_an_open_box_is_that_of_a_plain_loop_over_bounces():
     # Five walls, open towards the receiver; a slant beam meets the right one first.
     box = [
@@ -259,7 +264,11 @@ def test_light_from_an_open_box_is_that_of_a_plain_loop_over_bounces():
     assert_chance_hits_agree(tally, light)
 
 
-@pytest.mark.parametrize("acceptance", [0.8, 0.34], ids=["wide", "narrow"])
+@pytest.mark.parametrize(
+    "acceptance",
+    [0.8, pytest.param(0.34, marks=pytest.mark.slow)],
+    ids=["wide", "narrow"],
+)
 def test_plates_in_scattering_water_hide_and_reflect_as_in_a_plain_loop(acceptance):
     case = {
         "position": (0, 0, 0), "direction": (0, 0, 1), "receiver": (0.4, 0),

@@ -129,7 +129,9 @@ def test_oblique_rayleigh_slab_has_the_published_i_q_and_u():
         assert np.all(error < 5e-3 * row[2] + 1e-5)
 
 
-@pytest.mark.parametrize("polarization", ["P", "L"])
+@pytest.mark.parametrize(
+    "polarization", ["P", pytest.param("L", marks=pytest.mark.slow)]
+)
 def test_polarized_oblique_light_agrees_with_the_deterministic_solver(polarization):
     stokes = {"P": (1, 0, 1, 0), "L": (1, 0, 0, -1)}[polarization]
     field = plane_parallel.slab(

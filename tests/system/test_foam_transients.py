@@ -432,6 +432,7 @@ def test_refocusing_finds_a_point_where_it_is(example, tmp_path):
 # The example and the how-to
 
 
+@pytest.mark.slow
 def test_the_how_to_runs_as_it_is_printed(tmp_path, monkeypatch, capsys):
     text = (EXAMPLES.parent / "docs" / "how-to" / "import-transients.md").read_text()
     for path in DATA.glob("*.npz"):

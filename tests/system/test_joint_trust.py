@@ -116,6 +116,7 @@ def test_spoiled_samples_cost_no_trust(scene: str) -> None:
     assert row.score.stated < 1.15 * plain.stated
 
 
+@pytest.mark.slow
 def test_water_that_drifts_during_the_scan_is_followed() -> None:
     # After a drift of 10 % none was trusted without shots, 2 mm off.
     case = samples.drift(4, 1, change=0.10)
@@ -165,7 +166,7 @@ def test_two_surfaces_in_one_beam_are_told_from_one(count: int) -> None:
         assert np.quantile(np.abs(error), 0.9) < 0.04
 
 
-@pytest.mark.parametrize("count", [2, 4])
+@pytest.mark.parametrize("count", [2, pytest.param(4, marks=pytest.mark.slow)])
 def test_late_light_counts_once_where_the_shape_of_the_water_shows(count: int) -> None:
     case = models.flat(count, 1)
     # As measured: nobody says that the light is not late.

@@ -145,6 +145,7 @@ def test_a_scan_that_moves_towards_its_window_is_refused(plate_text: str) -> Non
         joint(moved, interval=INTERVAL)
 
 
+@pytest.mark.slow
 def test_a_known_spread_of_the_echo_is_taken_into_account(single: xr.Dataset) -> None:
     # Light that arrives 4 cm late on average, some of it later than the rest.
     late = 2 * np.pi * FREQUENCIES / speed_of_light * 0.04

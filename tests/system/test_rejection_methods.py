@@ -103,7 +103,14 @@ def test_the_water_has_the_strength_of_the_experiment(sweeps, number: int) -> No
     assert float(ratio.mean()) == pytest.approx(EXPERIMENTS[number][3], rel=0.02)
 
 
-@pytest.mark.parametrize(("number", "factor"), [(1, 5), (2, 5), (3, 10)])
+@pytest.mark.parametrize(
+    ("number", "factor"),
+    [
+        pytest.param(1, 5, marks=pytest.mark.slow),
+        pytest.param(2, 5, marks=pytest.mark.slow),
+        (3, 10),
+    ],
+)
 def test_subtraction_takes_the_ripple_out_of_the_sweep(
     sweeps, number: int, factor: float
 ) -> None:
@@ -270,6 +277,7 @@ def test_every_method_writes_a_target_signal(
     assert figures["flagged_share"] == float((cube["quality_flag"] != 0).mean())
 
 
+@pytest.mark.slow
 def test_auto_prints_the_table_and_takes_the_best(
     files: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -305,6 +313,7 @@ def test_a_frequency_that_is_not_there_is_an_error_of_one_line(
     assert "no sample at 40 MHz, but at 10, 39, 61 MHz" in error
 
 
+@pytest.mark.slow
 def test_the_water_of_a_cube_is_fitted_and_what_is_not_settled_is_said(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], plate_text: str
 ) -> None:
@@ -324,6 +333,7 @@ def test_the_water_of_a_cube_is_fitted_and_what_is_not_settled_is_said(
     assert "not settled by these data" in capsys.readouterr().out
 
 
+@pytest.mark.slow
 def test_the_benchmark_runs_and_its_table_is_right() -> None:
     import importlib.util
 

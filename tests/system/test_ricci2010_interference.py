@@ -106,12 +106,14 @@ def test_the_long_tank_sends_back_what_spheres_of_milk_do(study: Study) -> None:
     assert_allclose(whole, 1.0, rtol=1e-4)
 
 
+@pytest.mark.slow
 def test_a_target_elsewhere_moves_the_extrema(study: Study) -> None:
     near = parameters.varied(study.parameters, "distance_2", 2.5)
     failing = _failing(figure_07.checks(study.with_parameters(near)))
     assert "experiment 2: maxima, and minima, stand 33.5 to 43.4 MHz apart" in failing
 
 
+@pytest.mark.slow
 def test_reflectances_above_one_leave_the_ratios_as_they_are(study: Study) -> None:
     bright = parameters.varied(study.parameters, "long_backscatter", 0.0138)
     (_, second, _) = study.with_parameters(bright).once(interference_sweeps.sweeps)

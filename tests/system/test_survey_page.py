@@ -124,6 +124,7 @@ def test_the_check_shows_layers_and_moments(capsys: pytest.CaptureFixture[str]) 
     assert "layer 2: from there on, absorption 0.12 1/m" in text
 
 
+@pytest.mark.slow
 def test_the_check_of_water_by_moments_says_so(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

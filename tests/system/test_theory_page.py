@@ -20,7 +20,7 @@ PAGES = sorted((ROOT / "docs" / "theory").glob("*.md"))
 TEXTS = {page.stem: page.read_text("utf-8") for page in PAGES}
 WITH_EXAMPLES = [name for name, text in TEXTS.items() if "```python" in text]
 FENCE = re.compile(r"^```(\w*)\n(.*?)^```$", flags=re.DOTALL | re.MULTILINE)
-LONG = ("photon-transport", "joint-estimation")
+LONG = ("photon-transport", "joint-estimation", "water-signal")
 MATH = re.compile(r"^\$\$\n(.*?)^\$\$$|\$([^$\n]+)\$", flags=re.DOTALL | re.MULTILINE)
 
 
@@ -179,6 +179,7 @@ def test_the_pictures_on_the_pages_are_those_that_are_drawn() -> None:
     assert shown == drawn == stored
 
 
+@pytest.mark.slow
 def test_the_figure_of_ratios_shows_the_numbers_of_the_table() -> None:
     matplotlib.use("agg")
     found = _ran("water-signal")[0]["found"]

@@ -93,7 +93,14 @@ def test_survey_check_says_the_reach_and_the_repetition_as_json(
 # Phantoms ---------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("count", [1, 2, 4])
+@pytest.mark.parametrize(
+    "count",
+    [
+        pytest.param(1, marks=pytest.mark.slow),
+        2,
+        pytest.param(4, marks=pytest.mark.slow),
+    ],
+)
 def test_empty_water_shows_no_target(count: int) -> None:
     methods = ["open-water 20 %", "combined"]
     for seed in (1, 2):
@@ -131,7 +138,7 @@ def test_weak_targets_are_still_seen() -> None:
 # Interpolation between the shots ----------------------------------------------------
 
 
-@pytest.mark.parametrize("count", [1, 2])
+@pytest.mark.parametrize("count", [1, pytest.param(2, marks=pytest.mark.slow)])
 def test_three_rows_of_shots_on_a_tall_scan_state_what_they_cannot_know(
     count: int,
 ) -> None:
@@ -189,6 +196,7 @@ def test_open_water_by_default_is_trusted_and_holds_whatever_the_survey_says(
         assert row.score.worst < 4.2, row
 
 
+@pytest.mark.slow
 def test_water_of_another_model_is_in_the_error_of_the_column() -> None:
     # The whole phase function, where 95 % intervals held in 0 to 1 % of the pixels.
     for row in run(["small-angle 90"], ["open-water", "combined"], [2, 16]):
@@ -207,7 +215,9 @@ def test_dark_treads_and_risers_are_right_or_flagged() -> None:
 # Mixed pixels -----------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("scene", ["mixed 2 cm", "mixed 5 cm"])
+@pytest.mark.parametrize(
+    "scene", ["mixed 2 cm", pytest.param("mixed 5 cm", marks=pytest.mark.slow)]
+)
 def test_pixels_that_see_two_plates_are_not_called_good(scene: str) -> None:
     # Two columns between the plates; all were trusted, 91 to 137 sigma off.
     for row in run([scene], ["open-water", "combined"], [16]):
@@ -233,7 +243,14 @@ def test_surfaces_without_an_edge_have_no_mixed_pixels() -> None:
 # What spoils samples, and water that is not that of the shots ------------------------
 
 
-@pytest.mark.parametrize("scene", ["change 5 %", "drift 3 %", "drift 10 %"])
+@pytest.mark.parametrize(
+    "scene",
+    [
+        pytest.param("change 5 %", marks=pytest.mark.slow),
+        pytest.param("drift 3 %", marks=pytest.mark.slow),
+        "drift 10 %",
+    ],
+)
 def test_water_that_changed_is_seen_through(scene: str) -> None:
     # 63 % of the intervals held with water 5 % stronger; drifts were refused.
     for row in run([scene], ["open-water", "combined"], [2, 4]):
@@ -243,7 +260,9 @@ def test_water_that_changed_is_seen_through(scene: str) -> None:
         assert row.score.far == 0, row
 
 
-@pytest.mark.parametrize("scene", ["spikes", "particles"])
+@pytest.mark.parametrize(
+    "scene", ["spikes", pytest.param("particles", marks=pytest.mark.slow)]
+)
 def test_a_phase_that_disagrees_costs_neither_the_pixel_nor_the_interval(
     scene: str,
 ) -> None:
@@ -283,7 +302,12 @@ def test_what_was_acquired_is_worth_what_was_simulated() -> None:
 
 
 @pytest.mark.parametrize(
-    "scene", ["noise", "wide", pytest.param("tall", marks=pytest.mark.slow)]
+    "scene",
+    [
+        "noise",
+        pytest.param("wide", marks=pytest.mark.slow),
+        pytest.param("tall", marks=pytest.mark.slow),
+    ],
 )
 def test_understated_noise_and_wide_scans_hold_with_few_frequencies(scene: str) -> None:
     # 72 to 91 % and 57 to 98 %: no residual showed the noise, and 9 x 3 shots were

@@ -66,7 +66,12 @@ def test_a_problem_ends_the_listening() -> None:
 
 @pytest.mark.parametrize(
     "method",
-    ["open_water", "combined", "joint", pytest.param("auto", marks=pytest.mark.slow)],
+    [
+        "open_water",
+        "combined",
+        pytest.param("joint", marks=pytest.mark.slow),
+        pytest.param("auto", marks=pytest.mark.slow),
+    ],
 )
 def test_the_steps_of_a_scan_rise(method: str, plate_text: str) -> None:
     cubes: list[xr.Dataset] = []

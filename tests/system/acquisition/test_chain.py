@@ -121,6 +121,7 @@ def compare(survey: Survey, cube: xr.Dataset, channel: str = "VH") -> None:
     assert np.isfinite(found.drift_uncertainty)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("plan", "jitter", "breaks"),
     [((2, 2, 3), "5e-5 rad", 1)],

@@ -132,6 +132,7 @@ def test_a_resumed_command_takes_the_devices_of_the_scan(here, capsys) -> None:
     assert not (cube["user_sample_flag"].values & SampleFlag.OVERLOAD).any()
 
 
+@pytest.mark.slow
 def test_a_resumed_command_keeps_the_calibration_of_the_cube(here, capsys) -> None:
     Path("calibration.toml").write_text(
         "[[frequencies]]\nmodulation_frequency = '39 MHz'\n"

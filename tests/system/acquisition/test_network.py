@@ -64,7 +64,9 @@ def test_an_acquired_cube_is_the_simulated_one_within_noise(
     assert acquired.attrs["simulated"] == 1
 
 
-@pytest.mark.parametrize("model", ["sr844", "sr865a"])
+@pytest.mark.parametrize(
+    "model", [pytest.param("sr844", marks=pytest.mark.slow), "sr865a"]
+)
 def test_a_scan_over_the_network_gives_the_same_ranges(
     survey, folder, model, few
 ) -> None:

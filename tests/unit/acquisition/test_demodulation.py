@@ -182,7 +182,7 @@ def made(survey: Survey, *, faults=(), **more: object) -> tuple[Settings, Device
     )
 
 
-@pytest.mark.parametrize("offset", [0.0, 2e-5])
+@pytest.mark.parametrize("offset", [pytest.param(0.0, marks=pytest.mark.slow), 2e-5])
 def test_a_scan_by_records_states_its_errors(four, folder, cube_of, offset) -> None:
     settings, devices = made(four, clock_offset=offset, memory=4096)
     outcome = acquisition.acquire(four, folder, settings=settings, devices=devices)

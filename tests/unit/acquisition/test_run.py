@@ -326,7 +326,14 @@ def test_recovering_nothing_is_told(small, settings, folder: Path, Stop) -> None
         acquisition.recover(folder)
 
 
-@pytest.mark.parametrize("name", ["in_phase", "open_water_quadrature", "user_segment"])
+@pytest.mark.parametrize(
+    "name",
+    [
+        "in_phase",
+        pytest.param("open_water_quadrature", marks=pytest.mark.slow),
+        pytest.param("user_segment", marks=pytest.mark.slow),
+    ],
+)
 def test_a_cube_that_a_disk_has_changed_is_told(
     small, settings, folder, monkeypatch, name
 ) -> None:

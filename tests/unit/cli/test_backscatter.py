@@ -139,6 +139,7 @@ def _with_asymmetry(path: Path, *, window: str = "") -> Path:
     return path
 
 
+@pytest.mark.slow
 def test_photons_agree_with_the_small_angle_model(tank: Path, capsys) -> None:
     words = ["backscatter", str(_with_asymmetry(tank)), "--frequency", "1MHz:60MHz:12"]
     photons = _json([*words, "--model", "montecarlo", "--error", "2 %"], capsys)
@@ -159,6 +160,7 @@ def test_photons_agree_with_the_small_angle_model(tank: Path, capsys) -> None:
     assert not photons["heavy_tailed"]
 
 
+@pytest.mark.slow
 def test_photons_through_a_window_count_from_the_water(tank: Path, capsys) -> None:
     window = """
 [instrument.window]

@@ -368,6 +368,7 @@ def test_the_demo_looks_at_all_its_outputs_first(tmp_path: Path, capsys) -> None
     assert [path.name for path in tmp_path.iterdir()] == ["report.html"]
 
 
+@pytest.mark.slow
 def test_images_of_one_name_from_two_folders_are_both_drawn(
     folder: Path, tmp_path: Path, capsys
 ) -> None:
@@ -379,7 +380,14 @@ def test_images_of_one_name_from_two_folders_are_both_drawn(
     assert "2 range images" in capsys.readouterr().out
 
 
-@pytest.mark.parametrize(("columns", "rows"), [(12, 1), (1, 6), (1, 1)])
+@pytest.mark.parametrize(
+    ("columns", "rows"),
+    [
+        pytest.param(12, 1, marks=pytest.mark.slow),
+        (1, 6),
+        pytest.param(1, 1, marks=pytest.mark.slow),
+    ],
+)
 def test_a_line_or_a_point_goes_through_the_chain(
     plate_text: str, tmp_path: Path, columns: int, rows: int, capsys
 ) -> None:

@@ -164,7 +164,9 @@ def test_rejection_takes_one_channel(samples: xr.Dataset, name: str) -> None:
 SINGLE: dict[str, Step] = {"compare": rejection.compare, "auto": rejection.auto}
 
 
-@pytest.mark.parametrize("name", SINGLE)
+@pytest.mark.parametrize(
+    "name", [pytest.param("compare", marks=pytest.mark.slow), "auto"]
+)
 def test_rejection_takes_one_frequency(samples: xr.Dataset, name: str) -> None:
     step = SINGLE[name]
     one = step(samples.sel(polarization="VV", modulation_frequency=39e6))

@@ -161,7 +161,13 @@ METHODS = {
 }
 
 
-@pytest.mark.parametrize("name", METHODS)
+@pytest.mark.parametrize(
+    "name",
+    [
+        pytest.param(name, marks=[pytest.mark.slow] if "open" in name else [])
+        for name in METHODS
+    ],
+)
 def test_every_method_divides_its_errors_and_leaves_nothing_over(name, text):
     target = METHODS[name](simulate(Survey.from_text(text), rng=4))
     cubes.check(target, "target_signal")

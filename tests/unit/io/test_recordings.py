@@ -201,7 +201,9 @@ def test_edges_of_targets_are_no_breakdowns(tmp_path, plate) -> None:
     assert not found["user_sample_flag"].any()
 
 
-@pytest.mark.parametrize("times", [1.2, 30.0, 0.5])
+@pytest.mark.parametrize(
+    "times", [1.2, 30.0, pytest.param(0.5, marks=pytest.mark.slow)]
+)
 def test_round_edges_are_no_breakdowns_and_what_stands_on_the_target_is(
     tmp_path, plate, times
 ) -> None:

@@ -194,6 +194,7 @@ def gaussian_oracle():
     return float(np.pi * own**2 * value[0])
 
 
+@pytest.mark.slow
 def test_the_small_angle_form_is_that_of_the_oracle(gaussian_oracle):
     assert_allclose(_gaussian(), gaussian_oracle, rtol=1e-6)
 

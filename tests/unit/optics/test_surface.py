@@ -69,6 +69,7 @@ def test_the_room_itself_imports_nothing_heavy():
     assert _fresh(code) == "[]"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "first",
     [

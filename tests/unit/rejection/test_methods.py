@@ -67,6 +67,7 @@ def test_the_residual_is_the_tail_of_the_column(plate_text: str) -> None:
     assert_allclose(left, true_left, rtol=0.15)
 
 
+@pytest.mark.slow
 def test_a_tank_wall_ends_the_open_water(plate_text: str) -> None:
     text = plate_text.replace("[water]", '[water]\ncolumn_end = "1.56 m"')
     near, far = (
@@ -300,6 +301,7 @@ def test_the_fluctuation_is_that_of_the_water_before_the_target(
     assert 0.85 < np.nanstd(z) < 1.15
 
 
+@pytest.mark.slow
 def test_the_uncertainty_of_unmixing_holds_in_water_that_fluctuates(
     plate_text: str,
 ) -> None:
@@ -352,6 +354,7 @@ def test_a_scan_beyond_the_shots_is_refused(samples: xr.Dataset) -> None:
         rejection.open_water(narrow)
 
 
+@pytest.mark.slow
 def test_a_receiver_that_turns_with_the_beam_needs_no_spread_of_shots(
     plate_text: str,
 ) -> None:
@@ -370,6 +373,7 @@ def test_a_receiver_that_turns_with_the_beam_needs_no_spread_of_shots(
     assert np.max(change / water) < 5 * 0.05 * np.sqrt(2 / 40) * 2
 
 
+@pytest.mark.slow
 def test_water_without_backscatter_leaves_nothing_in(plate_text: str) -> None:
     text = plate_text.replace('"0.001 1/sr"', '"0 1/sr"')
     found = rejection.open_water(

@@ -130,7 +130,14 @@ def test_the_column_behind_the_target_is_put_back(plate_text: str) -> None:
     assert abs(off) < 0.05 * error["stated"]
 
 
-@pytest.mark.parametrize("believed", [0.5, 1.0, 2.0])
+@pytest.mark.parametrize(
+    "believed",
+    [
+        pytest.param(0.5, marks=pytest.mark.slow),
+        pytest.param(1.0, marks=pytest.mark.slow),
+        2.0,
+    ],
+)
 def test_the_shots_correct_a_survey_of_other_water(
     plate_text: str, believed: float
 ) -> None:

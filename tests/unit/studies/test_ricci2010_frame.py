@@ -176,6 +176,7 @@ def test_wrong_use_of_the_command_is_one_line(
     assert main(["reproduce", "ricci2011"]) == 2
 
 
+@pytest.mark.slow
 def test_the_command_writes_pictures_checks_and_a_report(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -83,6 +83,7 @@ def test_moments_that_do_not_fit_are_refused(others, words):
         phase_function_of(water(**others))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", EXAMPLES)
 def test_photons_follow_each_shipped_survey(name, tmp_path, capsys):
     path = tmp_path / name

@@ -223,7 +223,11 @@ def test_a_run_stops_at_the_error_asked_for(peaked_water):
 
 @pytest.mark.parametrize(
     ("light", "analyser", "frequency"),
-    [("target", "none", 0), ("target", "R", 2), ("water, order 1", "L", 1)],
+    [
+        ("target", "none", 0),
+        pytest.param("target", "R", 2, marks=pytest.mark.slow),
+        ("water, order 1", "L", 1),
+    ],
 )
 def test_a_run_stops_at_the_error_of_the_light_asked_for(
     milk, light, analyser, frequency
@@ -250,6 +254,7 @@ def test_a_run_stops_at_the_error_of_the_light_asked_for(
     assert goal.of(tally) == pytest.approx(error, rel=1e-9)
 
 
+@pytest.mark.slow
 def test_stopping_at_an_error_does_not_bias_what_is_stated():
     # Batches that scatter like those of photons: means of 20 skewed contributions, so
     # that a batch that is low by chance has little scatter, too. 16 to 60 batches.

@@ -89,7 +89,7 @@ def folder(plate: Survey, tmp_path_factory: pytest.TempPathFactory) -> Path:
     return place
 
 
-@pytest.mark.parametrize("plain", [False, True])
+@pytest.mark.parametrize("plain", [False, pytest.param(True, marks=pytest.mark.slow)])
 def test_the_screen_fits_and_shows_the_scan(folder: Path, plain: bool) -> None:
     live = Live(folder)
     live.look()

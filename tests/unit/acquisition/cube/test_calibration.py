@@ -76,6 +76,7 @@ def written(folder: Path, text: str) -> Path:
     return path
 
 
+@pytest.mark.slow
 def test_phase_against_amplitude_is_found_with_filters(clear, folder) -> None:
     plates = []
     for number, power in enumerate((1.0, 0.3, 0.1)):

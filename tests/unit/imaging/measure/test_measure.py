@@ -61,7 +61,7 @@ def coverage(
         assert np.all(np.abs(inside - share) < room), (limit, inside)
 
 
-@pytest.mark.parametrize("reach", [0, 1])
+@pytest.mark.parametrize("reach", [pytest.param(0, marks=pytest.mark.slow), 1])
 def test_a_distance_is_covered(
     scan: shapes.Beams, wall: np.ndarray, reach: int
 ) -> None:
@@ -232,6 +232,7 @@ def test_what_all_pixels_share_cancels_in_a_height_along_parallel_beams() -> Non
     assert far.value < 1e-4
 
 
+@pytest.mark.slow
 def test_a_bent_surface_enlarges_the_error_of_a_plane(scan: shapes.Beams) -> None:
     flat = shapes.to_plane(scan, unit(0.0, 0.0, 1.0), 1.5)
     bent = flat + 0.02 * (scan.azimuth / 0.16) ** 2

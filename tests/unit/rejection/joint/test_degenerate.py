@@ -15,7 +15,13 @@ WATER = {"absorption": 0.15, "scattering": 0.35, "asymmetry": 0.95, "split_angle
 
 
 @pytest.mark.parametrize(
-    ("seed", "has_shots"), [(0, True), (1, True), (1, False), (5, False)]
+    ("seed", "has_shots"),
+    [
+        (0, True),
+        pytest.param(1, True, marks=pytest.mark.slow),
+        (1, False),
+        pytest.param(5, False, marks=pytest.mark.slow),
+    ],
 )
 def test_empty_water_of_another_model_ends_without_a_target(
     seed: int, has_shots: bool

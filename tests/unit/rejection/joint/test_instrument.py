@@ -92,12 +92,13 @@ def test_a_receiver_that_looks_elsewhere_is_found_out(count: int) -> None:
         (samples.late_instrument, {"delay_uncertainty": 1e-10}),
         (knowledge.wrong_index, {"group_index_uncertainty": 2e-3}),
         # Beside its place the receiver is seen to look past the scan.
-        (
+        pytest.param(
             knowledge.wrong_baseline,
             {
                 "receiver_position_uncertainty": 5e-3,
                 "receiver_direction_uncertainty": np.radians(1.0),
             },
+            marks=pytest.mark.slow,
         ),
     ],
 )
@@ -149,7 +150,7 @@ def test_over_many_instruments_the_interval_of_a_scan_holds() -> None:
     assert abs(np.mean(np.square(scores)) - 1) < 4 * np.sqrt(2 / 24)
 
 
-@pytest.mark.parametrize("change", [0.05, -0.05])
+@pytest.mark.parametrize("change", [0.05, pytest.param(-0.05, marks=pytest.mark.slow)])
 def test_shots_of_stronger_or_weaker_water_are_seen_through(change: float) -> None:
     case = samples.changed_water(2, 4, change=change)
     z = np.abs(z_of(case))

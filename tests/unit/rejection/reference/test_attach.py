@@ -36,6 +36,7 @@ def test_the_shots_of_another_cube_serve_as_its_own(samples: xr.Dataset) -> None
     assert_allclose(found["in_phase_uncertainty"], own["in_phase_uncertainty"])
 
 
+@pytest.mark.slow
 def test_a_scan_without_a_target_is_a_reference(
     samples: xr.Dataset, empty_scan: xr.Dataset
 ) -> None:
