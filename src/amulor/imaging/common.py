@@ -11,6 +11,9 @@ from amulor.optics import ranging
 
 Floats = NDArray[np.float64]
 
+#: What the difference of a variance and a part of it is rounded by, at most [1].
+_ROUNDED = 4 * np.finfo(float).eps
+
 
 def own_variance(image: xr.Dataset) -> Floats:
     """Return the variance of slant ranges without what the pixels share.
@@ -23,12 +26,12 @@ def own_variance(image: xr.Dataset) -> Floats:
     Returns
     -------
     ndarray, shape (row, column)
-        Not below zero [m^2].
+        Not below what the difference of the two is rounded by [m^2].
     """
     variance: Floats = image["slant_range_uncertainty"].values ** 2
     if "slant_range_common_uncertainty" in image:
         shared = image["slant_range_common_uncertainty"].values ** 2
-        variance = np.maximum(variance - shared, 0.0)
+        variance = np.maximum(variance - shared, _ROUNDED * variance)
     return variance
 
 

@@ -21,8 +21,8 @@ _STRAIGHT = 13.8
 #: freedom for them.
 _ALONG = 5
 _STRAIGHT_ALONG = 16.3
-#: Variance of ranges stated to be without error [m^2].
-_TINY = 1e-30
+#: Variance of ranges stated to be without error: that of a picometre [m^2].
+_TINY = 1e-24
 
 
 def mixed_pixels(
@@ -68,7 +68,7 @@ def mixed_pixels(
     if reach < 1:
         raise ValueError(f"reach must be at least 1 pixel, got {reach}")
     distance = image["slant_range"].values
-    variance = own_variance(image)
+    variance = np.maximum(own_variance(image), _TINY)
     mixed = np.zeros(distance.shape, dtype=bool)
     for axis in (0, 1):
         along = _along_edge(distance, variance, 1 - axis)
@@ -131,7 +131,7 @@ def _along_edge(
     )
     mean, slope = values.mean(axis=-1), values @ centred
     rest = values - mean[..., None] - slope[..., None] * place
-    straight = np.sum(rest**2 / np.maximum(errors, _TINY), axis=-1) < _STRAIGHT_ALONG
+    straight = np.sum(rest**2 / errors, axis=-1) < _STRAIGHT_ALONG
     here = np.arange(size) - begin - (_ALONG - 1) / 2
     if axis == 0:
         here = here[:, None]
@@ -192,7 +192,7 @@ def _off_lines(
                 centred @ centred
             )
             rest = sum(
-                (each - mean - c * slope) ** 2 / np.maximum(error, _TINY)
+                (each - mean - c * slope) ** 2 / error
                 for c, each, error in zip(centred, along, errors, strict=True)
             )
             score = np.where(rest < _STRAIGHT, score, np.nan)

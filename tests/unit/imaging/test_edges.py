@@ -128,3 +128,27 @@ def test_the_mark_is_written_into_the_image(written: Make) -> None:
 def test_odd_arguments_are_refused(written: Make, arguments: dict, words: str) -> None:
     with pytest.raises(ValueError, match=words):
         imaging.mixed_pixels(written(_step(1.0, turned=False)), **arguments)
+
+
+@pytest.mark.parametrize("common", [1e5, 1e9])
+def test_errors_that_pixels_share_almost_wholly_divide_nothing_by_zero(
+    written: Make, common: float
+) -> None:
+    # The own error of 1 mm is lost in the rounding of 100 km and more; where the light
+    # of a scan is the same along columns, so are the ranges, and 0 over 0 is no number.
+    distance = _step(2.0, turned=False)
+    image = written(distance, common=common)
+    nothing = image.assign(
+        slant_range_uncertainty=0 * image["slant_range_uncertainty"],
+        slant_range_common_uncertainty=0 * image["slant_range_uncertainty"],
+    )
+    with np.errstate(all="raise"):
+        assert not imaging.mixed_pixels(
+            written(np.full((8, 8), 2.0), common=common)
+        ).any()
+        # A step of 10 cm is nothing against what 1e9 m are rounded by, 15 m.
+        found = imaging.mixed_pixels(image)
+        assert found.any() == (common < 1e6)
+        exact = imaging.mixed_pixels(nothing)
+    between = np.minimum(distance.max() - distance, distance - distance.min()) > 2e-2
+    assert exact[between].all()
