@@ -152,23 +152,28 @@ def test_three_rows_of_shots_on_a_tall_scan_state_what_they_cannot_know(
         assert row.score.phantoms < 0.01, row
 
 
-def test_survey_check_asks_for_denser_shots_where_the_scan_is_tall(
+def test_survey_check_asks_for_denser_shots_where_the_scan_is_wide(
     tmp_path: Path, capsys
 ) -> None:
     said = {}
     for name, options in {
         "small": {},
-        "tall": {"wide": 4, "tall": 8},
-        "too tall": {"wide": 9, "tall": 19},
+        "tall": {"wide": 9, "tall": 19},
+        "sparse": {"wide": 19, "tall": 4, "shot_columns": 3},
+        "flat": {"shot_rows": 1},
+        "few": {"shot_rows": 1, "shot_columns": 2, "repeats": 2, "rows": 1},
     }.items():
         file = tmp_path / f"{name}.toml"
         file.write_text(survey(1, plate(1.5), **options).to_toml())
         assert main(["survey", "check", str(file)]) == 0
         said[name] = " ".join(capsys.readouterr().out.split())
-    assert "open-water shots miss" not in said["small"]
-    assert "9 x 3 open-water shots miss up to" in said["tall"]
-    assert "plan at least 9 x 5 directions" in said["tall"]
-    assert "split it into parts" in said["too tall"]
+    assert "open-water shots" not in said["small"]
+    # A polynomial through them would miss 40 %: they are measured against a model.
+    assert "open-water shots" not in said["tall"]
+    assert "3 x 3 open-water shots miss up to" in said["sparse"]
+    assert "plan at least" in said["sparse"]
+    assert "9 x 1 open-water shots will be refused: they do not reach" in said["flat"]
+    assert "they are 4, and 5 are needed" in said["few"]
 
 
 # The column behind the target -------------------------------------------------------

@@ -31,7 +31,7 @@ def check(
     from dataclasses import asdict
 
     from amulor.optics import ranging
-    from amulor.rejection.reference.grid import LARGEST_ERROR, judge_plan
+    from amulor.rejection.reference.grid import judge_plan
     from amulor.survey import Survey, water_properties
     from amulor.survey.reach import repetition, target_reach, unsettled_interval
 
@@ -80,7 +80,7 @@ def check(
         _print_expected(survey, expected)
     elif unknown:
         print(f"  what to expect is not known: {unknown}")
-    if plan is not None and plan.error > LARGEST_ERROR:
+    if plan is not None and not plan.holds:
         _warn_of_sparse_shots(scan, plan)
     if reason and survey.targets:
         print(
@@ -238,9 +238,13 @@ def _warn_of_sparse_shots(scan: Scan, plan: Plan) -> None:
     if plan.enough is not None:
         columns, rows = plan.enough
         remedy = f"plan at least {columns} x {rows} directions (scan.open_water)"
+    wrong = (
+        f"will be refused: {plan.refused}"
+        if plan.refused
+        else f"miss up to {plan.error:.1%} of the water signal between them"
+    )
     print(
-        f"  warning: {shots.columns} x {shots.rows} open-water shots miss up to "
-        f"{plan.error:.1%} of the water signal between them; {remedy}"
+        f"  warning: {shots.columns} x {shots.rows} open-water shots {wrong}; {remedy}"
     )
 
 

@@ -7,29 +7,50 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from amulor.rejection.reference import surface
-from amulor.rejection.reference.model import water_signal
-from amulor.survey import OpenWater, Survey
+from amulor.errors import AmulorError
+from amulor.rejection.reference.places import FEWEST_SHOTS, HIGHEST_DEGREE
+from amulor.rejection.reference.shape import is_measure, models_for, open_water
+from amulor.rejection.reference.shots import BEYOND_AT_LEAST
+from amulor.rejection.reference.surface import expected_degrees, missed, noiseless
+from amulor.survey import OpenWater, Scan, Survey
 from amulor.survey.directions import open_water_directions
+from amulor.survey.properties import by_coefficients
+from amulor.survey.water import Water
 
 Floats = NDArray[np.float64]
+Complex = NDArray[np.complex128]
 
-#: Largest error between the shots that a plan may leave, of the largest signal [1].
-LARGEST_ERROR = 0.02
+#: Largest error between the shots that a plan may leave, of the largest signal; water
+#: that is not among those tried may be missed by three times as much [1].
+LARGEST_ERROR = 0.01
 #: Directions along each side of the scan at which it is looked for.
 _CHECKS = 33
 #: Numbers of rows and columns that are tried in turn.
 _NUMBERS = (1, 3, 5, 7, 9, 11)
+#: Factors of absorption and scattering of the waters that the shots may meet: as the
+#: survey has it, and waters that lie between the models or beside them.
+_WATERS = ((1.0, 1.0), (0.6, 0.6), (1.2, 1.2), (1.7, 1.7), (0.6, 1.5), (1.5, 0.6))
+#: How much shots scatter where the survey does not say it, of the signal, and at least,
+#: of the largest one [1].
+_OF_EACH, _OF_LARGEST = 5e-3, 1e-3
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Plan:
     """What planned shots leave between them."""
 
     error: float
     """Largest error of the interpolation, of the largest water signal [1]."""
+    refused: str
+    """Why methods that need open water will refuse the shots; empty if they will
+    not."""
     enough: tuple[int, int] | None
     """Columns and rows of shots that would do; None if the scan is too wide for any."""
+
+    @property
+    def holds(self) -> bool:
+        """Whether the shots are accepted, and miss little."""
+        return not self.refused and self.error <= LARGEST_ERROR
 
 
 def judge_plan(survey: Survey) -> Plan | None:
@@ -47,17 +68,22 @@ def judge_plan(survey: Survey) -> Plan | None:
 
     Notes
     -----
-    The water signal of the survey's own water, (46) of Ricci et al. 2010, as rebuilt,
-    without noise: what the polynomial of the highest degree that the shots allow
-    misses between them. The same for more rows and columns until that is less than
-    `LARGEST_ERROR`.
+    What the interpolation of `shape.shape_of` makes of shots without noise: a
+    polynomial of the signal itself, or of its ratio to the model of the water that
+    foretells directions left out best, of the degree that an F test would choose
+    against the scatter of the shots. No model is its own judge: the water that the
+    shots meet is not only that of the survey, which would be interpolated without any
+    error, but has other absorption and scattering, too, and the largest error of all
+    counts. The same for more rows and columns until that is less than `LARGEST_ERROR`.
     """
     plan = survey.scan.open_water
     if plan is None:
         return None
-    error = _error(survey, plan)
+    judge = _Judge(survey)
+    error = judge.error(plan)
+    refused = _refused(survey.scan, plan)
     enough: tuple[int, int] | None = plan.columns, plan.rows
-    if error > LARGEST_ERROR:
+    if refused or error > LARGEST_ERROR:
         tried = [
             OpenWater(columns=columns, rows=rows, repeats=plan.repeats)
             for columns in _NUMBERS
@@ -69,34 +95,118 @@ def judge_plan(survey: Survey) -> Plan | None:
             (
                 (each.columns, each.rows)
                 for each in tried
-                if _error(survey, each) <= LARGEST_ERROR
+                if not _refused(survey.scan, each)
+                and judge.error(each) <= LARGEST_ERROR
             ),
             None,
         )
-    return Plan(error, enough)
+    return Plan(error=error, refused=refused, enough=enough)
 
 
-def _error(survey: Survey, plan: OpenWater) -> float:
-    scan = survey.scan.model_copy(update={"open_water": plan})
-    planned = survey.model_copy(update={"scan": scan})
-    places = np.stack(open_water_directions(planned), axis=1)[:: plan.repeats]
-    across = np.linspace(-0.5, 0.5, _CHECKS) * scan.azimuth_span + scan.azimuth
-    up = np.linspace(-0.5, 0.5, _CHECKS) * scan.elevation_span + scan.elevation
-    if scan.columns == 1:
-        across = np.array([scan.azimuth])
-    if scan.rows == 1:
-        up = np.array([scan.elevation])
-    checks = np.stack([each.ravel() for each in np.meshgrid(across, up)], axis=1)
-    expected = surface.noiseless(
-        _open_water(survey, places), plan.repeats, places, checks
-    )
-    truth = _open_water(survey, checks)
-    return float(
-        np.max(np.abs(expected - truth).max(axis=1) / np.abs(truth).max(axis=1))
-    )
+def _refused(scan: Scan, plan: OpenWater) -> str:
+    """Return why the open water of a plan is refused, whatever is measured."""
+    count = plan.columns * plan.rows * plan.repeats
+    if count < FEWEST_SHOTS:
+        return f"they are {count}, and {FEWEST_SHOTS} are needed to judge their scatter"
+    if scan.moves == "both":
+        return ""
+    for directions, pixels, span, along in (
+        (plan.columns, scan.columns, scan.azimuth_span, "side to side"),
+        (plan.rows, scan.rows, scan.elevation_span, "top to bottom"),
+    ):
+        if directions == 1 and pixels > 1 and span > 2 * BEYOND_AT_LEAST:
+            return f"they do not reach the edges of the scan from {along}"
+    return ""
 
 
-def _open_water(survey: Survey, places: Floats) -> NDArray[np.complex128]:
-    """Return the water signal over (frequency, direction), in any unit."""
-    frequency = np.asarray(survey.instrument.modulation_frequencies)
-    return water_signal(survey, *places.T, modulation_frequency=frequency)
+def _waters(survey: Survey) -> list[Survey]:
+    """Return surveys of the waters that shots may meet, that of the survey first."""
+    try:
+        stated = by_coefficients(survey)
+    except AmulorError:
+        return [survey]
+    water = stated.water
+    assert isinstance(water, Water)
+    others = [
+        stated.model_copy(
+            update={
+                "water": water.model_copy(
+                    update={
+                        "absorption": a * water.absorption,
+                        "scattering": b * water.scattering,
+                    }
+                )
+            }
+        )
+        for a, b in _WATERS[1:]
+    ]
+    return [survey, *others]
+
+
+class _Judge:
+    """Waters at the directions at which plans of a survey are looked at."""
+
+    def __init__(self, survey: Survey) -> None:
+        scan = survey.scan
+        across = np.linspace(-0.5, 0.5, _CHECKS) * scan.azimuth_span + scan.azimuth
+        up = np.linspace(-0.5, 0.5, _CHECKS) * scan.elevation_span + scan.elevation
+        if scan.columns == 1:
+            across = np.array([scan.azimuth])
+        if scan.rows == 1:
+            up = np.array([scan.elevation])
+        self._survey = survey
+        self._frequency = np.asarray(survey.instrument.modulation_frequencies)
+        self._checks = np.stack([k.ravel() for k in np.meshgrid(across, up)], axis=1)
+        # Where the receiver turns with the beam, the water is the same everywhere.
+        waters = [] if scan.moves == "both" else _waters(survey)
+        self._waters = [
+            (water, open_water(water, self._checks, self._frequency))
+            for water in waters
+        ]
+        self._models: dict[int, Complex] = {}
+
+    def error(self, plan: OpenWater) -> float:
+        """Return the largest error that a plan leaves, of the largest signal."""
+        survey, frequency, checks = self._survey, self._frequency, self._checks
+        scan = survey.scan.model_copy(update={"open_water": plan})
+        planned = survey.model_copy(update={"scan": scan})
+        shots = np.stack(open_water_directions(planned), axis=1)[:: plan.repeats]
+        models = models_for(survey, shots, frequency, repeats=plan.repeats)
+        seen = [] if models is None else [each(shots, frequency) for each in models]
+        scatter = survey.water.signal_fluctuation or _OF_EACH
+        largest = 0.0
+        for water, truth in self._waters:
+            signal = open_water(water, shots, frequency)
+            best, degrees = _best(signal, seen, shots, plan.repeats, scatter=scatter)
+            model = None
+            if models is not None and best is not None:
+                if best not in self._models:
+                    self._models[best] = models[best](checks, frequency)
+                model = seen[best], self._models[best]
+            expected = noiseless(
+                signal, plan.repeats, shots, checks, model=model, degrees=degrees
+            )
+            off = np.abs(expected - truth).max(axis=1) / np.abs(truth).max(axis=1)
+            largest = max(largest, float(off.max()))
+        return largest
+
+
+def _best(
+    signal: Complex, seen: list[Complex], shots: Floats, repeats: int, *, scatter: float
+) -> tuple[int | None, list[int]]:
+    """Return which model foretells shots left out best, None if none needs to.
+
+    And the degree of its polynomial at each frequency.
+    """
+    size = np.abs(signal)
+    error = np.hypot(scatter * size, _OF_LARGEST * size.max(axis=1, keepdims=True))
+    best, chosen, least = None, [HIGHEST_DEGREE] * len(signal), np.inf
+    for number, model in enumerate([None, *seen]):
+        if model is not None and not is_measure(model):
+            continue
+        degrees = expected_degrees(signal, error, repeats, shots, model=model)
+        off = missed(signal, repeats, shots, model=model, degrees=degrees)
+        score = float(np.sum((off / error) ** 2))
+        if score < least:
+            best, chosen, least = (number - 1 if number else None), degrees, score
+    return best, chosen

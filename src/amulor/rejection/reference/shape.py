@@ -16,7 +16,7 @@ from amulor.errors import AmulorError
 from amulor.rejection.covariance import Covariance
 from amulor.rejection.reference.model import water_signal
 from amulor.rejection.reference.places import FEWEST_SHOTS, places_of
-from amulor.rejection.reference.surface import missed, noise_of, surface_of
+from amulor.rejection.reference.surface import noise_of, noiseless, surface_of
 from amulor.survey import Survey, water_properties
 from amulor.survey.properties import by_coefficients
 from amulor.survey.view import medium, view
@@ -24,12 +24,14 @@ from amulor.survey.view import medium, view
 Floats = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
-_Model = Callable[[Floats, Floats], Complex]
+Model = Callable[[Floats, Floats], Complex]
 
-#: A polynomial of the signal itself that misses less of directions left out of the
-#: model, in parts of its largest signal, needs no model: a quarter of that between the
-#: shots, as much as ten of them scatter [1].
-_SMOOTH = 0.02
+#: A polynomial of the signal itself that misses less of the survey's own water between
+#: the shots needs no model, in parts of the largest signal: as much as ten shots
+#: scatter [1].
+_SMOOTH = 0.005
+#: Directions along azimuth and elevation at which it is looked for.
+_CHECKS = 9
 #: A model that varies more than by this factor is no measure of a signal [1].
 _LARGEST_RATIO = 1e6
 #: Factors of the survey's a and b that are tried.
@@ -100,16 +102,12 @@ def shape_of(
     places = places_of(shots)
     first = np.unique(places.group, return_index=True)[1]
     directions = shots[first]
-    if len(directions) < 2 or survey.scan.moves == "both":
+    candidates = models_for(
+        survey, directions, frequency, repeats=len(shots) // len(directions)
+    )
+    if candidates is None:
         return None
-    try:
-        seen = [open_water(survey, directions, frequency)]
-        if missed(seen[0], len(shots) // len(directions), directions) < _SMOOTH:
-            return None
-        candidates = _candidates(survey)
-        seen += [each(directions, frequency) for each in candidates[1:]]
-    except AmulorError:
-        return None
+    seen = [each(directions, frequency) for each in candidates]
     usable = np.isfinite(signal + errors.in_phase + errors.quadrature + errors.cross)
     scores = [_left_out(None, shots, signal, errors, usable)]
     scores += [
@@ -126,17 +124,72 @@ def shape_of(
     ]
 
 
-def _candidates(survey: Survey) -> list[_Model]:
-    """Return models of the water, that of the survey as it stands first."""
+def models_for(
+    survey: Survey, directions: Floats, frequency: Floats, *, repeats: int
+) -> list[Model] | None:
+    """Return the models that open water may be interpolated relative to.
 
-    def of(factor: float) -> _Model:
-        other = by_coefficients(survey, factor=factor) if factor != 1 else survey
-        return partial(open_water, other)
+    Parameters
+    ----------
+    survey : Survey
+        Its water and instrument count.
+    directions : ndarray, shape (n, 2)
+        Azimuth and elevation of the shots, each direction once [rad].
+    frequency : ndarray, shape (m,)
+        Modulation frequencies [Hz].
+    repeats : int
+        Shots in each direction.
 
-    return [
-        *(of(factor) for factor in _FACTORS),
-        partial(open_water, survey, paper=True),
+    Returns
+    -------
+    list of callable or None
+        From directions and frequencies to a water signal, that of the survey as it
+        stands first; None where the signal itself is interpolated.
+    """
+    if len(directions) < 2 or survey.scan.moves == "both":
+        return None
+    try:
+        if _is_smooth(survey, directions, frequency, repeats):
+            return None
+        candidates: list[Model] = [
+            partial(
+                open_water,
+                by_coefficients(survey, factor=factor) if factor != 1 else survey,
+            )
+            for factor in _FACTORS
+        ]
+        candidates.append(partial(open_water, survey, paper=True))
+        for each in candidates:
+            each(directions[:1], frequency)
+    except AmulorError:
+        return None
+    return candidates
+
+
+def _is_smooth(
+    survey: Survey, directions: Floats, frequency: Floats, repeats: int
+) -> bool:
+    """Return whether a polynomial follows the water of a survey between the shots.
+
+    What leaving out single shots misses does not tell: all shots of three rows agree
+    on a parabola.
+    """
+    low, high = directions.min(axis=0), directions.max(axis=0)
+    axes = [
+        np.unique(np.linspace(*ends, _CHECKS)) for ends in zip(low, high, strict=True)
     ]
+    checks = np.stack([each.ravel() for each in np.meshgrid(*axes)], axis=1)
+    at_shots, truth = (
+        open_water(survey, places, frequency) for places in (directions, checks)
+    )
+    off = np.abs(noiseless(at_shots, repeats, directions, checks) - truth)
+    return bool(np.all(off.max(axis=1) < _SMOOTH * np.abs(truth).max(axis=1)))
+
+
+def is_measure(model: Complex) -> bool:
+    """Return whether a model varies little enough to measure a signal by it."""
+    strength = np.abs(model)
+    return bool(strength.min() * _LARGEST_RATIO > strength.max())
 
 
 def _left_out(
@@ -147,10 +200,8 @@ def _left_out(
     usable: NDArray[np.bool_],
 ) -> float:
     """Return how badly a model foretells directions that are left out."""
-    if model is not None:
-        strength = np.abs(model)
-        if strength.min() * _LARGEST_RATIO <= strength.max():
-            return np.inf
+    if model is not None and not is_measure(model):
+        return np.inf
     total = 0.0
     for index in np.ndindex(signal.shape[:2]):
         use = usable[index]
@@ -198,11 +249,11 @@ def open_water(
     return np.asarray(response * np.exp(turn))
 
 
-def _plain(model: _Model, places: Floats, frequency: Floats) -> Complex:
+def _plain(model: Model, places: Floats, frequency: Floats) -> Complex:
     return model(places, frequency)
 
 
-def _tabled(model: _Model, places: Floats, frequency: Floats) -> Complex:
+def _tabled(model: Model, places: Floats, frequency: Floats) -> Complex:
     """Return the same from a table over the directions."""
     low, high = places.min(axis=0), places.max(axis=0)
     centre, half = (low + high) / 2, np.where(high > low, (high - low) / 2, 1.0)

@@ -34,7 +34,7 @@ _SURE = 3.0
 _AXES = ("azimuth", "elevation")
 #: How far the scan may go beyond the shots: a fraction of their span, at least that
 #: [rad].
-_BEYOND, _BEYOND_AT_LEAST = 0.1, 1e-4
+_BEYOND, BEYOND_AT_LEAST = 0.1, 1e-4
 #: Directions count as one that are nearer than this fraction of the span of all [1], or
 #: than so many standard deviations by which a scanner misses what it is sent to [1].
 _NEAR, _MISSES = 1 / 50, 8.0
@@ -297,7 +297,7 @@ def _refuse_a_scan_beyond_the_shots(
     if text and Survey.from_text(text).scan.moves == "both":
         return  # The receiver turns with the beam: the water is the same everywhere.
     low, high = shots.min(axis=0), shots.max(axis=0)
-    room = np.maximum(_BEYOND * (high - low), _BEYOND_AT_LEAST)
+    room = np.maximum(_BEYOND * (high - low), BEYOND_AT_LEAST)
     outside = np.maximum(low - pixels.min(axis=0), pixels.max(axis=0) - high) - room
     if np.any(outside > 0):
         axis = int(np.argmax(outside))

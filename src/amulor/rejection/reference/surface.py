@@ -9,7 +9,12 @@ from numpy.typing import NDArray
 
 from amulor.rejection.covariance import Covariance
 from amulor.rejection.reference import interpolation
-from amulor.rejection.reference.places import Places, design_of, places_of
+from amulor.rejection.reference.places import (
+    HIGHEST_DEGREE,
+    Places,
+    design_of,
+    places_of,
+)
 from amulor.rejection.reference.scatter import fluctuation, relative_fluctuation
 
 Floats = NDArray[np.float64]
@@ -98,14 +103,24 @@ def surface_of(
     unsure = freedom / (freedom - 1)
     if model is not None:
         total, variance = total.turned(1 / model), variance / power
-    parts = (total.in_phase, total.quadrature, total.cross)
-    left_out, excess = _left_out(
-        shots - level, noise.in_phase + noise.quadrature, design, gain, places
-    )
+    spreads = [
+        unsure * (gain * part) @ gain.T
+        for part in (total.in_phase, total.quadrature, total.cross)
+    ]
+    variances = noise.in_phase + noise.quadrature
+    left_out, excess = _left_out(shots - level, variances, design, gain, places)
+    while degree > 0 and _is_saturated(design, gain, places):
+        # As many coefficients as directions foretell none: fewer of them do.
+        degree -= 1
+        design = design_of(places.where, places.up_to(degree))
+        gain = np.asarray(np.linalg.pinv(design * root[:, None]) * root, dtype=float)
+        rest = ratio - design @ (gain @ ratio)
+        rest = rest if model is None else rest * model
+        left_out, _ = _left_out(rest, variances, design, gain, places)
     return Surface(
         powers=powers,
         coefficients=coefficients,
-        spreads=[unsure * (gain * part) @ gain.T for part in parts],
+        spreads=spreads,
         logarithm=_logarithmic(ratio, variance, places, powers),
         relative=relative * unsure,
         level=level,
@@ -137,6 +152,12 @@ def noise_of(shots: Complex, instrument: Covariance, places: Places) -> Covarian
         shots, mean, instrument, freedom=len(shots) - len(places.size)
     )
     return instrument + fluctuation(relative, mean)
+
+
+def _is_saturated(design: Floats, gain: Floats, places: Places) -> bool:
+    """Return whether a direction decides alone what the polynomial is there."""
+    leverage = places.sum_of(np.einsum("ij,ji->i", design, gain))
+    return bool(1 - leverage.max() <= _ALONE) and len(places.size) > 1
 
 
 def _left_out(
@@ -203,35 +224,58 @@ def _choose_degree(shots: Complex, places: Places, weight: Floats) -> tuple[int,
 
 
 def noiseless(
-    signal: Complex, repeats: int, shot_direction: Floats, pixel_direction: Floats
+    signal: Complex,
+    repeats: int,
+    shot_direction: Floats,
+    pixel_direction: Floats,
+    *,
+    model: tuple[Complex, Complex] | None = None,
+    degrees: list[int] | None = None,
 ) -> Complex:
-    """Return what the polynomial of the highest degree makes of shots without noise.
+    """Return what a polynomial makes of shots without noise.
 
     Parameters
     ----------
     signal : ndarray of complex, shape (k, n)
-        Water signals at the directions of the shots [V].
+        Water signals at directions that are all different [V].
     repeats : int
         Shots in each direction.
     shot_direction : ndarray, shape (n, 2)
         Azimuth and elevation of the shots [rad].
     pixel_direction : ndarray, shape (m, 2)
         Azimuth and elevation of the pixels [rad].
+    model : tuple of ndarray, shapes (k, n) and (k, m), optional
+        A model at shots and pixels, nowhere zero: the polynomial stands for the ratio.
+    degrees : list of int, optional
+        Degree of the polynomial for each signal; the highest that the shots allow if
+        that is lower, and by default.
 
     Returns
     -------
     ndarray of complex, shape (k, m)
-        The polynomials at the pixels [V].
+        The water signals at the pixels [V].
     """
-    places = places_of(shot_direction)
-    chosen = places.up_to(places.highest(repeats * len(shot_direction)))
-    design = design_of(places.where, chosen)
-    coefficients = np.linalg.lstsq(design, signal.T, rcond=None)[0]
-    at_pixels = design_of(places.scaled(pixel_direction), chosen)
-    return np.asarray((at_pixels @ coefficients).T)
+    scaled = places_of(shot_direction).scaled(pixel_direction)
+    found = np.empty((len(signal), len(pixel_direction)), dtype=complex)
+    for k, own in enumerate(signal):
+        at_shots = np.ones(len(own)) if model is None else model[0][k]
+        degree = HIGHEST_DEGREE if degrees is None else degrees[k]
+        design, powers = _polynomials(repeats, shot_direction, degree)
+        coefficients = _gain(design, np.abs(at_shots)) @ (own / at_shots)
+        found[k] = design_of(scaled, powers) @ coefficients
+        if model is not None:
+            found[k] *= model[1][k]
+    return found
 
 
-def missed(signal: Complex, repeats: int, direction: Floats) -> float:
+def missed(
+    signal: Complex,
+    repeats: int,
+    direction: Floats,
+    *,
+    model: Complex | None = None,
+    degrees: list[int] | None = None,
+) -> Floats:
     """Return how far such a polynomial is off the directions that it leaves out.
 
     Parameters
@@ -242,22 +286,99 @@ def missed(signal: Complex, repeats: int, direction: Floats) -> float:
         Shots in each direction.
     direction : ndarray, shape (n, 2)
         Azimuth and elevation [rad].
+    model : ndarray of complex, shape (k, n), optional
+        A model, nowhere zero: the polynomial stands for the ratio to it.
+    degrees : list of int, optional
+        As for `noiseless`.
 
     Returns
     -------
-    float
-        Largest miss in parts of the largest signal, infinite where a direction cannot
-        be left out; 0 for a single direction [1].
+    ndarray, shape (k, n)
+        Misses, of a lower degree where that has as many coefficients as there are
+        directions; 0 for a single direction [V].
     """
     if len(direction) == 1:
-        return 0.0
+        return np.zeros(signal.shape)
+    off = np.empty(signal.shape)
+    for k, own in enumerate(signal):
+        at_shots = np.ones(len(own)) if model is None else model[k]
+        ratio = own / at_shots
+        degree = HIGHEST_DEGREE if degrees is None else degrees[k]
+        while True:
+            design, _ = _polynomials(repeats, direction, degree)
+            hat = design @ _gain(design, np.abs(at_shots))
+            alone = 1 - np.diag(hat)
+            if degree == 0 or alone.min() > _ALONE:
+                break
+            degree -= 1
+        off[k] = np.abs(ratio - hat @ ratio) / alone * np.abs(at_shots)
+    return off
+
+
+def expected_degrees(
+    signal: Complex,
+    error: Floats,
+    repeats: int,
+    direction: Floats,
+    *,
+    model: Complex | None = None,
+) -> list[int]:
+    """Return the degree of the polynomial that a fit of such shots would choose.
+
+    Parameters
+    ----------
+    signal : ndarray of complex, shape (k, n)
+        Water signals without noise at directions that are all different [V].
+    error : ndarray, shape (k, n)
+        How much single shots scatter [V].
+    repeats : int
+        Shots in each direction.
+    direction : ndarray, shape (n, 2)
+        Azimuth and elevation [rad].
+    model : ndarray of complex, shape (k, n), optional
+        As for `missed`.
+
+    Returns
+    -------
+    list of int
+        One above the lowest whose misfit the F test is expected not to see.
+    """
+    from scipy.stats import f as f_distribution
+
+    count = len(direction)
+    highest = places_of(direction).highest(repeats * count)
+    chosen = []
+    for k, own in enumerate(signal):
+        at_shots = np.ones(count) if model is None else model[k]
+        ratio, weight = own / at_shots, np.abs(at_shots) / error[k]
+        degree = 0
+        while degree < highest:
+            design, powers = _polynomials(repeats, direction, degree)
+            freedom = count - len(powers)
+            if freedom < 1 or repeats < 2:
+                break
+            rest = ratio - design @ (_gain(design, weight) @ ratio)
+            misfit = repeats * np.sum(np.abs(weight * rest) ** 2) / freedom
+            most = f_distribution.isf(
+                _SIGNIFICANCE, 2 * freedom, 2 * count * (repeats - 1)
+            )
+            degree += 1
+            if 1 + misfit <= most:
+                break
+        chosen.append(degree)
+    return chosen
+
+
+def _polynomials(
+    repeats: int, direction: Floats, degree: int
+) -> tuple[Floats, NDArray[np.intp]]:
+    """Return the monomials up to some degree at directions, and their powers."""
     places = places_of(direction)
-    design = design_of(
-        places.where, places.up_to(places.highest(repeats * len(direction)))
-    )
-    hat = design @ np.linalg.pinv(design)
-    rest = np.abs(signal - signal @ hat.T)
-    largest = np.abs(signal).max(axis=1)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        off = (rest / np.maximum(1 - np.diag(hat), 0.0)).max(axis=1) / largest
-    return float(np.nan_to_num(off, nan=np.inf).max())
+    powers = places.up_to(min(degree, places.highest(repeats * len(direction))))
+    return design_of(places.where, powers), powers
+
+
+def _gain(design: Floats, weight: Floats) -> Floats:
+    """Return what least squares with weights makes of values, (terms, n)."""
+    gain = np.linalg.pinv(design * weight[:, None]) * weight
+    return np.asarray(gain, dtype=float)
