@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Literal
 
 from cyclopts import Parameter, validators
 
 if TYPE_CHECKING:
     from amulor.view.page import Live, Recording
+    from amulor.view.page.space import Space
 
 
 def view(
@@ -16,6 +17,7 @@ def view(
     /,
     *,
     samples: Path | None = None,
+    unit: Literal["m", "cm", "mm", "inch"] | None = None,
     save: Path | None = None,
     nearest: str | None = None,
     farthest: str | None = None,
@@ -29,11 +31,15 @@ def view(
     Parameters
     ----------
     path
-        Range image, target signal or samples (netCDF), or the folder of a scan, which
-        is followed while it goes on and only read.
+        Range image, target signal or samples (netCDF); the folder of a scan, which is
+        followed while it goes on and only read; a point cloud (.ply, .laz, .las, .e57,
+        .xyz, .csv, .txt, .asc, .pts, .nc) or a mesh (.ply, .stl, .obj, .off, .glb).
     samples
         Samples or target signal that a range image was made from, to see it before
         rejection.
+    unit
+        Unit of the coordinates of a mesh, which most formats do not say, or of a cloud
+        that is not in metres.
     save
         Write the page as one file (HTML) that opens without this program, and stop.
     nearest
@@ -51,17 +57,31 @@ def view(
         With --save: replace a file that is there.
     """
     from amulor import _extras, io
-    from amulor.cli._arguments import check_ending, interval_of
+    from amulor.cli._arguments import UsageError, check_ending, interval_of
 
     _extras.require("view", purpose="the page")
+    from amulor.survey.target import METRES
     from amulor.view import page
+    from amulor.view.page import space
 
     interval = interval_of(nearest, farthest)
+    in_space = space.is_space(path)
+    if in_space and (samples is not None or interval is not None):
+        raise UsageError(
+            "--samples, --nearest and --farthest go with a range image or a cube, not "
+            "with a cloud or a mesh"
+        )
+    if unit is not None and not in_space:
+        raise UsageError("--unit goes with a mesh or a cloud; scans are in metres")
     inputs = [path] if samples is None else [path, samples]
     if save is not None:
         check_ending("--save", save, (".html", ".htm"))
         io.check_output(save, overwrite=overwrite, inputs=inputs)
-    shown = _shown(path, samples, interval)
+    shown: Recording | Live | Space
+    if in_space:
+        shown = space.opened(path, unit=None if unit is None else METRES[unit])
+    else:
+        shown = _shown(path, samples, interval)
     if save is not None:
         recording = shown.recording if isinstance(shown, page.Live) else shown
         page.save_page(recording, save, overwrite=overwrite)

@@ -22,9 +22,10 @@ from amulor.errors import AmulorError
 from amulor.survey import Survey, water_properties
 from amulor.survey.directions import scan_directions
 from amulor.survey.view import geometry_attributes, medium
+from amulor.view.page.opening import recording_of
 from amulor.view.page.progress import Progress
 from amulor.view.page.quick import quick_layers
-from amulor.view.page.recording import Recording, recording_of
+from amulor.view.page.recording import Recording
 
 #: How often the journal is looked at [s].
 POLL = 0.2

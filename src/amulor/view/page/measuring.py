@@ -12,7 +12,8 @@ import numpy as np
 from amulor.cube import QualityFlag
 from amulor.errors import CubeError
 from amulor.imaging import measure
-from amulor.view.page.recording import Picture, Recording
+from amulor.view.page.pictures import Picture
+from amulor.view.page.recording import Recording
 
 #: Pixels with one of these are no part of a surface.
 _OFF_SURFACE = QualityFlag.MIXED | QualityFlag.OUTLIER

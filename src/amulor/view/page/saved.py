@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import base64
+import html
 import json
 import re
 from collections.abc import Mapping, Sequence
@@ -17,6 +18,8 @@ from amulor.io.files import atomic_output
 from amulor.view.page.layers import stored
 from amulor.view.page.packing import packed
 from amulor.view.page.recording import MOST_PIXELS, Recording
+from amulor.view.page.space import Space
+from amulor.view.page.spectra import spectra
 
 #: Files of the page, in the order in which nothing comes before what it needs.
 TYPES = {
@@ -44,7 +47,7 @@ def static_files() -> dict[str, bytes]:
 
 
 def save_page(
-    recording: Recording,
+    recording: Recording | Space,
     path: str | Path,
     *,
     measurements: Sequence[Mapping[str, Any]] = (),
@@ -54,7 +57,7 @@ def save_page(
 
     Parameters
     ----------
-    recording : Recording
+    recording : Recording or Space
         What it shows.
     path : str or pathlib.Path
         File to write (HTML).
@@ -68,7 +71,10 @@ def save_page(
     FormatError
         If the file exists, or cannot be written.
     """
-    page = saved_page(recording, measurements=measurements)
+    if isinstance(recording, Space):
+        page = saved_space(recording, measurements=measurements)
+    else:
+        page = saved_page(recording, measurements=measurements)
     with atomic_output(Path(path), overwrite=overwrite) as temporary:
         temporary.write_text(page, encoding="utf-8")
 
@@ -108,7 +114,38 @@ def saved_page(
         nodes = np.ascontiguousarray(recording.nodes(channel).values, "<f4").tobytes()
         scripts.append(_data(f"layer/{channel}/beams", packed(nodes, width=4)))
         scripts += _spectra(recording, channel)
-    return _assembled(files, scripts)
+    return _assembled(files, scripts, page="index", starts="app.js")
+
+
+def saved_space(space: Space, *, measurements: Sequence[Mapping[str, Any]] = ()) -> str:
+    """Return the page of a cloud or a mesh as one text.
+
+    Parameters
+    ----------
+    space : Space
+        What it shows.
+    measurements : sequence of mapping
+        Measurements that the page begins with.
+
+    Returns
+    -------
+    str
+        HTML, in which lengths can be measured as on the server's page.
+    """
+    scene = space.describe()
+    content = {
+        "scenes": {"space": scene},
+        "measurements": [dict(one) for one in measurements],
+    }
+    scripts = [_data("amulor-scene", json.dumps(content, allow_nan=False))]
+    names = ["position", *(str(layer["name"]) for layer in scene["layers"])]
+    names += ["faces"] if scene["mesh"] else []
+    names += ["colour"] if scene["colour"] else []
+    for name in names:
+        width = 1 if name == "colour" else 4
+        text = packed(space.values(name), width=width)
+        scripts.append(_data(f"layer/space/{name}", text))
+    return _assembled(static_files(), scripts, page="space", starts="space.js")
 
 
 def _carried(recording: Recording) -> list[str]:
@@ -119,7 +156,7 @@ def _carried(recording: Recording) -> list[str]:
 
 
 def _spectra(recording: Recording, channel: str) -> list[str]:
-    cubes = recording.spectra(channel, most=_MOST_SPECTRA)
+    cubes = spectra(recording.cubes, channel, most=_MOST_SPECTRA)
     return [
         _data(f"spectrum/{channel}/{name}", packed(values.tobytes(), width=4))
         for name, values in cubes.items()
@@ -129,30 +166,33 @@ def _spectra(recording: Recording, channel: str) -> list[str]:
 def _data(name: str, text: str) -> str:
     # "<" could end the script early, or begin a comment in it.
     safe = text.replace("<", "\\u003c")
-    return f'<script type="application/json" data-name="{name}">{safe}</script>'
+    named = html.escape(name, quote=True)
+    return f'<script type="application/json" data-name="{named}">{safe}</script>'
 
 
-def _assembled(files: Mapping[str, bytes], data: Sequence[str]) -> str:
-    """Return the page with all of its files in it."""
-    page = files["index.html"].decode()
+def _assembled(
+    files: Mapping[str, bytes], data: Sequence[str], *, page: str, starts: str
+) -> str:
+    """Return a page with all of its files in it."""
+    text = files[f"{page}.html"].decode()
     style = files["page.css"].decode()
     modules = {
         name: _bare(content.decode())
         for name, content in files.items()
-        if name.endswith(".js")
+        if name in _modules(files, starts)
     }
     imports = {
         f"page/{name}": "data:text/javascript;base64,"
-        + base64.b64encode(text.encode()).decode()
-        for name, text in modules.items()
+        + base64.b64encode(module.encode()).decode()
+        for name, module in modules.items()
     }
     replaced = {
         '<link rel="stylesheet" href="static/page.css">': f"<style>{style}</style>",
-        '<script type="module" src="static/app.js"></script>': "\n".join(
+        f'<script type="module" src="static/{starts}"></script>': "\n".join(
             [
                 f'<script type="importmap">{json.dumps({"imports": imports})}</script>',
                 *data,
-                '<script type="module">import "page/app.js";</script>',
+                f'<script type="module">import "page/{starts}";</script>',
             ]
         ),
         "<!-- policy -->": (
@@ -165,12 +205,24 @@ def _assembled(files: Mapping[str, bytes], data: Sequence[str]) -> str:
         ),
     }
     for old, new in replaced.items():
-        if page.count(old) != 1:
+        if text.count(old) != 1:
             raise FormatError(
-                f"index.html must hold {old!r} once; install amulor again"
+                f"{page}.html must hold {old!r} once; install amulor again"
             )
-        page = page.replace(old, new)
-    return page
+        text = text.replace(old, new)
+    return text
+
+
+def _modules(files: Mapping[str, bytes], starts: str) -> set[str]:
+    """Return the modules that one needs, itself included."""
+    found: set[str] = set()
+    left = [starts]
+    while left:
+        name = left.pop()
+        if name not in found:
+            found.add(name)
+            left += re.findall(r'from\s+"\./([\w-]+\.js)"', files[name].decode())
+    return found
 
 
 def _bare(module: str) -> str:

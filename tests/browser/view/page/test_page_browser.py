@@ -15,7 +15,7 @@ import pytest
 
 from amulor import imaging
 from amulor.view import page
-from amulor.view.page.recording import MemoryPicture
+from amulor.view.page.pictures import MemoryPicture
 
 pytestmark = pytest.mark.slow
 

@@ -180,8 +180,8 @@ def test_the_websocket_brings_status_and_rows(
 
 
 def test_a_row_travels_as_numbers_behind_a_head() -> None:
-    from amulor.view.page.feed import message_of
     from amulor.view.page.live import Rows
+    from amulor.view.page.web.feed import message_of
 
     sent = message_of(Rows(1, "VV", 3, {"range": np.array([1.0, 2.0])}))
     (size,) = struct.unpack_from("<I", sent)

@@ -24,6 +24,12 @@ export class Camera {
     this.rise = 0;
   }
 
+  /** Look down from above. */
+  above() {
+    this.turn = 0;
+    this.rise = 1.55;
+  }
+
   orbit(dx, dy) {
     this.turn -= dx;
     this.rise = clamp(this.rise + dy, -1.55, 1.55);
@@ -63,6 +69,11 @@ export class Camera {
     return this.target.map((part, k) => part - forward[k] * this.distance);
   }
 
+  /** Return how near and how far is drawn [m]. */
+  planes() {
+    return [Math.max(this.distance - 6 * this.start.size, this.distance * 0.02), this.distance + 8 * this.start.size];
+  }
+
   matrix(aspect) {
     const { forward, right, up } = this.frame();
     const eye = this.eye();
@@ -73,8 +84,7 @@ export class Camera {
       right[2], up[2], -forward[2], 0,
       -dot(right, eye), -dot(up, eye), dot(forward, eye), 1,
     ];
-    const near = Math.max(this.distance - 6 * this.start.size, this.distance * 0.02);
-    const far = this.distance + 8 * this.start.size;
+    const [near, far] = this.planes();
     let project;
     if (this.orthographic) {
       const half = this.span() / 2;
@@ -99,7 +109,8 @@ export class Camera {
 
 Camera.ANGLE = (38 * Math.PI) / 180;
 
-function multiplied(a, b) {
+/** Return the product of two matrices. */
+export function multiplied(a, b) {
   const out = new Array(16).fill(0);
   for (let column = 0; column < 4; column += 1) {
     for (let row = 0; row < 4; row += 1) {

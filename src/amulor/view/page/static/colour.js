@@ -73,6 +73,20 @@ export function flagTable(flags, good) {
   return out;
 }
 
+/** Return which texel of `flagTable` each pixel has: of its first flag that makes it
+unusable, or else of its first flag. */
+export function flagRanks(values, flags) {
+  const order = [...flags.keys()].sort((a, b) => flags[b].unusable - flags[a].unusable);
+  const known = new Map();
+  return Float32Array.from(values, (bits) => {
+    if (!known.has(bits)) {
+      const found = order.find((k) => bits & flags[k].mask);
+      known.set(bits, found === undefined ? 0 : found + 1);
+    }
+    return known.get(bits);
+  });
+}
+
 /** Return a CSS gradient of a colour map. */
 export function gradient(name, direction = "to right") {
   const stops = STOPS[name].match(/.{6}/g).map((hex) => `#${hex}`);

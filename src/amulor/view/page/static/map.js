@@ -240,10 +240,11 @@ export function tag(ctx, text, [x, y], ratio, colours) {
 }
 
 /** Draw the scale of colours with its ticks. */
-export function colourBar(canvas, gradientStops, [low, high], unit, colours) {
-  fitted(canvas);
+export function colourBar(canvas, gradientStops, [low, high], unit, colours, own = 0) {
+  // A canvas that is nowhere on the screen states the size of its pixels itself.
+  if (!own) fitted(canvas);
   const ctx = canvas.getContext("2d");
-  const ratio = canvas.width / Math.max(canvas.clientWidth, 1);
+  const ratio = own || canvas.width / Math.max(canvas.clientWidth, 1);
   const { width, height } = canvas;
   ctx.clearRect(0, 0, width, height);
   const top = 3 * ratio;

@@ -253,7 +253,7 @@ export function drawHistogram(canvas, state, colours) {
   if (!finite) return empty(view, "No pixel holds a number.", colours);
   const unit = layer.kind === "range" ? { unit: layer.unit, factor: 1 } : scaled(Math.max(Math.abs(low), Math.abs(high)), layer.unit);
   const most = Math.max(...counts);
-  const frame = framed(view, { low: low * unit.factor, high: high * unit.factor, label: `${layer.label} [${unit.unit || "1"}]` }, { low: 0, high: (most / finite) * 100 * 1.08, label: "pixels [%]" }, colours);
+  const frame = framed(view, { low: low * unit.factor, high: high * unit.factor, label: `${layer.label} [${unit.unit || "1"}]` }, { low: 0, high: (most / finite) * 100 * 1.08, label: `${state.counted ?? "pixels"} [%]` }, colours);
   const table = state.tables[layer.kind];
   for (let k = 0; k < bins; k += 1) {
     const left = frame.toX((low + ((high - low) * k) / bins) * unit.factor);

@@ -1,6 +1,6 @@
 // One channel of a recording: its maps, its beams, and what a pixel of it says.
 
-import { flagTable, MAP_OF, table } from "./colour.js";
+import { flagRanks, flagTable, MAP_OF, table } from "./colour.js";
 import { Beams } from "./geometry.js";
 
 /** Numbers of a channel, kept here and on the graphics unit. */
@@ -90,22 +90,9 @@ export class Scene {
   /** Bring a map to the graphics unit, all of it. */
   upload(name) {
     const { layer, values } = this.maps.get(name);
-    const shown = layer.kind === "flags" ? this.#ranks(values) : values;
+    const shown = layer.kind === "flags" ? flagRanks(values, this.flags) : values;
     this.renderer.keep(`map ${name}`, this.wide, this.high, shown);
     if (name === "range" || name === "range_before") this.smooth(name);
-  }
-
-  #ranks(values) {
-    // Colour of the first flag that makes a pixel unusable, or else of its first flag.
-    const order = [...this.flags.keys()].sort((a, b) => this.flags[b].unusable - this.flags[a].unusable);
-    const known = new Map();
-    return Float32Array.from(values, (bits) => {
-      if (!known.has(bits)) {
-        const found = order.find((k) => bits & this.flags[k].mask);
-        known.set(bits, found === undefined ? 0 : found + 1);
-      }
-      return known.get(bits);
-    });
   }
 
   /** Average a range map over neighbours, for light and contours only. */
@@ -123,7 +110,7 @@ export class Scene {
     if (!map) return;
     map.values.set(values, first * this.wide);
     const count = values.length / this.wide;
-    const shown = map.layer.kind === "flags" ? this.#ranks(values) : values;
+    const shown = map.layer.kind === "flags" ? flagRanks(values, this.flags) : values;
     this.renderer.rows(`map ${name}`, first, count, this.wide, shown);
   }
 

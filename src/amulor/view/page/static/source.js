@@ -23,9 +23,13 @@ class Served {
     return (await this.#answer(`scene${query}`)).json();
   }
 
-  async layer(channel, name, flags) {
+  async bytes(channel, name) {
     const place = `layer/${encodeURIComponent(channel)}/${encodeURIComponent(name)}`;
-    const buffer = await (await this.#answer(place)).arrayBuffer();
+    return (await this.#answer(place)).arrayBuffer();
+  }
+
+  async layer(channel, name, flags) {
+    const buffer = await this.bytes(channel, name);
     return flags ? new Uint16Array(buffer) : new Float32Array(buffer);
   }
 
@@ -127,6 +131,32 @@ async function unpacked(name, width) {
     for (let i = 0; i < count; i += 1) out[i * width + k] = sorted[from + i];
   }
   return out;
+}
+
+/** What a page of a cloud or mesh shows: of the server, or in the page itself. */
+export class SpaceSource {
+  #served = new Served();
+
+  constructor() {
+    const script = element("amulor-scene");
+    this.content = script ? JSON.parse(script.textContent) : null;
+    this.saved = this.content !== null;
+    this.measurements = this.content?.measurements ?? [];
+  }
+
+  async scene() {
+    return this.saved ? this.content.scenes.space : this.#served.scene();
+  }
+
+  /** Return numbers by name: floats, whole numbers, or bytes. */
+  async numbers(name, Kind = Float32Array) {
+    const buffer = this.saved ? (await unpacked(`layer/space/${name}`, Kind.BYTES_PER_ELEMENT)).buffer : await this.#served.bytes("space", name);
+    return new Kind(buffer);
+  }
+
+  page(measurements) {
+    return this.#served.page(measurements);
+  }
 }
 
 /** Return the source of this page. */

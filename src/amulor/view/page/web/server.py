@@ -2,35 +2,41 @@
 
 from __future__ import annotations
 
-import json
-from collections.abc import Awaitable, Callable, Collection
-from pathlib import Path
+from collections.abc import Collection
 from typing import Any
 
 import numpy as np
 from starlette.applications import Starlette
 from starlette.concurrency import run_in_threadpool
-from starlette.requests import ClientDisconnect, Request
+from starlette.requests import Request
 from starlette.responses import JSONResponse, Response
 from starlette.routing import Route, WebSocketRoute
 from starlette.types import ASGIApp
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
-from amulor.errors import AmulorError, CubeError
-from amulor.view.page import feed
+from amulor.errors import CubeError
 from amulor.view.page.layers import stored
 from amulor.view.page.live import Live
 from amulor.view.page.measuring import measured
 from amulor.view.page.recording import Recording
-from amulor.view.page.saved import TYPES, saved_page, static_files
-from amulor.view.page.security import Guard
-
-#: Measurements that a saved page may begin with [1].
-_MOST_MEASUREMENTS = 500
+from amulor.view.page.saved import saved_page
+from amulor.view.page.space import Space
+from amulor.view.page.spectra import spectrum
+from amulor.view.page.web import feed
+from amulor.view.page.web.answers import (
+    Files,
+    answered,
+    explained,
+    measurements_of,
+    numbers,
+    object_of,
+)
+from amulor.view.page.web.security import Guard
+from amulor.view.page.web.space_pages import space_routes
 
 
 def application(
-    shown: Recording | Live,
+    shown: Recording | Live | Space,
     *,
     token: str,
     hosts: Collection[str] = (),
@@ -40,7 +46,7 @@ def application(
 
     Parameters
     ----------
-    shown : Recording or Live
+    shown : Recording, Live or Space
         What it shows.
     token : str
         First part of every address.
@@ -54,10 +60,17 @@ def application(
     callable
         Starlette behind a `Guard`. Nothing it answers changes a file or moves a device.
     """
-    pages = _Pages(shown)
-    routes: list[Any] = [
-        Route("/", pages.index),
-        Route("/static/{name}", pages.static),
+    routes = space_routes(shown) if isinstance(shown, Space) else _routes(shown)
+    inner = Starlette(routes=routes)
+    return Guard(inner, token=token, hosts=hosts, beyond=beyond)
+
+
+def _routes(shown: Recording | Live) -> list[Any]:
+    """Return what is answered of a picture or a scan."""
+    pages, files = _Pages(shown), Files("index.html")
+    return [
+        Route("/", files.index),
+        Route("/static/{name}", files.static),
         Route("/scene", pages.scene),
         Route("/layer/{channel}/{name}", pages.layer),
         Route("/spectrum/{channel}/{row:int}/{column:int}", pages.spectrum),
@@ -65,27 +78,15 @@ def application(
         Route("/save", pages.save, methods=["POST"]),
         WebSocketRoute("/live", pages.live),
     ]
-    inner = Starlette(routes=routes)
-    return Guard(inner, token=token, hosts=hosts, beyond=beyond)
 
 
 class _Pages:
     def __init__(self, shown: Recording | Live) -> None:
         self._shown = shown
-        self._files = static_files()
 
     @property
     def _recording(self) -> Recording:
         return self._shown.recording if isinstance(self._shown, Live) else self._shown
-
-    async def index(self, request: Request) -> Response:
-        return Response(self._files["index.html"], media_type=TYPES[".html"])
-
-    async def static(self, request: Request) -> Response:
-        name = request.path_params["name"]
-        if name not in self._files:
-            return JSONResponse({"error": "no such file"}, status_code=404)
-        return Response(self._files[name], media_type=TYPES[Path(name).suffix])
 
     async def scene(self, request: Request) -> Response:
         channel = request.query_params.get("channel")
@@ -98,7 +99,7 @@ class _Pages:
                 }
             )
 
-        return await _answered(made)
+        return await answered(made)
 
     async def layer(self, request: Request) -> Response:
         channel, name = (request.path_params[key] for key in ("channel", "name"))
@@ -107,15 +108,15 @@ class _Pages:
             recording = self._recording
             if name == "beams":
                 values = recording.nodes(channel).values
-                return _bytes(np.ascontiguousarray(values, "<f4").tobytes())
+                return numbers(np.ascontiguousarray(values, "<f4").tobytes())
             known = recording.layers(channel)
             if name not in known:
                 raise CubeError(f"there is no map {name[:40]!r}")
             stride = recording.stride(channel)
             values = recording.layer(channel, name, stride)
-            return _bytes(stored(values, known[name][0]))
+            return numbers(stored(values, known[name][0]))
 
-        return await _answered(made)
+        return await answered(made)
 
     async def spectrum(self, request: Request) -> Response:
         place = request.path_params
@@ -125,32 +126,29 @@ class _Pages:
             rows, columns = recording.channel(place["channel"]).shown.shape
             if not (place["row"] < rows and place["column"] < columns):
                 raise CubeError("this pixel is outside of the scan")
-            found = recording.spectrum(place["channel"], place["row"], place["column"])
+            at = (place["row"], place["column"])
+            found = spectrum(recording.cubes, place["channel"], *at)
             return JSONResponse(found)
 
-        return await _answered(made)
+        return await answered(made)
 
     async def measure(self, request: Request) -> Response:
         async def made() -> Response:
-            wanted = await _object(request)
+            wanted = await object_of(request)
             found = await run_in_threadpool(measured, self._recording, wanted)
             return JSONResponse(found)
 
-        return await _explained(made())
+        return await explained(made())
 
     async def save(self, request: Request) -> Response:
         async def made() -> Response:
-            kept = (await _object(request)).get("measurements", [])
-            if not isinstance(kept, list) or len(kept) > _MOST_MEASUREMENTS:
-                raise CubeError(f"at most {_MOST_MEASUREMENTS} measurements are kept")
+            kept = await measurements_of(request)
             page = await run_in_threadpool(
-                saved_page,
-                self._recording,
-                measurements=[one for one in kept if isinstance(one, dict)],
+                saved_page, self._recording, measurements=kept
             )
             return Response(page.encode(), media_type="application/octet-stream")
 
-        return await _explained(made())
+        return await explained(made())
 
     async def live(self, socket: WebSocket) -> None:
         if not isinstance(self._shown, Live):
@@ -161,33 +159,3 @@ class _Pages:
             await feed.follow(self._shown, socket)
         except WebSocketDisconnect:
             return
-
-
-async def _object(request: Request) -> dict[str, Any]:
-    """Return the JSON object of a request."""
-    try:
-        content = json.loads(await request.body())
-    except (ValueError, RecursionError):
-        raise CubeError("the request is no JSON") from None
-    except ClientDisconnect:
-        raise CubeError("the request is too long, or was broken off") from None
-    if not isinstance(content, dict):
-        raise CubeError("the request must be a JSON object")
-    return content
-
-
-def _bytes(content: bytes) -> Response:
-    return Response(content, media_type="application/octet-stream")
-
-
-async def _answered(made: Callable[[], Response]) -> Response:
-    """Return what was made in a thread, or why it could not be, for the page."""
-    return await _explained(run_in_threadpool(made))
-
-
-async def _explained(made: Awaitable[Response]) -> Response:
-    """Return what is being made, or why it could not be, in words for the page."""
-    try:
-        return await made
-    except (AmulorError, ValueError) as error:
-        return JSONResponse({"error": str(error)}, status_code=422)

@@ -12,8 +12,9 @@ import uvicorn
 from amulor.errors import FormatError
 from amulor.view.page.live import Live
 from amulor.view.page.recording import Recording
-from amulor.view.page.security import new_token
-from amulor.view.page.server import application
+from amulor.view.page.space import Space
+from amulor.view.page.web.security import new_token
+from amulor.view.page.web.server import application
 
 #: What a page says on a websocket is a word or two [byte].
 _LARGEST_MESSAGE = 4096
@@ -21,7 +22,7 @@ _EVERYWHERE = ("0.0.0.0", "::")
 
 
 def serve(
-    shown: Recording | Live,
+    shown: Recording | Live | Space,
     *,
     host: str = "127.0.0.1",
     port: int = 0,
@@ -32,7 +33,7 @@ def serve(
 
     Parameters
     ----------
-    shown : Recording or Live
+    shown : Recording, Live or Space
         What it shows.
     host : str
         Address to listen at; others than that of this computer let others in, who
@@ -57,12 +58,14 @@ def serve(
 
 
 @contextlib.contextmanager
-def background(shown: Recording | Live, *, token: str | None = None) -> Iterator[str]:
+def background(
+    shown: Recording | Live | Space, *, token: str | None = None
+) -> Iterator[str]:
     """Serve a page beside what else runs, as in a notebook.
 
     Parameters
     ----------
-    shown : Recording or Live
+    shown : Recording, Live or Space
         What it shows.
     token : str, optional
         First part of every path; drawn at random by default.
@@ -103,7 +106,7 @@ def _listener(host: str, port: int) -> socket.socket:
 
 
 def _server(
-    shown: Recording | Live, host: str, listener: socket.socket, token: str
+    shown: Recording | Live | Space, host: str, listener: socket.socket, token: str
 ) -> tuple[str, uvicorn.Server]:
     """Return the address of a page and the server behind it."""
     name = socket.gethostname() if host in _EVERYWHERE else host

@@ -1,0 +1,109 @@
+// Which point of a cloud or place of a mesh is seen at a pixel, and lengths between such.
+
+/** Return what is seen at a place on the canvas [its pixels], null beside all of it. */
+export function seen({ position, faces, count }, matrix, { x, y, width, height }, { dot, shrinks }) {
+  return faces ? onMesh(position, faces, matrix, { x, y, width, height }) : onCloud(position, count, matrix, { x, y, width, height }, { dot, shrinks });
+}
+
+function onCloud(position, count, m, { x, y, width, height }, { dot, shrinks }) {
+  let best = -1;
+  let least = Infinity;
+  for (let i = 0; i < count; i += 1) {
+    const a = position[3 * i];
+    const b = position[3 * i + 1];
+    const c = position[3 * i + 2];
+    const w = m[3] * a + m[7] * b + m[11] * c + m[15];
+    if (w <= 0) continue;
+    const dx = (0.5 + (0.5 * (m[0] * a + m[4] * b + m[8] * c + m[12])) / w) * width - x;
+    const size = Math.min(Math.max(shrinks ? dot / w : dot, 1.5), 64) / 2 + 2.5;
+    if (dx > size || dx < -size) continue;
+    const dy = (0.5 - (0.5 * (m[1] * a + m[5] * b + m[9] * c + m[13])) / w) * height - y;
+    if (dy > size || dy < -size) continue;
+    const depth = (m[2] * a + m[6] * b + m[10] * c + m[14]) / w;
+    if (depth < least) {
+      least = depth;
+      best = i;
+    }
+  }
+  if (best < 0) return null;
+  return { place: Array.from(position.subarray(3 * best, 3 * best + 3)), corners: [best], weights: [1] };
+}
+
+function onMesh(position, faces, m, { x, y, width, height }) {
+  const count = position.length / 3;
+  const spot = new Float64Array(4 * count);
+  for (let i = 0; i < count; i += 1) {
+    const [a, b, c] = [position[3 * i], position[3 * i + 1], position[3 * i + 2]];
+    const w = m[3] * a + m[7] * b + m[11] * c + m[15];
+    spot[4 * i] = (0.5 + (0.5 * (m[0] * a + m[4] * b + m[8] * c + m[12])) / w) * width;
+    spot[4 * i + 1] = (0.5 - (0.5 * (m[1] * a + m[5] * b + m[9] * c + m[13])) / w) * height;
+    spot[4 * i + 2] = (m[2] * a + m[6] * b + m[10] * c + m[14]) / w;
+    spot[4 * i + 3] = w;
+  }
+  let best = null;
+  let least = Infinity;
+  for (let t = 0; t < faces.length; t += 3) {
+    const [i, j, k] = [4 * faces[t], 4 * faces[t + 1], 4 * faces[t + 2]];
+    if (spot[i + 3] <= 0 || spot[j + 3] <= 0 || spot[k + 3] <= 0) continue;
+    const [ax, ay, bx, by, cx, cy] = [spot[i] - x, spot[i + 1] - y, spot[j] - x, spot[j + 1] - y, spot[k] - x, spot[k + 1] - y];
+    const [u, v, w] = [bx * cy - by * cx, cx * ay - cy * ax, ax * by - ay * bx];
+    if (!((u >= 0 && v >= 0 && w >= 0) || (u <= 0 && v <= 0 && w <= 0))) continue;
+    const total = u + v + w;
+    if (total === 0) continue;
+    const depth = (u * spot[i + 2] + v * spot[j + 2] + w * spot[k + 2]) / total;
+    if (depth < least) {
+      least = depth;
+      best = [t, u / spot[i + 3], v / spot[j + 3], w / spot[k + 3]];
+    }
+  }
+  if (!best) return null;
+  const [t, ...parts] = best;
+  const total = parts[0] + parts[1] + parts[2];
+  const weights = parts.map((part) => part / total);
+  const corners = [faces[t], faces[t + 1], faces[t + 2]];
+  const place = [0, 1, 2].map((axis) => corners.reduce((sum, corner, n) => sum + weights[n] * position[3 * corner + axis], 0));
+  return { place, corners, weights };
+}
+
+/** Return a number of a picked place, between the corners of its triangle. */
+export function numberAt(values, { corners, weights }) {
+  return values ? corners.reduce((sum, corner, n) => sum + weights[n] * values[corner], 0) : NaN;
+}
+
+/** Return a length along a direction between two picks, and how large its error may be.
+
+The file knows the error of each point, and not how those of two points correlate; the
+bound holds for every correlation from 0 to 1. */
+export function lengthAlong(scene, one, other, direction) {
+  const value = [0, 1, 2].reduce((sum, k) => sum + (other.place[k] - one.place[k]) * direction[k], 0);
+  const [a, b] = [one, other].map((pick) => errorAlong(scene, pick, direction));
+  if (!a || !b) return { value, bound: NaN };
+  if (!(a.signed && b.signed)) return { value, bound: Math.abs(a.whole) + Math.abs(b.whole) };
+  const shared = Math.max(a.shared ** 2 + b.shared ** 2, (a.shared - b.shared) ** 2);
+  return { value, bound: Math.sqrt(a.own ** 2 + b.own ** 2 + shared) };
+}
+
+function errorAlong({ numbers, beams, centre }, pick, direction) {
+  const get = (name) => numberAt(numbers[name], pick);
+  const sigma = get("uncertainty");
+  if (beams && Number.isFinite(sigma)) {
+    // In the instrument's axes the beam comes from the origin.
+    const beam = pick.place.map((part, k) => part + centre[k]);
+    const cosine = beam.reduce((sum, part, k) => sum + part * direction[k], 0) / Math.hypot(...beam);
+    const common = Math.min(get("common") ?? NaN, sigma);
+    // Of a file that does not say which part is shared, all of it may be.
+    const shared = Number.isFinite(common) ? common : sigma;
+    return { signed: true, whole: sigma * cosine, shared: shared * cosine, own: Math.sqrt(Math.max(sigma ** 2 - shared ** 2, 0)) * cosine };
+  }
+  const parts = ["sigma_x", "sigma_y", "sigma_z"].map(get);
+  if (parts.every(Number.isFinite)) return { signed: false, whole: parts.reduce((sum, part, k) => sum + Math.abs(part * direction[k]), 0) };
+  return Number.isFinite(sigma) ? { signed: false, whole: sigma } : null;
+}
+
+/** Return the distance of two picks and how large its error may be. */
+export function distanceOf(scene, one, other) {
+  const apart = other.place.map((part, k) => part - one.place[k]);
+  const value = Math.hypot(...apart);
+  if (!(value > 0)) return { value: 0, bound: NaN };
+  return { ...lengthAlong(scene, one, other, apart.map((part) => part / value)), value };
+}

@@ -1,0 +1,1 @@
+"""The page's server: who may ask, what is answered, and how it is served."""
