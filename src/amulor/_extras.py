@@ -22,6 +22,7 @@ MODULES = {
         "uvicorn": "uvicorn",
         "websockets": "websockets",
     },
+    "site": {"small-gicp": "small_gicp"},
 }
 
 
