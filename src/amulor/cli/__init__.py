@@ -58,6 +58,8 @@ COMMANDS = {
         "watch:watch",
         "Watch a scan in the terminal: picture, rate, drift, what to do.",
     ),
+    "site check": ("site.check:check", "Check a site file and the files it names."),
+    "site schema": ("site.check:schema", "Print the JSON Schema of site files."),
     "archive": (
         "archive:archive",
         "Write the archive folder of a project, or check one.",
@@ -70,6 +72,7 @@ COMMANDS = {
 }
 _GROUPS = {
     "survey": "Look at survey files.",
+    "site": "Put many scans into one frame, and see what changed between visits.",
     "import": "Bring in data of other instruments.",
     "devices": "Rehearse and calibrate instruments.",
     "reproduce": "Published figures, redrawn and checked.",

@@ -1,0 +1,1 @@
+"""Commands for sites: many scans, one frame."""

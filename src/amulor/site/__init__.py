@@ -1,0 +1,10 @@
+"""From single scans to a site: one frame, one cloud, and what changed since."""
+
+from amulor.site.description.site_file import Site
+
+__all__ = ["Site"]
+
+
+def __dir__() -> list[str]:
+    """List the public names, not the modules that they come from."""
+    return sorted(__all__)

@@ -1,0 +1,213 @@
+"""Looks for mistakes in a site before the work: files, places, ties between scans."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+import xarray as xr
+
+from amulor import io
+from amulor._progress import tell
+from amulor.cube import UNUSABLE
+from amulor.errors import AmulorError
+from amulor.site.description.parts import ScaleBar, SiteScan
+from amulor.site.description.site_file import Site
+from amulor.survey import Survey
+
+#: Targets, not on a line, that place a scan without a start pose.
+_ENOUGH = 3
+#: Pixels around a stated place in which there must be some with a range.
+_NEAR = 2
+
+
+@dataclass(frozen=True, kw_only=True)
+class Findings:
+    """What a look at a site found."""
+
+    mistakes: tuple[str, ...]
+    """What has to be mended, one line each."""
+    remarks: tuple[str, ...]
+    """What is allowed, and worth to know."""
+    shapes: dict[str, tuple[int, int]]
+    """Rows and columns of each scan that could be read."""
+    levels: dict[str, str]
+    """What each of them holds."""
+
+
+def check(site: Site) -> Findings:
+    """Look for mistakes in a site.
+
+    Parameters
+    ----------
+    site : Site
+        With whole paths of files.
+
+    Returns
+    -------
+    Findings
+        Files that are none, places outside of scans, scans that nothing ties to the
+        others, uncertainties that are not known.
+    """
+    mistakes: list[str] = []
+    remarks: list[str] = []
+    shapes: dict[str, tuple[int, int]] = {}
+    levels: dict[str, str] = {}
+    for number, scan in enumerate(site.scan):
+        tell(f"reading {scan.name}", number / len(site.scan))
+        if scan.simulated_from is not None and not scan.file.is_file():
+            remarks.append(
+                f"scan {scan.name!r}: {scan.file.name} is not there yet; amulor run "
+                "simulates it"
+            )
+            continue
+        try:
+            cube = io.read_cube(scan.file)
+        except AmulorError as error:
+            mistakes.append(f"scan {scan.name!r}: {error}")
+            continue
+        levels[scan.name] = str(cube.attrs.get("level", ""))
+        shapes[scan.name] = (cube.sizes.get("row", 0), cube.sizes.get("column", 0))
+        wrong, said = _of_scan(scan, cube)
+        mistakes += wrong
+        remarks += said
+        mistakes += _of_places(site, scan, cube)
+    mistakes += _of_ties(site)
+    remarks += _of_use(site)
+    return Findings(
+        mistakes=tuple(mistakes), remarks=tuple(remarks), shapes=shapes, levels=levels
+    )
+
+
+def _of_scan(scan: SiteScan, cube: xr.Dataset) -> tuple[list[str], list[str]]:
+    """Return mistakes and remarks about one scan by itself."""
+    wrong: list[str] = []
+    said: list[str] = []
+    level = cube.attrs.get("level")
+    if level in ("samples", "target_signal") and scan.processing is None:
+        wrong.append(
+            f"scan {scan.name!r}: the file holds {level}, not a range image; make one "
+            "with amulor reject and amulor image, or state [scan.processing]"
+        )
+    elif level not in ("samples", "target_signal", "range_image"):
+        wrong.append(
+            f"scan {scan.name!r}: the file holds {level!r}; needed is a range image, "
+            "or a cube with [scan.processing]"
+        )
+    if scan.water is not None:
+        try:
+            Survey.from_toml(scan.water)
+        except AmulorError as error:
+            wrong.append(f"scan {scan.name!r}: water: {str(error).splitlines()[0]}")
+    if level != "range_image":
+        return wrong, said
+    flags = cube["quality_flag"].values
+    usable = int(((flags & UNUSABLE) == 0).sum())
+    if usable < 100:
+        wrong.append(
+            f"scan {scan.name!r}: {usable} of {flags.size} pixels have a range, too "
+            "few to be placed; look at its quality flags with amulor info"
+        )
+    if "interval_unsettled" in cube.attrs:
+        wrong.append(
+            f"scan {scan.name!r}: its ranges may be off by whole ambiguity intervals; "
+            "make the image again with --nearest and --farthest"
+        )
+    unknown = str(cube.attrs.get("uncertainty_unknown", "")).split()
+    if unknown:
+        said.append(
+            f"scan {scan.name!r}: nobody states the error by {', '.join(unknown)}; "
+            "stated covariances do not hold it (section [calibration] of its survey)"
+        )
+    return wrong, said
+
+
+def _of_places(site: Site, scan: SiteScan, cube: xr.Dataset) -> Iterator[str]:
+    """Yield places of targets that are not in a scan, or hold no range."""
+    rows, columns = cube.sizes.get("row", 0), cube.sizes.get("column", 0)
+    for target in site.target:
+        if isinstance(target, ScaleBar):
+            continue
+        for place in target.places:
+            if place.scan != scan.name:
+                continue
+            where = f"target {target.name!r} in scan {scan.name!r}"
+            if place.row >= rows or place.column >= columns:
+                yield (
+                    f"{where}: pixel ({place.row}, {place.column}) is outside of its "
+                    f"{rows} rows and {columns} columns, counted from 0"
+                )
+                continue
+            if "slant_range" not in cube:
+                continue
+            near = cube["slant_range"].values[
+                max(place.row - _NEAR, 0) : place.row + _NEAR + 1,
+                max(place.column - _NEAR, 0) : place.column + _NEAR + 1,
+            ]
+            if not np.isfinite(near).any():
+                yield (
+                    f"{where}: no pixel near ({place.row}, {place.column}) has a "
+                    "range; pick one on the target, for example with amulor view"
+                )
+
+
+def _of_ties(site: Site) -> Iterator[str]:
+    """Yield scans without a start pose that too few targets tie to the others."""
+    placed = {one.name for one in site.scan if one.start is not None}
+    controlled = {one.target for one in site.control}
+    if not placed and len(controlled) < _ENOUGH:
+        placed = {site.scan[0].name}  # the frame is that of the first scan then
+    known = set(controlled)
+    waiting = [one for one in site.scan if one.name not in placed]
+    seen = {one.name: _targets_in(site, one) for one in site.scan}
+    for one in site.scan:
+        if one.name in placed:
+            known |= seen[one.name]
+    while True:
+        more = [one for one in waiting if len(seen[one.name] & known) >= _ENOUGH]
+        if not more:
+            break
+        for one in more:
+            known |= seen[one.name]
+        waiting = [one for one in waiting if one not in more]
+    for one in waiting:
+        shared = sorted(seen[one.name] & known)
+        yield (
+            f"scan {one.name!r}: its start pose is unknown, and it shares "
+            f"{len(shared)} targets with scans whose pose is known "
+            f"({', '.join(shared) or 'none'}); state [scan.start] with uncertainties, "
+            f"or the places of {_ENOUGH} targets that are not on a line"
+        )
+
+
+def _targets_in(site: Site, scan: SiteScan) -> set[str]:
+    """Return the targets that tie a scan to others, by name."""
+    found = set()
+    for target in site.target:
+        if isinstance(target, ScaleBar):
+            continue
+        if any(place.scan == scan.name for place in target.places):
+            name = f"{target.name} in {scan.epoch}" if target.moved else target.name
+            found.add(name)
+    return found
+
+
+def _of_use(site: Site) -> Iterator[str]:
+    """Yield what is stated and tells nothing."""
+    controlled = {one.target for one in site.control}
+    barred = {
+        end for one in site.target if isinstance(one, ScaleBar) for end in one.ends
+    }
+    for target in site.target:
+        if isinstance(target, ScaleBar):
+            continue
+        alone = len(target.places) == 1
+        if alone and target.name not in controlled | barred:
+            yield (
+                f"target {target.name!r}: one scan sees it, and it is no control point "
+                "and no end of a scale bar, so it tells nothing"
+            )
+    for epoch in site.epoch:
+        if not site.scans_of(epoch.name):
+            yield f"epoch {epoch.name!r}: no scan belongs to it"

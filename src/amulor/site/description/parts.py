@@ -1,0 +1,255 @@
+"""Parts of a site file: scans with start poses, targets, control points, epochs."""
+
+from __future__ import annotations
+
+import datetime
+import math
+from pathlib import Path
+from typing import Annotated, Any, Literal, Self
+
+from pydantic import BeforeValidator, Field, model_validator
+
+from amulor.survey.quantity import (
+    Angle,
+    Count,
+    Description,
+    Fraction,
+    Length,
+    Position,
+)
+from amulor.survey.scan import Pose
+
+Name = Annotated[str, Field(min_length=1, max_length=100, pattern=r"^[\w .+-]+$")]
+_Sigma = Annotated[Length, Field(gt=0, le=1000)]
+
+
+class SiteFrame(Description):
+    """Axes that all scans come into: x east, y north, z up."""
+
+    crs: Annotated[str, Field(max_length=200)] = ""
+    """Reference system that the local frame belongs to, such as "EPSG:32632" or a
+    name; none if left out."""
+    crs_offset: Position = (0.0, 0.0, 0.0)
+    """What has to be added to the local frame to be in the reference system (east,
+    north, up); the same for all scans, tiles and epochs [m]."""
+
+
+class Epoch(Description):
+    """One visit to the site."""
+
+    name: Name
+    """What scans call it."""
+    date: datetime.date | None = None
+    """Day of the visit; not known if left out."""
+
+
+class StartPose(Description):
+    """About where an instrument stood, good enough to begin with."""
+
+    position: Position
+    """Origin of the instrument's axes (east, north, up), in the frame of the site
+    [m]."""
+    heading: Annotated[Angle, Field(ge=-2 * math.pi, le=2 * math.pi)]
+    """Direction of the forward axis, clockwise from grid north [rad]."""
+    pitch: Annotated[Angle, Field(ge=-math.pi / 2, le=math.pi / 2)] = 0.0
+    """How far the forward axis points upwards [rad]."""
+    roll: Annotated[Angle, Field(ge=-math.pi, le=math.pi)] = 0.0
+    """How far the right axis points downwards, about the forward axis [rad]."""
+    position_uncertainty: _Sigma
+    """Standard uncertainty of each coordinate of the position [m]."""
+    heading_uncertainty: Annotated[Angle, Field(gt=0, le=1)]
+    """Standard uncertainty of the heading [rad]."""
+    level_uncertainty: Annotated[Angle, Field(gt=0, le=1)]
+    """Standard uncertainty of pitch and of roll [rad]."""
+
+    def as_pose(self) -> Pose:
+        """Return the same as the pose of a survey."""
+        return Pose.model_validate(self.model_dump())
+
+
+class Processing(Description):
+    """How a cube that is no range image yet becomes one."""
+
+    method: Literal["open-water", "polarization", "frequency", "combined", "joint"]
+    """Rejection method, as of `amulor reject --method`."""
+    polarization: str | None = None
+    """Channel to take, such as "VV"; needed if there are several."""
+    nearest: Annotated[Length, Field(ge=0)] | None = None
+    """Nearest possible slant range; with `farthest` [m]."""
+    farthest: Annotated[Length, Field(gt=0)] | None = None
+    """Farthest possible slant range; with `nearest` [m]."""
+
+    @model_validator(mode="after")
+    def _both_ends(self) -> Self:
+        if (self.nearest is None) != (self.farthest is None):
+            raise ValueError("nearest and farthest must be stated together")
+        near, far = self.nearest, self.farthest
+        if near is not None and far is not None and near >= far:
+            raise ValueError(f"nearest ({near:g} m) must be below farthest ({far:g} m)")
+        return self
+
+
+def _known(value: Any) -> Any:
+    """Take "unknown" for a pose that is left out."""
+    return None if value == "unknown" else value
+
+
+class SiteScan(Description):
+    """One scan of the site."""
+
+    name: Name
+    """What targets and results call it; no two alike."""
+    file: Path
+    """Range image (netCDF), or a cube of samples or of the target signal with
+    `processing`; relative to the site file."""
+    epoch: Name
+    """Name of the visit in which it was made."""
+    start: Annotated[StartPose | None, BeforeValidator(_known)] = None
+    """About where the instrument stood, with uncertainties; "unknown" if targets that
+    other scans see, too, or control points must tell."""
+    water: Path | None = None
+    """Survey file that states the water; what the scan itself says if left out. Scans
+    of one water share the error of its group index."""
+    instrument: Name = "instrument"
+    """Which instrument it was made with: scans of one instrument and one epoch share
+    the errors of its delay and its geometry."""
+    processing: Processing | None = None
+    """How the cube becomes a range image; not needed for a range image."""
+    simulated_from: Path | None = None
+    """Survey that the file is simulated from by `amulor run`, for rehearsals; the file
+    need not be there then."""
+    seed: Annotated[Count, Field(ge=0)] = 1
+    """Seed of that simulation [1]."""
+
+
+class Place(Description):
+    """Where a target is seen in a scan."""
+
+    scan: Name
+    """Name of the scan."""
+    row: Annotated[Count, Field(ge=0)]
+    """Row of a pixel on the target, near its middle, counted from 0 [1]."""
+    column: Annotated[Count, Field(ge=0)]
+    """Column of the pixel, counted from 0 [1]."""
+
+
+class _Seen(Description):
+    name: Name
+    """What control points, scale bars and results call it; no two alike."""
+    places: Annotated[tuple[Place, ...], Field(min_length=1)]
+    """Scans that see it, and where."""
+    moved: bool = False
+    """Whether it was set up anew at each epoch, so that it joins the scans of one
+    epoch only."""
+
+
+class SphereTarget(_Seen):
+    """A sphere; its centre is what scans have in common."""
+
+    kind: Literal["sphere"]
+    """Which target this is."""
+    radius: Annotated[Length, Field(gt=0, le=10)]
+    """Radius [m]."""
+    radius_uncertainty: Annotated[Length, Field(ge=0, le=1)]
+    """Standard uncertainty of the radius [m]."""
+
+
+class DiscTarget(_Seen):
+    """A flat round disc in front of nothing near; its middle counts."""
+
+    kind: Literal["disc"]
+    """Which target this is."""
+    diameter: Annotated[Length, Field(gt=0, le=10)]
+    """Diameter [m]."""
+    diameter_uncertainty: Annotated[Length, Field(ge=0, le=1)]
+    """Standard uncertainty of the diameter [m]."""
+
+
+class CheckerboardTarget(_Seen):
+    """A board of four fields, dark and bright; the point where they meet counts."""
+
+    kind: Literal["checkerboard"]
+    """Which target this is."""
+    width: Annotated[Length, Field(gt=0, le=10)]
+    """Side of the whole board [m]."""
+
+
+class PointTarget(_Seen):
+    """A point that is recognized in several scans, such as a corner of a stone."""
+
+    kind: Literal["point"]
+    """Which target this is."""
+    picking_uncertainty: _Sigma
+    """Standard uncertainty across the beam with which the pixel was picked [m]."""
+
+
+class ScaleBar(Description):
+    """A known distance between two other targets."""
+
+    kind: Literal["scale-bar"]
+    """Which target this is."""
+    name: Name
+    """What results call it; no two alike."""
+    ends: tuple[Name, Name]
+    """Names of the two targets at its ends."""
+    length: Annotated[Length, Field(gt=0, le=1000)]
+    """Distance of their centres [m]."""
+    length_uncertainty: _Sigma
+    """Standard uncertainty of the length [m]."""
+
+    @model_validator(mode="after")
+    def _two_ends(self) -> Self:
+        if self.ends[0] == self.ends[1]:
+            raise ValueError(f"ends: both are {self.ends[0]!r}; name two targets")
+        return self
+
+
+SiteTarget = Annotated[
+    SphereTarget | DiscTarget | CheckerboardTarget | PointTarget | ScaleBar,
+    Field(discriminator="kind"),
+]
+
+
+class Control(Description):
+    """A target whose place in the frame of the site is known from elsewhere."""
+
+    target: Name
+    """Name of the target."""
+    position: Position
+    """Its centre (east, north, up) in the frame of the site [m]."""
+    uncertainty: tuple[_Sigma, _Sigma, _Sigma] | _Sigma
+    """Standard uncertainty of each coordinate, one for all or one each [m]."""
+
+
+class Registration(Description):
+    """How scans are put together."""
+
+    overlap: Annotated[Fraction, Field(gt=0, le=1)] = 0.1
+    """Two scans are compared with each other if at least this part of the pixels of one
+    falls on the other [1]."""
+    voxel: Annotated[Length, Field(gt=0, le=1)] | None = None
+    """Spacing of points in the first, rough alignment; twice the spacing of the
+    pixels if left out [m]."""
+    window: Annotated[Count, Field(ge=3, le=21)] = 7
+    """Pixels across the window in which a surface is taken for smooth; odd [1]."""
+
+    @model_validator(mode="after")
+    def _odd(self) -> Self:
+        if self.window % 2 == 0:
+            raise ValueError(f"window must be odd, found {self.window}")
+        return self
+
+
+class Comparison(Description):
+    """How epochs are compared."""
+
+    spacing: Annotated[Length, Field(gt=0, le=10)] | None = None
+    """Distance of the points at which change is looked for; twice the spacing of the
+    pixels if left out [m]."""
+    radius: Annotated[Length, Field(gt=0, le=10)] | None = None
+    """Radius of the cylinder whose points are averaged; twice `spacing` if left out
+    [m]."""
+    reach: Annotated[Length, Field(gt=0, le=10)] = 0.2
+    """Largest change that is looked for, along the normal [m]."""
+    false_alarms: Annotated[Fraction, Field(gt=0, lt=0.5)] = 0.05
+    """Share of the points called significant that may be so by chance [1]."""

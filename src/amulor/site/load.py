@@ -1,0 +1,100 @@
+"""Range images of a site's scans, made from cubes where these are no images yet."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import xarray as xr
+
+from amulor import cube as cubes
+from amulor import imaging, io, rejection
+from amulor.errors import CubeError
+from amulor.site.description.parts import Processing, SiteScan
+
+
+def range_image_of(scan: SiteScan) -> xr.Dataset:
+    """Return the range image of a scan, edges and outliers marked.
+
+    Parameters
+    ----------
+    scan : SiteScan
+        With the whole path of its file.
+
+    Returns
+    -------
+    xarray.Dataset
+        Level `range_image`, in memory.
+
+    Raises
+    ------
+    CubeError
+        If the file holds something else and no `processing` is stated, or nothing that
+        can be placed.
+    FormatError
+        If the file cannot be read.
+    """
+    return as_image(io.read_cube(scan.file), processing=scan.processing, name=scan.name)
+
+
+def as_image(
+    cube: xr.Dataset, *, processing: Processing | None, name: str
+) -> xr.Dataset:
+    """Return the range image of a cube of any level before it, or of one.
+
+    Parameters
+    ----------
+    cube : xarray.Dataset
+        Level `samples`, `target_signal` or `range_image`.
+    processing : Processing or None
+        How it becomes an image; not looked at for a range image.
+    name : str
+        What messages call the scan.
+
+    Returns
+    -------
+    xarray.Dataset
+        Level `range_image`; a new one has mixed pixels and outliers marked.
+
+    Raises
+    ------
+    CubeError
+        If it is no range image and no processing is stated, or it has another level.
+    """
+    level = str(cube.attrs.get("level", ""))
+    if level == "range_image":
+        return cubes.checked(cube, "range_image")
+    if level not in ("samples", "target_signal"):
+        raise CubeError(
+            f"scan {name!r}: the file holds {level or 'no level'!r}; a site takes "
+            "range images, target signals or samples"
+        )
+    if processing is None:
+        raise CubeError(
+            f"scan {name!r}: the file holds {level}, not a range image; make one with "
+            "amulor reject and amulor image, or state [scan.processing] with a method"
+        )
+    interval = None
+    if processing.nearest is not None and processing.farthest is not None:
+        interval = (processing.nearest, processing.farthest)
+    try:
+        if level == "samples":
+            cube = _ways(cube, interval)[processing.method]()
+        image = imaging.range_image(
+            cube, polarization=processing.polarization, interval=interval
+        )
+    except ValueError as error:
+        raise CubeError(f"scan {name!r}: {error}") from None
+    return imaging.flag_outliers(imaging.flag_mixed(image))
+
+
+def _ways(
+    samples: xr.Dataset, interval: tuple[float, float] | None
+) -> dict[str, Callable[[], xr.Dataset]]:
+    """Return the rejection methods by their name."""
+    return {
+        "open-water": lambda: rejection.open_water(samples, interval=interval),
+        "polarization": lambda: rejection.unmix(samples),
+        "frequency": lambda: rejection.frequency(samples, interval=interval),
+        "combined": lambda: rejection.combined(samples, interval=interval),
+        "joint": lambda: rejection.joint(samples, interval=interval),
+    }
