@@ -23,6 +23,7 @@ MODULES = {
         "websockets": "websockets",
     },
     "site": {"small-gicp": "small_gicp"},
+    "scale": {"dask": "dask", "distributed": "distributed"},
 }
 
 
