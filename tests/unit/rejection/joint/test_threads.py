@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+import time
 from concurrent.futures import ThreadPoolExecutor
 
 import numba
@@ -55,6 +56,24 @@ def test_an_error_in_a_thread_reaches_the_caller(
 
     with pytest.raises(ArithmeticError, match="one part fails"):
         spread(fail, 100, fewest=1)
+
+
+def test_callers_at_once_share_the_threads(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(numba.config, "NUMBA_NUM_THREADS", 2)
+    lock, now, most = threading.Lock(), 0, 0
+
+    def treat(begin: int, end: int) -> None:
+        nonlocal now, most
+        with lock:
+            now += 1
+            most = max(most, now)
+        time.sleep(2e-3)
+        with lock:
+            now -= 1
+
+    with ThreadPoolExecutor(4) as pool:
+        list(pool.map(lambda _: spread(treat, 32, fewest=1), range(4)))
+    assert most == 2
 
 
 @pytest.mark.slow

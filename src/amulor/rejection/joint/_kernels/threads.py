@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+import os
+import threading
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any
@@ -15,13 +17,52 @@ FEWEST = 512
 _PARTS = 4
 
 
+class _Turns:
+    """As many parts at a time as there are threads, whoever started them.
+
+    Callers on several threads, as the tasks of a cluster are, share the processors
+    instead of multiplying them.
+    """
+
+    def __init__(self) -> None:
+        self._changed = threading.Condition()
+        self._running = 0
+
+    def run(self, kernel: Callable[..., None], most: int, *arguments: Any) -> None:
+        """Run one part when fewer than `most` are running."""
+        with self._changed:
+            self._changed.wait_for(lambda: self._running < most)
+            self._running += 1
+        try:
+            kernel(*arguments)
+        finally:
+            with self._changed:
+                self._running -= 1
+                self._changed.notify()
+
+
+_turns = _Turns()
+
+
+def _forget_turns() -> None:
+    """Begin anew in a process that was forked off: its threads are gone."""
+    global _turns
+    _turns = _Turns()
+
+
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(after_in_child=_forget_turns)
+
+
 def spread(
     kernel: Callable[..., None], count: int, *arguments: Any, fewest: int = FEWEST
 ) -> None:
     """Run a compiled loop over range(count) in as many threads as that is worth.
 
     Python's threads, since the loops give up its lock. Those of numba spin while they
-    wait, and two calls at once end the process under its layer "workqueue".
+    wait, and two calls at once end the process under its layer "workqueue": no loop of
+    amulor is compiled with `parallel=True`, so that any of them may be entered by many
+    threads. Callers on several threads share the number of threads.
 
     Parameters
     ----------
@@ -38,14 +79,17 @@ def spread(
         processor.
     """
     config: Any = numba.config
-    workers = min(config.NUMBA_NUM_THREADS, count // max(fewest, 1))
+    most = config.NUMBA_NUM_THREADS
+    workers = min(most, count // max(fewest, 1))
     if workers < 2:
         kernel(0, count, *arguments)
         return
     size = math.ceil(count / (_PARTS * workers))
     with ThreadPoolExecutor(workers) as pool:
         futures = [
-            pool.submit(kernel, begin, min(begin + size, count), *arguments)
+            pool.submit(
+                _turns.run, kernel, most, begin, min(begin + size, count), *arguments
+            )
             for begin in range(0, count, size)
         ]
     for future in futures:
