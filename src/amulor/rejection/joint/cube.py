@@ -19,6 +19,7 @@ from amulor.rejection.joint.drift import change_of
 from amulor.rejection.joint.instrument import Instrument, late_echo, range_variance
 from amulor.rejection.joint.overlap.frame import Frame
 from amulor.rejection.joint.priors import DECISIVE, Shared
+from amulor.rejection.joint.search import Estimates
 from amulor.rejection.joint.solve import Result
 
 Floats = NDArray[np.float64]
@@ -37,50 +38,110 @@ ECHO_MATTERS = 0.3
 _DIFFERENCE = 1e-5
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Scan:
-    """Samples and where their pixels look."""
+    """What the pixels of a scan share."""
 
-    cube: xr.Dataset
-    """Level `samples`."""
     frame: Frame
     """How the receiver looks at the scan."""
-    azimuth: Floats
-    """Of the pixels, flat [rad]."""
-    elevation: Floats
-    """Of the pixels, flat [rad]."""
-    enough: NDArray[np.bool_]
-    """Pixels with usable samples at two frequencies, flat."""
+    shared: Shared
+    """Strength and shape of the water signal, departures, fluctuation."""
+    instrument: Instrument
+    """How well it is known."""
     span: float
     """Difference of the longest and the shortest optical path [m]."""
+    late_spread: float
+    """Growth of the mean square angle by which echoes are late [rad^2/m]."""
+    instrument_uncertainty: float
+    """Median of what is not known of the instrument, over slant ranges [m]."""
 
 
-def cube_of(
-    scan: Scan, parts: list[Result], shared: Shared, instrument: Instrument
-) -> xr.Dataset:
-    """Return the target-signal cube of all results."""
-    cube, frame = scan.cube, scan.frame
+def typical_of(
+    frame: Frame,
+    beam: rays.Beam,
+    result: Result,
+    shared: Shared,
+    instrument: Instrument,
+) -> tuple[float, float]:
+    """Return the spread by which echoes are late, and what the instrument leaves open.
+
+    Parameters
+    ----------
+    frame : Frame
+        How the receiver looks at the scan.
+    beam : Beam
+        Of the pixels.
+    result : Result
+        Of a sample of the pixels of the scan.
+    shared : Shared
+        What all share.
+    instrument : Instrument
+        How well it is known.
+
+    Returns
+    -------
+    tuple of float
+        At the median depth of the targets [rad^2/m], and the median of the standard
+        uncertainty of slant ranges by the instrument [m].
+    """
+    seen = result.detected
+    typical = float(np.median(result.depth[seen])) if seen.any() else 0.0
+    late_spread = shared.shape.spread
+    if instrument.late_echo:
+        place = len(shared.strength) + 1
+        error = math.sqrt(float(shared.covariance[place, place]))
+        late_spread = frame.late_spread(typical, late_spread, error)
+    known = _known(frame, beam, result, instrument, late_spread)
+    some = known[seen & np.isfinite(known)]
+    return late_spread, float(np.sqrt(np.median(some)) if some.size else 0.0)
+
+
+def _known(
+    frame: Frame,
+    beam: rays.Beam,
+    result: Result,
+    instrument: Instrument,
+    late_spread: float,
+) -> Floats:
+    """Return the variance of slant ranges by what the samples cannot tell [m^2]."""
+    known = range_variance(
+        instrument, result.estimates.path, beam, frame.receiver, frame.medium
+    )
+    late = late_echo(np.where(result.detected, result.depth, np.nan), late_spread)
+    total: Floats = known + (instrument.late_echo * late) ** 2
+    return total
+
+
+def cube_of(cube: xr.Dataset, scan: Scan, result: Result) -> xr.Dataset:
+    """Return the target-signal cube of some pixels.
+
+    Parameters
+    ----------
+    cube : xarray.Dataset
+        Their samples.
+    scan : Scan
+        What the pixels of the scan share.
+    result : Result
+        Estimates of these pixels.
+
+    Returns
+    -------
+    xarray.Dataset
+        Level `target_signal`, with the variables of joint estimation.
+    """
+    frame, shared = scan.frame, scan.shared
     rows_columns = cube["azimuth"].shape
     shape = cube["in_phase"].shape
 
-    def over_pixels(values: list[NDArray[Any]]) -> NDArray[Any]:
-        return np.concatenate(values).reshape(rows_columns)
+    def over_pixels(values: NDArray[Any]) -> NDArray[Any]:
+        return values.reshape(rows_columns)
 
-    def over_samples(values: list[NDArray[Any]]) -> NDArray[Any]:
-        flat = np.concatenate(values)
-        return np.ascontiguousarray(flat.transpose(2, 1, 0)).reshape(shape)
-
-    def covariances(values: list[Covariance]) -> Covariance:
-        return Covariance(
-            *(
-                over_samples([getattr(part, name) for part in values])
-                for name in ("in_phase", "quadrature", "cross")
-            )
-        )
+    def over_samples(values: NDArray[Any]) -> NDArray[Any]:
+        return np.ascontiguousarray(values.transpose(2, 1, 0)).reshape(shape)
 
     signal = cube.amulor.signal.values
-    water = over_samples([part.water_signal for part in parts])
-    common = covariances([part.common for part in parts])
+    water = over_samples(result.water_signal)
+    common = Covariance(*(over_samples(each) for each in vars(result.common).values()))
     stated = covariance_of(cube)
     if shared.noise_scale > 1:
         square = shared.noise_scale**2
@@ -88,17 +149,16 @@ def cube_of(
             square * stated.in_phase, square * stated.quadrature, square * stated.cross
         )
     total = stated + common
-    if shared.fluctuation > 0:
-        deviation = over_samples(
-            [part.deviation for part in parts if part.deviation is not None]
-        )
+    if result.deviation is not None:
+        deviation = over_samples(result.deviation)
         total = total + Covariance(
             deviation.real**2, deviation.imag**2, deviation.real * deviation.imag
         )
-    path = over_pixels([part.estimates.path for part in parts])
-    detected = over_pixels([part.detected for part in parts])
+    estimates = result.estimates
+    path, detected = estimates.path, result.detected
     beam = frame.beam(
-        scan.azimuth.reshape(rows_columns), scan.elevation.reshape(rows_columns)
+        cube["azimuth"].values.ravel().astype(float),
+        cube["elevation"].values.ravel().astype(float),
     )
 
     def to_range(length: Floats) -> Floats:
@@ -108,40 +168,26 @@ def cube_of(
 
     slant_range = np.where(detected, to_range(path), np.nan)
     slope = (to_range(path + _DIFFERENCE) - to_range(path)) / _DIFFERENCE
-    known = range_variance(instrument, path, beam, frame.receiver, frame.medium)
-    depth = over_pixels([part.depth for part in parts])
-    reached = np.where(detected, depth, np.nan)
-    typical = float(np.median(depth[detected])) if detected.any() else 0.0
-    late_spread = shared.shape.spread
-    if instrument.late_echo:
-        place = len(shared.strength) + 1
-        error = math.sqrt(float(shared.covariance[place, place]))
-        late_spread = frame.late_spread(typical, late_spread, error)
-    late = late_echo(reached, late_spread)
-    known = known + (instrument.late_echo * late) ** 2
-    shared_variance = over_pixels([part.shared_variance for part in parts])
-    information = over_pixels([part.estimates.information for part in parts])
+    known = _known(frame, beam, result, scan.instrument, scan.late_spread)
     with np.errstate(divide="ignore", invalid="ignore"):
-        own = 1 / np.sqrt(information)
-        sigma = np.hypot(own, np.sqrt(shared_variance))
-        departure = np.zeros(rows_columns)
+        own = 1 / np.sqrt(estimates.information)
+        sigma = np.hypot(own, np.sqrt(result.shared_variance))
+        departure = np.zeros(len(path))
         if shared.evidence > DECISIVE:
-            departure = slope * over_pixels([part.departure for part in parts])
+            departure = slope * result.departure
         limit = MATTERS if shared.water_departs else ECHO_MATTERS
         matters = departure > limit * np.hypot(slope * sigma, np.sqrt(known))
-    freedom, cost, p_value = _misfit(parts, detected, rows_columns)
-    flag = np.zeros(rows_columns, dtype=np.int16)
-    wrong = over_pixels([part.estimates.wrong for part in parts])
-    flag[detected & (wrong > WRONG)] |= QualityFlag.AMBIGUOUS
+    freedom, cost, p_value = _misfit(estimates, detected)
+    flag = np.zeros(len(path), dtype=np.int16)
+    flag[detected & (estimates.wrong > WRONG)] |= QualityFlag.AMBIGUOUS
     if _intervals_look_alike(shared, frame.phase_per_path, scan.span):
         flag[detected] |= QualityFlag.AMBIGUOUS
-    two = np.isfinite(over_pixels([part.near for part in parts]))
+    two = np.isfinite(result.near)
     flag[two] |= QualityFlag.MIXED
     contradicted = (p_value < DISAGREEMENT) & ~two
     flag[contradicted] |= QualityFlag.WATER_RESIDUAL
     flag[detected & matters] |= QualityFlag.WATER_RESIDUAL
-    flag[~detected] |= QualityFlag.NO_TARGET
-    flag[~scan.enough.reshape(rows_columns)] |= QualityFlag.NO_TARGET
+    flag[~detected | ~result.enough] |= QualityFlag.NO_TARGET
     target = target_cube(
         cube,
         signal - water,
@@ -149,47 +195,41 @@ def cube_of(
         water_signal=water,
         common=common,
         step="reject, joint estimation",
-        joint_late_echo_spread_rad2_per_m=late_spread,
-        **_attributes(shared, instrument),
+        joint_late_echo_spread_rad2_per_m=scan.late_spread,
+        **_attributes(shared, scan.instrument),
     )
-    flag[over_pixels([part.unsettled for part in parts])] |= QualityFlag.OUTLIER
+    flag[result.unsettled] |= QualityFlag.OUTLIER
     missing = ~np.isfinite(signal)
-    flags = np.broadcast_to(flag, shape).copy()
-    left_out = over_samples([part.left_out for part in parts])
-    flags[left_out] |= QualityFlag.OUTLIER
+    flags = np.broadcast_to(over_pixels(flag), shape).copy()
+    flags[over_samples(result.left_out)] |= QualityFlag.OUTLIER
     if "saturated" in cube:
         flags[cube["saturated"].values != 0] |= QualityFlag.SATURATED
     flags[missing] = QualityFlag.MISSING
     target["quality_flag"].values[...] = flags
-    seen = known[detected & np.isfinite(known)]
-    target.attrs["joint_instrument_uncertainty_m"] = float(
-        np.sqrt(np.median(seen)) if seen.size else 0.0
-    )
+    target.attrs["joint_instrument_uncertainty_m"] = scan.instrument_uncertainty
     # What the departures move is as uncertain as it is large.
-    sigma_common = np.sqrt(slope**2 * shared_variance + known + departure**2)
+    sigma_common = np.sqrt(slope**2 * result.shared_variance + known + departure**2)
     half = [
-        np.hypot(
-            slope * over_pixels([getattr(part.estimates, side) for part in parts]),
-            sigma_common,
-        )
+        np.hypot(slope * getattr(estimates, side), sigma_common)
         for side in ("lower", "upper")
     ]
     usable = detected & np.isfinite(slant_range)
-    bound = np.sqrt(over_pixels([part.bound for part in parts]))
     ranges = {
         "slant_range": slant_range,
         "slant_range_uncertainty": np.hypot(slope * own, sigma_common),
         "slant_range_common_uncertainty": sigma_common,
-        "slant_range_bound": slope * bound,
+        "slant_range_bound": slope * np.sqrt(result.bound),
         "slant_range_lower": slant_range - half[0],
         "slant_range_upper": slant_range + half[1],
-        "wrong_interval_probability": wrong,
+        "wrong_interval_probability": estimates.wrong,
     }
     maps = {name: np.where(usable, values, np.nan) for name, values in ranges.items()}
     for name, side in (("near", "nearer_surface"), ("far", "farther_surface")):
-        maps[side] = to_range(over_pixels([getattr(part, name) for part in parts]))
+        maps[side] = to_range(getattr(result, name))
     maps["misfit"] = cost / np.maximum(freedom, 1)
-    return target.assign(_variables(maps))
+    return target.assign(
+        _variables({name: over_pixels(values) for name, values in maps.items()})
+    )
 
 
 def _intervals_look_alike(shared: Shared, rate: Floats, span: float) -> bool:
@@ -220,18 +260,15 @@ def _variables(maps: dict[str, Floats]) -> dict[str, xr.Variable]:
 
 
 def _misfit(
-    parts: list[Result], detected: NDArray[np.bool_], shape: tuple[int, ...]
+    estimates: Estimates, detected: NDArray[np.bool_]
 ) -> tuple[Floats, Floats, Floats]:
     """Return degrees of freedom, chi-square and its p-value, pixel by pixel."""
     from scipy.stats import chi2
 
-    channels = parts[0].estimates.amplitude.shape[1]
-    used = np.concatenate([part.estimates.used for part in parts]).reshape(shape)
-    own = np.concatenate([part.estimates.cost for part in parts]).reshape(shape)
-    empty = np.concatenate([part.estimates.empty_cost for part in parts]).reshape(shape)
-    cost = np.where(detected, own, empty)
+    used, channels = estimates.used, estimates.amplitude.shape[1]
+    cost = np.where(detected, estimates.cost, estimates.empty_cost)
     freedom = np.where(detected, used - channels - 1, used).astype(float)
-    p_value = np.ones(shape)
+    p_value = np.ones(len(cost))
     some = freedom > 0
     p_value[some] = chi2.sf(cost[some], freedom[some])
     return freedom, cost, p_value

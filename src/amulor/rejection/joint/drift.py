@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 import xarray as xr
 from numpy.polynomial import legendre
 from numpy.typing import NDArray
 
-from amulor.rejection.joint.pixels import Pixels
+from amulor.cube import tiles
+from amulor.rejection.joint.pixels import Pixels, times
 
 Floats = NDArray[np.float64]
 
@@ -19,29 +20,85 @@ TRENDS = 3
 FEWEST = 96
 
 
-def trends_of(cube: xr.Dataset) -> Floats:
+@dataclass(frozen=True, kw_only=True)
+class Clock:
+    """When a scan was measured."""
+
+    rows: int
+    """Rows of the scan."""
+    columns: int
+    """Columns of the scan."""
+    stated: bool
+    """Whether every pixel says its time; if not, they were measured row by row."""
+    begin: float
+    """Time of the first pixel [s], 0 where none is stated."""
+    length: float
+    """Time from the first to the last [s], or pixels."""
+
+
+def clock_of(source: tiles.Source) -> Clock:
+    """Return when a scan was measured.
+
+    Parameters
+    ----------
+    source : Source
+        Level `samples`.
+
+    Returns
+    -------
+    Clock
+        The same for whatever tiles the samples come in.
+    """
+    rows, columns = source.rows, source.columns
+    row_by_row = Clock(
+        rows=rows,
+        columns=columns,
+        stated=False,
+        begin=0.0,
+        length=float(max(rows * columns - 1, 0)),
+    )
+    first, last = np.inf, -np.inf
+    for begin, end in tiles.bands(source):
+        tile = source.tile(begin, end)
+        if "time" not in tile:
+            return row_by_row
+        time = tile["time"].values.astype(float)
+        if not np.isfinite(time).all():
+            return row_by_row
+        first, last = min(first, float(time.min())), max(last, float(time.max()))
+    return replace(row_by_row, stated=True, begin=first, length=last - first)
+
+
+def trends_of(
+    cube: xr.Dataset, clock: Clock | None = None, *, row: int = 0, column: int = 0
+) -> Floats:
     """Return the polynomials that make up the change, at the time of each pixel.
 
     Parameters
     ----------
     cube : xarray.Dataset
-        Level `samples`. Without times the pixels are taken as measured row by row.
+        Level `samples`, a scan or a part of one. Without times the pixels are taken as
+        measured row by row.
+    clock : Clock, optional
+        Of the scan; by default the cube is all of it.
+    row, column : int, optional
+        Where in the scan the cube begins.
 
     Returns
     -------
     ndarray, shape (pixel, trend)
         Between -1 and 1, of mean zero over equal times [1].
     """
-    count = cube["azimuth"].size
-    time = np.arange(count, dtype=float)
-    if "time" in cube:
-        stated = cube["time"].values.ravel().astype(float)
-        if np.isfinite(stated).all():
-            time = stated
-    length = float(np.ptp(time))
-    if count < FEWEST or not length > 0:
-        return np.zeros((count, 0))
-    place = 2 * (time - time.min()) / length - 1
+    clock = clock_of(tiles.InMemory(cube)) if clock is None else clock
+    shape = cube["azimuth"].shape
+    if clock.stated:
+        time = cube["time"].values.ravel().astype(float)
+    else:
+        first = np.arange(row, row + shape[0])[:, None] * clock.columns
+        time = (first + np.arange(column, column + shape[1])).ravel().astype(float)
+    if clock.rows * clock.columns < FEWEST or not clock.length > 0:
+        return np.zeros((time.size, 0))
+    place = 2 * (time - clock.begin) / clock.length - 1
     return np.asarray(legendre.legvander(place, TRENDS)[:, 1:])
 
 
@@ -64,7 +121,7 @@ def drifted(pixels: Pixels, trend: Floats) -> Pixels:
         return replace(pixels, trends=pixels.trends[:, :0])
     if not np.any(trend):
         return pixels
-    factor = 1 + pixels.trends @ trend
+    factor = 1 + times(pixels.trends, trend[:, None])[:, 0]
     return replace(
         pixels,
         interpolation=pixels.interpolation * factor[:, None],

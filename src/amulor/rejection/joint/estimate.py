@@ -7,39 +7,17 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from amulor import cube as cubes
-from amulor._progress import tell
-from amulor.errors import CubeError
-from amulor.rejection.covariance import Covariance
-from amulor.rejection.joint import pixels as joint_pixels
-from amulor.rejection.joint import shared as joint_shared
-from amulor.rejection.joint.cube import Scan, cube_of
-from amulor.rejection.joint.drift import trends_of
+from amulor.cube import tiles
 from amulor.rejection.joint.instrument import (
     DIRECTION,
     LATE_ECHO,
     Instrument,
 )
-from amulor.rejection.joint.overlap.frame import frame_of
-from amulor.rejection.joint.pixels import Pixels
-from amulor.rejection.joint.samples import (
-    FEWEST_FREQUENCIES,
-    SHARING,
-    flat,
-    refuse_errors_of_zero,
-    refuse_other_windows,
-    refuse_what_cannot_be_told_apart,
-    shot_directions,
-    shot_pixels,
-)
-from amulor.rejection.joint.solve import solve
+from amulor.rejection.joint.samples import refuse_what_cannot_be_told_apart
+from amulor.rejection.joint.tile import Common, common_of, of_rows
 
 Floats = NDArray[np.float64]
 Complex = NDArray[np.complex128]
-
-#: Pixels worked on at once: this bounds the memory beyond the cube itself.
-_AT_ONCE = 16_384
-#: Share of the work before them, about [1].
-_SHARED_TAKES = 0.3
 
 
 def joint(
@@ -149,77 +127,71 @@ def joint(
        :doi:`10.1155/2010/958360`.
     """
     cube = cubes.checked(cube, "samples")
-    frequency = cube["modulation_frequency"].values
-    refuse_what_cannot_be_told_apart(cube)
-    transfer = _checked_transfer(echo_transfer, frequency)
-    instrument = Instrument.checked(
-        delay=delay_uncertainty,
-        group_index=group_index_uncertainty,
-        position=receiver_position_uncertainty,
-        direction=receiver_direction_uncertainty,
-        late_echo=_late_echo(cube)
-        if late_echo_uncertainty is None
-        else late_echo_uncertainty,
+    common = prepared(
+        tiles.InMemory(cube),
+        interval=interval,
+        echo_transfer=echo_transfer,
+        delay_uncertainty=delay_uncertainty,
+        group_index_uncertainty=group_index_uncertainty,
+        receiver_position_uncertainty=receiver_position_uncertainty,
+        receiver_direction_uncertainty=receiver_direction_uncertainty,
+        late_echo_uncertainty=late_echo_uncertainty,
     )
-    signal, errors, usable = flat(cube)
-    refuse_errors_of_zero(errors, usable)
-    azimuth = cube["azimuth"].values.ravel().astype(float)
-    elevation = cube["elevation"].values.ravel().astype(float)
-    shots = cube.amulor.open_water
-    places = shot_directions(cube, shots)
-    frame = frame_of(
-        cube,
-        np.concatenate([azimuth, places[0]]),
-        np.concatenate([elevation, places[1]]),
+    return of_rows(cube, common)
+
+
+def prepared(
+    source: tiles.Source,
+    *,
+    interval: tuple[float, float] | None = None,
+    echo_transfer: NDArray[np.complex128] | None = None,
+    delay_uncertainty: float = 0.0,
+    group_index_uncertainty: float = 0.0,
+    receiver_position_uncertainty: float = 0.0,
+    receiver_direction_uncertainty: float = DIRECTION,
+    late_echo_uncertainty: float | None = None,
+) -> Common:
+    """Return what all pixels share, for the joint estimation of any rows of a scan.
+
+    Parameters
+    ----------
+    source : Source
+        Level `samples`, checked; in memory, or a file.
+    interval, echo_transfer, delay_uncertainty, group_index_uncertainty
+        As in `joint`.
+    receiver_position_uncertainty, receiver_direction_uncertainty
+        As in `joint`.
+    late_echo_uncertainty
+        As in `joint`.
+
+    Returns
+    -------
+    Common
+        From 1,024 pixels that are spread over the scan, or all of a smaller one, and
+        as many shots.
+
+    Raises
+    ------
+    CubeError, ValueError
+        As `joint`.
+    """
+    head = source.head
+    refuse_what_cannot_be_told_apart(head)
+    frequency = head["modulation_frequency"].values
+    return common_of(
+        source,
+        interval=interval,
+        transfer=_checked_transfer(echo_transfer, frequency),
+        instrument=Instrument.checked(
+            delay=delay_uncertainty,
+            group_index=group_index_uncertainty,
+            position=receiver_position_uncertainty,
+            direction=receiver_direction_uncertainty,
+            late_echo=_late_echo(head)
+            if late_echo_uncertainty is None
+            else late_echo_uncertainty,
+        ),
     )
-    refuse_other_windows(cube, frame)
-
-    trends = trends_of(cube)
-
-    def pixels(which: NDArray[np.intp] | slice) -> Pixels:
-        return joint_pixels.pixels_of(
-            frame,
-            signal[which],
-            Covariance(
-                errors.in_phase[which], errors.quadrature[which], errors.cross[which]
-            ),
-            usable[which],
-            azimuth[which],
-            elevation[which],
-            interval=interval,
-            modulation_frequency=frequency,
-            trends=trends[which],
-        )
-
-    enough = usable.any(axis=1).sum(axis=1) >= FEWEST_FREQUENCIES
-    if not enough.any():
-        raise CubeError(
-            "no pixel has usable samples at two frequencies or more; look at the "
-            "flags of the samples (missing, saturated) and measure again"
-        )
-    chosen = np.flatnonzero(enough)
-    chosen = chosen[
-        np.linspace(0, len(chosen) - 1, min(SHARING, len(chosen))).astype(int)
-    ]
-    some = pixels(chosen)
-    tell("water that all pixels share", 0.0)
-    shared = joint_shared.fit(
-        frame,
-        some,
-        shot_pixels(frame, shots, places, frequency),
-        transfer=transfer,
-        deepest=float(some.depths.max()),
-        turn_width=instrument.direction,
-    )
-    parts = []
-    for begin in range(0, len(signal), _AT_ONCE):
-        share = _SHARED_TAKES + (1 - _SHARED_TAKES) * begin / len(signal)
-        tell(f"ranges from pixel {begin:,} on, of {len(signal):,}", share)
-        some_more = pixels(slice(begin, begin + _AT_ONCE))
-        parts.append(solve(frame, some_more, shared, transfer))
-    span = float((some.longest - some.shortest).max())
-    scan = Scan(cube, frame, azimuth, elevation, enough, span)
-    return cube_of(scan, parts, shared, instrument)
 
 
 def _checked_transfer(

@@ -9,7 +9,7 @@ from amulor.rejection.joint._kernels import model as kernels
 from amulor.rejection.joint._kernels.bundles import Signals
 from amulor.rejection.joint._kernels.threads import spread
 from amulor.rejection.joint.overlap.table import Table, from_pairs
-from amulor.rejection.joint.pixels import Pixels, coefficients, places
+from amulor.rejection.joint.pixels import Pixels, coefficients, places, times
 
 Floats = NDArray[np.float64]
 Complex = NDArray[np.complex128]
@@ -66,7 +66,7 @@ def foreground(pixels: Pixels, table: Table, phase_per_path: Floats) -> Complex:
     ndarray of complex, shape (pixel, frequency)
         As strong as open water at frequency 0 is there [1].
     """
-    level = coefficients(pixels, table) @ table.level
+    level = times(coefficients(pixels, table), table.level[:, None])[:, 0]
     turn: Complex = np.exp(1j * pixels.offset[:, None] * phase_per_path)
     return level[:, None] * turn
 

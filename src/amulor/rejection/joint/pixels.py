@@ -22,6 +22,8 @@ _DEPTH_NODES = 33
 #: Points of the coarse likelihood within one period of the highest frequency.
 _POINTS_PER_PERIOD = 12
 _MOST_POINTS = 20_000
+#: Rows of a matrix that are multiplied at once.
+_TOGETHER = 64
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -200,19 +202,36 @@ def grid_of(pixels: Pixels, phase_per_path: Floats) -> Floats:
         If there would be far too many.
     """
     step = 2 * np.pi / phase_per_path.max() / _POINTS_PER_PERIOD
-    shortest, longest = pixels.shortest.min() - step, pixels.longest.max() + step
-    count = int(np.ceil((longest - shortest) / step)) + 1
+    # Whole numbers of steps: the same paths whichever pixels come together.
+    first = int(np.floor(pixels.shortest.min() / step)) - 1
+    count = int(np.ceil(pixels.longest.max() / step)) + 2 - first
     if count > _MOST_POINTS:
         raise ValueError(
             f"the interval holds {count / _POINTS_PER_PERIOD:.3g} ambiguity intervals "
             "of the highest modulation frequency; narrow it"
         )
-    return np.asarray(shortest + step * np.arange(count))
+    return np.asarray(step * np.arange(first, first + count))
 
 
 def coefficients(pixels: Pixels, table: Table) -> Floats:
     """Return the coefficients of the components of a table, (pixel, component) [1]."""
-    return np.ascontiguousarray(pixels.interpolation @ table.basis)
+    return times(pixels.interpolation, table.basis)
+
+
+def times(rows: Floats, matrix: Floats) -> Floats:
+    """Return a product whose rows do not depend on how many of them come together.
+
+    Libraries of linear algebra choose the order of their sums by the shape of what they
+    are given; here that is always the same.
+    """
+    count = len(rows)
+    if count < _TOGETHER or count % _TOGETHER:
+        full = np.zeros((-(-count // _TOGETHER) * _TOGETHER, rows.shape[1]))
+        full[:count] = rows
+        rows = full
+    blocks = rows.reshape(-1, _TOGETHER, rows.shape[1])
+    product: Floats = np.matmul(blocks, matrix)
+    return product.reshape(-1, matrix.shape[1])[:count]
 
 
 def samples(pixels: Pixels, weights: Floats) -> bundles.Samples:

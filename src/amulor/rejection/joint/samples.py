@@ -44,19 +44,30 @@ def flat(cube: xr.Dataset) -> tuple[Complex, Covariance, NDArray[np.bool_]]:
     return signal, errors, usable
 
 
+def count(cube: xr.Dataset) -> tuple[NDArray[np.bool_], Covariance]:
+    """Return which samples count, and their errors, all of the shape of the samples."""
+    errors = covariance_of(cube)
+    total = cube["in_phase"].values + cube["quadrature"].values
+    for each in (errors.in_phase, errors.quadrature, errors.cross):
+        total += each
+    usable: NDArray[np.bool_] = np.isfinite(total)
+    if "saturated" in cube:
+        usable &= cube["saturated"].values == 0
+    return usable, errors
+
+
 def shot_directions(
-    cube: xr.Dataset, shots: xr.Dataset | None
+    middle: tuple[float, float], shots: xr.Dataset | None
 ) -> tuple[Floats, Floats]:
     """Return where the open-water shots point; to the middle if that is not known."""
     if shots is None:
         return np.zeros(0), np.zeros(0)
     places = []
-    for name in ("azimuth", "elevation"):
+    for name, mean in zip(("azimuth", "elevation"), middle, strict=True):
         if name in shots:
             places.append(shots[name].values.astype(float))
         else:
-            middle = float(cube[name].values.mean())
-            places.append(np.full(shots.sizes["shot"], middle))
+            places.append(np.full(shots.sizes["shot"], mean))
     return places[0], places[1]
 
 
@@ -120,7 +131,11 @@ def open_water_samples(cube: xr.Dataset, *, no_target: bool) -> tuple[Frame, Pix
     frequency = cube["modulation_frequency"].values
     if not no_target:
         shots = cube.amulor.open_water
-        places = shot_directions(cube, shots)
+        middle = (
+            float(cube["azimuth"].values.mean()),
+            float(cube["elevation"].values.mean()),
+        )
+        places = shot_directions(middle, shots)
         frame = frame_of(cube, *places)
         pixels = shot_pixels(frame, shots, places, frequency)
         assert pixels is not None

@@ -19,6 +19,7 @@ from amulor.rejection.joint.outliers import Kept, part_of, without_outliers
 from amulor.rejection.joint.overlap.frame import Frame
 from amulor.rejection.joint.pixels import Pixels
 from amulor.rejection.joint.priors import Shared, layout_of
+from amulor.rejection.joint.samples import FEWEST_FREQUENCIES
 from amulor.rejection.joint.scatter import is_detected
 from amulor.rejection.joint.search import Estimates
 from amulor.rejection.joint.surfaces import are_two, asked, two_surfaces
@@ -43,6 +44,8 @@ class Result:
     [m]."""
     far: Floats
     """Optical path to the farther one [m]."""
+    enough: NDArray[np.bool_]
+    """Pixels with usable samples at two frequencies."""
     detected: NDArray[np.bool_]
     """Where there is a target rather than open water."""
     depth: Floats
@@ -81,6 +84,7 @@ def solve(frame: Frame, pixels: Pixels, shared: Shared, transfer: Complex) -> Re
         To first order in the errors of what is shared.
     """
     rate = frame.phase_per_path
+    given = pixels.usable
     pixels = drifted(pixels, shared.trend)
     whole = _estimates(frame, pixels, shared, transfer)
     kept = without_outliers(
@@ -113,7 +117,9 @@ def solve(frame: Frame, pixels: Pixels, shared: Shared, transfer: Complex) -> Re
     )
     basic = slopes[:, layout.parametric]
     free = slice(layout.blocks[1].start, layout.blocks[2].stop)
-    moved = np.abs(slopes[:, free] @ _free_parameters(shared))
+    moved = np.abs(
+        joint_pixels.times(slopes[:, free], _free_parameters(shared)[:, None])[:, 0]
+    )
     unsure = _variance(slopes[:, free], shared.covariance[free, free])
     return Result(
         # Nobody asks for the influences any more, and they are most of the memory.
@@ -122,6 +128,7 @@ def solve(frame: Frame, pixels: Pixels, shared: Shared, transfer: Complex) -> Re
         near=near,
         far=far,
         estimates=replace(estimates, influence=np.zeros((0, 0, 0), dtype=complex)),
+        enough=given.any(axis=1).sum(axis=1) >= FEWEST_FREQUENCIES,
         detected=detected,
         depth=depth,
         water_signal=water_signal,
@@ -183,7 +190,9 @@ def _mixed(
 
 def _variance(slopes: Floats, covariance: Floats) -> Floats:
     """Return the variances that follow from that of the parameters, (pixel,)."""
-    variance: Floats = np.einsum("ni,ni->n", slopes @ covariance, slopes)
+    variance: Floats = np.einsum(
+        "ni,ni->n", joint_pixels.times(slopes, covariance), slopes
+    )
     return variance
 
 

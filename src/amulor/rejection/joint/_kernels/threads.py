@@ -5,9 +5,10 @@ from __future__ import annotations
 import math
 import os
 import threading
-from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
-from typing import Any
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
+from typing import Any, TypeVar
 
 import numba
 
@@ -15,6 +16,19 @@ import numba
 FEWEST = 512
 #: Parts of the work for each thread, so that none waits long for the others.
 _PARTS = 4
+
+
+_Item = TypeVar("_Item")
+_Result = TypeVar("_Result")
+
+
+class _Here(threading.local):
+    """What the thread that asks is doing."""
+
+    is_part = False
+
+
+_here = _Here()
 
 
 class _Turns:
@@ -28,14 +42,18 @@ class _Turns:
         self._changed = threading.Condition()
         self._running = 0
 
-    def run(self, kernel: Callable[..., None], most: int, *arguments: Any) -> None:
+    def run(
+        self, function: Callable[..., _Result], most: int, *arguments: Any
+    ) -> _Result:
         """Run one part when fewer than `most` are running."""
         with self._changed:
             self._changed.wait_for(lambda: self._running < most)
             self._running += 1
         try:
-            kernel(*arguments)
+            _here.is_part = True
+            return function(*arguments)
         finally:
+            _here.is_part = False
             with self._changed:
                 self._running -= 1
                 self._changed.notify()
@@ -81,7 +99,7 @@ def spread(
     config: Any = numba.config
     most = config.NUMBA_NUM_THREADS
     workers = min(most, count // max(fewest, 1))
-    if workers < 2:
+    if workers < 2 or _here.is_part:
         kernel(0, count, *arguments)
         return
     size = math.ceil(count / (_PARTS * workers))
@@ -94,3 +112,41 @@ def spread(
         ]
     for future in futures:
         future.result()
+
+
+def each(
+    function: Callable[[_Item], _Result], items: Iterable[_Item]
+) -> Iterator[_Result]:
+    """Return what a function makes of items, several of them at a time, in order.
+
+    What it calls takes no threads of its own: they have all been given out.
+
+    Parameters
+    ----------
+    function : callable
+        Treats one item without changing what others see.
+    items : iterable
+        Taken when there is room for another one, so that few are in memory.
+
+    Yields
+    ------
+    object
+        Result of each item.
+    """
+    config: Any = numba.config
+    most = config.NUMBA_NUM_THREADS
+    if most < 2 or _here.is_part:
+        yield from map(function, items)
+        return
+    waiting: deque[Future[_Result]] = deque()
+    with ThreadPoolExecutor(most) as pool:
+        try:
+            for item in items:
+                waiting.append(pool.submit(_turns.run, function, most, item))
+                if len(waiting) > most:
+                    yield waiting.popleft().result()
+            while waiting:
+                yield waiting.popleft().result()
+        finally:
+            for future in waiting:
+                future.cancel()

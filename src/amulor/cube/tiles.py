@@ -1,0 +1,161 @@
+"""A cube row by row: where its tiles come from, and how they become one again."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import numpy as np
+import xarray as xr
+
+__all__ = ["InMemory", "Source", "Whole", "bands", "without_truth"]
+
+#: Samples of a variable that are worked on at once, unless somebody says otherwise:
+#: what a step holds beside them is ten to a hundred times as much.
+SAMPLES_AT_ONCE = 2**18
+
+
+class Source(Protocol):
+    """Where the rows of a cube come from: memory, or a file."""
+
+    @property
+    def head(self) -> xr.Dataset:
+        """All that does not run over the rows: shots, frequencies, attributes."""
+        ...
+
+    @property
+    def rows(self) -> int:
+        """Number of rows."""
+        ...
+
+    @property
+    def columns(self) -> int:
+        """Number of columns."""
+        ...
+
+    def tile(self, begin: int, end: int) -> xr.Dataset:
+        """Return the rows from `begin` on, before `end`, with all of `head`."""
+        ...
+
+
+@dataclass(frozen=True)
+class InMemory:
+    """The rows of a cube that is in memory."""
+
+    cube: xr.Dataset
+    """Any cube over rows and columns."""
+
+    @property
+    def head(self) -> xr.Dataset:
+        """All that does not run over the rows."""
+        names = [name for name, v in self.cube.variables.items() if "row" in v.dims]
+        return self.cube.drop_vars(names)
+
+    @property
+    def rows(self) -> int:
+        """Number of rows."""
+        return int(self.cube.sizes["row"])
+
+    @property
+    def columns(self) -> int:
+        """Number of columns."""
+        return int(self.cube.sizes["column"])
+
+    def tile(self, begin: int, end: int) -> xr.Dataset:
+        """Return some rows; the whole cube itself if these are all."""
+        if begin == 0 and end >= self.rows:
+            return self.cube
+        return self.cube.isel(row=slice(begin, end))
+
+
+def bands(source: Source, rows: int | None = None) -> Iterator[tuple[int, int]]:
+    """Return the first and the end of the rows of each tile.
+
+    Parameters
+    ----------
+    source : Source
+        Where the rows come from.
+    rows : int, optional
+        Rows of a tile; by default as many as have `SAMPLES_AT_ONCE` samples.
+
+    Yields
+    ------
+    tuple of int
+        First row of a tile, and the one behind its last.
+    """
+    if rows is None:
+        sizes = source.head.sizes
+        planes = sizes.get("modulation_frequency", 1) * sizes.get("polarization", 1)
+        rows = max(1, SAMPLES_AT_ONCE // max(source.columns * planes, 1))
+    for begin in range(0, source.rows, rows):
+        yield begin, min(begin + rows, source.rows)
+
+
+def without_truth(cube: xr.Dataset) -> xr.Dataset:
+    """Return a cube without the truth of a simulation, which no step reads."""
+    names = [name for name in cube.data_vars if str(name).startswith("truth_")]
+    return cube.drop_vars(names) if names else cube
+
+
+class Whole:
+    """Puts tiles together: arrays are made once, and each tile is copied to its place.
+
+    Parameters
+    ----------
+    rows, columns : int
+        Of the whole.
+    """
+
+    def __init__(self, rows: int, columns: int) -> None:
+        self._sizes = {"row": rows, "column": columns}
+        self._first: xr.Dataset | None = None
+        self._arrays: dict[Any, np.ndarray[Any, Any]] = {}
+
+    def put(self, tile: xr.Dataset, row: int, column: int = 0) -> None:
+        """Copy a tile to where it begins.
+
+        Parameters
+        ----------
+        tile : xarray.Dataset
+            Has the variables of the first tile; what does not run over rows and columns
+            is taken from that one.
+        row, column : int
+            Where it begins.
+        """
+        begin = {"row": row, "column": column}
+        if self._first is None:
+            self._first = tile
+            for name, variable in tile.variables.items():
+                if set(self._sizes) & set(variable.dims):
+                    shape = [
+                        self._sizes.get(str(dimension), size)
+                        for dimension, size in variable.sizes.items()
+                    ]
+                    self._arrays[name] = np.empty(shape, variable.dtype)
+        for name, array in self._arrays.items():
+            variable = tile.variables[name]
+            place = tuple(
+                slice(begin[str(dimension)], begin[str(dimension)] + size)
+                if dimension in begin
+                else slice(None)
+                for dimension, size in variable.sizes.items()
+            )
+            array[place] = variable.values
+
+    def made(self) -> xr.Dataset:
+        """Return the whole, with the attributes of the first tile."""
+        assert self._first is not None
+        first = self._first
+
+        def variable(name: Any) -> xr.Variable:
+            found = first.variables[name]
+            if name not in self._arrays:
+                return found
+            return xr.Variable(found.dims, self._arrays[name], found.attrs)
+
+        return xr.Dataset(
+            {name: variable(name) for name in first.data_vars},
+            {name: variable(name) for name in first.coords},
+            first.attrs,
+        )
