@@ -333,6 +333,17 @@ def test_the_same_with_two_and_four_frequencies(scene: str) -> None:
 
 
 @pytest.mark.slow
+def test_water_of_the_papers_form_is_put_back_by_that_form() -> None:
+    # 85 and 82 % were inside: the column behind the target was that of another model,
+    # four times as uncertain as by the one that the shots prefer.
+    for row in run(["wide paper's form"], ["open-water", "combined"], [16]):
+        assert row.score.trusted > 0.95, row
+        assert row.score.inside_95 > 0.92, row
+        assert row.score.worst < 4.2, row
+        assert row.score.stated < 0.15, row
+
+
+@pytest.mark.slow
 @pytest.mark.parametrize("scene", ["photons c 0.25 1/m", "photons c 1 1/m"])
 def test_intervals_hold_from_half_to_three_attenuation_lengths(scene: str) -> None:
     for row in run([scene], ["open-water", "combined", "polarization"], [2, 4]):

@@ -107,9 +107,12 @@ def water_before_target(
         errors = covariance_of(cube) + common
         tell("water behind the targets", 0.6)
         depth, path = column.depth(cube, difference, errors, survey, interval=interval)
-        hidden = column.hidden_fraction(cube, survey, depth)
+        paper = turbidity is not None and turbidity.paper
+        hidden = column.hidden_fraction(cube, survey, depth, paper=paper)
         if turbidity is not None:
-            steeper = column.hidden_fraction(cube, turbidity.steeper, depth)
+            steeper = column.hidden_fraction(
+                cube, turbidity.steeper, depth, paper=paper
+            )
     signal = water if hidden is None else (1 - np.nan_to_num(hidden)) * water
     return WaterBeforeTarget(
         fits=fits,

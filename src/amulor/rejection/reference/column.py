@@ -15,7 +15,11 @@ from amulor.survey.view import medium
 
 
 def hidden_fraction(
-    cube: xr.Dataset, survey: Survey, depth: NDArray[np.float64]
+    cube: xr.Dataset,
+    survey: Survey,
+    depth: NDArray[np.float64],
+    *,
+    paper: bool = False,
 ) -> NDArray[np.complex128]:
     """Return which part of the open-water signal comes from behind the target.
 
@@ -28,6 +32,8 @@ def hidden_fraction(
         shots, not the truth of a simulation.
     depth : ndarray, shape (row, column)
         Water in front of the target; NaN where it is not settled [m].
+    paper : bool
+        Whether by the diffusion form of the paper, as for `model.water_signal`.
 
     Returns
     -------
@@ -53,6 +59,7 @@ def hidden_fraction(
         cube["elevation"].values[settled],
         depth[settled],
         modulation_frequency=frequency,
+        paper=paper,
     )
     shape = (frequency.size, cube.sizes["polarization"], *depth.shape)
     return np.broadcast_to(fraction[:, None], shape)

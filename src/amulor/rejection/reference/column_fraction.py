@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 
 import numpy as np
 from numpy.polynomial import chebyshev
@@ -35,6 +36,7 @@ def fractions(
     depth: Floats,
     *,
     modulation_frequency: Floats,
+    paper: bool = False,
 ) -> Complex:
     r"""Return which fraction of the open-water signal arises behind given depths.
 
@@ -48,6 +50,8 @@ def fractions(
         Water in front of the target [m].
     modulation_frequency : ndarray, shape (m,)
         Modulation frequencies [Hz].
+    paper : bool
+        Whether by the diffusion form of the paper, as for `model.water_signal`.
 
     Returns
     -------
@@ -69,16 +73,16 @@ def fractions(
     checks = places[:, _spread(places)]
     exact: Complex | None = None
     for nodes in _NODES:
-        table = _Table(survey, places, nodes, modulation_frequency)
+        table = _Table(survey, places, nodes, modulation_frequency, paper=paper)
         if table.size > _WORTH * count:
             break
         table.fill()
         if exact is None:
-            exact = integrated(survey, checks, modulation_frequency)
+            exact = integrated(survey, checks, modulation_frequency, paper=paper)
         if np.abs(table.at(checks) - exact).max() <= LARGEST_ERROR / 2:
             return _in_parts(table.at, places, modulation_frequency, table.width)
     return _in_parts(
-        lambda part: integrated(survey, part, modulation_frequency),
+        lambda part: integrated(survey, part, modulation_frequency, paper=paper),
         places,
         modulation_frequency,
         len(modulation_frequency),
@@ -98,6 +102,8 @@ class _Table:
         Nodes along the three axes; an axis without extent takes one.
     frequency : ndarray
         Modulation frequencies [Hz].
+    paper : bool
+        As for `fractions`.
     """
 
     def __init__(
@@ -106,9 +112,11 @@ class _Table:
         places: Floats,
         nodes: tuple[int, int, int],
         frequency: Floats,
+        *,
+        paper: bool,
     ) -> None:
         low, high = places.min(axis=1), places.max(axis=1)
-        self._survey, self._frequency = survey, frequency
+        self._survey, self._frequency, self._paper = survey, frequency, paper
         self._centre = (low + high) / 2
         self._half = np.where(high > low, (high - low) / 2, 1.0)
         self._count = [
@@ -131,7 +139,7 @@ class _Table:
         places = self._centre[:, None] + self._half[:, None] * grid
         # Rounding must not push a depth below zero.
         places[2] = np.maximum(places[2], 0.0)
-        value = integrated(self._survey, places, self._frequency)
+        value = integrated(self._survey, places, self._frequency, paper=self._paper)
         value *= np.exp(-1j * np.outer(self._phase_per_range, places[2]))
         value = value.reshape(len(self._frequency), *self._count)
         coefficients = np.einsum("fijk,ai,bj,ck->abcf", value, *inverse, optimize=True)
@@ -179,7 +187,9 @@ def _in_parts(
     return out
 
 
-def integrated(survey: Survey, places: Floats, frequency: Floats) -> Complex:
+def integrated(
+    survey: Survey, places: Floats, frequency: Floats, *, paper: bool = False
+) -> Complex:
     """Return the fractions by integration, pixel by pixel.
 
     Parameters
@@ -190,6 +200,8 @@ def integrated(survey: Survey, places: Floats, frequency: Floats) -> Complex:
         Azimuth, elevation [rad] and depth [m].
     frequency : ndarray, shape (m,)
         Modulation frequencies [Hz].
+    paper : bool
+        As for `fractions`.
 
     Returns
     -------
@@ -199,10 +211,9 @@ def integrated(survey: Survey, places: Floats, frequency: Floats) -> Complex:
     azimuth, elevation, depth = places
     # Open water does not depend on the depth: once for each direction.
     beams, own = np.unique(places[:2], axis=1, return_inverse=True)
-    whole = water_signal(survey, *beams, modulation_frequency=frequency)[:, own]
-    behind = whole - water_signal(
-        survey, azimuth, elevation, modulation_frequency=frequency, end=depth
-    )
+    form = partial(water_signal, survey, modulation_frequency=frequency, paper=paper)
+    whole = form(*beams)[:, own]
+    behind = whole - form(azimuth, elevation, end=depth)
     # A receiver that sees no water has none behind the target either.
     fraction: Complex = np.divide(
         behind, whole, out=np.zeros_like(behind), where=whole != 0

@@ -82,7 +82,11 @@ def shows_target(
     errors = covariance_of(cube) + water.common + fluctuation_of(water.fits, whole)
     saturated = cube["saturated"].values != 0 if "saturated" in cube else None
     told = water.told
-    cut = None if told is None else _cut_columns(cube, told.survey, interval)
+    cut = (
+        None
+        if told is None
+        else _cut_columns(cube, told.survey, interval, paper=told.paper)
+    )
     largest = None if cut is None else np.abs(cut.smooth).max(axis=(1, 2, 3))
     which = np.repeat(np.arange(frequencies), channels)
 
@@ -257,7 +261,11 @@ def _between(place: Floats, count: int) -> tuple[NDArray[np.intp], Floats]:
 
 
 def _cut_columns(
-    cube: xr.Dataset, survey: Survey, interval: tuple[float, float] | None
+    cube: xr.Dataset,
+    survey: Survey,
+    interval: tuple[float, float] | None,
+    *,
+    paper: bool,
 ) -> _Cut:
     """Return cut columns from a survey."""
     properties = water_properties(survey)
@@ -278,6 +286,7 @@ def _cut_columns(
         grid[1].ravel(),
         grid[0].ravel(),
         modulation_frequency=frequency,
+        paper=paper,
     )
     wavenumber = 2 * np.pi * frequency * properties.group_index / speed_of_light
     turn = np.exp(-2j * np.outer(wavenumber, grid[0].ravel()))

@@ -29,6 +29,10 @@ _DIRECTIONS = 9
 #: the open water, by the number of frequencies [1].
 _UNSEEN = {1: 0.05, 2: 0.01, 3: 0.005}
 
+#: A small-angle form that misses more than this of the open water is doubted [1], and
+#: the diffusion form taken where it leaves less than this part of the square [1].
+_WRONG, _BETTER = 0.02, 0.25
+
 
 @dataclass(frozen=True, kw_only=True)
 class Turbidity:
@@ -47,6 +51,9 @@ class Turbidity:
     not explain, or what could not be seen, in parts of the open water [1]."""
     shown: float
     """The part of it that the shots do show [1]."""
+    paper: bool = False
+    """Whether the diffusion form of the paper is the model, and not the small-angle
+    form."""
 
 
 def turbidity_of(
@@ -76,8 +83,10 @@ def turbidity_of(
     each channel above zero, against the shots: the phases tell how deep the light
     comes from, at one frequency already, and the amplitudes how that is spread. The
     uncertainty of the factor is where chi-square rises by one, or by what it has for
-    each degree of freedom where that is more. What is left in spite of the best
-    factor is the model's own error.
+    each degree of freedom where that is more. Where the small-angle form misses more
+    than 2 % of the open water and the diffusion form of the paper leaves less than half
+    of that, the latter is the model. What is left in spite of the best factor is the
+    model's own error.
     """
     directions = _spread(cube["azimuth"].size)
     frequencies, channels = open_water.shape[:2]
@@ -94,13 +103,26 @@ def turbidity_of(
         cube[name].values.ravel()[directions] for name in ("azimuth", "elevation")
     ]
     frequency = cube["modulation_frequency"].values
-    square = _around_the_lowest(
-        lambda factor: _chi_square(
-            _model(scaled(survey, factor), places, frequency), seen, weight
+
+    def minimum(*, paper: bool) -> tuple[float, float, float]:
+        """Return the place, value and curvature of the smallest chi-square."""
+        square = _around_the_lowest(
+            lambda factor: _chi_square(
+                _model(scaled(survey, factor), places, frequency, paper=paper),
+                seen,
+                weight,
+            )
         )
-    )
+        return _minimum(square)
+
     step = float(np.log(_FACTORS[1] / _FACTORS[0]))
-    place, lowest, curvature = _minimum(square)
+    place, lowest, curvature = minimum(paper=False)
+    power = float(np.sum(weight * np.abs(seen) ** 2))
+    paper = False
+    if lowest > _WRONG**2 * power:
+        other = minimum(paper=True)
+        if other[1] < _BETTER * lowest:
+            (place, lowest, curvature), paper = other, True
     factor = float(_FACTORS[0] * np.exp(place * step))
     # The two outputs of a sample count twice; directions share their shots.
     freedom = max(2 * frequencies * channels - channels - 1, 1)
@@ -110,7 +132,6 @@ def turbidity_of(
     if not 0.5 < place < len(_FACTORS) - 1.5:
         # The best factor lies beyond those that were tried.
         uncertainty = max(uncertainty, float(np.log(2.0)))
-    power = float(np.sum(weight * np.abs(seen) ** 2))
     explained = len(directions) * freedom
     left = max(lowest - explained, 0.0) / power if power > 0 else 1.0
     misfit = float(np.hypot(np.sqrt(left), _UNSEEN.get(frequencies, 0.0)))
@@ -121,6 +142,7 @@ def turbidity_of(
         steeper=scaled(survey, factor * float(np.exp(uncertainty))),
         misfit=min(misfit, 1.0),
         shown=min(float(np.sqrt(left)), 1.0),
+        paper=paper,
     )
 
 
@@ -146,11 +168,15 @@ def _spread(count: int) -> NDArray[np.intp]:
     return np.unique(np.linspace(0, count - 1, min(_DIRECTIONS, count)).astype(np.intp))
 
 
-def _model(survey: Survey, places: list[Floats], frequency: Floats) -> Complex:
+def _model(
+    survey: Survey, places: list[Floats], frequency: Floats, *, paper: bool
+) -> Complex:
     """Return open water over (frequency, direction), in any unit."""
     water = water_properties(survey)
     where = view(survey, *places, medium=medium(survey, water))
-    response = water_signal(survey, *places, modulation_frequency=frequency)
+    response = water_signal(
+        survey, *places, modulation_frequency=frequency, paper=paper
+    )
     turn = 2j * np.pi * frequency[:, None] * where.optical_offset / speed_of_light
     return np.asarray(response * np.exp(turn))
 
