@@ -107,7 +107,7 @@ def hidden_error(
     relative = np.divide(
         allowed, size[:1], out=np.ones(size[:1].shape), where=size[:1] > allowed
     )
-    own = isotropic(relative * size).scaled(frequencies)
+    own = isotropic(relative * size).scaled(2 * frequencies)
     return along(by_turbidity, 1.0) + own
 
 
