@@ -129,6 +129,14 @@ def test_water_that_drifts_during_the_scan_is_followed() -> None:
     )
     # The strength goes from 1 to 1.1 times that of the first pixel, 1.05 on average.
     assert found.attrs["joint_water_drift"] == pytest.approx(0.1 / 1.05, abs=0.01)
+    assert 0.001 < found.attrs["joint_water_drift_uncertainty"] < 0.01
+    # With its direction open 0.13 is found for 0.095, and said to be that uncertain.
+    found = rejection.joint(case.samples.drop_vars(shots), interval=case.interval)
+    drift, error = (
+        found.attrs[f"joint_water_drift{end}"] for end in ("", "_uncertainty")
+    )
+    assert 0.01 < error < 0.04
+    assert abs(drift - 0.1 / 1.05) < 2.5 * error
     row = run(["drift 10 %"], ["joint"], [4])[0]
     assert holds(row.score, trusted=0.99), row
 

@@ -15,10 +15,10 @@ from amulor.cube import QualityFlag
 from amulor.optics import rays
 from amulor.rejection.build import target_cube
 from amulor.rejection.covariance import Covariance, covariance_of
-from amulor.rejection.joint.drift import change_of
+from amulor.rejection.joint.drift import change_of, change_uncertainty
 from amulor.rejection.joint.instrument import Instrument, late_echo, range_variance
 from amulor.rejection.joint.overlap.frame import Frame
-from amulor.rejection.joint.priors import DECISIVE, Shared
+from amulor.rejection.joint.priors import DECISIVE, Shared, layout_of
 from amulor.rejection.joint.search import Estimates
 from amulor.rejection.joint.solve import Result
 
@@ -280,6 +280,7 @@ def _attributes(shared: Shared, instrument: Instrument) -> dict[str, Any]:
     errors = np.sqrt(np.diag(shared.covariance)[: channels + 3])
     loss, spread = shared.shape.reduced_attenuation, shared.shape.spread
     forward = shared.shape.forward_scattering
+    trend = layout_of(shared).trend
     return {
         "joint_water_strength_volt": shared.strength,
         "joint_water_strength_uncertainty_volt": errors[:channels],
@@ -293,6 +294,9 @@ def _attributes(shared: Shared, instrument: Instrument) -> dict[str, Any]:
         "joint_shot_strength": shared.shot_factor,
         "joint_noise_scale": shared.noise_scale,
         "joint_water_drift": change_of(shared.trend),
+        "joint_water_drift_uncertainty": change_uncertainty(
+            shared.covariance[trend, trend], preferred=shared.water_drifts
+        ),
         "joint_receiver_turn_rad": shared.shape.turn,
         "joint_late_echo_uncertainty": instrument.late_echo,
         "joint_delay_uncertainty_s": instrument.delay,

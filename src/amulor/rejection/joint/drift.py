@@ -133,3 +133,25 @@ def drifted(pixels: Pixels, trend: Floats) -> Pixels:
 def change_of(trend: Floats) -> float:
     """Return by how much the water has changed from first to last, relative [1]."""
     return float(2 * np.sum(trend[::2]))
+
+
+def change_uncertainty(covariance: Floats, *, preferred: bool) -> float:
+    """Return the standard uncertainty of that change.
+
+    Parameters
+    ----------
+    covariance : ndarray, shape (trends, trends)
+        Of the coefficients [1].
+    preferred : bool
+        Whether the samples prefer a change over none.
+
+    Returns
+    -------
+    float
+        Infinite where no change was looked for or none is preferred: a receiver that
+        looks elsewhere may explain the samples as well [1].
+    """
+    if not len(covariance) or not preferred:
+        return np.inf
+    slope = np.where(np.arange(len(covariance)) % 2 == 0, 2.0, 0.0)
+    return float(np.sqrt(max(float(slope @ covariance @ slope), 0.0)))

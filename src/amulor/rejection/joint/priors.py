@@ -123,6 +123,11 @@ class Shared:
         return self.widths[0] > _TRIED[0][0] or self.widths[1] > _TRIED[1][0]
 
     @property
+    def water_drifts(self) -> bool:
+        """Whether the data prefer that the water changes during the scan."""
+        return self.widths[4] > _TRIED[4][0]
+
+    @property
     def shot_factor(self) -> float:
         """Strength of the open-water shots over that of the scan [1]."""
         return float(np.exp(self.shot_change))

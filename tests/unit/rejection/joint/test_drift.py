@@ -9,7 +9,13 @@ import xarray as xr
 from numpy.testing import assert_allclose
 
 from amulor.rejection.covariance import Covariance
-from amulor.rejection.joint.drift import TRENDS, change_of, drifted, trends_of
+from amulor.rejection.joint.drift import (
+    TRENDS,
+    change_of,
+    change_uncertainty,
+    drifted,
+    trends_of,
+)
 from amulor.rejection.joint.estimate import joint
 from amulor.rejection.joint.pixels import Pixels
 from amulor.simulation import simulate
@@ -67,6 +73,16 @@ def test_the_water_of_a_pixel_is_as_strong_as_it_was_at_its_time() -> None:
     assert_allclose(change_of(trend), expected[-1] - expected[0], rtol=1e-12)
     assert drifted(pixels, np.zeros(0)).trends.shape[1] == 0
     assert drifted(pixels, np.zeros(3)) is pixels
+
+
+def test_the_uncertainty_of_the_change_is_that_of_many_draws() -> None:
+    spread = np.array([[4.0, 1.0, -1.0], [1.0, 2.0, 0.5], [-1.0, 0.5, 3.0]]) * 1e-4
+    draws = np.random.default_rng(0).multivariate_normal(np.zeros(3), spread, 20_000)
+    scatter = np.std([change_of(each) for each in draws])
+    stated = change_uncertainty(spread, preferred=True)
+    assert_allclose(stated, scatter, rtol=0.02)
+    assert change_uncertainty(spread, preferred=False) == np.inf
+    assert change_uncertainty(np.zeros((0, 0)), preferred=True) == np.inf
 
 
 def test_steady_water_does_not_drift(sweep: Callable[..., Survey]) -> None:
