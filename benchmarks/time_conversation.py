@@ -1,6 +1,6 @@
-"""Conversation with an SR865A and stages: question by question, and from its buffer.
+"""Conversation with an SR865A and stages: by questions, from its buffer, without stops.
 
-Paired: both ways take the same survey with the same simulated instruments over links
+Paired: all ways take the same survey with the same simulated instruments over links
 whose questions take a stated time. All times are those of the instruments' clock, so
 that what other programs do on this computer does not count.
 """
@@ -64,7 +64,7 @@ class Wire:
 
 
 def measured(
-    survey: Survey, late: float, readings: str | None
+    survey: Survey, late: float, readings: str | None, mode: str | None = None
 ) -> tuple[float, float, float, float]:
     """Return questions a sample, conversation a sample [s], readings, efficiency."""
     settings = Settings.model_validate(
@@ -73,6 +73,7 @@ def measured(
                 "output_filter": "known",
                 "dark_readings": 1,
                 "readings": readings,
+                "mode": mode,
             }
         }
     )
@@ -110,8 +111,9 @@ def measured(
         )
         with Journal.read(Path(folder)) as journal:
             record = [record for _, record in journal.samples(SCAN)][-1]
-    (start, before), (end, after) = told[1], told[-1]
-    count = len(told) - 2
+    # From the end of the first row, since one without stops is told at once.
+    count = len(told) - survey.scan.columns
+    (start, before), (end, after) = told[survey.scan.columns - 1], told[-1]
     wall = (end - start) / count
     constant = survey.instrument.lock_in.time_constant
     interval = record.interval or survey.scan.dwell / record.readings
@@ -150,6 +152,7 @@ def main() -> None:
         )
         for late in (1e-4, 1e-3):
             old, new = (measured(survey, late, way) for way in (None, "buffer"))
+            swept = measured(survey, late, "buffer", "continuous")
             rates = [way[2] / way[1] for way in (old, new)]
             name = (
                 f"dwell {dwell} ms, constant {constant} ms, {late * 1e3:g} ms each way"
@@ -159,12 +162,13 @@ def main() -> None:
                 rates[1] / rates[0]
             )
             figures[f"integration over time, {name}"] = new[3]
+            figures[f"integration over time without stops, {name}"] = swept[3]
             times = f"{old[1] * 1e3:5.2f} -> {new[1] * 1e3:4.2f} ms"
             print(
                 f"{dwell:>3} ms  {constant:>3} ms   {late * 1e3:.1f} ms   "
                 f"{old[0]:4.1f} -> {new[0]:3.1f}   "
                 f"{times} ({old[1] / new[1]:.1f} x)   {rates[1] / rates[0]:.1f} x"
-                f"   {old[3]:.1%} -> {new[3]:.1%}"
+                f"   {old[3]:.1%} -> {new[3]:.1%} -> {swept[3]:.1%}"
             )
     history.append("time_conversation", figures)
 

@@ -177,3 +177,58 @@ def devices_of(
     else:
         assert way == "embedded", way
     return Devices(**parts, clock=clock)
+
+
+class Wire:
+    """A link whose packets take a time each way by the clock of the devices [s]."""
+
+    address = "a wire"
+
+    def __init__(
+        self, answer: Callable[[str], list[str]], clock: VirtualClock, late: float
+    ) -> None:
+        self._answer, self._clock, self._late = answer, clock, late
+        self.questions = 0
+
+    def send(self, line: str) -> None:
+        self._clock.sleep(self._late)
+        self._answer(line)
+
+    def ask(self, line: str, *, answers: int = 1) -> list[str]:
+        self.questions += 1
+        self._clock.sleep(self._late)
+        found = [text for one in line.split("\n") for text in self._answer(one)]
+        self._clock.sleep(self._late)
+        return found
+
+    def reopen(self) -> None:
+        pass
+
+    def close(self) -> None:
+        pass
+
+
+def wired_sr865a(
+    survey: Survey, settings: Settings, *, scene: Any, late: float
+) -> tuple[Devices, list[Wire]]:
+    """Return an SR865A and stages behind wires that take a time each way [s]."""
+    clock = VirtualClock()
+    bench = simulated_bench(survey, settings, scene=scene, clock=clock)
+    wires = [
+        Wire(SimulatedSr865a(bench).answer, clock, late),
+        Wire(SimulatedPiController(bench, settings).answer, clock, late),
+    ]
+    lock_in = Sr865a(
+        wires[0], mean_output_input=1, modulation_amplitude=0.5, clock=clock
+    )
+    stages = PiController(wires[1], clock=clock)
+    devices = Devices(
+        laser=LockInGate(lock_in, settings.laser),
+        lock_in=lock_in,
+        scanner=PiScanner(stages, settings.scanner),
+        launch=PiMount(stages, settings.launch.axis),
+        analyser=PiMount(stages, settings.analyser.axis),
+        target=PiTargetStage(stages, settings.target),
+        clock=clock,
+    )
+    return devices, wires

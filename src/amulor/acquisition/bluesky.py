@@ -153,6 +153,12 @@ class ScanDevice:
         ask: Callable[[str], None] | None = None,
         patience: float = _PATIENCE,
     ) -> None:
+        if settings is not None and settings.procedure.mode == "continuous":
+            raise InstrumentError(
+                "a plan waits for each sample before the next one, and the beam cannot "
+                'move on without stops; take procedure.mode = "continuous" out of the '
+                "devices file, or run the scan by 'amulor acquire'"
+            )
         self._folder, self._resume, self._patience = folder, resume, patience
         self._run: Callable[[], Outcome] = lambda: acquire(
             survey, folder, settings=settings, resume=resume,

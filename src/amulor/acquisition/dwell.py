@@ -15,6 +15,7 @@ from amulor.acquisition.clock import Clock
 from amulor.acquisition.protocols import (
     BufferedLockIn,
     CombLockIn,
+    Device,
     LockIn,
     Overload,
     Reading,
@@ -45,19 +46,22 @@ class Dwell:
     """What has overloaded."""
     unlocked: bool
     """Whether the reference was lost."""
+    edges: list[float] | None = None
+    """Standard deviation of either output by edges inside an interval, for each
+    frequency, if the beam has moved [V]."""
 
 
-def lacking(lock_in: LockIn, *words: str) -> list[str]:
-    """Return the methods that a lock-in does not have."""
-    return [word for word in words if not hasattr(lock_in, word)]
+def lacking(device: Device, *words: str) -> list[str]:
+    """Return the methods that a device does not have."""
+    return [word for word in words if not hasattr(device, word)]
 
 
-def refuse_lacking(lock_in: LockIn, setting: str, *words: str) -> None:
-    """Raise if a lock-in lacks what a setting of the procedure asks of it."""
-    missing = lacking(lock_in, *words)
+def refuse_lacking(device: Device, setting: str, *words: str) -> None:
+    """Raise if a device lacks what a setting of the procedure asks of it."""
+    missing = lacking(device, *words)
     if missing:
         raise InstrumentError(
-            f"{lock_in.identity()} has no {', '.join(missing)}; take {setting} out of "
+            f"{device.identity()} has no {', '.join(missing)}; take {setting} out of "
             "the devices file"
         )
 

@@ -2,7 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Container, Iterator, Mapping
+from collections.abc import (
+    Collection,
+    Container,
+    Iterable,
+    Iterator,
+    Mapping,
+    Sequence,
+)
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -124,6 +131,51 @@ def steps(survey: Survey, procedure: Procedure) -> Iterator[Step]:
         done = end
         if block < count:
             yield from reference_block(survey, procedure, block=block)
+
+
+def strips(steps: Iterable[Step], *, longest: int) -> Iterator[list[Step]]:
+    """Yield steps together that one motion along a row can take.
+
+    Parameters
+    ----------
+    steps : iterable of Step
+        In the order in which they are taken.
+    longest : int
+        Most steps in one motion [1].
+
+    Yields
+    ------
+    list of Step
+        Of the scan: neighbours in one row and channel, in one direction. All others
+        are alone.
+    """
+    strip: list[Step] = []
+    for step in steps:
+        if strip and not (len(strip) < longest and _goes_on(strip, step)):
+            yield strip
+            strip = []
+        strip.append(step)
+    if strip:
+        yield strip
+
+
+def _goes_on(strip: list[Step], step: Step) -> bool:
+    last = strip[-1]
+    if not step.key.kind == last.key.kind == SCAN or step.key.row != last.key.row:
+        return False
+    if step.frequencies != last.frequencies:
+        return False
+    if step.key.polarization != last.key.polarization:
+        return False
+    way = step.key.column - last.key.column
+    before = last.key.column - strip[-2].key.column if len(strip) > 1 else way
+    return abs(way) == 1 and way == before
+
+
+def together(steps: Sequence[Step]) -> Step:
+    """Return several steps as one, for what is done with all of their keys."""
+    first, *others = (key for step in steps for key in step.keys)
+    return replace(steps[0], key=first, others=tuple(others))
 
 
 def extra_reference(

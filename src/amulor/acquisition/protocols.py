@@ -130,6 +130,20 @@ class BufferedLockIn(LockIn, Protocol):
         """
 
 
+class StreamingLockIn(BufferedLockIn, Protocol):
+    """A lock-in amplifier that records on and on while it is asked for what it has."""
+
+    def begin_stream(self, duration: float) -> None:
+        """Begin to record at once, without a gap, for a time at least [s]."""
+
+    def fetch(self) -> Recorded:
+        """Return what has been recorded since the last call, oldest first.
+
+        Its times are by the clock of the scan, evenly spaced over all calls, without a
+        gap between two of them; there may be none yet. Mean and state are of now.
+        """
+
+
 @dataclass(frozen=True, kw_only=True)
 class Waveform:
     """One record of a digitiser, all inputs at the same moments."""
@@ -187,6 +201,16 @@ class Scanner(Device, Protocol):
         self, azimuth: float, elevation: float, *, timeout: float
     ) -> tuple[float, float]:
         """Turn to a direction [rad] within a time [s]; return where it stands [rad]."""
+
+
+class SweepingScanner(Scanner, Protocol):
+    """A scanner that moves at a steady rate and says meanwhile where it is."""
+
+    def begin_sweep(self, azimuth: float, elevation: float, *, duration: float) -> None:
+        """Set out for a direction [rad], to be there after a time [s]; do not wait."""
+
+    def where(self) -> tuple[float, float]:
+        """Return where it is now, also while it moves [rad]."""
 
 
 class RotationMount(Device, Protocol):

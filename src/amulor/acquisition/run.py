@@ -27,6 +27,8 @@ from amulor.errors import AmulorError
 from amulor.io.files import atomic_output, make_folder
 from amulor.survey import Survey
 
+#: Longest row that is taken, and lost with the power, at once [s]; its fewest pixels.
+_LONGEST_ROW, _SHORTEST_ROW = 20.0, 4
 SURVEY_NAME = "survey.toml"
 DEVICES_NAME = "devices.toml"
 
@@ -287,11 +289,11 @@ class _Run:
                     self._sampler.prepare()
                     self._begin_to_count()
                     total = len(self._done) + sum(len(step.keys) for step in steps)
-                    for step in steps:
+                    for strip in self._strips(steps):
                         if control.pause_wanted():
                             reason = "paused"
                             break
-                        self._take(step, segment, keeper)
+                        self._take(strip, segment, keeper)
                     keeper.settle()
                     reason = reason if reason == "paused" else "finished"
                 except AmulorError as error:
@@ -335,14 +337,26 @@ class _Run:
                 self._survey, self._settings.procedure, number=segment - 2
             )
 
-    def _take(self, step: Step, segment: int, keeper: Keeper) -> None:
-        passed = self._devices.clock.now() - self._clock_start
-        records = self._sampler.take(
-            step, elapsed=self._elapsed + passed, segment=segment
-        )
-        keeper.keep(step, records)
+    def _strips(self, steps: list[Step]) -> Iterator[list[Step]]:
+        """Yield what is taken at once: a dwell, or a row that the beam moves along."""
+        longest = 1
+        if self._settings.procedure.mode == "continuous":
+            longest = max(int(_LONGEST_ROW / self._survey.scan.dwell), _SHORTEST_ROW)
+        return plan.strips(steps, longest=longest)
+
+    def _take(self, strip: list[Step], segment: int, keeper: Keeper) -> None:
+        elapsed = self._elapsed + self._devices.clock.now() - self._clock_start
+        kind = strip[0].key.kind
+        if self._settings.procedure.mode == "continuous" and kind == plan.SCAN:
+            taken = self._sampler.sweep(strip, elapsed=elapsed, segment=segment)
+        else:
+            (step,) = strip
+            taken = [self._sampler.take(step, elapsed=elapsed, segment=segment)]
+        records = [record for part in taken for record in part]
+        keeper.keep(plan.together(strip), records)
         self._flagged += sum(bool(record.flags) for record in records)
-        self._sampler.refuse_darkness(step.key.kind, records[0].flags)
+        for part in taken:
+            self._sampler.refuse_darkness(kind, part[0].flags)
 
     def _progress(self, step: Step, total: int) -> Progress:
         rate = self._taken / max(time.monotonic() - self._started, 1e-9)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import enum
 import math
 import statistics
+from collections.abc import Sequence
 from typing import cast
 
 from amulor.acquisition.darkness import DarkLevel
@@ -12,8 +13,9 @@ from amulor.acquisition.devices import Devices
 from amulor.acquisition.dwell import Dwell, DwellReader, refuse_lacking
 from amulor.acquisition.journal.record import Record
 from amulor.acquisition.plan import DARK, OPEN_WATER, SCAN, Step
-from amulor.acquisition.protocols import CombLockIn
+from amulor.acquisition.protocols import CombLockIn, Overload
 from amulor.acquisition.settings import Settings
+from amulor.acquisition.sweep import SweepReader, Swept
 from amulor.errors import InstrumentError
 from amulor.optics.polarization import stokes
 from amulor.survey import Survey
@@ -70,6 +72,15 @@ class Sampler:
         self._settings = settings
         self._procedure = settings.procedure
         self._devices = devices
+        self._sweeper: SweepReader | None = None
+        if settings.procedure.mode == "continuous":
+            self._sweeper = SweepReader(
+                survey,
+                settings.procedure,
+                devices.lock_in,
+                devices.scanner,
+                devices.clock,
+            )
         self._constant = survey.instrument.lock_in.time_constant
         self._saturation = survey.instrument.detector.saturation
         self._reader = DwellReader(
@@ -121,11 +132,108 @@ class Sampler:
             If a device fails, if the reference stays lost, or if too many samples in
             a row are overloaded or show no light.
         """
-        azimuth, elevation = self._arrange(step)
+        self._arrange(step)
+        azimuth, elevation = self._devices.scanner.move(
+            step.azimuth, step.elevation, timeout=self._settings.scanner.move_timeout
+        )
         dwell, flags = self._read()
         if step.key.kind != DARK:
             self._refuse_open_interlock()
         flags |= self._misplaced(step, azimuth, elevation)
+        taken = self._records(
+            step, dwell, flags, (azimuth, elevation), elapsed, segment
+        )
+        if step.key.kind != DARK and not taken[0].flags & SampleFlag.NO_LIGHT:
+            # All frequencies share the input.
+            self._sharpen(sum(map(abs, dwell.signals)), flags)
+        return taken
+
+    def sweep(
+        self, steps: Sequence[Step], *, elapsed: float, segment: int
+    ) -> list[list[Record]]:
+        """Take the samples of neighbours in a row while the beam moves along them.
+
+        Parameters
+        ----------
+        steps : sequence of Step
+            Of the scan, as `amulor.acquisition.plan.strips` puts them together.
+        elapsed : float
+            Time since the scan began, to be recorded [s].
+        segment : int
+            Part of the scan, to be recorded [1].
+
+        Returns
+        -------
+        list of list of Record
+            For each step what `take` returns. A row in which something overloaded that
+            room can be made for, or the reference was lost, is taken again as a whole.
+
+        Raises
+        ------
+        InstrumentError
+            As `take`; and if the devices cannot do this.
+        """
+        assert self._sweeper is not None
+        self._arrange(steps[0])
+        start = self._devices.clock.now()
+        pixels, flags = self._swept(self._sweeper, steps)
+        records, brightest = [], 0.0
+        for step, pixel in zip(steps, pixels, strict=True):
+            own = flags | self._misplaced(step, pixel.azimuth, pixel.elevation)
+            if pixel.dwell.overload:
+                own |= SampleFlag.OVERLOAD
+            if pixel.off > self._procedure.position_tolerance:
+                own |= SampleFlag.OFF_POSITION
+            where, late = (pixel.azimuth, pixel.elevation), pixel.begin - start
+            records.append(
+                self._records(step, pixel.dwell, own, where, elapsed + late, segment)
+            )
+            brightest = max(brightest, sum(map(abs, pixel.dwell.signals)))
+            self._sharpen_by(own)
+        if not any(part[0].flags & SampleFlag.NO_LIGHT for part in records):
+            self._take_finer_scale(brightest)
+        return records
+
+    def _swept(
+        self, sweeper: SweepReader, steps: Sequence[Step]
+    ) -> tuple[list[Swept], SampleFlag]:
+        """Return the pixels of a row, taken again where that helps."""
+        flags, lost = SampleFlag.NONE, 0
+        timeout = self._settings.scanner.move_timeout
+        while True:
+            self._devices.scanner.move(
+                sweeper.start_of(steps), steps[0].elevation, timeout=timeout
+            )
+            if self._new:
+                self._devices.clock.sleep(self._procedure.settling * self._constant)
+                self._new = False
+            pixels = sweeper.take(
+                steps, timeout=timeout, watch=self._refuse_open_interlock
+            )
+            overload = Overload.NONE
+            for pixel in pixels:
+                overload |= pixel.dwell.overload
+            if any(pixel.dwell.unlocked for pixel in pixels):
+                flags |= SampleFlag.REPEATED
+                lost += 1
+                self._refuse_lost(lost)
+            elif overload and self._devices.lock_in.relieve(overload):
+                flags |= SampleFlag.RESCALED
+                self._new = True
+            else:
+                return pixels, flags
+
+    def _records(
+        self,
+        step: Step,
+        dwell: Dwell,
+        flags: SampleFlag,
+        where: tuple[float, float],
+        elapsed: float,
+        segment: int,
+    ) -> list[Record]:
+        """Return what one dwell has brought, for each key of its step."""
+        azimuth, elevation = where
         means = dwell.means
         mean = statistics.fmean(means) if means else None
         if mean is not None and mean > self._saturation:
@@ -138,9 +246,6 @@ class Sampler:
         self._count_overloads(flags)
         told: dict[str, float] = getattr(self._devices.laser, "readings", dict)()
         scale = self._devices.lock_in.full_scale()
-        if step.key.kind != DARK and not flags & SampleFlag.NO_LIGHT:
-            # All frequencies share the input.
-            self._sharpen(sum(map(abs, dwell.signals)), flags)
         records = []
         for key in step.keys:
             place = step.frequencies.index(key.frequency)
@@ -152,6 +257,7 @@ class Sampler:
                 readings=dwell.readings,
                 interval=dwell.interval,
                 spread=dwell.spreads[place],
+                edge=None if dwell.edges is None else dwell.edges[place],
                 full_scale=scale,
                 flags=int(flags | _off_frequency(key.frequency, used)),
                 commanded_azimuth=step.azimuth,
@@ -167,17 +273,14 @@ class Sampler:
             records.append(record)
         return records
 
-    def _arrange(self, step: Step) -> tuple[float, float]:
-        devices, settings = self._devices, self._settings
+    def _arrange(self, step: Step) -> None:
+        """Set all but the direction."""
         if step.frequencies != self._frequencies:
             self._set_frequencies(step.frequencies)
         if step.key.polarization != self._polarization:
             self._set_polarization(step.key.polarization)
         self._move_target(step.key.kind)
         self._switch_laser(step.key.kind != DARK)
-        return devices.scanner.move(
-            step.azimuth, step.elevation, timeout=settings.scanner.move_timeout
-        )
 
     def _set_frequencies(self, frequencies: tuple[float, ...]) -> None:
         devices, settings = self._devices, self._settings
@@ -278,11 +381,7 @@ class Sampler:
             if dwell.unlocked:
                 flags |= SampleFlag.REPEATED
                 lost += 1
-                if lost > self._procedure.attempts:
-                    raise InstrumentError(
-                        f"the lock-in has lost its reference in {lost} samples in a "
-                        "row; check the reference and the modulation frequency"
-                    )
+                self._refuse_lost(lost)
             elif tries == 1:
                 # Status bits hold what happened on the way here; look once more.
                 continue
@@ -291,6 +390,13 @@ class Sampler:
                 self._new = True
             else:
                 return dwell, flags | SampleFlag.OVERLOAD
+
+    def _refuse_lost(self, lost: int) -> None:
+        if lost > self._procedure.attempts:
+            raise InstrumentError(
+                f"the lock-in has lost its reference in {lost} samples in a row; check "
+                "the reference and the modulation frequency"
+            )
 
     def _misplaced(self, step: Step, azimuth: float, elevation: float) -> SampleFlag:
         error = max(abs(azimuth - step.azimuth), abs(elevation - step.elevation))
@@ -340,9 +446,16 @@ class Sampler:
             )
 
     def _sharpen(self, amplitude: float, flags: SampleFlag) -> None:
+        self._sharpen_by(flags)
+        self._take_finer_scale(amplitude)
+
+    def _sharpen_by(self, flags: SampleFlag) -> None:
+        """Count samples since the last change of scale."""
+        self._calm = 0 if flags & SampleFlag.RESCALED else self._calm + 1
+
+    def _take_finer_scale(self, amplitude: float) -> None:
         # Only after a calm while: every change of scale costs settling, and some
         # instruments a little phase.
-        self._calm = 0 if flags & SampleFlag.RESCALED else self._calm + 1
         if self._calm >= _CALM and self._devices.lock_in.sharpen(amplitude):
             self._calm = 0
             self._new = True

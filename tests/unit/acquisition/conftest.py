@@ -13,6 +13,7 @@ import xarray as xr
 from amulor import acquisition
 from amulor.acquisition.clock import VirtualClock
 from amulor.acquisition.devices import Devices
+from amulor.acquisition.journal import keeper
 from amulor.acquisition.journal.journal import Journal
 from amulor.acquisition.settings import Settings
 from amulor.survey import Survey
@@ -45,6 +46,12 @@ def folder() -> Iterator[Path]:
     place = tempfile.mkdtemp(dir=memory if memory.is_dir() else None)
     yield Path(place)
     shutil.rmtree(place)
+
+
+@pytest.fixture(autouse=True)
+def each_commit_is_waited_for(monkeypatch) -> None:
+    """On a busy machine commits would go beside the next dwell, and be told later."""
+    monkeypatch.setattr(keeper, "SLOW", float("inf"))
 
 
 class Script:

@@ -60,7 +60,7 @@ class Samples:
         self.commanded_azimuth, self.commanded_elevation = empty(), empty()
         self.modulation_frequency = empty()
         self.launch, self.analyser, self.target = empty(), empty(), empty()
-        self.interval, self.spread = empty(), empty()
+        self.interval, self.spread, self.edge = empty(), empty(), empty()
         self.laser_current, self.laser_temperature = empty(), empty()
         self.flags = np.zeros(shape, dtype=np.int16)
         self.segment = np.zeros(shape, dtype=np.int32)
@@ -89,8 +89,8 @@ class Samples:
         ):  # fmt: skip
             getattr(self, name)[at] = getattr(record, name)
         for name in (
-            "launch", "analyser", "target", "interval", "spread", "laser_current",
-            "laser_temperature",
+            "launch", "analyser", "target", "interval", "spread", "edge",
+            "laser_current", "laser_temperature",
         ):  # fmt: skip
             stands = getattr(record, name)
             getattr(self, name)[at] = np.nan if stands is None else stands
@@ -236,6 +236,10 @@ def counting_variance(samples: Samples, survey: Survey, procedure: Procedure) ->
     # A mean output below that of dark counts is noise about no light at all.
     seen = np.maximum(samples.mean / volt - detector.dark_rate, 0.0)
     rate = np.where(np.isfinite(samples.mean), seen, lower)
+    if procedure.mode == "continuous":
+        # Looked at once or twice in a pixel, which may have seen the other side of an
+        # edge: there was at least the light that was modulated.
+        rate = np.fmax(rate, lower)
     one = reading_variance(
         survey,
         rate=np.nan_to_num(rate),
@@ -251,4 +255,5 @@ def counting_variance(samples: Samples, survey: Survey, procedure: Procedure) ->
         length = np.where(np.isfinite(samples.interval), samples.interval / constant, 1)
         ratio = variance_ratio(samples.readings, spacing=length)
     # What a record tells about its own noise is better than what counting expects.
-    return np.where(np.isfinite(samples.spread), samples.spread**2, one * ratio)
+    noise = np.where(np.isfinite(samples.spread), samples.spread**2, one * ratio)
+    return noise + np.nan_to_num(samples.edge) ** 2

@@ -23,6 +23,8 @@ _HALT = 2.0
 #: Difference of position and goal beyond which the controller is asked for an error,
 #: in the unit of the axis.
 _ASTRAY = 0.01
+#: Part of the longest way of a sweep that is no way at all for another axis.
+_NO_WAY = 1e-2
 #: Difference of place and goal beyond which a mount [deg] and the target [mm] are not
 #: where they are said to be.
 _MOUNT_OFF, _TARGET_OFF = 0.5, 1.0
@@ -149,6 +151,25 @@ class PiController:
             self.raise_error()
         return [result[axis] for axis in axes]
 
+    def velocities(self, axes: Sequence[str]) -> dict[str, float]:
+        """Return the velocity that is set for each axis, in units of it [1/s]."""
+        return self._values("VEL?", axes)
+
+    def set_velocities(self, velocities: Mapping[str, float]) -> None:
+        """Set the velocity of axes, in units of them [1/s]."""
+        words = [f"{axis} {value:.7g}" for axis, value in velocities.items()]
+        self._link.send("VEL " + " ".join(words))
+
+    def set_out(self, goals: Mapping[str, float]) -> None:
+        """Begin to move axes to positions, in the unit of each, and do not wait."""
+        words = [f"{axis} {goal:.7f}" for axis, goal in goals.items()]
+        self._link.send("MOV " + " ".join(words))
+
+    def positions(self, axes: Sequence[str]) -> list[float]:
+        """Return where axes are now, also while they move, in the unit of each."""
+        found = self._values("POS?", axes)
+        return [found[axis] for axis in axes]
+
     def stop(self) -> None:
         """Stop all axes, over a new link if the old one is lost."""
         try:
@@ -244,22 +265,74 @@ class PiScanner(_OnController):
 
     def __init__(self, controller: PiController, settings: ScannerSettings) -> None:
         self._settings = settings
+        #: What is set when nothing sweeps, known once it was swept; whether it is set.
+        self._fast: dict[str, float] = {}
+        self._is_slow = False
+        #: Where the axes stand since the last move, until they are sent elsewhere.
+        self._here: dict[str, float] | None = None
         super().__init__(controller, [settings.azimuth_axis, settings.elevation_axis])
 
     def move(
         self, azimuth: float, elevation: float, *, timeout: float
     ) -> tuple[float, float]:
         """Turn to a direction [rad] within a time [s]; return where it stands [rad]."""
-        own = self._settings
-        zeros = (own.azimuth_zero, own.elevation_zero)
-        goals = {
+        self._restore_velocities()
+        self._here = None
+        across, up = self._controller.move(
+            self._goals(azimuth, elevation), timeout=timeout
+        )
+        self._here = dict(zip(self._axes, (across, up), strict=True))
+        return self._directions(across, up)
+
+    def begin_sweep(self, azimuth: float, elevation: float, *, duration: float) -> None:
+        """Set out for a direction [rad], to be there after a time [s]; do not wait.
+
+        Notes
+        -----
+        Axes that have nothing to do are not moved. Velocities (VEL) are those of the
+        whole way; what was set before is set again with the next move, and at the end.
+        """
+        if not self._fast:
+            self._fast = self._controller.velocities(self._axes)
+        goals = self._goals(azimuth, elevation)
+        here = self._here or dict(
+            zip(self._axes, self._controller.positions(self._axes), strict=True)
+        )
+        self._here = None
+        ways = {axis: abs(goal - here[axis]) for axis, goal in goals.items()}
+        moved = [axis for axis in goals if ways[axis] > _NO_WAY * max(ways.values())]
+        slow = {axis: ways[axis] / duration for axis in moved}
+        for axis, velocity in slow.items():
+            if velocity > self._fast[axis]:
+                raise InstrumentError(
+                    f"axis {axis} would have to move by {velocity:.4g} of its units in "
+                    f"a second, set is a velocity of {self._fast[axis]:.4g}; take a "
+                    "longer dwell, or raise VEL if the stage bears it"
+                )
+        self._is_slow = True
+        self._controller.set_velocities(slow)
+        self._controller.set_out({axis: goals[axis] for axis in moved})
+
+    def where(self) -> tuple[float, float]:
+        """Return where it is now, also while it moves [rad]."""
+        return self._directions(*self._controller.positions(self._axes))
+
+    def _restore_velocities(self) -> None:
+        if self._is_slow:
+            self._controller.set_velocities(self._fast)
+            self._is_slow = False
+
+    def _goals(self, azimuth: float, elevation: float) -> dict[str, float]:
+        return {
             axis: position
             for axis, (position,) in self._positions([azimuth], [elevation]).items()
         }
-        across, up = self._controller.move(goals, timeout=timeout)
+
+    def _directions(self, across: float, up: float) -> tuple[float, float]:
+        own = self._settings
         return (
-            (across - zeros[0]) * own.angle_per_unit,
-            (up - zeros[1]) * own.angle_per_unit,
+            (across - own.azimuth_zero) * own.angle_per_unit,
+            (up - own.elevation_zero) * own.angle_per_unit,
         )
 
     def refuse_beyond_reach(
@@ -288,6 +361,7 @@ class PiScanner(_OnController):
     def make_safe(self) -> None:
         """Stop, and turn to where it is to be left if that is stated."""
         super().make_safe()
+        self._restore_velocities()
         own = self._settings
         if own.park_azimuth is not None and own.park_elevation is not None:
             self.move(own.park_azimuth, own.park_elevation, timeout=own.move_timeout)

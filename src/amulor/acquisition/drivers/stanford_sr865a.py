@@ -97,6 +97,8 @@ class Sr865a(Stanford):
         )
         self._amplitude = modulation_amplitude
         self._rate, self._stride = 0.0, 1
+        #: The next point of a stream.
+        self._next = 0
         #: When the buffer began, at the earliest and the latest, as known at a moment.
         self._began_after, self._began_before, self._noted = -math.inf, math.inf, 0.0
 
@@ -230,6 +232,72 @@ class Sr865a(Stanford):
             unlocked=unlocked,
         )
 
+    def begin_stream(self, duration: float) -> None:
+        """Let the capture buffer run, with room for a time at least [s].
+
+        Notes
+        -----
+        It runs on if there is room in it, else it begins anew; slower, if it takes less
+        than that time as fast as it may.
+        """
+        if self._room() < duration:
+            self._start_capture(duration)
+        if self._room() < duration:
+            raise InstrumentError(
+                f"the buffer of SR865A holds {_CAPACITY / self._rate:.3g} s at this "
+                f"time constant, and {duration:.3g} s are needed at once; take a "
+                "shorter dwell, or a longer time constant"
+            )
+        began = self._began_after - _DRIFT * (self._clock.now() - self._noted)
+        self._next = max(math.ceil((self._clock.now() - began) * self._rate), 0)
+
+    def _room(self) -> float:
+        """Return how long the capture still has room [s]."""
+        if not self._rate:
+            return 0.0
+        return _CAPACITY / self._rate - (self._clock.now() - self._began_after)
+
+    def fetch(self) -> Recorded:
+        """Return what has been captured since the last call.
+
+        Notes
+        -----
+        The time of a point follows from the middle between the earliest and the latest
+        beginning of the buffer that all answers so far allow (see `record`): half of
+        the way there and back is what it may be wrong by.
+        """
+        points: dict[int, complex] = {}
+        overload, unlocked = Overload.NONE, False
+        while True:
+            there = math.floor(
+                (self._clock.now() - self._began_after) * self._rate * (1 + _DRIFT)
+            )
+            wanted = [*range(self._next, there + 1, self._stride)][:_PACKET]
+            try:
+                last = self._points_and_state(wanted, points)
+            except _BufferIsFull:
+                raise InstrumentError(
+                    f"the capture of SR865A at {self._link.address} came to its end "
+                    "while the beam moved; see that nobody else drives it"
+                ) from None
+            overload, unlocked = overload | last.overload, unlocked | last.unlocked
+            got = [number for number in wanted if number in points]
+            if got:
+                self._next = got[-1] + self._stride
+            if len(got) < _PACKET:
+                break
+        numbers = sorted(points)
+        began = (self._began_after + self._began_before) / 2
+        signals = [[math.sqrt(2) * points[number].conjugate()] for number in numbers]
+        return Recorded(
+            times=began + np.array(numbers, dtype=float) / self._rate,
+            signals=np.array(signals, dtype=complex).reshape(len(numbers), 1),
+            mean=last.mean,
+            modulation_frequencies=(self._frequency,),
+            overload=overload,
+            unlocked=unlocked,
+        )
+
     def _wait(self, number: int) -> None:
         """Wait until a question that is sent then most likely finds a point there."""
         moment = self._began_after + (number + 0.6) / self._rate
@@ -276,12 +344,16 @@ class Sr865a(Stanford):
             )
         return there
 
-    def _start_capture(self) -> float:
-        """Let the capture buffer run from its beginning; return its rate [1/s]."""
+    def _start_capture(self, duration: float = 0.0) -> float:
+        """Let the capture buffer run from its beginning; return its rate [1/s].
+
+        As fast as it may, and as leaves room for a time [s].
+        """
         if self._rate:
             self._link.send("CAPTURESTOP")
         fastest = self.number("CAPTURERATEMAX?")
-        divisor = max(math.ceil(math.log2(fastest / _FASTEST)), 0)
+        most = min(_FASTEST, _CAPACITY / max(1.1 * duration, 1e-9))
+        divisor = max(math.ceil(math.log2(fastest / most)), 0)
         lines = ["CAPTURECFG 1", f"CAPTURELEN {_CAPACITY * _POINT // 1024}"]
         self.configure([*lines, f"CAPTURERATE {min(divisor, 20)}", "CAPTURESTART 0,0"])
         self._rate = self.number("CAPTURERATE?")

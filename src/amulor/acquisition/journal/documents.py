@@ -22,7 +22,8 @@ _UNITS = {
     "commanded_azimuth": "rad", "commanded_elevation": "rad", "azimuth": "rad",
     "elevation": "rad", "modulation_frequency": "Hz", "frequency": "Hz",
     "elapsed": "s", "launch": "rad", "analyser": "rad", "target": "m",
-    "interval": "s", "spread": "V", "laser_current": "A", "laser_temperature": "degC",
+    "interval": "s", "spread": "V", "edge": "V", "laser_current": "A",
+    "laser_temperature": "degC",
 }  # fmt: skip
 
 

@@ -47,6 +47,9 @@ class Record:
     spread: float | None = None
     """Standard deviation of either output where the record itself tells it, None
     otherwise [V]."""
+    edge: float | None = None
+    """Standard deviation of either output by edges of the scene that the beam passed
+    inside one interval of a record, None where it stood still [V]."""
     laser_current: float | None = None
     """Current of the laser diode, None where nobody tells it [A]."""
     laser_temperature: float | None = None

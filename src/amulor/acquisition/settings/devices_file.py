@@ -148,6 +148,14 @@ class Procedure(Description):
     readings: Literal["buffer"] | None = None
     """"buffer": the lock-in records its outputs by its own clock and hands them over
     after each dwell (sr865a, zurich, digitiser); one question a reading if left out."""
+    mode: Literal["continuous"] | None = None
+    """"continuous": the beam moves along each row without a stop, by one column in a
+    dwell, and the buffer of the lock-in is divided by where the beam was; it needs
+    output_filter = "known" and readings = "buffer". Left out: it stands still for each
+    sample."""
+    run_up: Annotated[Time, Field(gt=0, le=60)] | None = None
+    """How long before the first pixel of a row the beam is set moving, and how much
+    further than the last one it is sent; 10 ms if left out [s]."""
     frequencies_at_once: Annotated[int, Field(ge=2, le=64)] | None = None
     """How many modulation frequencies are measured in one dwell, by a lock-in with as
     many oscillators and demodulators; one after the other if left out [1]."""
@@ -168,6 +176,22 @@ class Procedure(Description):
     clock_speed: Annotated[float, Field(gt=0, le=1e6)] = 1.0
     """How much faster than real the clock of simulators on the network runs; 1 for
     devices that are real [1]."""
+
+    @model_validator(mode="after")
+    def _continuous_needs_filter_and_buffer(self) -> Self:
+        if self.mode == "continuous" and (
+            self.output_filter != "known" or self.readings != "buffer"
+        ):
+            raise ValueError(
+                'mode = "continuous" takes off what the filter holds of the pixel '
+                'before, from a record without gaps; set output_filter = "known" and '
+                'readings = "buffer" beside it'
+            )
+        if self.run_up is not None and self.mode != "continuous":
+            raise ValueError(
+                'run_up is that of mode = "continuous"; state both, or take it out'
+            )
+        return self
 
 
 class SimulationSettings(Description):

@@ -6,6 +6,7 @@ import cmath
 import importlib
 import math
 import threading
+from collections import deque
 from collections.abc import Mapping, Sequence
 
 import numpy as np
@@ -30,6 +31,8 @@ TARGET_SPEED = 0.2
 LOCK_TIME = 0.05
 #: Frequencies beside the planned ones whose light is kept.
 _MOST_OTHERS = 16
+#: What turns the beam, and how far the target is away when it is out of it [m].
+_BEAM, _OUT = ("azimuth", "elevation"), 0.05
 #: The arrival of what does not move.
 _STANDS = -math.inf
 
@@ -42,8 +45,9 @@ class Bench:
     """Laser, water, target, detector and lock-in filter of a survey, run by a clock.
 
     Simulated devices and device simulators turn its knobs and read its output. A
-    direction between the pixels sees what the nearest pixel or shot sees. Safe to
-    use from several threads.
+    direction between the pixels sees what the nearest pixel or shot sees, also while
+    the beam is on its way: the filter remembers all that it has passed. Safe to use
+    from several threads.
 
     Parameters
     ----------
@@ -94,6 +98,11 @@ class Bench:
         self._goal = dict(self._place)
         self._arrival = dict.fromkeys(self._place, _STANDS)
         self._next_arrival = math.inf
+        # Where and when what moves has set out; when the beam comes to see another
+        # place on its way, and which; the place that it sees while it moves.
+        self._start: dict[str, tuple[float, float]] = {}
+        self._ahead: deque[tuple[float, int]] = deque()
+        self._seen: int | None = None
         self._time = self._begun = clock.now()
         self._spread = 0.0
         self._mean = 0.0
@@ -144,11 +153,16 @@ class Bench:
         with self._lock:
             now = self._arrive()
             stuck = self.faults.active("stuck", self.readings)
+            for name in goals:
+                self._place[name] = self._stands(name, now)
             way = max(abs(goal - self._place[name]) for name, goal in goals.items())
             arrival = math.inf if stuck else now + way / speed
             for name, goal in goals.items():
                 self._goal[name] = goal
+                self._start[name] = (self._place[name], now)
                 self._arrival[name] = arrival
+            if "azimuth" in goals or "elevation" in goals:
+                self._look_ahead(now)
             self._next_arrival = min(self._arrival.values(), key=_or_never)
             self._arrive()
 
@@ -156,9 +170,13 @@ class Bench:
         """Stop all motion where it is."""
         with self._lock:
             self._advance()
+            now = self._time
+            for name in self._place:
+                self._place[name] = self._stands(name, now)
             for name in self._place:
                 self._goal[name] = self._place[name]
                 self._arrival[name] = _STANDS
+            self._ahead.clear()
             self._next_arrival = math.inf
 
     # -- what can be seen ----------------------------------------------------------
@@ -174,10 +192,9 @@ class Bench:
             return self._arrival[name]
 
     def place(self, name: str) -> float:
-        """Return where one thing stands."""
+        """Return where one thing is, also on its way."""
         with self._lock:
-            self._arrive()
-            return self._place[name]
+            return self._stands(name, self._arrive())
 
     def goal(self, name: str) -> float:
         """Return where one thing was sent."""
@@ -240,18 +257,55 @@ class Bench:
     def _arrive(self) -> float:
         """Let things come to where they were sent; return the time [s]."""
         now = self.clock.now()
-        while self._next_arrival <= now:
+        while min(self._next_arrival, self._next_border) <= now:
+            if self._next_border <= self._next_arrival:
+                moment, self._seen = self._ahead.popleft()
+                self._relax(moment)
+                self._renew()
+                continue
             moment = self._next_arrival
             self._relax(moment)
             for name in [*self._arrival]:
                 if self._arrival[name] == moment:
                     self._place[name] = self._goal[name] + self._missed_by(name)
                     self._arrival[name] = _STANDS
+                    if name in ("azimuth", "elevation", "target"):
+                        self._seen = None
             self._next_arrival = min(self._arrival.values(), key=_or_never)
             if self._next_arrival == _STANDS:
                 self._next_arrival = math.inf
             self._renew()
         return now
+
+    @property
+    def _next_border(self) -> float:
+        return self._ahead[0][0] if self._ahead else math.inf
+
+    def _stands(self, name: str, now: float) -> float:
+        """Return where one thing is at a moment of its way."""
+        arrival = self._arrival[name]
+        if not math.isfinite(arrival):
+            return self._place[name]
+        if now >= arrival:
+            return self._goal[name]
+        begin, since = self._start[name]
+        part = max((now - since) / (arrival - since), 0.0)
+        return begin + part * (self._goal[name] - begin)
+
+    def _look_ahead(self, now: float) -> None:
+        """Work out when the moving beam comes to see another place."""
+        self._ahead.clear()
+        arrival = max(self._arrival["azimuth"], self._arrival["elevation"])
+        start = complex(*(self._stands(name, now) for name in _BEAM))
+        end = complex(*(self._goal[name] for name in _BEAM))
+        if not now < arrival < math.inf or start == end:
+            return
+        out = abs(self._place["target"]) > _OUT
+        places = self._tones[0].open_water if out else self._tones[0].scan
+        way = arrival - now
+        self._ahead.extend(
+            (now + part * way, number) for part, number in places.passed(start, end)
+        )
 
     def _missed_by(self, name: str) -> float:
         if name not in ("azimuth", "elevation"):
@@ -285,6 +339,11 @@ class Bench:
             self._trace = []
             self._trace_start = self._time if start is None else start
             self._trace_interval, self._trace_most = interval, most
+
+    @property
+    def trace_start(self) -> float:
+        """When what is kept begins [s]."""
+        return self._trace_start
 
     def trace(self) -> list[list[complex]]:
         """Return what was kept so far: rows of the outputs of every frequency [V]."""
@@ -357,7 +416,7 @@ class Bench:
         rate = 0.0
         lit = self.laser_on and not self._blocked
         if lit:
-            out = abs(self._place["target"]) > 0.05
+            out = abs(self._place["target"]) > _OUT
             pair = self._polarization()
             where = (self._place["azimuth"], self._place["elevation"])
             drift = self._settings.water_drift * (self.clock.now() - self._begun)
@@ -368,7 +427,8 @@ class Bench:
             if not lit:
                 continue
             places = tone.open_water if out else tone.scan
-            light, index = places.light, (tone.channel, pair, places.nearest(*where))
+            seen = places.nearest(*where) if self._seen is None else self._seen
+            light, index = places.light, (tone.channel, pair, seen)
             level = complex(light.target[index] + change * light.water[index])
             phase = self._phase_error(abs(level), tone.frequency)
             tone.input = level * cmath.exp(1j * phase)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 import numpy as np
@@ -131,6 +132,31 @@ class SimulatedLockIn(_Simulated):
             unlocked=last[0].unlocked,
         )
 
+    def begin_stream(self, duration: float) -> None:
+        """Begin to record, for a time at least [s]."""
+        interval = self._constant / 10
+        self.bench.start_trace(interval, most=2 + math.ceil(duration / interval))
+        self._fetched = 0
+
+    def fetch(self) -> Recorded:
+        """Return the outputs of every frequency since the last call."""
+        last, start = self.read_all(), self.bench.trace_start
+        rows = self.bench.trace()[self._fetched :]
+        numbers = self._fetched + np.arange(len(rows))
+        self._fetched += len(rows)
+        overload = last[0].overload
+        signals = np.array(rows).reshape(len(rows), len(last))
+        if np.abs(signals).max(initial=0.0) > self.full_scale():
+            overload |= Overload.OUTPUT
+        return Recorded(
+            times=np.asarray(start + self._constant / 10 * numbers, dtype=float),
+            signals=signals,
+            mean=last[0].mean,
+            modulation_frequencies=tuple(one.modulation_frequency for one in last),
+            overload=overload,
+            unlocked=last[0].unlocked,
+        )
+
     def relieve(self, overload: Overload) -> bool:
         """Take a coarser scale, if there is one."""
         if self._scale == len(FULL_SCALES) - 1:
@@ -164,6 +190,18 @@ class SimulatedScanner(_Simulated):
         goals = {"azimuth": azimuth, "elevation": elevation}
         self.bench.send(goals, speed=SCAN_SPEED)
         wait_for(self.bench, "azimuth", what="the simulated scanner", timeout=timeout)
+        return self.where()
+
+    def begin_sweep(self, azimuth: float, elevation: float, *, duration: float) -> None:
+        """Set out for a direction [rad], to be there after a time [s]."""
+        self.log.append("sweep")
+        away = abs(azimuth - self.bench.place("azimuth"))
+        away = max(away, abs(elevation - self.bench.place("elevation")))
+        goals = {"azimuth": azimuth, "elevation": elevation}
+        self.bench.send(goals, speed=away / duration)
+
+    def where(self) -> tuple[float, float]:
+        """Return where it is now [rad]."""
         return self.bench.place("azimuth"), self.bench.place("elevation")
 
     def make_safe(self) -> None:

@@ -47,6 +47,41 @@ class Places:
             number = self._known[key] = int(np.argmin(away))
         return number
 
+    def passed(self, start: complex, end: complex) -> list[tuple[float, int]]:
+        """Return what is seen along a straight way, after what is seen at its start.
+
+        Parameters
+        ----------
+        start, end : complex
+            Azimuth, and elevation as the imaginary part [rad].
+
+        Returns
+        -------
+        list of (float, int)
+            Part of the way at which the nearest place becomes another one, and the
+            number of that one. Squared distances differ by linear functions of the
+            part, so that the borders are exact.
+        """
+        towards, here = self._direction - start, end - start
+        level = np.abs(towards) ** 2
+        slope = -2 * (towards.real * here.real + towards.imag * here.imag)
+        least = 1e-12 * max(float(np.abs(slope).max(initial=0.0)), 1e-300)
+        part, number = 0.0, int(np.argmin(level))
+        found: list[tuple[float, int]] = []
+        while True:
+            fall = slope[number] - slope
+            nearer = np.flatnonzero(fall > least)
+            if nearer.size == 0:
+                return found
+            when = (level[nearer] - level[number]) / fall[nearer]
+            first = float(when.min())
+            if first >= 1:
+                return found
+            together = nearer[when <= first + 1e-12]
+            part = max(part, first)
+            number = int(together[np.argmin(slope[together])])
+            found.append((part, number))
+
 
 def mount_angles(
     survey: Survey, launch: Mapping[str, float], analyser: Mapping[str, float]

@@ -1,0 +1,364 @@
+"""A row of a scan without stops: the lock-in records while the beam moves at a rate."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from typing import cast
+
+import numpy as np
+from numpy.typing import NDArray
+
+from amulor.acquisition.clock import Clock, Deadline
+from amulor.acquisition.dwell import Dwell, refuse_lacking
+from amulor.acquisition.plan import Step
+from amulor.acquisition.protocols import (
+    LockIn,
+    Overload,
+    Recorded,
+    Scanner,
+    StreamingLockIn,
+    SweepingScanner,
+)
+from amulor.acquisition.settings import Procedure
+from amulor.acquisition.uncertainty import edge_error, filtered_input
+from amulor.errors import InstrumentError, SurveyError
+from amulor.survey import Survey
+
+Floats = NDArray[np.float64]
+
+#: Way before the first pixel and after the last one, as a time, if none is stated [s].
+RUN_UP = 10e-3
+#: Fewest looks at the scanner that a row has, and that its motion is known by.
+_LOOKS, _KNOWN_BY = 8, 3
+#: How much the rate of the beam may differ from the one that was asked for [1].
+_RATE = 0.2
+#: Part of a dwell that is waited before it is asked once more for the last points.
+_AGAIN = 0.05
+
+
+@dataclass(frozen=True, kw_only=True)
+class Swept:
+    """What one pixel of a row has brought."""
+
+    dwell: Dwell
+    """Signals, mean output and state."""
+    azimuth: float
+    """Mean direction of the beam over the dwell [rad]."""
+    elevation: float
+    """The same, upwards [rad]."""
+    begin: float
+    """When its dwell began, by the clock of the scan [s]."""
+    off: float
+    """Largest distance of a look at the scanner from a steady motion, among those of
+    this pixel and the next ones to it [rad]."""
+
+
+@dataclass
+class _Row:
+    """What was recorded along a row."""
+
+    times: list[Floats] = field(default_factory=list)
+    signals: list[NDArray[np.complex128]] = field(default_factory=list)
+    asked: list[float] = field(default_factory=list)
+    """When the lock-in was asked [s]."""
+    states: list[Recorded] = field(default_factory=list)
+    looked: list[float] = field(default_factory=list)
+    """When the scanner was looked at [s]."""
+    azimuth: list[float] = field(default_factory=list)
+    elevation: list[float] = field(default_factory=list)
+
+    def last_point(self) -> float:
+        """Return when the newest point was taken [s]."""
+        return max((float(part[-1]) for part in self.times if part.size), default=-1e99)
+
+
+@dataclass(frozen=True)
+class _Motion:
+    """A steady motion, fitted to looks at the scanner."""
+
+    begin: float
+    rate: float
+    off: Floats
+    """Distance of each look from it, rising in time [rad]."""
+
+    def at(self, time: float) -> float:
+        return self.begin + self.rate * time
+
+    def when(self, azimuth: float) -> float:
+        return (azimuth - self.begin) / self.rate
+
+
+def pitch_of(survey: Survey) -> float:
+    """Return the angle between two columns of a scan, which must have some.
+
+    Parameters
+    ----------
+    survey : Survey
+        Its scan counts.
+
+    Returns
+    -------
+    float
+        Above zero [rad].
+
+    Raises
+    ------
+    SurveyError
+        If there is one column, or no angle between them.
+    """
+    scan = survey.scan
+    if scan.columns < 2 or scan.azimuth_span == 0:
+        raise SurveyError(
+            f"scan.columns = {scan.columns} and scan.azimuth_span = "
+            f"{scan.azimuth_span:g} rad leave no way to move along a row; plan more "
+            'columns, or take procedure.mode = "continuous" out of the devices file'
+        )
+    return scan.azimuth_span / (scan.columns - 1)
+
+
+class SweepReader:
+    r"""Reads rows while the beam moves along them.
+
+    Parameters
+    ----------
+    survey : Survey
+        Pixels, dwell and time constant.
+    procedure : Procedure
+        Run-up, and how long may be waited.
+    lock_in : LockIn
+        Must stream what it records.
+    scanner : Scanner
+        Must move at a rate that is asked for, and say where it is.
+    clock : Clock
+        What waits go by.
+
+    Notes
+    -----
+    The beam moves by one column in one dwell, so that a sample is the mean over its
+    pixel. The lock-in records without a gap; points of the record are told apart by
+    where the beam was, known by a straight line through looks at the scanner in the
+    middle of each question, and a sample has the direction of the middle of its points,
+    as many for each. What the filter held when a pixel began is known from the
+    point on its edge and taken off (`amulor.acquisition.uncertainty.filtered_input`):
+    no light of one pixel stays in the next one, and noise of neighbours is independent.
+    What an edge of the scene inside one interval is wrong by is told as an error of its
+    own (`amulor.acquisition.uncertainty.edge_error`).
+    """
+
+    def __init__(
+        self,
+        survey: Survey,
+        procedure: Procedure,
+        lock_in: LockIn,
+        scanner: Scanner,
+        clock: Clock,
+    ) -> None:
+        setting = 'procedure.mode = "continuous"'
+        refuse_lacking(lock_in, setting, "begin_stream", "fetch")
+        refuse_lacking(scanner, setting, "begin_sweep", "where")
+        self._lock_in = cast(StreamingLockIn, lock_in)
+        self._scanner = cast(SweepingScanner, scanner)
+        self._clock = clock
+        self._constant = survey.instrument.lock_in.time_constant
+        self._dwell = survey.scan.dwell
+        self._pitch = pitch_of(survey)
+        self._run_up = RUN_UP if procedure.run_up is None else procedure.run_up
+
+    def start_of(self, steps: Sequence[Step]) -> float:
+        """Return the azimuth that a row is begun at, before its first pixel [rad]."""
+        return self._ends(steps)[0]
+
+    def take(
+        self, steps: Sequence[Step], *, timeout: float, watch: Callable[[], None]
+    ) -> list[Swept]:
+        """Move along pixels that are neighbours, and return what they have brought.
+
+        Parameters
+        ----------
+        steps : sequence of Step
+            Of one row, in the order in which they are passed; the beam is at
+            `start_of` them.
+        timeout : float
+            How much longer than planned the scanner may take [s].
+        watch : callable
+            Called at every look; what it raises ends the row.
+
+        Returns
+        -------
+        list of Swept
+            In the order of the steps.
+
+        Raises
+        ------
+        InstrumentError
+            If the beam does not come along the row as it was asked to.
+        """
+        start, end = self._ends(steps)
+        duration = len(steps) * self._dwell + 2 * self._run_up
+        self._lock_in.begin_stream(duration + timeout)
+        self._lock_in.fetch()  # status bits hold what happened on the way here
+        row = _Row()
+        self._scanner.begin_sweep(end, steps[0].elevation, duration=duration)
+        begun = self._clock.now()
+        limit = Deadline(self._clock, duration + timeout)
+        gap = min(self._dwell, duration / _LOOKS)
+        last_edge = end - math.copysign(self._run_up / self._dwell, end - start) * (
+            self._pitch
+        )
+        planned = begun + self._run_up
+        while True:
+            self._look(row)
+            watch()
+            motion = self._motion(row, steps)
+            if motion is not None and row.last_point() >= motion.when(last_edge):
+                return self._pixels(row, steps, motion)
+            if limit.passed():
+                raise InstrumentError(
+                    f"the scanner has not come along row {steps[0].key.row} within "
+                    f"{duration + timeout:g} s; see what holds it"
+                )
+            now = self._clock.now()
+            if motion is not None:
+                planned = motion.when(last_edge) - len(steps) * self._dwell
+            done = planned + len(steps) * self._dwell
+            passed = max(now - planned, -gap) / gap
+            following = planned + gap * (math.floor(passed + 1e-6) + 1)
+            again = now + _AGAIN * self._dwell
+            self._clock.sleep((again if now >= done else min(following, done)) - now)
+
+    def _ends(self, steps: Sequence[Step]) -> tuple[float, float]:
+        first, last = steps[0].azimuth, steps[-1].azimuth
+        way = math.copysign(
+            self._pitch * (0.5 + self._run_up / self._dwell), last - first
+        )
+        return first - way, last + way
+
+    def _look(self, row: _Row) -> None:
+        """Ask lock-in and scanner for what is new."""
+        before = self._clock.now()
+        found = self._lock_in.fetch()
+        between = self._clock.now()
+        azimuth, elevation = self._scanner.where()
+        row.asked.append((before + between) / 2)
+        row.states.append(found)
+        row.times.append(found.times)
+        row.signals.append(found.signals)
+        row.looked.append((between + self._clock.now()) / 2)
+        row.azimuth.append(azimuth)
+        row.elevation.append(elevation)
+
+    def _motion(self, row: _Row, steps: Sequence[Step]) -> _Motion | None:
+        """Return the steady motion along the pixels, once it is known."""
+        first, last = sorted((steps[0].azimuth, steps[-1].azimuth))
+        azimuth = np.array(row.azimuth)
+        near = 0.5 * self._pitch * (1 + min(self._run_up / self._dwell, 1.0))
+        among = (azimuth > first - near) & (azimuth < last + near)
+        if among.sum() < _KNOWN_BY:
+            return None
+        looked = np.array(row.looked)
+        rate, begin = np.polyfit(looked[among] - looked[0], azimuth[among], 1)
+        begin -= rate * looked[0]
+        asked = math.copysign(
+            self._pitch / self._dwell, self._ends(steps)[1] - self._ends(steps)[0]
+        )
+        if not abs(rate - asked) <= _RATE * abs(asked):
+            raise InstrumentError(
+                f"the scanner moves by {rate:.4g} rad/s along row {steps[0].key.row} "
+                f"and was asked for {asked:.4g}; take a longer dwell, or a longer "
+                "procedure.run_up"
+            )
+        off = np.where(among, np.abs(azimuth - begin - rate * looked), 0.0)
+        return _Motion(float(begin), float(rate), off)
+
+    def _pixels(self, row: _Row, steps: Sequence[Step], motion: _Motion) -> list[Swept]:
+        signals = np.concatenate(row.signals)
+        times, interval = self._even(np.concatenate(row.times))
+        elevation = float(np.mean(row.elevation))
+        forwards = math.copysign(0.5 * self._pitch, motion.rate)
+        # As many of each, so that all pixels are equally wide.
+        count = max(round(abs(self._pitch / motion.rate) / interval), 1)
+        result = []
+        for step in steps:
+            edge = motion.when(step.azimuth - forwards) - times[0]
+            first = round(edge / interval)
+            if first < 0 or first + count >= times.size:
+                raise InstrumentError(
+                    f"the record does not reach over column {step.key.column} of row "
+                    f"{step.key.row}: the scanner was there before the lock-in; take a "
+                    "longer procedure.run_up"
+                )
+            part = slice(first, first + count + 1)
+            begin, end = float(times[part][0]), float(times[part][-1])
+            dwell = self._dwell_of(row, times[part], signals[part], interval)
+            near = np.abs(np.array(row.looked) - (begin + end) / 2) <= self._dwell
+            result.append(
+                Swept(
+                    dwell=dwell,
+                    azimuth=motion.at((begin + end) / 2),
+                    elevation=elevation,
+                    begin=begin,
+                    off=float(np.max(motion.off[near], initial=0.0)),
+                )
+            )
+        return result
+
+    def _even(self, times: Floats) -> tuple[Floats, float]:
+        """Return evenly spaced moments, and their spacing, by all questions [s].
+
+        Spacing is known by the instrument, where they begin as well as by a question.
+        """
+        interval = float(np.median(np.diff(times)))
+        even = interval * np.arange(times.size)
+        start = float(np.median(times - even))
+        if np.abs(times - start - even).max() > self._dwell / 4:
+            raise InstrumentError(
+                "the lock-in has not recorded without a gap while the beam moved; take "
+                'procedure.mode = "continuous" out of the devices file'
+            )
+        return np.asarray(start + even, dtype=float), interval
+
+    def _dwell_of(
+        self,
+        row: _Row,
+        times: Floats,
+        signals: NDArray[np.complex128],
+        interval: float,
+    ) -> Dwell:
+        begin, end = times[0], times[-1]
+        overload, unlocked = Overload.NONE, False
+        means = []
+        # Looks stand on the borders of pixels, about: those of both count.
+        before, near = -math.inf, 0.3 * self._dwell
+        for asked, state in zip(row.asked, row.states, strict=True):
+            # Status bits tell what was between two questions.
+            if before <= end and asked >= begin:
+                overload, unlocked = (
+                    overload | state.overload,
+                    unlocked | state.unlocked,
+                )
+            if begin - near <= asked <= end + near:
+                means.append(state.mean)
+            before = asked
+        if not means:
+            every = [state.mean for state in row.states]
+            means = [float(np.interp((begin + end) / 2, row.asked, every))]
+        count = len(row.states[-1].modulation_frequencies)
+        return Dwell(
+            signals=[
+                filtered_input(column, times, time_constant=self._constant)
+                for column in signals.T
+            ],
+            modulation_frequencies=[*row.states[-1].modulation_frequencies],
+            means=[mean for mean in means if not math.isnan(mean)],
+            readings=times.size - 1,
+            interval=interval,
+            spreads=[None] * count,
+            overload=overload,
+            unlocked=unlocked,
+            edges=[
+                edge_error(column, times, time_constant=self._constant)
+                for column in signals.T
+            ],
+        )
