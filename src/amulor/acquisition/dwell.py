@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from typing import Any, cast
 
 import numpy as np
@@ -21,6 +21,7 @@ from amulor.acquisition.protocols import (
     Reading,
 )
 from amulor.acquisition.settings import Procedure
+from amulor.acquisition.settling import Settling, refuse_for_records
 from amulor.acquisition.uncertainty import filtered_input, intervals_of, readings_of
 from amulor.errors import InstrumentError
 from amulor.survey import Survey
@@ -46,6 +47,8 @@ class Dwell:
     """What has overloaded."""
     unlocked: bool
     """Whether the reference was lost."""
+    settled: bool = True
+    """Whether what was judged to be settled came to be so."""
     edges: list[float] | None = None
     """Standard deviation of either output by edges inside an interval, for each
     frequency, if the beam has moved [V]."""
@@ -100,6 +103,11 @@ class DwellReader:
         else:
             self._number = readings_of(survey, settling=procedure.settling)
             self._spacing = self._constant
+        self._judge: Settling | None = None
+        if procedure.settled_by == "samples":
+            refuse_for_records(self._records, lock_in.identity())
+            self._judge = Settling(survey, procedure, self._asked, clock)
+        self._several = False
         if self._buffer:
             refuse_lacking(lock_in, 'procedure.readings = "buffer"', "record")
 
@@ -120,20 +128,28 @@ class DwellReader:
         """
         if self._records:
             return self._recorded()
-        if changed or not self._known:
+        self._several, settled = several, True
+        if self._judge is not None and not self._known:
+            settled = self._judge.wait(changed=changed)
+        elif changed or not self._known:
             self._clock.sleep(self._settling * self._constant)
-        return self._recorded() if self._buffer else self._read(several=several)
+        dwell = self._recorded() if self._buffer else self._read(waited=settled)
+        return dwell if settled else replace(dwell, settled=False)
 
-    def _read(self, *, several: bool) -> Dwell:
-        ask: Callable[[], list[Reading]]
-        ask = cast(CombLockIn, self._lock_in).read_all if several else self._one
+    def _asked(self) -> list[Reading]:
+        if self._several:
+            return cast(CombLockIn, self._lock_in).read_all()
+        return [self._lock_in.read()]
+
+    def _read(self, *, waited: bool) -> Dwell:
+        """Return a dwell by questions; noise is learnt where it was waited for."""
         readings: list[list[Reading]] = []
         moments: list[float] = []
         for place in range(self._number):
             if place:
                 self._clock.sleep(self._spacing)
             asked = self._clock.now()
-            readings.append(ask())
+            readings.append(self._asked())
             moments.append((asked + self._clock.now()) / 2)
         overload, unlocked = Overload.NONE, False
         for reading in itertools.chain.from_iterable(readings):
@@ -143,21 +159,24 @@ class DwellReader:
             [reading.signal for reading in column]
             for column in zip(*readings, strict=True)
         ]
-        signals = [self._signal(column, moments) for column in columns]
         means = [row[0].mean for row in readings if not math.isnan(row[0].mean)]
+        signals, left_out, settled = self._signals(columns, moments, means)
+        if self._judge is not None and not self._known and waited:
+            for column in columns:
+                self._judge.learn(
+                    column, sum(means) / len(means) if means else math.nan
+                )
         return Dwell(
             signals=signals,
+            settled=settled,
             modulation_frequencies=[one.modulation_frequency for one in readings[-1]],
             means=means,
-            readings=self._number - self._known,
-            interval=None,
+            readings=self._number - self._known - left_out,
+            interval=self._spacing if left_out else None,
             spreads=[None] * len(signals),
             overload=overload,
             unlocked=unlocked,
         )
-
-    def _one(self) -> list[Reading]:
-        return [self._lock_in.read()]
 
     def _recorded(self) -> Dwell:
         lock_in = cast(BufferedLockIn, self._lock_in)
@@ -165,19 +184,46 @@ class DwellReader:
         if not (self._known or self._records):
             duration = (self._number - 1) * self._constant
         found = lock_in.record(duration)
-        signals = [self._signal(column, found.times) for column in found.signals.T]
-        count = len(found.times) - self._known
+        means = [] if math.isnan(found.mean) else [found.mean]
+        signals, left_out, settled = self._signals(
+            [*found.signals.T], found.times, means
+        )
+        count = len(found.times) - self._known - left_out
         length = float(found.times[-1] - found.times[0])
         return Dwell(
             signals=signals,
+            settled=settled,
             modulation_frequencies=[*found.modulation_frequencies],
-            means=[] if math.isnan(found.mean) else [found.mean],
+            means=means,
             readings=count,
             interval=length / (len(found.times) - 1) if len(found.times) > 1 else None,
             spreads=[*(found.spreads or [None] * len(signals))],
             overload=found.overload,
             unlocked=found.unlocked,
         )
+
+    def _signals(
+        self,
+        columns: Sequence[Sequence[complex] | Any],
+        times: ArrayLike,
+        means: Sequence[float],
+    ) -> tuple[list[complex], int, bool]:
+        """Return signals, what is left out at the start, whether the rest agrees."""
+        mean = sum(means) / len(means) if means else math.nan
+        left_out, settled = 0, True
+        if self._judge is not None and self._known and len(columns[0]) > 2:
+            moments = np.asarray(times, dtype=float)
+            spacing = float(moments[-1] - moments[0]) / (moments.size - 1)
+            for column in columns:
+                kept = np.exp(-np.diff(moments) / self._constant)
+                output = np.asarray(column, dtype=complex)
+                entered = (output[1:] - kept * output[:-1]) / (1 - kept)
+                wrong = self._judge.unsettled_parts(entered, mean, spacing)
+                settled = settled and wrong is not None
+                left_out = max(left_out, wrong or 0)
+        moments = np.asarray(times, dtype=float)[left_out:]
+        signals = [self._signal(column[left_out:], moments) for column in columns]
+        return signals, left_out, settled
 
     def _signal(self, outputs: Sequence[complex] | Any, times: ArrayLike) -> complex:
         """Return what entered the filter, or the mean of what came out of it."""

@@ -44,11 +44,18 @@ class SampleFlag(enum.IntFlag):
     NO_LIGHT = 64
     """The laser was to be on, and the mean output of the detector was that of the
     dark readings."""
+    UNSETTLED = 128
+    """Readings still differed by more than their noise when they were taken."""
 
 
 #: A sample with one of these can be taken again on request. Of the others, two were
 #: taken again at once and are good, and a frequency would come out as it did before.
-SPOILED = SampleFlag.OVERLOAD | SampleFlag.OFF_POSITION | SampleFlag.NO_LIGHT
+SPOILED = (
+    SampleFlag.OVERLOAD
+    | SampleFlag.OFF_POSITION
+    | SampleFlag.NO_LIGHT
+    | SampleFlag.UNSETTLED
+)
 
 #: Largest relative difference of commanded and read-back frequency; the oscillator of
 #: an SR844 has three digits, its counter has more.
@@ -140,6 +147,8 @@ class Sampler:
         if step.key.kind != DARK:
             self._refuse_open_interlock()
         flags |= self._misplaced(step, azimuth, elevation)
+        if not dwell.settled:
+            flags |= SampleFlag.UNSETTLED
         taken = self._records(
             step, dwell, flags, (azimuth, elevation), elapsed, segment
         )

@@ -140,6 +140,12 @@ class Procedure(Description):
 
     settling: Annotated[float, Field(ge=3, le=50)] = 5.0
     """Wait after each change, in time constants of the lock-in [1]."""
+    settled_by: Literal["samples"] | None = None
+    """"samples": after a move it is waited until successive readings agree within their
+    noise, at least for two time constants and at most for four times `settling`; what
+    does not settle by then is flagged. With output_filter = "known" the first parts of
+    a dwell that do not agree with the rest are left out. If left out, `settling` is
+    taken for granted."""
     output_filter: Literal["known"] | None = None
     """"known": the lock-in's filter is a single pole of the survey's time constant, and
     what it still holds of the last direction is taken off: nothing is waited for after
@@ -186,6 +192,10 @@ class Procedure(Description):
                 'mode = "continuous" takes off what the filter holds of the pixel '
                 'before, from a record without gaps; set output_filter = "known" and '
                 'readings = "buffer" beside it'
+            )
+        if self.mode == "continuous" and self.settled_by is not None:
+            raise ValueError(
+                'with mode = "continuous" nothing settles; take settled_by out'
             )
         if self.run_up is not None and self.mode != "continuous":
             raise ValueError(
