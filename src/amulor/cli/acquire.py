@@ -106,7 +106,9 @@ def acquire(
         "unsafe": outcome.unsafe,
     }
     if outcome.finished:
-        path = acquisition.recover(output, calibration=known, overwrite=replace)
+        path = acquisition.recover(
+            output, calibration=known, overwrite=replace, told=_told
+        )
         found["cube"] = str(path)
     if json:
         print_json(found)
@@ -179,10 +181,14 @@ def recover(
     if calibration is not None:
         known = acquisition.Calibration.from_toml(calibration)
     path = acquisition.recover(
-        folder, output=output, calibration=known, overwrite=overwrite
+        folder, output=output, calibration=known, overwrite=overwrite, told=_told
     )
     missing = int(io.read_cube(path)["in_phase"].isnull().sum())
     print(f"{path}: {missing} samples missing")
+
+
+def _told(line: str) -> None:
+    print(f"amulor: {line}", file=sys.stderr)
 
 
 class _Interrupts:

@@ -254,6 +254,18 @@ WAYS = [
     ("mirrors on outputs", "mirrors", {"position_tolerance": 1e-3}, ()),
     ("a pan-tilt head", "head", {"position_tolerance": 1e-3}, ()),
     ("events of a plan of bluesky", "plan", {}, ("unlock@9x2", "overload@15")),
+    (
+        "rows without stops",
+        "embedded",
+        {"output_filter": "known", "readings": "buffer", "mode": "continuous"},
+        ("unlock@9x2", "overload@40"),
+    ),
+    (
+        "rows without stops by an SR865A, and stages",
+        "sr865a",
+        {"output_filter": "known", "readings": "buffer", "mode": "continuous"},
+        (),
+    ),
     ("commits beside the next dwell", "beside", {}, ("unlock@9x2", "overload@15")),
 ]
 

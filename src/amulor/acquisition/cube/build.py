@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +21,7 @@ from amulor.acquisition.cube.samples import (
     correct,
     counting_variance,
     dark_output,
+    entry,
     procedure_of,
     read_back_frequencies,
 )
@@ -51,6 +52,7 @@ def recover(
     output: Path | None = None,
     calibration: Calibration | None = None,
     overwrite: bool = False,
+    told: Callable[[str], None] = lambda line: None,
 ) -> Path:
     """Make the cube of a scan from its journal, finished or not.
 
@@ -64,6 +66,9 @@ def recover(
         Delays of the instrument, which are taken off the phases.
     overwrite : bool
         Whether an existing file is replaced.
+    told : callable
+        Told in a line about each row of the journal that is damaged and left out, and
+        about a journal of an older amulor, whose rows have no checksums.
 
     Returns
     -------
@@ -81,6 +86,13 @@ def recover(
     path = folder / CUBE_NAME if output is None else output
     with Journal.read(folder) as journal:
         cube = build(journal, calibration=calibration)
+        for line in journal.damage():
+            told(f"{folder}: {line}")
+        if not journal.has_checksums:
+            told(
+                f"{folder}: the journal, or a part of it, is of an older amulor and "
+                "has no checksums; only what no sample can be was looked for"
+            )
     write_cube(cube, path, overwrite=overwrite)
     result = read_cube(path)
     for name, variable in cube.variables.items():
@@ -130,7 +142,9 @@ def build(journal: Journal, *, calibration: Calibration | None = None) -> xr.Dat
     asked for is in the survey.
     """
     meta = journal.meta()
-    survey = Survey.from_text(meta["survey"], name="the survey of the journal")
+    survey = Survey.from_text(
+        entry(journal, "survey"), name="the survey of the journal"
+    )
     scan = Samples(survey, survey.scan.rows, survey.scan.columns)
     scan.fill(journal, plan.SCAN)
     if not np.isfinite(scan.signal).any():
@@ -344,21 +358,22 @@ def _attributes(
     dark: tuple[NDArray[np.complex128], Floats],
     calibration: Calibration | None,
 ) -> dict[str, Any]:
-    identities = json.loads(meta["identities"])
+    identities = _identities(journal)
     parts = journal.segments()
     return cubes.attributes(
         "samples",
         title=survey.name,
-        source=f"acquisition by amulor with {identities['lock_in']}",
+        source=f"acquisition by amulor with {identities.get('lock_in', 'unknown')}",
         simulated=np.int32(is_simulated(identities)),
         survey=meta["survey"],
-        devices=meta["devices"],
-        identities=meta["identities"],
+        devices=entry(journal, "devices"),
+        identities=json.dumps(identities),
         segments=json.dumps(parts),
         time_coverage_start=parts[0]["started"] if parts else None,
         time_coverage_end=_last_end(parts),
         input_digests=(
-            f"survey {meta['survey_digest']} instrument {meta['instrument_digest']}"
+            f"survey {entry(journal, 'survey_digest')} "
+            f"instrument {entry(journal, 'instrument_digest')}"
         ),
         calibration=None if calibration is None else calibration.to_toml(),
         dark_in_phase=dark[0].real.ravel(),
@@ -366,6 +381,18 @@ def _attributes(
         modulation_depth=survey.instrument.modulation_depth,
         photon_noise_volt=photon_noise_volt(survey),
     )
+
+
+def _identities(journal: Journal) -> dict[str, str]:
+    text = entry(journal, "identities")
+    try:
+        found = json.loads(text)
+        return {str(name): str(what) for name, what in found.items()}
+    except (ValueError, AttributeError) as error:
+        raise FormatError(
+            f"the identities of the devices in the journal of {journal.folder} are "
+            "damaged; take a copy of the folder before anything else"
+        ) from error
 
 
 def _last_end(parts: list[dict[str, Any]]) -> str | None:

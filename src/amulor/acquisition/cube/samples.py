@@ -6,6 +6,7 @@ import tomllib
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import ValidationError
 
 from amulor.acquisition import plan
 from amulor.acquisition.cube.calibration import Calibration, phase_correction
@@ -19,6 +20,7 @@ from amulor.acquisition.uncertainty import (
     reading_variance,
     variance_ratio,
 )
+from amulor.errors import FormatError
 from amulor.survey import Survey
 
 Floats = NDArray[np.float64]
@@ -65,6 +67,7 @@ class Samples:
         self.flags = np.zeros(shape, dtype=np.int16)
         self.segment = np.zeros(shape, dtype=np.int32)
         self.takes = np.zeros(shape, dtype=np.int32)
+        self._newest = np.full(shape, -1, dtype=np.int64)
 
     def fill(self, journal: Journal, kind: str) -> None:
         """Take over all samples of one kind, each at its row and column."""
@@ -72,13 +75,17 @@ class Samples:
             self.put(key, record, key.row, key.column)
 
     def put(self, key: Key, record: Record, first: int, second: int) -> None:
-        """Take over one sample; a later take of the same place replaces it."""
+        """Take over one sample; a later take of the same place stands."""
         at = (
             self._frequency[key.frequency],
             self._pair[key.polarization],
             first,
             second,
         )
+        self.takes[at] += 1
+        if key.repeat < self._newest[at]:
+            return
+        self._newest[at] = key.repeat
         self.signal[at] = complex(record.in_phase, record.quadrature)
         self.raw_amplitude[at] = abs(self.signal[at])
         self.mean[at] = np.nan if record.mean is None else record.mean
@@ -94,7 +101,6 @@ class Samples:
         ):  # fmt: skip
             stands = getattr(record, name)
             getattr(self, name)[at] = np.nan if stands is None else stands
-        self.takes[at] += 1
 
 
 def read_back_frequencies(samples: Samples, survey: Survey) -> Floats:
@@ -124,9 +130,44 @@ def read_back_frequencies(samples: Samples, survey: Survey) -> Floats:
 
 def procedure_of(journal: Journal) -> Procedure:
     """Return how the samples of a journal were taken."""
-    content = tomllib.loads(journal.meta()["devices"]).get("procedure", {})
-    # Not the whole file: devices of other packages need not be there any more.
-    return Procedure.model_validate(content, context={"from_text": True})
+    try:
+        content = tomllib.loads(entry(journal, "devices")).get("procedure", {})
+        # Not the whole file: devices of other packages need not be there any more.
+        return Procedure.model_validate(content, context={"from_text": True})
+    except (tomllib.TOMLDecodeError, ValidationError) as error:
+        raise FormatError(
+            f"the devices in the journal of {journal.folder} are damaged "
+            f"({str(error).splitlines()[0]}); see devices.toml in that folder"
+        ) from error
+
+
+def entry(journal: Journal, name: str) -> str:
+    """Return an entry of what a journal says about its scan.
+
+    Parameters
+    ----------
+    journal : Journal
+        Of a scan.
+    name : str
+        Of the entry.
+
+    Returns
+    -------
+    str
+        Its text.
+
+    Raises
+    ------
+    FormatError
+        If it is not there.
+    """
+    entries = journal.meta()
+    if name not in entries:
+        raise FormatError(
+            f"the journal of {journal.folder} says nothing about {name}; it is "
+            "damaged, take a copy of the folder before anything else"
+        )
+    return entries[name]
 
 
 def dark_output(
@@ -148,7 +189,15 @@ def dark_output(
     variance : ndarray
         Of that mean, of the same shape [V^2].
     """
-    number = 1 + max((key.repeat for key, _ in journal.samples(plan.DARK)), default=-1)
+    taken = [*journal.samples(plan.DARK)]
+    # By how many there are, not by their numbers: those of a short scan can be high.
+    numbers: dict[tuple[float, str], int] = {}
+    places = []
+    for key, _ in taken:
+        channel = key.frequency, key.polarization
+        places.append(numbers.setdefault(channel, 0))
+        numbers[channel] += 1
+    number = max(numbers.values(), default=0)
     channels = (
         len(survey.instrument.modulation_frequencies),
         len(survey.instrument.polarizations),
@@ -156,9 +205,9 @@ def dark_output(
     if number == 0:
         return np.zeros(channels, dtype=complex), np.zeros(channels)
     samples = Samples(survey, 1, number)
-    for key, record in journal.samples(plan.DARK):
+    for (key, record), place in zip(taken, places, strict=True):
         if not record.flags & SampleFlag.OVERLOAD:
-            samples.put(key, record, 0, key.repeat)
+            samples.put(key, record, 0, place)
     there = np.isfinite(samples.signal).sum(axis=(2, 3))
     some = np.maximum(there, 1)
     mean = np.nansum(samples.signal, axis=(2, 3)) / some

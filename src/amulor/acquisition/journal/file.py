@@ -127,10 +127,16 @@ def writer(path: Path) -> sqlite3.Connection:
                     "a reader would block the writer here; take a disk of this computer"
                 )
             connection.execute("PRAGMA synchronous = FULL")
+            connection.text_factory = text_of
         except BaseException:
             connection.close()
             raise
         return connection
+
+
+def text_of(content: bytes) -> str:
+    """Return a text of a journal; what is damaged in it becomes a mark that shows."""
+    return content.decode("utf-8", "replace")
 
 
 def reader(path: Path) -> sqlite3.Connection:
@@ -153,6 +159,7 @@ def reader(path: Path) -> sqlite3.Connection:
     """
     with explained(path):
         connection = sqlite3.connect(path, isolation_level=None, timeout=_PATIENCE)
+        connection.text_factory = text_of
         connection.execute("PRAGMA query_only = ON")
         return connection
 

@@ -10,12 +10,14 @@ from pathlib import Path
 from typing import Any
 
 from amulor.acquisition.journal import file as journal_file
+from amulor.acquisition.journal.checks import CHECKSUM
+from amulor.acquisition.journal.description import UNCHECKED, checked, with_checksums
 from amulor.acquisition.journal.file import FILE_NAME, explained
 from amulor.acquisition.journal.record import Record
+from amulor.acquisition.journal.rows import Rows, columns_of
 from amulor.acquisition.journal.schema import (
     INSERT,
     KEY_NAMES,
-    RECORD_FIELDS,
     SCHEMA_VERSION,
     SINCE_LATER,
     TABLES,
@@ -41,6 +43,9 @@ class Journal:
         self.folder = folder
         self._connection = connection
         self._claim = claim
+        self._rows = Rows(connection, self._damaged)
+        #: Lines about what is damaged, in the order in which it was found.
+        self._damage: dict[str, None] = {}
 
     @staticmethod
     def claim(folder: Path) -> sqlite3.Connection:
@@ -113,7 +118,9 @@ class Journal:
         path = folder / FILE_NAME
         try:
             journal_file.make(
-                path, tables=TABLES, meta={"journal_schema": SCHEMA_VERSION, **meta}
+                path,
+                tables=TABLES,
+                meta=with_checksums({"journal_schema": SCHEMA_VERSION, **meta}),
             )
             return cls(folder, journal_file.writer(path), claim)
         except BaseException:
@@ -157,6 +164,7 @@ class Journal:
             raise
         try:
             journal.refuse_another(meta)
+            journal._refuse_damaged()
             journal._add_columns()
         except BaseException:
             journal.close()
@@ -213,18 +221,57 @@ class Journal:
             self._claim = None
 
     def meta(self) -> dict[str, str]:
-        """Return what the scan is of."""
+        """Return what the scan is of, as it was written when it was begun.
+
+        Raises
+        ------
+        FormatError
+            If the survey or the devices in it are not those, and there is no copy.
+        """
+        return checked(self._entries(), self.folder, self._damaged)
+
+    def _entries(self) -> dict[str, str]:
         with explained(self._path):
-            return dict(self._connection.execute("SELECT key, value FROM meta"))
+            rows = self._connection.execute("SELECT key, value FROM meta")
+            return {str(name): str(text) for name, text in rows}
 
     def note(self, key: str, value: str) -> None:
         """Write one more thing about the scan, or change one."""
+        entries = {**self._entries(), key: value}
         with explained(self._path):
-            self._connection.execute(
-                "INSERT INTO meta VALUES (?, ?) "
-                "ON CONFLICT (key) DO UPDATE SET value = excluded.value",
-                (key, value),
-            )
+            self._connection.execute("BEGIN IMMEDIATE")
+            try:
+                self._connection.executemany(
+                    "INSERT INTO meta VALUES (?, ?) "
+                    "ON CONFLICT (key) DO UPDATE SET value = excluded.value",
+                    with_checksums(entries).items(),
+                )
+                self._connection.execute("COMMIT")
+            except BaseException:
+                if self._connection.in_transaction:
+                    self._connection.execute("ROLLBACK")
+                raise
+
+    @property
+    def has_checksums(self) -> bool:
+        """Whether every row has one; older amulors wrote none."""
+        entries = self._entries()
+        return entries.get("journal_schema") != "1" and UNCHECKED not in entries
+
+    def damage(self) -> list[str]:
+        """Return what is damaged, in a line each; empty if all is as it was written.
+
+        All rows are looked at: their checksums, what range each number must be in, and
+        whether the survey plans such a sample; the description of the scan, too.
+        """
+        self._damage.clear()
+        entries = self.meta()
+        with explained(self._path):
+            self._rows.look_through(entries)
+        return [*self._damage]
+
+    def _damaged(self, line: str) -> None:
+        self._damage[line] = None
 
     def commit(self, key: Key, record: Record) -> None:
         """Write one sample; when this returns, it survives a loss of power.
@@ -282,8 +329,10 @@ class Journal:
 
     def samples(self, kind: str) -> Iterator[tuple[Key, Record]]:
         """Yield the samples of one kind in the order in which they were taken."""
+        entries = self.meta()
         with explained(self._path):
-            for _, key, record in self._found("kind = ?", kind):
+            # The sign keeps it from an index, which may be damaged itself.
+            for _, key, record in self._rows.sound(entries, "+kind = ?", kind):
                 yield key, record
 
     def newer(self, than: int) -> list[tuple[int, Key, Record]]:
@@ -300,32 +349,35 @@ class Journal:
             Number, key and record, in the order in which they were taken; read at
             once, so that no reader is left in the way of the writer.
         """
+        entries = self.meta()
         with explained(self._path):
-            return [*self._found("number > ?", than)]
-
-    def _found(self, which: str, value: object) -> Iterator[tuple[int, Key, Record]]:
-        there = self._columns()
-        known = [name for name in RECORD_FIELDS if name in there]
-        names, split = ", ".join(["number", KEY_NAMES, *known]), len(Key._fields)
-        for number, *row in self._connection.execute(
-            f"SELECT {names} FROM samples WHERE {which} ORDER BY number", (value,)
-        ):
-            content = dict(zip(known, row[split:], strict=True))
-            yield number, Key(*row[:split]), Record(**content)
-
-    def _columns(self) -> set[str]:
-        rows = self._connection.execute("PRAGMA table_info(samples)")
-        return {name for _, name, *_ in rows}
+            return [*self._rows.sound(entries, "number > ?", than)]
 
     def _add_columns(self) -> None:
         """Let a journal of an older amulor hold what is recorded now."""
+        entries = self._entries()
         with explained(self._path):
-            there = self._columns()
-            for name in SINCE_LATER:
-                if name not in there:
-                    self._connection.execute(
-                        f"ALTER TABLE samples ADD COLUMN {name} REAL"
-                    )
+            there = columns_of(self._connection)
+            added = [f"{name} REAL" for name in SINCE_LATER if name not in there]
+            if CHECKSUM not in there:
+                added.append(f"{CHECKSUM} INTEGER")
+                ((last,),) = self._connection.execute("SELECT MAX(number) FROM samples")
+                entries |= {"journal_schema": SCHEMA_VERSION, UNCHECKED: str(last or 0)}
+            if not added:
+                return
+            self._connection.execute("BEGIN IMMEDIATE")
+            try:
+                for column in added:
+                    self._connection.execute(f"ALTER TABLE samples ADD COLUMN {column}")
+                self._connection.executemany(
+                    "INSERT OR REPLACE INTO meta VALUES (?, ?)",
+                    with_checksums(entries).items(),
+                )
+                self._connection.execute("COMMIT")
+            except BaseException:
+                if self._connection.in_transaction:
+                    self._connection.execute("ROLLBACK")
+                raise
 
     def count(self) -> int:
         """Return the number of samples [1]."""
@@ -374,7 +426,13 @@ class Journal:
                 "SELECT number, started, ended, reason FROM segments ORDER BY number"
             )
             names = ("number", "started", "ended", "reason")
-            return [dict(zip(names, row, strict=True)) for row in rows]
+            return [
+                {
+                    name: value if value is None or name == "number" else str(value)
+                    for name, value in zip(names, row, strict=True)
+                }
+                for row in rows
+            ]
 
     @property
     def _path(self) -> Path:
@@ -397,6 +455,17 @@ class Journal:
             If the survey or the instrument is.
         """
         refuse_another(self.folder, self._path, self.meta(), meta)
+
+    def _refuse_damaged(self) -> None:
+        """Raise if something is damaged: what would be taken again has keys there."""
+        damage = self.damage()
+        if damage:
+            more = f", and {len(damage) - 3} more" if len(damage) > 3 else ""
+            raise FormatError(
+                f"{self._path} is damaged ({'; '.join(damage[:3])}{more}) and cannot "
+                f"be gone on with; make the cube of the rest with 'amulor recover "
+                f"{self.folder}', and scan into a new folder"
+            )
 
 
 def _now() -> str:

@@ -3,18 +3,22 @@
 from __future__ import annotations
 
 import json
+import math
 import operator
 from collections.abc import Mapping
 from dataclasses import MISSING, fields
 from pathlib import Path
 from typing import Any
 
+from amulor.acquisition.journal.checks import CHECKSUM, checksum, refuse_infinite
 from amulor.acquisition.journal.record import Record
 from amulor.acquisition.plan import Key
 from amulor.errors import FormatError, InstrumentError, SurveyError
 
-#: Raised when a journal of an older amulor can no longer be gone on with.
-SCHEMA_VERSION = "1"
+#: Raised when an older amulor must not write to a journal. The first one had no
+#: checksums.
+SCHEMA_VERSION = "2"
+_READABLE = ("1", SCHEMA_VERSION)
 
 _KEY_COLUMNS = (
     "kind TEXT NOT NULL, row INTEGER NOT NULL, column INTEGER NOT NULL, "
@@ -34,13 +38,16 @@ _RECORD_COLUMNS = ", ".join(
     for field in fields(Record)
 )
 _VALUES = operator.attrgetter(*(field.name for field in fields(Record)))
-_PLACES = ", ".join("?" * (len(Key._fields) + len(fields(Record))))
-INSERT = f"INSERT INTO samples ({KEY_NAMES}, {_RECORD_NAMES}) VALUES ({_PLACES})"
+_NAMES = (*Key._fields, *RECORD_FIELDS)
+_PLACES = ", ".join("?" * (len(_NAMES) + 1))
+INSERT = (
+    f"INSERT INTO samples ({KEY_NAMES}, {_RECORD_NAMES}, {CHECKSUM}) VALUES ({_PLACES})"
+)
 #: A journal is append-only: samples are inserted, never changed, never deleted.
 TABLES = (
     "CREATE TABLE meta (key TEXT PRIMARY KEY, value TEXT)",
     f"CREATE TABLE samples (number INTEGER PRIMARY KEY, {_KEY_COLUMNS}, "
-    f"{_RECORD_COLUMNS}, UNIQUE ({KEY_NAMES}))",
+    f"{_RECORD_COLUMNS}, {CHECKSUM} INTEGER, UNIQUE ({KEY_NAMES}))",
     "CREATE TABLE segments (number INTEGER PRIMARY KEY, started TEXT, ended TEXT, "
     "reason TEXT)",
 )
@@ -48,7 +55,10 @@ TABLES = (
 
 def row_of(key: Key, record: Record) -> tuple[Any, ...]:
     """Return what `INSERT` takes."""
-    return (*key, *_VALUES(record))
+    values = (*key, *_VALUES(record))
+    if math.inf in values or -math.inf in values:
+        refuse_infinite(key, record)
+    return (*values, checksum(_NAMES, values))
 
 
 def refuse_another(
@@ -73,7 +83,7 @@ def refuse_another(
         If the survey or the instrument is.
     """
     version = result.get("journal_schema")
-    if version != SCHEMA_VERSION:
+    if version not in _READABLE:
         raise FormatError(
             f"{path}: the journal has schema {version!r}, this amulor knows "
             f"{SCHEMA_VERSION!r}; use the amulor that began the scan"

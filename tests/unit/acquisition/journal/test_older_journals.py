@@ -43,7 +43,8 @@ def older(folder: Path, meta: dict[str, str], rows: list[tuple]) -> Path:
     connection = sqlite3.connect(folder / FILE_NAME)
     for statement in OLD:
         connection.execute(statement)
-    content = {"journal_schema": "1", **meta}
+    content = {**meta, "journal_schema": "1"}
+    content.pop("checksums", None)
     connection.executemany("INSERT INTO meta VALUES (?, ?)", content.items())
     connection.execute("INSERT INTO segments (started) VALUES ('2026-01-01')")
     places = ", ".join("?" * (len(VALUES) + 1))

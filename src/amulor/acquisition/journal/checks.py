@@ -1,0 +1,183 @@
+"""Whether a row of a journal is what was written: its checksum, types and ranges."""
+
+from __future__ import annotations
+
+import functools
+import math
+import struct
+import zlib
+from collections.abc import Mapping, Sequence
+from dataclasses import fields
+from typing import Any
+
+from amulor.acquisition.journal.record import Record
+from amulor.acquisition.plan import DARK, OPEN_WATER, SCAN, Key
+from amulor.errors import FormatError
+from amulor.survey import Survey
+
+#: The column of the checksum.
+CHECKSUM = "crc"
+_TEXTS = ("kind", "polarization")
+_WHOLE = ("row", "column", "repeat", "readings", "flags", "segment")
+#: What each number of a row must be within, both ends included: volts that no
+#: instrument has, turns beyond one, what an int16 of flags holds, 300 years.
+_VOLT, _TURN = 1e6, 2 * math.pi
+_RANGES: dict[str, tuple[float, float]] = {
+    "row": (0, 20_000), "column": (0, 20_000), "frequency": (1e-6, 1e15),
+    "repeat": (0, 2**62), "in_phase": (-_VOLT, _VOLT), "quadrature": (-_VOLT, _VOLT),
+    "mean": (-_VOLT, _VOLT), "readings": (1, 2**31), "full_scale": (1e-15, _VOLT),
+    "flags": (0, 2**15 - 1), "commanded_azimuth": (-_TURN, _TURN),
+    "commanded_elevation": (-_TURN, _TURN), "azimuth": (-_TURN, _TURN),
+    "elevation": (-_TURN, _TURN), "modulation_frequency": (1e-6, 1e15),
+    "elapsed": (0, 1e10), "segment": (1, 2**31), "launch": (-1e3, 1e3),
+    "analyser": (-1e3, 1e3), "target": (-1e4, 1e4), "interval": (1e-12, 1e6),
+    "spread": (0, _VOLT), "edge": (0, _VOLT), "laser_current": (-1e4, 1e4),
+    "laser_temperature": (-273.15, 1e4),
+}  # fmt: skip
+_OPTIONAL = {field.name for field in fields(Record) if "None" in str(field.type)}
+
+
+@functools.lru_cache(maxsize=64)
+def _begun(names: tuple[str, ...]) -> tuple[int, struct.Struct]:
+    """Return the checksum of names, and what packs as many numbers."""
+    return zlib.crc32("\0".join(names).encode()), struct.Struct(f"<{len(names)}d")
+
+
+def checksum(names: Sequence[str], values: Sequence[Any]) -> int:
+    """Return the CRC-32 of a row.
+
+    Parameters
+    ----------
+    names : sequence of str
+        Columns, without number and checksum.
+    values : sequence
+        Texts, numbers, and None for what is not there; in the same order.
+
+    Returns
+    -------
+    int
+        Of the names and values of what is there, so that columns that another version
+        has beside them change nothing. Not a number counts as not there, and -0 as 0:
+        so they come back from the journal.
+    """
+    texts, numbers, there = [], [], []
+    for name, value in zip(names, values, strict=True):
+        if value is None or value != value:
+            continue
+        if isinstance(value, str):
+            texts.append(value)
+            texts.append(name)
+        else:
+            numbers.append(value + 0.0)
+            there.append(name)
+    start, packed = _begun(tuple(there))
+    after = zlib.crc32(packed.pack(*numbers), start)
+    return zlib.crc32("\0".join(texts).encode("utf-8", "replace"), after)
+
+
+def refuse_infinite(key: Key, record: Record) -> None:
+    """Raise if something infinite is to be written, which no instrument measures."""
+    for name, value in (*key._asdict().items(), *vars(record).items()):
+        if value in (math.inf, -math.inf):
+            raise FormatError(
+                f"sample {tuple(key)}: {name} is infinite; look at what the instrument "
+                "answers. Nothing was written"
+            )
+
+
+class RowCheck:
+    """Says what is wrong with rows of one journal.
+
+    Parameters
+    ----------
+    survey : Survey or None
+        Of the scan, None where the journal has none.
+    columns : sequence of str
+        Of the table, without number and checksum.
+    """
+
+    def __init__(self, survey: Survey | None, columns: Sequence[str]) -> None:
+        self._columns = tuple(columns)
+        self._frequencies: tuple[float, ...] | None = None
+        self._pairs: tuple[str, ...] = ()
+        self._grids: dict[str, tuple[int, int]] = {DARK: (1, 1)}
+        if survey is not None:
+            plan = survey.scan.open_water
+            self._frequencies = tuple(survey.instrument.modulation_frequencies)
+            self._pairs = tuple(survey.instrument.polarizations)
+            self._grids[SCAN] = (survey.scan.rows, survey.scan.columns)
+            self._grids[OPEN_WATER] = (
+                (0, 0) if plan is None else (plan.rows, plan.columns)
+            )
+
+    def wrong_with(
+        self, values: Sequence[Any], stored: Any, *, needed: bool
+    ) -> str | None:
+        """Return what is wrong with a row, in a few words.
+
+        Parameters
+        ----------
+        values : sequence
+            In the order of the columns.
+        stored : object
+            Checksum that the row has, None if it has none.
+        needed : bool
+            Whether it must have one.
+
+        Returns
+        -------
+        str or None
+            None if it is sound.
+        """
+        row = dict(zip(self._columns, values, strict=True))
+        wrong = (
+            self._wrong_type(row) or self._wrong_value(row) or self._not_planned(row)
+        )
+        if wrong is not None:
+            return wrong
+        if stored is None and not needed:
+            return None
+        if stored != checksum(self._columns, values):
+            return "its checksum is that of other numbers"
+        return None
+
+    def _wrong_type(self, row: Mapping[str, Any]) -> str | None:
+        for name, value in row.items():
+            if name in _TEXTS:
+                if not isinstance(value, str) or "\ufffd" in value:
+                    return f"{name} is no readable text"
+            elif value is None:
+                if name in _RANGES and name not in _OPTIONAL:
+                    return f"{name} is missing"
+            elif type(value) not in (int, float):
+                return f"{name} is no number"
+            elif name in _WHOLE and type(value) is not int:
+                return f"{name} = {value:.6g} is no whole number"
+        return None
+
+    def _wrong_value(self, row: Mapping[str, Any]) -> str | None:
+        for name, value in row.items():
+            if name in _RANGES and value is not None:
+                low, high = _RANGES[name]
+                if not low <= value <= high:
+                    return f"{name} = {value:.6g} is not within {low:.6g} to {high:.6g}"
+            elif isinstance(value, float) and not math.isfinite(value):
+                return f"{name} is infinite"
+        return None
+
+    def _not_planned(self, row: Mapping[str, Any]) -> str | None:
+        if row["kind"] not in (SCAN, OPEN_WATER, DARK):
+            return f"there is no kind of sample {row['kind']!r}"
+        if self._frequencies is None:
+            return None
+        rows, columns = self._grids[row["kind"]]
+        if not (row["row"] < rows and row["column"] < columns):
+            return (
+                f"row = {row['row']}, column = {row['column']} of {row['kind']}: the "
+                f"survey has {rows} rows and {columns} columns of it"
+            )
+        if row["frequency"] not in self._frequencies:
+            return f"the survey has no frequency of {row['frequency']:.9g} Hz"
+        if row["polarization"] not in self._pairs:
+            return f"the survey has no polarization {row['polarization']!r}"
+        return None

@@ -1,0 +1,291 @@
+"""Damaged journals: each damaged row is named, and the rest is in the cube."""
+
+from __future__ import annotations
+
+import os
+import resource
+import shutil
+import sqlite3
+import tempfile
+import time
+import zlib
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+from journal_damage import copied, damage
+
+from amulor import acquisition
+from amulor.acquisition.journal.checks import checksum
+from amulor.acquisition.journal.file import FILE_NAME
+from amulor.acquisition.journal.journal import Journal
+from amulor.acquisition.plan import SCAN
+from amulor.acquisition.settings import Settings
+from amulor.errors import AmulorError, FormatError
+from amulor.simulation import scene_light
+from amulor.survey import Survey
+
+#: What a sample consists of in the cube, and what all of them make together.
+OWN = ("in_phase", "quadrature", "user_mean_output", "user_full_scale",
+       "user_modulation_frequency")  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def whole(plate: Survey) -> Iterator[Path]:
+    """Return the folder of a small finished scan."""
+    survey = plate.with_(
+        {
+            "scan.columns": 5,
+            "scan.rows": 3,
+            "scan.dwell": "50 ms",
+            "scan.open_water": {"columns": 3, "rows": 2, "repeats": 2},
+            "instrument.polarizations": ["VH"],
+        }
+    )
+    memory = Path("/dev/shm")
+    place = Path(tempfile.mkdtemp(dir=memory if memory.is_dir() else None))
+    # No dark output to take off: what is left out of it would change every sample.
+    settings = Settings.model_validate({"procedure": {"dark_readings": 2}})
+    acquisition.acquire(survey, place / "whole", settings=settings, scene=scene_light)
+    yield place / "whole"
+    shutil.rmtree(place)
+
+
+def edited(whole: Path, folder: Path, statement: str, *values: object) -> Path:
+    """Return a copy in which something was changed."""
+    place = copied(whole, folder / "scan")
+    connection = sqlite3.connect(place / FILE_NAME, isolation_level=None)
+    assert connection.execute(statement, values).rowcount == 1
+    connection.close()
+    return place
+
+
+def recovered(place: Path):
+    """Return the cube of a journal, and what is told about it."""
+    with Journal.read(place) as journal:
+        return acquisition.build(journal), journal.damage()
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ("row = -1", "row = -1 is not within 0"),
+        ("row = 99", "the survey has 3 rows and 5 columns"),
+        ("in_phase = 9e999", "in_phase = inf is not within"),
+        ("readings = 0", "readings = 0 is not within 1"),
+        ("readings = 9", "checksum is that of other numbers"),
+        ("polarization = 'XX'", "no polarization 'XX'"),
+        ("polarization = CAST(x'ff' AS TEXT)", "polarization is no readable text"),
+        ("repeat = 30000000", "checksum is that of other numbers"),
+        ("frequency = 40e6", "no frequency of 40000000 Hz"),
+        ("quadrature = 'a'", "quadrature is no number"),
+        ("flags = 2.5", "flags = 2.5 is no whole number"),
+        ("kind = 'scam'", "no kind of sample 'scam'"),
+        ("crc = NULL", "checksum is that of other numbers"),
+        ("interval = 0.01", "checksum is that of other numbers"),
+        ("azimuth = azimuth + 1e-9", "checksum is that of other numbers"),
+    ],
+)
+def test_each_damaged_row_is_named_and_the_rest_is_recovered(
+    whole, folder, change, words
+) -> None:
+    with Journal.read(whole) as journal:
+        number = min(n for n, key, _ in journal.newer(0) if key.kind == SCAN) + 6
+        (key,) = [key for n, key, _ in journal.newer(0) if n == number]
+    place = edited(
+        whole, folder, f"UPDATE samples SET {change} WHERE number = ?", number
+    )
+    sound, _ = recovered(whole)
+    cube, told = recovered(place)
+    (line,) = told
+    assert line.startswith(f"row {number}: ")
+    assert words in line
+    assert "\n" not in line
+    expected = sound["in_phase"].values.copy()
+    expected[0, 0, key.row, key.column] = np.nan
+    np.testing.assert_array_equal(cube["in_phase"].values, expected)
+    # Somebody who looks on is given the rest, too; nobody goes on in it.
+    with Journal.read(place) as journal:
+        assert len(journal.newer(0)) == journal.count() - 1
+    meta = {"survey_digest": "", "instrument_digest": "", "identities": "{}"}
+    with Journal.read(place) as journal:
+        meta |= journal.meta()
+    with pytest.raises(FormatError, match=r"row \d+: .*cannot be gone on with"):
+        Journal.resume(place, meta=meta)
+
+
+def test_a_changed_survey_is_taken_from_its_copy_or_refused(whole, folder) -> None:
+    change = "UPDATE meta SET value = replace(value, '1.5', '1.6') WHERE key = 'survey'"
+    place = edited(whole, folder, change)
+    sound, _ = recovered(whole)
+    cube, told = recovered(place)
+    assert told == ["survey is damaged; that of survey.toml was taken"]
+    assert cube.attrs["survey"] == sound.attrs["survey"]
+    (place / "survey.toml").unlink()
+    with pytest.raises(FormatError, match="not what the scan was begun with"):
+        acquisition.recover(place)
+
+
+def test_a_row_that_is_gone_is_told(whole, folder) -> None:
+    place = edited(whole, folder, "DELETE FROM samples WHERE number = 20")
+    told: list[str] = []
+    acquisition.recover(place, told=told.append)
+    assert told == [f"{place}: row 20: not there"]
+
+
+def test_a_high_number_of_a_dark_reading_takes_no_memory(whole, folder) -> None:
+    place = copied(whole, folder / "scan")
+    connection = sqlite3.connect(place / FILE_NAME, isolation_level=None)
+    connection.row_factory = sqlite3.Row
+    row = dict(
+        connection.execute("SELECT * FROM samples WHERE kind = 'dark'").fetchone()
+    )
+    # As of a plan with many readings, its checksum right.
+    row["repeat"] = 30_000_000
+    names = [name for name in row if name not in ("number", "crc")]
+    crc = checksum(names, [row[name] for name in names])
+    connection.execute(
+        "UPDATE samples SET repeat = ?, crc = ? WHERE number = ?",
+        (row["repeat"], crc, row["number"]),
+    )
+    connection.close()
+    before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    _, told = recovered(place)
+    assert told == []
+    assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before < 100_000
+
+
+def test_the_checksum_is_that_of_names_and_values() -> None:
+    # By hand: numbers by their names, then texts with theirs.
+    packed = bytes.fromhex("000000000000f03f000000000000e0bf")
+    expected = zlib.crc32(
+        b"scan\0kind", zlib.crc32(packed, zlib.crc32(b"row\0azimuth"))
+    )
+    names = ("kind", "row", "azimuth", "mean")
+    assert checksum(names, ("scan", 1, -0.5, None)) == expected
+    # As the journal gives it back: 1 as 1.0, what is not a number as nothing.
+    assert checksum(names, ("scan", 1.0, -0.5, float("nan"))) == expected
+    assert checksum((*names, "later"), ("scan", 1, -0.5, None, None)) == expected
+    assert checksum(names, ("scan", 1, 0.0, None)) == checksum(
+        names, ("scan", 1, -0.0, None)
+    )
+    assert checksum(names, ("scan", 2, -0.5, None)) != expected
+    assert checksum(names, ("scan", -0.5, 1, None)) != expected
+
+
+def test_nothing_infinite_is_written(whole, folder) -> None:
+    with Journal.read(whole) as journal:
+        _, key, record = journal.newer(0)[-1]
+        meta = journal.meta()
+    place = folder / "new"
+    place.mkdir()
+    with Journal.create(place, meta=meta) as journal:
+        bad = type(record)(**{**vars(record), "quadrature": float("-inf")})
+        with pytest.raises(FormatError, match="quadrature is infinite"):
+            journal.commit(key, bad)
+        assert journal.count() == 0
+
+
+def test_older_journals_say_that_they_have_no_checksums(whole, folder) -> None:
+    place = copied(whole, folder / "scan")
+    connection = sqlite3.connect(place / FILE_NAME, isolation_level=None)
+    connection.execute("ALTER TABLE samples DROP COLUMN crc")
+    connection.execute("UPDATE meta SET value = '1' WHERE key = 'journal_schema'")
+    connection.execute("DELETE FROM meta WHERE key = 'checksums'")
+    connection.execute("UPDATE samples SET readings = 0 WHERE number = 30")
+    connection.close()
+    told: list[str] = []
+    acquisition.recover(place, told=told.append)
+    assert [line.split(": ", 1)[1][:25] for line in told] == [
+        "row 30: readings = 0 is n", "the journal, or a part of",
+    ]  # fmt: skip
+
+
+def test_an_older_journal_that_is_gone_on_with_gets_checksums(whole, folder) -> None:
+    place = copied(whole, folder / "scan")
+    connection = sqlite3.connect(place / FILE_NAME, isolation_level=None)
+    connection.execute("ALTER TABLE samples DROP COLUMN crc")
+    connection.execute("UPDATE meta SET value = '1' WHERE key = 'journal_schema'")
+    connection.execute("DELETE FROM meta WHERE key = 'checksums'")
+    connection.close()
+    with Journal.read(place) as journal:
+        _, key, record = journal.newer(0)[-1]
+        meta, count = journal.meta(), journal.count()
+    with Journal.resume(place, meta=meta) as journal:
+        journal.commit(key._replace(repeat=7), record)
+        assert not journal.has_checksums
+        assert journal.damage() == []
+    change = (
+        "UPDATE samples SET readings = readings + 1, crc = NULL WHERE number = {number}"
+    )
+    for number in (count, count + 1):
+        connection = sqlite3.connect(place / FILE_NAME, isolation_level=None)
+        connection.execute(change.format(number=number))
+        connection.close()
+        # What an older amulor wrote has none; what came after it must have one.
+        with Journal.read(place) as journal:
+            assert bool(journal.damage()) == (number > count)
+
+
+# -- many of them ----------------------------------------------------------------------
+
+
+def _values(cube) -> dict[str, np.ndarray]:
+    return {name: cube[name].values for name in OWN}
+
+
+def campaign(whole: Path, folder: Path, seeds: range) -> dict[str, int]:
+    """Damage a journal many times; return how often it ended in which way."""
+    with Journal.read(whole) as journal:
+        reference = _values(acquisition.build(journal))
+        dark = dict(journal.samples("dark"))
+    counts = {"sound": 0, "named": 0}
+    refusals: list[tuple[int, str, str]] = []
+    slowest = 0.0
+    for seed in seeds:
+        place = copied(whole, folder / "scan")
+        done = damage(place, seed)
+        begun = time.process_time()
+        try:
+            with Journal.read(place) as journal:
+                cube = acquisition.build(journal)
+                lines = journal.damage()
+                found = dict(journal.samples("dark"))
+        except AmulorError as error:
+            refusals.append((seed, done, str(error)))
+            continue
+        finally:
+            slowest = max(slowest, time.process_time() - begun)
+        assert all("\n" not in line for line in lines), (seed, done)
+        for name, values in _values(cube).items():
+            there = np.isfinite(values)
+            # Nothing is another number than it was; what is not there is named.
+            same = values[there] == reference[name][there]
+            if found == dark:
+                assert same.all(), (seed, done, name)
+            assert there.all() or lines, (seed, done, name)
+        assert all(dark.get(key) == record for key, record in found.items()), seed
+        assert lines or found == dark, (seed, done)
+        counts["named" if lines else "sound"] += 1
+    assert not [one for one in refusals if "\n" in one[2]]
+    # No hang: of the processor, since others may use it as well.
+    assert slowest < 5.0
+    return {**counts, "refused": len(refusals)}
+
+
+def test_damage_is_named_or_refused_in_one_line(whole, folder) -> None:
+    counts = campaign(whole, folder, range(60))
+    assert counts["named"] > 10
+    assert counts["refused"] > 3
+
+
+@pytest.mark.slow
+def test_two_thousand_damaged_journals_change_no_number(whole, folder) -> None:
+    print(campaign(whole, folder, range(1000, 1000 + 600)))
+
+
+@pytest.mark.study
+def test_many_damaged_journals_change_no_number(whole, folder) -> None:
+    many = int(os.environ.get("AMULOR_FUZZ", "100000"))
+    print(campaign(whole, folder, range(10_000, 10_000 + many)))
