@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import time
 from typing import Protocol
 
@@ -48,19 +47,26 @@ class Deadline:
         return not self._real or time.monotonic() > self._wall
 
 
+#: Slowest and fastest clock of a rehearsal [1].
+SLOWEST, FASTEST = 1e-3, 1e6
+
+
 class RealClock:
     """The time on the wall, or a multiple of it.
 
     Parameters
     ----------
     speed : float
-        How many seconds of this clock pass in one second, above zero [1].
+        How many seconds of this clock pass in one second, 0.001 to a million [1].
         Anything but 1 is for simulated devices.
     """
 
     def __init__(self, speed: float = 1.0) -> None:
-        if not 0 < speed < math.inf:
-            raise ValueError(f"speed must be above 0 and finite, got {speed:g}")
+        if not SLOWEST <= speed <= FASTEST:
+            raise ValueError(
+                f"speed must be above 0, from {SLOWEST:g} to {FASTEST:g} times that of "
+                f"the wall, got {speed:g}: at less a scan would seem to hang"
+            )
         self._speed = speed
 
     def now(self) -> float:

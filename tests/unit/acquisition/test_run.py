@@ -392,3 +392,41 @@ def test_what_was_not_taken_yet_is_no_number_in_either_part(
     missing = np.isnan(cube["in_phase"].values)
     assert 0 < missing.sum() < missing.size
     np.testing.assert_array_equal(np.isnan(cube["quadrature"].values), missing)
+
+
+def test_a_channel_without_dark_readings_is_left_as_it_is(small, folder) -> None:
+    """One of two channels has none: its output stays, and gets no error for it."""
+    survey = small.with_({"scan.columns": 2, "scan.rows": 1, "scan.open_water": None})
+    settings = Settings.model_validate(
+        {"procedure": {"dark_readings": 1, "references": 1},
+         "simulation": {"pickup": "1 mV"}},
+    )  # fmt: skip
+    acquisition.acquire(survey, folder, settings=settings, scene=scene_light)
+    with Journal.read(folder) as journal:
+        whole, meta = acquisition.build(journal), journal.meta()
+        taken = [(key, record) for _, key, record in journal.newer(0)]
+    place = folder / "less"
+    place.mkdir()
+    with Journal.create(place, meta=meta) as journal:
+        journal.begin_segment()
+        for key, record in taken:
+            if (key.kind, key.polarization) != ("dark", "VH"):
+                journal.commit(key, record)
+        less = acquisition.build(journal)
+    pairs = survey.instrument.polarizations
+    there, gone = pairs.index("VV"), pairs.index("VH")
+    for name in ("in_phase", "in_phase_uncertainty"):
+        np.testing.assert_array_equal(less[name][:, there], whole[name][:, there])
+    # The dark reading was the pickup of 1 mV, and little else.
+    raw = np.array(
+        [record.in_phase for key, record in taken
+         if key.kind == "scan" and key.polarization == "VH"]
+    )  # fmt: skip
+    np.testing.assert_array_equal(less["in_phase"].values[0, gone].ravel(), raw)
+    np.testing.assert_allclose(whole["in_phase"].values[0, gone].ravel(), raw - 1e-3,
+                               rtol=0, atol=2e-6)  # fmt: skip
+    errors = [cube["in_phase_uncertainty"].values[0, gone] for cube in (less, whole)]
+    assert (errors[0] <= errors[1]).all()
+    np.testing.assert_array_equal(
+        np.ravel(less.attrs["dark_in_phase"])[gone], 0.0
+    )  # fmt: skip

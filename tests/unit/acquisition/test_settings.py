@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 
+from amulor.acquisition.clock import RealClock
 from amulor.acquisition.devices import digest
 from amulor.acquisition.settings import Settings
 from amulor.errors import InstrumentError
@@ -146,3 +147,37 @@ def test_older_scans_are_resumed_with_what_settings_have_become() -> None:
         assert found == f"sha256:{expected}"
     watched = Settings.model_validate({"laser": {"interlock_input": 2}})
     assert digest(watched, {}) != digest(Settings(), {})
+
+
+@pytest.mark.parametrize(
+    ("part", "name", "value"),
+    [
+        ("simulation", "speed", 1e-12),
+        ("simulation", "speed", 5e-324),
+        ("procedure", "clock_speed", 1e-12),
+        ("simulation", "cable_delay", "1e300 s"),
+        ("simulation", "pickup", "1e300 V"),
+        ("simulation", "phase_drift", "1e300 rad"),
+        ("simulation", "phase_walk", "1e300 rad"),
+        ("simulation", "position_error", "-1 rad"),
+        ("simulation", "position_error", "1e300 rad"),
+        ("scanner", "angle_per_unit", "1e-300 rad"),
+        ("scanner", "angle_per_unit", "1e300 rad"),
+        ("procedure", "run_up", "1e9 s"),
+    ],
+)
+def test_numbers_that_no_device_has_are_refused_by_name(
+    tmp_path, part, name, value
+) -> None:
+    shown = f'"{value}"' if isinstance(value, str) else repr(value)
+    path = tmp_path / "devices.toml"
+    path.write_text(f"[{part}]\n{name} = {shown}\n")
+    with pytest.raises(InstrumentError, match=rf"{part}(\.{name})?") as caught:
+        Settings.from_toml(path)
+    assert len(str(caught.value).splitlines()) <= 2
+
+
+def test_a_clock_that_seems_to_stand_is_refused() -> None:
+    for speed in (0.0, 1e-12, -1.0, float("nan"), 1e7):
+        with pytest.raises(ValueError, match="speed must be above 0"):
+            RealClock(speed)

@@ -37,10 +37,17 @@ _RANGES: dict[str, tuple[float, float]] = {
 _OPTIONAL = {field.name for field in fields(Record) if "None" in str(field.type)}
 
 
-@functools.lru_cache(maxsize=64)
-def _begun(names: tuple[str, ...]) -> tuple[int, struct.Struct]:
-    """Return the checksum of names, and what packs as many numbers."""
-    return zlib.crc32("\0".join(names).encode()), struct.Struct(f"<{len(names)}d")
+@functools.lru_cache(maxsize=256)
+def _pattern(
+    names: tuple[str, ...], kinds: tuple[type, ...]
+) -> tuple[int, struct.Struct, list[int], list[int]]:
+    """Return the checksum of the names of numbers, what packs them, and places."""
+    texts = [place for place, kind in enumerate(kinds) if kind is str]
+    numbers = [
+        place for place, kind in enumerate(kinds) if kind not in (str, type(None))
+    ]
+    start = zlib.crc32("\0".join([names[place] for place in numbers]).encode())
+    return start, struct.Struct(f"<{len(numbers)}d"), numbers, texts
 
 
 def checksum(names: Sequence[str], values: Sequence[Any]) -> int:
@@ -60,19 +67,16 @@ def checksum(names: Sequence[str], values: Sequence[Any]) -> int:
         has beside them change nothing. Not a number counts as not there, and -0 as 0:
         so they come back from the journal.
     """
-    texts, numbers, there = [], [], []
-    for name, value in zip(names, values, strict=True):
-        if value is None or value != value:
-            continue
-        if isinstance(value, str):
-            texts.append(value)
-            texts.append(name)
-        else:
-            numbers.append(value + 0.0)
-            there.append(name)
-    start, packed = _begun(tuple(there))
-    after = zlib.crc32(packed.pack(*numbers), start)
-    return zlib.crc32("\0".join(texts).encode("utf-8", "replace"), after)
+    kinds = tuple(map(type, values))
+    start, packed, numbers, texts = _pattern(tuple(names), kinds)
+    found = [values[place] + 0.0 for place in numbers]
+    if math.isnan(sum(found)):
+        there = [None if value != value else value for value in values]
+        if there != [*values]:  # not the difference of two infinite ones
+            return checksum(names, there)
+    after = zlib.crc32(packed.pack(*found), start)
+    text = "\0".join([f"{values[place]}\0{names[place]}" for place in texts])
+    return zlib.crc32(text.encode("utf-8", "replace"), after)
 
 
 def refuse_infinite(key: Key, record: Record) -> None:

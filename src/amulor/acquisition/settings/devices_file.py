@@ -43,6 +43,9 @@ _LINEAR_POLARIZER = {
 }
 
 
+#: Least turn of a beam by one unit of an axis that any stage has [rad].
+_LEAST_TURN = 1e-9
+
 ScannerDriver = Annotated[
     str, known("scanner", "simulated", "pi_gcs", "analog", "pelco_d", "ophyd_async")
 ]
@@ -66,7 +69,7 @@ class ScannerSettings(Linked):
     """Axis of the controller that turns to the right."""
     elevation_axis: Axis = "2"
     """Axis of the controller that turns upwards."""
-    angle_per_unit: Angle = math.radians(1.0)
+    angle_per_unit: Annotated[Angle, Field(ge=-10, le=10)] = math.radians(1.0)
     """Turn of the beam per unit of the axis; twice the turn of a mirror. Negative if
     the axis counts the other way [rad]."""
     azimuth_zero: float = 0.0
@@ -86,7 +89,10 @@ class ScannerSettings(Linked):
         need(self.address is not None or not wired, "scanner.address")
         need(self.analog is not None or self.driver != "analog", "scanner.analog")
         need(bool(self.options) or self.driver != "ophyd_async", "scanner.options")
-        need(self.angle_per_unit != 0, "scanner.angle_per_unit, not 0,")
+        need(
+            abs(self.angle_per_unit) >= _LEAST_TURN,
+            f"scanner.angle_per_unit, not 0 but {_LEAST_TURN:g} rad at least,",
+        )
         need(
             (self.park_azimuth is None) == (self.park_elevation is None),
             "both or none of scanner.park_azimuth and scanner.park_elevation",
@@ -179,7 +185,7 @@ class Procedure(Description):
     position_tolerance: Annotated[Angle, Field(gt=0)] = 1e-4
     """Largest difference of commanded and read-back direction that is not flagged
     [rad]."""
-    clock_speed: Annotated[float, Field(gt=0, le=1e6)] = 1.0
+    clock_speed: Annotated[float, Field(ge=1e-3, le=1e6)] = 1.0
     """How much faster than real the clock of simulators on the network runs; 1 for
     devices that are real [1]."""
 
@@ -209,20 +215,20 @@ class SimulationSettings(Description):
 
     seed: Annotated[int, Field(ge=0, lt=2**63)] = 1
     """Seed of the noise [1]."""
-    speed: Annotated[float, Field(gt=0, le=1e6)] | None = None
+    speed: Annotated[float, Field(ge=1e-3, le=1e6)] | None = None
     """How much faster than real; as fast as the computer can if left out [1]."""
-    cable_delay: Time = 0.0
+    cable_delay: Annotated[Time, Field(ge=-1e-3, le=1e-3)] = 0.0
     """Delay of the signal path, which calibration of phase zero finds [s]."""
-    pickup: Voltage = 0.0
+    pickup: Annotated[Voltage, Field(ge=-100, le=100)] = 0.0
     """In-phase output without light, which dark readings find [V]."""
-    phase_drift: Angle = 0.0
+    phase_drift: Annotated[Angle, Field(ge=-1e3, le=1e3)] = 0.0
     """Change of the phase in one second [rad]."""
-    phase_walk: Angle = 0.0
+    phase_walk: Annotated[Angle, Field(ge=-10, le=10)] = 0.0
     """Change of the phase when the amplitude is ten times as large [rad]."""
     water_drift: Annotated[float, Field(gt=-1, lt=1)] = 0.0
     """Change of the water signal in one second, in parts of what it was at the start
     [1/s]."""
-    position_error: Angle = 2e-6
+    position_error: Annotated[Angle, Field(ge=0, le=0.1)] = 2e-6
     """Random error of where the scanner comes to stand [rad]."""
     faults: tuple[
         Annotated[

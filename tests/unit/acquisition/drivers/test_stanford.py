@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import math
+from types import SimpleNamespace
 
 import pytest
+from driven_devices import Lines
 from numpy.testing import assert_allclose
 
+from amulor.acquisition.clock import VirtualClock
 from amulor.acquisition.drivers.stanford_sr844 import (
     SENSITIVITIES,
     TIME_CONSTANTS,
@@ -16,6 +19,8 @@ from amulor.acquisition.drivers.stanford_sr865a import SCALES, Sr865a
 from amulor.acquisition.gate import LockInGate
 from amulor.acquisition.protocols import Overload
 from amulor.acquisition.settings import LaserSettings
+from amulor.acquisition.simulated.faults import Faults
+from amulor.acquisition.simulated.sr865a import SimulatedSr865a
 from amulor.errors import InstrumentError
 
 IDN_844 = (
@@ -304,3 +309,30 @@ def test_a_gate_is_made_safe_over_a_new_link(sr844) -> None:
     gate.make_safe()
     assert link.reopened == 1
     assert not link.turns
+
+
+@pytest.mark.parametrize(
+    ("code", "limit"), [(0, 1.0), (1, 0.3), (2, 0.1), (3, 0.03), (4, 0.01)]
+)
+def test_an_input_range_of_an_sr865a_ends_at_its_voltage(code, limit) -> None:
+    # Ranges as the manual names them (IRNG, 0 to 4: 1 V to 10 mV), peak voltages.
+    bench = SimpleNamespace(
+        faults=Faults(), readings=1, noise=0.0, interlock_is_closed=True,
+        locked=lambda: True, frequency=1e6, set_laser=lambda on: None,
+        set_time_constant=lambda constant: None,
+    )  # fmt: skip
+    speaker = SimulatedSr865a(bench)
+    instrument = Sr865a(
+        Lines(speaker.answer), mean_output_input=1, modulation_amplitude=0.5,
+        clock=VirtualClock(),
+    )  # fmt: skip
+    instrument.prepare(time_constant=1e-3)
+    speaker.answer(f"IRNG {code}")
+    for peak, overload in ((0.98, Overload.NONE), (1.02, Overload.INPUT)):
+        bench.output = lambda peak=peak: (complex(0.6, 0.8) * peak * limit, 0.0)
+        assert instrument.read().overload == overload
+    # What drives it begins at the widest one, whatever was set before.
+    instrument.prepare(time_constant=1e-3)
+    assert speaker.answer("IRNG?") == ["0"]
+    bench.output = lambda: (0.98 + 0j, 0.0)
+    assert instrument.read().overload == Overload.NONE

@@ -281,8 +281,8 @@ def test_damage_is_named_or_refused_in_one_line(whole, folder) -> None:
 
 
 @pytest.mark.slow
-def test_two_thousand_damaged_journals_change_no_number(whole, folder) -> None:
-    print(campaign(whole, folder, range(1000, 1000 + 600)))
+def test_four_hundred_damaged_journals_change_no_number(whole, folder) -> None:
+    print(campaign(whole, folder, range(1000, 1400)))
 
 
 @pytest.mark.study
