@@ -18,6 +18,7 @@ def view(
     *,
     samples: Path | None = None,
     unit: Literal["m", "cm", "mm", "inch"] | None = None,
+    against: Path | None = None,
     save: Path | None = None,
     nearest: str | None = None,
     farthest: str | None = None,
@@ -38,8 +39,11 @@ def view(
         Samples or target signal that a range image was made from, to see it before
         rejection.
     unit
-        Unit of the coordinates of a mesh, which most formats do not say, or of a cloud
-        that is not in metres.
+        Unit of the coordinates of a mesh, shown or compared with, which most formats do
+        not say, or of a cloud that is not in metres.
+    against
+        Mesh (.ply, .stl, .obj, .off, .glb) in the instrument's axes, or range image of
+        an earlier scan (.nc), that the page writes deviations from; with --unit.
     save
         Write the page as one file (HTML) that opens without this program, and stop.
     nearest
@@ -56,8 +60,9 @@ def view(
     overwrite
         With --save: replace a file that is there.
     """
-    from amulor import _extras, io
+    from amulor import _extras, handover, io
     from amulor.cli._arguments import UsageError, check_ending, interval_of
+    from amulor.errors import FormatError
 
     _extras.require("view", purpose="the page")
     from amulor.survey.target import METRES
@@ -66,14 +71,18 @@ def view(
 
     interval = interval_of(nearest, farthest)
     in_space = space.is_space(path)
-    if in_space and (samples is not None or interval is not None):
+    if in_space and not (samples is None and interval is None and against is None):
         raise UsageError(
-            "--samples, --nearest and --farthest go with a range image or a cube, not "
-            "with a cloud or a mesh"
+            "--samples, --against, --nearest and --farthest go with a range image or a "
+            "cube, not with a cloud or a mesh"
         )
-    if unit is not None and not in_space:
+    if unit is not None and not in_space and against is None:
         raise UsageError("--unit goes with a mesh or a cloud; scans are in metres")
-    inputs = [path] if samples is None else [path, samples]
+    if against is not None and save is not None:
+        raise UsageError("--against goes with a page that is served, not with --save")
+    inputs = [one for one in (path, samples, against) if one is not None]
+    if against is not None and not against.is_file():
+        raise FormatError(f"{against} does not exist; check the name and the folder")
     if save is not None:
         check_ending("--save", save, (".html", ".htm"))
         io.check_output(save, overwrite=overwrite, inputs=inputs)
@@ -95,7 +104,8 @@ def view(
 
             webbrowser.open(address)
 
-    page.serve(shown, host=host, port=port, announce=announce)
+    products = handover.PageProducts(against=against, unit=unit or "m")
+    page.serve(shown, host=host, port=port, announce=announce, products=products)
 
 
 def _shown(

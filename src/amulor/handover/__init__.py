@@ -1,9 +1,10 @@
 """What is handed over of a scan: drawings, models, tables, and the archive folder."""
 
 from amulor.handover.order import ENDINGS, Order, product_of
+from amulor.handover.page import PageProducts
 from amulor.handover.products import hand_over
 
-__all__ = ["ENDINGS", "Order", "hand_over", "product_of"]
+__all__ = ["ENDINGS", "Order", "PageProducts", "hand_over", "product_of"]
 
 
 def __dir__() -> list[str]:

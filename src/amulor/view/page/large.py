@@ -12,7 +12,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from amulor.errors import FormatError
+from amulor.errors import CubeError, FormatError
 from amulor.view.page.beams import BeamReader, Floats, Numbers, values_of
 
 #: Smaller files are read at once [byte].
@@ -153,6 +153,14 @@ class LargePicture:
             for kept, value in zip(self._kept, (row, column), strict=True)
         )
         return first, second
+
+    def whole(self) -> xr.Dataset:
+        """Refuse: what is read band by band is not held at once."""
+        raise CubeError(
+            f"{self._path.name} is too large for products beside a page: "
+            f"{self.shape[0]} x {self.shape[1]} pixels; use amulor export, or "
+            "amulor report"
+        )
 
     def _part(self, names: list[str], rows: Numbers, columns: Numbers) -> xr.Dataset:
         variables = {

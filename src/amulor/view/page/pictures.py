@@ -42,6 +42,9 @@ class Picture(Protocol):
     def place(self, row: int, column: int) -> tuple[int, int]:
         """Return where a pixel of the scan is in the image of `around`."""
 
+    def whole(self) -> xr.Dataset:
+        """Return the image, or raise `CubeError` if it is too large for that."""
+
 
 @dataclass(frozen=True)
 class MemoryPicture:
@@ -85,6 +88,10 @@ class MemoryPicture:
     def place(self, row: int, column: int) -> tuple[int, int]:
         """Return the pixel itself."""
         return row, column
+
+    def whole(self) -> xr.Dataset:
+        """Return the image."""
+        return self.image
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -4,7 +4,9 @@ import { CloudView } from "./cloud.js";
 import { flagColour, MAP_OF, table } from "./colour.js";
 import { Live } from "./live.js";
 import { colourBar, fitted, MapView } from "./map.js";
+import { download, pictureOf, png, themed as themedColours } from "./picture.js";
 import { along, drawHistogram, drawProfile, drawSpectrum, profileOf } from "./plots.js";
+import { Products } from "./products.js";
 import { Renderer } from "./renderer.js";
 import { sampled, Scene } from "./scene.js";
 import { source } from "./source.js";
@@ -80,18 +82,10 @@ function draw() {
   document.documentElement.dataset.ready = "yes";
 }
 
-function rgb(text) {
-  return [1, 3, 5].map((at) => parseInt(text.slice(at, at + 2), 16) / 255);
-}
-
 function themed(name) {
-  document.documentElement.dataset.theme = name;
-  const style = getComputedStyle(document.documentElement);
-  const get = (key) => style.getPropertyValue(`--${key}`).trim();
-  colours = { ink: get("ink"), soft: get("soft"), line: get("line"), accent: get("accent"), band: get("band"), mark: get("mark"), under: get("under"), plate: get("card"), font: style.fontFamily || "sans-serif", cursor: "#f2a33c" };
-  colours.font = getComputedStyle(document.body).fontFamily;
-  state.look.ground = rgb(get("stage"));
-  state.look.missing = name === "dark" ? [0.2, 0.25, 0.28] : [0.8, 0.83, 0.85];
+  colours = themedColours(name);
+  state.look.ground = colours.ground;
+  state.look.missing = colours.missing;
   state.live?.draw(colours);
   redraw();
 }
@@ -471,22 +465,37 @@ function profileAlong(kind) {
   redraw();
 }
 
-function download(name, blob) {
-  const link = document.createElement("a");
-  link.href = URL.createObjectURL(blob);
-  link.download = name;
-  link.click();
-  setTimeout(() => URL.revokeObjectURL(link.href), 10000);
+/** A view as a picture that says what it shows. */
+async function picture(view) {
+  const { scene } = state;
+  const layer = scene.byName.get(state.layerName);
+  const flags = layer.kind === "flags";
+  const unit = layer.kind === "range" ? { unit: layer.unit, factor: 1 } : scaled(Math.max(...state.limits.map(Math.abs)), layer.unit);
+  const bar = flags ? null : { table: state.tables[layer.kind], limits: state.limits.map((value) => value * unit.factor), unit: unit.unit, label: layer.label };
+  const words = [$("subtitle").textContent, `Channel ${scene.channel}, ${state.raw ? "water in" : "water taken out"}.`];
+  if (view.id === "cloud" && !views.cloud.camera.orthographic) words.push("In perspective: no scale.");
+  if (flags) words.push([...$("legend").children].map((one) => one.textContent).join("; "));
+  else if ($("light").checked) words.push($("light-note").textContent);
+  for (const kept of state.measurements) words.push(`${kept.number}: ${toolOf(kept.kind).name} ${worded(kept.found).main.join(", ")}`);
+  // A picture to hand over has no pointer in it.
+  const { cursor } = state;
+  state.cursor = null;
+  draw();
+  state.cursor = cursor;
+  const made = pictureOf({ view, title: scene.title, words, bar, colours });
+  redraw();
+  download(`${stem()}-${view.id === "cloud" ? "view" : layer.name}.png`, await png(made));
 }
 
+const stem = () => state.scene.name.replace(/\.\w+$/, "");
+
 async function saved() {
-  const stem = state.scene.name.replace(/\.\w+$/, "");
   try {
     if (state.source.saved) {
       hint("This page is a saved one; its measurements go with copy as text.", true);
       return;
     }
-    download(`${stem}.html`, await state.source.page(state.measurements));
+    download(`${stem()}.html`, await state.source.page(state.measurements));
   } catch (error) {
     failed(error);
   }
@@ -497,7 +506,7 @@ function csv() {
   const pixels = along(scene, { kind: state.profileKind, cursor: state.cursor, section: state.section });
   const lines = profileOf(scene, pixels, state.profileLayer).map((one) => [one.pixel[0], one.pixel[1], one.x, one.value, one.error].join(","));
   const layer = scene.byName.get(state.profileLayer);
-  download(`${scene.name.replace(/\.\w+$/, "")}-profile.csv`, new Blob([["row", "column", "along_m", `${layer.name}_${layer.unit}`, "uncertainty_m"].join(","), "\n", lines.join("\n"), "\n"], { type: "text/csv" }));
+  download(`${stem()}-profile.csv`, new Blob([["row", "column", "along_m", `${layer.name}_${layer.unit}`, "uncertainty_m"].join(","), "\n", lines.join("\n"), "\n"], { type: "text/csv" }));
 }
 
 function narrow() {
@@ -539,6 +548,8 @@ const KEYS = {
   l: () => profileAlong("section"),
   a: automatic,
   n: narrow,
+  x: () => state.products && state.products.open(),
+  p: () => picture($("map")).catch(failed),
   "?": () => $("keys").showModal(),
   "+": () => zoomed(0.8),
   "-": () => zoomed(1.25),
@@ -558,7 +569,7 @@ function orthographic() {
 }
 
 function keyed(event) {
-  if (event.ctrlKey || event.metaKey || event.altKey || $("keys").open) return;
+  if (event.ctrlKey || event.metaKey || event.altKey || $("keys").open || $("order").open) return;
   const into = event.target;
   if (into instanceof HTMLInputElement || into instanceof HTMLSelectElement) return;
   const { scene } = state;
@@ -590,6 +601,9 @@ function keyed(event) {
 function wired() {
   const clicks = {
     save: saved,
+    products: KEYS.x,
+    "map-picture": KEYS.p,
+    "cloud-picture": () => picture($("cloud")).catch(failed),
     theme: KEYS.d,
     help: KEYS["?"],
     auto: automatic,
@@ -699,6 +713,11 @@ async function main() {
   state.number = state.measurements.length;
   listed();
   if (state.scene.live) state.live = new Live($("scan-card"), page);
+  const products = new Products($("order"), { source: state.source, channel: () => state.scene.channel, section: () => (state.profileKind === "section" ? state.section : null) });
+  if (await products.offered()) {
+    state.products = products;
+    $("products").hidden = false;
+  }
   document.documentElement.dataset.complete = "yes";
 }
 

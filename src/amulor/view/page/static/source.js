@@ -45,6 +45,18 @@ class Served {
     return (await this.#post("save", { measurements })).blob();
   }
 
+  /** Return which products the server makes. */
+  async products() {
+    return (await this.#answer("products")).json();
+  }
+
+  /** Return a product: name of its file, what it is in words, and its bytes. */
+  async product(request) {
+    const answer = await this.#post("product", request);
+    const named = /filename\*=UTF-8''([^;]+)/.exec(answer.headers.get("content-disposition") ?? "");
+    return { name: decodeURIComponent(named?.[1] ?? "product"), said: decodeURIComponent(answer.headers.get("amulor-said") ?? ""), blob: await answer.blob() };
+  }
+
   #post(address, content) {
     return this.#answer(address, {
       method: "POST",
@@ -87,6 +99,10 @@ class Saved {
     if (!found.before && !found.after) return null;
     if (found.before && found.after) found.water = difference(found.before, found.after);
     return found;
+  }
+
+  async products() {
+    return [];
   }
 
   async measure() {

@@ -6,12 +6,14 @@ import json
 from collections.abc import Awaitable, Callable
 from pathlib import Path
 from typing import Any
+from urllib.parse import quote
 
 from starlette.concurrency import run_in_threadpool
 from starlette.requests import ClientDisconnect, Request
 from starlette.responses import JSONResponse, Response
 
 from amulor.errors import AmulorError, CubeError
+from amulor.view.page.offers import Made
 from amulor.view.page.saved import TYPES, static_files
 
 #: Measurements that a saved page may begin with [1].
@@ -67,6 +69,19 @@ async def object_of(request: Request) -> dict[str, Any]:
 def numbers(content: bytes) -> Response:
     """Return bytes as an answer."""
     return Response(content, media_type="application/octet-stream")
+
+
+def downloaded(made: Made) -> Response:
+    """Return a product that the browser keeps as a file, and what it is in a header."""
+    name = quote(made.name, safe="")
+    return Response(
+        made.content,
+        media_type="application/octet-stream",
+        headers={
+            "content-disposition": f"attachment; filename*=UTF-8''{name}",
+            "amulor-said": quote(made.said),
+        },
+    )
 
 
 async def answered(made: Callable[[], Response]) -> Response:

@@ -18,6 +18,7 @@ from amulor.errors import CubeError
 from amulor.view.page.layers import stored
 from amulor.view.page.live import Live
 from amulor.view.page.measuring import measured
+from amulor.view.page.offers import Made, Products
 from amulor.view.page.recording import Recording
 from amulor.view.page.saved import saved_page
 from amulor.view.page.space import Space
@@ -26,6 +27,7 @@ from amulor.view.page.web import feed
 from amulor.view.page.web.answers import (
     Files,
     answered,
+    downloaded,
     explained,
     measurements_of,
     numbers,
@@ -41,6 +43,7 @@ def application(
     token: str,
     hosts: Collection[str] = (),
     beyond: bool = False,
+    products: Products | None = None,
 ) -> ASGIApp:
     """Return the page of a file or a scan as an ASGI application.
 
@@ -54,20 +57,25 @@ def application(
         Names of this computer besides localhost.
     beyond : bool
         Whether other computers are served, too.
+    products : Products, optional
+        Makes files of a range image, which the browser keeps; none without.
 
     Returns
     -------
     callable
         Starlette behind a `Guard`. Nothing it answers changes a file or moves a device.
     """
-    routes = space_routes(shown) if isinstance(shown, Space) else _routes(shown)
+    if isinstance(shown, Space):
+        routes = space_routes(shown)
+    else:
+        routes = _routes(shown, products)
     inner = Starlette(routes=routes)
     return Guard(inner, token=token, hosts=hosts, beyond=beyond)
 
 
-def _routes(shown: Recording | Live) -> list[Any]:
+def _routes(shown: Recording | Live, products: Products | None) -> list[Any]:
     """Return what is answered of a picture or a scan."""
-    pages, files = _Pages(shown), Files("index.html")
+    pages, files = _Pages(shown, products), Files("index.html")
     return [
         Route("/", files.index),
         Route("/static/{name}", files.static),
@@ -76,13 +84,15 @@ def _routes(shown: Recording | Live) -> list[Any]:
         Route("/spectrum/{channel}/{row:int}/{column:int}", pages.spectrum),
         Route("/measure", pages.measure, methods=["POST"]),
         Route("/save", pages.save, methods=["POST"]),
+        Route("/products", pages.products),
+        Route("/product", pages.product, methods=["POST"]),
         WebSocketRoute("/live", pages.live),
     ]
 
 
 class _Pages:
-    def __init__(self, shown: Recording | Live) -> None:
-        self._shown = shown
+    def __init__(self, shown: Recording | Live, products: Products | None) -> None:
+        self._shown, self._products = shown, products
 
     @property
     def _recording(self) -> Recording:
@@ -149,6 +159,28 @@ class _Pages:
             return Response(page.encode(), media_type="application/octet-stream")
 
         return await explained(made())
+
+    async def products(self, request: Request) -> Response:
+        offered = [] if self._products is None else self._products.offered()
+        return JSONResponse(offered)
+
+    async def product(self, request: Request) -> Response:
+        async def made() -> Response:
+            wanted = await object_of(request)
+            return downloaded(await run_in_threadpool(self._product, wanted))
+
+        return await explained(made())
+
+    def _product(self, wanted: dict[str, Any]) -> Made:
+        if self._products is None:
+            raise CubeError("this server makes no products")
+        recording = self._recording
+        channel = str(wanted.get("channel", recording.channels[0]))
+        image = recording.channel(channel).shown.whole()
+        stem = recording.name.rpartition(".")[0] or recording.name
+        if len(recording.channels) > 1:
+            stem = f"{stem}-{channel}"
+        return self._products.make(image, wanted, stem=stem)
 
     async def live(self, socket: WebSocket) -> None:
         if not isinstance(self._shown, Live):

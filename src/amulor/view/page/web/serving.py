@@ -11,6 +11,7 @@ import uvicorn
 
 from amulor.errors import FormatError
 from amulor.view.page.live import Live
+from amulor.view.page.offers import Products
 from amulor.view.page.recording import Recording
 from amulor.view.page.space import Space
 from amulor.view.page.web.security import new_token
@@ -28,6 +29,7 @@ def serve(
     port: int = 0,
     announce: Callable[[str], None] = lambda address: None,
     token: str | None = None,
+    products: Products | None = None,
 ) -> None:
     """Serve a page until Ctrl-C.
 
@@ -44,6 +46,8 @@ def serve(
         Is told the address, as soon as it answers.
     token : str, optional
         First part of every path; drawn at random by default.
+    products : Products, optional
+        Makes files of a range image, which the browser keeps; none without.
 
     Raises
     ------
@@ -51,7 +55,7 @@ def serve(
         If the address cannot be listened at.
     """
     with contextlib.closing(_listener(host, port)) as listener:
-        address, server = _server(shown, host, listener, token or new_token())
+        address, server = _server(shown, host, listener, token or new_token(), products)
         announce(address)
         with contextlib.suppress(KeyboardInterrupt):
             server.run(sockets=[listener])
@@ -59,7 +63,10 @@ def serve(
 
 @contextlib.contextmanager
 def background(
-    shown: Recording | Live | Space, *, token: str | None = None
+    shown: Recording | Live | Space,
+    *,
+    token: str | None = None,
+    products: Products | None = None,
 ) -> Iterator[str]:
     """Serve a page beside what else runs, as in a notebook.
 
@@ -69,6 +76,8 @@ def background(
         What it shows.
     token : str, optional
         First part of every path; drawn at random by default.
+    products : Products, optional
+        Makes files of a range image, which the browser keeps; none without.
 
     Yields
     ------
@@ -76,7 +85,9 @@ def background(
         The address; it answers until the block is left.
     """
     with contextlib.closing(_listener("127.0.0.1", 0)) as listener:
-        address, server = _server(shown, "127.0.0.1", listener, token or new_token())
+        address, server = _server(
+            shown, "127.0.0.1", listener, token or new_token(), products
+        )
         thread = threading.Thread(
             target=server.run, kwargs={"sockets": [listener]}, daemon=True
         )
@@ -106,7 +117,11 @@ def _listener(host: str, port: int) -> socket.socket:
 
 
 def _server(
-    shown: Recording | Live | Space, host: str, listener: socket.socket, token: str
+    shown: Recording | Live | Space,
+    host: str,
+    listener: socket.socket,
+    token: str,
+    products: Products | None,
 ) -> tuple[str, uvicorn.Server]:
     """Return the address of a page and the server behind it."""
     name = socket.gethostname() if host in _EVERYWHERE else host
@@ -116,6 +131,7 @@ def _server(
             shown,
             token=token,
             hosts=[name],
+            products=products,
             beyond=host not in ("127.0.0.1", "::1", "localhost"),
         ),
         access_log=False,

@@ -1,0 +1,262 @@
+"""Makes what the page asks for, by the same orders as `amulor export`."""
+
+from __future__ import annotations
+
+import math
+import tempfile
+import threading
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, Literal, get_args
+
+import numpy as np
+import xarray as xr
+
+from amulor import imaging
+from amulor.errors import CubeError
+from amulor.handover.order import ENDINGS, Order, Product, Unit
+from amulor.handover.products import hand_over
+from amulor.imaging import products
+from amulor.imaging.frame import Frame
+from amulor.view import image_report
+from amulor.view.page.offers import Made
+
+#: A range image with more pixels takes too much memory beside a page [1].
+MOST_PIXELS = 2_000_000
+_AXES = ("instrument", "z-up", "pose")
+_SHOWN = ("amplitude", "height", "relief", "uncertainty")
+_DRAWN = ("side", "scale", "axes", "good_only", "largest_uncertainty")
+
+#: Label and options of what is offered, in the order of the page.
+_OFFERS: dict[str, tuple[str, tuple[str, ...]]] = {
+    "report": ("Report with accuracy statement", ()),
+    "orthoimage": ("Orthoimage", ("show", "dpi", "cell", "contours", *_DRAWN)),
+    "dem": ("Heights (DEM)", ("cell", "contours", *_DRAWN)),
+    "contours": ("Contour lines", ("contours", "cell", *_DRAWN)),
+    "section": ("Section along the line", _DRAWN),
+    "deviation": ("Deviation from the reference", ("farthest", "cell", *_DRAWN)),
+    "mesh": ("Mesh", ("axes", "good_only", "largest_uncertainty")),
+    "cloud": ("Point cloud", ("axes", "good_only", "largest_uncertainty")),
+}
+
+
+class PageProducts:
+    """Products of the range image that a page shows.
+
+    Parameters
+    ----------
+    against : pathlib.Path, optional
+        Mesh or earlier range image that deviations are taken from. The page cannot
+        name another one.
+    unit : str
+        Unit of that mesh.
+
+    Notes
+    -----
+    A product is written into a folder of its own among the temporary ones, which
+    nobody else can read and which is gone before the page gets its answer: the formats'
+    libraries write files. One is made at a time.
+    """
+
+    def __init__(self, *, against: Path | None = None, unit: Unit = "m") -> None:
+        self._against, self._unit = against, unit
+        self._busy = threading.Lock()
+
+    def offered(self) -> list[dict[str, Any]]:
+        """Return products with their labels, endings and options, for the page."""
+        return [
+            {
+                "product": product,
+                "label": label,
+                "endings": list(_endings(product)),
+                "options": list(options),
+            }
+            for product, (label, options) in _OFFERS.items()
+            if product != "deviation" or self._against is not None
+        ]
+
+    def make(self, image: xr.Dataset, wanted: dict[str, Any], *, stem: str) -> Made:
+        """Make a product of a range image.
+
+        Parameters
+        ----------
+        image : xarray.Dataset
+            Level `range_image`.
+        wanted : dict
+            `product`, `ending`, and where they mean something `side`, `scale`, `dpi`,
+            `show`, `axes`, `good_only`, and in metres `cell`, `contours`, `farthest`,
+            `largest_uncertainty`; of a section `pixels`, rows and columns of its ends.
+        stem : str
+            Name of the file without its ending.
+
+        Returns
+        -------
+        Made
+            The file.
+
+        Raises
+        ------
+        CubeError
+            If the request makes no sense, the image does not hold it or is too large,
+            or another product is being made.
+        """
+        offers = {str(offer["product"]): offer for offer in self.offered()}
+        product = str(wanted.get("product", ""))
+        if product not in offers:
+            raise CubeError(
+                f"there is no product {product[:40]!r} here, only {', '.join(offers)}"
+            )
+        ending = str(wanted.get("ending", offers[product]["endings"][0]))
+        if ending not in offers[product]["endings"]:
+            raise CubeError(
+                f"{product} is written to {', '.join(offers[product]['endings'])}, not "
+                f"{ending[:20]!r}"
+            )
+        unknown = set(wanted) - {"product", "ending", "channel", "pixels"}
+        unknown -= set(offers[product]["options"])
+        if unknown:
+            raise CubeError(
+                f"{product} takes no option {min(unknown)[:40]!r}; it takes "
+                f"{', '.join(offers[product]['options']) or 'none'}"
+            )
+        if image["slant_range"].size > MOST_PIXELS:
+            raise CubeError(
+                f"the image has more than {MOST_PIXELS:,} pixels, which need more "
+                "memory than a page should take; use amulor export"
+            )
+        if not self._busy.acquire(blocking=False):
+            raise CubeError("another product is being made; ask again in a moment")
+        try:
+            return self._written(image, product, ending, wanted, stem)
+        finally:
+            self._busy.release()
+
+    def _written(
+        self,
+        image: xr.Dataset,
+        product: str,
+        ending: str,
+        wanted: Mapping[str, Any],
+        stem: str,
+    ) -> Made:
+        name = f"{_plain(stem)}-{product}{ending}"
+        with tempfile.TemporaryDirectory(prefix="amulor-page-") as folder:
+            path = Path(folder) / name
+            if product == "report":
+                image_report.write(path, {_plain(stem): image})
+                said = "report; a browser prints it as an A4 document"
+            else:
+                image, frame = _chosen(image, wanted)
+                order = self._order(product, wanted, image, frame)
+                said = hand_over(image, path, order, frame=frame)
+            return Made(name=name, content=path.read_bytes(), said=said)
+
+    def _order(
+        self, product: str, wanted: Mapping[str, Any], image: xr.Dataset, frame: Frame
+    ) -> Order:
+        side = _one_of(wanted, "side", ("front", "top"))
+        found: dict[str, Any] = {
+            name: _number(wanted, name, low, high)
+            for name, low, high in (
+                ("cell", 1e-5, 1.0),
+                ("contours", 1e-5, 10.0),
+                ("farthest", 1e-6, 100.0),
+            )
+        }
+        if product == "contours" and found["contours"] is None:
+            raise CubeError("contour lines need their interval")
+        if product == "section":
+            found["line"] = _line(image, frame, side, wanted.get("pixels"))
+        if product == "deviation":
+            found |= {"against": self._against, "unit": self._unit}
+        return Order(
+            product=product,  # type: ignore[arg-type]
+            side=side,  # type: ignore[arg-type]
+            show=_one_of(wanted, "show", _SHOWN),  # type: ignore[arg-type]
+            scale=_number(wanted, "scale", 0.1, 10_000.0) or 10.0,
+            dots_per_inch=_number(wanted, "dpi", 10.0, 1200.0) or 300.0,
+            **found,
+        )
+
+
+def _endings(product: str) -> tuple[str, ...]:
+    if product == "report":
+        return (".html",)
+    endings: Mapping[str, tuple[str, ...]] = {
+        name: ENDINGS[name] for name in get_args(Product)
+    }
+    return endings[product]
+
+
+def _plain(stem: str) -> str:
+    """Return a name that is one in every file system, and no way to another folder."""
+    kept = "".join(c if c.isalnum() or c in "-_" else "_" for c in stem)
+    return kept.strip("_")[:80] or "scan"
+
+
+def _chosen(image: xr.Dataset, wanted: Mapping[str, Any]) -> tuple[xr.Dataset, Frame]:
+    """Return the image without what is left out, and its axes."""
+    axes: Literal["instrument", "z-up", "pose"]
+    axes = _one_of(wanted, "axes", _AXES)  # type: ignore[assignment]
+    good = wanted.get("good_only", False)
+    if not isinstance(good, bool):
+        raise CubeError("good_only is true or false")
+    largest = _number(wanted, "largest_uncertainty", 1e-9, 100.0)
+    frame = imaging.frame_of(image, axes=axes)
+    if good or largest is not None:
+        image = imaging.leave_out(image, good_only=good, largest_uncertainty=largest)
+    return image, frame
+
+
+def _line(
+    image: xr.Dataset, frame: Frame, side: str, pixels: Any
+) -> tuple[float, float, float, float]:
+    """Return the ends of a section in its drawing, of two pixels of the scan."""
+    rows, columns = image["slant_range"].shape
+    if (
+        not isinstance(pixels, list)
+        or len(pixels) != 2
+        or not all(isinstance(one, list) and len(one) == 2 for one in pixels)
+        or not all(type(part) is int for one in pixels for part in one)
+        or not all(0 <= r < rows and 0 <= c < columns for r, c in pixels)
+    ):
+        raise CubeError("a section needs two pixels: draw a line on the map first (L)")
+    if pixels[0] == pixels[1]:
+        raise CubeError("both ends of the section are the same pixel")
+    cloud = imaging.point_cloud(image, frame=frame)
+    places = np.stack([cloud[axis].values for axis in "xyz"], axis=1)
+    plane = products.plane_of(frame, side)  # type: ignore[arg-type]
+    found: list[float] = []
+    for row, column in pixels:
+        # Where a pixel has no range, the nearest one that has stands for it.
+        away = np.hypot(cloud["row"].values - row, cloud["column"].values - column)
+        place = places[int(np.argmin(away))]
+        found += [float(plane.axes[0] @ place), float(plane.axes[1] @ place)]
+    a, b, c, d = found
+    if math.hypot(c - a, d - b) < 1e-6:
+        raise CubeError(
+            f"seen from the {side}, both ends of the section are at the same place"
+        )
+    return a, b, c, d
+
+
+def _one_of(wanted: Mapping[str, Any], name: str, choices: Sequence[str]) -> str:
+    """Return one of some words; the first one if none is stated."""
+    value = wanted.get(name, choices[0])
+    if value not in choices:
+        raise CubeError(f"{name} must be one of {', '.join(choices)}")
+    return str(value)
+
+
+def _number(
+    wanted: Mapping[str, Any], name: str, low: float, high: float
+) -> float | None:
+    """Return a number within limits, or None if none is stated."""
+    value = wanted.get(name)
+    if value is None:
+        return None
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        raise CubeError(f"{name} must be a number")
+    if not low <= value <= high:
+        raise CubeError(f"{name} must be from {low:g} to {high:g}, got {value:g}")
+    return float(value)
