@@ -11,6 +11,7 @@ from pydantic_core import PydanticUndefined
 from amulor import survey
 from amulor.cube import schema
 from amulor.survey.water import WaterState
+from amulor.view import explanations
 
 FOLDER = Path(__file__).parent / "reference"
 EXAMPLES = FOLDER / "examples"
@@ -132,6 +133,34 @@ def cube_page() -> str:
     return "\n".join([*parts, ""])
 
 
+def flags_page() -> str:
+    """Return the page on flags, warnings and terms of the error budget."""
+    parts = [
+        "# Flags, warnings, error terms",
+        "",
+        "What each of them means: what is compared with what, how often chance alone",
+        "does it, and what to do. `amulor explain NAME` prints the same, and takes a",
+        "message as it was printed, too. Made from the code by",
+        "`docs/make_reference.py`, with the limits that decide.",
+        "",
+    ]
+    kind = ""
+    for one in explanations.explanations().values():
+        if one.kind != kind:
+            kind = one.kind
+            parts += [f"## {kind[0].upper()}{kind[1:]}s", ""]
+        parts += [f"### {one.name}", "", one.meaning, ""]
+        rows = (
+            ("Compared", one.compared),
+            ("By chance", one.chance),
+            ("So", one.consequence),
+            ("What to do", one.remedy),
+        )
+        parts += [f"- *{label}:* {text}" for label, text in rows if text]
+        parts.append("")
+    return "\n".join(parts)
+
+
 def _variables(specs: dict[str, schema.Variable]) -> list[str]:
     rows = ["| name | over | unit | what | needed |", "| --- | --- | --- | --- | --- |"]
     for name, spec in specs.items():
@@ -162,6 +191,7 @@ def _default(value: object) -> str:
 PAGES: dict[str, typing.Callable[[], str]] = {
     "survey-file.md": survey_page,
     "cube.md": cube_page,
+    "flags.md": flags_page,
 }
 
 

@@ -44,6 +44,10 @@ COMMANDS = {
         "Turn a recording of other software into a measurement cube.",
     ),
     "info": ("info:info", "Say what a file holds."),
+    "explain": (
+        "help.explain:explain",
+        "Say what a flag or a message means, and what to do.",
+    ),
     "reject": ("reject:reject", "Take the water signal out of a measurement cube."),
     "image": ("image:image", "Turn a target signal into a range image."),
     "export": (

@@ -57,6 +57,10 @@ def info(
             lines = value if isinstance(value, list) and name == "history" else [value]
             for line in lines:
                 print(f"{name:>26}: {line}")
+    if found["flags"]:
+        from amulor.view.explanations import hint
+
+        print(f"{'what flags mean':>26}: {hint(found['flags'])}")
     for line in _lines(budget):
         print(f"{'uncertainty':>26}: {line}")
 

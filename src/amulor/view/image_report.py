@@ -19,6 +19,7 @@ from amulor.view.accuracy import (
     registration,
 )
 from amulor.view.error_budget import error_budgets
+from amulor.view.explanations import hint
 from amulor.view.report import (
     Heading,
     Interactive,
@@ -127,7 +128,11 @@ def flag_sentence(image: xr.Dataset) -> str:
     pixels = image["quality_flag"].size
     reason = image.attrs.get("interval_unsettled", "")
     unsettled = f" Ranges may be off by whole intervals: {reason}." if reason else ""
-    return f"Grey pixels hold no range. Flags, of {pixels} pixels: {listed}.{unsettled}"
+    asked = f" What they mean: {hint(cubes.flag_counts(image))}." if counts else ""
+    return (
+        f"Grey pixels hold no range. Flags, of {pixels} pixels: {listed}.{asked}"
+        f"{unsettled}"
+    )
 
 
 def interactive(images: Mapping[str, xr.Dataset]) -> list[Part]:
