@@ -1,7 +1,7 @@
 // The page: what is shown, what is pointed at, and who is told.
 
 import { CloudView } from "./cloud.js";
-import { flagColour, MAP_OF, table } from "./colour.js";
+import { explained, flagColour, MAP_OF, table } from "./colour.js";
 import { Live } from "./live.js";
 import { colourBar, fitted, MapView } from "./map.js";
 import { download, pictureOf, png, themed as themedColours } from "./picture.js";
@@ -286,7 +286,9 @@ function legend() {
   const counted = state.scene.flags.map((flag) => [flag, values.reduce((sum, bits) => sum + (bits & flag.mask ? 1 : 0), 0)]);
   const good = values.reduce((sum, bits) => sum + (bits === 0 ? 1 : 0), 0);
   const entries = [[`good, ${share(good)}`, "#2c7f62"], ...counted.filter(([, count]) => count).map(([flag, count]) => [`${flag.name}, ${share(count)}: ${flag.words}`, flagColour(flag.name)])];
-  $("legend").replaceChildren(...entries.map(([text, colour]) => swatch(text, colour)));
+  const [first] = counted.filter(([, count]) => count);
+  const asked = first ? [Object.assign(document.createElement("span"), { textContent: `More of each: amulor explain ${explained(first[0].name)}` })] : [];
+  $("legend").replaceChildren(...entries.map(([text, colour]) => swatch(text, colour)), ...asked);
 }
 
 function swatch(text, colour) {
@@ -333,7 +335,7 @@ function readout() {
   if (Number.isFinite(range)) {
     add("range", Number.isFinite(error) ? withError(range, error, "m") : withUnit(range, "m", 5), "big");
     if (Number.isFinite(get("common"))) add("shared part", withUnit(get("common"), "m", 2));
-    if (Number.isFinite(get("bias"))) add("bias left", withUnit(get("bias"), "m", 2));
+    if (Number.isFinite(get("bias"))) add("bias left", Math.abs(get("bias")) < 1e-9 ? "0 mm" : withUnit(get("bias"), "m", 2));
     if (Number.isFinite(raw) && scene.main === "range") add("water in", `${`${short(raw * 1e3, 5)} mm`} (${signed(raw - range)})`);
   } else add("range", "none", "big");
   if (Number.isFinite(get("amplitude"))) add("amplitude", withUnit(get("amplitude"), "V", 3));
@@ -350,6 +352,7 @@ function readout() {
       const dd = document.createElement("dd");
       dd.className = "words";
       dd.append(swatch(flag.words, flagColour(flag.name)));
+      dd.title = `amulor explain ${explained(flag.name)}`;
       return dd;
     }),
   );
@@ -542,7 +545,7 @@ const KEYS = {
     views.cloud.home(state.scene);
   },
   o: () => orthographic(),
-  f: () => views.cloud.camera.straight(),
+  f: () => views.cloud.front(),
   d: () => themed(document.documentElement.dataset.theme === "dark" ? "light" : "dark"),
   s: () => saved(),
   l: () => profileAlong("section"),

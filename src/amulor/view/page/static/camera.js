@@ -18,6 +18,19 @@ export class Camera {
     this.rise = 0.42;
   }
 
+  /** Come so near that places just fit into a view of some width to height. */
+  fit(places, aspect) {
+    const { forward, right, up } = this.frame();
+    const share = 0.92 * Math.tan(Camera.ANGLE / 2);
+    let distance = 0;
+    for (const place of places) {
+      const [x, y, z] = [right, up, forward].map((axis) => axis.reduce((sum, part, k) => sum + part * (place[k] - this.target[k]), 0));
+      const needed = Math.max(Math.abs(y), Math.abs(x) / aspect) / share - (this.orthographic ? 0 : z);
+      distance = Math.max(distance, needed);
+    }
+    if (distance > 0) this.distance = clamp(distance, this.start.size * 0.01, this.start.size * 20);
+  }
+
   /** Look straight along the beams, as the map does. */
   straight() {
     this.turn = 0;

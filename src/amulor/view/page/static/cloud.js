@@ -36,6 +36,20 @@ export class CloudView {
     });
     const size = Math.hypot(...ends.map(([low, high]) => high - low)) || 0.1;
     this.camera.home({ target: ends.map(([low, high]) => (low + high) / 2), size });
+    // A few points that stand far off make nothing small.
+    this.places = places.filter((place) => place.every((part, k) => part >= ends[k][0] && part <= ends[k][1]));
+    this.#fitted();
+  }
+
+  /** Look along the beams. */
+  front() {
+    this.camera.straight();
+    this.#fitted();
+  }
+
+  #fitted() {
+    const { clientWidth, clientHeight } = this.canvas;
+    if (clientHeight) this.camera.fit(this.places ?? [], clientWidth / clientHeight);
   }
 
   #parts(state, stride) {

@@ -45,6 +45,11 @@ export function flagColour(name) {
   return FLAG_COLOURS[name] ?? INK.grey;
 }
 
+/** Return the name of a flag as `amulor explain` takes it. */
+export function explained(name) {
+  return name.toUpperCase().replaceAll(" ", "_");
+}
+
 function channels(hex) {
   return [0, 2, 4].map((at) => parseInt(hex.slice(at, at + 2), 16));
 }

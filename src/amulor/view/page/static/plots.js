@@ -14,8 +14,8 @@ function started(canvas) {
   return { ctx, width: canvas.width / ratio, height: canvas.height / ratio };
 }
 
-function framed({ ctx, width, height }, x, y, colours) {
-  const box = { left: 54, top: 10, right: width - 12, bottom: height - 32 };
+function framed({ ctx, width, height }, x, y, colours, top = 10) {
+  const box = { left: 54, top, right: width - 12, bottom: height - 32 };
   const toX = (value) => box.left + ((value - x.low) / (x.high - x.low || 1)) * (box.right - box.left);
   const toY = (value) => box.bottom - ((value - y.low) / (y.high - y.low || 1)) * (box.bottom - box.top);
   ctx.font = `11px ${colours.font}`;
@@ -128,7 +128,9 @@ export function drawProfile(canvas, state, colours) {
   const spread = 2 * spreads[spreads.length >> 1];
   let [low, high] = [sizes[Math.floor(0.005 * sizes.length)] - spread, sizes[Math.ceil(0.995 * (sizes.length - 1))] + spread];
   if (other) {
-    const beside = other.map((one) => one.value).filter(Number.isFinite).sort((a, b) => a - b);
+    // Where there is no target, raw ranges are those of the water alone.
+    const both = other.filter((one, k) => Number.isFinite(line[k].value));
+    const beside = both.map((one) => one.value).filter(Number.isFinite).sort((a, b) => a - b);
     if (beside.length) {
       low = Math.min(low, beside[Math.floor(0.03 * beside.length)]);
       high = Math.max(high, beside[Math.floor(0.97 * (beside.length - 1))]);
@@ -139,7 +141,7 @@ export function drawProfile(canvas, state, colours) {
   const f = unit.factor;
   const span = line.at(-1).x;
   const across = span < 2 ? { factor: 1e3, unit: "mm" } : { factor: 1, unit: "m" };
-  const frame = framed(view, { low: 0, high: span * across.factor, label: `along the line [${across.unit}]` }, { low: (low - room) * f, high: (high + room) * f, label: `${layer.label} [${unit.unit || "1"}]` }, colours);
+  const frame = framed(view, { low: 0, high: span * across.factor, label: `along the line [${across.unit}]` }, { low: (low - room) * f, high: (high + room) * f, label: `${layer.label} [${unit.unit || "1"}]` }, colours, 24);
   const { ctx } = view;
   ctx.save();
   ctx.clip();
@@ -202,29 +204,29 @@ function legend(ctx, box, entries, colours) {
   ctx.font = `11px ${colours.font}`;
   ctx.textBaseline = "middle";
   ctx.textAlign = "left";
-  const width = entries.reduce((sum, [text]) => sum + ctx.measureText(text).width + 38, 0);
-  let x = Math.max(box.right - width, box.left + 4);
-  const y = box.top + 6;
-  ctx.fillStyle = colours.plate;
-  ctx.globalAlpha = 0.85;
-  ctx.fillRect(x - 6, y - 9, box.right - x + 6, 18);
-  ctx.globalAlpha = 1;
+  // Above the frame, where it hides no line; closer together where there is less room.
+  const words = entries.reduce((sum, [text]) => sum + ctx.measureText(text).width, 0);
+  const room = box.right - 20;
+  const long = Math.min(18, Math.max(9, (room - words) / entries.length - 18));
+  const step = long + 4 + Math.min(16, Math.max(5, (room - words) / entries.length - long - 4));
+  let x = Math.max(box.right - words - entries.length * step + (step - long - 4), 20);
+  const y = box.top - 14;
   for (const [text, colour, dash] of entries) {
     ctx.strokeStyle = colour;
     ctx.fillStyle = colour;
-    if (dash === null) ctx.fillRect(x, y - 5, 18, 10);
+    if (dash === null) ctx.fillRect(x, y - 5, long, 10);
     else {
       ctx.lineWidth = 1.8;
       ctx.setLineDash(dash);
       ctx.beginPath();
       ctx.moveTo(x, y);
-      ctx.lineTo(x + 18, y);
+      ctx.lineTo(x + long, y);
       ctx.stroke();
       ctx.setLineDash([]);
     }
     ctx.fillStyle = colours.soft;
-    ctx.fillText(text, x + 22, y);
-    x += ctx.measureText(text).width + 38;
+    ctx.fillText(text, x + long + 4, y);
+    x += ctx.measureText(text).width + step;
   }
 }
 
@@ -314,7 +316,7 @@ export function drawSpectrum(canvas, state, colours) {
   const unit = scaled(10 ** high, "V");
   const toValue = wide ? (value) => value * unit.factor : (value) => Math.log10(value);
   const y = wide ? { low: 0, high: 10 ** high * unit.factor, label: `amplitude [${unit.unit}]` } : { low, high, label: "amplitude [V]", logarithmic: true };
-  const frame = framed(view, { low: frequency[0] - margin, high: frequency.at(-1) + margin, label: "modulation frequency [MHz]" }, y, colours);
+  const frame = framed(view, { low: frequency[0] - margin, high: frequency.at(-1) + margin, label: "modulation frequency [MHz]" }, y, colours, 24);
   const { ctx } = view;
   for (const [name, , colour, dash] of parts) {
     const line = spectrum[name];

@@ -1,7 +1,7 @@
 // The page of a point cloud or a mesh: colours, picks, lengths with what is known of them.
 
 import { Camera, multiplied, projected } from "./camera.js";
-import { flagColour, flagRanks, flagTable, MAP_OF, table } from "./colour.js";
+import { explained, flagColour, flagRanks, flagTable, MAP_OF, table } from "./colour.js";
 import { colourBar, dot, fitted, halo, tag } from "./map.js";
 import { distanceOf, lengthAlong, numberAt, seen } from "./picking.js";
 import { download, pictureOf, png, themed } from "./picture.js";
@@ -225,6 +225,13 @@ function home() {
   });
   const size = Math.hypot(...ends.map(([low, high]) => high - low)) || 0.1;
   camera.home({ target: ends.map(([low, high]) => (low + high) / 2), size });
+  state.places = some.filter((place) => place.every((part, k) => part >= ends[k][0] && part <= ends[k][1]));
+  fit();
+}
+
+function fit() {
+  const { clientWidth, clientHeight } = $("space");
+  if (clientHeight) camera.fit(state.places, clientWidth / clientHeight);
 }
 
 /** Return the heights of all points, in the axes that are chosen. */
@@ -271,7 +278,9 @@ function legend(values) {
   const counted = state.scene.flags.map((flag) => [flag, values.reduce((sum, bits) => sum + (bits & flag.mask ? 1 : 0), 0)]);
   const good = values.reduce((sum, bits) => sum + (bits === 0 ? 1 : 0), 0);
   const entries = [[`good, ${share(good)}`, "#2c7f62"], ...counted.filter(([, count]) => count).map(([flag, count]) => [`${flag.name}, ${share(count)}: ${flag.words}`, flagColour(flag.name)])];
-  $("legend").replaceChildren(...entries.map(([text, colour]) => swatch(text, colour)));
+  const [first] = counted.filter(([, count]) => count);
+  const asked = first ? [Object.assign(document.createElement("span"), { textContent: `More of each: amulor explain ${explained(first[0].name)}` })] : [];
+  $("legend").replaceChildren(...entries.map(([text, colour]) => swatch(text, colour)), ...asked);
 }
 
 function swatch(text, colour) {
@@ -316,6 +325,11 @@ function readout() {
     const sigmas = ["x", "y", "z"].map((axis) => numberAt(scene.numbers[`sigma_${axis}`], cursor));
     if (sigmas.every(Number.isFinite)) add("of x, y, z", sigmas.map((part) => short(part * 1e3, 2)).join(", ") + " mm");
   }
+  if (!cursor) {
+    const words = matchMedia("(pointer: coarse)").matches ? "Tap a point." : "Point at a point, or press Enter for what is in the middle of the view.";
+    $("readout").replaceChildren(Object.assign(document.createElement("dd"), { textContent: words, className: "words" }));
+    return;
+  }
   const flags = cursor && scene.numbers.flags ? scene.flags.filter((flag) => scene.numbers.flags[cursor.corners[0]] & flag.mask) : [];
   $("readout").replaceChildren(
     ...rows.flatMap(([term, text, kind]) => [Object.assign(document.createElement("dt"), { textContent: term }), Object.assign(document.createElement("dd"), { textContent: text, className: kind })]),
@@ -323,6 +337,7 @@ function readout() {
       const dd = document.createElement("dd");
       dd.className = "words";
       dd.append(swatch(flag.words, flagColour(flag.name)));
+      dd.title = `amulor explain ${explained(flag.name)}`;
       return dd;
     }),
   );
@@ -440,8 +455,14 @@ function orthographic() {
 const KEYS = {
   r: home,
   o: orthographic,
-  f: () => camera.straight(),
-  t: () => camera.above(),
+  f: () => {
+    camera.straight();
+    fit();
+  },
+  t: () => {
+    camera.above();
+    fit();
+  },
   d: () => { colours = themed(document.documentElement.dataset.theme === "dark" ? "light" : "dark"); },
   s: () => saved().catch(failed),
   p: () => picture().catch(failed),

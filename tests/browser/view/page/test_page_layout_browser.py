@@ -1,0 +1,71 @@
+"""The page on screens of several sizes: nothing cut off, all points in view."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import pytest
+
+from amulor import handover
+from amulor.view import page
+
+pytestmark = pytest.mark.slow
+
+#: Words that their place is too narrow for, and what reaches beyond the screen.
+CUT = """() => {
+  const cut = [...document.querySelectorAll('.tabs span, #readout dd, #readout dt, .tools button, .mini, header button')]
+    .filter((one) => one.offsetParent && one.scrollWidth > one.clientWidth + 1)
+    .map((one) => one.textContent);
+  const out = [...document.querySelectorAll('header *, aside .card, .bar *, #readout dd')]
+    .filter((one) => one.offsetParent && one.getBoundingClientRect().right > innerWidth + 1)
+    .map((one) => one.textContent.slice(0, 30));
+  return [...cut, ...out, ...(document.documentElement.scrollWidth > innerWidth ? ['page'] : [])];
+}"""  # noqa: E501
+#: Parts of the canvas that the points reach to, by a projection of our own.
+REACH = """() => {
+  const { scene, views } = amulor;
+  const camera = views.cloud.camera;
+  const { right, up, forward } = camera.frame();
+  const eye = camera.eye();
+  const canvas = views.cloud.canvas;
+  const aspect = canvas.clientWidth / canvas.clientHeight;
+  let reach = 0;
+  for (let row = 0; row < scene.rows; row += 1) {
+    for (let column = 0; column < scene.columns; column += 1) {
+      const place = scene.point(row, column);
+      if (!place) continue;
+      const away = place.map((part, k) => part - eye[k]);
+      const [x, y, z] = [right, up, forward].map((axis) => axis.reduce((s, a, k) => s + a * away[k], 0));
+      const half = z * camera.span() / camera.distance / 2;
+      reach = Math.max(reach, Math.abs(y) / half, Math.abs(x) / half / aspect);
+    }
+  }
+  return reach;
+}"""  # noqa: E501
+
+
+@pytest.mark.parametrize(
+    ("size", "touch"),
+    [((1024, 720), False), ((390, 844), True), ((820, 1180), True)],
+    ids=["1024", "phone", "tablet"],
+)
+def test_nothing_is_cut_off_and_all_points_are_in_view(
+    tab: Callable[..., Any],
+    steps: page.Recording,
+    size: tuple[int, int],
+    touch: bool,
+) -> None:
+    wide, high = size
+    with page.background(steps, products=handover.PageProducts()) as address:
+        opened = tab(
+            viewport={"width": wide, "height": high}, is_mobile=touch, has_touch=touch
+        )
+        shown = opened.open(address)
+        assert shown.evaluate(CUT) == []
+        # The farthest points are left aside; the rest nearly fills the view.
+        assert 0.7 < shown.evaluate(REACH) < 1.05
+        shown.click("#front")
+        shown.wait_for_timeout(250)
+        assert 0.7 < shown.evaluate(REACH) < 1.05
+        assert opened.errors == []
