@@ -266,33 +266,48 @@ def _check_seal(content: bytes, path: Path) -> None:
 def _fill(group: Any, part: xr.Dataset) -> None:
     for dimension, size in part.sizes.items():
         group.dimensions[dimension] = size
-    listed: set[Hashable] = set(part.indexes)
+    listed, attributes = _listing(part)
     for key, variable in part.variables.items():
-        attributes = dict(variable.attrs)
-        if key in part.data_vars:
-            beside = [
-                place
-                for place, coordinate in part.coords.items()
-                if place not in part.indexes
-                and set(coordinate.dims) <= {*variable.dims}
-            ]
-            listed.update(beside)
-            if beside:
-                attributes["coordinates"] = " ".join(map(str, beside))
-        _create(group, str(key), variable, attributes)
-    unlisted = [str(place) for place in part.coords if place not in listed]
-    attributes = dict(part.attrs)
-    if unlisted:
-        attributes["coordinates"] = " ".join(unlisted)
+        _create(group, str(key), variable, listed[key])
     _set_attributes(group, attributes)
 
 
+def _listing(
+    part: xr.Dataset,
+) -> tuple[dict[Hashable, dict[str, Any]], dict[str, Any]]:
+    """Return the attributes of variables and group, with the coordinates they name."""
+    attributes = {key: dict(found.attrs) for key, found in part.variables.items()}
+    listed: set[Hashable] = set(part.indexes)
+    for key in part.data_vars:
+        beside = [
+            place
+            for place, coordinate in part.coords.items()
+            if place not in part.indexes
+            and set(coordinate.dims) <= {*part.variables[key].dims}
+        ]
+        listed.update(beside)
+        if beside:
+            attributes[key]["coordinates"] = " ".join(map(str, beside))
+    own = dict(part.attrs)
+    unlisted = [str(place) for place in part.coords if place not in listed]
+    if unlisted:
+        own["coordinates"] = " ".join(unlisted)
+    return attributes, own
+
+
 def _create(
-    group: Any, key: str, variable: xr.Variable, attributes: dict[str, Any]
-) -> None:
+    group: Any,
+    key: str,
+    variable: xr.Variable,
+    attributes: dict[str, Any],
+    *,
+    shape: tuple[int, ...] | None = None,
+) -> Any:
+    """Make a variable of a file; of another shape than its own, to be filled in."""
     import h5py
 
     values = variable.values
+    whole = values.shape if shape is None else shape
     dtype: Any = values.dtype.newbyteorder("=")
     options: dict[str, Any] = {}
     if dtype.kind == "b":  # netCDF has no truth values; this is how xarray marks them
@@ -300,9 +315,9 @@ def _create(
         attributes = {**attributes, "dtype": "bool"}
     if dtype.kind in "OUT":
         values, dtype = values.astype(object), h5py.string_dtype()
-    elif values.ndim > 0 and values.size > 0:
+    elif len(whole) > 0 and min(whole) > 0:
         options.update(
-            chunks=_chunks(values.shape),
+            chunks=_chunks(whole),
             compression="gzip",
             compression_opts=4,
             shuffle=True,
@@ -311,9 +326,10 @@ def _create(
     if dtype.kind == "f" and key not in _NEVER_MISSING:
         options["fillvalue"] = dtype.type(np.nan)
     created = group.create_variable(key, variable.dims, dtype, **options)
-    if values.size > 0:
+    if values.size > 0 and shape is None:
         created[...] = values
     _set_attributes(created, attributes)
+    return created
 
 
 def _chunks(shape: tuple[int, ...]) -> tuple[int, ...]:

@@ -1,0 +1,113 @@
+"""Cubes read and written by rows: what the whole file holds, and nothing by half."""
+
+from __future__ import annotations
+
+import h5py
+import numpy as np
+import pytest
+import xarray as xr
+
+from amulor import io
+from amulor.cube import tiles
+from amulor.errors import CubeError, FormatError
+from amulor.io import netcdf_rows
+
+
+@pytest.fixture
+def path(tmp_path):
+    return tmp_path / "cube.nc"
+
+
+@pytest.mark.parametrize("rows", [1, 2, 100])
+@pytest.mark.parametrize("level", ["samples", "target_signal", "range_image"])
+def test_rows_of_a_file_are_those_of_the_whole(make, rng, path, tmp_path, level, rows):
+    cube = getattr(make, level)(rng)
+    cube["user_seen"] = (("row", "column"), rng.random(cube["azimuth"].shape) > 0.5)
+    io.write_cube(cube, path)
+    whole = io.read_cube(path)
+    copy = tmp_path / "copy.nc"
+    with netcdf_rows.open_rows(path) as source:
+        assert (source.rows, source.columns) == whole["azimuth"].shape
+        assert not any("row" in v.dims for v in source.head.variables.values())
+        with netcdf_rows.row_writer(copy, source.rows) as writer:
+            for begin, end in tiles.bands(source, rows):
+                tile = source.tile(begin, end)
+                xr.testing.assert_identical(tile, whole.isel(row=slice(begin, end)))
+                writer.put(tile, begin)
+    xr.testing.assert_identical(io.read_cube(copy), whole)
+    with h5py.File(path) as one, h5py.File(copy) as other:
+        assert one["slant_range" if level == "range_image" else "in_phase"].chunks == (
+            other["slant_range" if level == "range_image" else "in_phase"].chunks
+        )
+
+
+def test_a_damaged_file_is_refused_before_its_rows_are_read(samples, path):
+    io.write_cube(samples, path)
+    content = bytearray(path.read_bytes())
+    content[len(content) // 2] ^= 0xFF
+    path.write_bytes(content)
+    with (
+        pytest.raises(FormatError, match="damaged"),
+        netcdf_rows.open_rows(path),
+    ):
+        pass
+
+
+def test_a_file_without_rows_is_refused(make, rng, path):
+    io.write_cube(make.point_cloud(rng), path)
+    with (
+        pytest.raises(CubeError, match="rows and columns are needed"),
+        netcdf_rows.open_rows(path),
+    ):
+        pass
+
+
+def test_a_file_that_is_not_written_to_its_end_is_not_there(samples, path):
+    rows = samples.sizes["row"]
+    with (
+        pytest.raises(CubeError, match="are written"),
+        netcdf_rows.row_writer(path, rows) as writer,
+    ):
+        writer.put(samples.isel(row=slice(0, 1)), 0)
+    assert list(path.parent.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (lambda tile: (tile, 2), "do not follow row 0"),
+        (lambda tile: (tile.assign(user_more=tile["in_phase"]), 1), "user_more"),
+        (lambda tile: (tile.drop_vars("in_phase"), 1), "in_phase.*missing"),
+    ],
+)
+def test_tiles_that_do_not_fit_are_refused(samples, path, change, words):
+    tile, begin = change(samples.isel(row=slice(1, 2)))
+
+    def write():
+        with netcdf_rows.row_writer(path, samples.sizes["row"]) as writer:
+            writer.put(samples.isel(row=slice(0, 1)), 0)
+            writer.put(tile, begin)
+
+    with pytest.raises(CubeError, match=words):
+        write()
+    assert not path.exists()
+
+
+def test_large_files_are_told_by_their_samples(samples, path, monkeypatch):
+    io.write_cube(samples, path)
+    size = samples["in_phase"].nbytes
+    monkeypatch.setattr(netcdf_rows, "LARGE", size)
+    assert not netcdf_rows.is_large(path)
+    monkeypatch.setattr(netcdf_rows, "LARGE", size - 1)
+    assert netcdf_rows.is_large(path)
+    path.write_bytes(b"something else")
+    assert not netcdf_rows.is_large(path)
+    assert not netcdf_rows.is_large(path.with_name("nothing.nc"))
+
+
+def test_the_digest_is_that_of_the_whole_writer(samples, path, monkeypatch):
+    # Read in pieces that do not divide the file.
+    monkeypatch.setattr(netcdf_rows, "_PIECE", 1000)
+    io.write_cube(samples, path)
+    with netcdf_rows.open_rows(path) as source:
+        assert np.isfinite(source.tile(0, 1)["azimuth"]).all()
