@@ -16,6 +16,7 @@ def image(
     polarization: str | None = None,
     nearest: str | None = None,
     farthest: str | None = None,
+    tile_rows: int | None = None,
     overwrite: Annotated[bool, Parameter(negative="")] = False,
 ) -> None:
     """Turn a target signal into a range image.
@@ -32,15 +33,22 @@ def image(
         Nearest possible slant range, such as "0.5 m"; with --farthest.
     farthest
         Farthest possible slant range, such as "3 m"; with --nearest.
+    tile_rows
+        Work on so many rows at a time, in bounded memory; files of more than 16 million
+        samples are worked on by rows without being asked.
     overwrite
         Replace a file that is there.
     """
     from amulor import _progress, imaging, io
     from amulor.cli._arguments import check_cube_output, interval_of
     from amulor.cli._output import progress_bar
+    from amulor.io.netcdf_rows import is_large
 
     interval = interval_of(nearest, farthest)
     check_cube_output(output, overwrite=overwrite, inputs=[cube])
+    if tile_rows is not None or is_large(cube):
+        _by_rows(cube, output, tile_rows, polarization, interval, overwrite=overwrite)
+        return
     with progress_bar() as advance:
         advance(f"reading {cube}", 0.0)
         target = io.read_cube(cube)
@@ -60,15 +68,49 @@ def image(
         )
         return
     if "interval_unsettled" in result.attrs:
-        print(
-            f"{output}: ranges relative to an unknown number of intervals, all pixels "
-            f"flagged: {result.attrs['interval_unsettled']}; state --nearest and "
-            "--farthest, no farther apart than the phases repeat"
-        )
+        print(_unsettled(output, result.attrs["interval_unsettled"]))
         return
     median = float(result["slant_range_uncertainty"].median())
     doubtful = float(((flags != 0) & usable).mean())
     print(
         f"{output}: range image, {float(usable.mean()):.1%} of the pixels usable "
         f"({doubtful:.1%} flagged), median uncertainty {median * 1e3:.2f} mm"
+    )
+
+
+def _unsettled(output: Path, reason: str) -> str:
+    return (
+        f"{output}: ranges relative to an unknown number of intervals, all pixels "
+        f"flagged: {reason}; state --nearest and --farthest, no farther apart than the "
+        "phases repeat"
+    )
+
+
+def _by_rows(
+    cube: Path,
+    output: Path,
+    rows: int | None,
+    polarization: str | None,
+    interval: tuple[float, float] | None,
+    *,
+    overwrite: bool,
+) -> None:
+    """Make the image tile by tile, and print what came out."""
+    from amulor import scale
+    from amulor.cli._arguments import UsageError
+    from amulor.cli._output import progress_bar
+
+    if rows is not None and rows < 1:
+        raise UsageError(f"--tile-rows must be 1 or more, got {rows}")
+    with progress_bar():
+        made = scale.image_file(
+            cube, output, rows=rows, overwrite=overwrite,
+            polarization=polarization, interval=interval,
+        )  # fmt: skip
+    if "interval_unsettled" in made.head.attrs:
+        print(_unsettled(output, made.head.attrs["interval_unsettled"]))
+        return
+    print(
+        f"{output}: range image, {made.usable / made.count:.1%} of the pixels usable "
+        f"({made.doubtful / made.count:.1%} flagged)"
     )

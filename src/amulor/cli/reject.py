@@ -46,6 +46,7 @@ def reject(
     column_uncertainty: str | None = None,
     nearest: str | None = None,
     farthest: str | None = None,
+    tile_rows: int | None = None,
     json: Annotated[bool, Parameter(negative="")] = False,
     overwrite: Annotated[bool, Parameter(negative="")] = False,
 ) -> None:
@@ -81,6 +82,10 @@ def reject(
         Nearest possible slant range, such as "0.5 m"; with --farthest.
     farthest
         Farthest possible slant range, such as "3 m"; with --nearest.
+    tile_rows
+        Work on so many rows at a time, in bounded memory; files of more than 16 million
+        samples are worked on by rows without being asked. Not with auto or
+        --open-water.
     json
         Print the figures as JSON.
     overwrite
@@ -95,6 +100,7 @@ def reject(
     )
     from amulor.cli._output import print_json, progress_bar
     from amulor.errors import CubeError
+    from amulor.io.netcdf_rows import is_large
 
     interval = interval_of(nearest, farthest)
     if method == "unmix" and (target_ratio is None or water_ratio is None):
@@ -112,6 +118,30 @@ def reject(
     column = _fraction("--column-uncertainty", column_uncertainty)
     inputs = [cube] if open_water is None else [cube, open_water]
     check_cube_output(output, overwrite=overwrite, inputs=inputs)
+    if tile_rows is not None or (
+        method != "auto" and open_water is None and is_large(cube)
+    ):
+        if open_water is not None:
+            raise UsageError(
+                "--open-water joins two cubes in memory, which --tile-rows does not; "
+                "record the shots in the cube, or leave one of the options out"
+            )
+        options: dict[str, dict[str, Any]] = {
+            "open-water": {"interval": interval, "column_uncertainty": column},
+            "frequency": {"modulation_frequency": kept, "interval": interval},
+            "combined": {"interval": interval, "target_ratio": target_ratio},
+            "joint": {"interval": interval},
+        }
+        options["polarization"] = options["unmix"] = {
+            "target_ratio": target_ratio,
+            "water_ratio": water_ratio,
+            "water_fluctuation": fluctuation,
+        }
+        _by_rows(
+            cube, output, method, tile_rows, options.get(method, {}),
+            overwrite=overwrite, json=json,
+        )  # fmt: skip
+        return
     comparison: Comparison | None = None
     with progress_bar(quiet=json) as advance:
         advance(f"reading {cube}", 0.0)
@@ -162,12 +192,43 @@ def reject(
         return
     if comparison is not None:
         _print_comparison(comparison)
-    elif "frequency_choice" in target.attrs:
-        print(target.attrs["frequency_choice"])
-        for warning in filter(None, target.attrs["frequency_warnings"].split("; ")):
-            print(f"note: {warning}")
+    else:
+        _print_choice(target)
     flagged = float((target["quality_flag"] != 0).mean())
     print(f"{output}: target signal, {flagged:.1%} of the samples flagged")
+
+
+def _by_rows(
+    cube: Path,
+    output: Path,
+    method: str,
+    rows: int | None,
+    options: dict[str, Any],
+    *,
+    overwrite: bool,
+    json: bool,
+) -> None:
+    """Take the water out tile by tile, and print what came out."""
+    from amulor import scale
+    from amulor.cli._arguments import UsageError
+    from amulor.cli._output import print_json, progress_bar
+
+    if rows is not None and rows < 1:
+        raise UsageError(f"--tile-rows must be 1 or more, got {rows}")
+    with progress_bar(quiet=json):
+        try:
+            made = scale.reject_file(
+                cube, output, method, rows=rows, overwrite=overwrite, **options
+            )
+        except ValueError as error:
+            raise UsageError(str(error)) from None
+    share = made.flagged / max(made.count, 1)
+    if json:
+        figures = _figures_of(output, method, made.head)
+        print_json(figures | {"flagged_share": share, "flags": made.flags})
+        return
+    _print_choice(made.head)
+    print(f"{output}: target signal, {share:.1%} of the samples flagged")
 
 
 def _fraction(option: str, text: str | None) -> float | None:
@@ -175,6 +236,14 @@ def _fraction(option: str, text: str | None) -> float | None:
     from amulor.cli._arguments import quantity_of
 
     return None if text is None else quantity_of(option, text, "fraction")
+
+
+def _print_choice(target: xr.Dataset) -> None:
+    """Print which frequency was kept, and why."""
+    if "frequency_choice" in target.attrs:
+        print(target.attrs["frequency_choice"])
+        for warning in filter(None, target.attrs["frequency_warnings"].split("; ")):
+            print(f"note: {warning}")
 
 
 def _figures(
@@ -185,23 +254,30 @@ def _figures(
 
     from amulor import cube as cubes
 
-    found: dict[str, Any] = {
-        "output": str(output),
-        "method": method,
-        "polarizations": [str(name) for name in target["polarization"].values],
-        "modulation_frequencies_hz": target["modulation_frequency"].values,
+    found = _figures_of(output, method, target) | {
         "flagged_share": float((target["quality_flag"] != 0).mean()),
         "flags": cubes.flag_counts(target),
     }
-    for name in ("frequency_choice", "frequency_warnings", "target_ratio"):
-        if name in target.attrs:
-            found[name] = target.attrs[name]
     if comparison is not None:
         found |= {
             "method": comparison.method,
             "reason": comparison.reason,
             "comparison": [asdict(row) for row in comparison.rows],
         }
+    return found
+
+
+def _figures_of(output: Path, method: str, target: xr.Dataset) -> dict[str, Any]:
+    """Return the figures that are not of samples."""
+    found: dict[str, Any] = {
+        "output": str(output),
+        "method": method,
+        "polarizations": [str(name) for name in target["polarization"].values],
+        "modulation_frequencies_hz": target["modulation_frequency"].values,
+    }
+    for name in ("frequency_choice", "frequency_warnings", "target_ratio"):
+        if name in target.attrs:
+            found[name] = target.attrs[name]
     return found
 
 

@@ -8,12 +8,18 @@ from typing import Any, Protocol
 
 import numpy as np
 import xarray as xr
+from numpy.typing import NDArray
 
-__all__ = ["InMemory", "Source", "Whole", "bands", "without_truth"]
+from amulor.cube.schema import QualityFlag
+
+__all__ = ["InMemory", "Source", "Whole", "bands", "sample_of", "without_truth"]
 
 #: Samples of a variable that are worked on at once, unless somebody says otherwise:
 #: what a step holds beside them is ten to a hundred times as much.
 SAMPLES_AT_ONCE = 2**18
+
+
+Indices = NDArray[np.intp]
 
 
 class Source(Protocol):
@@ -159,3 +165,100 @@ class Whole:
             {name: variable(name) for name in first.coords},
             first.attrs,
         )
+
+
+#: Pixels of the sample on which a scan in tiles is judged.
+SAMPLE = 2**16
+#: Rows and columns of a scan that stand together in its sample, at least: neighbours
+#: tell the noise.
+_BAND = 8
+
+
+def sample_of(source: Source) -> xr.Dataset:
+    """Return a sample of a scan: bands of rows and columns that are spread over it.
+
+    Parameters
+    ----------
+    source : Source
+        Where the rows come from.
+
+    Returns
+    -------
+    xarray.Dataset
+        All of a scan of up to `SAMPLE` pixels; of a larger one about as many, in
+        patches of `_BAND` rows and as many columns at least, from edge to edge. Between
+        two patches stand a row and a column of samples that are missing, so that none
+        passes for the neighbour of another.
+    """
+    rows, columns = source.rows, source.columns
+    if rows * columns <= SAMPLE:
+        return source.tile(0, rows)
+    side = int(SAMPLE**0.5)
+    wide = columns if rows > side and columns <= 4 * side else min(columns, side)
+    across = _spread_bands(columns, wide)
+    down = _spread_bands(rows, max(SAMPLE // wide, 1))
+    strips = [source.tile(begin, end).isel(column=across[0]) for begin, end in down[1]]
+    cube = xr.concat(
+        [_with_gap(strip) for strip in strips[:-1]] + strips[-1:],
+        dim="row",
+        data_vars="minimal",
+        coords="minimal",
+        compat="override",
+        join="override",
+        combine_attrs="override",
+    )
+    return _without(cube, column=across[2])
+
+
+def _spread_bands(
+    size: int, count: int
+) -> tuple[Indices, list[tuple[int, int]], Indices]:
+    """Return indices of bands with gaps between, the bands, and where the gaps are."""
+    if count >= size:
+        return np.arange(size), [(0, size)], np.zeros(0, dtype=int)
+    number = max(count // _BAND, 1)
+    width = min(max(count // number, 1), size)
+    begins = np.unique(np.linspace(0, size - width, number).astype(int))
+    bands = [(int(begin), int(begin) + width) for begin in begins]
+    # Bands that touch each other are one.
+    joined = [bands[0]]
+    for begin, end in bands[1:]:
+        if begin <= joined[-1][1] + 1:
+            joined[-1] = (joined[-1][0], end)
+        else:
+            joined.append((begin, end))
+    index: list[int] = []
+    gaps: list[int] = []
+    for begin, end in joined:
+        if index:
+            gaps.append(len(index))
+            index.append(begin)
+        index += range(begin, end)
+    return np.array(index), joined, np.array(gaps, dtype=int)
+
+
+def _with_gap(strip: xr.Dataset) -> xr.Dataset:
+    """Return rows with one more, which is missing."""
+    last = strip.sizes["row"] - 1
+    index = np.append(np.arange(last + 1), last)
+    return _without(strip.isel(row=index), row=np.array([last + 1]))
+
+
+def _without(cube: xr.Dataset, **places: Indices) -> xr.Dataset:
+    """Return a cube of which some rows or columns count as missing."""
+    ((dimension, place),) = places.items()
+    if not len(place):
+        return cube
+    cube = cube.copy()
+    for name in cube.data_vars:
+        variable = cube[name].variable
+        if dimension not in variable.dims:
+            continue
+        values = variable.values.copy()
+        at = tuple(place if key == dimension else slice(None) for key in variable.dims)
+        if values.dtype.kind == "f":
+            values[at] = np.nan
+        elif name == "quality_flag":
+            values[at] = QualityFlag.MISSING
+        cube[name] = variable.copy(data=values)
+    return cube

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import lru_cache, partial
 
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 from scipy.interpolate import RegularGridInterpolator
 
+from amulor._decisions import decided
 from amulor.errors import SurveyError
 from amulor.imaging.geometry import beams_of
 from amulor.optics import late_echo, ranging
@@ -94,14 +95,15 @@ def late_light(
     try:
         water = water_properties(survey)
         known = _phase_functions(survey)
-        if not usable.any():
+        if not decided("some pixel has a range", lambda: bool(usable.any())):
             return _unknown(nothing, "no pixel has a range")
         lowest, highest = _between(
             one, slant_range, survey=survey, water=water, weight=weight, known=known
         )
     except SurveyError as error:
         return _unknown(nothing, str(error))
-    if not np.all(np.isfinite(lowest[usable]) & np.isfinite(highest[usable])):
+    seen = np.isfinite(lowest[usable]) & np.isfinite(highest[usable])
+    if not decided("echoes are in view", lambda: bool(np.all(seen))):
         return _unknown(nothing, "the receiver looks past some of the echoes")
     middle = np.where(usable, (lowest + highest) / 2, 0.0)
     calibration = survey.calibration
@@ -143,7 +145,7 @@ def dispersion(
     usable = np.isfinite(slant_range)
     if len(weight) < 2 or survey is None or _has_no_late_light(one):
         return None
-    if not usable.any():
+    if not decided("some pixel has a first range", lambda: bool(usable.any())):
         return None
     try:
         water = water_properties(survey)
@@ -193,9 +195,12 @@ def _between(
     """
     depth = slant_range - beams_of(one).length_before
     usable = np.isfinite(depth) & (depth > 0)
-    ends = float(depth[usable].min()), float(depth[usable].max())
+    ends = decided("reach of late light", lambda: _ends(depth[usable]))
     way = np.unique(np.geomspace(ends[0] * 0.999, ends[1] * 1.001, _DISTANCES))
-    sides = [_spread(one[name].values) for name in ("azimuth", "elevation")]
+    sides = [
+        _spread(*decided(f"span_of_{name}", partial(_ends, one[name].values)))
+        for name in ("azimuth", "elevation")
+    ]
     azimuth, elevation = np.meshgrid(*sides, indexing="ij")
     crossed = medium(survey, water)
     seen = view(survey, azimuth, elevation, medium=crossed)
@@ -203,7 +208,9 @@ def _between(
     shape = (*slant_range.shape, 3)
     place = np.empty(shape)
     place[..., 0], place[..., 1] = one["azimuth"].values, one["elevation"].values
-    place[..., 2] = np.log(np.where(usable, depth, ends[0]))
+    # What the sample of a scan in tiles has not reached counts as its end.
+    reached = np.clip(depth, ends[0], ends[1])
+    place[..., 2] = np.log(np.where(usable, reached, ends[0]))
     found = []
     for function, scattering, split in known:
         each = late_echo.late_echo(
@@ -234,9 +241,13 @@ def _between(
     return np.min(found, axis=0), np.max(found, axis=0)
 
 
-def _spread(angle: Floats) -> Floats:
-    """Return a few angles over the span of all; the ends a little beyond."""
-    low, high = float(np.min(angle)), float(np.max(angle))
+def _ends(values: Floats) -> tuple[float, float]:
+    """Return the smallest and the largest of some values."""
+    return float(np.min(values)), float(np.max(values))
+
+
+def _spread(low: float, high: float) -> Floats:
+    """Return a few angles over a span; the ends a little beyond."""
     margin = 1e-6 + 1e-6 * (high - low)
     return np.linspace(low - margin, high + margin, _DIRECTIONS)
 

@@ -10,6 +10,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from amulor import cube as cubes
+from amulor._decisions import decided
 from amulor._progress import tell
 from amulor.cube import UNUSABLE, QualityFlag
 from amulor.errors import CubeError, SurveyError
@@ -93,10 +94,13 @@ def range_image(
     else:
         tell("ranges and their intervals", 0.0)
         path = _settled_path(one, interval)
-        factor = noise_scale(
-            path,
-            own_phase_errors(one),
-            modulation_frequency=one["modulation_frequency"].values,
+        factor = decided(
+            "scale of the noise",
+            lambda: noise_scale(
+                path,
+                own_phase_errors(one),
+                modulation_frequency=one["modulation_frequency"].values,
+            ),
         )
         if factor > 1:
             tell("ranges with the noise that shows", 0.3)

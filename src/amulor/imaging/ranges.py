@@ -8,6 +8,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
+from amulor._decisions import decided
 from amulor.cube import UNUSABLE, QualityFlag
 from amulor.cube.terms import PHASE_PREFIX, SHARED_TERMS, SIGNAL_TERMS
 from amulor.imaging.geometry import beams_of, medium_of, receivers_of
@@ -227,11 +228,15 @@ def weight_of(frequency: Floats, sigma: Floats, usable: NDArray[np.bool_]) -> Fl
     ndarray, shape (frequencies,)
         1 in all [1].
     """
-    if not usable.any():
-        return np.full(frequency.size, 1 / frequency.size)
-    error = np.maximum(np.median(sigma[:, usable], axis=1), 1e-9)
-    precision = (frequency / error) ** 2
-    return np.asarray(precision / precision.sum())
+
+    def weights() -> Floats:
+        if not usable.any():
+            return np.full(frequency.size, 1 / frequency.size)
+        error = np.maximum(np.median(sigma[:, usable], axis=1), 1e-9)
+        precision = (frequency / error) ** 2
+        return np.asarray(precision / precision.sum())
+
+    return decided("weights of the frequencies", weights)
 
 
 def _terms(
@@ -263,7 +268,8 @@ def _terms(
         rest += np.where(whole > 0, 0.0, amount)
         terms |= {name: np.sqrt(own[name] * scale) for name in names}
     found = {name: terms[name] for name in own}
-    return found | {"signal": np.sqrt(rest)} if np.any(rest > 0) else found
+    has_rest = decided("a rest of the error", lambda: bool(np.any(rest > 0)))
+    return found | {"signal": np.sqrt(rest)} if has_rest else found
 
 
 def phase_errors(

@@ -9,6 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.constants import speed_of_light
 
+from amulor._decisions import decided
+
 Floats = NDArray[np.float64]
 
 #: The runner-up must fit worse by this much in chi-square, or the choice is open.
@@ -110,15 +112,41 @@ def optical_path(
         shortest=np.broadcast_to(shortest, phase.shape[1:]),
         longest=np.broadcast_to(longest, phase.shape[1:]),
         doubt=doubts,
+        order=decided(
+            "frequencies by phase error",
+            lambda: _by_error(uncertainty, modulation_frequency),
+        ),
     )
     path = _best_path(known)
+    if len(modulation_frequency) < 3:
+        return path
     usable = np.isfinite(path.length)
     unsettled = usable & ~path.settled
     # Where hardly any pixel agrees, it is the errors that are stated too small.
-    some = 0 < unsettled.sum() <= max(_MOST_SPOILED * usable.sum(), 1)
-    if len(modulation_frequency) > 2 and some:
-        _leave_out(path, unsettled, known)
+    few = decided(
+        "most pixels are settled",
+        lambda: bool(unsettled.sum() <= max(_MOST_SPOILED * usable.sum(), 1)),
+    )
+    wrong = _wrong(path, unsettled, known) if few and unsettled.any() else None
+
+    def are_rare() -> bool:
+        if wrong is None:
+            return True
+        everywhere = path.left_out.copy()
+        everywhere[:, unsettled] = wrong[0] & wrong[1]
+        often = everywhere[:, usable].sum(axis=1).max()
+        return bool(often <= max(_RARE * usable.sum(), 1))
+
+    if decided("few pixels lose a frequency", are_rare) and wrong is not None:
+        _leave_out(path, unsettled, known, *wrong)
     return path
+
+
+def _by_error(uncertainty: Floats, modulation_frequency: Floats) -> list[int]:
+    """Return the frequencies in the order of their error as a length."""
+    each = speed_of_light / modulation_frequency / (2 * np.pi)
+    sigma = np.maximum(uncertainty, _SMALLEST_PHASE_ERROR).reshape(len(each), -1)
+    return [int(k) for k in np.argsort(np.nanmedian(sigma, axis=1) * each)]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -131,6 +159,8 @@ class _Phases:
     shortest: Floats
     longest: Floats
     doubt: Floats
+    order: list[int]
+    """Frequencies, the one with the smallest error first."""
 
     def part(
         self, pixels: tuple[NDArray[np.intp], ...], left_out: NDArray[np.bool_]
@@ -147,8 +177,10 @@ class _Phases:
         )
 
 
-def _leave_out(path: Path, unsettled: NDArray[np.bool_], known: _Phases) -> None:
-    """Leave out the phases without which unsettled pixels are settled, in place."""
+def _wrong(
+    path: Path, unsettled: NDArray[np.bool_], known: _Phases
+) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+    """Return the phases without which unsettled pixels are settled, and which are."""
     gone = path.left_out[:, unsettled]
     strain = path.strain[unsettled]
     cured = np.zeros(strain.size, dtype=bool)
@@ -170,13 +202,20 @@ def _leave_out(path: Path, unsettled: NDArray[np.bool_], known: _Phases) -> None
         strain[here] = best
         cured[here] = better & sure
         going_on[here] = better & ~sure
-    everywhere = path.left_out.copy()
-    everywhere[:, unsettled] = gone & cured
-    usable = np.isfinite(path.length)
-    often = everywhere[:, usable].sum(axis=1).max()
-    if not cured.any() or often > max(_RARE * usable.sum(), 1):
+    return gone, cured
+
+
+def _leave_out(
+    path: Path,
+    unsettled: NDArray[np.bool_],
+    known: _Phases,
+    gone: NDArray[np.bool_],
+    cured: NDArray[np.bool_],
+) -> None:
+    """Leave out wrong phases of unsettled pixels, in place."""
+    if not cured.any():
         return
-    places = np.zeros(usable.shape, dtype=bool)
+    places = np.zeros(unsettled.shape, dtype=bool)
     places[unsettled] = cured
     solved = _grouped(known, places, gone[:, cured])
     for name in ("length", "uncertainty", "settled", "wrong", "strain"):
@@ -229,8 +268,8 @@ def _best_path(known: _Phases) -> Path:
     sigma = np.maximum(known.uncertainty, _SMALLEST_PHASE_ERROR) * each / (2 * np.pi)
     measured = np.mod(phase, 2 * np.pi) * each / (2 * np.pi)
     precision = sigma**-2
-    flat = sigma.reshape(len(sigma), -1)
-    best = int(np.argmin(np.nanmedian(flat, axis=1)))
+    there = np.isfinite(sigma).reshape(len(sigma), -1).any(axis=1)
+    best = next((k for k in known.order if there[k]), known.order[0])
     step = wavelength[best]
     span = float(np.nanmax(longest - shortest)) / step
     if span > _MOST_CANDIDATES:

@@ -10,6 +10,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from amulor import cube as cubes
+from amulor._decisions import decided
 from amulor.cube.terms import PHASE_PREFIX
 from amulor.rejection import quality
 from amulor.rejection.covariance import Covariance, phase_uncertainties
@@ -91,12 +92,16 @@ def target_cube(
             "common_quadrature_uncertainty": np.sqrt(common.quadrature),
             "common_covariance": common.cross,
         }
-    known = {
-        name: errors
-        for name, errors in (terms or {}).items()
-        if errors.in_phase.any() or errors.quadrature.any()
-    }
-    for name, phase in phase_uncertainties(target_signal, known).items():
+    known = decided(
+        "terms of the error",
+        lambda: [
+            name
+            for name, errors in (terms or {}).items()
+            if errors.in_phase.any() or errors.quadrature.any()
+        ],
+    )
+    present = {name: errors for name, errors in (terms or {}).items() if name in known}
+    for name, phase in phase_uncertainties(target_signal, present).items():
         variables[f"{PHASE_PREFIX}{name}"] = phase
     if "shot" in samples.sizes:
         attributes.setdefault("open_water_shots", np.int32(samples.sizes["shot"]))

@@ -7,6 +7,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from amulor import cube as cubes
+from amulor._decisions import decided
 from amulor.cube import QualityFlag
 from amulor.rejection import quality
 from amulor.rejection.build import saturated_in_any, target_cube
@@ -83,10 +84,13 @@ def combined(
     )
     if target_ratio is None:
         # The shots' own column, whatever is said of it for the rest.
-        estimate = (
-            ratios.ratio_of(cube_of(cube, left))
-            if column_uncertainty is None
-            else ratios.target_ratio(cube, interval=interval)
+        estimate = decided(
+            "ratio of the target",
+            lambda: (
+                ratios.ratio_of(cube_of(cube, left))
+                if column_uncertainty is None
+                else ratios.target_ratio(cube, interval=interval)
+            ),
         )
         target_ratio = estimate.value
         target_ratio_uncertainty = estimate.uncertainty

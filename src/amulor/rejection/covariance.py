@@ -148,6 +148,40 @@ def along(signal: Complex, size: float) -> Covariance:
     )
 
 
+#: Rows of a matrix that are multiplied at once.
+_TOGETHER = 64
+
+
+def times(rows: Floats, matrix: Floats) -> Floats:
+    """Return a product whose rows do not depend on how many of them come together.
+
+    Parameters
+    ----------
+    rows : ndarray, shape (n, m)
+        Real numbers.
+    matrix : ndarray, shape (m, k)
+        Real numbers.
+
+    Returns
+    -------
+    ndarray, shape (n, k)
+        Their product.
+
+    Notes
+    -----
+    Libraries of linear algebra choose the order of their sums by the shape of what they
+    are given; here that is always the same.
+    """
+    count = len(rows)
+    if count < _TOGETHER or count % _TOGETHER:
+        full = np.zeros((-(-count // _TOGETHER) * _TOGETHER, rows.shape[1]))
+        full[:count] = rows
+        rows = full
+    blocks = rows.reshape(-1, _TOGETHER, rows.shape[1])
+    product: Floats = np.matmul(blocks, matrix)
+    return product.reshape(-1, matrix.shape[1])[:count]
+
+
 def isotropic(size: Floats) -> Covariance:
     """Return the covariance of an error of a given size in any direction.
 

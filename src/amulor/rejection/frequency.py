@@ -9,6 +9,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from amulor import cube as cubes
+from amulor._decisions import decided
 from amulor.errors import CubeError
 from amulor.optics import extrema, low_pass, ranging
 from amulor.rejection.build import target_cube
@@ -180,7 +181,9 @@ def frequency(
     cube = cubes.checked(cube, "samples")
     warnings: tuple[str, ...] = ()
     if modulation_frequency is None:
-        choice = choose_frequency(cube, interval=interval)
+        choice = decided(
+            "frequency to keep", lambda: choose_frequency(cube, interval=interval)
+        )
         modulation_frequency = choice.modulation_frequency
         reason, warnings = choice.reason, choice.warnings
     else:

@@ -9,6 +9,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from amulor import cube as cubes
+from amulor._decisions import decided
 from amulor.errors import CubeError
 from amulor.rejection.build import saturated_in_any, target_cube
 from amulor.rejection.channels import ratios
@@ -214,11 +215,11 @@ def unmix(
     cube = with_noise_of_shots(cubes.checked(cube, "samples"))
     co, cross = pair_of(cube)
     if target_ratio is None:
-        of_target = ratios.target_ratio(cube)
+        of_target = decided("ratio of the target", lambda: ratios.target_ratio(cube))
         target_ratio = of_target.value
         target_ratio_uncertainty = of_target.uncertainty
     if water_ratio is None:
-        of_water = ratios.water_ratio(cube)
+        of_water = decided("ratio of the water", lambda: ratios.water_ratio(cube))
         water_ratio, water_ratio_uncertainty = of_water.value, of_water.uncertainty
     for name, ratio in (("target_ratio", target_ratio), ("water_ratio", water_ratio)):
         if not 0 <= ratio <= 1:

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
+from amulor._decisions import decided
 from amulor.cube import QualityFlag
 from amulor.optics import detection, ranging
 from amulor.rejection.covariance import Covariance
@@ -201,9 +204,17 @@ def channels_disagree(
             turn = np.angle(signal[:, first] * signal[:, second].conj())
             error = np.hypot(sigma[:, first], sigma[:, second])
             off = both & (np.abs(turn) > _DISAGREE * error)
-            often = off.sum(axis=(1, 2)) > _RARE * both.sum(axis=(1, 2))
+            often = decided(
+                "channels that often disagree",
+                partial(_are_often, off, both),
+            )
             marked[:, pair] |= (off & ~often[:, None, None])[:, None]
     return marked
+
+
+def _are_often(off: NDArray[np.bool_], both: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Return the frequencies at which samples are off too often for chance."""
+    return np.asarray(off.sum(axis=(1, 2)) > _RARE * both.sum(axis=(1, 2)))
 
 
 #: What is explained leaves a rest that chance makes at least so often [1].

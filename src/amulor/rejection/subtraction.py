@@ -8,6 +8,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
+from amulor._decisions import decided
 from amulor._progress import part, tell
 from amulor.rejection import quality
 from amulor.rejection.covariance import Covariance, along, covariance_of
@@ -130,13 +131,16 @@ def subtract_open_water(
     # Only the water in front of the target fluctuates, drifts and departs; a column
     # that is not put back is no change of the water.
     hidden = 0.0 if put_back or residual is None else np.nan_to_num(residual)
-    strength = strength_of(
-        target - hidden,
-        water.signal,
-        counting + water.fluctuation,
-        water.common + column + change,
-        modulation_frequency=cube["modulation_frequency"].values,
-        path=water.path,
+    strength = decided(
+        "strength of the water",
+        lambda: strength_of(
+            target - hidden,
+            water.signal,
+            counting + water.fluctuation,
+            water.common + column + change,
+            modulation_frequency=cube["modulation_frequency"].values,
+            path=water.path,
+        ),
     )
     target = target - strength.change * water.signal
     change = change + along(water.signal, strength.uncertainty)
@@ -171,8 +175,11 @@ def _circular(target: Complex, column: Complex) -> NDArray[np.bool_]:
         return np.zeros(target.shape[2:], dtype=bool)
     size = np.abs(column)
     # In a shadow the column may come out short: what others have counts as well.
-    usual = np.array(
-        [[np.median(c[c > 0]) if c.any() else 0.0 for c in f] for f in size]
+    usual = decided(
+        "usual size of the column",
+        lambda: np.array(
+            [[np.median(c[c > 0]) if c.any() else 0.0 for c in f] for f in size]
+        ),
     )
     weak = np.maximum(size, usual[..., None, None]) > _TOO_STRONG * np.abs(target)
     return np.asarray(weak.any(axis=(0, 1)))

@@ -10,7 +10,8 @@ from numpy.polynomial import legendre
 from numpy.typing import NDArray
 
 from amulor.cube import tiles
-from amulor.rejection.joint.pixels import Pixels, times
+from amulor.rejection.covariance import times
+from amulor.rejection.joint.pixels import Pixels
 
 Floats = NDArray[np.float64]
 

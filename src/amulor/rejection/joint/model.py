@@ -5,11 +5,12 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from amulor.rejection.covariance import times
 from amulor.rejection.joint._kernels import model as kernels
 from amulor.rejection.joint._kernels.bundles import Signals
 from amulor.rejection.joint._kernels.threads import spread
 from amulor.rejection.joint.overlap.table import Table, from_pairs
-from amulor.rejection.joint.pixels import Pixels, coefficients, places, times
+from amulor.rejection.joint.pixels import Pixels, coefficients, places
 
 Floats = NDArray[np.float64]
 Complex = NDArray[np.complex128]

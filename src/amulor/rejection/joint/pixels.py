@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from amulor.optics import rays
-from amulor.rejection.covariance import Covariance
+from amulor.rejection.covariance import Covariance, times
 from amulor.rejection.joint._kernels import bundles
 from amulor.rejection.joint._kernels import model as kernels
 from amulor.rejection.joint.overlap.frame import Frame
@@ -22,8 +22,6 @@ _DEPTH_NODES = 33
 #: Points of the coarse likelihood within one period of the highest frequency.
 _POINTS_PER_PERIOD = 12
 _MOST_POINTS = 20_000
-#: Rows of a matrix that are multiplied at once.
-_TOGETHER = 64
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -216,22 +214,6 @@ def grid_of(pixels: Pixels, phase_per_path: Floats) -> Floats:
 def coefficients(pixels: Pixels, table: Table) -> Floats:
     """Return the coefficients of the components of a table, (pixel, component) [1]."""
     return times(pixels.interpolation, table.basis)
-
-
-def times(rows: Floats, matrix: Floats) -> Floats:
-    """Return a product whose rows do not depend on how many of them come together.
-
-    Libraries of linear algebra choose the order of their sums by the shape of what they
-    are given; here that is always the same.
-    """
-    count = len(rows)
-    if count < _TOGETHER or count % _TOGETHER:
-        full = np.zeros((-(-count // _TOGETHER) * _TOGETHER, rows.shape[1]))
-        full[:count] = rows
-        rows = full
-    blocks = rows.reshape(-1, _TOGETHER, rows.shape[1])
-    product: Floats = np.matmul(blocks, matrix)
-    return product.reshape(-1, matrix.shape[1])[:count]
 
 
 def samples(pixels: Pixels, weights: Floats) -> bundles.Samples:

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from amulor.rejection.covariance import Covariance
+from amulor.rejection.covariance import Covariance, times
 from amulor.rejection.joint import model as joint_model
 from amulor.rejection.joint import pixels as joint_pixels
 from amulor.rejection.joint import search as joint_search
@@ -117,9 +117,7 @@ def solve(frame: Frame, pixels: Pixels, shared: Shared, transfer: Complex) -> Re
     )
     basic = slopes[:, layout.parametric]
     free = slice(layout.blocks[1].start, layout.blocks[2].stop)
-    moved = np.abs(
-        joint_pixels.times(slopes[:, free], _free_parameters(shared)[:, None])[:, 0]
-    )
+    moved = np.abs(times(slopes[:, free], _free_parameters(shared)[:, None])[:, 0])
     unsure = _variance(slopes[:, free], shared.covariance[free, free])
     return Result(
         # Nobody asks for the influences any more, and they are most of the memory.
@@ -190,9 +188,7 @@ def _mixed(
 
 def _variance(slopes: Floats, covariance: Floats) -> Floats:
     """Return the variances that follow from that of the parameters, (pixel,)."""
-    variance: Floats = np.einsum(
-        "ni,ni->n", joint_pixels.times(slopes, covariance), slopes
-    )
+    variance: Floats = np.einsum("ni,ni->n", times(slopes, covariance), slopes)
     return variance
 
 

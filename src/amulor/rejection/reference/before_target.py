@@ -8,6 +8,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
+from amulor._decisions import decided
 from amulor._progress import tell
 from amulor.rejection.covariance import Covariance, covariance_of
 from amulor.rejection.reference import column
@@ -101,7 +102,8 @@ def water_before_target(
     if text:
         survey = Survey.from_text(text, name="survey in the cube")
         tell("turbidity that the shots tell", 0.2)
-        told = turbidity_of(cube, survey, water, common)
+        stated = survey
+        told = decided("turbidity", lambda: turbidity_of(cube, stated, water, common))
         if not survey_is_right:
             turbidity, survey = told, told.survey
         errors = covariance_of(cube) + common

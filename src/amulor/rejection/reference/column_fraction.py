@@ -9,7 +9,9 @@ import numpy as np
 from numpy.polynomial import chebyshev
 from numpy.typing import NDArray
 
+from amulor._decisions import decided
 from amulor.optics import ranging
+from amulor.rejection.covariance import times
 from amulor.rejection.reference.model import water_signal
 from amulor.survey import Survey, water_properties
 
@@ -25,6 +27,8 @@ _NODES = ((5, 5, 9), (5, 5, 17), (9, 9, 33), (17, 17, 65))
 _CHECKS = 192
 #: A table with more nodes than this fraction of the pixels would not pay [1].
 _WORTH = 0.5
+#: Pixels that are integrated one after the other, not by a table of their own.
+_ALONE = 32
 #: Numbers that one step of the work may hold; this bounds the memory.
 _AT_ONCE = 2_000_000
 
@@ -67,26 +71,76 @@ def fractions(
     none of four does, every pixel is integrated.
     """
     places = np.stack([azimuth, elevation, depth])
+    column = decided(
+        "column behind targets",
+        lambda: _column(survey, places, modulation_frequency, paper=paper),
+    )
+    return column.fractions(places)
+
+
+def _column(
+    survey: Survey, places: Floats, frequency: Floats, *, paper: bool
+) -> _Table | _Listed:
+    """Return the table with the fewest nodes that is good enough, if it pays."""
     count = places.shape[1]
-    if count == 0:
-        return np.zeros((len(modulation_frequency), 0), dtype=complex)
-    checks = places[:, _spread(places)]
     exact: Complex | None = None
-    for nodes in _NODES:
-        table = _Table(survey, places, nodes, modulation_frequency, paper=paper)
+    for nodes in _NODES if count else ():
+        table = _Table(survey, places, nodes, frequency, paper=paper)
         if table.size > _WORTH * count:
             break
         table.fill()
         if exact is None:
-            exact = integrated(survey, checks, modulation_frequency, paper=paper)
-        if np.abs(table.at(checks) - exact).max() <= LARGEST_ERROR / 2:
-            return _in_parts(table.at, places, modulation_frequency, table.width)
-    return _in_parts(
-        lambda part: integrated(survey, part, modulation_frequency, paper=paper),
-        places,
-        modulation_frequency,
-        len(modulation_frequency),
-    )
+            checks = places[:, _spread(places)]
+            exact = integrated(survey, checks, frequency, paper=paper)
+        if np.abs(table.fractions(checks) - exact).max() <= LARGEST_ERROR / 2:
+            return table
+    return _Listed(survey, places, frequency, paper=paper)
+
+
+class _Listed:
+    """Fractions at the pixels of a scan, integrated together.
+
+    Integrated in other company they would differ in their last digits.
+    """
+
+    def __init__(
+        self, survey: Survey, places: Floats, frequency: Floats, *, paper: bool
+    ) -> None:
+        self._survey, self._places, self._frequency = survey, places, frequency
+        self._paper = paper
+        self._values = self._integrated(places)
+        self._found: dict[bytes, int] | None = None
+
+    def fractions(self, places: Floats) -> Complex:
+        """Return the fractions at places, shape (frequencies, n)."""
+        if places is self._places:
+            return self._values
+        if self._found is None:
+            listed = np.ascontiguousarray(self._places.T)
+            self._found = {place.tobytes(): k for k, place in enumerate(listed)}
+        wanted = np.ascontiguousarray(places.T)
+        index = np.array(
+            [self._found.get(place.tobytes(), -1) for place in wanted], dtype=int
+        )
+        found = self._values[:, index] if self._values.size else None
+        if found is None or np.any(index < 0):
+            new = index < 0
+            whole = np.empty((len(self._frequency), len(index)), dtype=complex)
+            if found is not None:
+                whole[:, ~new] = found[:, ~new]
+            whole[:, new] = self._integrated(places[:, new])
+            return whole
+        return found
+
+    def _integrated(self, places: Floats) -> Complex:
+        return _in_parts(
+            lambda part: integrated(
+                self._survey, part, self._frequency, paper=self._paper
+            ),
+            places,
+            self._frequency,
+            len(self._frequency),
+        )
 
 
 class _Table:
@@ -116,6 +170,7 @@ class _Table:
         paper: bool,
     ) -> None:
         low, high = places.min(axis=1), places.max(axis=1)
+        self._low, self._high = low, high
         self._survey, self._frequency, self._paper = survey, frequency, paper
         self._centre = (low + high) / 2
         self._half = np.where(high > low, (high - low) / 2, 1.0)
@@ -148,6 +203,23 @@ class _Table:
             coefficients.reshape(self._count[0] * self._count[1], self.width)
         )
 
+    def fractions(self, places: Floats) -> Complex:
+        """Return the fractions at places, by integration beyond the box."""
+        inside = (places >= self._low[:, None]) & (places <= self._high[:, None])
+        within = inside.all(axis=0)
+        if within.all():
+            return _in_parts(self.at, places, self._frequency, self.width)
+        found = np.empty((len(self._frequency), places.shape[1]), dtype=complex)
+        found[:, within] = _in_parts(
+            self.at, places[:, within], self._frequency, self.width
+        )
+        # A few at a time: so they do not depend on each other.
+        outside = np.flatnonzero(~within)
+        for first in range(0, outside.size, _ALONE):
+            some = outside[first : first + _ALONE]
+            found[:, some] = integrated(self._survey, places[:, some], self._frequency)
+        return found
+
     def at(self, places: Floats) -> Complex:
         """Return the fractions at places, shape (frequencies, n)."""
         scaled = (places - self._centre[:, None]) / self._half[:, None]
@@ -159,7 +231,9 @@ class _Table:
         # One product of real matrices: real and imaginary parts side by side.
         real = self._coefficients.view(float)
         series = (
-            (directions @ real).view(complex).reshape(len(across), down.shape[1], -1)
+            times(directions, real)
+            .view(complex)
+            .reshape(len(across), down.shape[1], -1)
         )
         value: Complex = np.einsum("nk,nkf->fn", down, series)
         value *= np.exp(1j * np.outer(self._phase_per_range, places[2]))

@@ -7,7 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from amulor.rejection.covariance import Covariance, isotropic
+from amulor._decisions import decided
+from amulor.rejection.covariance import Covariance, isotropic, times
 from amulor.rejection.reference import interpolation
 from amulor.rejection.reference.drift import Drift, drift_of
 from amulor.rejection.reference.places import FEWEST_SHOTS, design_of, places_of
@@ -91,13 +92,15 @@ def fit(
     if len(shots) < FEWEST_SHOTS:
         raise ValueError(f"a reference needs {FEWEST_SHOTS} shots, got {len(shots)}")
     places = places_of(shot_direction)
-    noise = noise_of(shots, instrument, places)
-    found = surface_of(
-        shots,
-        instrument,
-        places,
-        noise=noise,
-        model=None if shape is None else shape.at_shots,
+    found = decided(
+        "surface through the shots",
+        lambda: surface_of(
+            shots,
+            instrument,
+            places,
+            noise=noise_of(shots, instrument, places),
+            model=None if shape is None else shape.at_shots,
+        ),
     )
     # One product of real matrices for all: coefficients, logarithms, covariances.
     second = found.logarithm
@@ -116,7 +119,7 @@ def fit(
     for first in range(0, len(pixel_direction), _AT_ONCE):
         part = slice(first, first + _AT_ONCE)
         design = design_of(places.scaled(pixel_direction[part]), found.powers)
-        product = design @ table
+        product = times(design, table)
         signal[part] = product[:, 0] + 1j * product[:, 1]
         sides = product[:, 4:].reshape(len(design), len(found.spreads), -1)
         for k, values in enumerate(common):

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -10,6 +11,7 @@ import xarray as xr
 from numpy.typing import NDArray
 from scipy.constants import speed_of_light
 
+from amulor._decisions import decided
 from amulor.rejection.covariance import (
     Covariance,
     along,
@@ -36,6 +38,8 @@ MODEL_ERROR = 0.02
 _DEEPEST = 8.0
 #: Directions along each side of the scan at which cut columns are computed.
 _DIRECTIONS = 5
+#: Angles that differ by less are one [rad].
+_ONE = 1e-9
 #: Pixels worked on at once: this bounds the memory.
 _AT_ONCE = 8192
 
@@ -82,11 +86,18 @@ def shows_target(
     errors = covariance_of(cube) + water.common + fluctuation_of(water.fits, whole)
     saturated = cube["saturated"].values != 0 if "saturated" in cube else None
     told = water.told
-    cut = (
-        None
-        if told is None
-        else _cut_columns(cube, told.survey, interval, paper=told.paper)
-    )
+    cut = None
+    if told is not None:
+        ends = _ends(cube)
+        cut = decided(
+            "columns that are cut",
+            lambda: _cut_columns(cube, told.survey, interval, ends, paper=told.paper),
+        )
+        cut = replace(
+            cut,
+            up=_places(cube, "elevation", ends),
+            across=_places(cube, "azimuth", ends),
+        )
     largest = None if cut is None else np.abs(cut.smooth).max(axis=(1, 2, 3))
     which = np.repeat(np.arange(frequencies), channels)
 
@@ -264,6 +275,7 @@ def _cut_columns(
     cube: xr.Dataset,
     survey: Survey,
     interval: tuple[float, float] | None,
+    ends: dict[str, tuple[float, float]],
     *,
     paper: bool,
 ) -> _Cut:
@@ -277,8 +289,7 @@ def _cut_columns(
     period = speed_of_light / (2 * properties.group_index * frequency.max())
     count = int(np.ceil((deepest - nearest) / period * _PER_PERIOD)) + 2
     depth = np.linspace(nearest, max(deepest, nearest), count)
-    up, elevation = _nodes(cube["elevation"].values)
-    across, azimuth = _nodes(cube["azimuth"].values)
+    elevation, azimuth = (_nodes(*ends[name]) for name in ("elevation", "azimuth"))
     grid = np.meshgrid(depth, elevation, azimuth, indexing="ij")
     fractions = column_fraction.fractions(
         survey,
@@ -294,15 +305,36 @@ def _cut_columns(
         smooth=(fractions * turn).reshape(frequency.size, *grid[0].shape),
         depth=depth,
         wavenumber=wavenumber,
-        up=up,
-        across=across,
+        up=np.zeros(0),
+        across=np.zeros(0),
     )
 
 
-def _nodes(values: Floats) -> tuple[Floats, Floats]:
-    """Return where pixels stand among even nodes over their span, and the nodes."""
-    low, high = float(values.min()), float(values.max())
-    if high - low < 1e-9:
-        return np.zeros(values.size), np.array([low])
-    nodes = np.linspace(low, high, _DIRECTIONS)
-    return (values.ravel() - low) / (high - low) * (_DIRECTIONS - 1), nodes
+def _ends(cube: xr.Dataset) -> dict[str, tuple[float, float]]:
+    """Return the ends of the angles of a scan [rad]."""
+
+    def ends(name: str) -> tuple[float, float]:
+        values = cube[name].values
+        return float(values.min()), float(values.max())
+
+    return {
+        name: decided(f"span_of_{name}", partial(ends, name))
+        for name in ("azimuth", "elevation")
+    }
+
+
+def _places(
+    cube: xr.Dataset, name: str, ends: dict[str, tuple[float, float]]
+) -> Floats:
+    """Return where pixels stand among the nodes of an angle, from 0 on [1]."""
+    low, high = ends[name]
+    values = cube[name].values.ravel()
+    if high - low < _ONE:
+        return np.zeros(values.size)
+    place: Floats = (values - low) / (high - low) * (_DIRECTIONS - 1)
+    return place
+
+
+def _nodes(low: float, high: float) -> Floats:
+    """Return even nodes over a span; one where it has no extent."""
+    return np.linspace(low, high, _DIRECTIONS if high - low >= _ONE else 1)

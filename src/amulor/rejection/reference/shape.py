@@ -12,8 +12,9 @@ from numpy.polynomial import chebyshev
 from numpy.typing import NDArray
 from scipy.constants import speed_of_light
 
+from amulor._decisions import decided
 from amulor.errors import AmulorError
-from amulor.rejection.covariance import Covariance
+from amulor.rejection.covariance import Covariance, times
 from amulor.rejection.reference.model import water_signal
 from amulor.rejection.reference.places import FEWEST_SHOTS, places_of
 from amulor.rejection.reference.surface import noise_of, noiseless, surface_of
@@ -94,6 +95,56 @@ def shape_of(
     directions, foretells directions that are left out best, all frequencies and
     channels together. Large scans take it from a product of Chebyshev polynomials.
     """
+    frequency = cube["modulation_frequency"].values
+    count, span = len(pixels), span_of(pixels)
+    found = decided(
+        "model behind the shots",
+        lambda: _chosen(cube, shots, signal, errors, span=span, many=count > _MANY),
+    )
+    if found is None:
+        return None
+    model, at_shots = found
+    return [
+        Shape(own, over)
+        for own, over in zip(at_shots, model(pixels, frequency), strict=True)
+    ]
+
+
+def span_of(pixels: Floats) -> tuple[Floats, Floats]:
+    """Return the least and the largest angles of a scan.
+
+    Parameters
+    ----------
+    pixels : ndarray, shape (n, 2)
+        Azimuth and elevation, of the scan or of a part of it [rad].
+
+    Returns
+    -------
+    tuple of two ndarrays, shape (2,)
+        Of the scan [rad].
+    """
+    low, high = pixels.min(axis=0), pixels.max(axis=0)
+    ends = [
+        decided(f"span_of_{name}", partial(_pair, low[k], high[k]))
+        for k, name in enumerate(("azimuth", "elevation"))
+    ]
+    return np.array([end[0] for end in ends]), np.array([end[1] for end in ends])
+
+
+def _pair(low: float, high: float) -> tuple[float, float]:
+    return float(low), float(high)
+
+
+def _chosen(
+    cube: xr.Dataset,
+    shots: Floats,
+    signal: Complex,
+    errors: Covariance,
+    *,
+    span: tuple[Floats, Floats],
+    many: bool,
+) -> tuple[Model, Complex] | None:
+    """Return the model behind the shots, and what it says at them."""
     text = cube.attrs.get("survey")
     if not text:
         return None
@@ -117,11 +168,9 @@ def shape_of(
     if best < 0:
         return None
     model = candidates[best]
-    between = (_tabled if len(pixels) > _MANY else _plain)(model, pixels, frequency)
-    return [
-        Shape(own[places.group], over)
-        for own, over in zip(seen[best], between, strict=True)
-    ]
+    if many:
+        model = _Tabled(model, *span, frequency).at
+    return model, seen[best][:, places.group]
 
 
 def models_for(
@@ -249,32 +298,40 @@ def open_water(
     return np.asarray(response * np.exp(turn))
 
 
-def _plain(model: Model, places: Floats, frequency: Floats) -> Complex:
-    return model(places, frequency)
+class _Tabled:
+    """A model from a table over the directions between two corners of a scan."""
 
+    def __init__(
+        self, model: Model, low: Floats, high: Floats, frequency: Floats
+    ) -> None:
+        self._centre = (low + high) / 2
+        self._half = np.where(high > low, (high - low) / 2, 1.0)
+        self._count = [_NODES if extent > 0 else 1 for extent in high - low]
+        axes = [np.cos(np.pi * (np.arange(n) + 0.5) / n) for n in self._count]
+        inverse = [
+            np.linalg.inv(chebyshev.chebvander(axis, len(axis) - 1)) for axis in axes
+        ]
+        nodes = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 2)
+        value = model(self._centre + self._half * nodes, frequency)
+        value = value.reshape(len(frequency), *self._count)
+        table = np.einsum("fij,ai,bj->abf", value, *inverse, optimize=True)
+        # One product of real matrices: real and imaginary parts side by side.
+        flat = np.ascontiguousarray(table.reshape(self._count[0], -1))
+        self._real = flat.view(float)
 
-def _tabled(model: Model, places: Floats, frequency: Floats) -> Complex:
-    """Return the same from a table over the directions."""
-    low, high = places.min(axis=0), places.max(axis=0)
-    centre, half = (low + high) / 2, np.where(high > low, (high - low) / 2, 1.0)
-    count = [_NODES if extent > 0 else 1 for extent in high - low]
-    axes = [np.cos(np.pi * (np.arange(n) + 0.5) / n) for n in count]
-    inverse = [
-        np.linalg.inv(chebyshev.chebvander(axis, len(axis) - 1)) for axis in axes
-    ]
-    nodes = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 2)
-    value = model(centre + half * nodes, frequency)
-    value = value.reshape(len(frequency), *count)
-    table = np.einsum("fij,ai,bj->abf", value, *inverse, optimize=True)
-    # One product of real matrices: real and imaginary parts side by side.
-    real = np.ascontiguousarray(table.reshape(count[0], -1)).view(float)
-    found = np.empty((len(frequency), len(places)), dtype=complex)
-    for begin in range(0, len(places), _AT_ONCE):
-        part = slice(begin, begin + _AT_ONCE)
-        across, up = (
-            chebyshev.chebvander((places[part, k] - centre[k]) / half[k], count[k] - 1)
-            for k in (0, 1)
-        )
-        rows = (across @ real).view(complex).reshape(len(across), count[1], -1)
-        found[:, part] = np.einsum("nbf,nb->fn", rows, up)
-    return found
+    def at(self, places: Floats, frequency: Floats) -> Complex:
+        """Return the water signal at places, for the frequencies of the table."""
+        centre, half, count = self._centre, self._half, self._count
+        found = np.empty((len(frequency), len(places)), dtype=complex)
+        for begin in range(0, len(places), _AT_ONCE):
+            part = slice(begin, begin + _AT_ONCE)
+            across, up = (
+                chebyshev.chebvander(
+                    (places[part, k] - centre[k]) / half[k], count[k] - 1
+                )
+                for k in (0, 1)
+            )
+            product = times(across, self._real)
+            rows = product.view(complex).reshape(len(across), count[1], -1)
+            found[:, part] = np.einsum("nbf,nb->fn", rows, up)
+        return found

@@ -8,6 +8,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
+from amulor._decisions import decided
 from amulor.errors import CubeError
 from amulor.rejection.covariance import (
     Covariance,
@@ -19,7 +20,7 @@ from amulor.rejection.reference import fit as reference
 from amulor.rejection.reference.drift import NO_DRIFT, Drift
 from amulor.rejection.reference.places import FEWEST_SHOTS
 from amulor.rejection.reference.scatter import fluctuation
-from amulor.rejection.reference.shape import shape_of
+from amulor.rejection.reference.shape import shape_of, span_of
 from amulor.survey import Survey
 
 Floats = NDArray[np.float64]
@@ -252,10 +253,14 @@ def _jitter(cube: xr.Dataset, name: str) -> float:
     meant = f"user_commanded_{name}"
     if meant not in cube:
         return 0.0
-    off = (cube[name] - cube[meant]).values
-    off = np.abs(off - np.nanmedian(off))
-    # What a stage that stuck once is off by does not count.
-    return 1.4826 * float(np.nanmedian(off)) if np.isfinite(off).any() else 0.0
+
+    def typical() -> float:
+        off = (cube[name] - cube[meant]).values
+        off = np.abs(off - np.nanmedian(off))
+        # What a stage that stuck once is off by does not count.
+        return 1.4826 * float(np.nanmedian(off)) if np.isfinite(off).any() else 0.0
+
+    return decided(f"jitter of the {name}", typical)
 
 
 def _place(cube: xr.Dataset, index: tuple[int, ...]) -> str:
@@ -298,7 +303,8 @@ def _refuse_a_scan_beyond_the_shots(
         return  # The receiver turns with the beam: the water is the same everywhere.
     low, high = shots.min(axis=0), shots.max(axis=0)
     room = np.maximum(_BEYOND * (high - low), BEYOND_AT_LEAST)
-    outside = np.maximum(low - pixels.min(axis=0), pixels.max(axis=0) - high) - room
+    first, last = span_of(pixels)
+    outside = np.maximum(low - first, last - high) - room
     if np.any(outside > 0):
         axis = int(np.argmax(outside))
         raise CubeError(

@@ -1,0 +1,162 @@
+"""Files larger than memory: a step from one file to the next, tile by tile."""
+
+from __future__ import annotations
+
+import os
+from collections import Counter
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import xarray as xr
+
+from amulor import cube as cubes
+from amulor.io.netcdf_rows import is_large, open_rows, row_writer, tile_rows
+from amulor.scale.steps import TiledStep, image_step, reject_step, run_step
+
+__all__ = ["Summary", "image_file", "is_large", "reject_file", "run_file"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Summary:
+    """What a step by rows has made, without the rows themselves."""
+
+    head: xr.Dataset
+    """All that does not run over the rows, attributes included."""
+    count: int
+    """Samples of a target signal, pixels of a range image."""
+    usable: int
+    """Those that are numbers."""
+    flagged: int
+    """Those with a flag."""
+    doubtful: int
+    """Those that are numbers and have a flag."""
+    flags: dict[str, int]
+    """How many have which flag."""
+
+
+def run_file(
+    step: TiledStep,
+    source: str | os.PathLike[str],
+    output: str | os.PathLike[str],
+    *,
+    rows: int | None = None,
+    overwrite: bool = False,
+) -> Summary:
+    """Run a step from a file to another one, tile by tile.
+
+    Parameters
+    ----------
+    step : TiledStep
+        What is done.
+    source, output : path-like
+        Cube to read, and file to make (netCDF).
+    rows : int, optional
+        Rows of a tile; by default a quarter of a million samples of each variable, in
+        whole blocks of the file.
+    overwrite : bool
+        Whether an existing file is replaced.
+
+    Returns
+    -------
+    Summary
+        Of what is written. The file is there when all of it is.
+
+    Raises
+    ------
+    AmulorError, ValueError
+        As the step, and if a file cannot be read or written.
+    """
+    flags: Counter[str] = Counter()
+    count = usable = flagged = doubtful = 0
+    head: xr.Dataset | None = None
+    with open_rows(Path(source)) as cube:
+        size = tile_rows(cube) if rows is None else rows
+        with row_writer(output, cube.rows, overwrite=overwrite) as writer:
+            for begin, tile in run_step(step, cube, rows=size):
+                writer.put(tile, begin)
+                signal = "in_phase" if "in_phase" in tile else "slant_range"
+                number = np.isfinite(tile[signal].values)
+                flag = tile["quality_flag"].values != 0
+                count, usable = count + number.size, usable + int(number.sum())
+                flagged += int(flag.sum())
+                doubtful += int((flag & number).sum())
+                flags.update(cubes.flag_counts(tile))
+                if head is None:
+                    over = [k for k, v in tile.variables.items() if "row" in v.dims]
+                    head = tile.drop_vars(over)
+    assert head is not None
+    return Summary(
+        head=head,
+        count=count,
+        usable=usable,
+        flagged=flagged,
+        doubtful=doubtful,
+        flags=dict(flags),
+    )
+
+
+def reject_file(
+    source: str | os.PathLike[str],
+    output: str | os.PathLike[str],
+    method: str,
+    *,
+    rows: int | None = None,
+    overwrite: bool = False,
+    **options: Any,
+) -> Summary:
+    """Take the water signal out of a file of samples, tile by tile.
+
+    Parameters
+    ----------
+    source, output, rows, overwrite
+        As in `run_file`.
+    method : str
+        As in `reject_step`.
+    **options
+        Arguments of the method.
+
+    Returns
+    -------
+    Summary
+        Of the target signal.
+
+    Raises
+    ------
+    AmulorError, ValueError
+        As `run_file`, and as the method.
+    """
+    step = reject_step(method, **options)
+    return run_file(step, source, output, rows=rows, overwrite=overwrite)
+
+
+def image_file(
+    source: str | os.PathLike[str],
+    output: str | os.PathLike[str],
+    *,
+    rows: int | None = None,
+    overwrite: bool = False,
+    **options: Any,
+) -> Summary:
+    """Turn a file with a target signal into a range image, tile by tile.
+
+    Parameters
+    ----------
+    source, output, rows, overwrite
+        As in `run_file`.
+    **options
+        Arguments of `amulor.imaging.range_image`.
+
+    Returns
+    -------
+    Summary
+        Of the range image, with its edges and outliers marked.
+
+    Raises
+    ------
+    AmulorError, ValueError
+        As `run_file`, and as `range_image`.
+    """
+    step = image_step(**options)
+    return run_file(step, source, output, rows=rows, overwrite=overwrite)

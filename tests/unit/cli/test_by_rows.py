@@ -1,0 +1,84 @@
+"""`--tile-rows`: the files that the commands make without it, in bounded memory."""
+
+from __future__ import annotations
+
+import json
+
+import pytest
+import xarray as xr
+
+from amulor import io
+from amulor.cli import main
+from amulor.io import netcdf_rows
+from amulor.simulation import simulate
+from amulor.survey import Survey
+
+
+def run(*words, expected=0):
+    """Run a command and check how it ends."""
+    assert main([str(word) for word in words]) == expected
+
+
+def content(path):
+    """Return a cube without the line that says when."""
+    return io.read_cube(path).assign_attrs(history="")
+
+
+@pytest.fixture
+def cube(plate_text, tmp_path):
+    path = tmp_path / "samples.nc"
+    io.write_cube(simulate(Survey.from_text(plate_text), rng=5), path)
+    return path
+
+
+@pytest.mark.slow
+def test_commands_work_by_rows(cube, tmp_path, capsys):
+    ends = ("--nearest", "0.8 m", "--farthest", "3 m")
+    one, other = tmp_path / "one.nc", tmp_path / "other.nc"
+    run("reject", cube, "--method", "co-polarized", "-o", one, "--json")
+    whole = json.loads(capsys.readouterr().out)
+    words = ("--tile-rows", 4)
+    run("reject", cube, "--method", "co-polarized", "-o", other, "--json", *words)
+    rows = json.loads(capsys.readouterr().out)
+    assert rows | {"output": ""} == whole | {"output": ""}
+    xr.testing.assert_identical(content(one), content(other))
+    images = tmp_path / "image.nc", tmp_path / "image_rows.nc"
+    run("image", one, "-o", images[0], *ends)
+    run("image", other, "-o", images[1], *ends, "--tile-rows", 1)
+    said = capsys.readouterr().out.splitlines()
+    assert said[0].split(": ")[1].startswith(said[1].split(": ")[1])
+    xr.testing.assert_identical(*map(content, images))
+
+
+def test_large_files_are_worked_on_by_rows_unasked(cube, tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr(netcdf_rows, "LARGE", 1)
+    seen = []
+    from amulor import scale
+
+    whole = scale.reject_file
+    monkeypatch.setattr(
+        scale, "reject_file", lambda *a, **k: seen.append(a) or whole(*a, **k)
+    )
+    output = tmp_path / "target.nc"
+    run("reject", cube, "--method", "none", "-o", output)
+    assert len(seen) == 1
+    assert "target signal" in capsys.readouterr().out
+    assert io.read_cube(output).attrs["level"] == "target_signal"
+
+
+@pytest.mark.parametrize(
+    ("words", "code", "said"),
+    [
+        (("--method", "auto"), 1, "auto needs the whole scan"),
+        (("--method", "none", "--open-water", "CUBE"), 2, "joins two cubes"),
+        (("--method", "none", "--tile-rows", "0"), 2, "must be 1 or more"),
+    ],
+)
+def test_what_does_not_go_by_rows_is_refused(cube, tmp_path, capsys, words, code, said):
+    output = tmp_path / "target.nc"
+    named = [cube if word == "CUBE" else word for word in words]
+    if "--tile-rows" not in named:
+        named += ["--tile-rows", "4"]
+    run("reject", cube, "-o", output, *named, expected=code)
+    assert said in " ".join(capsys.readouterr().err.split())
+    assert not output.exists()

@@ -1,0 +1,165 @@
+"""Steps by rows: for whatever tiles, bit for bit what the whole gives."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import xarray as xr
+
+from amulor import imaging, io, rejection
+from amulor._decisions import Decisions, decided, deciding, told
+from amulor.cube import tiles
+from amulor.errors import CubeError
+from amulor.scale import image_file, reject_file, reject_step, run_step, steps
+from amulor.simulation import simulate
+from amulor.survey import Survey
+
+INTERVAL = (0.8, 4.0)
+SLOW = pytest.mark.slow
+METHODS = [
+    ("open-water", rejection.open_water, {"interval": INTERVAL}),
+    ("cross-polarized", rejection.cross_polarized, {}),
+    pytest.param("combined", rejection.combined, {}, marks=SLOW),
+    pytest.param("frequency", rejection.frequency, {"interval": INTERVAL}, marks=SLOW),
+    pytest.param("polarization", rejection.unmix, {}, marks=SLOW),
+    pytest.param("joint", rejection.joint, {"interval": INTERVAL}, marks=SLOW),
+]
+
+
+@pytest.fixture(scope="module")
+def samples(plate_text: str) -> xr.Dataset:
+    """Return samples whose pixels differ: gaps, spikes, and a beam beside the plate."""
+    text = plate_text.replace('["39 MHz"]', '["20 MHz", "60 MHz"]')
+    text = text.replace("columns = 12\nrows = 6", "columns = 14\nrows = 11")
+    text = text.replace('azimuth_span = "3.81 deg"', 'azimuth_span = "14 deg"')
+    cube = simulate(Survey.from_text(text), rng=3)
+    signal = cube["in_phase"].values
+    signal[:, :, 4, 5] = np.nan
+    signal[1, 0, 8, 6] *= 3
+    return cube
+
+
+def in_tiles(step: steps.TiledStep, cube: xr.Dataset, rows: int) -> xr.Dataset:
+    """Return what a step makes of tiles that share no memory, put together."""
+    source = tiles.InMemory(cube)
+    whole = tiles.Whole(source.rows, source.columns)
+    for begin, tile in run_step(step, source, rows=rows):
+        whole.put(tile.copy(deep=True), begin)
+    return whole.made()
+
+
+def assert_same(one: xr.Dataset, other: xr.Dataset) -> None:
+    """Compare bit for bit; the history says when."""
+    one, other = (each.assign_attrs(history="") for each in (one, other))
+    xr.testing.assert_identical(one, other)
+
+
+@pytest.mark.parametrize(("method", "function", "options"), METHODS)
+def test_a_rejection_in_tiles_is_that_of_the_whole(
+    method: str, function: Any, options: dict[str, Any], samples: xr.Dataset
+) -> None:
+    whole = function(samples, **options)
+    step = reject_step(method, **options)
+    # A single row, and tiles that do not divide the scan.
+    for rows in (1, 4):
+        assert_same(in_tiles(step, samples, rows), whole)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("method", ["open-water", "joint"])
+def test_an_image_in_tiles_is_that_of_the_whole(
+    method: str, samples: xr.Dataset
+) -> None:
+    options = {"interval": INTERVAL}
+    target = (rejection.open_water if method == "open-water" else rejection.joint)(
+        samples.sel(polarization=["VV"]), interval=INTERVAL
+    )
+    found = imaging.range_image(target, **options)
+    whole = imaging.flag_outliers(imaging.flag_mixed(found))
+    assert (whole["quality_flag"].values != 0).any()
+    for rows in (1, 4):
+        assert_same(in_tiles(steps.image_step(**options), target, rows), whole)
+
+
+@pytest.mark.slow
+def test_a_scan_larger_than_its_sample_is_the_same_in_any_tiles(
+    samples: xr.Dataset, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    rows = np.repeat(np.arange(samples.sizes["row"]), 5)
+    cube = samples.isel(row=rows, column=np.tile(np.arange(14), 2))
+    # Enough pixels for a table of the column, fewer than all.
+    monkeypatch.setattr(tiles, "SAMPLE", 1000)
+    step = reject_step("open-water", interval=INTERVAL)
+    whole = in_tiles(step, cube, cube.sizes["row"])
+    assert_same(in_tiles(step, cube, 9), whole)
+    # The sample is not all, and says nearly what all would say.
+    every = rejection.open_water(cube, interval=INTERVAL)
+    change = [each.attrs["open_water_change"] for each in (whole, every)]
+    assert change[0] != change[1]
+    error = every.attrs["open_water_change_uncertainty"]
+    assert abs(change[0] - change[1]) < 3 * error
+
+
+def test_a_sample_has_patches_from_edge_to_edge(
+    samples: xr.Dataset, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(tiles, "SAMPLE", 40 * 40)
+    many = np.arange(90)
+    cube = samples.isel(row=many % 11, column=many % 14).assign(
+        user_row=(("row", "column"), np.repeat(many[:, None], 90, axis=1)),
+        user_column=(("row", "column"), np.repeat(many[None], 90, axis=0)),
+    )
+    sample = tiles.sample_of(tiles.InMemory(cube))
+    size = sample["azimuth"].size
+    assert 0.5 * tiles.SAMPLE < size < 1.5 * tiles.SAMPLE
+    there = sample["in_phase"].notnull().any(["modulation_frequency", "polarization"])
+    for axis, name in (("row", "user_row"), ("column", "user_column")):
+        place = sample[name].values
+        assert (place.min(), place.max()) == (0, 89)
+        step = np.diff(place, axis=0 if axis == "row" else 1)
+        both = there.values[1:] & there.values[:-1]
+        if axis == "column":
+            both = there.values[:, 1:] & there.values[:, :-1]
+        # Samples that stand side by side stand so in the scan.
+        assert both.any()
+        assert (step[both] == 1).all()
+
+
+@pytest.mark.slow
+def test_files_are_worked_on_by_rows(samples: xr.Dataset, tmp_path: Path) -> None:
+    cube = samples.sel(polarization=["VV"])
+    names = [tmp_path / name for name in ("a.nc", "b.nc", "c.nc")]
+    io.write_cube(cube, names[0])
+    made = reject_file(*names[:2], "open-water", rows=3, interval=INTERVAL)
+    target = rejection.open_water(io.read_cube(names[0]), interval=INTERVAL)
+    assert_same(io.read_cube(names[1]), target)
+    assert made.count == target["quality_flag"].size
+    assert made.flagged == int((target["quality_flag"] != 0).sum())
+    image = image_file(*names[1:], rows=3, interval=INTERVAL)
+    found = imaging.range_image(io.read_cube(names[1]), interval=INTERVAL)
+    found = imaging.flag_outliers(imaging.flag_mixed(found))
+    assert_same(io.read_cube(names[2]), found)
+    assert image.usable == int(found["slant_range"].notnull().sum())
+
+
+def test_methods_that_need_the_whole_scan_are_refused() -> None:
+    with pytest.raises(CubeError, match=r"auto needs the whole scan.*open-water"):
+        reject_step("auto")
+
+
+def test_what_was_not_decided_in_the_sample_is_an_error() -> None:
+    decisions = Decisions(width=3)
+    with deciding(decisions):
+        assert decided("size", lambda: decided("inner", lambda: 1) + 1) == 2
+        assert decided("size", lambda: 7) == 7
+        assert decided("width", lambda: 0) == 3
+    with told(decisions):
+        found = [decided("size", lambda: 0) for _ in range(2)]
+        assert found == [2, 7]
+        assert decided("width", lambda: 0) == 3
+        with pytest.raises(RuntimeError, match="'inner' is asked for"):
+            decided("inner", lambda: 0)
+    assert decided("size", lambda: 5) == 5
