@@ -37,10 +37,8 @@ _CHECKS = 9
 _LARGEST_RATIO = 1e6
 #: Factors of the survey's a and b that are tried.
 _FACTORS = (1.0, 0.5, 0.7, 1.4, 2.0)
-#: Nodes along azimuth and elevation of the table of large scans, and the pixels from
-#: which on it pays.
+#: Nodes along azimuth and elevation of the table that pixels look up.
 _NODES = 33
-_MANY = 4 * _NODES**2
 #: Pixels worked on at once: this bounds the memory.
 _AT_ONCE = 16_384
 
@@ -93,13 +91,13 @@ def shape_of(
     the diffusion form (46) of Ricci et al. 2010, as rebuilt, each with the delay of
     every direction. The one is taken whose ratio to the shots, as a polynomial over the
     directions, foretells directions that are left out best, all frequencies and
-    channels together. Large scans take it from a product of Chebyshev polynomials.
+    channels together. The pixels take it from a product of Chebyshev polynomials.
     """
     frequency = cube["modulation_frequency"].values
-    count, span = len(pixels), span_of(pixels)
+    span = span_of(pixels)
     found = decided(
         "model behind the shots",
-        lambda: _chosen(cube, shots, signal, errors, span=span, many=count > _MANY),
+        lambda: _chosen(cube, shots, signal, errors, span=span),
     )
     if found is None:
         return None
@@ -142,7 +140,6 @@ def _chosen(
     errors: Covariance,
     *,
     span: tuple[Floats, Floats],
-    many: bool,
 ) -> tuple[Model, Complex] | None:
     """Return the model behind the shots, and what it says at them."""
     text = cube.attrs.get("survey")
@@ -167,9 +164,7 @@ def _chosen(
     best = int(np.argmin(scores)) - 1
     if best < 0:
         return None
-    model = candidates[best]
-    if many:
-        model = _Tabled(model, *span, frequency).at
+    model = _Tabled(candidates[best], *span, frequency).at
     return model, seen[best][:, places.group]
 
 
