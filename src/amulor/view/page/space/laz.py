@@ -76,7 +76,7 @@ def _read(file: Any, most: int, name: str) -> Shape:
     for part in file.chunk_iterator(_PART):
         chosen = kept[(kept >= first) & (kept < first + len(part))] - first
         first += len(part)
-        parts.append(_columns(part, chosen))
+        parts.append(_columns(part[chosen]))
     if first < total or not total:
         raise FormatError(
             f"{name} says that it has {total} points, and has {first}; it is empty or "
@@ -110,15 +110,15 @@ def _read(file: Any, most: int, name: str) -> Shape:
     )
 
 
-def _columns(part: Any, chosen: NDArray[np.intp]) -> dict[str, NDArray[Any]]:
+def _columns(part: Any) -> dict[str, NDArray[Any]]:
     names = list(part.point_format.dimension_names)
-    found = {axis: np.asarray(getattr(part, axis))[chosen] for axis in "xyz"}
+    found = {axis: np.asarray(getattr(part, axis)) for axis in "xyz"}
     if {"red", "green", "blue"} <= set(names):
-        found |= {c: np.asarray(part[c])[chosen] for c in ("red", "green", "blue")}
+        found |= {c: np.asarray(part[c]) for c in ("red", "green", "blue")}
     for key in names:
         values = np.asarray(part[key]) if key not in _DULL else None
         if values is not None and values.ndim == 1:
-            found[key] = values[chosen]
+            found[key] = values
     return found
 
 

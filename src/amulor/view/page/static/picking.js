@@ -6,20 +6,24 @@ export function seen({ position, faces, count }, matrix, { x, y, width, height }
 }
 
 function onCloud(position, count, m, { x, y, width, height }, { dot, shrinks }) {
+  // Numbers by themselves: millions of points are looked at while somebody waits.
+  const [x0, y0, z0, w0, x1, y1, z1, w1, x2, y2, z2, w2, x3, y3, z3, w3] = m;
+  const [u, v] = [(2 * x) / width - 1, 1 - (2 * y) / height];
+  const [perX, perY] = [2 / width, 2 / height];
   let best = -1;
   let least = Infinity;
-  for (let i = 0; i < count; i += 1) {
-    const a = position[3 * i];
-    const b = position[3 * i + 1];
-    const c = position[3 * i + 2];
-    const w = m[3] * a + m[7] * b + m[11] * c + m[15];
+  for (let i = 0, at = 0; i < count; i += 1, at += 3) {
+    const a = position[at];
+    const b = position[at + 1];
+    const c = position[at + 2];
+    const w = w0 * a + w1 * b + w2 * c + w3;
     if (w <= 0) continue;
-    const dx = (0.5 + (0.5 * (m[0] * a + m[4] * b + m[8] * c + m[12])) / w) * width - x;
     const size = Math.min(Math.max(shrinks ? dot / w : dot, 1.5), 64) / 2 + 2.5;
-    if (dx > size || dx < -size) continue;
-    const dy = (0.5 - (0.5 * (m[1] * a + m[5] * b + m[9] * c + m[13])) / w) * height - y;
-    if (dy > size || dy < -size) continue;
-    const depth = (m[2] * a + m[6] * b + m[10] * c + m[14]) / w;
+    const dx = x0 * a + x1 * b + x2 * c + x3 - u * w;
+    if (Math.abs(dx) > size * perX * w) continue;
+    const dy = y0 * a + y1 * b + y2 * c + y3 - v * w;
+    if (Math.abs(dy) > size * perY * w) continue;
+    const depth = (z0 * a + z1 * b + z2 * c + z3) / w;
     if (depth < least) {
       least = depth;
       best = i;
