@@ -1,9 +1,10 @@
 // The page: what is shown, what is pointed at, and who is told.
 
 import { CloudView } from "./cloud.js";
-import { explained, flagColour, MAP_OF, table } from "./colour.js";
+import { flagColour, MAP_OF, table } from "./colour.js";
 import { Live } from "./live.js";
 import { colourBar, fitted, MapView } from "./map.js";
+import { listMeasurements, showLegend, showReadout } from "./panel.js";
 import { download, pictureOf, png, themed as themedColours } from "./picture.js";
 import { along, drawHistogram, drawProfile, drawSpectrum, profileOf } from "./plots.js";
 import { Products } from "./products.js";
@@ -271,32 +272,13 @@ async function show(name) {
   const flags = layer.kind === "flags";
   $("bar").parentElement.hidden = flags;
   $("legend").hidden = !flags;
-  if (flags) legend();
+  if (flags) showLegend(scene.maps.get(wanted).values, scene.flags);
   for (const button of $("water").querySelectorAll("button")) button.setAttribute("aria-pressed", String((button.dataset.raw === "yes") === state.raw));
   $("map").setAttribute("aria-label", `Map of the ${layer.label.toLowerCase()}, ${scene.rows} rows and ${scene.columns} columns. Arrow keys move the pixel.`);
   if (Object.keys(state.tables).length) thumbnails();
   lightNote();
   readout();
   redraw();
-}
-
-function legend() {
-  const { values } = state.scene.maps.get(state.layerName);
-  const share = (count) => `${((100 * count) / values.length).toFixed(1)} %`;
-  const counted = state.scene.flags.map((flag) => [flag, values.reduce((sum, bits) => sum + (bits & flag.mask ? 1 : 0), 0)]);
-  const good = values.reduce((sum, bits) => sum + (bits === 0 ? 1 : 0), 0);
-  const entries = [[`good, ${share(good)}`, "#2c7f62"], ...counted.filter(([, count]) => count).map(([flag, count]) => [`${flag.name}, ${share(count)}: ${flag.words}`, flagColour(flag.name)])];
-  const [first] = counted.filter(([, count]) => count);
-  const asked = first ? [Object.assign(document.createElement("span"), { textContent: `More of each: amulor explain ${explained(first[0].name)}` })] : [];
-  $("legend").replaceChildren(...entries.map(([text, colour]) => swatch(text, colour)), ...asked);
-}
-
-function swatch(text, colour) {
-  const span = document.createElement("span");
-  const mark = document.createElement("i");
-  mark.style.background = colour;
-  span.append(mark, text);
-  return span;
 }
 
 let asked = 0;
@@ -342,20 +324,7 @@ function readout() {
   const place = scene.point(...cursor);
   if (place) add("place", place.map((part) => short(part * 1e3, Math.abs(part) >= 1 ? 5 : 4)).join(", ") + " mm");
   const flags = scene.maps.has("flags") ? scene.reasons(...cursor) : scene.maps.has("flags_before") ? scene.reasons(...cursor, "flags_before") : [];
-  $("readout").replaceChildren(
-    ...rows.flatMap(([term, text, kind]) => {
-      const dt = Object.assign(document.createElement("dt"), { textContent: term });
-      const dd = Object.assign(document.createElement("dd"), { textContent: text, className: kind });
-      return [dt, dd];
-    }),
-    ...flags.map((flag) => {
-      const dd = document.createElement("dd");
-      dd.className = "words";
-      dd.append(swatch(flag.words, flagColour(flag.name)));
-      dd.title = `amulor explain ${explained(flag.name)}`;
-      return dd;
-    }),
-  );
+  showReadout(rows, flags);
 }
 
 function signed(value) {
@@ -412,31 +381,11 @@ async function finish() {
 }
 
 function listed() {
-  $("kept").hidden = !state.measurements.length;
-  $("measurements").replaceChildren(
-    ...state.measurements.map((kept) => {
-      const li = document.createElement("li");
-      li.className = kept === state.chosen ? "chosen" : "";
-      const { main, rests } = worded(kept.found);
-      const value = Object.assign(document.createElement("div"), { className: "value" });
-      value.append(Object.assign(document.createElement("span"), { className: "number", textContent: kept.number }), main[0]);
-      const of = Object.assign(document.createElement("div"), { className: "of", textContent: [toolOf(kept.kind).name, ...main.slice(1), rests].join(" · ") });
-      const remove = Object.assign(document.createElement("button"), { type: "button", className: "remove", textContent: "×", ariaLabel: `Remove measurement ${kept.number}` });
-      remove.addEventListener("click", (event) => {
-        event.stopPropagation();
-        state.measurements = state.measurements.filter((one) => one !== kept);
-        listed();
-        redraw();
-      });
-      li.addEventListener("click", () => {
-        state.chosen = kept;
-        listed();
-        redraw();
-      });
-      li.append(value, of, remove);
-      return li;
-    }),
-  );
+  const said = (kept) => {
+    const { main, rests } = worded(kept.found);
+    return { main: main[0], words: [toolOf(kept.kind).name, ...main.slice(1), rests].join(" · ") };
+  };
+  listMeasurements(state, said, redraw);
 }
 
 /** Drags on the map that are no pan: regions of fits and the line of a section. */

@@ -1,9 +1,10 @@
 // The page of a point cloud or a mesh: colours, picks, lengths with what is known of them.
 
 import { Camera, multiplied, projected } from "./camera.js";
-import { explained, flagColour, flagRanks, flagTable, MAP_OF, table } from "./colour.js";
+import { flagColour, flagRanks, flagTable, MAP_OF, table } from "./colour.js";
 import { colourBar, dot, fitted, halo, tag } from "./map.js";
 import { distanceOf, lengthAlong, numberAt, seen } from "./picking.js";
+import { listMeasurements, showLegend, showReadout } from "./panel.js";
 import { download, pictureOf, png, themed } from "./picture.js";
 import { drawHistogram } from "./plots.js";
 import { PointRenderer } from "./points.js";
@@ -267,28 +268,10 @@ function show(name) {
     renderer.colours(flags ? flagTable(scene.flags, "#2c7f62") : state.tables[map.layer.kind]);
     renderer.numbers(flags ? flagRanks(map.values, scene.flags) : map.values);
     $("legend").hidden = !flags;
-    if (flags) legend(map.values);
+    if (flags) showLegend(map.values, scene.flags);
   } else $("legend").hidden = true;
   for (const button of $("colours").children) button.setAttribute("aria-pressed", String(button.dataset.layer === name));
   redraw();
-}
-
-function legend(values) {
-  const share = (count) => `${((100 * count) / values.length).toFixed(1)} %`;
-  const counted = state.scene.flags.map((flag) => [flag, values.reduce((sum, bits) => sum + (bits & flag.mask ? 1 : 0), 0)]);
-  const good = values.reduce((sum, bits) => sum + (bits === 0 ? 1 : 0), 0);
-  const entries = [[`good, ${share(good)}`, "#2c7f62"], ...counted.filter(([, count]) => count).map(([flag, count]) => [`${flag.name}, ${share(count)}: ${flag.words}`, flagColour(flag.name)])];
-  const [first] = counted.filter(([, count]) => count);
-  const asked = first ? [Object.assign(document.createElement("span"), { textContent: `More of each: amulor explain ${explained(first[0].name)}` })] : [];
-  $("legend").replaceChildren(...entries.map(([text, colour]) => swatch(text, colour)), ...asked);
-}
-
-function swatch(text, colour) {
-  const span = document.createElement("span");
-  const mark = document.createElement("i");
-  mark.style.background = colour;
-  span.append(mark, text);
-  return span;
 }
 
 function places(place) {
@@ -331,16 +314,7 @@ function readout() {
     return;
   }
   const flags = cursor && scene.numbers.flags ? scene.flags.filter((flag) => scene.numbers.flags[cursor.corners[0]] & flag.mask) : [];
-  $("readout").replaceChildren(
-    ...rows.flatMap(([term, text, kind]) => [Object.assign(document.createElement("dt"), { textContent: term }), Object.assign(document.createElement("dd"), { textContent: text, className: kind })]),
-    ...flags.map((flag) => {
-      const dd = document.createElement("dd");
-      dd.className = "words";
-      dd.append(swatch(flag.words, flagColour(flag.name)));
-      dd.title = `amulor explain ${explained(flag.name)}`;
-      return dd;
-    }),
-  );
+  showReadout(rows, flags);
 }
 
 function choose(kind) {
@@ -385,30 +359,8 @@ function picked(pick) {
 }
 
 function listed() {
-  $("kept").hidden = !state.measurements.length;
-  $("measurements").replaceChildren(
-    ...state.measurements.map((kept) => {
-      const li = document.createElement("li");
-      li.className = kept === state.chosen ? "chosen" : "";
-      const value = Object.assign(document.createElement("div"), { className: "value" });
-      value.append(Object.assign(document.createElement("span"), { className: "number", textContent: kept.number }), bounded(kept.found.value, kept.found.bound ?? NaN));
-      const of = Object.assign(document.createElement("div"), { className: "of", textContent: [kept.kind, kept.found.rests].filter(Boolean).join(" · ") });
-      const remove = Object.assign(document.createElement("button"), { type: "button", className: "remove", textContent: "×", ariaLabel: `Remove measurement ${kept.number}` });
-      remove.addEventListener("click", (event) => {
-        event.stopPropagation();
-        state.measurements = state.measurements.filter((one) => one !== kept);
-        listed();
-        redraw();
-      });
-      li.addEventListener("click", () => {
-        state.chosen = kept;
-        listed();
-        redraw();
-      });
-      li.append(value, of, remove);
-      return li;
-    }),
-  );
+  const said = (kept) => ({ main: bounded(kept.found.value, kept.found.bound ?? NaN), words: [kept.kind, kept.found.rests].filter(Boolean).join(" · ") });
+  listMeasurements(state, said, redraw);
 }
 
 function asText() {

@@ -1,0 +1,67 @@
+// Parts that both pages have beside their views: numbers of a point, flags, measurements.
+
+import { explained, flagColour } from "./colour.js";
+
+const $ = (id) => document.getElementById(id);
+
+function made(tag, properties, ...children) {
+  const element = Object.assign(document.createElement(tag), properties);
+  element.append(...children);
+  return element;
+}
+
+function swatch(text, colour) {
+  const mark = made("i", {});
+  mark.style.background = colour;
+  return made("span", {}, mark, text);
+}
+
+/** Say in the legend what share of the values carries each flag. */
+export function showLegend(values, flags) {
+  const share = (count) => `${((100 * count) / values.length).toFixed(1)} %`;
+  const counted = flags.map((flag) => [flag, values.reduce((sum, bits) => sum + (bits & flag.mask ? 1 : 0), 0)]).filter(([, count]) => count);
+  const good = values.reduce((sum, bits) => sum + (bits === 0 ? 1 : 0), 0);
+  const entries = [[`good, ${share(good)}`, "#2c7f62"], ...counted.map(([flag, count]) => [`${flag.name}, ${share(count)}: ${flag.words}`, flagColour(flag.name)])];
+  const asked = counted.slice(0, 1).map(([flag]) => made("span", { textContent: `More of each: amulor explain ${explained(flag.name)}` }));
+  $("legend").replaceChildren(...entries.map(([text, colour]) => swatch(text, colour)), ...asked);
+}
+
+/** Show terms with their texts, and the words for flags. */
+export function showReadout(rows, flags) {
+  $("readout").replaceChildren(
+    ...rows.flatMap(([term, text, kind]) => [made("dt", { textContent: term }), made("dd", { textContent: text, className: kind })]),
+    ...flags.map((flag) => made("dd", { className: "words", title: `amulor explain ${explained(flag.name)}` }, swatch(flag.words, flagColour(flag.name)))),
+  );
+}
+
+/** List measurements; `said` gives the number and the words of one, `changed` redraws. */
+export function listMeasurements(state, said, changed) {
+  const again = () => {
+    listMeasurements(state, said, changed);
+    changed();
+  };
+  $("kept").hidden = !state.measurements.length;
+  $("measurements").replaceChildren(
+    ...state.measurements.map((kept) => {
+      const { main, words } = said(kept);
+      const remove = made("button", { type: "button", className: "remove", textContent: "×", ariaLabel: `Remove measurement ${kept.number}` });
+      remove.addEventListener("click", (event) => {
+        event.stopPropagation();
+        state.measurements = state.measurements.filter((one) => one !== kept);
+        again();
+      });
+      const li = made(
+        "li",
+        { className: kept === state.chosen ? "chosen" : "" },
+        made("div", { className: "value" }, made("span", { className: "number", textContent: kept.number }), main),
+        made("div", { className: "of", textContent: words }),
+        remove,
+      );
+      li.addEventListener("click", () => {
+        state.chosen = kept;
+        again();
+      });
+      return li;
+    }),
+  );
+}
