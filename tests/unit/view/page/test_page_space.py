@@ -266,6 +266,14 @@ def test_the_server_gives_numbers_of_the_file_only(
     assert page.text == path.read_text()
 
 
+def test_the_folder_of_a_scan_is_none_of_these(tmp_path: Path) -> None:
+    folder = tmp_path / "scan.csv"
+    folder.mkdir()
+    assert not space.is_space(folder)
+    assert not space.is_space(tmp_path / "none.nc")
+    assert space.is_space(tmp_path / "none.STL")
+
+
 def test_names_of_numbers_cannot_leave_their_place(tmp_path: Path) -> None:
     path = tmp_path / "evil.csv"
     path.write_text('x,y,z,../../etc,"<b>",position\n1,2,3,4,5,6\n4,5,6,7,8,9\n')

@@ -40,6 +40,8 @@ def is_space(path: Path) -> bool:
     bool
         False also for what is no file at all: other readers explain it.
     """
+    if path.is_dir():  # of a scan, whatever its name
+        return False
     if path.suffix.lower() in ENDINGS:
         return True
     try:
