@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import shutil
+import textwrap
 from typing import Annotated
 
 from cyclopts import Parameter
@@ -40,6 +42,8 @@ def explain(*words: str, json: Annotated[bool, Parameter(negative="")] = False) 
     if json:
         print_json({one.name: asdict(one) for one in found})
         return
+    width = min(shutil.get_terminal_size().columns, 100)
     for one in found:
         print(f"{one.name} ({one.kind})")
-        print("\n".join(explanations.lines_of(one)))
+        for line in explanations.lines_of(one):
+            print(textwrap.fill(line, width, subsequent_indent=" " * 12))
