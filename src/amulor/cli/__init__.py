@@ -63,6 +63,10 @@ COMMANDS = {
         "Watch a scan in the terminal: picture, rate, drift, what to do.",
     ),
     "site check": ("site.check:check", "Check a site file and the files it names."),
+    "run": (
+        "cluster.run:run",
+        "Take all scans of a site to images and clouds, here or on a cluster.",
+    ),
     "site schema": ("site.check:schema", "Print the JSON Schema of site files."),
     "archive": (
         "archive:archive",

@@ -7,6 +7,9 @@ import functools
 import hashlib
 import importlib.metadata
 import json
+from collections.abc import Iterator
+from contextlib import contextmanager
+from contextvars import ContextVar
 from pathlib import Path
 from typing import Any
 
@@ -42,8 +45,9 @@ def digest(content: bytes | str | Path) -> str:
         "sha256:" and 64 hexadecimal digits.
     """
     if isinstance(content, Path):
-        content = content.read_bytes()
-    elif isinstance(content, str):
+        with content.open("rb") as file:
+            return f"sha256:{hashlib.file_digest(file, 'sha256').hexdigest()}"
+    if isinstance(content, str):
         content = content.encode()
     return f"sha256:{hashlib.sha256(content).hexdigest()}"
 
@@ -77,6 +81,25 @@ def attributes(level: str, *, title: str, source: str, **others: Any) -> dict[st
     return {key: value for key, value in named.items() if value is not None}
 
 
+_time: ContextVar[datetime.datetime | None] = ContextVar("_time", default=None)
+
+
+@contextmanager
+def dated(time: datetime.datetime) -> Iterator[None]:
+    """Date all that is noted inside by one time, so that it comes out the same again.
+
+    Parameters
+    ----------
+    time : datetime.datetime
+        With its time zone, UTC.
+    """
+    token = _time.set(time)
+    try:
+        yield
+    finally:
+        _time.reset(token)
+
+
 def note(cube: xr.Dataset, step: str) -> xr.Dataset:
     """Return a cube whose CF `history` has one more line, the newest last.
 
@@ -92,7 +115,8 @@ def note(cube: xr.Dataset, step: str) -> xr.Dataset:
     xarray.Dataset
         The same data.
     """
-    now = datetime.datetime.now(datetime.UTC).strftime("%Y-%m-%dT%H:%M:%SZ")
+    time = _time.get() or datetime.datetime.now(datetime.UTC)
+    now = time.strftime("%Y-%m-%dT%H:%M:%SZ")
     version = software_versions()["amulor"]
     line = f"{now} amulor {version}: {step}"
     earlier = cube.attrs.get("history")

@@ -1,0 +1,59 @@
+"""`amulor run`: all scans of a site, here or on a cluster."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+from cyclopts import Parameter
+
+
+def run(
+    site: Path,
+    /,
+    *,
+    output: Annotated[Path, Parameter(alias="-o")],
+    scheduler: str | None = None,
+    workers: int | None = None,
+    json: Annotated[bool, Parameter(negative="")] = False,
+) -> None:
+    """Take all scans of a site to range images and clouds, here or on a cluster.
+
+    Parameters
+    ----------
+    site
+        Site file (TOML).
+    output
+        Folder for the results, one in it for each scan; what a run before has made of
+        the same files is kept.
+    scheduler
+        Address of a dask scheduler, such as tcp://node1:8786, or "local" for processes
+        on this machine; by default one scan after the other. Workers need the disk of
+        the site and of the results.
+    workers
+        Number of processes for --scheduler local; one for each processor by default.
+    json
+        Print the digests of all files as JSON.
+    """
+    from dataclasses import asdict
+
+    from amulor.cli._arguments import UsageError
+    from amulor.cli._output import print_json, progress_bar
+    from amulor.errors import CubeError
+    from amulor.scale.site_run import LOCAL, run_site
+
+    if workers is not None and (workers < 1 or scheduler != LOCAL):
+        raise UsageError("--workers is a number from 1 on, with --scheduler local")
+    with progress_bar(quiet=json):
+        done = run_site(site, output, scheduler=scheduler, workers=workers)
+    if json:
+        print_json({"output": str(output), "scans": [asdict(one) for one in done]})
+    else:
+        for one in done:
+            kept = len(one.files) - len(one.made)
+            print(f"{one.name}: {len(one.made)} files made, {kept} were there")
+    wrong = [f"{one.name}: {one.error}" for one in done if one.error]
+    if wrong:
+        raise CubeError(
+            f"{len(wrong)} of {len(done)} scans stopped: {'; '.join(wrong)}"
+        )
