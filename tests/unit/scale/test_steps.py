@@ -129,12 +129,19 @@ def test_a_sample_has_patches_from_edge_to_edge(
 
 
 @pytest.mark.slow
-def test_files_are_worked_on_by_rows(samples: xr.Dataset, tmp_path: Path) -> None:
+@pytest.mark.parametrize("method", ["open-water", "joint"])
+def test_files_are_worked_on_by_rows(
+    method: str, samples: xr.Dataset, tmp_path: Path
+) -> None:
     cube = samples.sel(polarization=["VV"])
     names = [tmp_path / name for name in ("a.nc", "b.nc", "c.nc")]
+    function = rejection.joint if method == "joint" else rejection.open_water
     io.write_cube(cube, names[0])
-    made = reject_file(*names[:2], "open-water", rows=3, interval=INTERVAL)
-    target = rejection.open_water(io.read_cube(names[0]), interval=INTERVAL)
+    made = reject_file(*names[:2], method, rows=3, interval=INTERVAL)
+    io.write_cube(
+        function(io.read_cube(names[0]), interval=INTERVAL), tmp_path / "w.nc"
+    )
+    target = io.read_cube(tmp_path / "w.nc")
     assert_same(io.read_cube(names[1]), target)
     assert made.count == target["quality_flag"].size
     assert made.flagged == int((target["quality_flag"] != 0).sum())
