@@ -67,6 +67,10 @@ COMMANDS = {
         "cluster.run:run",
         "Take all scans of a site to images and clouds, here or on a cluster.",
     ),
+    "site register": (
+        "site.register:register",
+        "Bring all scans of a site into one frame.",
+    ),
     "site schema": ("site.check:schema", "Print the JSON Schema of site files."),
     "archive": (
         "archive:archive",

@@ -247,8 +247,8 @@ class Comparison(Description):
     """Distance of the points at which change is looked for; twice the spacing of the
     pixels if left out [m]."""
     radius: Annotated[Length, Field(gt=0, le=10)] | None = None
-    """Radius of the cylinder whose points are averaged; twice `spacing` if left out
-    [m]."""
+    """Radius of the cylinder whose points are taken together; one and a half times
+    `spacing` if left out [m]."""
     reach: Annotated[Length, Field(gt=0, le=10)] = 0.2
     """Largest change that is looked for, along the normal [m]."""
     false_alarms: Annotated[Fraction, Field(gt=0, lt=0.5)] = 0.05

@@ -1,0 +1,1 @@
+"""What changed between two visits, how sure that is, and what moved whereto."""

@@ -1,0 +1,362 @@
+"""Distances between two epochs along normals (M3C2), with the errors of everything."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+from scipy.stats import norm
+
+from amulor._progress import tell
+from amulor.errors import CubeError
+from amulor.site.description.site_file import Site
+from amulor.site.merging.cloud import Merged, by_unknowns, unknowns_of
+from amulor.site.registration.register import Registration
+from amulor.site.registration.surface import ScanSurface
+
+Floats = NDArray[np.float64]
+Flags = NDArray[np.bool_]
+
+#: Points of each epoch that a curved patch needs [1].
+_FEWEST = 12
+#: Points that stand so many times the scatter off a patch are none of it [1].
+_OFF = 3.5
+#: Where points scatter so many times more than their noise there is no one surface [1].
+_ROUGH = 3.0
+#: Normals of points that belong together differ by less; cosine of the angle [1].
+_ALIKE = 0.6
+
+
+@dataclass(frozen=True, kw_only=True)
+class Change:
+    """Change at points of the first epoch's surface."""
+
+    epochs: tuple[str, str]
+    """Names of the visits."""
+    position: Floats
+    """Where change was looked for, in the site, shape (n, 3) [m]."""
+    normal: Floats
+    """Of the surface there, shape (n, 3) [1]."""
+    value: Floats
+    """Distance of the second epoch from the first along the normal; NaN where either
+    was not seen, shape (n,) [m]."""
+    uncertainty: Floats
+    """Combined standard uncertainty [m]."""
+    own: Floats
+    """Part of it by noise and roughness, independent from place to place [m]."""
+    shared: Floats
+    """How one standard deviation of each independent error of poses, delay, index and
+    references moves the distance, shape (n, m) [m]."""
+    significant: Flags
+    """Where the change is none of chance."""
+    chance: Floats
+    """Probability of so large a distance by chance [1]."""
+    area: Floats
+    """Surface that each point stands for, shape (n,) [m^2]."""
+    spacing: float
+    """Distance of the points [m]."""
+    radius: float
+    """Of the cylinders whose points are averaged [m]."""
+    false_alarms: float
+    """Share of the significant points that may be so by chance [1]."""
+
+
+def change(
+    site: Site,
+    registration: Registration,
+    surfaces: Mapping[str, ScanSurface],
+    cloud: Merged,
+    *,
+    epochs: tuple[str, str] | None = None,
+) -> Change:
+    r"""Compare two visits to a site.
+
+    Parameters
+    ----------
+    site : Site
+        Its `comparison` says how.
+    registration : Registration
+        Poses and shared errors with their covariance.
+    surfaces : mapping of str to ScanSurface
+        By scan.
+    cloud : Merged
+        All scans.
+    epochs : tuple of str, optional
+        Names of an earlier and a later visit; the first and the last by default.
+
+    Returns
+    -------
+    Change
+        On points that are about `spacing` apart.
+
+    Raises
+    ------
+    CubeError
+        If an epoch has no scans, or both see nothing together.
+
+    Notes
+    -----
+    M3C2 [1]_, with patches of second degree instead of means: through the points of
+    either epoch in a cylinder along the normal, weighted by the noise of each. The
+    variance is that of their heights on the axis, from the stated noise or from the
+    scatter, whichever is larger, and :math:`j \Sigma j^T` with the
+    derivative j of the distance by all poses and shared errors and their covariance, so
+    that what both epochs share cancels. Instead of one limit of detection, Benjamini
+    and Hochberg keep the share of false alarms.
+
+    References
+    ----------
+    .. [1] D. Lague, N. Brodu, J. Leroux, ISPRS J. Photogramm. Remote Sens. 82 (2013)
+       10, :doi:`10.1016/j.isprsjprs.2013.04.009`.
+    """
+    names = epochs or (site.epoch[0].name, site.epoch[-1].name)
+    parts = []
+    for name in names:
+        kept = cloud.of_epoch(name) & ~cloud.moving
+        kept &= np.isfinite(cloud.normal).all(axis=1)
+        if not kept.any():
+            raise CubeError(
+                f"epoch {name!r}: no point of its scans lies on a smooth surface; look "
+                "at its scans, or name other epochs"
+            )
+        parts.append(np.flatnonzero(kept))
+    if names[0] == names[1]:
+        raise CubeError(f"both epochs are {names[0]!r}; name two visits")
+    pixels = max(surfaces[scan.name].spacing for scan in site.scan)
+    spacing = site.comparison.spacing or 2 * pixels
+    radius = site.comparison.radius or 1.5 * spacing
+    core, normal, area = _cores(cloud, parts[0], spacing, radius)
+    means = []
+    for number, part in enumerate(parts):
+        tell(f"means of {names[number]}", 0.1 + 0.4 * number)
+        means.append(
+            _means(cloud, part, core, normal, radius, site.comparison.reach, surfaces,
+                   registration)
+        )  # fmt: skip
+    first, second = means
+    value = second.value - first.value
+    own = np.hypot(first.own, second.own)
+    everything = list(dict.fromkeys((*first.names, *second.names)))
+    slope = second.onto(everything) - first.onto(everything)
+    known = registration.covariance_of(*everything)
+    energy, axes = np.linalg.eigh(known)
+    root = axes * np.sqrt(np.maximum(energy, 0.0))
+    shared = slope @ root
+    uncertainty = np.sqrt(own**2 + (shared**2).sum(axis=1))
+    with np.errstate(invalid="ignore", divide="ignore"):
+        chance = 2 * norm.sf(np.abs(value) / uncertainty)
+    if not np.isfinite(value).any():
+        raise CubeError(
+            f"{names[0]} and {names[1]} see no surface together; look at the poses, or "
+            "set comparison.reach or comparison.radius larger"
+        )
+    return Change(
+        epochs=names,
+        position=core,
+        normal=normal,
+        value=value,
+        uncertainty=uncertainty,
+        own=own,
+        shared=shared,
+        significant=_significant(chance, site.comparison.false_alarms),
+        chance=chance,
+        area=area,
+        spacing=spacing,
+        radius=radius,
+        false_alarms=site.comparison.false_alarms,
+    )
+
+
+def _cores(
+    cloud: Merged, at: NDArray[np.intp], spacing: float, radius: float
+) -> tuple[Floats, Floats, Floats]:
+    """Return one point for each cube of space with a surface, its normal and area."""
+    place = cloud.position[at]
+    cell = np.floor(place / spacing).astype(np.int64)
+    _, group = np.unique(cell, axis=0, return_inverse=True)
+    count = np.bincount(group)
+
+    def mean(values: Floats) -> Floats:
+        sums = [np.bincount(group, weights=values[:, k]) for k in range(3)]
+        return np.stack(sums, axis=1) / count[:, None]
+
+    core = mean(place)
+    tree = cKDTree(place)
+    near = tree.query_ball_point(core, radius)
+    normal = np.array([cloud.normal[at[some]].mean(axis=0) for some in near])
+    size = np.linalg.norm(normal, axis=1)
+    # Where normals point everywhere there is no surface, but an edge.
+    good = (size > 0.8) & (count >= 2)
+    normal = normal / np.maximum(size, 1e-9)[:, None]
+    # A plane of area A crosses A (|nx| + |ny| + |nz|) / s^2 cubes.
+    area = spacing**2 / np.abs(normal).sum(axis=1)
+    return core[good], normal[good], area[good]
+
+
+@dataclass(frozen=True)
+class _Means:
+    value: Floats
+    own: Floats
+    names: tuple[str, ...]
+    slope: Floats
+    registration: Registration
+
+    def onto(self, names: list[str]) -> Floats:
+        """Return the derivatives in the order of other names."""
+        width = {"pose": 6, "point": 3, "error": 1}
+
+        def size(name: str) -> int:
+            return width[name.partition(" ")[0]]
+
+        starts = np.cumsum([0, *(size(name) for name in names)])
+        place = dict(zip(names, starts[:-1], strict=True))
+        found = np.zeros((len(self.slope), starts[-1]))
+        begin = 0
+        for name in self.names:
+            end = begin + size(name)
+            found[:, place[name] : place[name] + end - begin] = self.slope[:, begin:end]
+            begin = end
+        return found
+
+
+def _means(
+    cloud: Merged,
+    at: NDArray[np.intp],
+    core: Floats,
+    normal: Floats,
+    radius: float,
+    reach: float,
+    surfaces: Mapping[str, ScanSurface],
+    registration: Registration,
+) -> _Means:
+    """Return mean places along normals, their noise, and what they depend on."""
+    site = cloud.site
+    place = cloud.position[at]
+    tree = cKDTree(place)
+    ball = float(np.hypot(radius, reach))
+    near = tree.query_ball_point(core, ball)
+    owner = np.repeat(np.arange(len(core)), [len(some) for some in near])
+    index = np.concatenate([np.asarray(some, dtype=np.intp) for some in near])
+    off = place[index] - core[owner]
+    along = np.einsum("ij,ij->i", off, normal[owner])
+    across = np.sqrt(np.maximum((off**2).sum(axis=1) - along**2, 0.0))
+    alike = np.einsum("ij,ij->i", cloud.normal[at[index]], normal[owner]) > _ALIKE
+    kept = (across <= radius) & (np.abs(along) <= reach) & alike
+    owner, index, along, across = (v[kept] for v in (owner, index, along, across))
+    facing = np.einsum("ij,ij->i", cloud.beam[at[index]], normal[owner])
+    sigma = np.maximum(np.abs(facing) * cloud.own[at[index]], 1e-6)
+    weight = 1 / sigma**2
+    size = len(core)
+    fitted = _patches(owner, along, off[kept], normal, weight)
+    share = fitted.share
+    value = np.where(fitted.good, fitted.height, np.nan)
+    own = fitted.own
+    names: list[str] = []
+    columns: list[Floats] = []
+    for number, scan in enumerate(site.scan):
+        mine = cloud.scan[at[index]] == number
+        if not mine.any():
+            continue
+        points = at[index[mine]]
+        surface, pose = surfaces[scan.name], registration.poses[scan.name]
+        slope = by_unknowns(surface, pose, cloud.position[points], cloud.pixel[points])
+        slope = np.einsum("ni,nij->nj", normal[owner[mine]], slope)
+        slope *= share[mine][:, None]
+        sums = np.stack(
+            [
+                np.bincount(owner[mine], weights=slope[:, k], minlength=size)
+                for k in range(slope.shape[1])
+            ],
+            axis=1,
+        )
+        names += unknowns_of(scan.name, surface)
+        columns.append(np.asarray(sums, dtype=float))
+    merged = list(dict.fromkeys(names))
+    whole = _Means(value, own, tuple(names), np.hstack(columns), registration)
+    if len(merged) == len(names):
+        return whole
+    # Errors that several scans share appear once.
+    summed = _summed(whole, merged)
+    return _Means(value, own, tuple(merged), summed, registration)
+
+
+def _summed(means: _Means, names: list[str]) -> Floats:
+    width = {"pose": 6, "point": 3, "error": 1}
+    sizes = [width[name.partition(" ")[0]] for name in names]
+    starts = dict(zip(names, np.cumsum([0, *sizes[:-1]]), strict=True))
+    found = np.zeros((len(means.slope), sum(sizes)))
+    begin = 0
+    for name in means.names:
+        size = width[name.partition(" ")[0]]
+        at = starts[name]
+        found[:, at : at + size] += means.slope[:, begin : begin + size]
+        begin += size
+    return found
+
+
+@dataclass(frozen=True)
+class _Patches:
+    height: Floats
+    own: Floats
+    share: Floats
+    good: Flags
+
+
+def _patches(
+    owner: NDArray[np.intp], along: Floats, off: Floats, normal: Floats, weight: Floats
+) -> _Patches:
+    """Return the heights of curved patches through points, and their noise.
+
+    Of second degree, so that two epochs that sample a slope or a bend in other places
+    have the same height. `share` is how a height follows from each point.
+    """
+    size = len(normal)
+    helper = np.where(np.abs(normal[:, :1]) < 0.8, [[1.0, 0, 0]], [[0, 1.0, 0]])
+    first = np.cross(normal, helper)
+    first /= np.linalg.norm(first, axis=1, keepdims=True)
+    second = np.cross(normal, first)
+    width = float(np.sqrt(np.mean(off**2))) or 1.0
+    u = np.einsum("ij,ij->i", off, first[owner]) / width
+    v = np.einsum("ij,ij->i", off, second[owner]) / width
+    terms = np.stack([np.ones_like(u), u, v, u**2, u * v, v**2], axis=1)
+    used = weight.copy()
+    for _ in range(3):
+        count = np.bincount(owner[used > 0], minlength=size)
+        scale = np.maximum(np.bincount(owner, weights=used, minlength=size), 1e-300)
+        part = used / scale[owner]
+        matrix = np.zeros((size, 6, 6))
+        right = np.zeros((size, 6))
+        for i in range(6):
+            of_term = part * terms[:, i]
+            right[:, i] = np.bincount(owner, weights=of_term * along, minlength=size)
+            for j in range(i, 6):
+                matrix[:, i, j] = matrix[:, j, i] = np.bincount(
+                    owner, weights=of_term * terms[:, j], minlength=size
+                )
+        back = np.linalg.inv(matrix + 1e-9 * np.eye(6))
+        solved = np.einsum("nij,nj->ni", back, right)
+        residual = along - np.einsum("ij,ij->i", terms, solved[owner])
+        freedom = np.maximum(count - 6, 1)
+        square = np.bincount(owner, weights=used * residual**2, minlength=size)
+        scatter = np.sqrt(np.maximum(square / freedom, 1.0))
+        used = np.where(
+            np.abs(residual) * np.sqrt(weight) < _OFF * scatter[owner], weight, 0.0
+        )
+    share = np.einsum("ij,ij->i", back[owner, 0], terms) * part
+    own = np.sqrt(np.abs(back[:, 0, 0]) / np.maximum(scale, 1e-30)) * scatter
+    good = (count >= _FEWEST) & (scatter < _ROUGH) & (back[:, 0, 0] < 0.5 * _FEWEST)
+    return _Patches(solved[:, 0], own, share, good)
+
+
+def _significant(chance: Floats, share: float) -> Flags:
+    """Return which changes are none of chance, after Benjamini and Hochberg."""
+    known = np.isfinite(chance)
+    order = np.sort(chance[known])
+    below = order <= share * np.arange(1, len(order) + 1) / max(len(order), 1)
+    if not below.any():
+        return np.zeros(len(chance), dtype=bool)
+    limit = order[np.flatnonzero(below)[-1]]
+    return np.asarray(known & (np.where(known, chance, 1.0) <= limit))

@@ -1,0 +1,260 @@
+"""How an object moved between two visits: its rigid motion with the error."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from amulor.site.description.site_file import Site
+from amulor.site.merging.cloud import corrected
+from amulor.site.registration.pair import Pair, compared, tree_of
+from amulor.site.registration.pose import ScanPose, cross_matrix
+from amulor.site.registration.register import Registration
+from amulor.site.registration.surface import ScanSurface
+
+Floats = NDArray[np.float64]
+Flags = NDArray[np.bool_]
+
+#: What stands so far above the ground around it is the object [m].
+_ABOVE = 0.02
+#: Points that tell of a motion [1].
+_FEWEST = 60
+_STEPS = 12
+
+
+@dataclass(frozen=True, kw_only=True)
+class Motion:
+    """The rigid motion of an object from the first epoch to the second."""
+
+    centre: Floats
+    """Middle of what was seen of it, in the site, shape (3,) [m]."""
+    shift: Floats
+    """How far that place moved: east, north, up [m]."""
+    turn: Floats
+    """How far it turned about these axes [rad]."""
+    covariance: Floats
+    """Of shift and turn, poses and shared errors included, shape (6, 6)."""
+    loose: tuple[Floats, ...]
+    """Directions (shift, turn) that its shape does not tell, such as the turn of a
+    body about its own axis; the motion along them counts as none."""
+    points: int
+    """How many points tell of it [1]."""
+    misfit: float
+    """Scatter of the points over what is stated [1]."""
+
+    @property
+    def distance(self) -> float:
+        """Length of the shift [m]."""
+        return float(np.linalg.norm(self.shift))
+
+    @property
+    def distance_uncertainty(self) -> float:
+        """Standard uncertainty of it [m]."""
+        unit = self.shift / max(self.distance, 1e-12)
+        return float(np.sqrt(unit @ self.covariance[:3, :3] @ unit))
+
+
+def motion_of(
+    site: Site,
+    registration: Registration,
+    surfaces: Mapping[str, ScanSurface],
+    *,
+    epochs: tuple[str, str],
+    centre: Floats,
+    reach: float,
+) -> Motion | None:
+    """Return how the object at a place moved.
+
+    Parameters
+    ----------
+    site : Site
+        Its scans.
+    registration : Registration
+        Poses with their covariance.
+    surfaces : mapping of str to ScanSurface
+        By scan.
+    epochs : tuple of str
+        Earlier and later visit.
+    centre : ndarray, shape (3,)
+        About the middle of the object [m].
+    reach : float
+        Distance within which it lies [m].
+
+    Returns
+    -------
+    Motion or None
+        None if too little stands above the ground there, or was seen in either visit.
+
+    Notes
+    -----
+    The object is what stands above the ground around it, a plane through the surfaces
+    from its reach to one and a half of it. Its points in the second epoch are fitted to
+    its surface in the first, as scans are to each other.
+    """
+    cut = {}
+    for scan in site.scan:
+        if scan.epoch not in epochs:
+            continue
+        kept = _object(surfaces[scan.name], registration, scan.name, centre, reach)
+        if kept is not None and int(kept.sum()) >= 20:
+            cut[scan.name] = replace(
+                surfaces[scan.name], smooth=surfaces[scan.name].smooth & kept
+            )
+    names = [[s.name for s in site.scans_of(e) if s.name in cut] for e in epochs]
+    who = [(later, earlier) for later in names[1] for earlier in names[0]]
+    trees = {name: tree_of(one) for name, one in cut.items()}
+    shift, turn = np.zeros(3), np.eye(3)
+    middle = np.array(centre, dtype=float)
+    pairs: list[Pair] = []
+    gates = [0.08, 0.05, 0.03, 0.02, 0.015]
+    for number in range(_STEPS):
+        gate = gates[number] if number < len(gates) else None
+        pairs = []
+        for later, earlier in who:
+            back = ScanPose(
+                turn.T @ registration.poses[later].rotation,
+                turn.T @ (registration.poses[later].position - middle - shift) + middle,
+            )
+            pair = compared(
+                cut[later],
+                cut[earlier],
+                (back, registration.poses[earlier]),
+                gate=gate,
+                errors=registration.errors,
+                tree=trees[earlier],
+            )
+            if pair is not None and pair.used >= 20:
+                pairs.append(pair)
+        if sum(pair.used for pair in pairs) < _FEWEST:
+            return None
+        normal, gradient = _sums(pairs, middle, steady=gate is not None)
+        step = -np.linalg.pinv(normal, rcond=1e-9) @ gradient
+        # A step of the points back onto the first epoch is one of the object forward.
+        undone = Rotation.from_rotvec(step[3:]).as_matrix()
+        shift = turn @ undone.T @ -step[:3] + shift
+        turn = turn @ undone.T
+        if gate is None and float(np.abs(step).max()) < 1e-6:
+            break
+    return _result(pairs, middle, shift, turn, registration, cut)
+
+
+def _object(
+    surface: ScanSurface,
+    registration: Registration,
+    name: str,
+    centre: Floats,
+    reach: float,
+) -> Flags | None:
+    """Return the pixels of a scan that stand above the ground around a place."""
+    place = registration.poses[name].place(corrected(surface, registration.errors))
+    away = np.linalg.norm((place - centre)[..., :2], axis=-1)
+    with np.errstate(invalid="ignore"):
+        ring = surface.usable & (away > reach) & (away < 1.6 * reach)
+        inside = surface.usable & (away <= 1.1 * reach)
+    if int(ring.sum()) < 30 or not inside.any():
+        return None
+    ground = place[ring]
+    level = np.ones(len(ground), dtype=bool)
+    plane = np.zeros(3)
+    for _ in range(8):
+        design = np.column_stack([ground[level, :2] - centre[:2], np.ones(level.sum())])
+        plane = np.linalg.lstsq(design, ground[level, 2], rcond=None)[0]
+        off = ground[:, 2] - (ground[:, :2] - centre[:2]) @ plane[:2] - plane[2]
+        # Other things stand on the ground, too; it is what is lowest.
+        spread = 1.4826 * float(np.median(np.abs(off[level] - np.median(off[level]))))
+        level = (off < 2 * spread + 1e-3) & (off > -4 * spread - 1e-3)
+        if int(level.sum()) < 20:
+            return None
+    height = place[..., 2] - (place[..., :2] - centre[:2]) @ plane[:2] - plane[2]
+    with np.errstate(invalid="ignore"):
+        return np.asarray(inside & (height > _ABOVE))
+
+
+def _to_middle(pair: Pair, middle: Floats) -> Floats:
+    """Return how a shift at the pivot follows from one at another place."""
+    carried = np.eye(6)
+    carried[:3, 3:] = -cross_matrix(pair.pivot - middle)
+    return carried
+
+
+def _sums(pairs: list[Pair], middle: Floats, *, steady: bool) -> tuple[Floats, Floats]:
+    normal, gradient = np.zeros((6, 6)), np.zeros(6)
+    for pair in pairs:
+        into = pair.held @ _to_middle(pair, middle)
+        x = pair.by_target[:, :6] @ into
+        z = x if steady else pair.by_source[:, :6] @ into
+        weighted = z * pair.weight[:, None]
+        normal += weighted.T @ x
+        gradient += weighted.T @ pair.distance
+    return normal, gradient
+
+
+def _result(
+    pairs: list[Pair],
+    middle: Floats,
+    shift: Floats,
+    turn: Floats,
+    registration: Registration,
+    cut: Mapping[str, ScanSurface],
+) -> Motion:
+    normal, _ = _sums(pairs, middle, steady=False)
+    back = np.linalg.pinv(normal, rcond=1e-9)
+    # Each pixel takes part in several pairs.
+    noise = np.zeros((6, 6))
+    of_pixel = {name: np.zeros((one.own.size, 6)) for name, one in cut.items()}
+    names = list(
+        dict.fromkeys(
+            name
+            for pair in pairs
+            for name in (
+                f"pose {pair.source}",
+                f"pose {pair.target}",
+                *(f"error {key}" for key in pair.keys),
+            )
+        )
+    )
+    width = {"pose": 6, "error": 1}
+    sizes = [width[name.partition(" ")[0]] for name in names]
+    starts = dict(zip(names, np.cumsum([0, *sizes[:-1]]), strict=True))
+    gain = np.zeros((6, sum(sizes)))
+    for pair in pairs:
+        into = pair.held @ _to_middle(pair, middle)
+        weighted = (pair.by_source[:, :6] @ into) * pair.weight[:, None]
+        rows = pair.misfit * weighted
+        of_pixel[pair.source][pair.source_pixel] += rows * pair.along[:, None]
+        of_pixel[pair.target] += pair.window.T @ rows
+        for name, sign in ((pair.source, 1.0), (pair.target, -1.0)):
+            block = np.eye(6)
+            block[:3, 3:] = -cross_matrix(
+                pair.pivot - registration.poses[name].position
+            )
+            at = starts[f"pose {name}"]
+            gain[:, at : at + 6] += sign * weighted.T @ (pair.by_target[:, :6] @ block)
+        for number, key in enumerate(pair.keys):
+            column = pair.by_target[:, 6 + number]
+            gain[:, starts[f"error {key}"]] += weighted.T @ column
+    for name, rows in of_pixel.items():
+        scaled = rows * np.nan_to_num(cut[name].own.ravel())[:, None]
+        noise += scaled.T @ scaled
+    known = registration.covariance_of(*names)
+    covariance = back @ (noise + gain @ known @ gain.T) @ back.T
+    best = max(pairs, key=lambda one: one.used)
+    values, axes = np.linalg.eigh((normal + normal.T) / 2)
+    loose = tuple(
+        np.asarray(axis)
+        for value, axis in zip(values, axes.T, strict=True)
+        if value < 1e-9 * values[-1]
+    )
+    return Motion(
+        centre=middle,
+        shift=shift,
+        turn=Rotation.from_matrix(turn).as_rotvec(),
+        covariance=covariance,
+        loose=loose or best.loose,
+        points=sum(pair.used for pair in pairs),
+        misfit=max(pair.misfit for pair in pairs),
+    )

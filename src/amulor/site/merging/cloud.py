@@ -1,0 +1,237 @@
+"""The cloud of all scans in the frame of the site, each point with its covariance."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from amulor._progress import tell
+from amulor.site.description.site_file import Site
+from amulor.site.merging.seen import seen_by_others
+from amulor.site.registration.pose import ScanPose, cross_matrix
+from amulor.site.registration.register import Registration
+from amulor.site.registration.surface import ScanSurface
+
+Floats = NDArray[np.float64]
+Flags = NDArray[np.bool_]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Merged:
+    """Points of all scans in the frame of the site."""
+
+    position: Floats
+    """East, north, up, shape (n, 3) [m]."""
+    covariance: Floats
+    """Of each point: noise, what its scan shares, its pose, shape (n, 3, 3) [m^2]."""
+    own: Floats
+    """Standard uncertainty of the range that is each pixel's own, shape (n,) [m]."""
+    beam: Floats
+    """Where a point moves when its range grows, shape (n, 3) [1]."""
+    normal: Floats
+    """Of the surface, towards the instrument; NaN where not smooth, (n, 3) [1]."""
+    intensity: Floats
+    """Amplitude of the target signal, shape (n,) [V]."""
+    scan: NDArray[np.int16]
+    """Number of the scan in the site file, counted from 0, shape (n,)."""
+    pixel: NDArray[np.intp]
+    """Number of the pixel, row by row, shape (n,)."""
+    flag: NDArray[np.int16]
+    """Quality flags of the range image, shape (n,)."""
+    confirmed: NDArray[np.int16]
+    """Other scans of the epoch that see a surface at the place, shape (n,) [1]."""
+    moving: Flags
+    """Points that other scans of the epoch see through: no part of the site."""
+    share: Floats
+    """Weight of a point among those of other scans at its place, which add up to 1 with
+    its own scan's, shape (n,) [1]."""
+    site: Site
+    """What it was made of."""
+
+    @property
+    def sigma(self) -> Floats:
+        """Standard uncertainties of the coordinates, shape (n, 3) [m]."""
+        return np.asarray(np.sqrt(np.einsum("nii->ni", self.covariance)))
+
+    def of_epoch(self, epoch: str) -> Flags:
+        """Return which points are of one visit."""
+        numbers = [k for k, one in enumerate(self.site.scan) if one.epoch == epoch]
+        return np.asarray(np.isin(self.scan, numbers))
+
+
+def corrected(surface: ScanSurface, errors: Mapping[str, float]) -> Floats:
+    """Return the points of a scan less its shared errors as they are estimated.
+
+    Parameters
+    ----------
+    surface : ScanSurface
+        The scan.
+    errors : mapping of str to float
+        Shared errors, in standard deviations.
+
+    Returns
+    -------
+    ndarray, shape (row, column, 3)
+        In the axes of the instrument [m].
+    """
+    known = np.array([errors.get(key, 0.0) for key in surface.shared.keys])
+    off = np.tensordot(known, surface.shared.shapes, axes=1)
+    distance = surface.distance - off
+    return np.asarray(surface.origin + distance[..., None] * surface.direction)
+
+
+def unknowns_of(scan: str, surface: ScanSurface) -> tuple[str, ...]:
+    """Return what the place of a scan's points depends on, as named in covariances."""
+    return (f"pose {scan}", *(f"error {key}" for key in surface.shared.keys))
+
+
+def by_unknowns(
+    surface: ScanSurface, pose: ScanPose, position: Floats, pixel: NDArray[np.intp]
+) -> Floats:
+    """Return how points move with the pose and the shared errors of their scan.
+
+    Parameters
+    ----------
+    surface : ScanSurface
+        The scan.
+    pose : ScanPose
+        Where it stands.
+    position : ndarray, shape (n, 3)
+        Points in the site [m].
+    pixel : ndarray of int, shape (n,)
+        Their pixels.
+
+    Returns
+    -------
+    ndarray, shape (n, 3, 6 + k)
+        In the order of `unknowns_of`.
+    """
+    arm = position - pose.position
+    beam = pose.turn(surface.direction.reshape(-1, 3)[pixel])
+    shapes = surface.shared.shapes.reshape(len(surface.shared.keys), -1)[:, pixel]
+    return np.concatenate(
+        [
+            np.broadcast_to(np.eye(3), (len(pixel), 3, 3)),
+            -cross_matrix(arm),
+            -beam[:, :, None] * shapes.T[:, None, :],
+        ],
+        axis=2,
+    )
+
+
+def merge(
+    site: Site,
+    registration: Registration,
+    surfaces: Mapping[str, ScanSurface],
+    images: Mapping[str, xr.Dataset],
+) -> Merged:
+    r"""Merge all scans of a site.
+
+    Parameters
+    ----------
+    site : Site
+        Its scans, in this order.
+    registration : Registration
+        Poses and shared errors with their covariance.
+    surfaces, images : mapping
+        As of `amulor.site.registration.register.surfaces_of`.
+
+    Returns
+    -------
+    Merged
+        All usable points.
+
+    Notes
+    -----
+    :math:`C_i = \sigma_i^2 d d^T + J_i \Sigma J_i^T` with the beam d, the pixel's own
+    noise and the derivatives J by pose and shared errors, whose covariance
+    :math:`\Sigma` is that of the registration, so that what the scans told each other
+    of these errors counts.
+    """
+    parts: dict[str, list[NDArray[np.generic]]] = {}
+
+    def keep(**values: NDArray[np.generic]) -> None:
+        for key, value in values.items():
+            parts.setdefault(key, []).append(value)
+
+    for number, scan in enumerate(site.scan):
+        tell(f"placing {scan.name}", number / len(site.scan))
+        surface, pose = surfaces[scan.name], registration.poses[scan.name]
+        pixel = np.flatnonzero(surface.usable)
+        own = corrected(surface, registration.errors).reshape(-1, 3)[pixel]
+        position = pose.place(own)
+        beam = pose.turn(surface.direction.reshape(-1, 3)[pixel])
+        names = unknowns_of(scan.name, surface)
+        known = registration.covariance_of(*names)
+        slope = by_unknowns(surface, pose, position, pixel)
+        sigma = surface.own.ravel()[pixel]
+        spread = np.einsum("nij,jk,nlk->nil", slope, known, slope, optimize=True)
+        spread += (sigma**2)[:, None, None] * beam[:, :, None] * beam[:, None, :]
+        peers = {one.name: surfaces[one.name] for one in site.scans_of(scan.epoch)}
+        largest = np.sqrt(np.linalg.eigvalsh(spread)[:, -1])
+        confirmed, through = seen_by_others(
+            scan.name, peers, registration.poses, position, largest
+        )
+        image = images[scan.name]
+        keep(
+            position=position,
+            covariance=spread,
+            own=sigma,
+            beam=beam,
+            normal=pose.turn(surface.normal.reshape(-1, 3)[pixel]),
+            intensity=image["intensity"].values.ravel()[pixel],
+            scan=np.full(len(pixel), number, dtype=np.int16),
+            pixel=pixel,
+            flag=image["quality_flag"].values.ravel()[pixel].astype(np.int16),
+            confirmed=confirmed,
+            moving=through > confirmed,
+        )
+    whole = {key: np.concatenate(values) for key, values in parts.items()}
+    tell("weighing what several scans see", 0.9)
+    share = _shares(
+        site, whole["position"], whole["scan"], whole["own"], whole["moving"]
+    )
+    return Merged(**whole, share=share, site=site)
+
+
+def _shares(
+    site: Site,
+    position: NDArray[np.generic],
+    scan: NDArray[np.generic],
+    own: NDArray[np.generic],
+    moving: NDArray[np.generic],
+) -> Floats:
+    """Return weights of points among those of the same epoch at the same place."""
+    epochs = np.array([[e.name for e in site.epoch].index(s.epoch) for s in site.scan])
+    share = np.ones(len(position))
+    precision = 1 / np.maximum(np.asarray(own, dtype=float), 1e-9) ** 2
+    for epoch in range(len(site.epoch)):
+        at = np.flatnonzero((epochs[scan.astype(int)] == epoch) & ~moving.astype(bool))
+        numbers = np.unique(scan[at])
+        trees, reach = {}, {}
+        for number in numbers:
+            mine = at[scan[at] == number]
+            trees[number] = (cKDTree(position[mine]), mine)
+            some = trees[number][0].query(
+                position[mine[:: max(len(mine) // 500, 1)]], k=2
+            )
+            reach[number] = 1.5 * float(np.median(some[0][:, 1]))
+        for number in numbers:
+            mine = trees[number][1]
+            total = precision[mine].copy()
+            for other in numbers:
+                if other == number:
+                    continue
+                tree, theirs = trees[other]
+                away, nearest = tree.query(
+                    position[mine], distance_upper_bound=reach[other]
+                )
+                met = np.isfinite(away)
+                total[met] += precision[theirs[nearest[met]]]
+            share[mine] = precision[mine] / total
+    return share

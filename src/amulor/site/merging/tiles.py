@@ -1,0 +1,184 @@
+"""Writes a merged cloud as LAZ tiles that share one offset."""
+
+from __future__ import annotations
+
+import io
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from amulor._progress import tell
+from amulor.cube import DOUBTFUL
+from amulor.errors import FormatError, MissingExtraError
+from amulor.io.files import atomic_output
+from amulor.site.merging.cloud import Merged
+
+#: Step of the coordinates in the files [m].
+SCALE = 1e-5
+_LARGEST = np.iinfo(np.int32).max
+_BRIGHTEST = np.iinfo(np.uint16).max
+_EXTRA = (
+    ("sigma_x", np.float64, "standard uncertainty of x [m]"),
+    ("sigma_y", np.float64, "standard uncertainty of y [m]"),
+    ("sigma_z", np.float64, "standard uncertainty of z [m]"),
+    ("cov_xy", np.float64, "covariance of x and y [m2]"),
+    ("cov_xz", np.float64, "covariance of x and z [m2]"),
+    ("cov_yz", np.float64, "covariance of y and z [m2]"),
+    ("own_sigma", np.float64, "own part along the beam [m]"),
+    ("share", np.float32, "weight among other scans [1]"),
+    ("confirmed", np.uint8, "scans that see it, too [1]"),
+    ("moving", np.uint8, "1: other scans see through it"),
+    ("quality_flag", np.uint16, "amulor flag bits, 0: good [1]"),
+)
+
+
+def write_tiles(
+    cloud: Merged,
+    folder: str | Path,
+    *,
+    size: float = 5.0,
+    epoch: str | None = None,
+    overwrite: bool = False,
+) -> list[Path]:
+    """Write a merged cloud as square LAZ tiles.
+
+    Parameters
+    ----------
+    cloud : Merged
+        The cloud.
+    folder : str or pathlib.Path
+        Folder to make or to fill.
+    size : float
+        Side of a tile, east and north [m].
+    epoch : str, optional
+        Visit to write; all by default.
+    overwrite : bool
+        Whether existing files are replaced.
+
+    Returns
+    -------
+    list of pathlib.Path
+        The tiles; `tiles.json` beside them says what is where.
+
+    Raises
+    ------
+    FormatError
+        If a file exists, or the site is too wide for the format.
+    MissingExtraError
+        If laspy is not installed.
+
+    Notes
+    -----
+    LAS 1.4, point format 6, steps of 1e-5 m from one offset, the same for all tiles and
+    epochs: that of the site's reference system, or whole metres near its middle.
+    Millimetres are kept at coordinates in the millions, and two tiles can be
+    subtracted. `point_source_id` is the number of the scan, counted from 1; moving and
+    doubtful points are withheld.
+    """
+    laspy = _laspy()
+    folder = Path(folder)
+    folder.mkdir(parents=True, exist_ok=True)
+    kept = np.ones(len(cloud.position), dtype=bool)
+    if epoch is not None:
+        kept = cloud.of_epoch(epoch)
+    place = cloud.position
+    world = np.array(cloud.site.frame.crs_offset)
+    offset = world + np.round(place.mean(axis=0)) if not world.any() else world
+    far = np.abs(place + world - offset).max(initial=0.0)
+    if far / SCALE > _LARGEST:
+        raise FormatError(
+            f"{folder}: a point lies {far:.0f} m off the offset of the site, LAS files "
+            f"in steps of {SCALE:g} m hold {_LARGEST * SCALE:.0f} m; set "
+            "frame.crs_offset near the site"
+        )
+    brightest = float(cloud.intensity.max(initial=0.0)) or 1.0
+    cell = np.floor(place[:, :2] / size).astype(int)
+    names = []
+    listed = {}
+    cells = np.unique(cell[kept], axis=0)
+    for number, one in enumerate(cells):
+        tell("writing tiles", number / len(cells))
+        at = np.flatnonzero(kept & (cell == one).all(axis=1))
+        suffix = f"_{epoch}" if epoch is not None else ""
+        path = folder / f"tile_{one[0]:+04d}_{one[1]:+04d}{suffix}.laz"
+        points = _tile(laspy, cloud, at, offset, world, brightest)
+        content = io.BytesIO()
+        points.write(content, do_compress=True)
+        with atomic_output(path, overwrite=overwrite) as temporary:
+            temporary.write_bytes(content.getvalue())
+        names.append(path)
+        listed[path.name] = {
+            "points": len(at),
+            "west_south_m": [float(v) for v in one * size],
+            "size_m": size,
+        }
+    about = {
+        "site": cloud.site.name,
+        "crs": cloud.site.frame.crs,
+        "offset_m": offset.tolist(),
+        "scans": [scan.name for scan in cloud.site.scan],
+        "tiles": listed,
+    }
+    index = folder / ("tiles.json" if epoch is None else f"tiles_{epoch}.json")
+    with atomic_output(index, overwrite=overwrite) as temporary:
+        temporary.write_text(json.dumps(about, indent=1))
+    return names
+
+
+def _laspy() -> Any:
+    try:
+        import laspy
+        import lazrs  # noqa: F401  laspy compresses with it
+    except ImportError as error:
+        raise MissingExtraError(
+            "laspy[lazrs]", extra="export", purpose="writing LAZ tiles"
+        ) from error
+    return laspy
+
+
+def _tile(
+    laspy: Any,
+    cloud: Merged,
+    at: NDArray[np.intp],
+    offset: NDArray[np.float64],
+    world: NDArray[np.float64],
+    brightest: float,
+) -> Any:
+    header = laspy.LasHeader(version="1.4", point_format=6)
+    header.global_encoding.wkt = True  # asked for by this point format, even if unused
+    header.system_identifier = "amulor"
+    header.scales = np.full(3, SCALE)
+    header.offsets = offset
+    header.add_extra_dims(
+        [laspy.ExtraBytesParams(name, kind, about) for name, kind, about in _EXTRA]
+    )
+    points = laspy.LasData(header)
+    steps = np.round((cloud.position[at] + (world - offset)) / SCALE).astype(np.int32)
+    for number, axis in enumerate("XYZ"):
+        points[axis] = steps[:, number]
+    points["intensity"] = np.round(
+        np.clip(cloud.intensity[at] / brightest, 0, 1) * _BRIGHTEST
+    ).astype(np.uint16)
+    points["point_source_id"] = (cloud.scan[at] + 1).astype(np.uint16)
+    ones = np.ones(len(at), dtype=np.uint8)
+    points["return_number"] = points["number_of_returns"] = ones
+    doubtful = (cloud.flag[at].astype(np.int64) & int(DOUBTFUL)) != 0
+    points["withheld"] = (doubtful | cloud.moving[at]).astype(np.uint8)
+    spread = cloud.covariance[at]
+    values = {
+        **{f"sigma_{a}": np.sqrt(spread[:, k, k]) for k, a in enumerate("xyz")},
+        "cov_xy": spread[:, 0, 1],
+        "cov_xz": spread[:, 0, 2],
+        "cov_yz": spread[:, 1, 2],
+        "own_sigma": cloud.own[at],
+        "share": cloud.share[at],
+        "confirmed": cloud.confirmed[at],
+        "moving": cloud.moving[at],
+        "quality_flag": cloud.flag[at],
+    }
+    for name, kind, _ in _EXTRA:
+        points[name] = values[name].astype(kind)
+    return points

@@ -1,0 +1,329 @@
+"""From start poses to poses with a covariance: rough, then pairs, then all at once."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+from scipy.stats import chi2
+
+from amulor._progress import tell
+from amulor.errors import CubeError
+from amulor.site.registration import network
+from amulor.site.registration.network import KnownPose, Layout, State, Ties
+from amulor.site.registration.pair import Pair, compared, tree_of
+from amulor.site.registration.pose import ScanPose
+from amulor.site.registration.rough import aligned
+from amulor.site.registration.surface import ScanSurface
+
+Floats = NDArray[np.float64]
+
+#: Steps with a wide gate, narrowing, then with that of the noise [1].
+_WIDE_STEPS, _FINE_STEPS = 3, 10
+#: A step below the first ends the work, one below the second has settled; single
+#: points that come and go move poses by less [m, and rad times a metre].
+_DONE, _SETTLED = 5e-6, 3e-5
+#: Pairs that disagree with all others less often than this by chance [1].
+_CHANCE = 1e-4
+#: Nobody knows a pose worse than this [m, rad].
+_ANYWHERE, _ANYHOW = 100.0, 1.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class Disagreement:
+    """A pair of scans that all others contradict."""
+
+    scans: tuple[str, str]
+    """Their names."""
+    shift: float
+    """How far the pair by itself would move one of them [m]."""
+    turn: float
+    """How far it would turn it [rad]."""
+    score: float
+    """Chi-square over its degrees of freedom; about 1 by chance [1]."""
+    trust: float
+    """Weight that it keeps [1]."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Alignment:
+    """Poses of scans with the covariance of all."""
+
+    state: State
+    """Poses, targets and shared errors."""
+    covariance: Floats
+    """Of all unknowns, in the order of `layout`."""
+    layout: Layout
+    """Which unknown stands where."""
+    pairs: tuple[Pair, ...]
+    """Comparisons of scans."""
+    trust: tuple[float, ...]
+    """Weight of each of them, 1 unless it disagrees."""
+    disagreements: tuple[Disagreement, ...]
+    """Pairs that do."""
+    steps: int
+    """How many steps it took; as many as are allowed if it did not settle."""
+    settled: bool
+    """Whether the last step was small."""
+
+
+def align(
+    surfaces: Mapping[str, ScanSurface],
+    ties: Ties,
+    *,
+    overlap: float = 0.1,
+    voxel: float | None = None,
+    guess: Mapping[str, ScanPose] | None = None,
+) -> Alignment:
+    """Align all scans of a site.
+
+    Parameters
+    ----------
+    surfaces : mapping of str to ScanSurface
+        Scans by name.
+    ties : Ties
+        Start poses, targets, control points, scale bars.
+    overlap : float
+        Part of the pixels that two scans must share to be compared [1].
+    voxel : float, optional
+        Spacing of the points of the rough alignment; twice that of the pixels [m].
+    guess : mapping of str to ScanPose, optional
+        Poses to begin with where there is no start pose, as from targets.
+
+    Returns
+    -------
+    Alignment
+        Poses with a covariance.
+
+    Raises
+    ------
+    CubeError
+        If a scan has no pose to begin with, or nothing ties it to another.
+    """
+    poses = _begin(surfaces, ties, voxel=voxel, guess=guess or {})
+    names = list(surfaces)
+    start = dict(ties.start)
+    for name in names:
+        if name != ties.fixed and name not in start:
+            loose = np.diag([_ANYWHERE**2] * 3 + [_ANYHOW**2] * 3)
+            start[name] = KnownPose(pose=poses[name], covariance=loose)
+    ties = replace(ties, start={k: v for k, v in start.items() if k != ties.fixed})
+    keys = dict.fromkeys(
+        key for surface in surfaces.values() for key in surface.shared.keys
+    )
+    keys |= dict.fromkeys(key for centre in ties.centres for key in centre.shared)
+    points = _first_points(ties, poses)
+    state = State(poses, points, dict.fromkeys(keys, 0.0))
+    trees = {name: tree_of(surface) for name, surface in surfaces.items()}
+    who = _neighbours(surfaces, poses, trees, overlap)
+    _refuse_islands(names, who, ties)
+    gates: list[float | None] = []
+    if who:
+        largest = 6 * max(one.spacing for one in surfaces.values())
+        gates += [float(g) for g in np.geomspace(largest, largest / 8, _WIDE_STEPS)]
+    gates += [None] * _FINE_STEPS
+    pairs: list[Pair] = []
+    trust: list[float] = []
+    settled, taken = False, 0
+    for number, gate in enumerate(gates):
+        tell("fitting all scans to each other", 0.3 + 0.5 * number / len(gates))
+        pairs = _pairs(surfaces, who, state, trees, gate)
+        trust = [1.0] * len(pairs)
+        taken = number + 1
+        found = network.step(state, pairs, ties, trust, steady=gate is not None)
+        state = found.state
+        settled = gate is None and found.largest < _SETTLED
+        if gate is None and found.largest < _DONE:
+            break
+    disagreements: tuple[Disagreement, ...] = ()
+    if len(pairs) > 1:
+        trust, disagreements = _judged(pairs, state, surfaces)
+        for _ in range(4 if disagreements else 0):
+            pairs = _pairs(surfaces, who, state, trees, None)
+            trust, disagreements = _judged(pairs, state, surfaces)
+            state = network.step(state, pairs, ties, trust).state
+    tell("covariance of all poses", 0.85)
+    covariance, layout = network.covariance(state, pairs, ties, trust, surfaces)
+    return Alignment(
+        state=state,
+        covariance=covariance,
+        layout=layout,
+        pairs=tuple(pairs),
+        trust=tuple(trust),
+        disagreements=disagreements,
+        steps=taken,
+        settled=settled,
+    )
+
+
+def _begin(
+    surfaces: Mapping[str, ScanSurface],
+    ties: Ties,
+    *,
+    voxel: float | None,
+    guess: Mapping[str, ScanPose],
+) -> dict[str, ScanPose]:
+    """Return poses good to a part of a pixel's spacing, one scan after the other."""
+    stated = {name: known.pose for name, known in ties.start.items()} | dict(guess)
+    if ties.fixed is not None:
+        stated.setdefault(ties.fixed, ScanPose(np.eye(3), np.zeros(3)))
+    lost = [name for name in surfaces if name not in stated]
+    if lost:
+        raise CubeError(
+            f"scan {lost[0]!r}: nothing tells about where it stood; state [scan.start] "
+            "with uncertainties, or three targets that other scans see, too"
+        )
+    first = ties.fixed or _first(ties, guess, list(surfaces))
+    placed = {first: stated[first]}
+    waiting = [name for name in surfaces if name != first]
+    clouds = {name: one.position[one.usable] for name, one in surfaces.items()}
+    while waiting:
+        tell("aligning roughly", 0.3 * len(placed) / len(surfaces))
+        others = np.concatenate([placed[n].place(clouds[n]) for n in placed])
+        tree = cKDTree(others)
+        shares = {}
+        for name in waiting:
+            reach = _reach(ties.start.get(name), clouds[name])
+            some = stated[name].place(
+                clouds[name][:: max(len(clouds[name]) // 2000, 1)]
+            )
+            shares[name] = np.isfinite(
+                tree.query(some, distance_upper_bound=reach)[0]
+            ).mean()
+        name = max(waiting, key=lambda one: float(shares[one]))
+        waiting.remove(name)
+        if shares[name] < 0.02:
+            placed[name] = stated[name]
+            continue
+        spacing = max(one.spacing for one in surfaces.values())
+        placed[name] = aligned(
+            clouds[name],
+            others,
+            stated[name],
+            voxel=voxel or 2 * spacing,
+            reach=_reach(ties.start.get(name), clouds[name]),
+        )
+    return {name: placed[name] for name in surfaces}
+
+
+def _first(ties: Ties, guess: Mapping[str, ScanPose], names: Sequence[str]) -> str:
+    """Return the scan whose pose is known best."""
+    known = [name for name in names if name in ties.start]
+    if not known:
+        return next(iter(guess), names[0])
+    return min(known, key=lambda one: float(np.trace(ties.start[one].covariance)))
+
+
+def _reach(start: KnownPose | None, cloud: Floats) -> float:
+    """Return how far the points of a scan may be off at first [m]."""
+    if start is None:
+        return 0.1
+    away = float(np.linalg.norm(cloud, axis=1).mean())
+    shift, turn = (np.trace(start.covariance[k : k + 3, k : k + 3]) for k in (0, 3))
+    return float(min(2 * np.sqrt(shift + away**2 * turn), 1.0))
+
+
+def _first_points(ties: Ties, poses: Mapping[str, ScanPose]) -> dict[str, Floats]:
+    """Return about where targets stand."""
+    points: dict[str, Floats] = {}
+    for centre in ties.centres:
+        seen = poses[centre.scan].place(centre.position)
+        points.setdefault(centre.target, seen)
+    for name, known in ties.control.items():
+        points.setdefault(name, known.position)
+    return points
+
+
+def _neighbours(
+    surfaces: Mapping[str, ScanSurface],
+    poses: Mapping[str, ScanPose],
+    trees: Mapping[str, cKDTree],
+    overlap: float,
+) -> list[tuple[str, str]]:
+    """Return the pairs of scans that see the same surface, the finer one second."""
+    names = list(surfaces)
+    found = []
+    for number, one in enumerate(names):
+        for other in names[number + 1 :]:
+            source, target = (
+                (one, other)
+                if surfaces[one].spacing >= surfaces[other].spacing
+                else (other, one)
+            )
+            cloud = surfaces[source].position[surfaces[source].smooth]
+            some = cloud[:: max(len(cloud) // 3000, 1)]
+            local = poses[target].back(poses[source].place(some))
+            away, _ = trees[target].query(
+                local, distance_upper_bound=3 * surfaces[target].spacing
+            )
+            if np.isfinite(away).mean() >= overlap:
+                found.append((source, target))
+    return found
+
+
+def _refuse_islands(
+    names: Sequence[str], who: Sequence[tuple[str, str]], ties: Ties
+) -> None:
+    """Raise if a scan is tied to nothing."""
+    seen: dict[str, set[str]] = {}
+    for centre in ties.centres:
+        seen.setdefault(centre.target, set()).add(centre.scan)
+    tied = {name for pair in who for name in pair} | set(ties.start)
+    tied |= {n for name, scans in seen.items() if len(scans) > 1 for n in scans}
+    tied |= {n for name, scans in seen.items() if name in ties.control for n in scans}
+    alone = [name for name in names if name not in tied and name != ties.fixed]
+    if alone and len(names) > 1:
+        raise CubeError(
+            f"scan {alone[0]!r}: overlaps no other scan and shares no target with one; "
+            "add a scan between them, targets, or lower registration.overlap"
+        )
+
+
+def _pairs(
+    surfaces: Mapping[str, ScanSurface],
+    who: Sequence[tuple[str, str]],
+    state: State,
+    trees: Mapping[str, cKDTree],
+    gate: float | None,
+) -> list[Pair]:
+    found = (
+        compared(
+            surfaces[source],
+            surfaces[target],
+            (state.poses[source], state.poses[target]),
+            gate=gate,
+            errors=state.errors,
+            tree=trees[target],
+        )
+        for source, target in who
+    )
+    return [pair for pair in found if pair is not None and pair.used >= 20]
+
+
+def _judged(
+    pairs: Sequence[Pair], state: State, surfaces: Mapping[str, ScanSurface]
+) -> tuple[list[float], tuple[Disagreement, ...]]:
+    """Return how far each pair is trusted, and those that all others contradict."""
+    trust, against = [], []
+    for pair in pairs:
+        change, spread = network.innovation(pair, state, surfaces)
+        freedom = round(float(np.trace(pair.held)))
+        score = float(change @ np.linalg.pinv(spread, rcond=1e-12) @ change)
+        limit = float(chi2.isf(_CHANCE, max(freedom, 1)))
+        # As of Huber: what is farther off pulls no more for it.
+        weight = 1.0 if score <= limit else float(np.sqrt(limit / score))
+        trust.append(weight)
+        if score > limit:
+            against.append(
+                Disagreement(
+                    scans=(pair.source, pair.target),
+                    shift=float(np.linalg.norm(change[:3])),
+                    turn=float(np.linalg.norm(change[3:])),
+                    score=score / max(freedom, 1),
+                    trust=weight,
+                )
+            )
+    return trust, tuple(against)

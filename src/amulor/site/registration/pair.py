@@ -1,0 +1,433 @@
+"""Two scans of one surface: distances of the points of one from the patches of another.
+
+Normals are noisy, and noise in both factors of a sum of squares adds up: a flat sea
+bed would look as if it held a scan sideways, and a site would shrink, since a smaller
+one has smaller residuals. So distances are multiplied with derivatives whose noise is
+independent of theirs: normals of the other scan, places by neighbours (instrumental
+variables).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage, sparse
+from scipy.spatial import cKDTree
+
+from amulor.site.registration.pose import ScanPose
+from amulor.site.registration.surface import ScanSurface
+
+Floats = NDArray[np.float64]
+Numbers = NDArray[np.intp]
+
+#: Beams and normals stand at least so: cosine of the angle of incidence [1].
+_GRAZING = 0.2
+#: Two normals of one surface differ by less; cosine of the angle [1].
+_ALIKE = 0.7
+#: A distance is another surface if it stands off by so many standard errors [1].
+_FAR = 4.0
+#: Neighbours that stand off together, by so many standard errors of their mean [1].
+_MOVED = 5.0
+#: Directions count as held if what holds them stands out of noise so many times [1].
+_HELD = 6.0
+#: Points of a source that are compared; more tell nothing, since what is shared stays.
+MOST_POINTS = 20_000
+
+
+@dataclass(frozen=True, kw_only=True)
+class Pair:
+    """What the comparison of two scans says about their poses, to first order."""
+
+    source: str
+    """Scan whose points are compared."""
+    target: str
+    """Scan whose patches they are compared with."""
+    keys: tuple[str, ...]
+    """Of the shared errors of both."""
+    pivot: Floats
+    """Middle of the points, in the site, shape (3,) [m]."""
+    distance: Floats
+    """Along the beams of the target, shape (n,) [m]."""
+    weight: Floats
+    """One over the variance, 0 where left out, shape (n,) [1/m^2]."""
+    by_target: Floats
+    """Derivatives of the distance, with the normals of the target: by a shift of the
+    source at the pivot, a turn about it, and the shared errors, shape (n, 6 + k)."""
+    by_source: Floats
+    """The same with the normals of the source."""
+    along: Floats
+    """Derivative of the distance by the range of the source's pixel, shape (n,)."""
+    source_pixel: Numbers
+    """Numbers of the source's pixels, shape (n,)."""
+    window: sparse.csr_matrix
+    """Derivative by the ranges of the target's pixels, shape (n, pixels), negative."""
+    misfit: float
+    """Scatter of the distances over what is stated; at least 1 [1]."""
+    held: Floats
+    """Projection on the directions that the surfaces hold, shape (6, 6)."""
+    loose: tuple[Floats, ...]
+    """Directions that they do not hold (shift [m], turn [rad])."""
+    moved: Numbers
+    """Pixels of the source that stand off together: another object, or a moved one."""
+
+    @property
+    def used(self) -> int:
+        """How many points count."""
+        return int((self.weight > 0).sum())
+
+
+def compared(
+    source: ScanSurface,
+    target: ScanSurface,
+    poses: tuple[ScanPose, ScanPose],
+    *,
+    gate: float | None,
+    errors: dict[str, float],
+    tree: cKDTree | None = None,
+) -> Pair | None:
+    r"""Compare the points of one scan with the patches of another.
+
+    Parameters
+    ----------
+    source, target : ScanSurface
+        The scans.
+    poses : tuple of ScanPose
+        Their poses so far.
+    gate : float or None
+        Larger distances are left out [m]; None for four standard errors.
+    errors : dict of str to float
+        Shared errors as they are estimated so far, in standard deviations.
+    tree : scipy.spatial.cKDTree, optional
+        Of the smooth points of the target, from `tree_of`.
+
+    Returns
+    -------
+    Pair or None
+        None if hardly any point of the source lies on the target.
+
+    Notes
+    -----
+    A point p of the source lies on a beam of the target, between its pixels; there the
+    patch has the range :math:`\hat\rho`, and the distance is :math:`e = \rho_p -
+    \hat\rho`, with the gradient :math:`n / (n \cdot d)`. The pixel's range and the
+    pixels of the patch are the noise; neighbouring points share patches.
+    """
+    pixel = _chosen(source)
+    point = source.position.reshape(-1, 3)[pixel]
+    placed = poses[0].place(point)
+    local = poses[1].back(placed)
+    tree = tree or tree_of(target)
+    reach = max(4 * target.spacing, 0.0 if gate is None else 2 * gate)
+    away, nearest = tree.query(local, distance_upper_bound=reach)
+    met = np.isfinite(away)
+    numbers = np.flatnonzero(target.smooth)
+    pixel, placed, local = pixel[met], placed[met], local[met]
+    at = on_grid(target, local, numbers[nearest[met]])
+    kept = at.inside
+    if int(kept.sum()) < 20:
+        return None
+    pixel, placed, local, at = pixel[kept], placed[kept], local[kept], at.of(kept)
+    ahead = poses[1].turn(at.direction)
+    normals = [
+        poses[1].turn(target.normal.reshape(-1, 3)[at.pixel]),
+        poses[0].turn(source.normal.reshape(-1, 3)[pixel]),
+    ]
+    beam = poses[0].turn(source.direction.reshape(-1, 3)[pixel])
+    facing = [_dot(n, ahead) for n in normals]
+    seen = -_dot(normals[1], beam)
+    good = (-facing[0] > _GRAZING) & (-facing[1] > _GRAZING) & (seen > _GRAZING)
+    good &= _dot(normals[0], normals[1]) > _ALIKE
+    if gate is not None:
+        good &= np.abs(at.distance) < gate
+    if int(good.sum()) < 20:
+        return None
+    pivot = placed[good].mean(axis=0)
+    keys = tuple(dict.fromkeys((*source.shared.keys, *target.shared.keys)))
+    window = _window(target, at)
+    own = [one.own.ravel() for one in (source, target)]
+    theirs = np.asarray(window.power(2) @ np.nan_to_num(own[1]) ** 2)
+    # What distances are multiplied with knows nothing of their noise, not even by the
+    # place: where neighbours of the pixel put it, on the patches there.
+    guessed = poses[0].place(source.apart.reshape(-1, 3)[pixel])
+    there = on_grid(target, poses[1].back(guessed), at.pixel)
+    rows, alongs = [], []
+    for normal, spot, on in (
+        (normals[0], placed, at),
+        (normals[1], guessed, there),
+    ):
+        sight = poses[1].turn(on.direction)
+        gradient = normal / _dot(normal, sight)[:, None]
+        along = _dot(gradient, beam)
+        by_errors = np.zeros((len(pixel), len(keys)))
+        for scan, pose, number, factor in (
+            (source, poses[0], pixel, -along),
+            (target, poses[1], on.pixel, np.ones(len(pixel))),
+        ):
+            shapes = _shapes_at(scan, number, pose.back(spot))
+            for key, shape in zip(scan.shared.keys, shapes, strict=True):
+                by_errors[:, keys.index(key)] += shape * factor
+        rows.append(np.hstack([gradient, np.cross(spot - pivot, gradient), by_errors]))
+        alongs.append(along)
+    variance = np.array([(alongs[0] * own[0][pixel]) ** 2, theirs])
+    known = np.array([errors.get(key, 0.0) for key in keys])
+    distance = at.distance + rows[0][:, 6:] @ known
+    outcome = _weights(source, pixel, distance, variance, good, gate)
+    held, loose = _held(rows, outcome.weight, target, at, normals[0], placed - pivot)
+    return Pair(
+        source=source.name,
+        target=target.name,
+        keys=keys,
+        pivot=pivot,
+        distance=distance,
+        weight=outcome.weight,
+        by_target=rows[0],
+        by_source=rows[1],
+        along=alongs[0],
+        source_pixel=pixel,
+        window=-window,
+        misfit=outcome.misfit,
+        held=held,
+        loose=loose,
+        moved=outcome.moved,
+    )
+
+
+def tree_of(surface: ScanSurface) -> cKDTree:
+    """Return the smooth points of a scan, to be looked up by place.
+
+    Parameters
+    ----------
+    surface : ScanSurface
+        The scan.
+
+    Returns
+    -------
+    scipy.spatial.cKDTree
+        In the order of their pixels.
+    """
+    return cKDTree(surface.position[surface.smooth])
+
+
+def _chosen(source: ScanSurface) -> Numbers:
+    """Return smooth pixels, evenly thinned if there are many."""
+    row, column = np.nonzero(source.smooth)
+    step = int(np.ceil(np.sqrt(len(row) / MOST_POINTS)))
+    if step > 1:
+        kept = (row % step == 0) & (column % step == 0)
+        row, column = row[kept], column[kept]
+    return np.asarray(row * source.smooth.shape[1] + column)
+
+
+@dataclass(frozen=True)
+class OnGrid:
+    """Points on the grid of a scan."""
+
+    pixel: Numbers
+    off: Floats
+    direction: Floats
+    distance: Floats
+    inside: NDArray[np.bool_]
+
+    def of(self, kept: NDArray[np.bool_]) -> OnGrid:
+        """Return some of them."""
+        return OnGrid(
+            self.pixel[kept],
+            self.off[kept],
+            self.direction[kept],
+            self.distance[kept],
+            self.inside[kept],
+        )
+
+
+def on_grid(target: ScanSurface, point: Floats, pixel: Numbers) -> OnGrid:
+    """Return between which pixels of a scan points lie, and how far off its patches."""
+    shape = target.smooth.shape
+    origin, direction = target.origin.reshape(-1, 3), target.direction.reshape(-1, 3)
+    slopes = target.steps.reshape(2, 2, -1, 3)
+    row, column = np.divmod(pixel, shape[1])
+    off = np.zeros((len(point), 2))
+    for _ in range(4):
+        pixel = row * shape[1] + column
+        start, ahead = origin[pixel], direction[pixel]
+        reach = _dot(point - start, ahead)
+        miss = point - start - reach[:, None] * ahead
+        a = slopes[0][0][pixel] + reach[:, None] * slopes[1][0][pixel]
+        b = slopes[0][1][pixel] + reach[:, None] * slopes[1][1][pixel]
+        aa, bb, ab = _dot(a, a), _dot(b, b), _dot(a, b)
+        ma, mb = _dot(miss, a), _dot(miss, b)
+        below = aa * bb - ab**2
+        with np.errstate(divide="ignore", invalid="ignore"):
+            off = np.stack([bb * ma - ab * mb, aa * mb - ab * ma], 1) / below[:, None]
+        off = np.nan_to_num(off, nan=9.0, posinf=9.0, neginf=-9.0)
+        jump = np.clip(np.rint(off), -8, 8).astype(np.intp)
+        row = np.clip(row + jump[:, 0], 0, shape[0] - 1)
+        column = np.clip(column + jump[:, 1], 0, shape[1] - 1)
+        if not jump.any():
+            break
+    inside = (np.abs(off) <= 0.6).all(axis=1) & target.smooth.ravel()[pixel]
+    start = start + off[:, :1] * slopes[0][0][pixel] + off[:, 1:] * slopes[0][1][pixel]
+    ahead = ahead + off[:, :1] * slopes[1][0][pixel] + off[:, 1:] * slopes[1][1][pixel]
+    ahead = ahead / np.linalg.norm(ahead, axis=1, keepdims=True)
+    patch = target.patch.reshape(6, -1)[:, pixel]
+    inverse = np.einsum("ki,ki->i", patch, _terms(off))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        distance = _dot(point - start, ahead) - 1 / inverse
+    return OnGrid(pixel, off, ahead, distance, inside & np.isfinite(distance))
+
+
+def _terms(off: Floats) -> Floats:
+    """Return the terms of a patch between pixels, shape (6, n)."""
+    row, column = off.T
+    return np.array(
+        [np.ones_like(row), row, column, row**2 / 2, row * column, column**2 / 2]
+    )
+
+
+def _window(target: ScanSurface, at: OnGrid) -> sparse.csr_matrix:
+    """Return how the range of a patch follows from those of its pixels."""
+    size = target.kernels.shape[1]
+    half = size // 2
+    shape = target.smooth.shape
+    weight = np.einsum("ki,kj->ij", _terms(at.off), target.kernels.reshape(6, -1))
+    row, column = np.divmod(at.pixel, shape[1])
+    away = np.arange(-half, half + 1)
+    rows = (row[:, None, None] + away[:, None]).repeat(size, axis=2)
+    columns = (column[:, None, None] + away).repeat(size, axis=1)
+    index = (rows * shape[1] + columns).reshape(len(row), -1)
+    distance = target.distance.ravel()
+    with np.errstate(invalid="ignore"):
+        weight = weight * (distance[at.pixel][:, None] / distance[index]) ** 2
+    starts = np.arange(len(row) + 1) * size**2
+    return sparse.csr_matrix(
+        (weight.ravel(), index.ravel(), starts), shape=(len(row), distance.size)
+    )
+
+
+def _shapes_at(scan: ScanSurface, pixel: Numbers, point: Floats) -> Floats:
+    """Return the shared errors of a scan at points near its pixels, shape (k, n).
+
+    By the range of the point, so that they hold none of the noise of the pixel.
+    """
+    count = len(scan.shared.keys)
+    shapes, growth = (
+        values.reshape(count, -1)[:, pixel]
+        for values in (scan.shared.shapes, scan.shared.growth)
+    )
+    start, ahead = (
+        values.reshape(-1, 3)[pixel] for values in (scan.origin, scan.direction)
+    )
+    off = _dot(point - start, ahead) - scan.distance.ravel()[pixel]
+    return np.asarray(shapes + growth * off)
+
+
+@dataclass(frozen=True)
+class _Outcome:
+    weight: Floats
+    misfit: float
+    moved: Numbers
+
+
+def _weights(
+    source: ScanSurface,
+    pixel: Numbers,
+    distance: Floats,
+    variance: Floats,
+    good: NDArray[np.bool_],
+    gate: float | None,
+) -> _Outcome:
+    """Return weights without points of other surfaces, and the scatter over noise."""
+    sigma = np.sqrt(variance.sum(axis=0))
+    score = distance / sigma
+    middle = np.median(score[good])
+    scatter = 1.4826 * np.median(np.abs(score[good] - middle))
+    # A sample of n has a scatter of 1 +- 1.17 / sqrt(n) by chance.
+    sure = 1 + 4 * 1.17 / np.sqrt(max(int(good.sum()) / 4, 1.0))
+    misfit = float(scatter) if scatter > sure else 1.0
+    moved = np.zeros(len(pixel), dtype=bool)
+    if gate is None:
+        shape = source.smooth.shape
+        together = _stand_off(shape, pixel, score, variance, good, misfit)
+        moved = good & together
+        good = good & ~together & (np.abs(score) < _FAR * misfit)
+    weight = np.where(good, 1 / (sigma * misfit) ** 2, 0.0)
+    return _Outcome(weight, misfit, pixel[moved])
+
+
+def _stand_off(
+    shape: tuple[int, ...],
+    pixel: Numbers,
+    score: Floats,
+    variance: Floats,
+    good: NDArray[np.bool_],
+    misfit: float,
+) -> NDArray[np.bool_]:
+    """Return points whose neighbours stand off with them: moved things."""
+    row, column = np.divmod(pixel, shape[1])
+    steps = [
+        max(int(np.min(np.diff(np.unique(one)), initial=99)), 1)
+        for one in (row, column)
+    ]
+    grid = (row // steps[0], column // steps[1])
+    size = tuple(int(one.max()) + 1 for one in grid)
+    total, count, patches = (np.zeros(size) for _ in range(3))
+    clipped = np.clip(score, -20, 20)
+    total[grid] = np.where(good, clipped, 0.0)
+    count[grid] = good
+    patches[grid] = np.where(good, variance[1] / variance.sum(axis=0), 0.0)
+    total, count, patches = (
+        25 * ndimage.uniform_filter(one, 5, mode="constant")
+        for one in (total, count, patches)
+    )
+    number = np.maximum(count, 1.0)
+    # Noise of the patches is the same in neighbours, at worst.
+    error = misfit * np.sqrt(1 / number + patches / number)
+    off = (np.abs(total / number) > _MOVED * error) & (count >= 5)
+    off = ndimage.binary_dilation(off, iterations=2)
+    return np.asarray(off[grid])
+
+
+def _held(
+    rows: list[Floats],
+    weight: Floats,
+    target: ScanSurface,
+    at: OnGrid,
+    normal: Floats,
+    lever: Floats,
+) -> tuple[Floats, tuple[Floats, ...]]:
+    """Return a projection on what the surfaces hold, and the directions they do not.
+
+    Noise of normals in both scans makes products whose mean is zero; a direction is
+    held if its sum stands out of their scatter.
+    """
+    length = float(np.sqrt(np.average((lever**2).sum(axis=1), weights=weight + 1e-300)))
+    scale = np.array([1.0, 1.0, 1.0, length, length, length])
+    x, z = (row[:, :6] / scale for row in rows)
+    matrix = z.T @ (weight[:, None] * x)
+    matrix = (matrix + matrix.T) / 2
+    values, axes = np.linalg.eigh(matrix)
+    # Of the slope of a patch, per pixel across it, as an angle of the surface.
+    slope = np.sqrt((target.kernels[1] ** 2).sum())
+    angle = slope * target.own.ravel()[at.pixel] / target.spacing
+    noise = angle**2 * weight
+    along = np.sqrt((normal * at.direction).sum(axis=1) ** 2)
+    noise = noise / np.maximum(along, _GRAZING) ** 2
+    together = target.kernels.shape[1] ** 2 / 2
+    spread = float(np.sqrt(together * (noise**2).sum()))
+    projection = np.eye(6)
+    loose = []
+    for value, axis in zip(values, axes.T, strict=True):
+        if value < _HELD * spread:
+            projection -= np.outer(axis, axis)
+            direction = axis / scale
+            size = (
+                np.linalg.norm(axis[:3]) if np.linalg.norm(axis[:3]) > 0.5 else length
+            )
+            loose.append(np.asarray(direction / max(float(size), 1e-12)))
+    # Back from scaled to plain coordinates, where rows are multiplied from the right.
+    return np.diag(1 / scale) @ projection @ np.diag(scale), tuple(loose)
+
+
+def _dot(one: Floats, other: Floats) -> Floats:
+    return np.asarray(np.einsum("ij,ij->i", one, other))

@@ -1,0 +1,142 @@
+"""Where a scan stands: rotation and place, and small changes of them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import xarray as xr
+from numpy.typing import ArrayLike, NDArray
+from scipy.spatial.transform import Rotation
+
+from amulor.imaging import frame_of
+from amulor.site.description.parts import StartPose
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class ScanPose:
+    """Takes the axes of an instrument to those of the site."""
+
+    rotation: Floats
+    """From right, down, forward to east, north, up, shape (3, 3) [1]."""
+    position: Floats
+    """Origin of the instrument's axes, shape (3,) [m]."""
+
+    def place(self, points: ArrayLike) -> Floats:
+        """Return points of the instrument's axes in the site, shape (..., 3) [m]."""
+        return np.asarray(points, dtype=float) @ self.rotation.T + self.position
+
+    def back(self, points: ArrayLike) -> Floats:
+        """Return points of the site in the instrument's axes, shape (..., 3) [m]."""
+        away = np.asarray(points, dtype=float) - self.position
+        return np.asarray(away @ self.rotation)
+
+    def turn(self, directions: ArrayLike) -> Floats:
+        """Return directions of the instrument's axes in the site, (..., 3) [1]."""
+        return np.asarray(np.asarray(directions, dtype=float) @ self.rotation.T)
+
+    def changed(self, step: Floats) -> ScanPose:
+        """Return the pose after a shift [m] and a turn [rad] in the axes of the site.
+
+        The six numbers are east, north, up of either; the turn is about `position`.
+        """
+        turn = Rotation.from_rotvec(step[3:]).as_matrix()
+        return ScanPose(turn @ self.rotation, self.position + step[:3])
+
+    @property
+    def matrix(self) -> Floats:
+        """The transformation of homogeneous coordinates, shape (4, 4)."""
+        matrix = np.eye(4)
+        matrix[:3, :3], matrix[:3, 3] = self.rotation, self.position
+        return matrix
+
+
+def start_pose(start: StartPose) -> ScanPose:
+    """Return a stated start pose.
+
+    Parameters
+    ----------
+    start : StartPose
+        Heading, pitch and roll.
+
+    Returns
+    -------
+    ScanPose
+        The same as a matrix.
+    """
+    frame = frame_of(xr.Dataset(), axes="pose", pose=start.as_pose())
+    return ScanPose(frame.rotation, frame.position)
+
+
+def start_covariance(start: StartPose, pose: ScanPose) -> Floats:
+    """Return the covariance of a stated start pose.
+
+    Parameters
+    ----------
+    start : StartPose
+        With its uncertainties.
+    pose : ScanPose
+        The same as a matrix.
+
+    Returns
+    -------
+    ndarray, shape (6, 6)
+        Of east, north, up [m^2] and of the turns about these axes [rad^2].
+    """
+    covariance = np.zeros((6, 6))
+    covariance[:3, :3] = start.position_uncertainty**2 * np.eye(3)
+    heading = np.array([0.0, 0.0, 1.0])
+    for axis in (pose.rotation[:, 0], pose.rotation[:, 2]):
+        covariance[3:, 3:] += start.level_uncertainty**2 * np.outer(axis, axis)
+    covariance[3:, 3:] += start.heading_uncertainty**2 * np.outer(heading, heading)
+    # Of three axes that may be nearly in a plane, none may count as known.
+    least = 0.25 * min(start.level_uncertainty, start.heading_uncertainty) ** 2
+    covariance[3:, 3:] += least * np.eye(3)
+    return covariance
+
+
+def kabsch(from_points: Floats, to_points: Floats) -> ScanPose:
+    """Return the pose that takes points nearest to others, by least squares.
+
+    Parameters
+    ----------
+    from_points, to_points : ndarray, shape (n, 3)
+        The same points in the axes of the instrument and of the site [m].
+
+    Returns
+    -------
+    ScanPose
+        Without a mirror.
+    """
+    middle, other = from_points.mean(axis=0), to_points.mean(axis=0)
+    u, _, v = np.linalg.svd((from_points - middle).T @ (to_points - other))
+    mirror = np.diag([1.0, 1.0, np.sign(np.linalg.det(v.T @ u.T))])
+    rotation = v.T @ mirror @ u.T
+    return ScanPose(rotation, other - rotation @ middle)
+
+
+def cross_matrix(vectors: Floats) -> Floats:
+    """Return the matrices that take the cross product with vectors from the left.
+
+    Parameters
+    ----------
+    vectors : ndarray, shape (..., 3)
+        The left factors.
+
+    Returns
+    -------
+    ndarray, shape (..., 3, 3)
+        Skew matrices.
+    """
+    zero = np.zeros(vectors.shape[:-1])
+    x, y, z = np.moveaxis(vectors, -1, 0)
+    return np.stack(
+        [
+            np.stack([zero, -z, y], -1),
+            np.stack([z, zero, -x], -1),
+            np.stack([-y, x, zero], -1),
+        ],
+        -2,
+    )

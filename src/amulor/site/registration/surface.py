@@ -1,0 +1,222 @@
+"""The surface that a scan saw, as smooth patches, and what its noise does to them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from amulor.cube import DOUBTFUL, UNUSABLE, QualityFlag
+from amulor.errors import CubeError
+from amulor.imaging.common import own_variance
+from amulor.imaging.geometry import beams_of
+from amulor.site.registration.shared import Shared
+
+Floats = NDArray[np.float64]
+Flags = NDArray[np.bool_]
+
+#: A window is no smooth surface if its chi-square is so many times that of most [1].
+_ROUGH = 3.0
+#: Fewer patches than these place nothing [1].
+_FEWEST = 50
+
+
+@dataclass(frozen=True, kw_only=True)
+class ScanSurface:
+    """A scan in its own axes (right, down, forward), on its grid of pixels."""
+
+    name: str
+    """Of the scan."""
+    usable: Flags
+    """Pixels whose range is relied on, shape (row, column)."""
+    smooth: Flags
+    """Pixels whose whole window lies on one smooth surface."""
+    origin: Floats
+    """Where each slant range begins, shape (row, column, 3) [m]."""
+    direction: Floats
+    """Of the beams, shape (row, column, 3) [1]."""
+    steps: Floats
+    """How origin and direction change by a row and by a column, shape (2, 2, row,
+    column, 3) [m, 1]."""
+    distance: Floats
+    """Slant range, not a number where there is none [m]."""
+    own: Floats
+    """Standard uncertainty that no other pixel shares [m]."""
+    shared: Shared
+    """What pixels share."""
+    patch: Floats
+    """Inverse range and its derivatives by row and column in each window, shape (6,
+    row, column): value, row, column, half row^2, row column, half column^2 [1/m]."""
+    apart: Floats
+    """Where the neighbours of a pixel in its window put it, shape (row, column, 3)
+    [m]."""
+    kernels: Floats
+    """What makes them of the pixels of the window, shape (6, window, window) [1]."""
+    normal: Floats
+    """Towards the instrument, not a number where not smooth, (row, column, 3) [1]."""
+    attributes: dict[str, object]
+    """Those of the range image."""
+
+    @property
+    def position(self) -> Floats:
+        """Points, shape (row, column, 3) [m]."""
+        return np.asarray(self.origin + self.distance[..., None] * self.direction)
+
+    @property
+    def spacing(self) -> float:
+        """Median distance of neighbouring points of smooth patches [m]."""
+        step = np.linalg.norm(np.diff(self.position, axis=1), axis=-1)
+        kept = step[self.smooth[:, 1:] & self.smooth[:, :-1]]
+        return float(np.median(kept)) if kept.size else float("nan")
+
+
+def scan_surface(
+    image: xr.Dataset, *, name: str, shared: Shared, window: int = 7
+) -> ScanSurface:
+    r"""Return the surface of a range image.
+
+    Parameters
+    ----------
+    image : xarray.Dataset
+        Level `range_image`. Mixed pixels and outliers are left out.
+    name : str
+        What messages call the scan.
+    shared : Shared
+        What its pixels share.
+    window : int
+        Pixels across a patch, odd [1].
+
+    Returns
+    -------
+    ScanSurface
+        With a polynomial of second degree through the inverse ranges of each window.
+
+    Raises
+    ------
+    CubeError
+        If hardly any window is smooth.
+
+    Notes
+    -----
+    The inverse range of a plane is linear in the direction of the beam, so patches have
+    no error by the angle of incidence; those of Savitzky and Golay have none by
+    curvature, either. Value and slope of a patch have independent noise, and that of
+    the slope in one scan is independent of all in another: see `pair`.
+    """
+    beam = beams_of(image)
+    distance = image["slant_range"].values
+    flag = image["quality_flag"].values.astype(np.int64)
+    hanging = int(UNUSABLE | (DOUBTFUL & ~QualityFlag.WATER_RESIDUAL))
+    usable = ((flag & hanging) == 0) & np.isfinite(distance) & (distance > 0)
+    direction = np.broadcast_to(beam.direction, (*distance.shape, 3))
+    before = np.broadcast_to(beam.length_before, distance.shape)
+    origin = beam.entry - before[..., None] * direction
+    own = np.sqrt(own_variance(image))
+    kernels = _kernels(window)
+    inverse = np.where(usable, 1 / np.where(usable, distance, 1.0), 0.0)
+    patch = np.array([ndimage.correlate(inverse, k, mode="nearest") for k in kernels])
+    whole = ndimage.minimum_filter(
+        usable.astype(np.uint8), size=window, mode="constant", cval=0
+    )
+    smooth = (whole == 1) & _is_smooth(inverse, patch, own / distance**2, whole, window)
+    if int(smooth.sum()) < _FEWEST:
+        raise CubeError(
+            f"scan {name!r}: {int(smooth.sum())} of {smooth.size} pixels lie on a "
+            f"smooth surface {window} pixels wide, at least {_FEWEST} are needed to "
+            "place it; scan finer, or set registration.window lower"
+        )
+    # The fit without the pixel in the middle; its slopes are the same.
+    middle = kernels[0, window // 2, window // 2]
+    without = (patch[0] - middle * inverse) / (1 - middle)
+    with np.errstate(divide="ignore"):
+        reach = 1 / without
+    steps = np.array(
+        [[_steps(grid, axis) for axis in (0, 1)] for grid in (origin, direction)]
+    )
+    return ScanSurface(
+        name=name,
+        usable=usable,
+        smooth=smooth,
+        origin=np.asarray(origin),
+        direction=np.asarray(direction),
+        steps=steps,
+        distance=distance,
+        own=own,
+        shared=shared,
+        patch=patch,
+        apart=np.asarray(origin + reach[..., None] * direction),
+        kernels=kernels,
+        normal=_normals(steps, direction, patch, reach, smooth),
+        attributes={str(key): value for key, value in image.attrs.items()},
+    )
+
+
+def _kernels(window: int) -> Floats:
+    """Return the weights of a quadratic fit in a square window."""
+    half = window // 2
+    row, column = np.mgrid[-half : half + 1, -half : half + 1].astype(float)
+    terms = [np.ones_like(row), row, column, row**2 / 2, row * column, column**2 / 2]
+    design = np.stack([term.ravel() for term in terms], axis=1)
+    return np.asarray(np.linalg.pinv(design).reshape(6, window, window))
+
+
+def _is_smooth(
+    inverse: Floats, patch: Floats, sigma: Floats, whole: NDArray[np.uint8], window: int
+) -> Flags:
+    """Return which windows are as smooth as noise lets them, or as most are."""
+    count = window**2
+    half = window // 2
+    place = np.arange(-half, half + 1).astype(float)
+    ones = np.ones(window)
+    bare = [
+        np.outer(ones, ones), np.outer(place, ones), np.outer(ones, place),
+        np.outer(place**2 / 2, ones), np.outer(place, place),
+        np.outer(ones, place**2 / 2),
+    ]  # fmt: skip
+    # Squares left over: those of the data less those of the fit, about the middle.
+    middle = inverse.mean()
+    shifted = inverse - middle
+    square = count * ndimage.uniform_filter(shifted**2, window, mode="nearest")
+    fitted = patch.copy()
+    fitted[0] -= middle
+    sums = [ndimage.correlate(shifted, kernel, mode="nearest") for kernel in bare]
+    square -= np.sum([c * s for c, s in zip(fitted, sums, strict=True)], axis=0)
+    freedom = count - 6
+    expected = ndimage.uniform_filter(
+        np.where(np.isfinite(sigma), sigma, 0.0) ** 2, window, mode="nearest"
+    )
+    with np.errstate(divide="ignore", invalid="ignore"):
+        score = square / (freedom * expected)
+    there = (whole == 1) & np.isfinite(score)
+    usual = max(float(np.median(score[there])), 1.0) if there.any() else 1.0
+    limit = 1 + 5 * np.sqrt(2 / freedom)
+    most = limit * usual if usual < _ROUGH else _ROUGH * usual
+    return np.asarray(there & (score < most))
+
+
+def _normals(
+    steps: Floats, direction: Floats, patch: Floats, reach: Floats, smooth: Flags
+) -> Floats:
+    """Return unit normals of the patches, towards the instrument."""
+    ahead, turn = steps
+    with np.errstate(divide="ignore", invalid="ignore"):
+        slopes = [-patch[1] * reach**2, -patch[2] * reach**2]
+        tangent = [
+            o + s[..., None] * direction + reach[..., None] * t
+            for o, s, t in zip(ahead, slopes, turn, strict=True)
+        ]
+        normal = np.cross(tangent[0], tangent[1])
+        normal /= np.linalg.norm(normal, axis=-1, keepdims=True)
+    facing = np.einsum("ijk,ijk->ij", normal, direction)
+    normal = np.where(facing[..., None] > 0, -normal, normal)
+    return np.where(smooth[..., None], normal, np.nan)
+
+
+def _steps(values: Floats, axis: int) -> Floats:
+    """Return how a grid changes from pixel to pixel."""
+    if values.shape[axis] < 2:
+        return np.zeros_like(values)
+    return np.asarray(np.gradient(values, axis=axis))

@@ -1,0 +1,224 @@
+"""Poses from surfaces and targets: errors that hold, and weak geometry that is told."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import xarray as xr
+from scipy.spatial.transform import Rotation
+from site_scenes import make_site, scanning, shapes
+
+from amulor.errors import CubeError
+from amulor.imaging import correlation, flag_mixed, flag_outliers
+from amulor.imaging.common import own_variance
+from amulor.site.description.parts import SphereTarget
+from amulor.site.registration.align import Alignment, align
+from amulor.site.registration.centres import centre_of
+from amulor.site.registration.network import KnownPose, Ties
+from amulor.site.registration.pair import compared
+from amulor.site.registration.pose import ScanPose
+from amulor.site.registration.shared import shared_errors
+from amulor.site.registration.surface import ScanSurface, scan_surface
+
+PLACES = {"a": (-1.2, -1.2, 1.6), "b": (1.3, -1.0, 1.7), "c": (0.2, 1.5, 1.8)}
+ERRORS = scanning.Errors(own=1e-3, delay=2e-3, index=5e-4, reference=1e-3)
+
+
+def surface(image: xr.Dataset, name: str) -> ScanSurface:
+    shared = shared_errors(image, scan=name, instrument="i", water="w")
+    return scan_surface(image, name=name, shared=shared)
+
+
+class Scene:
+    """Three scans of a mesh from known places."""
+
+    def __init__(self, kind: str, rows: int) -> None:
+        mesh = {
+            "relief": lambda: shapes.sea_bed(relief=0.04),
+            "humps": lambda: shapes.sea_bed(relief=0.15),
+            "flat": lambda: shapes.sea_bed(relief=0.0),
+            "wreck": lambda: make_site.scene(moved=False),
+        }[kind]()
+        self.beams = scanning.grid(rows, rows * 4 // 3, 0.35)
+        self.poses = {
+            name: ScanPose(*scanning.looking(place, (0.0, 0.05, 0.1)))
+            for name, place in PLACES.items()
+        }
+        self.true = {
+            name: scanning.ranges(mesh, pose.rotation, pose.position, self.beams[2])
+            for name, pose in self.poses.items()
+        }
+
+    def scans(
+        self, rng: np.random.Generator, *, names: str = "abc"
+    ) -> dict[str, ScanSurface]:
+        draw = scanning.Draw(rng)
+        found = {}
+        for name in names:
+            image = scanning.image(
+                self.true[name], *self.beams[:2], errors=ERRORS, draw=draw, scan=name
+            )
+            found[name] = surface(flag_outliers(flag_mixed(image)), name)
+        return found
+
+    def starts(self, rng: np.random.Generator) -> dict[str, KnownPose]:
+        """Return start poses off by 3 cm and 10 mrad; the first scan is known."""
+        spread = np.diag([0.03**2] * 3 + [0.01**2] * 3)
+        found = {"a": KnownPose(pose=self.poses["a"], covariance=1e-12 * np.eye(6))}
+        for name in "bc":
+            off = rng.normal(size=6) * np.sqrt(np.diag(spread))
+            found[name] = KnownPose(
+                pose=self.poses[name].changed(off), covariance=spread
+            )
+        return found
+
+    def pulls(self, found: Alignment) -> np.ndarray:
+        """Return errors of the poses over the uncertainties stated."""
+        pulls = []
+        for name in "bc":
+            pose, true = found.state.poses[name], self.poses[name]
+            turn = Rotation.from_matrix(pose.rotation @ true.rotation.T).as_rotvec()
+            off = np.concatenate([pose.position - true.position, turn])
+            at = found.layout.at["pose", name]
+            pulls.append(off / np.sqrt(np.diag(found.covariance[at, at])))
+        return np.concatenate(pulls)
+
+
+@pytest.fixture(scope="module")
+def relief() -> Scene:
+    return Scene("relief", 48)
+
+
+def test_shapes_of_shared_errors_are_the_covariance_of_the_image(
+    relief: Scene,
+) -> None:
+    image = scanning.image(
+        relief.true["a"], *relief.beams[:2], errors=ERRORS, draw=None, scan="a"
+    )
+    shared = shared_errors(image, scan="a", instrument="i", water="w")
+    region = np.zeros(relief.true["a"].shape, dtype=bool)
+    region[10:14, ::6] = np.isfinite(relief.true["a"][10:14, ::6])
+    expected = correlation.covariance(image, region)
+    expected -= np.diag(own_variance(image)[region])
+    flat = shared.shapes[:, region]
+    np.testing.assert_allclose(flat.T @ flat, expected, atol=1e-7 * expected.max())
+    # Their growth with the range, against a range that is a millimetre longer.
+    longer = image.assign(slant_range=image["slant_range"] + 1e-3)
+    name = "slant_range_uncertainty_group_index"
+    longer = longer.assign({name: ERRORS.index * longer["slant_range"]})
+    other = shared_errors(longer, scan="a", instrument="i", water="w")
+    at = shared.keys.index("group_index: w")
+    step = (other.shapes[at] - shared.shapes[at])[region]
+    np.testing.assert_allclose(step, 1e-3 * shared.growth[at][region], rtol=1e-6)
+
+
+def test_scans_are_aligned_within_what_is_stated(relief: Scene) -> None:
+    rng = np.random.default_rng(3)
+    found = align(relief.scans(rng), Ties(start=relief.starts(rng)))
+    assert found.settled
+    assert found.disagreements == ()
+    pulls = relief.pulls(found)
+    # Of twelve normal numbers one exceeds 4 in 1300 draws.
+    assert np.abs(pulls).max() < 4
+    # Far better than the start poses, which were off by centimetres.
+    at = found.layout.at["pose", "b"]
+    assert np.sqrt(found.covariance[at, at].diagonal()[:3]).max() < 8e-3
+    # A common scale cannot be seen from inside: the prior is all that is known of it.
+    scale = found.layout.at["error", "group_index: w"]
+    assert found.covariance[scale, scale].item() == pytest.approx(1, abs=0.05)
+    assert abs(found.state.errors["group_index: w"]) < 0.5
+
+
+def test_a_flat_sea_bed_holds_height_and_tilt_only() -> None:
+    scene = Scene("flat", 48)
+    scans = scene.scans(np.random.default_rng(1), names="ab")
+    pair = compared(
+        scans["b"], scans["a"], (scene.poses["b"], scene.poses["a"]),
+        gate=None, errors={},
+    )  # fmt: skip
+    assert pair is not None
+    assert len(pair.loose) == 3
+    loose = np.array(pair.loose)
+    # East, north, and the turn about the vertical; none has a part upwards.
+    assert np.abs(loose[:, 2]).max() < 0.05
+    rank = np.linalg.matrix_rank(pair.held, tol=1e-6)
+    assert rank == 3
+    # Noise in normals by itself would pretend to hold it sideways.
+    x = pair.by_target[:, :2]
+    pretended = np.linalg.inv(x.T @ (pair.weight[:, None] * x))
+    assert np.sqrt(pretended.diagonal()).max() < 0.05
+
+
+def test_a_scan_that_nothing_tells_about_is_named(relief: Scene) -> None:
+    scans = relief.scans(np.random.default_rng(2), names="ab")
+    with pytest.raises(CubeError, match="scan 'b': nothing tells about where it stood"):
+        align(scans, Ties(start={}, fixed="a"))
+
+
+def test_the_centre_of_a_sphere_has_the_error_that_is_stated() -> None:
+    rng = np.random.default_rng(8)
+    azimuth, elevation, unit = scanning.grid(40, 52, 0.06)
+    centre, radius = np.array([0.02, -0.03, 2.1]), 0.06
+    along = unit @ centre
+    inside = along**2 - centre @ centre + radius**2
+    ball = along - np.sqrt(np.where(inside > 0, inside, np.nan))
+    true = np.where(np.isfinite(ball), ball, 2.6)
+    target = SphereTarget.model_validate(
+        {
+            "kind": "sphere", "name": "S", "radius": radius,
+            "radius_uncertainty": 0.0,
+            "places": [{"scan": "a", "row": 17, "column": 29}],
+        }
+    )  # fmt: skip
+    pulls = []
+    for _ in range(30):
+        draw = scanning.Draw(rng)
+        image = scanning.image(
+            true, azimuth, elevation, errors=ERRORS, draw=draw, scan="a"
+        )
+        found, pixels = centre_of(target, surface(image, "a"), image, 17, 29)
+        assert 300 < pixels.sum() < 1200
+        spread = found.covariance + sum(
+            np.outer(shift, shift) for shift in found.shared.values()
+        )
+        off = found.position - centre
+        pulls.append(off @ np.linalg.solve(spread, off))
+    # Chi-square of 3 degrees of freedom: the mean of 30 is 3 +- 0.45.
+    assert abs(np.mean(pulls) - 3) < 4 * np.sqrt(6 / 30)
+
+
+def inside(pulls: np.ndarray, draws: int) -> None:
+    """Assert coverage of 68 and 95 of 100 within what the number of draws allows."""
+    for limit, share in ((1.0, 0.6827), (1.96, 0.95)):
+        found = float((np.abs(pulls) < limit).mean())
+        # The numbers of one pose depend on each other; as many as two count each.
+        error = np.sqrt(share * (1 - share) / (4 * draws))
+        assert abs(found - share) < max(4 * error, 0.02), (limit, found)
+
+
+@pytest.mark.slow
+def test_the_covariance_holds(relief: Scene) -> None:
+    rng = np.random.default_rng(11)
+    draws = 15
+    pulls = [
+        relief.pulls(align(relief.scans(rng), Ties(start=relief.starts(rng))))
+        for _ in range(draws)
+    ]
+    inside(np.array(pulls), draws)
+
+
+@pytest.mark.study
+@pytest.mark.timeout(7200)
+@pytest.mark.parametrize("kind", ["relief", "humps", "wreck"])
+def test_the_covariance_holds_over_200_draws(kind: str) -> None:
+    rng = np.random.default_rng(5)
+    scene = Scene(kind, 72)
+    pulls = np.array(
+        [
+            scene.pulls(align(scene.scans(rng), Ties(start=scene.starts(rng))))
+            for _ in range(200)
+        ]
+    )
+    # 200 draws of twelve numbers that depend on each other: 2 % of one standard error.
+    assert 0.66 <= (np.abs(pulls) < 1).mean() <= 0.72
+    assert 0.93 <= (np.abs(pulls) < 1.96).mean() <= 0.97
