@@ -12,7 +12,7 @@ from pathlib import Path
 import xarray as xr
 
 from amulor.errors import FormatError
-from amulor.io.e57 import write_e57
+from amulor.io.e57 import write_e57, write_e57_scans
 from amulor.io.files import check_output, make_folder
 from amulor.io.histograms import Histograms, read_histograms
 from amulor.io.laz import write_laz
@@ -40,6 +40,7 @@ __all__ = [
     "write_cloud",
     "write_cube",
     "write_e57",
+    "write_e57_scans",
     "write_laz",
     "write_ply",
     "write_tally",

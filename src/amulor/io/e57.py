@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import os
 import uuid
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +18,9 @@ from amulor import cube as cubes
 from amulor.errors import CubeError, FormatError, MissingExtraError
 from amulor.io._cloud import checked_cloud, doubtful, provenance_lines
 from amulor.io.files import atomic_output
+
+#: A cloud, its records, and the matrix that takes it into its frame.
+_Part = tuple[xr.Dataset, Mapping[str, NDArray[Any]], NDArray[np.float64] | None]
 
 # What `cartesianInvalidState` says of a pixel, after ASTM E2807.
 _VALID, _DIRECTION_ONLY, _NOTHING_MEANT = 0, 1, 2
@@ -64,14 +67,50 @@ def write_e57(
     the cloud. The format has no field for an uncertainty or a quality flag; a PLY or
     LAZ file holds them.
     """
+    shapes = None if shape is None else [shape]
+    write_e57_scans([cloud], path, shapes=shapes, overwrite=overwrite)
+
+
+def write_e57_scans(
+    clouds: Sequence[xr.Dataset],
+    path: str | os.PathLike[str],
+    *,
+    shapes: Sequence[tuple[int, int]] | None = None,
+    overwrite: bool = False,
+) -> None:
+    """Write the point clouds of several scans to one E57 file, each with its pose.
+
+    Parameters
+    ----------
+    clouds : sequence of xarray.Dataset
+        Cubes of level `point_cloud`; their titles name the scans.
+    path : path-like
+        File to make, by custom with the suffix `.e57`.
+    shapes : sequence of tuple of int, optional
+        Rows and columns of each scan, as in `write_e57` [1].
+    overwrite : bool
+        Whether an existing file is replaced.
+
+    Raises
+    ------
+    CubeError
+        As `write_e57`.
+    FormatError
+        As `write_e57`.
+    MissingExtraError
+        If pye57 is not installed.
+    """
     libe57 = _libe57()
     name = f"the cloud for {path}"
-    cloud = checked_cloud(cloud, name=name)
-    cloud, matrix = _in_the_instrument(cloud)
-    columns = _records(cloud, shape or _shape_of(cloud), name=name)
+    parts = []
+    for number, cloud in enumerate(clouds):
+        cloud = checked_cloud(cloud, name=name)
+        cloud, matrix = _in_the_instrument(cloud)
+        shape = _shape_of(cloud) if shapes is None else shapes[number]
+        parts.append((cloud, _records(cloud, shape, name=name), matrix))
     with atomic_output(Path(path), overwrite=overwrite) as temporary:
         try:
-            _write(libe57, temporary, cloud, columns, matrix)
+            _write(libe57, temporary, parts)
         except libe57.E57Exception as error:
             reason = str(error).partition("\n")[0]
             raise FormatError(
@@ -159,20 +198,13 @@ def _pose(matrix: NDArray[np.float64]) -> dict[str, dict[str, float]]:
     return {"rotation": rotation, "translation": place}
 
 
-def _write(
-    libe57: Any,
-    path: Path,
-    cloud: xr.Dataset,
-    records: Mapping[str, NDArray[Any]],
-    matrix: NDArray[np.float64] | None,
-) -> None:
+def _write(libe57: Any, path: Path, parts: Sequence[_Part]) -> None:
     file = libe57.ImageFile(str(path), "w")
     try:
         file.extensionsAdd("", libe57.E57_V1_0_URI)
-        text = "\n".join(provenance_lines(cloud))
-        # The same cloud gets the same identifiers.
-        content = b"".join(values.tobytes() for values in records.values())
-        digest = cubes.digest(text.encode() + content)
+        # The same clouds get the same identifiers.
+        digests = [_digest(cloud, records) for cloud, records, _ in parts]
+        digest = digests[0] if len(parts) == 1 else cubes.digest(str(digests).encode())
         _set(libe57, file, file.root(), {
             "formatName": "ASTM E57 3D Imaging Data File",
             "guid": f"{{{uuid.uuid5(uuid.NAMESPACE_OID, digest)}}}",
@@ -184,20 +216,27 @@ def _write(
         scans = libe57.VectorNode(file, True)
         file.root().set("data3D", scans)
         file.root().set("images2D", libe57.VectorNode(file, True))
-        scan = libe57.StructureNode(file)
-        scans.append(scan)
-        _set(libe57, file, scan, {
-            "guid": f"{{{uuid.uuid5(uuid.NAMESPACE_OID, digest + ' scan')}}}",
-            "name": str(cloud.attrs.get("title") or "scan"),
-            "description": text,
-            **_bounds(cloud, records),
-            **({} if matrix is None else {"pose": _pose(matrix)}),
-        })  # fmt: skip
-        _write_points(libe57, file, scan, records)
+        for own, (cloud, records, matrix) in zip(digests, parts, strict=True):
+            scan = libe57.StructureNode(file)
+            scans.append(scan)
+            _set(libe57, file, scan, {
+                "guid": f"{{{uuid.uuid5(uuid.NAMESPACE_OID, own + ' scan')}}}",
+                "name": str(cloud.attrs.get("title") or "scan"),
+                "description": "\n".join(provenance_lines(cloud)),
+                **_bounds(cloud, records),
+                **({} if matrix is None else {"pose": _pose(matrix)}),
+            })  # fmt: skip
+            _write_points(libe57, file, scan, records)
         file.close()
     except BaseException:
         file.cancel()
         raise
+
+
+def _digest(cloud: xr.Dataset, records: Mapping[str, NDArray[Any]]) -> str:
+    text = "\n".join(provenance_lines(cloud))
+    content = b"".join(values.tobytes() for values in records.values())
+    return cubes.digest(text.encode() + content)
 
 
 def _bounds(
