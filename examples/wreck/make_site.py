@@ -105,13 +105,18 @@ def make(folder: Path, *, rows: int = 120, seed: int = 1, moved: bool = True) ->
                 if pixel is None:
                     continue
                 at = distance[pixel]
-                off = np.linalg.norm(np.array(centre) - position) - at
-                if abs(off - RADIUS) < 0.3 * RADIUS:  # nothing stands before it
+                away = np.linalg.norm(np.array(centre) - position)
+                # Nothing stands before it, and enough beams meet it.
+                clear = abs(away - at - RADIUS) < 0.3 * RADIUS
+                if clear and RADIUS / away > 4 * 2 * HALF / columns:
                     places[ball].append(
                         f'{{scan = "{name}", row = {pixel[0]}, column = {pixel[1]}}}'
                     )
     path = folder / "site.toml"
-    path.write_text(site_text(entries, places))
+    text = site_text(entries, places)
+    if rows < 100:  # coarse pixels: smaller windows, or few are on one surface
+        text += "\n[registration]\nwindow = 5\n"
+    path.write_text(text)
     return path
 
 

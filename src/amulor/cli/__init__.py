@@ -71,6 +71,18 @@ COMMANDS = {
         "site.register:register",
         "Bring all scans of a site into one frame.",
     ),
+    "site merge": (
+        "site.merge:merge",
+        "Merge all scans of a site into LAZ tiles, or an E57 file of all scans.",
+    ),
+    "site compare": (
+        "site.compare:compare",
+        "Compare two visits to a site: change, significance, volumes, what moved.",
+    ),
+    "site report": (
+        "site.report:report",
+        "Draw a site into one HTML file: plan, poses, errors, change.",
+    ),
     "site schema": ("site.check:schema", "Print the JSON Schema of site files."),
     "archive": (
         "archive:archive",

@@ -94,7 +94,7 @@ def _print(result: Registration) -> None:
                 f"{np.linalg.norm(sigma[3:]) * 1e3:.3f}",
             ]
         )
-    header = ["scan", "east [m]", "north [m]", "up [m]", "u [mm]", "u [mrad]"]
+    header = ["scan", "east, m", "north, m", "up, m", "u, mm", "u, mrad"]
     print_table("Poses", header, rows)
     if result.fixed:
         print(f"the frame is that of {result.fixed}: nothing ties it to the world")

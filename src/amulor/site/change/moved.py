@@ -31,7 +31,7 @@ class Motion:
     """The rigid motion of an object from the first epoch to the second."""
 
     centre: Floats
-    """Middle of what was seen of it, in the site, shape (3,) [m]."""
+    """The place of it whose shift is known best, in the site, shape (3,) [m]."""
     shift: Floats
     """How far that place moved: east, north, up [m]."""
     turn: Floats
@@ -107,8 +107,15 @@ def motion_of(
     names = [[s.name for s in site.scans_of(e) if s.name in cut] for e in epochs]
     who = [(later, earlier) for later in names[1] for earlier in names[0]]
     trees = {name: tree_of(one) for name, one in cut.items()}
+    if not who:
+        return None
     shift, turn = np.zeros(3), np.eye(3)
-    middle = np.array(centre, dtype=float)
+    # In the middle of what was seen, turns and shifts tell least of each other.
+    seen = [
+        registration.poses[name].place(cut[name].position[cut[name].smooth])
+        for name in names[0]
+    ]
+    middle = np.concatenate(seen).mean(axis=0)
     pairs: list[Pair] = []
     gates = [0.08, 0.05, 0.03, 0.02, 0.015]
     for number in range(_STEPS):
@@ -249,12 +256,32 @@ def _result(
         for value, axis in zip(values, axes.T, strict=True)
         if value < 1e-9 * values[-1]
     )
+    away = _best_place(covariance)
+    carried = np.eye(6)
+    carried[:3, 3:] = -cross_matrix(away)
     return Motion(
-        centre=middle,
-        shift=shift,
+        centre=middle + away,
+        shift=shift + (turn - np.eye(3)) @ away,
         turn=Rotation.from_matrix(turn).as_rotvec(),
-        covariance=covariance,
+        covariance=carried @ covariance @ carried.T,
         loose=loose or best.loose,
         points=sum(pair.used for pair in pairs),
         misfit=max(pair.misfit for pair in pairs),
     )
+
+
+def _best_place(covariance: Floats) -> Floats:
+    """Return where from the middle the shift is known best, such as on the axis.
+
+    The shift at d is t + w x d; d is such that its mean square error is least.
+    """
+    turns, both = covariance[3:, 3:], covariance[:3, 3:]
+    matrix = np.trace(turns) * np.eye(3) - turns
+    cross = np.array(
+        [
+            both[1, 2] - both[2, 1],
+            both[2, 0] - both[0, 2],
+            both[0, 1] - both[1, 0],
+        ]
+    )
+    return np.asarray(-np.linalg.pinv(matrix, rcond=1e-9) @ cross)

@@ -361,7 +361,9 @@ def _weak(result: Registration, ties: Ties) -> tuple[Weakness, ...]:
             for pair in result.pairs
             if name in (pair["source"], pair["target"])
         }
-        options = [_relative(result, name, other) for other in sorted(partners)]
+        options = [
+            relative_covariance(result, name, other) for other in sorted(partners)
+        ]
         options.append(result.covariance_of(f"pose {name}"))
         best = min(
             options, key=lambda one: float(np.trace(_over(one, known.covariance)))
@@ -387,8 +389,21 @@ def _over(covariance: Floats, prior: Floats) -> Floats:
     return np.asarray(inverse @ covariance @ inverse.T)
 
 
-def _relative(result: Registration, name: str, other: str) -> Floats:
-    """Return the covariance of a pose against that of another scan."""
+def relative_covariance(result: Registration, name: str, other: str) -> Floats:
+    """Return the covariance of a pose against that of another scan.
+
+    Parameters
+    ----------
+    result : Registration
+        Poses of both.
+    name, other : str
+        The scan, and the one that counts as known.
+
+    Returns
+    -------
+    ndarray, shape (6, 6)
+        Of shift and turn, without what both have in common.
+    """
     both = result.covariance_of(f"pose {name}", f"pose {other}")
     arm = result.poses[name].position - result.poses[other].position
     carried = np.eye(6)

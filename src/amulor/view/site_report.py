@@ -1,0 +1,423 @@
+"""The report of a site: poses, plan, weak places, change between visits."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+from matplotlib.figure import Figure
+from matplotlib.patches import Circle, Ellipse
+from numpy.typing import NDArray
+
+from amulor.site.change.distances import Change
+from amulor.site.change.moved import Motion
+from amulor.site.change.regions import Region
+from amulor.site.description.site_file import Site
+from amulor.site.merging.cloud import Merged
+from amulor.site.registration.register import Registration, relative_covariance
+from amulor.view.report import Heading, Paragraph, Part, Picture, Table, write_report
+from amulor.view.style import (
+    COLOURS,
+    DIFFERENCE_MAP,
+    DISTANCE_MAP,
+    ERROR_MAP,
+    new_figure,
+    style,
+)
+
+Floats = NDArray[np.float64]
+
+#: Most points that a picture shows; more would only cover each other [1].
+_SHOWN = 60_000
+
+
+def write(
+    path: str | Path,
+    site: Site,
+    registration: Registration,
+    cloud: Merged,
+    *,
+    change: Change | None = None,
+    places: Sequence[Region] = (),
+    motions: Mapping[int, Motion] | None = None,
+    overwrite: bool = False,
+) -> None:
+    """Write the report of a site as one HTML file.
+
+    Parameters
+    ----------
+    path : str or pathlib.Path
+        File to write.
+    site : Site
+        What was put together.
+    registration : Registration
+        Poses of its scans.
+    cloud : Merged
+        All points.
+    change : Change, optional
+        What changed between two visits.
+    places : sequence of Region
+        Places that changed.
+    motions : mapping of int to Motion, optional
+        What moved, by number of the place.
+    overwrite : bool
+        Whether a file that is there may be replaced.
+
+    Raises
+    ------
+    FormatError
+        If the file exists, or cannot be written.
+    """
+    with style():
+        parts: list[Part] = [Paragraph(_summary(site, registration, cloud))]
+        parts += [
+            Heading("Plan"),
+            Picture(
+                plan(site, registration, cloud),
+                "Heights of all scans, instruments (crosses, with the ellipse of two "
+                "standard uncertainties against the first scan, fifty times enlarged) "
+                "and targets (rings).",
+            ),
+            Heading("Poses"),
+            _poses(site, registration),
+            *_warnings(registration),
+            _pairs(registration),
+            Heading("Points"),
+            Picture(
+                errors(cloud),
+                "Largest standard uncertainty of each point: noise, what its scan "
+                "shares, and the pose.",
+            ),
+            _scans(site, cloud),
+        ]
+        if change is not None:
+            parts += _changed(change, places, motions or {})
+        write_report(path, site.name, parts, overwrite=overwrite)
+
+
+def plan(site: Site, registration: Registration, cloud: Merged) -> Figure:
+    """Return the site from above.
+
+    Parameters
+    ----------
+    site, registration, cloud
+        As in `write`.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+        Heights, instruments and targets.
+    """
+    figure = new_figure(7.0, 5.6)
+    axes = figure.add_subplot()
+    some = _thinned(np.flatnonzero(~cloud.moving))
+    place = cloud.position[some]
+    order = np.argsort(place[:, 2])
+    drawn = axes.scatter(
+        place[order, 0],
+        place[order, 1],
+        c=place[order, 2],
+        s=0.6,
+        cmap=DISTANCE_MAP,
+        linewidths=0,
+        rasterized=True,
+    )
+    figure.colorbar(drawn, ax=axes, label="height [m]", shrink=0.8)
+    epochs = [one.name for one in site.epoch]
+    first = site.scan[0].name
+    for scan in site.scan:
+        pose = registration.poses[scan.name]
+        colour = COLOURS[(1 + epochs.index(scan.epoch)) % len(COLOURS)]
+        at = pose.position[:2]
+        axes.plot(*at, "x", color=colour, markersize=6)
+        axes.annotate(
+            scan.name, (at[0], at[1]), xytext=(4, 4), textcoords="offset points"
+        )
+        spread = relative_covariance(registration, scan.name, first)[:2, :2]
+        values, vectors = np.linalg.eigh(spread)
+        axes.add_patch(
+            Ellipse(
+                (float(at[0]), float(at[1])),
+                *(4 * 50 * np.sqrt(np.maximum(values[::-1], 0))),
+                angle=float(np.degrees(np.arctan2(vectors[1, 1], vectors[0, 1]))),
+                fill=False,
+                edgecolor=colour,
+            )
+        )
+    for name, point in registration.points.items():
+        axes.add_patch(Circle((float(point[0]), float(point[1])), 0.06, fill=False))
+        axes.annotate(
+            name, (point[0], point[1]), xytext=(5, -9), textcoords="offset points"
+        )
+    for number, name in enumerate(epochs):
+        axes.plot([], [], "x", color=COLOURS[(1 + number) % len(COLOURS)], label=name)
+    axes.legend(loc="upper right")
+    axes.set_aspect("equal")
+    axes.set_xlabel("east [m]")
+    axes.set_ylabel("north [m]")
+    return figure
+
+
+def errors(cloud: Merged) -> Figure:
+    """Return the uncertainty of the points from above, and how often each occurs.
+
+    Parameters
+    ----------
+    cloud : Merged
+        All points.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+        Map and distribution.
+    """
+    figure = new_figure(7.0, 3.4)
+    axes = figure.subplots(1, 2, width_ratios=(1.5, 1))
+    some = _thinned(np.flatnonzero(~cloud.moving))
+    largest = np.sqrt(np.linalg.eigvalsh(cloud.covariance[some])[:, -1]) * 1e3
+    drawn = axes[0].scatter(
+        *cloud.position[some, :2].T, c=largest, s=0.6, cmap=ERROR_MAP, linewidths=0,
+        vmin=0, vmax=float(np.quantile(largest, 0.99)), rasterized=True,
+    )  # fmt: skip
+    figure.colorbar(drawn, ax=axes[0], label="standard uncertainty [mm]")
+    axes[0].set_aspect("equal")
+    axes[0].set_xlabel("east [m]")
+    axes[0].set_ylabel("north [m]")
+    axes[1].hist(largest, bins=60, range=(0, float(np.quantile(largest, 0.995))))
+    axes[1].set_xlabel("standard uncertainty [mm]")
+    axes[1].set_ylabel("points shown")
+    return figure
+
+
+def change_map(change: Change, places: Sequence[Region]) -> Figure:
+    """Return the change from above, what is significant, and its distribution.
+
+    Parameters
+    ----------
+    change : Change
+        The comparison.
+    places : sequence of Region
+        Places that changed, which get a ring and a number.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+        Map of change, and of what chance leaves.
+    """
+    figure = new_figure(7.0, 3.6)
+    axes = figure.subplots(1, 2, width_ratios=(1.5, 1))
+    known = np.isfinite(change.value)
+    still, sure = known & ~change.significant, known & change.significant
+    value = change.value * 1e3
+    limit = max(float(np.quantile(np.abs(value[known]), 0.995)), 1e-3)
+    colours = {"cmap": DIFFERENCE_MAP, "vmin": -limit, "vmax": limit, "linewidths": 0}
+    axes[0].scatter(*change.position[still, :2].T, c=value[still], s=3, **colours)
+    drawn = axes[0].scatter(
+        *change.position[sure, :2].T, c=value[sure], s=12, **colours
+    )
+    figure.colorbar(drawn, ax=axes[0], label="change along the normal [mm]")
+    for number, one in enumerate(places):
+        ring = Circle(
+            (float(one.centre[0]), float(one.centre[1])), one.reach * 1.15, fill=False
+        )
+        axes[0].add_patch(ring)
+        corner = (one.centre[0] + one.reach, one.centre[1] + one.reach)
+        axes[0].annotate(str(number + 1), corner)
+    axes[0].set_aspect("equal")
+    axes[0].set_xlabel("east [m]")
+    axes[0].set_ylabel("north [m]")
+    score = change.value[known] / change.uncertainty[known]
+    bins = np.linspace(-6, 6, 61)
+    axes[1].hist(
+        np.clip(score, -6, 6), bins=list(bins), density=True, color=COLOURS[5],
+        label="found",
+    )  # fmt: skip
+    axes[1].plot(
+        bins, np.exp(-(bins**2) / 2) / np.sqrt(2 * np.pi), color=COLOURS[6],
+        label="chance alone",
+    )  # fmt: skip
+    axes[1].set_xlabel("change over its uncertainty")
+    axes[1].set_yticks([])
+    axes[1].legend(loc="upper right")
+    return figure
+
+
+def _thinned(at: NDArray[np.intp]) -> NDArray[np.intp]:
+    return at[:: max(len(at) // _SHOWN, 1)]
+
+
+def _summary(site: Site, registration: Registration, cloud: Merged) -> str:
+    unsettled = "" if registration.settled else " The fit did not settle."
+    tied = (
+        f" The frame is that of {registration.fixed}; nothing ties it to the world."
+        if registration.fixed
+        else ""
+    )
+    crs = f" Reference system: {site.frame.crs}." if site.frame.crs else ""
+    return (
+        f"{len(site.scan)} scans of {len(site.epoch)} visits, "
+        f"{len(cloud.position):,} points, {int((cloud.confirmed > 0).sum()):,} of them "
+        f"seen by several scans of a visit, {int(cloud.moving.sum()):,} seen through "
+        f"by others and left out of comparisons.{tied}{crs}{unsettled} Uncertainties "
+        "are standard uncertainties (k = 1)."
+    )
+
+
+def _poses(site: Site, registration: Registration) -> Table:
+    rows = []
+    for scan in site.scan:
+        pose = registration.poses[scan.name]
+        sigma = np.sqrt(np.diag(registration.covariance_of(f"pose {scan.name}"))) * 1e3
+        against = relative_covariance(registration, scan.name, site.scan[0].name)
+        rows.append(
+            [
+                scan.name,
+                scan.epoch,
+                *(f"{value:.4f}" for value in pose.position),
+                *(f"{value:.2f}" for value in sigma[:3]),
+                *(f"{value:.3f}" for value in sigma[3:]),
+                *(f"{value:.2f}" for value in _largest(against)),
+            ]
+        )
+    header = ["scan", "epoch", "east [m]", "north [m]", "up [m]"]
+    header += ["u(e) [mm]", "u(n) [mm]", "u(u) [mm]"]
+    header += ["about e [mrad]", "about n [mrad]", "about up [mrad]"]
+    header += [f"against {site.scan[0].name} [mm]", "[mrad]"]
+    return Table(
+        header,
+        rows,
+        "Uncertainties in the frame of the site. What all scans have in common, such "
+        "as the place of the whole site, is part of them; the last two columns are "
+        "without it, the largest of three axes.",
+    )
+
+
+def _largest(covariance: Floats) -> tuple[float, float]:
+    """Return the largest standard uncertainty of shift and turn [mm, mrad]."""
+    shift, turn = (
+        np.sqrt(max(float(np.linalg.eigvalsh(covariance[k : k + 3, k : k + 3])[-1]), 0))
+        for k in (0, 3)
+    )
+    return float(shift) * 1e3, float(turn) * 1e3
+
+
+def _warnings(registration: Registration) -> list[Part]:
+    parts: list[Part] = []
+    for one in registration.disagreements:
+        first, second = one["scans"]
+        parts.append(
+            Paragraph(
+                f"{first} on {second} contradicts all others by "
+                f"{one['shift'] * 1e3:.2f} mm and {one['turn'] * 1e3:.3f} mrad; it "
+                f"counts {one['trust']:.0%}."
+            )
+        )
+    for weak in registration.weaknesses:
+        shift = ", ".join(f"{v * 1e3:.1f}" for v in weak.shift)
+        turn = ", ".join(f"{v * 1e3:.2f}" for v in weak.turn)
+        parts.append(
+            Paragraph(
+                f"Only its start pose holds {weak.scan} along ({shift}) mm with a turn "
+                f"of ({turn}) mrad (one standard deviation)."
+            )
+        )
+    return parts
+
+
+def _pairs(registration: Registration) -> Table:
+    rows = [
+        [
+            f"{pair['source']} on {pair['target']}",
+            f"{pair['points']}",
+            f"{pair['median_distance_m'] * 1e3:.2f}",
+            f"{pair['misfit']:.2f}",
+            f"{pair['moved_points']}",
+            f"!{6 - len(pair['loose'])}" if pair["loose"] else "6",
+        ]
+        for pair in registration.pairs
+    ]
+    return Table(
+        ["scans", "points", "median [mm]", "misfit", "stand off", "directions held"],
+        rows,
+        "Distances of the points of one scan from the surface of another, along the "
+        "beam. The misfit is their scatter over what is stated; points that stand off "
+        "together are other objects and do not count. A flat sea bed holds three "
+        "directions of six.",
+    )
+
+
+def _scans(site: Site, cloud: Merged) -> Table:
+    rows = []
+    for number, scan in enumerate(site.scan):
+        mine = cloud.scan == number
+        sigma = np.median(cloud.sigma[mine], axis=0) * 1e3
+        moving = int(cloud.moving[mine].sum())
+        rows.append(
+            [
+                scan.name,
+                f"{int(mine.sum())}",
+                f"{(cloud.confirmed[mine] > 0).mean():.0%}",
+                f"!{moving}" if moving else "0",
+                *(f"{value:.2f}" for value in sigma),
+            ]
+        )
+    return Table(
+        ["scan", "points", "seen by others", "seen through", "u(e) [mm]", "u(n) [mm]",
+         "u(u) [mm]"],
+        rows,
+        "Medians over the points. Points that others see through, such as fish and "
+        "divers, are marked in all files.",
+    )  # fmt: skip
+
+
+def _changed(
+    change: Change, places: Sequence[Region], motions: Mapping[int, Motion]
+) -> list[Part]:
+    known = np.isfinite(change.value)
+    share = change.significant.sum()
+    parts: list[Part] = [
+        Heading(f"Change from {change.epochs[0]} to {change.epochs[1]}"),
+        Paragraph(
+            f"{int(known.sum())} places {change.spacing * 1e3:.0f} mm apart were "
+            f"compared, in cylinders of {change.radius * 1e3:.0f} mm radius; "
+            f"{int(share)} changed, of which at most {change.false_alarms:.0%} by "
+            "chance. Median standard uncertainty "
+            f"{np.nanmedian(change.uncertainty[known]) * 1e3:.2f} mm, poses included."
+        ),
+        Picture(
+            change_map(change, places),
+            "Large dots changed; rings hold places where several did. On the right, "
+            "what chance alone would leave.",
+        ),
+    ]
+    if not places:
+        return [*parts, Paragraph("No place changed.")]
+    rows = []
+    for number, one in enumerate(places):
+        motion = motions.get(number)
+        moved = ["", ""]
+        if motion is not None:
+            shift = ", ".join(f"{v * 1e3:+.2f}" for v in motion.shift)
+            moved = [
+                f"{motion.distance * 1e3:.2f} ± "
+                f"{motion.distance_uncertainty * 1e3:.2f}",
+                shift,
+            ]
+        rows.append(
+            [
+                str(number + 1),
+                ", ".join(f"{v:.2f}" for v in one.centre),
+                f"{one.area * 1e4:.0f}",
+                f"{one.mean * 1e3:+.2f} ± {one.mean_uncertainty * 1e3:.2f}",
+                f"{one.volume * 1e6:+.0f} ± {one.volume_uncertainty * 1e6:.0f}",
+                *moved,
+            ]
+        )
+    header = ["place", "at [m]", "area [cm²]", "mean [mm]", "volume [cm³]"]
+    header += ["moved by [mm]", "east, north, up [mm]"]
+    caption = (
+        "Means and volumes along the normals. A motion is the rigid one that takes "
+        "what stands above the ground there from the first visit to the second."
+    )
+    return [*parts, Table(header, rows, caption)]
