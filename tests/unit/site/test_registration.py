@@ -199,7 +199,7 @@ def inside(pulls: np.ndarray, draws: int) -> None:
 @pytest.mark.slow
 def test_the_covariance_holds(relief: Scene) -> None:
     rng = np.random.default_rng(11)
-    draws = 15
+    draws = 10
     pulls = [
         relief.pulls(align(relief.scans(rng), Ties(start=relief.starts(rng))))
         for _ in range(draws)

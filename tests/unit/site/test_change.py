@@ -1,0 +1,202 @@
+"""Merged points and change: their errors are those that come of drawn scans."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+from site_scenes import scanning, shapes
+
+from amulor.errors import FormatError
+from amulor.imaging import flag_mixed, flag_outliers
+from amulor.site import Site
+from amulor.site.change.distances import Change, change
+from amulor.site.change.moved import _best_place
+from amulor.site.change.regions import region_of, regions
+from amulor.site.merging.cloud import merge
+from amulor.site.registration.pose import ScanPose
+from amulor.site.registration.register import (
+    Registration,
+    Weakness,
+    read_registration,
+    register,
+    surface_of,
+    write_registration,
+)
+
+ERRORS = scanning.Errors(own=1e-3, delay=1e-3, index=3e-4, reference=5e-4)
+PLACES = {
+    "a": ((-1.2, -1.2, 1.6), "one"),
+    "b": ((1.3, -1.0, 1.7), "one"),
+    "c": ((-1.0, -1.4, 1.7), "two"),
+    "d": ((1.4, -0.8, 1.6), "two"),
+}
+
+
+def flat_change(values: np.ndarray, own: float, shared: float) -> Change:
+    """Return a comparison on a square grid of 10 mm, all points significant."""
+    side = round(np.sqrt(len(values)))
+    x, y = np.meshgrid(np.arange(side) * 0.01, np.arange(side) * 0.01)
+    count = len(values)
+    return Change(
+        epochs=("one", "two"),
+        position=np.stack([x.ravel(), y.ravel(), 0 * x.ravel()], axis=1),
+        normal=np.tile([0.0, 0.0, 1.0], (count, 1)),
+        value=values,
+        uncertainty=np.full(count, np.hypot(own, shared)),
+        own=np.full(count, own),
+        shared=np.full((count, 1), shared),
+        significant=np.ones(count, dtype=bool),
+        chance=np.zeros(count),
+        area=np.full(count, 1e-4),
+        spacing=0.01,
+        radius=0.004,
+        false_alarms=0.05,
+    )
+
+
+def test_a_volume_has_the_error_of_noise_and_of_what_all_share() -> None:
+    found = flat_change(np.full(100, 5e-3), own=1e-3, shared=2e-3)
+    (region,) = regions(found)
+    # 10 x 10 cells of 1 cm2, raised by 5 mm; noise goes with the root of the cells.
+    assert_allclose(region.volume, 100 * 1e-4 * 5e-3)
+    noise, common = 10 * 1e-4 * 1e-3, 100 * 1e-4 * 2e-3
+    assert_allclose(region.volume_uncertainty, np.hypot(noise, common))
+    assert_allclose(region.mean, 5e-3)
+    # Cylinders that reach over their neighbours repeat their noise.
+    wide = region_of(
+        Change(**{**vars(found), "radius": 0.02, "shared": np.zeros((100, 1))}),
+        np.arange(100),
+    )
+    assert 2 * noise < wide.volume_uncertainty < 6 * noise
+
+
+def test_the_shift_of_a_turning_body_is_known_best_on_its_axis() -> None:
+    # A body that turns by 50 mrad about an axis 0.1 m below the place looked at.
+    axis, arm = np.array([1.0, 0.0, 0.0]), np.array([0.0, 0.0, -0.1])
+    slope = np.concatenate([np.cross(axis, -arm), axis])
+    spread = np.diag([1e-8] * 3 + [1e-6] * 3) + 0.05**2 * np.outer(slope, slope)
+    place = _best_place(spread)
+    assert_allclose(place, arm, atol=2e-3)
+
+
+def site() -> Site:
+    """Return a site of two visits with two scans each."""
+    return Site.model_validate(
+        {
+            "name": "still",
+            "epoch": [{"name": "one"}, {"name": "two"}],
+            "scan": [
+                {"name": name, "file": f"{name}.nc", "epoch": epoch, "water": epoch}
+                for name, (_, epoch) in PLACES.items()
+            ],
+            "registration": {"window": 5},
+        }
+    )
+
+
+@pytest.mark.slow
+def test_points_and_change_of_a_still_site_have_the_errors_stated() -> None:
+    rows = 44
+    bed = shapes.sea_bed(relief=0.12)
+    beams = scanning.grid(rows, rows * 4 // 3, 0.35)
+    poses = {
+        name: ScanPose(*scanning.looking(place, (0.0, 0.05, 0.1)))
+        for name, (place, _) in PLACES.items()
+    }
+    true = {
+        name: scanning.ranges(bed, pose.rotation, pose.position, beams[2])
+        for name, pose in poses.items()
+    }
+    rng = np.random.default_rng(9)
+    described = site()
+    points, scores, alarms, compared = [], [], 0, 0
+    draws = 5
+    for _ in range(draws):
+        draw = scanning.Draw(rng)
+        images, surfaces = {}, {}
+        for scan in described.scan:
+            image = scanning.image(
+                true[scan.name], *beams[:2], errors=ERRORS, draw=draw, scan=scan.name,
+                instrument=scan.epoch, water=scan.epoch,
+            )  # fmt: skip
+            images[scan.name] = flag_outliers(flag_mixed(image))
+            surfaces[scan.name] = surface_of(described, scan, images[scan.name])
+        found = register(
+            with_starts(described, poses, rng), surfaces=surfaces, images=images
+        )
+        cloud = merge(described, found, surfaces, images)
+        for number, scan in enumerate(described.scan):
+            mine = np.flatnonzero(cloud.scan == number)[::97]
+            pixel = cloud.pixel[mine]
+            place = poses[scan.name].place(
+                true[scan.name].ravel()[pixel, None] * beams[2].reshape(-1, 3)[pixel]
+            )
+            off = cloud.position[mine] - place
+            solved = np.linalg.solve(cloud.covariance[mine], off[..., None])[..., 0]
+            points.append(np.einsum("ni,ni->n", off, solved))
+        assert cloud.moving.mean() < 1e-3
+        result = change(described, found, surfaces, cloud)
+        known = np.isfinite(result.value)
+        scores.append((result.value / result.uncertainty)[known])
+        alarms += int(result.significant.any())
+        compared += int(known.sum())
+    # Chi-square of three degrees of freedom; points of one draw share its pose.
+    assert np.mean(np.concatenate(points)) == pytest.approx(3, abs=1.5)
+    assert compared > 500 * draws
+    assert np.concatenate(scores).std() == pytest.approx(1, abs=0.12)
+    # Something is called changed in 5 of 100 still sites.
+    assert alarms <= 3
+
+
+def with_starts(
+    described: Site, poses: dict[str, ScanPose], rng: np.random.Generator
+) -> Site:
+    """Return a site with start poses that are off as they say."""
+    scans = []
+    for scan in described.scan:
+        forward = poses[scan.name].rotation[:, 2]
+        off = rng.normal(size=6)
+        start = {
+            "position": tuple(poses[scan.name].position + 0.02 * off[:3]),
+            "heading": float(np.arctan2(forward[0], forward[1]) + 0.01 * off[3]),
+            "pitch": float(np.arcsin(forward[2]) + 0.01 * off[4]),
+            "roll": float(0.01 * off[5]),
+            "position_uncertainty": 0.02,
+            "heading_uncertainty": 0.01,
+            "level_uncertainty": 0.01,
+        }
+        scans.append(scan.model_copy(update={"start": start}))
+    return described.model_copy(update={"scan": tuple(scans)})
+
+
+def test_a_registration_is_read_as_it_was_written(tmp_path: Path) -> None:
+    spread = np.diag(np.arange(1.0, 8.0))
+    stated = Registration(
+        site="s",
+        poses={
+            "a": ScanPose(np.eye(3), np.zeros(3)),
+            "b": ScanPose(np.eye(3), np.array([1.0, 2.0, 3.0])),
+        },
+        points={},
+        errors={"delay: i": 0.5},
+        places={"pose b": (0, 6), "error delay: i": (6, 7)},
+        covariance=spread,
+        pairs=(),
+        disagreements=(),
+        weaknesses=(Weakness(scan="b", shift=(1.0, 0.0, 0.0), turn=(0.0, 0.0, 0.1)),),
+        settled=True,
+        fixed="a",
+    )
+    write_registration(stated, tmp_path / "poses.json")
+    found = read_registration(tmp_path / "poses.json")
+    assert found.weaknesses == stated.weaknesses
+    assert_allclose(found.poses["b"].matrix, stated.poses["b"].matrix)
+    # What is fixed has no error.
+    both = found.covariance_of("pose a", "error delay: i", "pose b")
+    assert_allclose(both.diagonal(), [0] * 6 + [7, 1, 2, 3, 4, 5, 6])
+    (tmp_path / "other.json").write_text('{"kind": "something"}')
+    with pytest.raises(FormatError, match="amulor site register makes one"):
+        read_registration(tmp_path / "other.json")
