@@ -185,15 +185,18 @@ def explained(path: Path) -> Iterator[None]:
             f"{path}: this sample is there already, or incomplete ({error}); nothing "
             "was changed"
         ) from error
-    except (sqlite3.Error, OSError) as error:
+    except (sqlite3.Error, OSError, UnicodeDecodeError) as error:
+        # A damaged schema is quoted as it is, lines and all; or cannot even be.
+        words = " ".join(str(error).split())
         raise FormatError(
-            f"{path} cannot be used: {error}; {_advice(error)}"
+            f"{path} cannot be used: {words}; {_advice(error)}"
         ) from error
 
 
 def _advice(error: Exception) -> str:
     code = getattr(error, "sqlite_errorcode", 0) & 0xFF
-    if code in (sqlite3.SQLITE_CORRUPT, sqlite3.SQLITE_NOTADB):
+    damaged = isinstance(error, UnicodeDecodeError)
+    if damaged or code in (sqlite3.SQLITE_CORRUPT, sqlite3.SQLITE_NOTADB):
         return "it is damaged, take a copy of the folder before anything else"
     if code in (sqlite3.SQLITE_READONLY, sqlite3.SQLITE_CANTOPEN, sqlite3.SQLITE_PERM):
         return (
