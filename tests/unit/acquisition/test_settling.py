@@ -73,6 +73,7 @@ def taken(survey, folder, settings, **more):
         return np.diff(told), [record for _, record in journal.samples(SCAN)]
 
 
+@pytest.mark.slow
 def test_steps_are_waited_for_as_long_as_they_are_high(edges, folder, cube_of) -> None:
     found = {}
     for name, procedure in (("judged", JUDGED), ("fixed", {"dark_readings": 2})):
@@ -118,6 +119,7 @@ class _Early:
         return azimuth, elevation
 
 
+@pytest.mark.slow
 def test_a_stage_that_is_late_is_left_out_where_the_filter_is_known(
     edges, folder, cube_of
 ) -> None:
