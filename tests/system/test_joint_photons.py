@@ -11,7 +11,6 @@ import pytest
 import xarray as xr
 
 from amulor import rejection, simulate
-from amulor.cube import QualityFlag
 from amulor.imaging import range_image
 from amulor.optics import rays
 from amulor.optics.phase_functions.models import fournier_forand, two_term
@@ -69,14 +68,13 @@ repeats = 12
 FREQUENCIES = np.linspace(5e6, 146e6, 16)
 DISTANCES = np.array([2.4, 3.0, 3.7, 4.5, 5.2])
 INTERVAL = (1.0, 8.0)
-#: Joint estimation with an instrument that is what the survey says, to the last bit,
-#: and light that is not late: so it is simulated.
+#: Joint estimation with an instrument that is what the survey says, to the last bit:
+#: so it is simulated.
 joint = functools.partial(
     rejection.joint,
     delay_uncertainty=0.0,
     group_index_uncertainty=0.0,
     receiver_position_uncertainty=0.0,
-    late_echo_uncertainty=0.0,
 )
 RATIOS = (0.1, 0.3, 1.0, 2.0)
 #: Lock-in noise over the target's amplitude.
@@ -179,12 +177,13 @@ def ranges(cube: xr.Dataset) -> np.ndarray:
 
 @dataclass
 class Outcome:
-    """Biases [m] against the echo alone, and what became of the intervals."""
+    """Biases [m] against the echo alone, and how many pixels of the image are trusted
+    and have a 95 % interval that misses the plate."""
 
     raw: float
     bias: float
+    trusted: int
     missing: int
-    missing_and_flagged: int
 
 
 def outcome(tank: Tank, ratio: float, *, noise: float, shots: bool) -> Outcome:
@@ -195,18 +194,17 @@ def outcome(tank: Tank, ratio: float, *, noise: float, shots: bool) -> Outcome:
     if not shots:
         names = [n for n in cube.data_vars if str(n).startswith("open_water_")]
         cube = cube.drop_vars(names)
-    found = joint(cube, interval=INTERVAL)
-    slant_range = found["joint_slant_range"].values
-    off = (
-        np.abs(slant_range - DISTANCES) / found["joint_slant_range_uncertainty"].values
-    )
-    missing = ~(off < 1.96)
-    flagged = found["quality_flag"].values[0, 0] & QualityFlag.WATER_RESIDUAL
+    # Photons that were scattered on their way are late, as measured light is.
+    found = joint(cube.assign_attrs(late_echo="present"), interval=INTERVAL)
+    image = range_image(found, interval=INTERVAL)
+    surface = image["slant_range"] - image.get("slant_range_bias", 0.0)
+    off = np.abs(surface.values - DISTANCES) / image["slant_range_uncertainty"].values
+    trusted = image["quality_flag"].values == 0
     return Outcome(
         float(np.mean(ranges(cube) - own)),
-        float(np.mean(slant_range - own)),
-        int(missing.sum()),
-        int((missing & (flagged != 0)).sum()),
+        float(np.mean(found["joint_slant_range"].values - own)),
+        int(trusted.sum()),
+        int((trusted & ~(off < 1.96)).sum()),
     )
 
 
@@ -229,16 +227,17 @@ def test_photons_of_another_water_bias_ten_times_less_than_raw_phases(
 @pytest.mark.parametrize("name", list(WATERS))
 def test_bias_and_flags_on_photons(name: str) -> None:
     tank = Tank(photons(name, histories=1_500_000, open_histories=4_000_000))
-    missing, flagged = 0, 0
+    trusted, missing = 0, 0
     for shots in (True, False):
         for ratio in RATIOS:
             found = outcome(tank, ratio, noise=NOISE, shots=shots)
+            trusted += found.trusted
             missing += found.missing
-            flagged += found.missing_and_flagged
             # The delay of the echo itself changes by 0.1 to 6 mm over the frequencies,
             # so its range is not defined to better than 0.2 mm.
             allowed = max(0.1 * abs(found.raw), 2e-4)
             assert abs(found.bias) < allowed, (shots, ratio, found)
-    # Late echoes put nearly all intervals off the plate: 5 to 10 mm.
-    assert missing > 500
-    assert flagged >= 0.9 * missing
+    # Echoes are 5 to 10 mm late. The 24 pixels at one distance share their light: of 40
+    # draws four may lie outside by chance.
+    assert trusted > 400
+    assert missing <= 0.1 * trusted
