@@ -13,7 +13,8 @@ import amulor
 from amulor.simulation import DiffusionModel
 from amulor.site import Site
 from amulor.site.registration.pose import ScanPose, start_pose
-from amulor.site.registration.register import register, relative_covariance
+from amulor.site.registration.register import register
+from amulor.site.registration.result import relative_covariance
 
 pytestmark = pytest.mark.slow
 

@@ -15,7 +15,7 @@ from amulor.site.change.moved import Motion
 from amulor.site.change.regions import Region
 from amulor.site.description.site_file import Site
 from amulor.site.merging.cloud import Merged
-from amulor.site.registration.register import Registration, relative_covariance
+from amulor.site.registration.result import Registration, relative_covariance
 from amulor.view.report import Heading, Paragraph, Part, Picture, Table, write_report
 from amulor.view.style import (
     COLOURS,

@@ -179,6 +179,11 @@ def test_info_tells_what_a_file_holds(folder: Path, capsys) -> None:
         ["reject", "a.nc", "--method", "auto", "-o", "b.txt"],
         ["image", "a.nc", "-o", "b.png"],
         ["recover", "scan", "-o", "b"],
+        ["site", "check"],
+        ["site", "register", "a.toml", "-o", "b.txt"],
+        ["site", "merge", "a.toml", "--poses", "p.json", "-o", "b", "--tile", "5"],
+        ["site", "compare", "a.toml", "--poses", "p.json", "-o", "b.txt"],
+        ["site", "report", "a.toml", "--poses", "p.json", "-o", "b.pdf"],
         ["archive"],
         ["archive", "a.toml"],
         ["archive", "a.toml", "--check", "folder"],
@@ -219,6 +224,9 @@ def test_wrong_use_ends_with_2_and_one_line(words: list[str], capsys) -> None:
         COLUMN,
         ["image", "none.nc", "-o", "b.nc"],
         ["export", "none.nc", "-o", "b.ply"],
+        ["site", "check", "none.toml"],
+        ["site", "register", "none.toml", "-o", "b.json"],
+        ["site", "merge", "none.toml", "--poses", "p.json", "-o", "b"],
         ["archive", "none.toml", "-o", "folder"],
         ["archive", "--check", "none"],
         ["view", "none.nc"],
@@ -249,7 +257,7 @@ def test_every_command_was_asked_wrongly() -> None:
     ):
         for words in test.pytestmark[0].args[1]:
             asked |= {words[0], " ".join(words[:2])}
-    assert set(COMMANDS) - asked == {"survey schema"}  # takes nothing
+    assert set(COMMANDS) - asked == {"survey schema", "site schema"}  # take nothing
 
 
 def _fails(words: list[str], capsys, *, code: int = 1, lines: int | None = None) -> str:

@@ -17,12 +17,11 @@ from amulor.site.change.moved import _best_place
 from amulor.site.change.regions import region_of, regions
 from amulor.site.merging.cloud import merge
 from amulor.site.registration.pose import ScanPose
-from amulor.site.registration.register import (
+from amulor.site.registration.register import register, surface_of
+from amulor.site.registration.result import (
     Registration,
     Weakness,
     read_registration,
-    register,
-    surface_of,
     write_registration,
 )
 

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from amulor.site.change.moved import Motion
     from amulor.site.change.regions import Region
     from amulor.site.merging.cloud import Merged
-    from amulor.site.registration.register import Registration
+    from amulor.site.registration.result import Registration
     from amulor.site.registration.surface import ScanSurface
 
 
@@ -53,7 +53,8 @@ def opened(path: Path, poses: Path) -> Opened:
     from amulor.errors import CubeError
     from amulor.site import Site
     from amulor.site.merging.cloud import merge
-    from amulor.site.registration.register import read_registration, surfaces_of
+    from amulor.site.registration.register import surfaces_of
+    from amulor.site.registration.result import read_registration
 
     site = Site.from_toml(path)
     registration = read_registration(poses)

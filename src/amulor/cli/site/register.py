@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 from cyclopts import Parameter
 
 if TYPE_CHECKING:
-    from amulor.site.registration.register import Registration
+    from amulor.site.registration.result import Registration
 
 
 def register(
@@ -38,16 +38,17 @@ def register(
     from amulor.cli._output import print_json, progress_bar
     from amulor.site import Site
     from amulor.site.registration import register as room
+    from amulor.site.registration.result import write_registration
 
     require("site", purpose="registration")
+    check_ending("--output", output, (".json",))
     described = Site.from_toml(site)
     io.check_output(
         output, overwrite=overwrite, inputs=[site, *(s.file for s in described.scan)]
     )
-    check_ending("--output", output, (".json",))
     with progress_bar(quiet=json):
         result = room.register(described)
-        room.write_registration(result, output, overwrite=overwrite)
+        write_registration(result, output, overwrite=overwrite)
     if json:
         print_json(
             {

@@ -14,7 +14,7 @@ from amulor._progress import tell
 from amulor.errors import CubeError
 from amulor.site.description.site_file import Site
 from amulor.site.merging.cloud import Merged, by_unknowns, unknowns_of
-from amulor.site.registration.register import Registration
+from amulor.site.registration.result import Registration
 from amulor.site.registration.surface import ScanSurface
 
 Floats = NDArray[np.float64]

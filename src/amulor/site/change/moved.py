@@ -13,7 +13,7 @@ from amulor.site.description.site_file import Site
 from amulor.site.merging.cloud import corrected
 from amulor.site.registration.pair import Pair, compared, tree_of
 from amulor.site.registration.pose import ScanPose, cross_matrix
-from amulor.site.registration.register import Registration
+from amulor.site.registration.result import Registration
 from amulor.site.registration.surface import ScanSurface
 
 Floats = NDArray[np.float64]

@@ -14,7 +14,7 @@ from amulor._progress import tell
 from amulor.site.description.site_file import Site
 from amulor.site.merging.seen import seen_by_others
 from amulor.site.registration.pose import ScanPose, cross_matrix
-from amulor.site.registration.register import Registration
+from amulor.site.registration.result import Registration
 from amulor.site.registration.surface import ScanSurface
 
 Floats = NDArray[np.float64]

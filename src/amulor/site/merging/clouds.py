@@ -7,7 +7,7 @@ import xarray as xr
 
 from amulor.imaging import Frame, point_cloud
 from amulor.site.merging.cloud import Merged
-from amulor.site.registration.register import Registration
+from amulor.site.registration.result import Registration
 
 
 def scan_clouds(

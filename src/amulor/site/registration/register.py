@@ -1,22 +1,17 @@
-"""`register`: from a site file to poses, and the file that holds them."""
+"""From a site file to the poses of its scans."""
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
-from pathlib import Path
-from typing import Any
+from dataclasses import replace
 
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
 from amulor._progress import part, tell
-from amulor.cube import provenance
-from amulor.errors import CubeError, FormatError
-from amulor.io.files import atomic_output
+from amulor.errors import CubeError
 from amulor.site.description.parts import ScaleBar, SiteScan
 from amulor.site.description.site_file import Site
 from amulor.site.load import range_image_of
@@ -31,88 +26,22 @@ from amulor.site.registration.network import (
 )
 from amulor.site.registration.pose import (
     ScanPose,
-    cross_matrix,
     kabsch,
     start_covariance,
     start_pose,
+)
+from amulor.site.registration.result import (
+    Registration,
+    Weakness,
+    relative_covariance,
 )
 from amulor.site.registration.shared import shared_errors
 from amulor.site.registration.surface import ScanSurface, scan_surface
 
 Floats = NDArray[np.float64]
 
-#: What the file of a registration says it is.
-KIND = "amulor site registration 1"
 #: A pose is held by its start pose if it is hardly known better afterwards [1].
 _NO_BETTER = 0.5
-
-
-@dataclass(frozen=True, kw_only=True)
-class Weakness:
-    """A direction in which nothing but the start pose holds a scan."""
-
-    scan: str
-    """Name of the scan."""
-    shift: tuple[float, float, float]
-    """East, north, up of the direction, for one standard deviation [m]."""
-    turn: tuple[float, float, float]
-    """About these axes [rad]."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class Registration:
-    """Poses of all scans of a site."""
-
-    site: str
-    """Name of the site."""
-    poses: dict[str, ScanPose]
-    """By scan."""
-    points: dict[str, Floats]
-    """Targets in the site, by name [m]."""
-    errors: dict[str, float]
-    """Shared errors as they are estimated, in standard deviations [1]."""
-    places: dict[str, tuple[int, int]]
-    """First and last place, exclusive, of each unknown in the covariance, by "pose
-    NAME", "point NAME" and "error KEY"."""
-    covariance: Floats
-    """Of all unknowns."""
-    pairs: tuple[dict[str, Any], ...]
-    """Which scans were compared, and what came of it."""
-    disagreements: tuple[dict[str, Any], ...]
-    """Pairs of scans that all others contradict."""
-    weaknesses: tuple[Weakness, ...]
-    """Directions that only start poses hold."""
-    settled: bool
-    """Whether the last step was small."""
-    fixed: str = ""
-    """Scan whose axes are those of the site, where nothing ties it to the world."""
-
-    def covariance_of(self, *names: str) -> Floats:
-        """Return the covariance of some unknowns, as named in `places`.
-
-        Parameters
-        ----------
-        *names : str
-            Such as "pose left" or "error delay: instrument"; what is fixed has zeros.
-
-        Returns
-        -------
-        ndarray
-            Six rows for a pose, three for a point, one for an error.
-        """
-        width = {"pose": 6, "point": 3, "error": 1}
-        at = np.concatenate(
-            [
-                np.arange(*self.places[name])
-                if name in self.places
-                else np.full(width[name.partition(" ")[0]], -1)
-                for name in names
-            ]
-        )
-        kept = at >= 0
-        found = np.zeros((len(at), len(at)))
-        found[np.ix_(kept, kept)] = self.covariance[np.ix_(at[kept], at[kept])]
-        return found
 
 
 def surfaces_of(site: Site) -> tuple[dict[str, ScanSurface], dict[str, xr.Dataset]]:
@@ -387,129 +316,3 @@ def _over(covariance: Floats, prior: Floats) -> Floats:
     """Return a covariance in units of what was known before."""
     inverse = np.linalg.inv(np.linalg.cholesky(prior))
     return np.asarray(inverse @ covariance @ inverse.T)
-
-
-def relative_covariance(result: Registration, name: str, other: str) -> Floats:
-    """Return the covariance of a pose against that of another scan.
-
-    Parameters
-    ----------
-    result : Registration
-        Poses of both.
-    name, other : str
-        The scan, and the one that counts as known.
-
-    Returns
-    -------
-    ndarray, shape (6, 6)
-        Of shift and turn, without what both have in common.
-    """
-    both = result.covariance_of(f"pose {name}", f"pose {other}")
-    arm = result.poses[name].position - result.poses[other].position
-    carried = np.eye(6)
-    carried[:3, 3:] = -cross_matrix(arm)
-    rows = np.hstack([np.eye(6), -carried])
-    return np.asarray(rows @ both @ rows.T)
-
-
-def write_registration(
-    result: Registration, path: str | Path, *, overwrite: bool = False
-) -> None:
-    """Write a registration as JSON.
-
-    Parameters
-    ----------
-    result : Registration
-        What `register` returned.
-    path : str or pathlib.Path
-        File to make.
-    overwrite : bool
-        Whether an existing file is replaced.
-
-    Raises
-    ------
-    FormatError
-        If the file exists and `overwrite` is not set, or cannot be written.
-    """
-    content = {
-        "kind": KIND,
-        "software": f"amulor {provenance.software_versions()['amulor']}",
-        "site": result.site,
-        "axes": "x east, y north, z up [m]; pose: from right, down, forward",
-        "order": (
-            "of each pose in the covariance: shift east, north, up [m], turn about "
-            "east, north, up at the instrument [rad]"
-        ),
-        "settled": result.settled,
-        "fixed": result.fixed,
-        "poses": {
-            name: {
-                "matrix": pose.matrix.tolist(),
-                "standard_uncertainty": np.sqrt(
-                    np.diag(result.covariance_of(f"pose {name}"))
-                ).tolist(),
-            }
-            for name, pose in result.poses.items()
-        },
-        "targets": {name: point.tolist() for name, point in result.points.items()},
-        "shared_errors": result.errors,
-        "pairs": list(result.pairs),
-        "disagreements": list(result.disagreements),
-        "weaknesses": [vars(one) for one in result.weaknesses],
-        "places": result.places,
-        "covariance": result.covariance.tolist(),
-    }
-    with atomic_output(Path(path), overwrite=overwrite) as temporary:
-        temporary.write_text(json.dumps(content, indent=1, allow_nan=False))
-
-
-def read_registration(path: str | Path) -> Registration:
-    """Read the registration of a site.
-
-    Parameters
-    ----------
-    path : str or pathlib.Path
-        A file of `write_registration`.
-
-    Returns
-    -------
-    Registration
-        The same.
-
-    Raises
-    ------
-    FormatError
-        If it is none.
-    """
-    try:
-        content = json.loads(Path(path).read_text("utf-8"))
-    except OSError as error:
-        raise FormatError(
-            f"{path}: cannot be read ({error.strerror}); amulor site register makes it"
-        ) from None
-    except ValueError:
-        content = None
-    if not isinstance(content, dict) or content.get("kind") != KIND:
-        raise FormatError(
-            f"{path}: is no registration of a site; amulor site register makes one"
-        )
-    poses = {}
-    for name, one in content["poses"].items():
-        matrix = np.array(one["matrix"], dtype=float)
-        poses[name] = ScanPose(matrix[:3, :3], matrix[:3, 3])
-    return Registration(
-        site=content["site"],
-        poses=poses,
-        points={k: np.array(v, dtype=float) for k, v in content["targets"].items()},
-        errors=content["shared_errors"],
-        places={k: (int(v[0]), int(v[1])) for k, v in content["places"].items()},
-        covariance=np.array(content["covariance"], dtype=float),
-        pairs=tuple(content["pairs"]),
-        disagreements=tuple(content["disagreements"]),
-        weaknesses=tuple(
-            Weakness(scan=w["scan"], shift=tuple(w["shift"]), turn=tuple(w["turn"]))
-            for w in content["weaknesses"]
-        ),
-        settled=bool(content["settled"]),
-        fixed=content["fixed"],
-    )
