@@ -1,0 +1,97 @@
+"""Settings of the documentation site, which `make docs` builds."""
+
+from __future__ import annotations
+
+import sys
+import warnings
+from pathlib import Path
+
+import amulor
+
+HERE = Path(__file__).parent
+sys.path.insert(0, str(HERE / "_ext"))
+
+project = "amulor"
+author = "the amulor developers"
+copyright = author
+release = version = amulor.__version__
+
+extensions = [
+    "myst_parser",
+    "numpydoc",
+    "sphinx.ext.autodoc",
+    "sphinx.ext.autosummary",
+    "sphinx.ext.extlinks",
+    "sphinx_design",
+    "sphinx_gallery.gen_gallery",
+    "sphinx-mathjax-offline",
+    "api_pages",
+    "docstrings",
+    "repository_links",
+]
+templates_path = ["_templates"]
+exclude_patterns = [
+    "_build",
+    "_ext",
+    "_templates",
+    "README.md",
+    "gallery/examples/*.py",
+    # Part of another page.
+    "gallery/ricci2010-discussion.md",
+]
+suppress_warnings = [
+    "config.cache",
+    # Module docstrings list what a whole module rests on.
+    "ref.citation",
+]
+nitpicky = False
+
+# ------------------------------------------------------------------- pages
+myst_enable_extensions = ["colon_fence", "deflist", "dollarmath"]
+myst_heading_anchors = 4
+myst_dmath_double_inline = True
+
+# --------------------------------------------------------------------- API
+autosummary_generate = True
+autosummary_imported_members = True
+autodoc_typehints = "none"
+numpydoc_show_class_members = False
+numpydoc_class_members_toctree = False
+
+extlinks = {"doi": ("https://doi.org/%s", "doi:%s")}
+
+# ----------------------------------------------------------------- gallery
+sphinx_gallery_conf = {
+    "examples_dirs": str(HERE.parent / "examples" / "gallery"),
+    "gallery_dirs": "gallery/examples",
+    "filename_pattern": "plot_",
+    "backreferences_dir": "gallery/backreferences",
+    "doc_module": ("amulor",),
+    "remove_config_comments": True,
+    "download_all_examples": False,
+    "abort_on_example_error": True,
+    "show_memory": False,
+    "show_signature": False,
+    "within_subsection_order": "FileNameSortKey",
+}
+# The canvas of the gallery cannot be shown.
+warnings.filterwarnings("ignore", message=".*FigureCanvasAgg is non-interactive.*")
+
+# ------------------------------------------------------------------ theme
+html_theme = "pydata_sphinx_theme"
+html_title = "amulor"
+html_static_path = ["_static"]
+html_css_files = ["site.css"]
+html_js_files = ["learn/tables.js", "learn/learn.js"]
+html_theme_options = {
+    "header_links_before_dropdown": 6,
+    "navbar_align": "left",
+    "navbar_end": ["theme-switcher"],
+    "secondary_sidebar_items": ["page-toc"],
+    "footer_start": ["copyright"],
+    "footer_end": [],
+    "show_prev_next": False,
+    "pygments_light_style": "friendly",
+}
+html_show_sourcelink = False
+html_context = {"default_mode": "auto"}
