@@ -12,9 +12,9 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
+import bodies
 import numpy as np
 import scanning
-import shapes
 import trimesh
 
 from amulor import io
@@ -55,11 +55,11 @@ def scene(*, moved: bool) -> trimesh.Trimesh:
     """Return the site, with the amphora in its first or its second place."""
     away = MOVED if moved else np.zeros(3)
     parts = [
-        shapes.sea_bed(relief=0.05),
-        shapes.turned(shapes.amphora(0.7), tuple(np.array(AMPHORA) + away), 0.5, 0.05),
-        shapes.turned(shapes.amphora(0.55), (-0.55, 0.15, 0.1), -0.8, -0.08),
-        shapes.turned(shapes.planks(), (0.1, 0.45, 0.0), 0.1),
-        shapes.turned(shapes.anchor(), (-0.35, -0.55, 0.05), 2.4),
+        bodies.sea_bed(relief=0.05),
+        bodies.turned(bodies.amphora(0.7), tuple(np.array(AMPHORA) + away), 0.5, 0.05),
+        bodies.turned(bodies.amphora(0.55), (-0.55, 0.15, 0.1), -0.8, -0.08),
+        bodies.turned(bodies.planks(), (0.1, 0.45, 0.0), 0.1),
+        bodies.turned(bodies.anchor(), (-0.35, -0.55, 0.05), 2.4),
     ]
     for place in SPHERES.values():
         ball = trimesh.creation.icosphere(subdivisions=5, radius=RADIUS)

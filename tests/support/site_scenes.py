@@ -1,4 +1,4 @@
-"""The shapes and the scanner of examples/wreck, for tests."""
+"""The bodies and the scanner of examples/wreck, for tests."""
 
 from __future__ import annotations
 
@@ -20,6 +20,6 @@ def _loaded(name: str) -> ModuleType:
     return module
 
 
-shapes = _loaded("shapes")
+shapes = _loaded("bodies")
 scanning = _loaded("scanning")
 make_site = _loaded("make_site")

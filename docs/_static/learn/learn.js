@@ -50,6 +50,11 @@ const sweep = (f, from = 4) => table().frequency.filter((m) => m >= from)
   .map((m) => [m, f(m)]);
 
 // ------------------------------------------------------------------- drawing
+/** The next of 2, 4 and 10 times a power of ten. */
+function nice(value) {
+  const unit = 10 ** Math.floor(Math.log10(value));
+  return unit * [1, 2, 4, 10].find((step) => step * unit >= value * (1 - 1e-9));
+}
 function ink(canvas) {
   const style = getComputedStyle(document.documentElement);
   const find = (name, other) => style.getPropertyValue(name).trim() || other;
@@ -62,7 +67,8 @@ function plot(context, box, {curves, marks = [], x, y, low, high, log = false}) 
   const all = curves.flatMap((c) => c.points.map((p) => p[1])).filter(Number.isFinite);
   let bottom = rise(low ?? Math.min(0, ...all)), up = rise(high ?? Math.max(...all) * 1.05);
   if (!(up > bottom)) up = bottom + 1;
-  const ends = curves[0].points, first = ends[0][0], last = ends[ends.length - 1][0];
+  const ends = curves[0].points, last = ends[ends.length - 1][0];
+  const first = ends[0][0] <= 10 ? 0 : ends[0][0];
   const px = (v) => left + (v - first) / (last - first) * width;
   const py = (v) => top + height - (rise(v) - bottom) / (up - bottom) * height;
   context.strokeStyle = faint; context.fillStyle = text; context.lineWidth = 1;
@@ -175,7 +181,7 @@ const FIGURES = {
         {at: [0, 0], tip: t, label: "target"}, {at: t, tip: [t[0] + w[0], t[1] + w[1]], label: "water"},
         {at: [0, 0], tip: [t[0] + w[0], t[1] + w[1]], label: "what is measured"}]);
       const points = sweep((m) => rangeError(target(state, m), water(state, m), m), 10);
-      const top = Math.max(5, ...points.map((p) => Math.abs(p[1])));
+      const top = nice(Math.max(5, ...points.map((p) => Math.abs(p[1]))));
       plot(context, two, {curves: [{points}], marks: [state.frequency], low: -top, high: top,
         x: "modulation frequency [MHz]", y: "error of the range [mm]"});
       return `Water over target ${(Math.hypot(...w) / Math.hypot(...t)).toPrecision(3)}; the range is off by `

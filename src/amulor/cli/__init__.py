@@ -65,7 +65,7 @@ COMMANDS = {
     "site check": ("site.check:check", "Check a site file and the files it names."),
     "run": (
         "cluster.run:run",
-        "Take all scans of a site to images and clouds, here or on a cluster.",
+        "Take all scans of a site to range images and clouds, here or on a cluster.",
     ),
     "site register": (
         "site.register:register",

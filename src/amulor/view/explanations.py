@@ -279,6 +279,12 @@ def _sample_flags() -> list[Explanation]:
             "Its mean output against that of the dark readings.",
             "Check laser, interlock, shutter and what stands in the beam.",
         ),
+        SampleFlag.UNSETTLED: (
+            "The output of the lock-in still changed when it was read.",
+            "Readings a time constant apart against their noise, for as long as the "
+            "procedure waits at most.",
+            "Allow a longer wait, or see what moves: the scanner, the water, the target.",
+        ),
     }
     return [
         Explanation(
