@@ -15,6 +15,8 @@ help:
 	@echo "make check     make test with more inputs, then pages and parts of studies"
 	@echo "make study     the long statistical studies (minutes)"
 	@echo "make coverage  make test, and which lines no test has run"
+	@echo "make docs      build the documentation site, docs/_build/html, and look for broken links"
+	@echo "make soak      hours of a scan in simulated time, with faults, pages, commands"
 	@echo "make bench     speed against peers and limits, measured in one run"
 	@echo "make package   build wheel and sdist, and use the wheel alone"
 	@echo "make oldest    the tests with the oldest dependencies that are allowed"
@@ -58,6 +60,20 @@ study: EXAMPLES = thorough
 study: .venv/installed-test
 	$(PYTEST) $(TOGETHER) -m study
 
+soak: .venv/installed-test
+	AMULOR_SOAK_MINUTES=18 $(PYTEST) -s -m study tests/system/soak -o faulthandler_timeout=3600
+
+.venv/installed-docs: .venv/installed-test
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[docs]'
+	@touch $@
+
+# Each example of the gallery runs; a warning is an error.
+docs: .venv/installed-docs
+	$(BIN)/python docs/make_learn_tables.py
+	$(BIN)/python -m sphinx -q -W --keep-going -b html docs docs/_build/html
+	$(BIN)/codespell --toml pyproject.toml docs src examples README.md CHANGELOG.md
+	@echo "The site is docs/_build/html/index.html"
+
 coverage: .venv/installed-test
 	$(PYTEST) $(TOGETHER) --cov --cov-report=term
 
@@ -76,5 +92,6 @@ surface: .venv/installed-test
 
 clean:
 	rm -rf .venv .venv-oldest dist amulor-demo foam-transients .coverage .coverage.*
+	rm -rf docs/_build docs/api docs/gallery/examples docs/gallery/backreferences
 
-.PHONY: help demo style types contracts lint test check study coverage bench package oldest surface clean
+.PHONY: help demo style types contracts lint test check study soak docs coverage bench package oldest surface clean

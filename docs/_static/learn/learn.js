@@ -80,9 +80,10 @@ function plot(context, box, {curves, marks = [], x, y, low, high, log = false}) 
   }
   context.fillText(x, left + width / 2, top + height + 32);
   context.textAlign = "right";
-  for (let i = 0; i <= 4; i += 1) {
-    const level = bottom + (up - bottom) * i / 4, value = log ? 10 ** level : level;
-    const at = top + height - height * i / 4;
+  const decades = log ? Math.round(up - bottom) : 4;
+  for (let i = 0; i <= decades; i += 1) {
+    const level = bottom + (up - bottom) * i / decades, value = log ? 10 ** level : level;
+    const at = top + height - height * i / decades;
     context.fillText(Number(value.toPrecision(2)), left - 5, at + 4);
     context.beginPath(); context.moveTo(left, at); context.lineTo(left + width, at); context.stroke();
   }

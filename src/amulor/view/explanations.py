@@ -283,7 +283,7 @@ def _sample_flags() -> list[Explanation]:
             "The output of the lock-in still changed when it was read.",
             "Readings a time constant apart against their noise, for as long as the "
             "procedure waits at most.",
-            "Allow a longer wait, or see what moves: the scanner, the water, the target.",
+            "Allow a longer wait, or see what moves: scanner, water, target.",
         ),
     }
     return [
