@@ -112,8 +112,8 @@ def test_spoiled_samples_cost_no_trust(scene: str) -> None:
         assert holds(row.score, trusted=0.93), row
     plain = run(["flat"], ["joint, no shots"], [16])[0].score
     # Three or four per cent of the samples are gone; spikes take one per cent of the
-    # precision, particles, which pull what all pixels share, ten.
-    assert row.score.stated < 1.15 * plain.stated
+    # precision, particles, which pull what all pixels share, sixteen.
+    assert row.score.stated < 1.2 * plain.stated
 
 
 @pytest.mark.slow

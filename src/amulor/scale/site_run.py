@@ -204,6 +204,9 @@ class _Record:
             # None yet, or a record that is no record: everything is made anew.
             self._steps = {}
         self._now: dict[str, str] = {}
+        # What a worker that died was writing; a scan is in one worker at a time.
+        for left in folder.glob(".amulor-*"):
+            left.unlink(missing_ok=True)
 
     def made(
         self, name: str, *, of: Path, how: dict[str, Any], make: Callable[[Path], Any]

@@ -93,7 +93,8 @@ def hidden_error(
     -----
     The turbidity moves the column along a known direction. A model that is off by so
     much of the whole column is off by as much of a part of it, at most by all of that
-    part, in any direction; compared at the lowest frequency.
+    part; compared at the lowest frequency. With several frequencies all of it may
+    turn the phase; with one, whose misfit is a bound by itself, it has any direction.
     """
     known = np.nan_to_num(fraction)
     # Both errors belong to the model, so that frequencies share them: stated for each
@@ -107,7 +108,7 @@ def hidden_error(
     relative = np.divide(
         allowed, size[:1], out=np.ones(size[:1].shape), where=size[:1] > allowed
     )
-    own = isotropic(relative * size).scaled(2 * frequencies)
+    own = isotropic(relative * size).scaled(2 * frequencies if frequencies > 1 else 1)
     return along(by_turbidity, 1.0) + own
 
 
