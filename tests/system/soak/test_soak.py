@@ -307,7 +307,7 @@ def check(found: dict[str, Any], *, hours: float) -> str:
     )
 
 
-@pytest.mark.slow
+@pytest.mark.study
 @pytest.mark.timeout(500)
 def test_half_an_hour_with_faults_and_pages_loses_nothing(
     plate: Survey, tmp_path: Path
