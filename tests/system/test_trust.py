@@ -21,7 +21,7 @@ from amulor.studies.trust.surveys import plate, survey
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("count", [1, 2])
+@pytest.mark.parametrize("count", [1, pytest.param(2, marks=pytest.mark.study)])
 def test_a_target_beyond_the_repetition_of_the_phases_is_never_trusted(
     count: int,
 ) -> None:
@@ -344,7 +344,10 @@ def test_water_of_the_papers_form_is_put_back_by_that_form() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("scene", ["photons c 0.25 1/m", "photons c 1 1/m"])
+@pytest.mark.parametrize(
+    "scene",
+    ["photons c 0.25 1/m", pytest.param("photons c 1 1/m", marks=pytest.mark.study)],
+)
 def test_intervals_hold_from_half_to_three_attenuation_lengths(scene: str) -> None:
     for row in run([scene], ["open-water", "combined", "polarization"], [2, 4]):
         assert row.score.trusted > 0.95, row

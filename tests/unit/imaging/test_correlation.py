@@ -35,7 +35,7 @@ def images(plate_text: str) -> list[xr.Dataset]:
     return _images(plate_text.replace("repeats = 8", "repeats = 3"), 1)
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_means_and_differences_scatter_as_stated(plate_text: str) -> None:
     images = _images(plate_text.replace("repeats = 8", "repeats = 3"), 60)
     scores = {"mean": [], "difference": []}
