@@ -69,7 +69,6 @@ soak: .venv/installed-test
 
 # Each example of the gallery runs; a warning is an error.
 docs: .venv/installed-docs
-	$(BIN)/python docs/make_learn_tables.py
 	$(BIN)/python -m sphinx -q -W --keep-going -b html docs docs/_build/html
 	$(BIN)/codespell --toml pyproject.toml docs src examples README.md CHANGELOG.md
 	@echo "The site is docs/_build/html/index.html"

@@ -7,6 +7,7 @@ against the package; so every public object has a page, and no other has one.
 from __future__ import annotations
 
 from collections import defaultdict
+from functools import cache
 from pathlib import Path
 
 from sphinx.application import Sphinx
@@ -21,6 +22,7 @@ _ROOMS = (
 )  # fmt: skip
 
 
+@cache
 def modules() -> dict[str, list[str]]:
     """Return the public names of each public module, under the full module name."""
     found: dict[str, list[str]] = defaultdict(list)

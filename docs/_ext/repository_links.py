@@ -21,17 +21,16 @@ def replace(app: Sphinx, name: str, content: list[str]) -> None:
     source = Path(app.env.doc2path(name))
     if source.suffix != ".md":
         return
-    known = modules()
+    known, docs = modules(), Path(app.srcdir)
 
     def target(match: re.Match[str]) -> str:
         text, link, _ = match.groups()
         if "://" in link or link.startswith("mailto:"):
             return match[0]
         path = (source.parent / link).resolve()
-        docs = Path(app.srcdir)
-        if path.is_file() and path.is_relative_to(docs) and path.suffix == ".md":
-            return match[0]
         if path.is_file() and path.is_relative_to(docs):
+            if path.suffix == ".md":
+                return match[0]
             return f"{{download}}`{text.replace('`', '')} <{link}>`"
         if not path.exists() or not path.is_relative_to(ROOT):
             return match[0]  # Sphinx says that it is broken

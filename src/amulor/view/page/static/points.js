@@ -1,5 +1,7 @@
 // Draws points and triangles of a file; edges darken what lies behind them.
 
+import { program } from "./program.js";
+
 const COLOUR = `
 uniform sampler2D uTable;
 uniform vec2 uLimits;
@@ -90,23 +92,6 @@ void main() {
   colour = c;
 }`,
 };
-
-function program(gl, { vertex, fragment }) {
-  const made = gl.createProgram();
-  for (const [kind, text] of [[gl.VERTEX_SHADER, vertex], [gl.FRAGMENT_SHADER, fragment]]) {
-    const shader = gl.createShader(kind);
-    gl.shaderSource(shader, text);
-    gl.compileShader(shader);
-    gl.attachShader(made, shader);
-  }
-  gl.linkProgram(made);
-  if (!gl.getProgramParameter(made, gl.LINK_STATUS)) {
-    const logs = gl.getAttachedShaders(made).map((shader) => gl.getShaderInfoLog(shader));
-    throw new Error(`The graphics unit refuses a program: ${[gl.getProgramInfoLog(made), ...logs].join(" ")}`);
-  }
-  const places = new Map();
-  return { made, at: (name) => (places.has(name) ? places.get(name) : places.set(name, gl.getUniformLocation(made, name)).get(name)) };
-}
 
 /** Points or triangles on the graphics unit. */
 export class PointRenderer {
@@ -202,21 +187,21 @@ export class PointRenderer {
     gl.enable(gl.DEPTH_TEST);
     gl.clearColor(...ground, 1);
     gl.clear(gl.COLOR_BUFFER_BIT | gl.DEPTH_BUFFER_BIT);
-    const { made, at } = this.shape;
+    const { made, places } = this.shape;
     gl.useProgram(made);
     gl.bindVertexArray(this.array);
     gl.activeTexture(gl.TEXTURE0);
     gl.bindTexture(gl.TEXTURE_2D, this.table);
-    gl.uniform1i(at("uTable"), 0);
-    gl.uniform1i(at("uKind"), kind);
-    gl.uniform2f(at("uLimits"), ...limits);
-    gl.uniform3f(at("uMissing"), ...missing);
-    gl.uniform1i(at("uSurface"), this.corners ? 1 : 0);
-    gl.uniform3f(at("uLight"), ...light);
-    gl.uniform3f(at("uForward"), ...forward);
-    gl.uniformMatrix4fv(at("uProject"), false, matrix);
-    gl.uniform1f(at("uDot"), dot);
-    gl.uniform1i(at("uShrinks"), shrinks ? 1 : 0);
+    gl.uniform1i(places.uTable, 0);
+    gl.uniform1i(places.uKind, kind);
+    gl.uniform2f(places.uLimits, ...limits);
+    gl.uniform3f(places.uMissing, ...missing);
+    gl.uniform1i(places.uSurface, this.corners ? 1 : 0);
+    gl.uniform3f(places.uLight, ...light);
+    gl.uniform3f(places.uForward, ...forward);
+    gl.uniformMatrix4fv(places.uProject, false, matrix);
+    gl.uniform1f(places.uDot, dot);
+    gl.uniform1i(places.uShrinks, shrinks ? 1 : 0);
     if (this.corners) gl.drawElements(gl.TRIANGLES, this.corners, gl.UNSIGNED_INT, 0);
     else gl.drawArrays(gl.POINTS, 0, Math.min(this.count, most));
     gl.bindFramebuffer(gl.FRAMEBUFFER, null);
@@ -228,19 +213,19 @@ export class PointRenderer {
 
   #edged({ planes, shrinks, step, reach, width, height }) {
     const { gl } = this;
-    const { made, at } = this.edges;
+    const { made, places } = this.edges;
     gl.useProgram(made);
     this.targets.forEach((texture, unit) => {
       gl.activeTexture(gl.TEXTURE0 + unit);
       gl.bindTexture(gl.TEXTURE_2D, texture);
-      gl.uniform1i(at(unit ? "uDepth" : "uPicture"), unit);
+      gl.uniform1i(unit ? places.uDepth : places.uPicture, unit);
     });
     gl.activeTexture(gl.TEXTURE0);
-    gl.uniform2f(at("uPlanes"), ...planes);
-    gl.uniform1i(at("uShrinks"), shrinks ? 1 : 0);
-    gl.uniform1f(at("uStep"), step);
-    gl.uniform1f(at("uReach"), reach);
-    gl.uniform2i(at("uSize"), width, height);
+    gl.uniform2f(places.uPlanes, ...planes);
+    gl.uniform1i(places.uShrinks, shrinks ? 1 : 0);
+    gl.uniform1f(places.uStep, step);
+    gl.uniform1f(places.uReach, reach);
+    gl.uniform2i(places.uSize, width, height);
     gl.drawArrays(gl.TRIANGLE_STRIP, 0, 4);
   }
 }
