@@ -74,6 +74,10 @@ if __name__ == "__main__":
 """
 
 
+#: The profiler of workers looks a thousand times a second, where it is not ended.
+SAMPLED = {"DASK_DISTRIBUTED__WORKER__PROFILE__INTERVAL": "1ms"}
+
+
 @pytest.fixture
 def site(plate_text: str, tmp_path: Path) -> Path:
     """Return a site file with two simulated scans."""
@@ -104,11 +108,6 @@ def test_a_cluster_makes_the_same_bytes_and_survives_a_killed_worker(
     site: Path, tmp_path: Path
 ) -> None:
     here, cluster = tmp_path / "here", tmp_path / "cluster"
-    # Code that has just been compiled may differ from the same code out of the cache in
-    # the last bit: what is compared comes out of the cache on both sides.
-    alone = tmp_path / "alone.toml"
-    alone.write_text(SITE[: SITE.rindex("[[scan]]")])
-    assert main(["run", str(alone), "-o", str(tmp_path / "warm")]) == 0
     words = [sys.executable, "-m", "amulor", "run", str(site), "-o", str(here)]
     subprocess.run(words, check=True, timeout=300)
     found = bytes_of(here)
@@ -120,11 +119,13 @@ def test_a_cluster_makes_the_same_bytes_and_survives_a_killed_worker(
     script.write_text(KILL)
     words = [sys.executable, str(script), str(site), str(cluster)]
     done = subprocess.run(
-        words, env={**os.environ, "OPENBLAS_NUM_THREADS": "1"},
+        words, env={**os.environ, **SAMPLED, "OPENBLAS_NUM_THREADS": "1"},
         capture_output=True, text=True, check=False, timeout=300,
     )  # fmt: skip
     assert done.returncode == 0, done.stderr[-3000:]
-    assert bytes_of(cluster) == found
+    made = bytes_of(cluster)
+    assert made.keys() == found.keys()
+    assert [name for name in found if made[name] != found[name]] == []
 
 
 @pytest.mark.slow

@@ -131,7 +131,7 @@ def work(task: Task) -> Done:
     Done
         With the reason if a step refuses its data.
     """
-    _share_processors()
+    _set_up_worker()
     record = _Record(Path(task.folder))
     try:
         with dated(datetime.datetime.fromisoformat(task.started)):
@@ -256,19 +256,24 @@ def _level_of(path: Path) -> str:
         return str(rows.head.attrs.get("level"))
 
 
-def _share_processors() -> None:
-    """Let compiled loops use as many threads as the worker was given."""
+def _set_up_worker() -> None:
+    """Give compiled loops the threads of the worker, and end its sampling profiler."""
     try:
         import distributed
 
         dask: Any = distributed
-        threads = int(dask.get_worker().state.nthreads)
-    except (ImportError, ValueError, AttributeError):
+        worker = dask.get_worker()
+    except (ImportError, ValueError):
         return
     import numba
 
     config: Any = numba.config
-    config.NUMBA_NUM_THREADS = max(threads, 1)
+    config.NUMBA_NUM_THREADS = max(int(worker.state.nthreads), 1)
+    # It holds the frames that it looks at, and so objects of HDF5 that were about to
+    # be closed: the same content then lies elsewhere in the file.
+    profiler = worker.periodic_callbacks.get("profile")
+    if profiler is not None:
+        worker.loop.add_callback(profiler.stop)
 
 
 def run_site(
