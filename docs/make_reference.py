@@ -1,4 +1,4 @@
-"""Writes docs/reference from the code: fields of surveys, variables of cubes."""
+"""Writes docs/reference from the code: surveys, cubes, flags, sample data."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from pathlib import Path
 from pydantic import BaseModel
 from pydantic_core import PydanticUndefined
 
-from amulor import survey
+from amulor import samples, survey
 from amulor.cube import schema
 from amulor.survey.water import WaterState
 from amulor.view import explanations
@@ -161,6 +161,32 @@ def flags_page() -> str:
     return "\n".join(parts)
 
 
+def samples_page() -> str:
+    """Return the page on sample data."""
+    parts = [
+        "# Sample data",
+        "",
+        "They come with the package, so that nothing but `pip install` is needed to",
+        "begin: `amulor samples` lists them, `amulor samples NAME -o FOLDER` writes",
+        "them, and in Python `amulor.samples.copy(NAME, FOLDER)` does. The cubes are",
+        "made by `tools/make_samples.py`.",
+        "",
+    ]
+    for name, one in samples.samples().items():
+        parts += [f"## `{name}`", "", f"{one.title}. It shows {one.shows}.", ""]
+        parts += [
+            f"- *Files:* {', '.join(f'`{file}`' for file in one.files)}, "
+            f"{one.size / 1e3:.0f} kB",
+            f"- *Origin:* {one.origin}",
+            f"- *Licence:* {one.licence}",
+            "",
+        ]
+        if one.commands:
+            commands = [f"$ {command}" for command in one.commands]
+            parts += ["```console", *commands, "```", ""]
+    return "\n".join(parts)
+
+
 def _variables(specs: dict[str, schema.Variable]) -> list[str]:
     rows = ["| name | over | unit | what | needed |", "| --- | --- | --- | --- | --- |"]
     for name, spec in specs.items():
@@ -192,6 +218,7 @@ PAGES: dict[str, typing.Callable[[], str]] = {
     "survey-file.md": survey_page,
     "cube.md": cube_page,
     "flags.md": flags_page,
+    "samples.md": samples_page,
 }
 
 

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import argparse
 import functools
+from importlib import resources
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -31,7 +32,7 @@ from amulor.optics import detection, low_pass, ranging
 
 Floats = NDArray[np.float64]
 
-DATA = Path(__file__).parent / "data" / "scattering_slab_transients"
+DATA = Path(str(resources.files("amulor.samples").joinpath("data", "foam")))
 LETTERS = {"S": "letter_s.npz", "T": "letter_t.npz"}
 #: Up to here the slabs are looked at [Hz].
 HIGHEST = 1e9

@@ -9,14 +9,16 @@ the slab, the later the light, and the lower its cut-off.
 Data: D. B. Lindell, G. Wetzstein, Nat. Commun. 11, 4517 (2020), MIT licence.
 """
 
-from pathlib import Path
+import tempfile
 
 import matplotlib.pyplot as plt
 import numpy as np
 
+from amulor import samples
 from amulor.io import mean_delay, read_slabs, slab_response
 
-slabs = read_slabs(Path("../data/scattering_slab_transients/slab_transmission.npz"))
+path, _ = samples.copy("foam-slabs", tempfile.mkdtemp())
+slabs = read_slabs(path)
 frequency = np.geomspace(5e6, 1e9, 120)
 response = slab_response(slabs, frequency)
 

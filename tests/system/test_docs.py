@@ -22,7 +22,7 @@ def _generator() -> ModuleType:
     return module
 
 
-@pytest.mark.parametrize("name", ["survey-file.md", "cube.md"])
+@pytest.mark.parametrize("name", ["survey-file.md", "cube.md", "samples.md"])
 def test_the_reference_pages_are_up_to_date(name: str) -> None:
     page = _generator().PAGES[name]()
     found = (ROOT / "docs" / "reference" / name).read_text(encoding="utf-8")

@@ -6,6 +6,7 @@ import importlib.util
 import io
 import re
 import sys
+from importlib import resources
 from pathlib import Path
 
 import matplotlib
@@ -23,7 +24,7 @@ from amulor.io.slab_response import mean_delay, read_slabs, slab_response
 from amulor.io.transients import medium_from_minimum, read_transients
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
-DATA = EXAMPLES / "data" / "scattering_slab_transients"
+DATA = Path(str(resources.files("amulor.samples").joinpath("data", "foam")))
 INCH = 0.0254
 LABELS = 0.78 - 0.54
 FREQUENCY = np.array([50e6, 100e6, 200e6, 400e6])

@@ -10,6 +10,10 @@ from collections.abc import Sequence
 #: they are called, so that `amulor --help` answers at once.
 COMMANDS = {
     "demo": ("demo:demo", "Scan a ladder in clear and milky water; write a report."),
+    "samples": (
+        "samples.samples:samples",
+        "List sample data, or write some of them to try the other commands on.",
+    ),
     "survey check": ("survey:check", "Check a survey file."),
     "survey schema": ("survey:schema", "Print the JSON Schema of survey files."),
     "backscatter": (

@@ -1,0 +1,5 @@
+"""Small measured and simulated data that come with the package."""
+
+from amulor.samples.listing import Sample, copy, sample, samples
+
+__all__ = ["Sample", "copy", "sample", "samples"]
