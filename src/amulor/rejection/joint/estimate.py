@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
+from threadpoolctl import threadpool_limits
 
 from amulor import cube as cubes
 from amulor.cube import tiles
@@ -178,20 +179,24 @@ def prepared(
     head = source.head
     refuse_what_cannot_be_told_apart(head)
     frequency = head["modulation_frequency"].values
-    return common_of(
-        source,
-        interval=interval,
-        transfer=_checked_transfer(echo_transfer, frequency),
-        instrument=Instrument.checked(
-            delay=delay_uncertainty,
-            group_index=group_index_uncertainty,
-            position=receiver_position_uncertainty,
-            direction=receiver_direction_uncertainty,
-            late_echo=_late_echo(head)
-            if late_echo_uncertainty is None
-            else late_echo_uncertainty,
-        ),
+    instrument = Instrument.checked(
+        delay=delay_uncertainty,
+        group_index=group_index_uncertainty,
+        position=receiver_position_uncertainty,
+        direction=receiver_direction_uncertainty,
+        late_echo=_late_echo(head)
+        if late_echo_uncertainty is None
+        else late_echo_uncertainty,
     )
+    # Hundreds of small matrices: threads of BLAS wait for each other longer than they
+    # work, ten times longer where other programs have the processors.
+    with threadpool_limits(limits=1, user_api="blas"):
+        return common_of(
+            source,
+            interval=interval,
+            transfer=_checked_transfer(echo_transfer, frequency),
+            instrument=instrument,
+        )
 
 
 def _checked_transfer(

@@ -84,28 +84,28 @@ def table_of(
     # Phase per depth, out and back: 4 pi f n_g / c_0, as in optics.
     wavenumber = 2 * frame.medium.group_index * frame.phase_per_path
     phasor = np.exp(1j * wavenumber * z[:, None])
-    parameters, size = len(profile), component.shape[1]
-    total = np.empty((parameters, size, count + 2, wavenumber.size), dtype=complex)
-    reduced = np.ascontiguousarray(component.T @ profile * measure)
-    kernels.integrate(reduced, phasor, _ORDER, count, total)
-    slope = np.zeros_like(total[0])
-    slope[:, : count + 1] = (component.T @ at_edge)[:, : count + 1, None] * np.exp(
-        1j * wavenumber * edges[: count + 1, None]
-    )
     # Strength: open water at frequency 0 in the middle of the scan.
     at_zero = (frame.directions.centre @ profile) @ measure
     strength = float(at_zero[0])
     if strength < SMALLEST_STRENGTH:
         raise unseen()
-    change = total[1:] / strength - (
-        total[0] * (at_zero[1:] / strength**2)[:, None, None, None]
-    )
+    # Values over the strength, and what they change by: taken before the sums, whose
+    # tables are large.
+    reduced = component.T @ profile * (measure / strength)
+    reduced[1:] -= reduced[0] * (at_zero[1:] / strength)[:, None, None]
+    parameters, size = reduced.shape[:2]
+    total = np.empty((parameters, size, count + 2, wavenumber.size), dtype=complex)
+    kernels.integrate(reduced, phasor, _ORDER, count, total)
+    slope = np.zeros_like(total[0])
+    slope[:, : count + 1] = (component.T @ at_edge / strength)[
+        :, : count + 1, None
+    ] * np.exp(1j * wavenumber * edges[: count + 1, None])
     level = component.T @ (profile[0] @ measure) / strength
     return Table(
         step=step,
-        value=total[0] / strength,
-        slope=slope / strength,
-        change=change,
+        value=total[0],
+        slope=slope,
+        change=total[1:],
         basis=component,
         level=level,
         strength=strength,
