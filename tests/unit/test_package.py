@@ -8,13 +8,20 @@ from hatchling.builders.wheel import WheelBuilder
 ROOT = Path(__file__).parents[2]
 
 
+#: What `make docs` makes.
+MADE = tuple(
+    line for line in (ROOT / ".gitignore").read_text().split() if line[:5] == "docs/"
+)
+
+
 def _there(*folders: str) -> set[str]:
-    return {
+    found = {
         path.relative_to(ROOT).as_posix()
         for folder in folders
         for path in (ROOT / folder).rglob("*")
         if path.is_file() and "__pycache__" not in path.parts
     }
+    return {name for name in found if not name.startswith(MADE)}
 
 
 def test_the_wheel_holds_the_package_with_its_data() -> None:
