@@ -7,6 +7,8 @@ EXAMPLES = quick
 PYTEST = $(BIN)/python -m pytest --hypothesis-profile=$(EXAMPLES)
 # The tests of one file share fixtures, so one process runs them all.
 TOGETHER = -n $(JOBS) --dist loadfile --max-worker-restart=2
+# What one run of the tests has compiled, the next takes up.
+export PYTHONDONTWRITEBYTECODE =
 .DEFAULT_GOAL := help
 
 help:
