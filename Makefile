@@ -43,7 +43,7 @@ style: .venv/installed-test
 	$(BIN)/ruff format --check .
 
 types: .venv/installed-test
-	$(BIN)/mypy
+	MYPY_NUM_WORKERS=$(JOBS) $(BIN)/mypy
 
 contracts: .venv/installed-test
 	$(BIN)/lint-imports
