@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -88,24 +90,66 @@ farthest = "4 m"
 PLACES = {"a": (-1.2, -1.2, 1.6), "b": (1.3, -1.0, 1.7)}
 
 
-@pytest.fixture(scope="module")
-def placed(tmp_path_factory: pytest.TempPathFactory) -> tuple[Any, Any, float]:
-    """Return how far the second scan is off, its covariance, and where it began."""
-    tmp_path = tmp_path_factory.mktemp("chain")
-    rng = np.random.default_rng(4)
+#: As stated in the survey; what each draw of a site really has differs by as much.
+GROUP_INDEX, INDEX_UNCERTAINTY, DELAY_UNCERTAINTY = 1.38, 2e-4, 5e-12
+
+
+@dataclass(frozen=True)
+class Placed:
+    """Where the second scan was found to stand against the first."""
+
+    off: np.ndarray
+    """Shift and turn that are wrong, shape (6,) [m, rad]."""
+    spread: np.ndarray
+    """Their stated covariance, shape (6, 6)."""
+    begun: float
+    """How far off the start pose was [m]."""
+
+    @property
+    def score(self) -> float:
+        """Chi-square of six degrees of freedom."""
+        return float(self.off @ np.linalg.solve(self.spread, self.off))
+
+    @property
+    def pulls(self) -> np.ndarray:
+        """Errors over the uncertainties stated, shape (6,)."""
+        return np.asarray(self.off / np.sqrt(self.spread.diagonal()))
+
+
+def samples(folder: Path, name: str, model: Any, draw: int, off: np.ndarray) -> None:
+    """Write samples whose index and delay are off by so many standard errors."""
+    survey = amulor.Survey.from_toml(folder / f"{name}.toml")
+    stated = survey.to_toml()
+    index = GROUP_INDEX + off[0] * INDEX_UNCERTAINTY
+    water = survey.water.model_copy(update={"group_index": index})
+    survey = survey.model_copy(update={"water": water})
+    cube = amulor.simulate(survey, rng=draw, **({"model": model} if model else {}))
+    cube["geometry"].attrs["group_index"] = GROUP_INDEX
+    cube.attrs["survey"] = stated
+    for part in ("", "open_water_"):
+        frequency = cube["modulation_frequency"]
+        turn = np.exp(2j * np.pi * frequency * off[1] * DELAY_UNCERTAINTY)
+        names = (f"{part}in_phase", f"{part}quadrature")
+        signal = (cube[names[0]] + 1j * cube[names[1]]) * turn
+        cube[names[0]].values = signal.real.transpose(*cube[names[0]].dims).values
+        cube[names[1]].values = signal.imag.transpose(*cube[names[1]].dims).values
+    amulor.write_cube(cube, folder / f"{name}.nc", overwrite=True)
+
+
+def placed(folder: Path, *, seed: int, model: Any = None) -> Placed:
+    """Return how a bed with humps, simulated and rejected, places two scans."""
+    rng = np.random.default_rng(seed)
     bed = shapes.sea_bed(relief=0.15)
     text = 'name = "Humps"\n[[epoch]]\nname = "now"\n'
     true = {}
+    alike = rng.normal(size=2)
     for number, (name, place) in enumerate(PLACES.items()):
         true[name] = ScanPose(*scanning.looking(place, (0.0, 0.05, 0.1)))
         mesh = bed.copy()
         mesh.vertices = true[name].back(mesh.vertices)
-        mesh.export(tmp_path / f"{name}.ply")
-        (tmp_path / f"{name}.toml").write_text(SURVEY.format(name=name))
-        survey = amulor.Survey.from_toml(tmp_path / f"{name}.toml")
-        # Rejection and images know nothing of the form of the light.
-        cube = amulor.simulate(survey, rng=number, model=DiffusionModel())
-        amulor.write_cube(cube, tmp_path / f"{name}.nc")
+        mesh.export(folder / f"{name}.ply")
+        (folder / f"{name}.toml").write_text(SURVEY.format(name=name))
+        samples(folder, name, model, 10 * seed + number, alike)
         forward = true[name].rotation[:, 2]
         off = np.array(place) + 0.03 * rng.normal(size=3)
         text += SCAN.format(
@@ -116,42 +160,55 @@ def placed(tmp_path_factory: pytest.TempPathFactory) -> tuple[Any, Any, float]:
             ),
             pitch=np.degrees(np.arcsin(forward[2]) + 0.01 * rng.normal()),
         )
-    site = Site.from_text(text, folder=tmp_path)
+    site = Site.from_text(text, folder=folder)
     found = register(site)
     assert found.settled
     assert found.pairs[0]["points"] > 150
     # Where one stands against the other, in the axes of the first.
     first, second = found.poses["a"], found.poses["b"]
     turn = true["a"].rotation @ first.rotation.T
-    place = turn @ (second.position - first.position) + true["a"].position
+    where = turn @ (second.position - first.position) + true["a"].position
     rotation = turn @ second.rotation @ true["b"].rotation.T
-    off = np.concatenate(
-        [place - true["b"].position, Rotation.from_matrix(rotation).as_rotvec()]
+    wrong = np.concatenate(
+        [where - true["b"].position, Rotation.from_matrix(rotation).as_rotvec()]
     )
-    spread = relative_covariance(found, "b", "a")
     assert site.scan[1].start is not None
     begun = np.linalg.norm(start_pose(site.scan[1].start).position - PLACES["b"])
-    return off, spread, float(begun)
+    return Placed(wrong, relative_covariance(found, "b", "a"), float(begun))
 
 
-def test_scans_of_the_whole_chain_are_placed_within_millimetres(
-    placed: tuple[Any, Any, float],
-) -> None:
-    off, spread, begun = placed
-    assert np.sqrt(spread.diagonal()[:3]).max() < 3e-3
-    assert np.linalg.norm(off[:3]) < 3e-3
-    # From start poses that are centimetres off.
-    assert np.linalg.norm(off[:3]) < 0.2 * begun
+# The form of light that rejection believes, and one that it knows nothing of.
+FORMS = pytest.mark.parametrize("model", [None, DiffusionModel()], ids=["own", "other"])
 
 
-@pytest.mark.xfail(
-    reason="stated poses are two to five standard errors off where far, grazing pixels "
-    "are noisy (chi-square 46 to 86 of 6 in five draws; 4, 6 and 17 with light of the "
-    "default form, whose far pixels are flagged): their patches are too wide"
-)
+@FORMS
 def test_scans_of_the_whole_chain_are_placed_within_what_is_stated(
-    placed: tuple[Any, Any, float],
+    tmp_path: Path, model: Any
 ) -> None:
-    off, spread, _ = placed
-    # Chi-square of six degrees of freedom.
-    assert off @ np.linalg.solve(spread, off) < 25
+    found = [placed(tmp_path, seed=seed, model=model) for seed in (4, 5)]
+    for one in found:
+        assert np.sqrt(one.spread.diagonal()[:3]).max() < 1e-3
+        # From start poses that are centimetres off.
+        assert np.linalg.norm(one.off[:3]) < 0.1 * one.begun
+    # Chi-square of twelve degrees of freedom exceeds 33 in one of 1000 draws.
+    assert sum(one.score for one in found) < 33
+
+
+@pytest.mark.study
+@pytest.mark.timeout(3600)
+@FORMS
+def test_poses_of_the_whole_chain_are_inside_as_often_as_stated(
+    tmp_path: Path, model: Any
+) -> None:
+    draws = 30
+    found = [placed(tmp_path, seed=seed, model=model) for seed in range(draws)]
+    score = np.array([one.score for one in found])
+    # What no form explains of the water is stated as a bound, which these two waters do
+    # not reach: errors may be smaller than stated, not larger.
+    assert score.mean() < 6 + 3 * np.sqrt(12 / draws)
+    assert score.max() < 22.5  # one in 1000 draws, thirty of them
+    pulls = np.abs([one.pulls for one in found])
+    for limit, share in ((1.0, 0.6827), (1.96, 0.95)):
+        # Six numbers of a draw depend on each other and count as two.
+        error = np.sqrt(share * (1 - share) / (2 * draws))
+        assert (pulls < limit).mean() > share - 2 * error

@@ -22,10 +22,10 @@ from amulor.site.registration.surface import ScanSurface
 Floats = NDArray[np.float64]
 
 #: Steps with a wide gate, narrowing, then with that of the noise [1].
-_WIDE_STEPS, _FINE_STEPS = 3, 10
+_WIDE_STEPS, _FINE_STEPS = 3, 20
 #: A step below the first ends the work, one below the second has settled; single
 #: points that come and go move poses by less [m, and rad times a metre].
-_DONE, _SETTLED = 5e-6, 3e-5
+_DONE, _SETTLED = 1e-5, 3e-5
 #: Pairs that disagree with all others less often than this by chance [1].
 _CHANCE = 1e-4
 #: Nobody knows a pose worse than this [m, rad].

@@ -8,7 +8,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 from scipy import ndimage
-from scipy.optimize import least_squares
+from scipy.optimize import OptimizeResult, least_squares
 
 from amulor.errors import CubeError
 from amulor.site.description.parts import (
@@ -203,7 +203,8 @@ def _disc(
     target: DiscTarget, surface: ScanSurface, _: xr.Dataset, place: tuple[int, int]
 ) -> tuple[Centre, Flags]:
     middle = _at(surface, place, target.name)
-    plane = _plane(surface, middle, 0.35 * target.diameter, target)[1]
+    inner = 0.35 * target.diameter
+    plane, covariance = _plane(surface, middle, inner, target)[1:]
     position = np.where(surface.usable[..., None], surface.position, np.nan)
     unit = plane / np.linalg.norm(plane)
     facing = np.abs(surface.direction @ unit)
@@ -229,11 +230,11 @@ def _disc(
             "look at its place, or at what stands right behind it"
         )
     # Each pixel of the rim is in or out by chance.
-    sideways = pitch / np.sqrt(12) * np.sqrt(2 / rim) * 4 / np.pi
+    sideways = pitch / np.sqrt(12) * np.sqrt(2 / rim)
     weight = np.full(count, 1 / count)
     inward = np.eye(3) - np.outer(unit, unit)
     noise = sideways**2 * inward
-    height = np.sqrt((weight**2 * (surface.own[on] * facing[on]) ** 2).sum())
+    height = np.sqrt(float(centre @ covariance @ centre)) / np.linalg.norm(plane)
     noise = noise + height**2 * np.outer(unit, unit)
     gain = surface.direction[on].T * weight
     return _centre(target, surface, centre, noise, gain, on), on
@@ -259,7 +260,11 @@ def _checkerboard(
     first = np.cross(unit, [0.0, 1.0, 0.0] if abs(unit[1]) < 0.9 else [1.0, 0.0, 0.0])
     first /= np.linalg.norm(first)
     axes = np.stack([first, np.cross(unit, first)])
-    flat = (surface.position[on] - middle) @ axes.T
+    # On the plane, so that the noise of a range moves no edge sideways.
+    begin, beam = surface.origin[on], surface.direction[on]
+    reach = (1 - begin @ plane) / (beam @ plane)
+    middle = middle - ((middle @ plane - 1) / np.linalg.norm(plane)) * unit
+    flat = (begin + reach[:, None] * beam - middle) @ axes.T
     bright = image["intensity"].values[on]
     level, size = float(bright.mean()), float(bright.std())
     pitch = float(np.sqrt(np.median(_area(surface, unit)[on])))
@@ -267,29 +272,38 @@ def _checkerboard(
     def fields(values: Floats) -> Floats:
         sine, cosine = np.sin(values[2]), np.cos(values[2])
         off = (flat - values[:2]) @ np.array([[cosine, -sine], [sine, cosine]])
-        edges = np.tanh(off / pitch)
+        edges = np.tanh(off / np.hypot(values[5], 0.5 * pitch))
         return np.asarray(values[3] + values[4] * edges[:, 0] * edges[:, 1])
 
     starts = [
-        np.array([0.0, 0.0, turn, level, sign * size])
+        np.array([0.0, 0.0, turn, level, sign * size, pitch])
         for turn in np.arange(4) * np.pi / 8
         for sign in (1, -1)
     ]
-    best = min(
-        (
-            least_squares(lambda v: fields(v) - bright, one, max_nfev=60)
-            for one in starts
-        ),
-        key=lambda one: float(one.cost),
-    )
-    normal = best.jac.T @ best.jac
-    left = 2 * best.cost / max(len(bright) - 5, 1)
+
+    def fitted(begin: Floats, evaluations: int) -> OptimizeResult:
+        return least_squares(lambda v: fields(v) - bright, begin, max_nfev=evaluations)
+
+    tried = (fitted(one, 10) for one in starts)
+    best = fitted(min(tried, key=lambda one: float(one.cost)).x, 60)
+    # How blurred edges are moves none of them.
+    slopes = best.jac[:, :5]
+    normal = slopes.T @ slopes
+    left = 2 * best.cost / max(len(bright) - 6, 1)
     if np.sqrt(left) > 0.7 * size or np.linalg.cond(normal) > 1e14:
         raise CubeError(
             f"target {target.name!r} in scan {surface.name!r}: no dark and bright "
             "fields are seen around the place; look at its intensity in amulor view"
         )
-    spread = np.linalg.inv(normal)[:2, :2] * left
+    # What the fields leave over stands at their edges, where it counts (H. White,
+    # Econometrica 48 (1980) 817).
+    each = slopes * best.fun[:, None]
+    back = np.linalg.inv(normal)
+    spread = (back @ (each.T @ each) @ back)[:2, :2]
+    spread = spread * len(bright) / max(len(bright) - 6, 1)
+    if abs(best.x[5]) < 0.5 * pitch:
+        # An edge that falls between pixels, all along a row of them.
+        spread = spread + np.eye(2) * pitch**2 / 12
     centre = middle + best.x[:2] @ axes
     away = centre / np.linalg.norm(centre)
     distance = 1 / float(plane @ away)

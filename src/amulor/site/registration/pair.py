@@ -270,19 +270,17 @@ def on_grid(target: ScanSurface, point: Floats, pixel: Numbers) -> OnGrid:
     start = start + off[:, :1] * slopes[0][0][pixel] + off[:, 1:] * slopes[0][1][pixel]
     ahead = ahead + off[:, :1] * slopes[1][0][pixel] + off[:, 1:] * slopes[1][1][pixel]
     ahead = ahead / np.linalg.norm(ahead, axis=1, keepdims=True)
-    patch = target.patch.reshape(6, -1)[:, pixel]
-    inverse = np.einsum("ki,ki->i", patch, _terms(off))
+    patch = target.patch.reshape(len(target.powers), -1)[:, pixel]
+    inverse = np.einsum("ki,ki->i", patch, _terms(target, off))
     with np.errstate(divide="ignore", invalid="ignore"):
         distance = _dot(point - start, ahead) - 1 / inverse
     return OnGrid(pixel, off, ahead, distance, inside & np.isfinite(distance))
 
 
-def _terms(off: Floats) -> Floats:
-    """Return the terms of a patch between pixels, shape (6, n)."""
+def _terms(target: ScanSurface, off: Floats) -> Floats:
+    """Return the terms of a patch between pixels, shape (term, n)."""
     row, column = off.T
-    return np.array(
-        [np.ones_like(row), row, column, row**2 / 2, row * column, column**2 / 2]
-    )
+    return np.array([row**i * column**j for i, j in target.powers])
 
 
 def _window(target: ScanSurface, at: OnGrid) -> sparse.csr_matrix:
@@ -290,7 +288,8 @@ def _window(target: ScanSurface, at: OnGrid) -> sparse.csr_matrix:
     size = target.kernels.shape[1]
     half = size // 2
     shape = target.smooth.shape
-    weight = np.einsum("ki,kj->ij", _terms(at.off), target.kernels.reshape(6, -1))
+    kernels = target.kernels.reshape(len(target.powers), -1)
+    weight = np.einsum("ki,kj->ij", _terms(target, at.off), kernels)
     row, column = np.divmod(at.pixel, shape[1])
     away = np.arange(-half, half + 1)
     rows = (row[:, None, None] + away[:, None]).repeat(size, axis=2)
@@ -342,8 +341,9 @@ def _weights(
     score = distance / sigma
     middle = np.median(score[good])
     scatter = 1.4826 * np.median(np.abs(score[good] - middle))
-    # A sample of n has a scatter of 1 +- 1.17 / sqrt(n) by chance.
-    sure = 1 + 4 * 1.17 / np.sqrt(max(int(good.sum()) / 4, 1.0))
+    # A sample of n has a scatter of 1 +- 1.17 / sqrt(n) by chance; neighbours share
+    # a fifth of their noise.
+    sure = 1 + 3 * 1.17 / np.sqrt(max(int(good.sum()) / 2, 1.0))
     misfit = float(scatter) if scatter > sure else 1.0
     moved = np.zeros(len(pixel), dtype=bool)
     if gate is None:
@@ -408,8 +408,7 @@ def _held(
     matrix = (matrix + matrix.T) / 2
     values, axes = np.linalg.eigh(matrix)
     # Of the slope of a patch, per pixel across it, as an angle of the surface.
-    slope = np.sqrt((target.kernels[1] ** 2).sum())
-    angle = slope * target.own.ravel()[at.pixel] / target.spacing
+    angle = target.slope * target.own.ravel()[at.pixel] / target.spacing
     noise = angle**2 * weight
     along = np.sqrt((normal * at.direction).sum(axis=1) ** 2)
     noise = noise / np.maximum(along, _GRAZING) ** 2

@@ -299,8 +299,10 @@ def _weak(result: Registration, ties: Ties) -> tuple[Weakness, ...]:
         )
         values, axes = np.linalg.eigh(_over(best, known.covariance))
         root = np.linalg.cholesky(known.covariance)
+        others = [_over(one, known.covariance) for one in options]
         for value, axis in zip(values, axes.T, strict=True):
-            if value > _NO_BETTER**2:
+            # Two start poses by themselves make a mean; a neighbour may know better.
+            if min(float(axis @ one @ axis) for one in others) > _NO_BETTER**2:
                 step = root @ axis * math.sqrt(value)
                 found.append(
                     Weakness(
