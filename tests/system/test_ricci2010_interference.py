@@ -45,6 +45,7 @@ def test_what_fails_is_what_the_gallery_discusses(study: Study) -> None:
     }
 
 
+@pytest.mark.slow
 def test_the_water_has_the_stated_strength(study: Study) -> None:
     for sweep in study.once(interference_sweeps.sweeps):
         ratio = np.abs(sweep.water / sweep.truth).mean()
@@ -127,6 +128,7 @@ def test_reflectances_above_one_leave_the_ratios_as_they_are(study: Study) -> No
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("figure", FIGURES)
 def test_synthetic_series_are_said_to_be_synthetic(study: Study, figure) -> None:
     drawn = figure.draw(study)

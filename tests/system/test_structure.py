@@ -27,6 +27,7 @@ def measure() -> ModuleType:
     return module
 
 
+@pytest.mark.slow
 def test_compiled_functions_are_short_and_take_few_arguments(
     measure: ModuleType,
 ) -> None:
@@ -64,6 +65,7 @@ def test_rooms_have_few_files() -> None:
             assert len(files) <= MOST_FILES, folder
 
 
+@pytest.mark.slow
 def test_no_file_imports_itself_by_way_of_others(measure: ModuleType) -> None:
     edges = measure.imports(ROOT)
     for floor in edges:

@@ -152,6 +152,7 @@ def test_three_rows_of_shots_on_a_tall_scan_state_what_they_cannot_know(
         assert row.score.phantoms < 0.01, row
 
 
+@pytest.mark.slow
 def test_survey_check_asks_for_denser_shots_where_the_scan_is_wide(
     tmp_path: Path, capsys
 ) -> None:
@@ -210,6 +211,7 @@ def test_water_of_another_model_is_in_the_error_of_the_column() -> None:
         assert row.score.worst < 3.8, row
 
 
+@pytest.mark.slow
 def test_dark_treads_and_risers_are_right_or_flagged() -> None:
     for row in run(["stairs"], ["open-water", "combined"], [2, 16]):
         assert row.score.trusted > 0.9, row

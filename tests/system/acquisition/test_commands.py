@@ -48,6 +48,7 @@ def here(survey: Survey, folder: Path, monkeypatch) -> Path:
     return folder
 
 
+@pytest.mark.slow
 def test_the_commands_take_a_scan_to_a_point_cloud(here, capsys) -> None:
     for words in (
         "acquire tank.toml -o scan",
@@ -113,6 +114,7 @@ def built(folder: Path) -> xr.Dataset:
         return acquisition.build(journal)
 
 
+@pytest.mark.slow
 def test_a_resumed_command_takes_the_devices_of_the_scan(here, capsys) -> None:
     Path("mine.toml").write_text(
         '[procedure]\nsettling = 6.0\n[simulation]\nfaults = ["saturation@80x3"]\n'

@@ -101,6 +101,7 @@ def test_water_that_no_phase_function_has_is_refused(tank: Path, capsys) -> None
     assert main(["backscatter", str(tank), "--model", "diffusion"]) == 0
 
 
+@pytest.mark.slow
 def test_a_picture_is_drawn(tank: Path, tmp_path: Path, capsys) -> None:
     for name, start in (("a.png", b"\x89PNG"), ("b.svg", b"<?xml")):
         path = tmp_path / name

@@ -418,6 +418,7 @@ def test_a_line_or_a_point_goes_through_the_chain(
         assert main(full) == 0, words
 
 
+@pytest.mark.slow
 def test_an_empty_scene_is_said_in_words(
     plate_text: str, tmp_path: Path, capsys
 ) -> None:

@@ -164,9 +164,8 @@ def test_rejection_takes_one_channel(samples: xr.Dataset, name: str) -> None:
 SINGLE: dict[str, Step] = {"compare": rejection.compare, "auto": rejection.auto}
 
 
-@pytest.mark.parametrize(
-    "name", [pytest.param("compare", marks=pytest.mark.slow), "auto"]
-)
+@pytest.mark.slow
+@pytest.mark.parametrize("name", SINGLE)
 def test_rejection_takes_one_frequency(samples: xr.Dataset, name: str) -> None:
     step = SINGLE[name]
     one = step(samples.sel(polarization="VV", modulation_frequency=39e6))
@@ -207,6 +206,7 @@ PAIRS: dict[str, Step] = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", PAIRS)
 def test_rejection_takes_one_frequency_and_one_row(
     samples: xr.Dataset, name: str

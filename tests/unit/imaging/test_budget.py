@@ -329,6 +329,7 @@ def coverage(text: str, draws: int, seed: int) -> tuple[float, float]:
     return float(np.mean(off < 1)), float(np.mean(off < 1.96))
 
 
+@pytest.mark.slow
 def test_intervals_hold_over_draws_of_delay_place_and_index(text):
     inside, outside = coverage(text, 50, seed=5)
     assert abs(inside - 0.683) < 3 * np.sqrt(0.683 * 0.317 / 50)

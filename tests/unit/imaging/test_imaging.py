@@ -137,6 +137,7 @@ def test_the_photon_limit_is_what_counting_alone_gives(plate_text: str) -> None:
     assert_allclose(ratio, 1, rtol=3e-3)
 
 
+@pytest.mark.slow
 def test_no_truth_is_read(plate: Survey) -> None:
     cube = simulate(plate, rng=8)
     lying = cube.copy()

@@ -83,6 +83,7 @@ class TestEveryExport:
         assert path.read_bytes().startswith(SIGNATURES[suffix])
 
 
+@pytest.mark.slow
 def test_the_packages_of_the_formats_are_loaded_only_when_used():
     program = (
         "import sys, amulor.io\n"

@@ -317,6 +317,7 @@ def test_bad_maps_get_one_line(tmp_path, text, message) -> None:
     assert "\n" not in str(raised.value)
 
 
+@pytest.mark.slow
 def test_the_command_takes_a_recording_to_a_range_image(
     tmp_path, survey, cube, monkeypatch, capsys
 ) -> None:

@@ -47,6 +47,7 @@ def test_every_method_has_a_row(found: rejection.Comparison) -> None:
     assert found.reason.startswith(f"{best.method} {best.polarization}: error")
 
 
+@pytest.mark.slow
 def test_the_stated_errors_are_the_errors(
     cube: xr.Dataset, found: rejection.Comparison
 ) -> None:

@@ -171,6 +171,7 @@ def test_the_noise_of_unmixing_is_propagated(plate_text: str) -> None:
     assert noise > 2 * cube["in_phase_uncertainty"].values[0, 0].mean()
 
 
+@pytest.mark.slow
 @settings(max_examples=30)
 @given(st.floats(0.01, 0.05), st.floats(0.005, 0.02))
 def test_wrong_ratios_show_in_the_shared_uncertainty(dt: float, dw: float) -> None:

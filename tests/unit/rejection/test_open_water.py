@@ -153,6 +153,7 @@ def test_the_shots_correct_a_survey_of_other_water(
     assert sigma * believed < 0.2
 
 
+@pytest.mark.slow
 def test_what_is_put_back_keeps_its_share_as_an_error(plate: Survey) -> None:
     cube = simulate(plate, rng=3)
     stated = rejection.open_water(cube, column_uncertainty=0.0, put_back=False)

@@ -40,6 +40,7 @@ def _shares(pairs: list[str]) -> dict[str, tuple[float, float]]:
 # Ratios ---------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_the_ratios_are_found_within_their_errors(by_hand: Make) -> None:
     scores = {"water": [], "target": []}
     for seed in range(30):

@@ -57,6 +57,7 @@ def test_an_image_from_before_there_were_terms_has_no_lines(image: xr.Dataset) -
     assert error_budgets({"old": old}) == []
 
 
+@pytest.mark.slow
 def test_the_report_shows_every_term_and_what_is_not_known(
     image: xr.Dataset, tmp_path: Path
 ) -> None:

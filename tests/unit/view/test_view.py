@@ -74,6 +74,7 @@ def test_drawing_changes_no_global_setting(images: dict[str, xr.Dataset]) -> Non
     assert dict(mpl.rcParams) == before
 
 
+@pytest.mark.slow
 def test_the_same_figure_is_the_same_file(images: dict[str, xr.Dataset]) -> None:
     first, second = (png(figures.image_overview(images["after"])) for _ in range(2))
     assert first == second

@@ -113,6 +113,7 @@ def test_an_uncalibrated_frequency_is_refused() -> None:
         phase_correction(TABLE, np.ones(1), modulation_frequency=40e6)
 
 
+@pytest.mark.slow
 def test_a_calibrated_plate_is_no_calibration(clear, folder) -> None:
     place, _ = recorded(clear, folder / "b")
     wide = Calibration(

@@ -59,6 +59,7 @@ sys.stdin.read()
 """
 
 
+@pytest.mark.slow
 def test_the_lock_of_a_killed_program_is_gone(tmp_path) -> None:
     other = subprocess.Popen(
         [sys.executable, "-c", KILLED, str(tmp_path / "locks")],

@@ -90,6 +90,7 @@ def test_threads_change_no_result(
     assert one["joint_slant_range"].size > 2 * FEWEST
 
 
+@pytest.mark.slow
 def test_two_threads_may_estimate_at_once(samples: xr.Dataset) -> None:
     alone = joint(samples, interval=INTERVAL)
     with ThreadPoolExecutor(2) as pool:

@@ -17,6 +17,7 @@ from amulor.view import Interactive, image_report, write_report
 from amulor.view.page.packing import unpacked
 
 
+@pytest.mark.slow
 def test_a_report_carries_the_page_of_each_image(
     target: xr.Dataset, tmp_path: Path
 ) -> None:

@@ -88,6 +88,7 @@ class Clock:
         return self.now
 
 
+@pytest.mark.slow
 def test_a_scan_grows_on_the_page_and_ends_as_its_cube(
     survey: Survey, folder: Path
 ) -> None:
@@ -137,6 +138,7 @@ def test_a_scan_grows_on_the_page_and_ends_as_its_cube(
     live.stop()
 
 
+@pytest.mark.slow
 def test_following_writes_nothing_and_leaves_no_reader_in_the_way(
     survey: Survey, folder: Path
 ) -> None:
@@ -191,6 +193,7 @@ def test_a_row_travels_as_numbers_behind_a_head() -> None:
     assert np.frombuffer(sent, "<f4", offset=4 + size).tolist() == [1.0, 2.0]
 
 
+@pytest.mark.slow
 def test_a_journal_that_breaks_gives_words_and_comes_back(
     survey: Survey, folder: Path
 ) -> None:
