@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from amulor import (
         acquisition,
         cube,
+        design,
         errors,
         imaging,
         io,
@@ -46,6 +47,7 @@ __all__ = [
     "Survey",
     "acquisition",
     "cube",
+    "design",
     "errors",
     "imaging",
     "io",

@@ -1,0 +1,207 @@
+"""The axes that a design can be looked at along, and how their arrays are arranged."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+
+from amulor.errors import SurveyError
+
+__all__ = ["AXES", "Arranged", "Axis", "arranged"]
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Axis:
+    """One number that an instrument, its water or its target has."""
+
+    meaning: str
+    """What it is, in a few words."""
+    unit: str
+    """SI unit."""
+    least: float = 0.0
+    """Smallest value [unit]."""
+    open: bool = True
+    """Whether the smallest value itself is refused."""
+    most: float = np.inf
+    """Largest value [unit]."""
+
+
+#: All axes with numbers, by name.
+AXES = {
+    "distance": Axis("slant range of the target", "m"),
+    "attenuation": Axis("attenuation coefficient, at the albedo of the water", "1/m"),
+    "absorption": Axis("absorption coefficient", "1/m", open=False),
+    "scattering": Axis("scattering coefficient", "1/m", open=False),
+    "reflectance": Axis("reflectance of the target", "1", most=1.0),
+    "target_m22": Axis("Mueller element m22 of the target", "1", -1.0, False, 1.0),
+    "water_m22": Axis("Mueller element m22 of the water", "1", -1.0, False, 1.0),
+    "slope": Axis("inclination of the surface", "rad", 0.0, False, 1.5),
+    "texture": Axis("change of reflectance over the beam's half-width", "1", 0, False),
+    "power": Axis("mean launched power", "W"),
+    "modulation_depth": Axis("modulation depth", "1", most=1.0),
+    "frequency": Axis("modulation frequency", "Hz"),
+    "baseline": Axis("distance of emitter and receiver", "m", 0.0, False),
+    "aim": Axis("distance at which the receiver's axis meets the beam", "m"),
+    "radius": Axis("1/e half-width of the aperture", "m"),
+    "field_of_view": Axis("1/e half-width of the field of view", "rad", most=0.5),
+    "dwell": Axis("time on each pixel, frequency and channel", "s"),
+    "phase_floor": Axis("phase error that no light removes", "rad", 0.0, False),
+    "dark_rate": Axis("dark counts", "1/s", 0.0, False),
+    "radiance": Axis("daylight just below the surface", "W/(m2 sr m)", 0.0, False),
+    "fluctuation": Axis("random change of the water signal", "1", 0.0, False, 1.0),
+    "water_change": Axis("change of the water since the shots", "1", 0.0, False, 1.0),
+    "column_uncertainty": Axis(
+        "uncertainty of the water behind the target", "1", 0.0, False, 1.0
+    ),
+    "ratio_uncertainty": Axis(
+        "uncertainty of depolarization ratios", "1", 0.0, False, 1.0
+    ),
+    "departure": Axis("departure of the water from its model", "1", 0.0, False, 1.0),
+}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Arranged:
+    """Values with one array dimension for each axis."""
+
+    sizes: dict[str, int]
+    """Name of each dimension to its length."""
+    values: dict[str, Floats]
+    """Values by axis, each with all dimensions, of length 1 where it does not vary."""
+    frequencies: Floats | None
+    """Sets of modulation frequencies, (K, ...), NaN where a set has fewer [Hz]."""
+    coordinates: dict[str, Any]
+    """Coordinates of the dimensions."""
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """Length of each dimension."""
+        return tuple(self.sizes.values())
+
+
+def arranged(
+    axes: Mapping[str, Any], frequencies: Sequence[Sequence[float]] | None
+) -> Arranged:
+    """Arrange the arrays that a caller gives along dimensions.
+
+    Parameters
+    ----------
+    axes : mapping of str to array_like
+        Name of an axis to a number, to a one-dimensional array, which becomes a
+        dimension of that name, or to an `xarray.DataArray` with dimensions of its own.
+    frequencies : sequence of sequences of float, optional
+        Sets of frequencies along the dimension `frequency_set` [Hz].
+
+    Returns
+    -------
+    Arranged
+        What can be broadcast.
+
+    Raises
+    ------
+    SurveyError
+        If an axis is not known, or a value is outside of its range.
+    """
+    if "attenuation" in axes and {"absorption", "scattering"} & set(axes):
+        raise SurveyError(
+            "attenuation is the sum of absorption and scattering; state it alone, or "
+            "the other two"
+        )
+    if frequencies is not None and "frequency" in axes:
+        raise SurveyError("state frequency, or frequencies, not both")
+    held: dict[str, tuple[tuple[str, ...], Floats]] = {}
+    sizes: dict[str, int] = {}
+    coordinates: dict[str, Any] = {}
+    for name, given in axes.items():
+        dims, values = _held(name, given)
+        held[name] = dims, values
+        for dim, size in zip(dims, values.shape, strict=True):
+            if sizes.setdefault(dim, size) != size:
+                raise SurveyError(
+                    f"{name}: has {size} values along {dim}, others have {sizes[dim]}"
+                )
+        if isinstance(given, xr.DataArray):
+            coordinates |= {str(key): given.coords[key] for key in given.coords}
+        elif dims:
+            axis = AXES[name]
+            coordinates[name] = (
+                name,
+                values,
+                {"long_name": axis.meaning, "units": axis.unit},
+            )
+    stated: list[Floats] = []
+    if frequencies is not None:
+        sizes["frequency_set"] = len(frequencies)
+        stated, texts = _sets(frequencies)
+        coordinates["frequency_set"] = ("frequency_set", texts)
+    order = list(sizes)
+
+    def spread(dims: tuple[str, ...], values: Floats) -> Floats:
+        moved = np.transpose(values, np.argsort([order.index(dim) for dim in dims]))
+        return moved.reshape([sizes[dim] if dim in dims else 1 for dim in order])
+
+    shape = [-1 if dim == "frequency_set" else 1 for dim in order]
+    tones = np.stack([one.reshape(shape) for one in stated]) if stated else None
+    return Arranged(
+        sizes=sizes,
+        values={name: spread(*each) for name, each in held.items()},
+        frequencies=tones,
+        coordinates=coordinates,
+    )
+
+
+def _held(name: str, given: Any) -> tuple[tuple[str, ...], Floats]:
+    """Return dimensions and values of one axis, refused if out of range."""
+    if name not in AXES:
+        raise SurveyError(
+            f"{name}: is no axis of a design; allowed are {', '.join(AXES)}, "
+            "frequencies, polarization, method"
+        )
+    axis = AXES[name]
+    dims: tuple[str, ...] = ()
+    values = np.asarray(given, dtype=float)
+    if isinstance(given, xr.DataArray):
+        dims = tuple(map(str, given.dims))
+    elif values.ndim == 1:
+        dims = (name,)
+    elif values.ndim > 1:
+        raise SurveyError(
+            f"{name}: has {values.ndim} dimensions without names; give a number, a "
+            "list, or an xarray.DataArray"
+        )
+    low = values > axis.least if axis.open else values >= axis.least
+    good = low & (values <= axis.most) & ~np.isnan(values)
+    if name != "aim":
+        good &= np.isfinite(values)
+    if not values.size or not good.all():
+        found = f"{values[~good].flat[0]:g} {axis.unit}" if values.size else "nothing"
+        above = "above" if axis.open else "at least"
+        most = f" and at most {axis.most:g}" if np.isfinite(axis.most) else ""
+        raise SurveyError(
+            f"{name}: found {found}, but it must be {above} {axis.least:g}{most} "
+            f"{axis.unit}"
+        )
+    return dims, values
+
+
+def _sets(frequencies: Sequence[Sequence[float]]) -> tuple[list[Floats], list[str]]:
+    """Return sets as arrays, one for each place in a set, and what they are called."""
+    most = max((len(one) for one in frequencies), default=0)
+    if min((len(one) for one in frequencies), default=0) < 1:
+        raise SurveyError("frequencies: each set needs one frequency at least")
+    filled = np.full((most, len(frequencies)), np.nan)
+    for number, one in enumerate(frequencies):
+        filled[: len(one), number] = sorted(one)
+    if not np.all(filled[np.isfinite(filled)] > 0):
+        raise SurveyError("frequencies: all must be above 0 Hz")
+    texts = [
+        " + ".join(f"{f / 1e6:.6g}" for f in sorted(s)) + " MHz" for s in frequencies
+    ]
+    return list(filled), texts

@@ -1,0 +1,320 @@
+"""Errors of the range for any instrument, water, target and distance, as a Dataset."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+
+from amulor.design._kernels import points as kernel
+from amulor.design.axes import Arranged, arranged
+from amulor.design.candidates import first_choice, survey_of
+from amulor.design.goal import Goal
+from amulor.design.numbers import Assessed, Case, assessed, case_of
+from amulor.errors import SurveyError
+from amulor.survey import Survey, water_properties
+from amulor.survey.reach import target_reach
+
+__all__ = ["TERMS", "evaluate", "scheme_of"]
+
+Floats = NDArray[np.float64]
+
+#: Names of the terms that may bind, in the order of their codes in `binding_term`.
+TERMS = (
+    "shot",
+    "dark",
+    "daylight",
+    "phase_floor",
+    "water_left_in",
+    "ambiguity",
+    "footprint",
+    "saturation",
+    "fluctuation",
+    "reference",
+)
+_MEANINGS = {
+    "total_error": ("root of squared standard uncertainty and residual bias", "m"),
+    "standard_uncertainty": ("random error of one pixel's range", "m"),
+    "residual_bias": ("systematic error that is left in the range", "m"),
+    "wrong_interval_probability": ("probability of another ambiguity interval", "1"),
+    "signal": ("target signal, largest of the frequencies", "V"),
+    "binding_term": ("largest term, or what makes the range unusable", "1"),
+    "shot": ("counting noise of the laser's light", "m"),
+    "dark": ("counting noise of dark counts", "m"),
+    "daylight": ("counting noise of daylight", "m"),
+    "phase_floor": ("phase error that no light removes", "m"),
+    "water_left_in": ("water signal and late light that stay in the range", "m"),
+    "ambiguity": ("root mean square error by wrong intervals", "m"),
+    "footprint": ("uneven light of the beam's spot on a slope", "m"),
+    "saturation": ("mean output over the largest linear one", "1"),
+    "fluctuation": ("random change of the water signal", "m"),
+    "reference": ("noise of the open-water shots, and of what they tell", "m"),
+    "late_light": ("part of water_left_in by late light", "m"),
+    "ambiguous": ("1 where the phases do not settle the interval", "1"),
+    "saturated": ("1 where the detector leaves its linear range", "1"),
+    "model_not_valid": ("1 where model or first-order errors do not hold", "1"),
+    "ambiguity_interval": ("range after which all phases repeat", "m"),
+}
+#: Mean square angle of scattering up to which small angles describe it [rad^2].
+_WIDEST = 0.5
+#: Largest inclination of a surface for the echo models [rad].
+_STEEPEST = 0.5
+
+
+def evaluate(
+    described: Survey | Goal,
+    *,
+    frequencies: Sequence[Sequence[float]] | None = None,
+    polarization: str | Sequence[str] | None = None,
+    method: str | Sequence[str] | None = None,
+    interval: tuple[float, float] | None = None,
+    wrong_interval: float = 0.01,
+    late_light: bool = True,
+    **axes: Any,
+) -> xr.Dataset:
+    r"""Return the errors of the range for all combinations of some axes.
+
+    Parameters
+    ----------
+    described : Survey or Goal
+        Instrument, water and target; what no axis changes is taken from here. A goal
+        stands for the first of each of its choices in the middle of its waters.
+    frequencies : sequence of sequences of float, optional
+        Sets of modulation frequencies, along the dimension `frequency_set` [Hz]. Those
+        of the survey, all together, by default; or state `frequency` for instruments
+        with one frequency each.
+    polarization : str or sequence of str, optional
+        Channels that are recorded, joined by a plus sign: "VH", "VV+VH"; several along
+        the dimension `polarization`. Those of the survey by default.
+    method : str or sequence of str, optional
+        How the water is taken out, by the names of `amulor reject`: "none",
+        "frequency", "open-water", "unmix", "combined", "joint"; several along the
+        dimension `method`. "open-water" by default.
+    interval : tuple of float, optional
+        Nearest and farthest slant range that are possible [m]; from 0 to where the
+        phases repeat by default.
+    wrong_interval : float
+        Probability of a wrong interval from which on a range is `ambiguous` [1].
+    late_light : bool
+        Whether light that scatters on its way counts, as in real water; the models
+        that scans are simulated with by default have none.
+    **axes : array_like
+        Values by the names of `amulor.design.AXES` in SI units: a number, an array,
+        which becomes a dimension of that name, or an `xarray.DataArray` with its own
+        dimensions. `distance` is needed unless the survey has targets.
+
+    Returns
+    -------
+    xarray.Dataset
+        Over every axis: `total_error`, `standard_uncertainty`, `residual_bias` [m],
+        `wrong_interval_probability` [1], `signal` [V], `binding_term` (a code, its
+        meaning in the attribute `flag_meanings`), each term of `TERMS` [m] but
+        `saturation`, which is output over limit [1], and the flags `ambiguous`,
+        `saturated`, `model_not_valid`.
+
+    Raises
+    ------
+    SurveyError
+        If an axis is not known, a value is outside of its range, channels do not fit
+        a method, or the water cannot be used.
+
+    Notes
+    -----
+    The standard uncertainty is the inverse root of the Fisher information on the range
+    of one pixel, after the amplitudes, and for "joint" the parameters of the water,
+    are eliminated by a Schur complement; the random terms of its square add up to it.
+    Noise is that of `amulor.simulate`. The residual bias is the root of the sum of
+    `water_left_in` and `footprint` squared. Echo and water are those of the small-angle
+    model with the whole phase function, the default of simulations.
+
+    Examples
+    --------
+    >>> survey = amulor.Survey.from_toml("plate.toml")  # doctest: +SKIP
+    >>> found = evaluate(
+    ...     survey, distance=[1.0, 2.0], frequency=[39e6, 138e6]
+    ... )  # doctest: +SKIP
+    """
+    survey = (
+        described
+        if isinstance(described, Survey)
+        else survey_of(described, first_choice(described))
+    )
+    case = case_of(survey, water_properties(survey))
+    if "distance" not in axes:
+        axes["distance"] = _distance_of(survey)
+    held = arranged(axes, frequencies)
+    tones = _tones(survey, held)
+    numeric = {name: v for name, v in held.values.items() if name != "frequency"}
+    schemes, several_schemes = _several(
+        polarization, "+".join(survey.instrument.polarizations)
+    )
+    methods, several_methods = _several(method, "open-water")
+    parts = [
+        [
+            assessed(
+                case,
+                numeric,
+                frequencies=tones,
+                method=one,
+                pairs=scheme_of(scheme),
+                interval=interval,
+                late=late_light,
+            )
+            for scheme in schemes
+        ]
+        for one in methods
+    ]
+    dims, shape = list(held.sizes), held.shape
+    coordinates = dict(held.coordinates)
+    if several_schemes:
+        coordinates["polarization"] = ("polarization", schemes)
+    if several_methods:
+        coordinates["method"] = ("method", methods)
+    lead = ["method"] * several_methods + ["polarization"] * several_schemes
+    variables = {}
+    tables = [
+        [_variables(each, shape, held, case, wrong_interval) for each in row]
+        for row in parts
+    ]
+    for name in tables[0][0]:
+        stacked = np.stack([np.stack([one[name] for one in row]) for row in tables])
+        if not several_schemes:
+            stacked = stacked[:, 0]
+        if not several_methods:
+            stacked = stacked[0]
+        meaning, unit = _MEANINGS[name]
+        attributes: dict[str, Any] = {"long_name": meaning, "units": unit}
+        if name == "binding_term":
+            attributes["flag_values"] = np.arange(len(TERMS), dtype=np.int8)
+            attributes["flag_meanings"] = " ".join(TERMS)
+        variables[name] = ([*lead, *dims], stacked, attributes)
+    return xr.Dataset(
+        variables,
+        coords=coordinates,
+        attrs={"title": survey.name, "source": "amulor.design.evaluate"},
+    )
+
+
+def scheme_of(text: str) -> tuple[str, ...]:
+    """Return the channels of a polarization scheme.
+
+    Parameters
+    ----------
+    text : str
+        Channels joined by a plus sign, such as "VV+VH".
+
+    Returns
+    -------
+    tuple of str
+        Channels.
+
+    Raises
+    ------
+    SurveyError
+        If a channel is not known.
+
+    Examples
+    --------
+    >>> scheme_of("VV+VH")
+    ('VV', 'VH')
+    """
+    from amulor.optics.polarization.stokes import pair_states
+
+    pairs = tuple(part.strip() for part in text.split("+"))
+    for pair in pairs:
+        try:
+            if pair != "none":
+                pair_states(pair)
+        except ValueError as error:
+            raise SurveyError(f"polarization: {error}") from None
+    return pairs
+
+
+def _several(given: str | Sequence[str] | None, default: str) -> tuple[list[str], bool]:
+    """Return the values of an axis of texts, and whether it is a dimension."""
+    if given is None:
+        return [default], False
+    if isinstance(given, str):
+        return [given], False
+    if not given:
+        raise SurveyError("polarization and method: at least one is needed")
+    return list(given), True
+
+
+def _distance_of(survey: Survey) -> float:
+    """Return the middle of where a survey has its targets [m]."""
+    reach = target_reach(survey)
+    if reach is None:
+        raise SurveyError(
+            "distance: is missing, and the survey does not say how far its targets "
+            "are; state it, in metres"
+        )
+    return (reach[0] + reach[1]) / 2
+
+
+def _tones(survey: Survey, held: Arranged) -> Floats:
+    """Return the sets of frequencies, (K, ...) [Hz]."""
+    if held.frequencies is not None:
+        return held.frequencies
+    if "frequency" in held.values:
+        return held.values["frequency"][None]
+    own = np.array(survey.instrument.modulation_frequencies)
+    return own.reshape(-1, *[1] * len(held.shape))
+
+
+def _variables(
+    each: Assessed,
+    shape: tuple[int, ...],
+    held: Arranged,
+    case: Case,
+    wrong_interval: float,
+) -> dict[str, NDArray[Any]]:
+    """Return the variables of a Dataset, arrays of one shape."""
+    column = {name: each.result[..., k] for k, name in enumerate(kernel.RESULTS)}
+    variance = sum(column[name] for name in kernel.RANDOM)
+    left = sum(column[name] ** 2 for name in kernel.SYSTEMATIC)
+    water = np.sqrt(left + each.late**2)
+    bias = np.hypot(water, each.footprint)
+    distance = np.broadcast_to(held.values["distance"], shape)
+    wrong = column["wrong"]
+    limit = (
+        np.minimum(each.far, each.repetition) if np.isinf(each.far).all() else each.far
+    )
+    slope = np.broadcast_to(held.values.get("slope", np.zeros(())), shape)
+    flags = {
+        "ambiguous": (wrong > wrong_interval)
+        | (distance >= limit)
+        | (distance < each.near),
+        "saturated": column["output"] > 1,
+        "model_not_valid": (column["unseen"] > 0.5)
+        | (each.bent > _WIDEST)
+        | (slope > _STEEPEST),
+    }
+    found: dict[str, NDArray[Any]] = {
+        "total_error": np.sqrt(variance + bias**2),
+        "standard_uncertainty": np.sqrt(variance),
+        "residual_bias": bias,
+        "wrong_interval_probability": wrong,
+        "signal": column["signal"] * each.volt,
+        **{name: np.sqrt(column[name]) for name in kernel.RANDOM},
+        "water_left_in": water,
+        "late_light": each.late,
+        "ambiguity": np.sqrt(column["astray"]),
+        "footprint": each.footprint,
+        "saturation": column["output"],
+        "ambiguity_interval": each.repetition,
+        **{name: value.astype(np.int8) for name, value in flags.items()},
+    }
+    sizes = np.stack(
+        [
+            np.zeros(shape) if name in ("ambiguity", "saturation") else found[name]
+            for name in TERMS
+        ]
+    )
+    binding = np.argmax(sizes, axis=0)
+    binding = np.where(flags["ambiguous"], TERMS.index("ambiguity"), binding)
+    binding = np.where(flags["saturated"], TERMS.index("saturation"), binding)
+    return {"binding_term": binding.astype(np.int8), **found}

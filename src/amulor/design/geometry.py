@@ -1,0 +1,180 @@
+"""Where emitter and receiver stand, where they look, and how long light travels."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from amulor.optics import rays
+from amulor.survey import Survey, WaterProperties
+from amulor.survey.view import View, medium, view
+
+__all__ = ["Place", "aim_of", "place_of", "with_receiver"]
+
+Floats = NDArray[np.float64]
+
+#: Step of the distance for the derivative of the path [m].
+_STEP = 1e-4
+
+
+@dataclass(frozen=True, kw_only=True)
+class Place:
+    """One place of the receiver, with the beam in the middle of the scan."""
+
+    view: View
+    """How the receiver looks at the beam; arrays of one number."""
+    depth: Floats
+    """Part of each slant range that lies in water, shape (distance,) [m]."""
+    path: Floats
+    """Group index times length, out and back, shape (distance,) [m]."""
+    slope: Floats
+    """Derivative of the slant range by the path, shape (distance,) [1]."""
+    cosine: Floats
+    """Cosine of the way back to the beam, shape (distance,) [1]."""
+    per_acceptance: float
+    """Acceptance in the water over that of the receiver [1]."""
+
+
+def place_of(survey: Survey, water: WaterProperties, distance: Floats) -> Place:
+    """Return the geometry of a survey's instrument at some slant ranges.
+
+    Parameters
+    ----------
+    survey : Survey
+        Instrument and scan count.
+    water : WaterProperties
+        Its indices count.
+    distance : ndarray, shape (distance,)
+        Slant ranges along the beam in the middle of the scan [m].
+
+    Returns
+    -------
+    Place
+        Arrays over the distances.
+
+    Raises
+    ------
+    SurveyError
+        If the receiver looks more than 60 degrees past the beam.
+    """
+    crossed = medium(survey, water)
+    azimuth, elevation = np.array(survey.scan.azimuth), np.array(survey.scan.elevation)
+    instrument = survey.instrument
+    seen = view(survey, azimuth, elevation, medium=crossed)
+    beam = rays.enter_water(
+        instrument.emitter.position, rays.direction(azimuth, elevation), medium=crossed
+    )
+    receiver = np.asarray(instrument.receiver.position)
+    path, further = (
+        rays.optical_path(distance + step, beam, receiver, medium=crossed)
+        for step in (0.0, _STEP)
+    )
+    point = beam.entry + (distance - beam.length_before)[:, None] * beam.direction
+    way = receiver - point
+    length = np.linalg.norm(way, axis=1)
+    return Place(
+        view=seen,
+        depth=distance - float(beam.length_before),
+        path=path,
+        slope=_STEP / (further - path),
+        cosine=-(way @ beam.direction) / length,
+        per_acceptance=seen.acceptance / instrument.receiver.acceptance,
+    )
+
+
+def aim_of(survey: Survey, water: WaterProperties) -> float:
+    """Return the distance at which receiver axis and beam are nearest.
+
+    Parameters
+    ----------
+    survey : Survey
+        Instrument and scan count.
+    water : WaterProperties
+        Its indices count.
+
+    Returns
+    -------
+    float
+        Infinite where they run apart or side by side [m].
+    """
+    seen = view(
+        survey,
+        np.array(survey.scan.azimuth),
+        np.array(survey.scan.elevation),
+        medium=medium(survey, water),
+    )
+    tilt, baseline = float(seen.tilt), float(seen.baseline)
+    if baseline <= 0 or tilt <= 1e-9:
+        return math.inf
+    return baseline / tilt - float(seen.standoff)
+
+
+def with_receiver(
+    survey: Survey, water: WaterProperties, *, baseline: float, aim: float
+) -> Survey:
+    """Return a survey whose receiver stands at some distance and looks at some place.
+
+    Parameters
+    ----------
+    survey : Survey
+        Its receiver stays on the same side of the emitter.
+    water : WaterProperties
+        Its indices count.
+    baseline : float
+        Distance of emitter and receiver, not negative [m].
+    aim : float
+        Distance along the beam, in the middle of the scan, at which the receiver's
+        axis meets it; infinite for side by side [m].
+
+    Returns
+    -------
+    Survey
+        With another position, azimuth and elevation of its receiver.
+    """
+    instrument = survey.instrument
+    start = np.asarray(instrument.emitter.position)
+    side = np.asarray(instrument.receiver.position) - start
+    length = float(np.linalg.norm(side))
+    side = side / length if length > 0 else np.array([1.0, 0.0, 0.0])
+    position = start + baseline * side
+    azimuth, elevation = survey.scan.azimuth, survey.scan.elevation
+    if math.isfinite(aim) and baseline > 0:
+        crossed = medium(survey, water)
+        beam = rays.enter_water(
+            start, rays.direction(azimuth, elevation), medium=crossed
+        )
+        point = beam.entry + (aim - beam.length_before) * beam.direction
+        way = _towards(point, position, crossed)
+        azimuth = math.atan2(way[0], way[2])
+        elevation = -math.asin(way[1] / float(np.linalg.norm(way)))
+    receiver = instrument.receiver.model_copy(
+        update={
+            "position": tuple(map(float, position)),
+            "azimuth": azimuth,
+            "elevation": elevation,
+        }
+    )
+    return survey.model_copy(
+        update={"instrument": instrument.model_copy(update={"receiver": receiver})}
+    )
+
+
+def _towards(point: Floats, start: Floats, crossed: rays.Medium) -> Floats:
+    """Return the direction before the window whose ray in the water meets a point."""
+    way = point - start
+    if crossed.window_distance is None:
+        return np.asarray(way)
+    aimed = point
+    for _ in range(20):
+        way = aimed - start
+        ray = rays.enter_water(start, way / np.linalg.norm(way), medium=crossed)
+        ahead = (point[2] - ray.entry[2]) / ray.direction[2]
+        missed = point - (ray.entry + ahead * ray.direction)
+        if float(np.linalg.norm(missed)) < 1e-9:
+            break
+        # A place aside moves the ray by more than itself as it bends: half of it.
+        aimed = aimed + 0.5 * missed
+    return np.asarray(way)
