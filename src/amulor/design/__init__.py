@@ -4,5 +4,20 @@ from amulor.design.axes import AXES
 from amulor.design.candidates import Parameters
 from amulor.design.evaluate import TERMS, evaluate
 from amulor.design.goal import Goal, json_schema
+from amulor.design.recommend import Bound, Choice, Recommendation, recommend
+from amulor.design.requirements import Requirement, Shortfall
 
-__all__ = ["AXES", "TERMS", "Goal", "Parameters", "evaluate", "json_schema"]
+__all__ = [
+    "AXES",
+    "TERMS",
+    "Bound",
+    "Choice",
+    "Goal",
+    "Parameters",
+    "Recommendation",
+    "Requirement",
+    "Shortfall",
+    "evaluate",
+    "json_schema",
+    "recommend",
+]

@@ -13,7 +13,8 @@ from amulor.design._kernels import points as kernel
 from amulor.design.axes import Arranged, arranged
 from amulor.design.candidates import first_choice, survey_of
 from amulor.design.goal import Goal
-from amulor.design.numbers import Assessed, Case, assessed, case_of
+from amulor.design.light import Case, case_of
+from amulor.design.numbers import Assessed, assessed
 from amulor.errors import SurveyError
 from amulor.survey import Survey, water_properties
 from amulor.survey.reach import target_reach

@@ -75,20 +75,22 @@ def late_uncertainty(
         return np.zeros(shape)
     depth = np.maximum(distance - (distance[0] - float(places[0].depth[0])), 1e-3)
     some = np.unique(np.geomspace(depth[0], depth[-1], _DISTANCES))
-    delay = late_echo(
-        math.exp(float(np.mean(np.log(frequency)))),
-        depth=some,
-        scattering=looks.scattering[:, None],
-        phase_function=function,
-        split_angle=math.pi / 2,
-        group_index=water.group_index,
-        baseline=looks.baseline[:, None],
-        receiver_radius=looks.radius[:, None],
-        acceptance_angle=looks.acceptance[:, None],
-        tilt=looks.tilt[:, None],
-        cross_tilt=looks.cross_tilt[:, None],
-        standoff=looks.standoff[:, None],
-    )
+    # Where the receiver looks past the echo there is none to be late.
+    with np.errstate(all="ignore"):
+        delay = late_echo(
+            math.exp(float(np.mean(np.log(frequency)))),
+            depth=some,
+            scattering=looks.scattering[:, None],
+            phase_function=function,
+            split_angle=math.pi / 2,
+            group_index=water.group_index,
+            baseline=looks.baseline[:, None],
+            receiver_radius=looks.radius[:, None],
+            acceptance_angle=looks.acceptance[:, None],
+            tilt=looks.tilt[:, None],
+            cross_tilt=looks.cross_tilt[:, None],
+            standoff=looks.standoff[:, None],
+        )
     even = np.nan_to_num(delay) / some**2
     if len(some) == 1:
         found = np.repeat(even, len(depth), axis=1)

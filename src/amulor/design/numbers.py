@@ -9,19 +9,17 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from amulor.design import geometry
 from amulor.design._kernels import points as kernel
 from amulor.design._kernels.assess import assess
-from amulor.design.column import Columns, Looks, columns
-from amulor.design.late import late_uncertainty
+from amulor.design.light import Case, Lit, given_of, lit
 from amulor.errors import SurveyError
 from amulor.optics import detection
 from amulor.optics.polarization import mueller
 from amulor.rejection.channels.names import PARTNERS
-from amulor.survey import OpenWater, Survey, WaterProperties, counting
+from amulor.survey import OpenWater, counting
 from amulor.survey.mueller import matrix
 
-__all__ = ["METHODS", "Assessed", "Case", "Method", "assessed", "case_of"]
+__all__ = ["METHODS", "Assessed", "Method", "assessed"]
 
 Floats = NDArray[np.float64]
 
@@ -40,32 +38,8 @@ _WITH_SHOTS = ("frequency", "open-water", "combined", "joint")
 _PAIRED = ("unmix", "combined")
 #: Coefficients of the surface that is fitted to shots over a scan, and over one row.
 _SURFACE, _ROW = 6, 3
-#: What is assumed where nothing is stated: of the water, of what is known of it.
-ASSUMED = {
-    "reflectance": 0.1,
-    "slope": 0.0,
-    "texture": 0.1,
-    "water_change": 0.01,
-    "column_uncertainty": 0.1,
-    "ratio_uncertainty": 0.01,
-    "departure": 0.003,
-}
 #: Share of the dwell that the lock-in's time constant may have [1].
 _LOCK_IN = 0.1
-#: Relative change of absorption and scattering for derivatives [1].
-_STEP = 1e-3
-
-
-@dataclass(frozen=True, kw_only=True)
-class Case:
-    """A survey, its water, and the number that it states for each axis."""
-
-    survey: Survey
-    """Instrument, water and target."""
-    water: WaterProperties
-    """Its optical numbers."""
-    stated: dict[str, float]
-    """Axis to the survey's own value; distance is not among them."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -90,44 +64,6 @@ class Assessed:
     """Output per rate of photoelectrons [V s]."""
 
 
-def case_of(survey: Survey, water: WaterProperties) -> Case:
-    """Return what a survey states for each axis.
-
-    Parameters
-    ----------
-    survey : Survey
-        The first of its targets counts.
-    water : WaterProperties
-        Of this survey.
-
-    Returns
-    -------
-    Case
-        With what is assumed where the survey says nothing.
-    """
-    instrument = survey.instrument
-    receiver = np.asarray(instrument.receiver.position)
-    stated = {
-        **ASSUMED,
-        "absorption": water.absorption,
-        "scattering": water.scattering,
-        "power": instrument.power,
-        "modulation_depth": instrument.modulation_depth,
-        "baseline": float(np.linalg.norm(receiver - instrument.emitter.position)),
-        "aim": geometry.aim_of(survey, water),
-        "radius": instrument.receiver.radius,
-        "field_of_view": instrument.receiver.acceptance,
-        "dwell": survey.scan.dwell,
-        "phase_floor": instrument.lock_in.phase_floor,
-        "dark_rate": instrument.detector.dark_rate,
-        "fluctuation": survey.water.signal_fluctuation,
-        "radiance": 0.0 if survey.daylight is None else survey.daylight.radiance,
-    }
-    if survey.targets:
-        stated["reflectance"] = survey.targets[0].reflectance
-    return Case(survey=survey, water=water, stated=stated)
-
-
 def assessed(
     case: Case,
     values: dict[str, Floats],
@@ -137,6 +73,7 @@ def assessed(
     pairs: tuple[str, ...],
     interval: tuple[float, float] | None,
     late: bool = True,
+    known: Lit | None = None,
 ) -> Assessed:
     """Return the errors of candidates, all of them in one compiled loop.
 
@@ -157,6 +94,8 @@ def assessed(
         repeat by default.
     late : bool
         Whether light that scatters on its way comes later.
+    known : Lit, optional
+        What `lit` gave for these looks, distances and frequencies, or more frequencies.
 
     Returns
     -------
@@ -169,52 +108,42 @@ def assessed(
         If the channels do not fit the method, or the receiver looks past the beam.
     """
     pairs = _ordered(method, pairs)
-    given = {name: np.asarray(each) for name, each in case.stated.items()} | values
-    if "attenuation" in values:
-        share = case.water.scattering / case.water.attenuation
-        given["absorption"] = (1 - share) * values["attenuation"]
-        given["scattering"] = share * values["attenuation"]
+    given = given_of(case, values)
     shape = np.broadcast_shapes(
         frequencies.shape[1:], *(each.shape for each in values.values())
     )
     count = int(np.prod(shape))
+    if known is None:
+        known = lit(case, values, frequencies, joint=method == "joint", late=late)
 
     def flat(array: Any) -> NDArray[Any]:
         # Memory of its own: read-only views would be compiled for once more.
         return np.array(np.broadcast_to(array, shape), order="C").reshape(-1)
 
-    distance, reach = np.unique(values["distance"], return_inverse=True)
-    reach = reach.reshape(values["distance"].shape)
-    places, place = _places(case, values, distance)
-    looks, look = _looks(case, given, places, place)
-    tone, tones = _tones(frequencies)
-    light, bent = _light(case, looks, places, distance, tones, joint=method == "joint")
+    there = np.isfinite(frequencies)
+    tones = known.light.frequency
+    tone = np.searchsorted(tones, np.where(there, frequencies, tones[0]))
+    tone = np.where(there, tone, -1).astype(np.intp)
     flat_tone = np.ascontiguousarray(np.stack([flat(one) for one in tone], axis=1))
     repetition = _repetition(frequencies, case.water.group_index)
     near, far = (0.0, repetition) if interval is None else interval
-    late_error = (
-        late_uncertainty(case.survey, case.water, looks, places, distance, tones)
-        if late
-        else np.zeros((len(looks.absorption), len(distance)))
-    )
-    reached = np.broadcast_arrays(look, reach)
+    reached = tuple(np.broadcast_arrays(known.look, known.reach))
     footprint = _footprint(case, given, values["distance"])
-    number = np.empty((count, len(kernel.NUMBERS)))
-    own = _numbers(case, given, places, place, reach)
-    own |= {
+    own = _numbers(case, given, known) | {
         "near": near,
         "far": far,
         "distance": values["distance"],
-        "late": late_error[reached[0], reached[1]],
+        "late": known.late[reached],
         "footprint": footprint,
     }
+    number = np.empty((count, len(kernel.NUMBERS)))
     for column, name in enumerate(kernel.NUMBERS):
         number[:, column] = flat(own[name])
     points = kernel.Points(
         number=number,
-        look=flat(look),
-        reach=flat(reach),
-        place=flat(place),
+        look=flat(known.look),
+        reach=flat(known.reach),
+        place=flat(known.place),
         tone=flat_tone,
         target_fraction=_fractions(case, given, pairs, "target", flat),
         water_fraction=_fractions(case, given, pairs, "water", flat),
@@ -222,7 +151,7 @@ def assessed(
     )
     result = np.empty((count, len(kernel.RESULTS)))
     scratch = _scratch(flat_tone.shape[1], len(pairs))
-    assess(METHODS[method], points, light, scratch, result)
+    assess(METHODS[method], points, known.light, scratch, result)
     return Assessed(
         result=result.reshape(*shape, -1),
         late=flat(own["late"]).reshape(shape),
@@ -230,7 +159,7 @@ def assessed(
         near=flat(near).reshape(shape),
         far=flat(np.inf if interval is None else far).reshape(shape),
         repetition=flat(repetition).reshape(shape),
-        bent=flat(bent[reached[0], reached[1]]).reshape(shape),
+        bent=flat(known.bent[reached]).reshape(shape),
         volt=case.survey.instrument.detector.volt_per_photoelectron_rate,
     )
 
@@ -252,115 +181,6 @@ def _ordered(method: str, pairs: tuple[str, ...]) -> tuple[str, ...]:
     )
 
 
-def _tones(frequencies: Floats) -> tuple[NDArray[np.intp], Floats]:
-    """Return the number of each frequency, -1 where there is none, and all of them."""
-    there = np.isfinite(frequencies)
-    every = np.unique(frequencies[there])
-    number = np.searchsorted(every, np.where(there, frequencies, every[0]))
-    return np.where(there, number, -1).astype(np.intp), every
-
-
-def _places(
-    case: Case, values: dict[str, Floats], distance: Floats
-) -> tuple[list[geometry.Place], NDArray[np.intp]]:
-    """Return the places of receivers, and which one each candidate has."""
-    if not {"baseline", "aim"} & set(values):
-        one = geometry.place_of(case.survey, case.water, distance)
-        return [one], np.zeros((), dtype=np.intp)
-    baseline, aim = np.broadcast_arrays(
-        values.get("baseline", np.asarray(case.stated["baseline"])),
-        values.get("aim", np.asarray(case.stated["aim"])),
-    )
-    each, number = np.unique(
-        np.stack([baseline.ravel(), aim.ravel()]), axis=1, return_inverse=True
-    )
-    places = [
-        geometry.place_of(
-            geometry.with_receiver(case.survey, case.water, baseline=b, aim=a),
-            case.water,
-            distance,
-        )
-        for b, a in each.T
-    ]
-    return places, number.reshape(baseline.shape).astype(np.intp)
-
-
-def _looks(
-    case: Case,
-    given: dict[str, Floats],
-    places: list[geometry.Place],
-    place: NDArray[np.intp],
-) -> tuple[Looks, NDArray[np.intp]]:
-    """Return all different looks through waters, and which one each candidate has."""
-    names = ("absorption", "scattering", "radius", "field_of_view")
-    parts = np.broadcast_arrays(*(given[name] for name in names), place)
-    each, number = np.unique(
-        np.stack([part.ravel() for part in parts]), axis=1, return_inverse=True
-    )
-    where = each[4].astype(int)
-
-    def seen(name: str) -> Floats:
-        value = np.array([float(getattr(one.view, name)) for one in places])
-        return np.asarray(value[where])
-
-    narrower = np.array([one.per_acceptance for one in places])[where]
-    looks = Looks(
-        absorption=each[0],
-        scattering=each[1],
-        radius=each[2],
-        acceptance=each[3] * narrower,
-        **{n: seen(n) for n in ("baseline", "tilt", "cross_tilt", "standoff")},
-    )
-    return looks, number.reshape(parts[0].shape).astype(np.intp)
-
-
-def _light(
-    case: Case,
-    looks: Looks,
-    places: list[geometry.Place],
-    distance: Floats,
-    tones: Floats,
-    *,
-    joint: bool,
-) -> tuple[kernel.Light, Floats]:
-    """Return light as the loops take it, and the mean square angle of the way."""
-    before = distance[0] - float(places[0].depth[0])
-    depth = distance - before
-    if depth[0] <= 0:
-        raise SurveyError(
-            f"distance: {distance[0]:g} m lies before the water, which begins at "
-            f"{before:g} m"
-        )
-
-    def light(**changed: Floats) -> Columns:
-        fields = {**vars(looks), **changed}
-        return columns(
-            case.survey, case.water, Looks(**fields), depth=depth, frequency=tones
-        )
-
-    first = light()
-    versions = [first.water]
-    if joint:
-        factor = 1 + _STEP
-        versions.append(light(absorption=looks.absorption * factor).water)
-        # The strength is a parameter of its own, so backscatter is kept as it is.
-        versions.append(light(scattering=looks.scattering * factor).water / factor)
-    bent = case.water.second_moment * np.outer(looks.scattering, depth)
-    return (
-        kernel.Light(
-            overlap=np.ascontiguousarray(first.overlap),
-            mean=first.mean,
-            water=np.stack(versions),
-            step=_STEP,
-            frequency=np.array(tones),
-            path=np.stack([one.path for one in places]),
-            slope=np.stack([one.slope for one in places]),
-            offset=np.array([float(one.view.optical_offset) for one in places]),
-        ),
-        bent,
-    )
-
-
 def _repetition(frequencies: Floats, group_index: float) -> Floats:
     """Return the range after which the phases of each set repeat [m]."""
     smallest = np.nanmin(frequencies, axis=0)
@@ -379,21 +199,17 @@ def _footprint(case: Case, given: dict[str, Floats], distance: Floats) -> Floats
     return np.asarray(given["texture"] * width * np.tan(given["slope"]) / 2)
 
 
-def _numbers(
-    case: Case,
-    given: dict[str, Floats],
-    places: list[geometry.Place],
-    place: NDArray[np.intp],
-    reach: NDArray[np.intp],
-) -> dict[str, Any]:
+def _numbers(case: Case, given: dict[str, Floats], known: Lit) -> dict[str, Any]:
     """Return the columns of `points.NUMBERS` that a survey and its axes state."""
     survey = case.survey
     instrument, detector = survey.instrument, survey.instrument.detector
     constant = np.minimum(instrument.lock_in.time_constant, _LOCK_IN * given["dwell"])
     time = detection.settled_integration_time(given["dwell"], time_constant=constant)
-    passed = np.array([float(one.view.transmission) for one in places])[place]
-    cosine = np.stack([one.cosine for one in places])[
-        tuple(np.broadcast_arrays(place, reach))
+    passed = np.array([float(one.view.transmission) for one in known.places])[
+        known.place
+    ]
+    cosine = np.stack([one.cosine for one in known.places])[
+        tuple(np.broadcast_arrays(known.place, known.reach))
     ]
     slanted = cosine * np.cos(given["slope"])
     plan = survey.scan.open_water or OpenWater()

@@ -1,0 +1,339 @@
+"""The recommendation: what to build, why, what stands at an edge, what must give."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from contextlib import nullcontext
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+
+from amulor._progress import listening, tell
+from amulor.design import requirements
+from amulor.design.candidates import (
+    Parameters,
+    box_values,
+    cost_of,
+    frequency_grid,
+    laser_of,
+    scan_time,
+    survey_of,
+)
+from amulor.design.draws import drawn
+from amulor.design.evaluate import TERMS, evaluate
+from amulor.design.goal import Goal
+from amulor.design.requirements import Requirement, Shortfall
+from amulor.design.search import Candidate, Found, search
+
+__all__ = ["Bound", "Choice", "Recommendation", "recommend"]
+
+Floats = NDArray[np.float64]
+
+#: Relative distance to an edge up to which a value counts as the edge [1].
+_EDGE = 2e-3
+#: Candidates that a recommendation lists.
+_LISTED = 50
+#: Draws that the shares of terms are found from.
+_SHARED = 32
+
+
+@dataclass(frozen=True, kw_only=True)
+class Choice:
+    """One instrument that is proposed, with all that speaks for and against it."""
+
+    parameters: Parameters
+    """What it is made of."""
+    survey: str
+    """Survey of it (TOML) that `amulor simulate` takes: a plate in median water."""
+    requirements: tuple[Requirement, ...]
+    """Each requirement, met or not."""
+    terms: dict[str, float]
+    """Median of each term of the error at the worst distance [m]."""
+    binding: str
+    """The largest of them, or what makes the range unusable."""
+    error: float
+    """Total error at the worst asked distance, as the asked share of draws reaches it
+    [m]."""
+    worst_distance: float
+    """That distance [m]."""
+    share: float
+    """Share of the draws in which the accuracy is met at all distances [1]."""
+    scan_time: float
+    """Time of all pixels [s]."""
+    cost: float
+    """Sum of prices [currency]."""
+
+    @property
+    def met(self) -> bool:
+        """Whether all requirements are met."""
+        return all(one.met for one in self.requirements)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return plain numbers, texts and lists."""
+        return {
+            "parameters": self.parameters.to_dict(),
+            "met": self.met,
+            "requirements": [asdict(one) for one in self.requirements],
+            "terms": self.terms,
+            "binding": self.binding,
+            "error": self.error,
+            "worst_distance": self.worst_distance,
+            "share": self.share,
+            "scan_time": self.scan_time,
+            "cost": self.cost,
+            "survey": self.survey,
+        }
+
+
+@dataclass(frozen=True, kw_only=True)
+class Bound:
+    """A parameter whose best value is the last one that the goal allows.
+
+    It is no recommendation: what lies beyond was not looked at.
+    """
+
+    parameter: str
+    """Which one."""
+    value: float
+    """The edge, in SI units."""
+    side: str
+    """Whether it is the "low" or the "high" one."""
+    text: str
+    """The same as a sentence."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Recommendation:
+    """What to build for a goal."""
+
+    goal: Goal
+    """What was asked."""
+    best: Choice
+    """The best instrument; if the goal is impossible the one that comes nearest."""
+    runner_up: Choice | None
+    """The best one with another laser, scheme, method or number of frequencies; None
+    if there is none to choose."""
+    bounds: tuple[Bound, ...]
+    """Parameters of the best one at an edge of what may be chosen."""
+    impossible: tuple[Shortfall, ...]
+    """What must give, if no candidate meets all; each line alone would do, or all
+    together where that is said."""
+    candidates: xr.Dataset
+    """The best candidates, over `candidate`."""
+    looked_at: int
+    """How many candidates were judged."""
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return plain numbers, texts and lists, as for JSON."""
+        return {
+            "goal": self.goal.name,
+            "possible": not self.impossible,
+            "best": self.best.to_dict(),
+            "runner_up": None if self.runner_up is None else self.runner_up.to_dict(),
+            "bounds": [asdict(one) for one in self.bounds],
+            "impossible": [asdict(one) for one in self.impossible],
+            "candidates": self.candidates.to_dict(data="list")["data_vars"],
+            "looked_at": self.looked_at,
+        }
+
+
+def recommend(
+    goal: Goal, *, progress: Callable[[str, float], None] | None = None
+) -> Recommendation:
+    r"""Recommend an instrument for a goal.
+
+    Parameters
+    ----------
+    goal : Goal
+        What is asked, in which waters, and what the instrument may be made of.
+    progress : callable, optional
+        Takes what is done now and the share of the work done before it [1].
+
+    Returns
+    -------
+    Recommendation
+        Best instrument and runner-up with the reasons; the same each time.
+
+    Raises
+    ------
+    SurveyError
+        If no scheme fits a method, or the water is not known at a wavelength.
+
+    Notes
+    -----
+    The criterion is :math:`\sqrt{\sigma^2 + \beta^2}` of one pixel, standard
+    uncertainty and residual bias of `evaluate`, at the worst asked distance: the value
+    that the asked share of drawn waters and targets reaches. Wrong intervals,
+    saturation, the limits of the model, time and budget are requirements; each that is
+    missed counts ten times. Where the goal states prices, the cheapest instrument that meets all is
+    the best one.
+    """
+    with nullcontext() if progress is None else listening(progress):
+        found = search(goal)
+        tell("reasons", 0.98)
+        best = found.best[0]
+        runner_up = _runner_up(found)
+        return Recommendation(
+            goal=goal,
+            best=_choice(goal, best),
+            runner_up=None if runner_up is None else _choice(goal, runner_up),
+            bounds=_bounds(goal, best.parameters),
+            impossible=(
+                ()
+                if best.merit <= 0
+                else requirements.shortfalls(goal, best, found.all_scores())
+            ),
+            candidates=_table(goal, found),
+            looked_at=found.count,
+        )
+
+
+def _kind(chosen: Parameters) -> tuple[str, str, str, int]:
+    """Return what makes two instruments different in kind."""
+    return (
+        chosen.laser,
+        chosen.polarization,
+        chosen.method,
+        len(chosen.frequencies),
+    )
+
+
+def _runner_up(found: Found) -> Candidate | None:
+    """Return the best candidate of another kind; of the same kind if there is none."""
+    best, *rest = found.best
+    others = [one for one in rest if _kind(one.parameters) != _kind(best.parameters)]
+    return next(iter([*others, *rest]), None)
+
+
+def _choice(goal: Goal, found: Candidate) -> Choice:
+    """Return a candidate with its reasons."""
+    chosen = found.parameters
+    survey = survey_of(goal, chosen)
+    draws = {
+        name: xr.DataArray(values, dims="draw") for name, values in _draws(goal).items()
+    }
+    errors = evaluate(
+        survey,
+        distance=np.array(goal.asked),
+        method=chosen.method,
+        interval=goal.limits,
+        wrong_interval=goal.accuracy.wrong_interval,
+        **{"texture": 0.0, **goal.assumptions.model_dump(), **draws},
+    )
+    if "draw" not in errors.dims:
+        errors = errors.expand_dims("draw")
+    worst = int(np.argmax(found.score.error[0]))
+    there = errors.isel(distance=worst)
+    terms = {
+        name: float(there[name].median()) for name in TERMS if name != "saturation"
+    }
+    met = (
+        (errors["total_error"] <= goal.accuracy.total_error)
+        & (errors["ambiguous"] == 0)
+        & (errors["saturated"] == 0)
+        & (errors["model_not_valid"] == 0)
+    )
+    codes = np.bincount(there["binding_term"].values.ravel(), minlength=len(TERMS))
+    return Choice(
+        parameters=chosen,
+        survey=survey.to_toml(),
+        requirements=requirements.table(goal, found, errors),
+        terms=terms,
+        binding=TERMS[int(np.argmax(codes))],
+        error=float(found.score.error.max()),
+        worst_distance=goal.asked[worst],
+        share=float(met.all("distance").mean()),
+        scan_time=scan_time(goal, chosen),
+        cost=cost_of(goal, chosen),
+    )
+
+
+def _draws(goal: Goal) -> dict[str, Floats]:
+    """Return the draws of the goal that terms are found from."""
+    return drawn(goal)
+
+
+def _bounds(goal: Goal, chosen: Parameters) -> tuple[Bound, ...]:
+    """Return the parameters at an edge of what may be chosen."""
+    parts = goal.components
+    laser = laser_of(goal, chosen.laser)
+    stated: list[tuple[str, float, tuple[float, ...]]] = [
+        ("power", chosen.power, tuple(sorted(laser.powers))),
+        *(
+            (name, getattr(chosen, name), box_values(getattr(parts, name)))
+            for name in ("baseline", "radius", "field_of_view", "dwell")
+        ),
+    ]
+    if not parts.modulation.sets:
+        tones = frequency_grid(goal)
+        top = min(tones[-1], laser.top_frequency or math.inf)
+        allowed = (*(t for t in tones if t < top), top)
+        stated += [
+            ("lowest frequency", chosen.frequencies[0], allowed),
+            ("highest frequency", chosen.frequencies[-1], allowed),
+        ]
+    bounds = []
+    for name, value, values in stated:
+        if len(values) < 2:
+            continue
+        for side, edge in (("low", values[0]), ("high", values[-1])):
+            if abs(value - edge) > _EDGE * edge:
+                continue
+            if (name, side) in (("lowest frequency", "high"),) and len(
+                chosen.frequencies
+            ) > 1:
+                continue
+            bounds.append(
+                Bound(
+                    parameter=name,
+                    value=value,
+                    side=side,
+                    text=f"{name} is the {'lowest' if side == 'low' else 'highest'} "
+                    f"that the goal allows ({requirements.written(name, value)}): a "
+                    "bound, not a recommendation; the best value may lie beyond",
+                )
+            )
+    return tuple(bounds)
+
+
+def _table(goal: Goal, found: Found) -> xr.Dataset:
+    """Return the best candidates as a table."""
+    listed = found.best[:_LISTED]
+    most = max(len(one.parameters.frequencies) for one in listed)
+    tones = np.full((len(listed), most), np.nan)
+    for number, one in enumerate(listed):
+        tones[number, : len(one.parameters.frequencies)] = one.parameters.frequencies
+    names = ("laser", "polarization", "method")
+    units = {
+        "power": "W",
+        "baseline": "m",
+        "radius": "m",
+        "field_of_view": "rad",
+        "dwell": "s",
+    }
+    variables: dict[str, Any] = {
+        name: ("candidate", [getattr(one.parameters, name) for one in listed])
+        for name in names
+    }
+    for name, unit in units.items():
+        values = [getattr(one.parameters, name) for one in listed]
+        variables[name] = ("candidate", values, {"units": unit})
+    figures = {
+        "error": ("m", [float(one.score.error.max()) for one in listed]),
+        "wrong_interval": ("1", [float(one.score.wrong.max()) for one in listed]),
+        "scan_time": ("s", [float(one.score.time[0]) for one in listed]),
+        "cost": ("1", [float(one.score.cost[0]) for one in listed]),
+        "merit": ("1", [one.merit for one in listed]),
+    }
+    for name, (unit, values) in figures.items():
+        variables[name] = ("candidate", values, {"units": unit})
+    variables["modulation_frequency"] = (
+        ("candidate", "frequency_number"),
+        tones,
+        {"units": "Hz"},
+    )
+    return xr.Dataset(variables, attrs={"title": goal.name})

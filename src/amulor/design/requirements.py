@@ -1,0 +1,258 @@
+"""Each requirement of a goal: met or not, by what margin, and what must give."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+
+from amulor.design.candidates import Parameters
+from amulor.design.evaluate import TERMS
+from amulor.design.goal import Goal
+from amulor.design.scores import Score
+from amulor.design.search import Candidate
+
+__all__ = ["Requirement", "Shortfall", "shortfalls", "table", "written"]
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Requirement:
+    """One requirement."""
+
+    name: str
+    """What is required, such as "total error at 2 m"."""
+    met: bool
+    """Whether it is met."""
+    value: float
+    """What is reached, in SI units."""
+    limit: float
+    """The largest value allowed, in the same unit."""
+    margin: float
+    """Limit over value; below 1 where it is missed [1]."""
+    unit: str
+    """Unit of both."""
+    binding: str
+    """Term that is the largest there, or empty."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Shortfall:
+    """One requirement that must give."""
+
+    requirement: str
+    """Which one."""
+    value: float
+    """What it would have to be, in SI units."""
+    limit: float
+    """What the goal asks."""
+    factor: float
+    """The one over the other [1]."""
+    unit: str
+    """Unit of both."""
+    alone: bool
+    """Whether it would do if this one alone gave way."""
+    text: str
+    """The same as a sentence."""
+
+
+#: Unit and factor in which people read a quantity.
+_READ = {
+    "power": ("mW", 1e3),
+    "baseline": ("cm", 1e2),
+    "radius": ("mm", 1e3),
+    "field_of_view": ("deg", 180 / np.pi),
+    "dwell": ("ms", 1e3),
+    "lowest frequency": ("MHz", 1e-6),
+    "highest frequency": ("MHz", 1e-6),
+    "total error": ("mm", 1e3),
+    "wrong interval": ("%", 1e2),
+    "scan time": ("min", 1 / 60),
+    "budget": ("", 1.0),
+    "detector output": ("of its limit", 1.0),
+    "validity of the model": ("of its limit", 1.0),
+}
+_UNITS = {"total error": "m", "scan time": "s"}
+
+
+def written(name: str, value: float) -> str:
+    """Return a number as people read it.
+
+    Parameters
+    ----------
+    name : str
+        Parameter or requirement.
+    value : float
+        In SI units.
+
+    Returns
+    -------
+    str
+        With a unit.
+    """
+    unit, factor = _READ[name]
+    return f"{value * factor:.4g} {unit}".strip()
+
+
+def table(goal: Goal, found: Candidate, errors: xr.Dataset) -> tuple[Requirement, ...]:
+    """Return each requirement with its margin and the term that binds.
+
+    Parameters
+    ----------
+    goal : Goal
+        What is asked.
+    found : Candidate
+        What is proposed.
+    errors : xarray.Dataset
+        Its errors over `distance` and `draw`, from `evaluate`.
+
+    Returns
+    -------
+    tuple of Requirement
+        Accuracy and interval at each distance first.
+    """
+    score, accuracy = found.score, goal.accuracy
+    rows = []
+    for number, distance in enumerate(goal.asked):
+        codes = errors["binding_term"].isel(distance=number).values.ravel()
+        binding = TERMS[int(np.argmax(np.bincount(codes, minlength=len(TERMS))))]
+        at = f"at {distance:.4g} m"
+        rows.append(
+            _row(
+                f"total error {at}",
+                float(score.error[0, number]),
+                accuracy.total_error,
+                "m",
+                binding,
+            )
+        )
+        wrong = float(score.wrong[0, number])
+        rows.append(
+            _row(
+                f"wrong interval {at}", wrong, accuracy.wrong_interval, "1", "ambiguity"
+            )
+        )
+    rows.append(_row("detector output", float(score.output[0]), 1.0, "1", "saturation"))
+    rows.append(_row("validity of the model", float(score.validity[0]), 1.0, "1", ""))
+    rows.append(_row("scan time", float(score.time[0]), goal.scan.longest, "s", ""))
+    if goal.components.budget is not None:
+        cost = float(score.cost[0])
+        rows.append(_row("budget", cost, goal.components.budget, "1", ""))
+    return tuple(rows)
+
+
+def _row(name: str, value: float, limit: float, unit: str, binding: str) -> Requirement:
+    margin = limit / value if value > 0 else np.inf
+    return Requirement(
+        name=name,
+        met=bool(value <= limit * (1 + 1e-9)),
+        value=value,
+        limit=limit,
+        margin=margin,
+        unit=unit,
+        binding=binding,
+    )
+
+
+def shortfalls(goal: Goal, best: Candidate, scores: Score) -> tuple[Shortfall, ...]:
+    """Return which requirements must give, by how much.
+
+    Parameters
+    ----------
+    goal : Goal
+        What no candidate meets.
+    best : Candidate
+        The one that comes nearest.
+    scores : Score
+        Figures of all candidates that were looked at.
+
+    Returns
+    -------
+    tuple of Shortfall
+        For each requirement the value that would make the goal possible if it alone
+        gave way, the smallest step first. If no single one would do, those that the
+        best candidate misses.
+    """
+    ratios = _ratios(goal, scores)
+    names = list(ratios)
+    every = np.stack([ratios[name] for name in names])
+    met = every <= 1 + 1e-9
+    found = []
+    for number, name in enumerate(names):
+        rest = np.delete(met, number, axis=0).all(axis=0)
+        if rest.any():
+            found.append((float(every[number][rest].min()), name))
+    alone = [(factor, name) for factor, name in found if np.isfinite(factor)]
+    if alone:
+        return tuple(
+            _shortfall(goal, name, factor, alone=True) for factor, name in sorted(alone)
+        )
+    own = _ratios(goal, best.score)
+    return tuple(
+        _shortfall(goal, name, float(value[0]), alone=False)
+        for name, value in own.items()
+        if value[0] > 1
+    )
+
+
+def _ratios(goal: Goal, scores: Score) -> dict[str, Floats]:
+    """Return what is reached over what is allowed, by requirement."""
+    ratios = {
+        "total error": scores.error.max(axis=1) / goal.accuracy.total_error,
+        "wrong interval": scores.wrong.max(axis=1) / goal.accuracy.wrong_interval,
+        "detector output": scores.output,
+        "validity of the model": scores.validity,
+        "scan time": scores.time / goal.scan.longest,
+    }
+    if goal.components.budget is not None:
+        ratios["budget"] = scores.cost / max(goal.components.budget, 1e-9)
+    return ratios
+
+
+def _shortfall(goal: Goal, name: str, factor: float, *, alone: bool) -> Shortfall:
+    limits: dict[str, Callable[[], float]] = {
+        "total error": lambda: goal.accuracy.total_error,
+        "wrong interval": lambda: goal.accuracy.wrong_interval,
+        "scan time": lambda: goal.scan.longest,
+        "budget": lambda: goal.components.budget or 0.0,
+    }
+    limit = limits.get(name, lambda: 1.0)()
+    value = factor * limit
+    would = "would do alone" if alone else "is missed, and others with it"
+    return Shortfall(
+        requirement=name,
+        value=value,
+        limit=limit,
+        factor=factor,
+        unit=_UNITS.get(name, "1"),
+        alone=alone,
+        text=f"{name}: {written(name, value)} in place of {written(name, limit)} "
+        f"({factor:.3g} times) {would}",
+    )
+
+
+def parameters_text(chosen: Parameters) -> str:
+    """Return an instrument as one line.
+
+    Parameters
+    ----------
+    chosen : Parameters
+        The instrument.
+
+    Returns
+    -------
+    str
+        Laser, frequencies, receiver, scheme and method.
+    """
+    tones = ", ".join(f"{f * 1e-6:.4g}" for f in chosen.frequencies)
+    return (
+        f"{chosen.laser}, {written('power', chosen.power)}; {tones} MHz; baseline "
+        f"{written('baseline', chosen.baseline)}, aperture "
+        f"{written('radius', chosen.radius)}, field "
+        f"{written('field_of_view', chosen.field_of_view)}; {chosen.polarization} by "
+        f"{chosen.method}; dwell {written('dwell', chosen.dwell)}"
+    )

@@ -1,0 +1,347 @@
+"""How candidates do in all drawn waters and targets: what a goal is judged by."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from amulor.design._kernels import points as kernel
+from amulor.design.candidates import (
+    Parameters,
+    cost_of,
+    first_choice,
+    laser_of,
+    scan_time,
+    survey_of,
+)
+from amulor.design.draws import drawn
+from amulor.design.goal import Goal
+from amulor.design.light import Case, Lit, case_of, lit
+from amulor.design.numbers import Assessed, assessed
+from amulor.survey import water_properties
+
+__all__ = ["MOST_BENT", "Grid", "Judge", "Score", "merits"]
+
+Floats = NDArray[np.float64]
+
+#: Mean square angle of scattering up to which small angles describe it [rad^2].
+MOST_BENT = 0.5
+#: Share of the frequencies of which the phase may be lost in noise [1].
+_UNSEEN = 0.5
+#: How much a requirement that is missed counts, over the accuracy.
+_MISSED = 10.0
+#: Logarithms of ratios are cut off here, so that all of them are finite.
+_WORST = 40.0
+#: Points that are worked on at once, for the memory.
+_AT_ONCE = 200_000
+#: Axes of a grid, its frequencies, distances and draws.
+_DIMENSIONS = 8
+
+
+@dataclass(frozen=True, kw_only=True)
+class Grid:
+    """Candidates: all combinations of some values."""
+
+    baseline: tuple[float, ...]
+    """[m]."""
+    radius: tuple[float, ...]
+    """[m]."""
+    field_of_view: tuple[float, ...]
+    """[rad]."""
+    power: tuple[float, ...]
+    """[W]."""
+    dwell: tuple[float, ...]
+    """[s]."""
+    sets: tuple[tuple[float, ...], ...]
+    """Sets of frequencies [Hz]."""
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """Number of values of each."""
+        return (
+            len(self.baseline),
+            len(self.radius),
+            len(self.field_of_view),
+            len(self.power),
+            len(self.dwell),
+            len(self.sets),
+        )
+
+    def parameters(self, number: int, like: Parameters) -> Parameters:
+        """Return one candidate by its number; laser, channels, method as another."""
+        b, r, f, p, t, s = np.unravel_index(number, self.shape)
+        return replace(
+            like,
+            baseline=self.baseline[b],
+            radius=self.radius[r],
+            field_of_view=self.field_of_view[f],
+            power=self.power[p],
+            dwell=self.dwell[t],
+            frequencies=self.sets[s],
+        )
+
+
+@dataclass(frozen=True, kw_only=True)
+class Score:
+    """Figures of candidates, each met or better in the asked share of the draws."""
+
+    error: Floats
+    """Total error, shape (candidate, distance) [m]."""
+    wrong: Floats
+    """Probability of a wrong interval, shape (candidate, distance) [1]."""
+    output: Floats
+    """Mean output over the largest linear one, shape (candidate,) [1]."""
+    validity: Floats
+    """Above 1 where model or first-order errors do not hold, shape (candidate,) [1]."""
+    time: Floats
+    """Time of all pixels, shape (candidate,) [s]."""
+    cost: Floats
+    """Sum of prices, shape (candidate,) [currency]."""
+
+    def part(self, which: NDArray[np.intp]) -> Score:
+        """Return some candidates."""
+        return Score(**{name: value[which] for name, value in vars(self).items()})
+
+    @staticmethod
+    def joined(scores: Sequence[Score]) -> Score:
+        """Return the candidates of several."""
+        return Score(
+            **{
+                name: np.concatenate([getattr(one, name) for one in scores])
+                for name in vars(scores[0])
+            }
+        )
+
+
+def merits(goal: Goal, score: Score, *, with_intervals: bool = True) -> Floats:
+    """Return by what candidates are ordered: the smaller the better.
+
+    Parameters
+    ----------
+    goal : Goal
+        Limits.
+    score : Score
+        Figures.
+    with_intervals : bool
+        Whether wrong intervals count.
+
+    Returns
+    -------
+    ndarray, shape (candidate,)
+        Logarithm of the largest error over the accuracy; each other requirement that
+        is missed adds ten times the logarithm by which it is.
+    """
+    merit = _log(score.error.max(axis=1) / goal.accuracy.total_error)
+    missed = [
+        score.output,
+        score.validity,
+        score.time / goal.scan.longest,
+    ]
+    if with_intervals:
+        missed.append(score.wrong.max(axis=1) / goal.accuracy.wrong_interval)
+    if goal.components.budget is not None:
+        missed.append(score.cost / max(goal.components.budget, 1e-9))
+    for ratio in missed:
+        # Rounding of a time that was made to fit is no miss.
+        merit = merit + _MISSED * np.maximum(_log(ratio / (1 + 1e-9)), 0.0)
+    return np.asarray(merit)
+
+
+def _log(ratio: Floats) -> Floats:
+    with np.errstate(divide="ignore", invalid="ignore"):
+        value = np.log(np.nan_to_num(ratio, nan=np.inf))
+    return np.asarray(np.clip(value, -_WORST, _WORST))
+
+
+class Judge:
+    """Judges candidates with one laser.
+
+    Parameters
+    ----------
+    goal : Goal
+        What is asked.
+    laser : str
+        Name of the laser.
+    draws : int, optional
+        How many waters and targets; all of the goal by default.
+    distances : sequence of float, optional
+        All asked ones by default [m].
+    """
+
+    def __init__(
+        self,
+        goal: Goal,
+        laser: str,
+        *,
+        draws: int | None = None,
+        distances: Sequence[float] | None = None,
+    ) -> None:
+        self.goal = goal
+        parts = laser_of(goal, laser)
+        self.start = replace(first_choice(goal), laser=laser, power=parts.powers[0])
+        survey = survey_of(goal, self.start)
+        water = water_properties(survey)
+        self.case: Case = case_of(survey, water)
+        self.case.stated.update(goal.assumptions.model_dump(), texture=0.0)
+        found = drawn(goal, draws)
+        # Other wavelengths have other waters, in the proportion of the stated ones.
+        first = goal.components.lasers[0]
+        if found and first.name != laser:
+            base = water_properties(
+                survey_of(goal, replace(self.start, laser=first.name))
+            )
+            for name in ("attenuation", "absorption", "scattering"):
+                own, other = getattr(water, name), getattr(base, name)
+                if name in found and other > 0:
+                    found[name] = found[name] * own / other
+        self.count = max((len(each) for each in found.values()), default=1)
+        self._draws = {n: _along(v, _DIMENSIONS - 1) for n, v in found.items()}
+        asked = goal.asked if distances is None else tuple(distances)
+        self._distance = _along(np.array(asked), _DIMENSIONS - 2)
+
+    def lit(self, grid: Grid, *, joint: bool) -> Lit:
+        """Return the light of a grid, for several methods and schemes."""
+        every = np.unique(np.concatenate([np.array(one) for one in grid.sets]))
+        return lit(self.case, self._values(grid), every, joint=joint)
+
+    def score(
+        self, grid: Grid, *, scheme: str, method: str, known: Lit | None = None
+    ) -> Score:
+        """Return the figures of all candidates of a grid, in the order of its shape."""
+        if known is None:
+            known = self.lit(grid, joint=method == "joint")
+        values = self._values(grid)
+        most = max(len(one) for one in grid.sets)
+        tones = np.full((most, len(grid.sets)), np.nan)
+        for number, one in enumerate(grid.sets):
+            tones[: len(one), number] = one
+        tones = tones.reshape(most, *[1] * 5, -1, 1, 1)
+        pairs = tuple(scheme.split("+"))
+        parts = []
+        each = int(np.prod(grid.shape[3:])) * self._distance.size * self.count
+        step = max(1, _AT_ONCE // max(each, 1))
+        place = [slice(None)] * _DIMENSIONS
+        for b in range(grid.shape[0]):
+            for r in range(grid.shape[1]):
+                for first in range(0, grid.shape[2], step):
+                    place[:3] = (
+                        slice(b, b + 1),
+                        slice(r, r + 1),
+                        slice(first, first + step),
+                    )
+                    here = tuple(place)
+                    found = assessed(
+                        self.case,
+                        {name: _part(value, here) for name, value in values.items()},
+                        frequencies=tones,
+                        method=method,
+                        pairs=pairs,
+                        interval=self.goal.limits,
+                        known=replace(
+                            known,
+                            look=_part(known.look, here),
+                            place=_part(known.place, here),
+                            reach=_part(known.reach, here),
+                        ),
+                    )
+                    parts.append(self._figures(found))
+        error, wrong, output, validity = (
+            np.concatenate([one[k] for one in parts]) for k in range(4)
+        )
+        time, cost = self._prices(grid, scheme, method)
+        return Score(
+            error=error,
+            wrong=wrong,
+            output=output,
+            validity=validity,
+            time=time,
+            cost=cost,
+        )
+
+    def of(self, chosen: Parameters) -> Score:
+        """Return the figures of one candidate."""
+        return self.score(
+            grid_of(chosen), scheme=chosen.polarization, method=chosen.method
+        )
+
+    def _values(self, grid: Grid) -> dict[str, Floats]:
+        """Return values of all axes, along their dimensions."""
+        names = ("baseline", "radius", "field_of_view", "power", "dwell")
+        values = {
+            name: _along(np.array(getattr(grid, name)), k)
+            for k, name in enumerate(names)
+        }
+        aim = np.full([1] * _DIMENSIONS, self.case.survey.targets[0].position[2])
+        return {**values, "aim": aim, "distance": self._distance, **self._draws}
+
+    def _figures(self, found: Assessed) -> tuple[Floats, Floats, Floats, Floats]:
+        """Return the figures that the asked share of the draws reaches."""
+        column = {name: found.result[..., k] for k, name in enumerate(kernel.RESULTS)}
+        square = found.late**2 + found.footprint**2
+        for name in kernel.RANDOM:
+            square = square + column[name]
+        for name in kernel.SYSTEMATIC:
+            square = square + column[name] ** 2
+        valid = np.maximum(found.bent / MOST_BENT, column["unseen"] / _UNSEEN)
+        rank = max(math.ceil(self.goal.accuracy.share * self.count - 1e-9), 1) - 1
+        reached = [
+            np.partition(np.nan_to_num(value, nan=np.inf), rank, axis=-1)[..., rank]
+            for value in (square, column["wrong"], column["output"], valid)
+        ]
+        flat = [value.reshape(-1, value.shape[-1]) for value in reached]
+        return np.sqrt(flat[0]), flat[1], flat[2].max(axis=1), flat[3].max(axis=1)
+
+    def _prices(self, grid: Grid, scheme: str, method: str) -> tuple[Floats, Floats]:
+        """Return scan time and cost of all candidates."""
+        like = replace(self.start, polarization=scheme, method=method)
+        goal, shape = self.goal, grid.shape
+        time = np.zeros(shape)
+        for t, dwell in enumerate(grid.dwell):
+            for s, one in enumerate(grid.sets):
+                sample = replace(like, dwell=dwell, frequencies=one)
+                time[..., t, s] = scan_time(goal, sample)
+        # Prices add up, so each value is looked at alone.
+        base = grid.parameters(0, like)
+        start = cost_of(goal, base)
+        cost = np.full(shape, start)
+        names = ("baseline", "radius", "field_of_view", "power", "dwell", "frequencies")
+        held = (*(getattr(grid, name) for name in names[:-1]), grid.sets)
+        for axis, (name, choices) in enumerate(zip(names, held, strict=True)):
+            more = [cost_of(goal, replace(base, **{name: v})) - start for v in choices]
+            cost = cost + np.array(more).reshape(
+                [-1 if k == axis else 1 for k in range(len(shape))]
+            )
+        return time.ravel(), cost.ravel()
+
+
+def grid_of(chosen: Parameters) -> Grid:
+    """Return a grid of one candidate."""
+    return Grid(
+        baseline=(chosen.baseline,),
+        radius=(chosen.radius,),
+        field_of_view=(chosen.field_of_view,),
+        power=(chosen.power,),
+        dwell=(chosen.dwell,),
+        sets=(chosen.frequencies,),
+    )
+
+
+def _along(values: Floats, dimension: int) -> Floats:
+    """Return values along one of the dimensions."""
+    return values.reshape([-1 if k == dimension else 1 for k in range(_DIMENSIONS)])
+
+
+def _part(value: NDArray, here: tuple[slice, ...]) -> NDArray:  # type: ignore[type-arg]
+    """Return the part of an array, whole along dimensions in which it does not vary."""
+    if value.ndim != _DIMENSIONS:
+        return value
+    return value[
+        tuple(
+            part if size > 1 else slice(None)
+            for part, size in zip(here, value.shape, strict=True)
+        )
+    ]

@@ -1,0 +1,368 @@
+"""The search: grids, exchange of frequencies, refinement; the same result each time."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from functools import cache
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from amulor._progress import tell
+from amulor.design.candidates import (
+    Parameters,
+    box_values,
+    fits,
+    frequency_grid,
+    laser_of,
+)
+from amulor.design.goal import Goal
+from amulor.design.goal.parts import Box
+from amulor.design.scores import Grid, Judge, Score, grid_of, merits
+
+__all__ = ["Candidate", "Found", "search"]
+
+Floats = NDArray[np.float64]
+
+#: Draws, and distances, that the grid is looked at with before the best are judged.
+_FEW_DRAWS, _FEW_DISTANCES = 8, 3
+#: Best candidates of each laser, scheme and method whose frequencies are exchanged.
+_STARTS = 2
+#: Improvement of the logarithm of the error below which a step is none.
+_GAIN = 1e-6
+#: Steps of the exchange, and of the refinement.
+_EXCHANGES, _STEPS = 12, 90
+
+
+@dataclass(frozen=True, kw_only=True)
+class Candidate:
+    """One instrument with its figures in all draws at all distances."""
+
+    parameters: Parameters
+    """What it is made of."""
+    score: Score
+    """Its figures; arrays of one candidate."""
+    merit: float
+    """What it is ordered by."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Found:
+    """What a search found."""
+
+    best: tuple[Candidate, ...]
+    """Candidates, the best one first, all of them different."""
+    count: int
+    """Number of candidates that were looked at."""
+
+    def all_scores(self) -> Score:
+        """Return the worst distance of all candidates that are kept."""
+        return Score.joined([_worst(one.score) for one in self.best])
+
+
+def search(goal: Goal) -> Found:
+    """Search the components of a goal.
+
+    Parameters
+    ----------
+    goal : Goal
+        What is asked, and what may be chosen.
+
+    Returns
+    -------
+    Found
+        The same each time.
+
+    Raises
+    ------
+    SurveyError
+        If nothing fits together.
+
+    Notes
+    -----
+    All combinations on a grid are judged with few draws and single frequencies (or
+    the stated sets). From the best of each laser, scheme and method the frequencies
+    are exchanged: one is added, dropped or put in the place of another, with the dwell
+    times that fit, as long as that helps. The best are refined by the method of Nelder
+    and Mead within their ranges.
+    """
+    lasers = [laser.name for laser in goal.components.lasers]
+    judges = {name: Judge(goal, name) for name in lasers}
+    begun: list[Candidate] = []
+    count = 0
+    for number, laser in enumerate(lasers):
+        tell(f"all combinations with {laser}", 0.4 * number / len(lasers))
+        for grid, score, like in _grids(goal, laser):
+            count += len(score.time)
+            starts = _starts(goal, grid, score, like)
+            begun += [_candidate(judges[laser], each) for each in starts]
+    begun = _unique(begun)
+    exchanged = []
+    for number, one in enumerate(begun):
+        tell("exchanging frequencies", 0.4 + 0.3 * number / len(begun))
+        better, tried = _exchanged(goal, judges[one.parameters.laser], one)
+        exchanged.append(better)
+        count += tried
+    exchanged = _ordered(goal, _unique([*exchanged, *begun]))
+    refined = []
+    chosen = exchanged[: goal.effort.refined]
+    for number, one in enumerate(chosen):
+        tell("refining the best", 0.7 + 0.3 * number / len(chosen))
+        better, tried = _refined(goal, judges[one.parameters.laser], one)
+        refined.append(better)
+        count += tried
+    return Found(
+        best=tuple(_ordered(goal, _unique([*refined, *exchanged]))),
+        count=count,
+    )
+
+
+def _worst(score: Score) -> Score:
+    """Return figures with the worst distance alone."""
+    return replace(
+        score,
+        error=score.error.max(axis=1, keepdims=True),
+        wrong=score.wrong.max(axis=1, keepdims=True),
+    )
+
+
+def _grids(goal: Goal, laser: str) -> Iterator[tuple[Grid, Score, Parameters]]:
+    """Yield the grid of one laser with its figures, for each scheme and method."""
+    asked = goal.asked
+    some = np.unique(np.linspace(0, len(asked) - 1, _FEW_DISTANCES).astype(int))
+    judge = Judge(goal, laser, draws=_FEW_DRAWS, distances=[asked[k] for k in some])
+    grid = _grid(goal, laser)
+    combinations = list(dict.fromkeys(fits(goal)))
+    known = judge.lit(grid, joint=any(m == "joint" for _, m in combinations))
+    for scheme, method in combinations:
+        score = judge.score(grid, scheme=scheme, method=method, known=known)
+        yield grid, score, replace(judge.start, polarization=scheme, method=method)
+
+
+def _grid(goal: Goal, laser: str) -> Grid:
+    """Return all combinations of one laser, with single frequencies or stated sets."""
+    parts = goal.components
+    stated = laser_of(goal, laser)
+    sets = parts.modulation.sets or tuple((f,) for f in frequency_grid(goal))
+    return Grid(
+        baseline=box_values(parts.baseline),
+        radius=box_values(parts.radius),
+        field_of_view=box_values(parts.field_of_view),
+        power=tuple(sorted(stated.powers)),
+        dwell=box_values(parts.dwell),
+        sets=_allowed(sets, stated.top_frequency),
+    )
+
+
+def _allowed(
+    sets: tuple[tuple[float, ...], ...], top: float | None
+) -> tuple[tuple[float, ...], ...]:
+    """Return the sets that a laser can be modulated with; the lowest if none is."""
+    good = tuple(one for one in sets if top is None or max(one) <= top)
+    return good or (min(sets, key=max),)
+
+
+def _starts(goal: Goal, grid: Grid, score: Score, like: Parameters) -> list[Parameters]:
+    """Return the best of a grid, with intervals and without, and the cheapest."""
+    chosen: list[int] = []
+    alone = not goal.components.modulation.sets and goal.components.modulation.most > 1
+    for with_intervals in (True, False) if alone else (True,):
+        merit = merits(goal, score, with_intervals=with_intervals)
+        chosen += [int(k) for k in np.argsort(merit, kind="stable")[:_STARTS]]
+        if _priced(goal):
+            good = np.flatnonzero(merit <= 0)
+            order = np.lexsort((merit[good], score.cost[good]))
+            chosen += [int(k) for k in good[order[:_STARTS]]]
+    return [grid.parameters(k, like) for k in dict.fromkeys(chosen)]
+
+
+def _priced(goal: Goal) -> bool:
+    """Return whether a goal states any price."""
+    parts = goal.components
+    prices = [parts.price_per_channel, parts.modulation.price_each]
+    prices += [laser.price + laser.price_per_watt for laser in parts.lasers]
+    boxes = (parts.baseline, parts.radius, parts.field_of_view, parts.dwell)
+    return any(prices) or any(box.prices for box in boxes)
+
+
+def _candidate(judge: Judge, chosen: Parameters) -> Candidate:
+    """Return a candidate, judged in all draws at all distances."""
+    score = judge.of(chosen)
+    return Candidate(
+        parameters=chosen,
+        score=score,
+        merit=float(merits(judge.goal, score)[0]),
+    )
+
+
+def _unique(candidates: list[Candidate]) -> list[Candidate]:
+    """Return each instrument once."""
+    return list({one.parameters: one for one in candidates}.values())
+
+
+def _ordered(goal: Goal, candidates: list[Candidate]) -> list[Candidate]:
+    """Return candidates, the best first: of those that do, the cheapest."""
+    priced = _priced(goal)
+
+    def key(one: Candidate) -> tuple[bool, float, float]:
+        done = one.merit <= 0
+        return not done, float(one.score.cost[0]) if priced and done else 0.0, one.merit
+
+    return sorted(candidates, key=key)
+
+
+def _exchanged(goal: Goal, judge: Judge, start: Candidate) -> tuple[Candidate, int]:
+    """Return what exchanging frequencies makes of a candidate, and how many it took."""
+    modulation = goal.components.modulation
+    if modulation.sets:
+        return start, 0
+    top = laser_of(goal, start.parameters.laser).top_frequency
+    tones = tuple(
+        t for (t,) in _allowed(tuple((f,) for f in frequency_grid(goal)), top)
+    )
+    joint = start.parameters.method == "joint"
+    whole = replace(grid_of(start.parameters), sets=tuple((t,) for t in tones))
+    known = judge.lit(whole, joint=joint)
+    best, tried = start, 0
+    for _ in range(_EXCHANGES):
+        sets = _neighbours(best.parameters.frequencies, tones, modulation.most)
+        grid = replace(
+            grid_of(best.parameters),
+            dwell=_dwells(goal, best.parameters, sets),
+            sets=sets,
+        )
+        score = judge.score(
+            grid,
+            scheme=best.parameters.polarization,
+            method=best.parameters.method,
+            known=known,
+        )
+        tried += len(score.time)
+        merit = merits(goal, score)
+        at = int(np.argmin(merit))
+        if not merit[at] < best.merit - _GAIN:
+            break
+        best = Candidate(
+            parameters=grid.parameters(at, best.parameters),
+            score=score.part(np.array([at])),
+            merit=float(merit[at]),
+        )
+    return best, tried
+
+
+def _neighbours(
+    now: tuple[float, ...], tones: tuple[float, ...], most: int
+) -> tuple[tuple[float, ...], ...]:
+    """Return sets with one frequency added, dropped or exchanged, and this one."""
+    found = [now]
+    for tone in tones:
+        if tone in now:
+            continue
+        if len(now) < most:
+            found.append(tuple(sorted((*now, tone))))
+        found += [
+            tuple(sorted((*now[:k], tone, *now[k + 1 :]))) for k in range(len(now))
+        ]
+    if len(now) > 1:
+        found += [(*now[:k], *now[k + 1 :]) for k in range(len(now))]
+    return tuple(dict.fromkeys(found))
+
+
+def _dwells(
+    goal: Goal, like: Parameters, sets: tuple[tuple[float, ...], ...]
+) -> tuple[float, ...]:
+    """Return dwell times to choose from, those that just fit the time among them."""
+    box = goal.components.dwell
+    values = {like.dwell, *box_values(box)}
+    if not box.values and box.low is not None and box.high is not None:
+        pixels = goal.scan.rows * goal.scan.columns
+        channels = len(like.polarization.split("+"))
+        for count in {len(one) for one in sets}:
+            fitting = goal.scan.longest / (pixels * channels * count)
+            if box.low <= fitting <= box.high:
+                values.add(fitting)
+    return tuple(sorted(values))
+
+
+def _refined(goal: Goal, judge: Judge, start: Candidate) -> tuple[Candidate, int]:
+    """Return a candidate refined within the ranges of a goal, and how many it took."""
+    from scipy.optimize import minimize
+
+    names, low, high = _ranges(goal, start.parameters)
+    if not names:
+        return start, 0
+    lowest, widest = np.log(low), np.log(high) - np.log(low)
+
+    def at(place: tuple[float, ...]) -> Parameters:
+        values = np.exp(lowest + widest * np.clip(place, 0.0, 1.0))
+        return _with(start.parameters, names, tuple(map(float, values)))
+
+    @cache
+    def merit(place: tuple[float, ...]) -> float:
+        chosen = at(place)
+        if len(set(chosen.frequencies)) < len(chosen.frequencies):
+            return 1e3
+        return float(merits(goal, judge.of(chosen))[0])
+
+    now = np.array([_value(start.parameters, name) for name in names])
+    begin = np.clip((np.log(now) - lowest) / widest, 0.0, 1.0)
+    # Steps lead away from the nearer edge.
+    simplex = np.vstack([begin, begin + np.diag(np.where(begin < 0.5, 0.1, -0.1))])
+    result = minimize(
+        lambda place: merit(tuple(np.clip(place, 0.0, 1.0))),
+        begin,
+        method="Nelder-Mead",
+        bounds=[(0.0, 1.0)] * len(names),
+        options={
+            "initial_simplex": simplex,
+            "maxfev": _STEPS,
+            "xatol": 1e-3,
+            "fatol": 1e-4,
+        },
+    )
+    better = _candidate(judge, at(tuple(result.x)))
+    return min(better, start, key=lambda one: one.merit), int(result.nfev)
+
+
+def _ranges(goal: Goal, chosen: Parameters) -> tuple[list[str], Floats, Floats]:
+    """Return what can be refined, and its least and largest value."""
+    found: list[tuple[str, float, float]] = []
+    for name in ("baseline", "radius", "field_of_view", "dwell"):
+        box: Box = getattr(goal.components, name)
+        if box.low is not None and box.high is not None:
+            found.append((name, box.low, box.high))
+    stated = goal.components.modulation
+    if stated.lowest is not None and stated.highest is not None:
+        top = laser_of(goal, chosen.laser).top_frequency or stated.highest
+        # A laser that cannot be modulated so fast has been given the lowest frequency.
+        highest = max(min(stated.highest, top), chosen.frequencies[-1])
+        found += [
+            (f"frequencies.{k}", stated.lowest, highest)
+            for k in range(len(chosen.frequencies))
+        ]
+    names, low, high = zip(*found, strict=True) if found else ((), (), ())
+    return list(names), np.array(low), np.array(high)
+
+
+def _value(chosen: Parameters, name: str) -> float:
+    """Return the number of a parameter."""
+    field, _, number = name.partition(".")
+    value = getattr(chosen, field)
+    return float(value[int(number)]) if number else float(value)
+
+
+def _with(
+    chosen: Parameters, names: list[str], values: tuple[float, ...]
+) -> Parameters:
+    """Return a candidate with other numbers."""
+    changes: dict[str, Any] = {}
+    tones = list(chosen.frequencies)
+    for name, value in zip(names, values, strict=True):
+        field, _, number = name.partition(".")
+        if number:
+            tones[int(number)] = value
+        else:
+            changes[field] = value
+    return replace(chosen, **changes, frequencies=tuple(sorted(tones)))
