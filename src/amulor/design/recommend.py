@@ -169,8 +169,8 @@ def recommend(
     uncertainty and residual bias of `evaluate`, at the worst asked distance: the value
     that the asked share of drawn waters and targets reaches. Wrong intervals,
     saturation, the limits of the model, time and budget are requirements; each that is
-    missed counts ten times. Where the goal states prices, the cheapest instrument that meets all is
-    the best one.
+    missed counts ten times. Where the goal states prices, the cheapest instrument that
+    meets all is the best one.
     """
     with nullcontext() if progress is None else listening(progress):
         found = search(goal)
