@@ -16,6 +16,10 @@ COMMANDS = {
     ),
     "survey check": ("survey:check", "Check a survey file."),
     "survey schema": ("survey:schema", "Print the JSON Schema of survey files."),
+    "design": (
+        "design.design:design",
+        "Recommend an instrument for a goal; write its survey.",
+    ),
     "backscatter": (
         "backscatter:backscatter",
         "Compute the water signal against modulation frequency.",

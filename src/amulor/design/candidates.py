@@ -18,6 +18,7 @@ from amulor.errors import SurveyError
 from amulor.rejection.channels.names import PARTNERS
 from amulor.survey import Instrument, Plate, Receiver, Scan, Survey, water_properties
 from amulor.survey.instrument import Emitter
+from amulor.survey.mueller import matrix
 
 __all__ = [
     "Parameters",
@@ -172,6 +173,30 @@ def scan_time(goal: Goal, chosen: Parameters) -> float:
     return goal.scan.rows * goal.scan.columns * samples * chosen.dwell
 
 
+def depolarizing(stated: Any, m22: float) -> tuple[tuple[float, ...], ...]:
+    """Return a Mueller matrix that keeps more or less of the polarization.
+
+    Parameters
+    ----------
+    stated : tuple or str
+        As in a survey.
+    m22 : float
+        Its element m22; all but m11 change in proportion. A matrix without any becomes
+        that of a mirror, weakened [1].
+
+    Returns
+    -------
+    tuple
+        Four rows.
+    """
+    known = matrix(stated)
+    if known[1, 1] == 0:
+        known = np.diag([1.0, 1.0, -1.0, -1.0])
+    scaled = known * (m22 / known[1, 1])
+    scaled[0, 0] = 1.0
+    return tuple(tuple(map(float, row)) for row in scaled)
+
+
 def survey_of(goal: Goal, chosen: Parameters) -> Survey:
     """Return the survey of a choice, with a plate at the middle distance.
 
@@ -185,7 +210,7 @@ def survey_of(goal: Goal, chosen: Parameters) -> Survey:
     Returns
     -------
     Survey
-        With the median of the waters and targets.
+        With the base of the waters, and the median of what else is spread.
 
     Raises
     ------
@@ -200,10 +225,17 @@ def survey_of(goal: Goal, chosen: Parameters) -> Survey:
         )
     constant = min(goal.lock_in.time_constant, _LOCK_IN * chosen.dwell)
     water = laser.water or goal.waters.base
+    changes: dict[str, Any] = {}
     if goal.waters.fluctuation is not None:
-        water = water.model_copy(
-            update={"signal_fluctuation": middle(goal.waters.fluctuation)}
+        changes["signal_fluctuation"] = middle(goal.waters.fluctuation)
+    if goal.waters.m22 is not None:
+        changes["backscatter_mueller"] = depolarizing(
+            water.backscatter_mueller, middle(goal.waters.m22)
         )
+    water = water.model_copy(update=changes)
+    surface: Any = goal.targets.mueller
+    if goal.targets.m22 is not None:
+        surface = depolarizing(surface, middle(goal.targets.m22))
     distance = aim_of_goal(goal)
     scan = goal.scan
     width = 2.2 * distance * math.tan(scan.azimuth_span / 2) + 0.1
@@ -218,7 +250,7 @@ def survey_of(goal: Goal, chosen: Parameters) -> Survey:
                 width=width,
                 height=height,
                 reflectance=middle(goal.targets.reflectance),
-                mueller=goal.targets.mueller,
+                mueller=surface,
             ),
         ),
         instrument=Instrument(

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from scipy.constants import speed_of_light
-from scipy.interpolate import CubicSpline
+from scipy.interpolate import CubicSpline, PchipInterpolator
 
 from amulor.design._kernels import columns as kernel
 from amulor.optics import small_angle
@@ -32,6 +32,8 @@ _GROWTH, _POINTS = 1.3, 6
 _TURN = 2.5
 #: Light of an overlap so small counts as none (logarithm).
 _DARK = -690.0
+#: Overlap so small somewhere that its logarithm falls steeply.
+_STEEP = -100.0
 #: Optical depth, and distance, beyond which no open water is summed up.
 _FADED, _FARTHEST = 14.0, 150.0
 
@@ -115,7 +117,13 @@ def columns(
     farthest = _farthest(survey, looks, depth)
     knots = np.geomspace(_NEAREST, farthest, _KNOTS)
     place = np.log(knots)
-    spline = CubicSpline(place, _log_overlap(survey, water, looks, knots), axis=1)
+    logarithm = _log_overlap(survey, water, looks, knots)
+    spline = CubicSpline(place, logarithm, axis=1)
+    # Where the view of the receiver begins, a smooth spline swings far above the light.
+    steep = logarithm.min(axis=1) < _STEEP
+    if steep.any():
+        straight = PchipInterpolator(place, logarithm[steep], axis=1)
+        spline.c[:, :, steep] = straight.c
     # Pieces as (power, segment, look); evaluated from the start of each.
     piece = np.ascontiguousarray(spline.c)
     rate = 4 * math.pi / speed_of_light * water.group_index * frequency

@@ -18,8 +18,8 @@ __all__ = ["late_uncertainty"]
 
 Floats = NDArray[np.float64]
 
-#: Distances at which the delay is worked out; even over the square of the distance.
-_DISTANCES = 5
+#: Distances at which the delay is worked out, for each factor of two.
+_PER_OCTAVE = 3
 #: Natural waters are at least so much of the delay late, and imaging takes the middle
 #: of that and of the whole, see `amulor.imaging.late_light` [1].
 _LEAST_PART = 0.5
@@ -74,7 +74,10 @@ def late_uncertainty(
     if function.asymmetry < _LEAST_ASYMMETRY:
         return np.zeros(shape)
     depth = np.maximum(distance - (distance[0] - float(places[0].depth[0])), 1e-3)
-    some = np.unique(np.geomspace(depth[0], depth[-1], _DISTANCES))
+    count = 2 + math.ceil(_PER_OCTAVE * math.log2(depth[-1] / depth[0]))
+    some = depth
+    if len(depth) > count:
+        some = np.geomspace(depth[0], depth[-1], count)
     # Where the receiver looks past the echo there is none to be late.
     with np.errstate(all="ignore"):
         delay = late_echo(
@@ -95,7 +98,9 @@ def late_uncertainty(
     if len(some) == 1:
         found = np.repeat(even, len(depth), axis=1)
     else:
-        place = np.interp(np.log(depth), np.log(some), np.arange(len(some)))
+        place = np.interp(
+            np.log(depth), np.log(some), np.arange(len(some), dtype=float)
+        )
         low = np.minimum(place.astype(int), len(some) - 2)
         part = place - low
         found = (1 - part) * even[:, low] + part * even[:, low + 1]

@@ -271,7 +271,9 @@ def _fractions(
         each = [float(mueller.detected_fraction(known, pair=pair)) for pair in pairs]
         return np.stack([flat(value) for value in each], axis=1)
     # The other elements change in proportion, as more or less of it is depolarized.
-    factor = given[name] / known[1, 1] if known[1, 1] else np.ones(1)
+    if known[1, 1] == 0:
+        known = np.diag([1.0, 1.0, -1.0, -1.0])
+    factor = given[name] / known[1, 1]
     bare = np.zeros((4, 4))
     bare[0, 0] = 1.0
     parts = []

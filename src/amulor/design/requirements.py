@@ -15,7 +15,15 @@ from amulor.design.goal import Goal
 from amulor.design.scores import Score
 from amulor.design.search import Candidate
 
-__all__ = ["Requirement", "Shortfall", "shortfalls", "table", "written"]
+__all__ = [
+    "Requirement",
+    "Shortfall",
+    "parameters_text",
+    "quantity_text",
+    "shortfalls",
+    "table",
+    "written",
+]
 
 Floats = NDArray[np.float64]
 
@@ -73,8 +81,8 @@ _READ = {
     "wrong interval": ("%", 1e2),
     "scan time": ("min", 1 / 60),
     "budget": ("", 1.0),
-    "detector output": ("of its limit", 1.0),
-    "validity of the model": ("of its limit", 1.0),
+    "detector output": ("%", 1e2),
+    "validity of the model": ("%", 1e2),
 }
 _UNITS = {"total error": "m", "scan time": "s"}
 
@@ -233,6 +241,24 @@ def _shortfall(goal: Goal, name: str, factor: float, *, alone: bool) -> Shortfal
         text=f"{name}: {written(name, value)} in place of {written(name, limit)} "
         f"({factor:.3g} times) {would}",
     )
+
+
+def quantity_text(name: str, value: float) -> str:
+    """Return what a requirement reaches, or allows, as people read it.
+
+    Parameters
+    ----------
+    name : str
+        Of a `Requirement`, such as "total error at 2 m".
+    value : float
+        In SI units.
+
+    Returns
+    -------
+    str
+        With a unit.
+    """
+    return written(name.partition(" at ")[0], value)
 
 
 def parameters_text(chosen: Parameters) -> str:

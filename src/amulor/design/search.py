@@ -32,8 +32,8 @@ _FEW_DRAWS, _FEW_DISTANCES = 8, 3
 _STARTS = 2
 #: Improvement of the logarithm of the error below which a step is none.
 _GAIN = 1e-6
-#: Steps of the exchange, and of the refinement.
-_EXCHANGES, _STEPS = 12, 90
+#: Steps of the exchange, and of the refinement, which looks at so many draws.
+_EXCHANGES, _STEPS, _REFINED_DRAWS = 12, 70, 24
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -294,6 +294,7 @@ def _refined(goal: Goal, judge: Judge, start: Candidate) -> tuple[Candidate, int
     if not names:
         return start, 0
     lowest, widest = np.log(low), np.log(high) - np.log(low)
+    quick = Judge(goal, start.parameters.laser, draws=_REFINED_DRAWS)
 
     def at(place: tuple[float, ...]) -> Parameters:
         values = np.exp(lowest + widest * np.clip(place, 0.0, 1.0))
@@ -304,7 +305,7 @@ def _refined(goal: Goal, judge: Judge, start: Candidate) -> tuple[Candidate, int
         chosen = at(place)
         if len(set(chosen.frequencies)) < len(chosen.frequencies):
             return 1e3
-        return float(merits(goal, judge.of(chosen))[0])
+        return float(merits(goal, quick.of(chosen))[0])
 
     now = np.array([_value(start.parameters, name) for name in names])
     begin = np.clip((np.log(now) - lowest) / widest, 0.0, 1.0)
@@ -318,8 +319,8 @@ def _refined(goal: Goal, judge: Judge, start: Candidate) -> tuple[Candidate, int
         options={
             "initial_simplex": simplex,
             "maxfev": _STEPS,
-            "xatol": 1e-3,
-            "fatol": 1e-4,
+            "xatol": 3e-3,
+            "fatol": 1e-3,
         },
     )
     better = _candidate(judge, at(tuple(result.x)))
