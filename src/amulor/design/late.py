@@ -20,6 +20,8 @@ Floats = NDArray[np.float64]
 
 #: Distances at which the delay is worked out, for each factor of two.
 _PER_OCTAVE = 3
+#: Up to it the delay hardly depends on the modulation; beyond, it is less [Hz].
+_FREQUENCY = 50e6
 #: Natural waters are at least so much of the delay late, and imaging takes the middle
 #: of that and of the whole, see `amulor.imaging.late_light` [1].
 _LEAST_PART = 0.5
@@ -33,7 +35,6 @@ def late_uncertainty(
     looks: Looks,
     places: list[Place],
     distance: Floats,
-    frequency: Floats,
 ) -> Floats:
     """Return the standard uncertainty that imaging states for late light.
 
@@ -49,8 +50,6 @@ def late_uncertainty(
         Where receivers stand; the water begins at the same place for all.
     distance : ndarray, shape (distance,)
         Slant ranges, increasing [m].
-    frequency : ndarray
-        Modulation frequencies; the delay is that of their geometric mean [Hz].
 
     Returns
     -------
@@ -62,7 +61,8 @@ def late_uncertainty(
     -----
     As `amulor.imaging.late_light`: a rectangular distribution between the delay of
     the phase function and half of it, and 15 % of the middle for the model. The delay
-    over the square of the distance is interpolated in the logarithm of the distance.
+    over the square of the distance is interpolated in the logarithm of the distance. It
+    is that at 50 MHz, an upper limit for higher frequencies.
     """
     shape = (len(looks.absorption), len(distance))
     if water.scattering == 0 or water.forward_scattering * water.second_moment == 0:
@@ -81,7 +81,7 @@ def late_uncertainty(
     # Where the receiver looks past the echo there is none to be late.
     with np.errstate(all="ignore"):
         delay = late_echo(
-            math.exp(float(np.mean(np.log(frequency)))),
+            _FREQUENCY,
             depth=some,
             scattering=looks.scattering[:, None],
             phase_function=function,

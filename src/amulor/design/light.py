@@ -100,9 +100,7 @@ def lit(
     light, bent = _light(case, looks, places, distance, tones, joint=joint)
     late_error = np.zeros(bent.shape)
     if late:
-        late_error = late_uncertainty(
-            case.survey, case.water, looks, places, distance, tones
-        )
+        late_error = late_uncertainty(case.survey, case.water, looks, places, distance)
     return Lit(
         light=light,
         places=places,

@@ -136,9 +136,21 @@ class Recommendation:
             "runner_up": None if self.runner_up is None else self.runner_up.to_dict(),
             "bounds": [asdict(one) for one in self.bounds],
             "impossible": [asdict(one) for one in self.impossible],
-            "candidates": self.candidates.to_dict(data="list")["data_vars"],
+            "candidates": [
+                _plain_row(self.candidates.isel(candidate=number))
+                for number in range(self.candidates.sizes["candidate"])
+            ],
             "looked_at": self.looked_at,
         }
+
+
+def _plain_row(row: xr.Dataset) -> dict[str, Any]:
+    """Return one row of the table of candidates, its frequencies as a list."""
+    tones = row["modulation_frequency"].values
+    plain = {
+        str(name): row[name].item() for name in row if name != "modulation_frequency"
+    }
+    return {**plain, "frequencies": tones[np.isfinite(tones)].tolist()}
 
 
 def recommend(

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from amulor.design._kernels import points as kernel
 from amulor.design.candidates import (
     Parameters,
+    box_values,
     cost_of,
     first_choice,
     laser_of,
@@ -182,7 +183,13 @@ class Judge:
     ) -> None:
         self.goal = goal
         parts = laser_of(goal, laser)
-        self.start = replace(first_choice(goal), laser=laser, power=parts.powers[0])
+        # Of the longest dwell, which leaves the time constant as it is stated.
+        self.start = replace(
+            first_choice(goal),
+            laser=laser,
+            power=parts.powers[0],
+            dwell=box_values(goal.components.dwell)[-1],
+        )
         survey = survey_of(goal, self.start)
         water = water_properties(survey)
         self.case: Case = case_of(survey, water)

@@ -298,6 +298,7 @@ def _refined(goal: Goal, judge: Judge, start: Candidate) -> tuple[Candidate, int
 
     def at(place: tuple[float, ...]) -> Parameters:
         values = np.exp(lowest + widest * np.clip(place, 0.0, 1.0))
+        values = np.clip(values, low, high)  # against rounding at the ends
         return _with(start.parameters, names, tuple(map(float, values)))
 
     @cache

@@ -1,0 +1,196 @@
+"""Predicted errors: closed forms, other ways to the same numbers, what is refused."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import xarray as xr
+from numpy.testing import assert_allclose
+from scipy.constants import Planck, speed_of_light
+
+from amulor.design import TERMS, evaluate
+from amulor.design._kernels.assess import assess
+from amulor.design._kernels.intervals import astray
+from amulor.errors import SurveyError
+from amulor.optics import ambiguity
+from amulor.simulation import SmallAngleModel, expectation
+from amulor.survey import Survey, water_properties
+from amulor.survey.view import medium, view
+
+RANDOM = ("shot", "dark", "daylight", "phase_floor", "fluctuation", "reference")
+
+
+def test_one_frequency_in_clear_water_has_the_photon_limit(tank: Survey) -> None:
+    clear = tank.with_(
+        {
+            "water.scattering": 0.0,
+            "water.absorption": 0.01,
+            "water.asymmetry": None,
+            "instrument.polarizations": ["none"],
+            "instrument.detector.dark_rate": 0.0,
+            "instrument.lock_in.phase_floor": 0.0,
+        }
+    )
+    frequency, distance = 60e6, 3.0
+    found = evaluate(
+        clear, distance=distance, frequency=frequency, baseline=0.0, method="none"
+    )
+    # All by hand: a Gaussian receiver on the axis, Lambert's law, Poisson statistics.
+    overlap = np.pi * (0.02 * 0.06) ** 2 / (0.02**2 + (0.06 * distance) ** 2)
+    light = 0.2 / np.pi * overlap * np.exp(-2 * 0.01 * distance)
+    rate = 0.02 * 0.3 * 0.25 * 532e-9 / (Planck * speed_of_light) * light
+    settled = 0.02 - 5e-3
+    time = settled / (1 - 1e-3 / settled * (1 - np.exp(-settled / 1e-3)))
+    sigma = np.sqrt(2 * 1.2 / (rate * time)) / 0.8
+    expected = speed_of_light / (4 * np.pi * frequency * 1.38) * sigma
+    # The overlap goes through a spline, see `amulor.design.column`.
+    assert_allclose(found["standard_uncertainty"], expected, rtol=1e-3)
+    assert_allclose(found["shot"], expected, rtol=1e-3)
+    assert found["residual_bias"] == 0
+
+
+def test_the_random_terms_add_up_and_water_and_footprint_are_the_bias(
+    tank: Survey,
+) -> None:
+    found = evaluate(
+        tank,
+        distance=[1.5, 2.5],
+        frequencies=[[39e6], [30e6, 90e6]],
+        polarization=["VH", "VV+VH"],
+        method=["none", "open-water"],
+        fluctuation=0.05,
+        slope=0.3,
+    )
+    assert found["total_error"].dims == (
+        "method", "polarization", "distance", "frequency_set",
+    )  # fmt: skip
+    square = sum(found[name] ** 2 for name in RANDOM)
+    assert_allclose(found["standard_uncertainty"] ** 2, square, rtol=1e-12)
+    bias = np.hypot(found["water_left_in"], found["footprint"])
+    assert_allclose(found["residual_bias"], bias, rtol=1e-12)
+    total = np.hypot(found["standard_uncertainty"], found["residual_bias"])
+    assert_allclose(found["total_error"], total, rtol=1e-12)
+    assert found["binding_term"].attrs["flag_meanings"].split() == list(TERMS)
+
+
+def test_light_and_noise_are_those_of_the_simulation(tank: Survey) -> None:
+    one = tank.with_(
+        {"scan.columns": 1, "scan.rows": 1, "instrument.lock_in.phase_floor": 0.0}
+    )
+    expected = expectation(one)
+    found = evaluate(one, distance=2.0, method="none", late_light=False)
+    # Of the echo alone: what is kept also holds water, which is put off by method.
+    clean = evaluate(one, distance=2.0, late_light=False)
+    own = float(np.hypot(clean["shot"], clean["dark"]))
+    scale = speed_of_light / (4 * np.pi * 39e6 * 1.38)
+    # The baseline of 10 cm makes the slope of range by path 1 part in 3000 different.
+    assert_allclose(own, scale / expected.signal_to_noise.item(), rtol=3e-3)
+    # The shift by the water that is kept: from the model itself, by hand.
+    water = water_properties(one)
+    crossed = medium(one, water)
+    seen = view(one, np.zeros(1), np.zeros(1), medium=crossed)
+    common = {"survey": one, "water": water, "view": seen}
+    surface = {
+        "depth": np.full(1, 2.0),
+        "optical_path": np.full(1, 1.38 * (2.0 + np.hypot(2.0, 0.1))),
+        "reflectance": 0.2,
+        "cosine": 2.0 / np.hypot(2.0, 0.1),
+    }
+    frequency = np.array([[39e6]])
+    model = SmallAngleModel()
+    echo = 0.3 * model.echo(frequency, surface=surface, **common)
+    column = 0.075 * model.column(frequency, end=np.full(1, 2.0), **common)
+    shift = np.abs(np.angle(1 + column / echo)) * scale
+    assert_allclose(found["water_left_in"], shift.item(), rtol=5e-3)
+
+
+def test_wrong_intervals_are_as_frequent_as_picked_by_imaging() -> None:
+    frequency, sigma, distance = np.array([100e6, 130e6]), 0.22, 2.0
+    to_range = speed_of_light / (4 * np.pi * frequency)
+    predicted, _ = astray(to_range, np.full(2, sigma**2), distance, 0.0, 4.99)
+    rng = np.random.default_rng(5)
+    count = 20_000
+    path = 2 * distance
+    phase = 2 * np.pi * frequency[:, None] * path / speed_of_light
+    phase = phase + sigma * rng.standard_normal((2, count))
+    picked = ambiguity.optical_path(
+        phase,
+        np.full((2, count), sigma),
+        modulation_frequency=frequency,
+        shortest=np.zeros(count),
+        longest=np.full(count, 2 * 4.99),
+    )
+    wrong = np.abs(picked.length - path) > 0.5 * speed_of_light / frequency[1]
+    share = wrong.mean()
+    error = np.sqrt(share * (1 - share) / count)
+    assert 0.005 < share < 0.5
+    # The sum over all wrong intervals is an upper limit, nearly reached by a few.
+    assert share - 3 * error < predicted < 1.25 * share + 3 * error
+
+
+def test_the_compiled_loop_is_the_one_that_is_written(
+    tank: Survey, monkeypatch
+) -> None:
+    kept = []
+
+    def watched(method, points, light, scratch, out) -> None:
+        assess(method, points, light, scratch, out)
+        again = np.empty_like(out)
+        assess.py_func(method, points, light, scratch, again)
+        kept.append((out.copy(), again))
+
+    monkeypatch.setattr("amulor.design.numbers.assess", watched)
+    evaluate(
+        tank,
+        distance=[1.0, 2.0],
+        frequencies=[[20e6, 60e6]],
+        polarization="VV+VH",
+        method=["none", "frequency", "open-water", "unmix", "combined", "joint"],
+    )
+    assert len(kept) == 6
+    for compiled, written in kept:
+        assert_allclose(compiled, written, rtol=1e-9)
+
+
+def test_arrays_with_dimensions_of_their_own_are_kept_together(tank: Survey) -> None:
+    draws = {
+        "attenuation": xr.DataArray([0.2, 0.5], dims="draw"),
+        "reflectance": xr.DataArray([0.1, 0.3], dims="draw"),
+    }
+    found = evaluate(tank, distance=[1.0, 2.0], **draws)
+    assert dict(found.sizes) == {"distance": 2, "draw": 2}
+    alone = evaluate(tank, distance=2.0, attenuation=0.5, reflectance=0.3)
+    assert_allclose(
+        found["total_error"].sel(distance=2.0, draw=1), alone["total_error"], rtol=1e-3
+    )
+
+
+def test_ranges_beyond_the_repetition_are_ambiguous_and_too_much_light_saturates(
+    tank: Survey,
+) -> None:
+    found = evaluate(tank, distance=[1.0, 3.0], power=[1e-3, 100.0])
+    # c / (2 n f) = 2.785 m.
+    assert found["ambiguous"].values.tolist() == [[0, 0], [1, 1]]
+    assert found["saturated"].values[0].tolist() == [0, 1]
+    two = evaluate(tank, distance=3.0, frequencies=[[39e6, 50e6]])
+    assert two["ambiguous"] == 0
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        ({"distnce": 1.0}, "is no axis of a design"),
+        ({"power": -1.0}, "must be above 0"),
+        ({"reflectance": [0.5, 2.0]}, "found 2 1"),
+        ({"attenuation": 1.0, "absorption": 0.1}, "sum of absorption and scattering"),
+        ({"frequency": 1e6, "frequencies": [[1e6]]}, "not both"),
+        ({"method": "unmix"}, "needs a co-polarized channel"),
+        ({"method": "magic"}, "must be one of"),
+        ({"polarization": "VX"}, "polarization:"),
+        ({"radiance": 1.0}, "needs the bandwidth"),
+        ({"power": np.ones((2, 2))}, "dimensions without names"),
+    ],
+)
+def test_what_cannot_be_evaluated_is_said(arguments, said, tank: Survey) -> None:
+    with pytest.raises(SurveyError, match=said):
+        evaluate(tank, **arguments)
