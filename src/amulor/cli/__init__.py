@@ -125,7 +125,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     int
         0 done; 1 something is wrong with files or data; 2 wrong use; 130 interrupted.
     """
-    words = list(sys.argv[1:] if arguments is None else arguments)
+    words = _with_negative(sys.argv[1:] if arguments is None else arguments)
     try:
         code = _answer(words)
         sys.stdout.flush()
@@ -138,6 +138,18 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return _complain(f"cannot print: {error.strerror or error}")
     except MemoryError:
         return _complain("memory ran out; take fewer pixels, channels or frequencies")
+
+
+def _with_negative(words: Sequence[str]) -> list[str]:
+    """Tie numbers below zero to their options: "--frequency -5MHz" is no option -5."""
+    tied: list[str] = []
+    for word in words:
+        below = word[:1] == "-" and word[1:].lstrip(".")[:1].isdigit()
+        if below and tied and tied[-1].startswith("--") and "=" not in tied[-1]:
+            tied[-1] += f"={word}"
+        else:
+            tied.append(word)
+    return tied
 
 
 def _answer(words: list[str]) -> int:

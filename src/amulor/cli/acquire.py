@@ -173,18 +173,32 @@ def recover(
         Replace a file that is there.
     """
     from amulor import acquisition, io
+    from amulor.acquisition.journal.journal import Journal
     from amulor.cli._arguments import CUBE_ENDINGS, check_ending
+    from amulor.errors import FormatError
 
     if output is not None:
         check_ending("--output", output, CUBE_ENDINGS)
     known = None
     if calibration is not None:
         known = acquisition.Calibration.from_toml(calibration)
+    lines: list[str] = []
     path = acquisition.recover(
-        folder, output=output, calibration=known, overwrite=overwrite, told=_told
-    )
+        folder, output=output, calibration=known, overwrite=overwrite,
+        told=lines.append,
+    )  # fmt: skip
+    for line in lines:
+        _told(line)
     missing = int(io.read_cube(path)["in_phase"].isnull().sum())
     print(f"{path}: {missing} samples missing")
+    # That an older amulor wrote no checksums is said, and is no damage.
+    with Journal.read(folder) as journal:
+        damaged = len(lines) - (not journal.has_checksums)
+    if damaged:
+        raise FormatError(
+            f"{folder}: the journal is damaged in {damaged} places, named above; the "
+            f"rest is in {path}"
+        )
 
 
 def _told(line: str) -> None:

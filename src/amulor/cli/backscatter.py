@@ -104,6 +104,8 @@ def backscatter(
         print_json(found)
     else:
         _print(described.name, found)
+    if found.get("interrupted"):
+        raise KeyboardInterrupt
 
 
 def _formula(survey: Survey, frequencies: Any, *, model: str) -> dict[str, Any]:
@@ -150,7 +152,9 @@ def _followed(
 
     rising = np.unique(np.concatenate([[0.0], frequencies]))
     with progress_bar(quiet=quiet) as advance:
-        advance("compiling the photon transport, once, half a minute", 0.0)
+        advance(
+            "first photons; the very first time they are compiled, half a minute", 0.0
+        )
         tally = transport.monte_carlo_response(
             survey,
             rising,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -36,6 +37,7 @@ def check(
     from amulor.survey.reach import repetition, target_reach, unsettled_interval
 
     survey = Survey.from_toml(file)
+    _open_meshes(survey)
     water = water_properties(survey)
     frequencies = survey.instrument.modulation_frequencies
     intervals = [
@@ -87,6 +89,18 @@ def check(
             f"  warning: {reason}; add a frequency, or state --nearest and --farthest "
             "in amulor image"
         )
+
+
+def _open_meshes(survey: Survey) -> None:
+    """Look at the files of meshes, where they can be read."""
+    from amulor.errors import MissingExtraError
+    from amulor.simulation import scene
+    from amulor.survey import Mesh
+
+    for target in survey.targets:
+        if isinstance(target, Mesh):
+            with suppress(MissingExtraError):
+                scene.triangles(target)
 
 
 #: Signal over noise below which a channel is worth a warning [1].

@@ -111,7 +111,8 @@ def read_transients(
     ------
     FormatError
         If the file is missing, damaged or foreign, if a field of it cannot be
-        used, or if it does not have such a scene, frequency or bin.
+        used, if it does not have such a scene, frequency or bin, or if no photon was
+        counted in the scene.
     ValueError
         If a side, index or repetition frequency is out of range.
 
@@ -163,6 +164,11 @@ def read_transients(
     )
     counts = histograms.counts[number]
     dark = counts.sum(axis=-1) == 0
+    if dark.all():
+        raise FormatError(
+            f"{path}: scene {number} holds no photon in any of its {dark.size} "
+            "histograms; take another scene, or look at how the counts were saved"
+        )
     cube = cubes.build(
         "samples",
         _outputs(transform(counts, weight), missing=dark, axis=1),

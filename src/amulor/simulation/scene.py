@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from amulor.errors import MissingExtraError
+from amulor.errors import MissingExtraError, SurveyError
 from amulor.simulation.texture import Texture, barycentric, load, solid, trimesh_module
 from amulor.survey import Disc, Mesh, Plate, Staircase
 from amulor.survey.target import METRES
@@ -17,6 +17,8 @@ from amulor.survey.target import METRES
 #: The ray caster works in single precision; a shadow ray starts this far off [m].
 _LIFT = 2e-5
 _RAYS_AT_ONCE = 500_000
+#: A mesh of more metres across whose unit nobody stated is one of millimetres [m].
+_ACROSS = 50.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -217,7 +219,8 @@ def triangles(target: Plate | Staircase | Disc | Mesh) -> NDArray[np.float64]:
     Raises
     ------
     SurveyError
-        If a mesh file cannot be read or holds no surface.
+        If a mesh file cannot be read or holds no surface, or if it would be more than
+        50 m across and its unit is not stated.
     """
     from scipy.spatial.transform import Rotation
 
@@ -313,6 +316,13 @@ def _mesh(target: Mesh) -> NDArray[np.float64]:
     loaded = load(target)
     corners = np.asarray(loaded.triangles, dtype=float)
     kept: NDArray[np.float64] = corners[solid(corners)] * METRES[target.unit]
+    across = float(np.ptp(kept.reshape(-1, 3), axis=0).max())
+    if "unit" not in target.model_fields_set and across > _ACROSS:
+        raise SurveyError(
+            f"{target.file}: is {across:.3g} m across if its coordinates are metres, "
+            'more than a scan takes in; state unit = "mm" or what it is, also if it is '
+            '"m"'
+        )
     return kept
 
 

@@ -25,7 +25,7 @@ def load(target: Mesh) -> Any:
     Returns
     -------
     trimesh.Trimesh
-        With at least one triangle.
+        With at least one triangle that has an area.
 
     Raises
     ------
@@ -50,6 +50,11 @@ def load(target: Mesh) -> Any:
         raise SurveyError(
             f"{target.file}: holds no triangles with finite corners; export the "
             "surface as a triangle mesh"
+        )
+    if not solid(corners).any():
+        raise SurveyError(
+            f"{target.file}: holds {len(corners)} triangles and none with an area; "
+            "export the surface as a triangle mesh"
         )
     return loaded
 

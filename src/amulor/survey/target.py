@@ -126,13 +126,23 @@ class Mesh(_Target):
     file: Path
     """Mesh file, relative to the survey file."""
     unit: Literal["m", "cm", "mm", "inch"] = "m"
-    """Unit of the coordinates in the file; GLB files are in metres by definition."""
+    """Unit of the coordinates in the file; GLB files are in metres by definition. Of a
+    mesh that would be more than 50 m across it must be stated."""
     texture: Literal["vertex-colours", "image"] | None = None
     """Where the file says how bright each place is: colours of its vertices, or an
     image with coordinates. A value of 255 is `reflectance`, 0 is black; evenly bright
     if left out."""
     texture_channel: Literal["mean", "red", "green", "blue"] | None = None
     """Which colour of the texture counts for the laser; the mean of all if left out."""
+
+    @model_validator(mode="after")
+    def _glb_is_in_metres(self) -> Self:
+        if self.file.suffix.lower() == ".glb" and self.unit != "m":
+            raise ValueError(
+                f"unit is {self.unit!r}, but coordinates of a GLB file are metres by "
+                "definition; leave unit out, or export the mesh as PLY, OBJ or STL"
+            )
+        return self
 
     @model_validator(mode="after")
     def _channel_is_of_a_texture(self) -> Self:

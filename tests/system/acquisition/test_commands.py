@@ -7,6 +7,7 @@ import json
 import os
 import shutil
 import signal
+import sqlite3
 import subprocess
 import sys
 import time
@@ -106,6 +107,27 @@ def test_mistakes_of_a_command_get_one_line(here, capsys) -> None:
     assert not any(Path(name).exists() for name in ("typo", "d.toml", "c.toml"))
     for name in ("cube.nc", FILE_NAME):
         assert Path("scan", name).read_bytes() == Path("old", name).read_bytes()
+
+
+def test_recovering_a_damaged_journal_ends_with_1_and_the_rest(here, capsys) -> None:
+    assert main(["acquire", "tank.toml", "-o", "scan"]) == 0
+    connection = sqlite3.connect(Path("scan", FILE_NAME), isolation_level=None)
+    connection.execute("UPDATE samples SET in_phase = 7.0 WHERE number IN (90, 92)")
+    connection.close()
+    capsys.readouterr()
+    assert main(["recover", "scan", "-o", "rest.nc"]) == 1
+    told = capsys.readouterr()
+    lines = told.err.splitlines()
+    assert [line.split(": ")[2] for line in lines[:2]] == ["row 90", "row 92"]
+    assert "damaged in 2 places" in lines[2]
+    assert len(lines) == 3
+    whole, rest = (io.read_cube(name) for name in ("scan/cube.nc", "rest.nc"))
+    assert "2 samples missing" in told.out
+    kept = rest["in_phase"].notnull()
+    assert kept.size - int(kept.sum()) == 2
+    np.testing.assert_array_equal(
+        rest["in_phase"].values[kept], whole["in_phase"].values[kept]
+    )
 
 
 def built(folder: Path) -> xr.Dataset:

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from amulor.cli import main
+from amulor.simulation import transport
 
 # The long tank, as rebuilt: k = 0.5 1/m, baseline 20 cm, parallel axes, n = 1.34.
 TANK = """
@@ -190,3 +191,27 @@ def test_an_error_that_is_none_is_refused(tank: Path, error: str, capsys) -> Non
     words = ["backscatter", str(_with_asymmetry(tank)), "--model", "montecarlo"]
     assert main([*words, "--error", error]) == 2
     assert len(capsys.readouterr().err.strip().splitlines()) == 1
+
+
+def test_photons_that_were_interrupted_are_printed_and_no_success(
+    tank: Path, capsys, monkeypatch
+) -> None:
+    # As Ctrl-C does after some batches, without a signal.
+    real = transport.monte_carlo_response
+
+    def run(survey, frequencies, **options):
+        seen = []
+
+        def progress(state) -> None:
+            seen.append(state)
+            if len(seen) > 3:
+                raise KeyboardInterrupt
+
+        return real(survey, frequencies, **{**options, "progress": progress})
+
+    monkeypatch.setattr(transport, "monte_carlo_response", run)
+    words = ["backscatter", str(tank), "--model", "photons", "--frequency", "20MHz"]
+    assert main([*words, "--error", "0.01%"]) == 130
+    printed = capsys.readouterr()
+    assert "Interrupted before the error was reached." in printed.out
+    assert printed.err == "amulor: interrupted\n"

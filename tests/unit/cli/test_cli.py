@@ -203,6 +203,8 @@ def test_info_tells_what_a_file_holds(folder: Path, capsys) -> None:
         [*UNMIX, *RATIOS, "--water-fluctuation", "5 m"],
         ["reject", "a.nc", "--method", "frequency", "-o", "b.nc", "--frequency", "39"],
         [*COLUMN, "--column-uncertainty", "much"],
+        ["backscatter", "none.toml", "--frequency", "-5MHz"],
+        ["image", "a.nc", "-o", "b.nc", "--nearest", "-.5 m", "--farthest", "1 m"],
     ],
     ids=" ".join,
 )

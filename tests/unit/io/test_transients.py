@@ -50,6 +50,16 @@ def test_a_single_photon_has_the_phase_of_the_centre_of_its_bin(tmp_path):
     assert_allclose(cube.amulor.phase.values.ravel(), delay, rtol=1e-12)
 
 
+def test_a_scene_without_a_photon_is_refused_and_one_photon_is_enough(tmp_path):
+    counts = np.zeros((2, 2, 3, 40), dtype=int)
+    counts[1, 1, 2, 7] = 1
+    path = saved(tmp_path, counts=counts)
+    with pytest.raises(FormatError, match="scene 0 holds no photon in any of its 6"):
+        read_transients(path, FREQUENCY, scene=0)
+    cube = read_transients(path, FREQUENCY, scene=1)
+    assert cube["in_phase"].notnull().sum() == FREQUENCY.size
+
+
 def test_signal_and_covariance_are_the_plain_sums_over_bins(tmp_path):
     cube = read_transients(saved(tmp_path), FREQUENCY)
     for (row, column), histogram in zip(

@@ -119,11 +119,14 @@ def test_the_bent_disc_lies_on_its_cylinder() -> None:
 @pytest.mark.parametrize("suffix", ["stl", "ply", "obj", "glb"])
 def test_mesh_files_are_placed_and_scaled(tmp_path, suffix: str) -> None:
     path = tmp_path / f"box.{suffix}"
-    trimesh.creation.box((200, 100, 40)).export(path)
+    # GLB is in metres by its format, the others in what the survey says.
+    unit = "m" if suffix == "glb" else "mm"
+    size = np.array((200, 100, 40)) / (1000 if unit == "m" else 1)
+    trimesh.creation.box(size).export(path)
     target = Mesh(
         kind="mesh",
         file=path,
-        unit="mm",
+        unit=unit,
         position=(0.0, 0.0, 1.5),
         reflectance=0.3,
     )
@@ -142,6 +145,37 @@ def test_a_broken_mesh_file_is_named(tmp_path, suffix: str, content: bytes) -> N
     target = Mesh(kind="mesh", file=path, position=(0.0, 0.0, 1.0), reflectance=0.3)
     with pytest.raises(SurveyError, match=f"wreck.{suffix}"):
         triangles(target)
+
+
+def test_a_mesh_without_area_is_named(tmp_path) -> None:
+    path = tmp_path / "flat.ply"
+    path.write_text(
+        "ply\nformat ascii 1.0\nelement vertex 3\nproperty float x\n"
+        "property float y\nproperty float z\nelement face 1\n"
+        "property list uchar int vertex_indices\nend_header\n"
+        "0 0 0\n1 0 0\n2 0 0\n3 0 1 2\n"
+    )
+    target = Mesh(kind="mesh", file=path, position=(0.0, 0.0, 1.0), reflectance=0.3)
+    with pytest.raises(SurveyError, match=r"flat.ply: .*none with an area"):
+        triangles(target)
+
+
+def test_a_mesh_too_large_for_metres_needs_its_unit(tmp_path) -> None:
+    path = tmp_path / "pot.obj"
+    path.write_text("v -200 0 0\nv 200 0 0\nv 0 300 0\nf 1 2 3\n")
+    known = {"kind": "mesh", "file": path, "position": (0, 0, 1), "reflectance": 0.3}
+    with pytest.raises(SurveyError, match=r"pot.obj: is 400 m across .* state unit"):
+        triangles(Mesh(**known))
+    for unit, width in (("mm", 0.4), ("m", 400.0)):
+        corners = triangles(Mesh(unit=unit, **known))
+        assert np.ptp(corners[..., 0]) == pytest.approx(width)
+
+
+def test_a_glb_file_takes_no_unit() -> None:
+    known = {"kind": "mesh", "file": "a.glb", "position": (0, 0, 1), "reflectance": 0.3}
+    assert Mesh(**known).unit == "m"
+    with pytest.raises(ValueError, match="metres by definition"):
+        Mesh(unit="mm", **known)
 
 
 def test_a_screen_hides_the_echo_from_a_part_of_the_receiver() -> None:
