@@ -25,9 +25,10 @@ from amulor.design.candidates import (
 )
 from amulor.design.draws import drawn
 from amulor.design.evaluate import TERMS, evaluate
+from amulor.design.exchange import Candidate
 from amulor.design.goal import Goal
 from amulor.design.requirements import Requirement, Shortfall
-from amulor.design.search import Candidate, Found, search
+from amulor.design.search import Found, search
 
 __all__ = ["Bound", "Choice", "Recommendation", "recommend"]
 

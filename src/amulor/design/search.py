@@ -18,9 +18,16 @@ from amulor.design.candidates import (
     frequency_grid,
     laser_of,
 )
+from amulor.design.exchange import (
+    Candidate,
+    allowed,
+    candidate_of,
+    cheaper,
+    exchanged,
+)
 from amulor.design.goal import Goal
 from amulor.design.goal.parts import Box
-from amulor.design.scores import Grid, Judge, Score, grid_of, merits
+from amulor.design.scores import Grid, Judge, Score, merits
 
 __all__ = ["Candidate", "Found", "search"]
 
@@ -30,22 +37,8 @@ Floats = NDArray[np.float64]
 _FEW_DRAWS, _FEW_DISTANCES = 8, 3
 #: Best candidates of each laser, scheme and method whose frequencies are exchanged.
 _STARTS = 2
-#: Improvement of the logarithm of the error below which a step is none.
-_GAIN = 1e-6
-#: Steps of the exchange, and of the refinement, which looks at so many draws.
-_EXCHANGES, _STEPS, _REFINED_DRAWS = 12, 70, 24
-
-
-@dataclass(frozen=True, kw_only=True)
-class Candidate:
-    """One instrument with its figures in all draws at all distances."""
-
-    parameters: Parameters
-    """What it is made of."""
-    score: Score
-    """Its figures; arrays of one candidate."""
-    merit: float
-    """What it is ordered by."""
+#: Steps of the refinement, and the draws that it looks at.
+_STEPS, _REFINED_DRAWS = 70, 24
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -97,24 +90,32 @@ def search(goal: Goal) -> Found:
         for grid, score, like in _grids(goal, laser):
             count += len(score.time)
             starts = _starts(goal, grid, score, like)
-            begun += [_candidate(judges[laser], each) for each in starts]
+            begun += [candidate_of(judges[laser], each) for each in starts]
     begun = _unique(begun)
-    exchanged = []
+    better_sets = []
     for number, one in enumerate(begun):
         tell("exchanging frequencies", 0.4 + 0.3 * number / len(begun))
-        better, tried = _exchanged(goal, judges[one.parameters.laser], one)
-        exchanged.append(better)
+        better, tried = exchanged(goal, judges[one.parameters.laser], one)
+        better_sets.append(better)
         count += tried
-    exchanged = _ordered(goal, _unique([*exchanged, *begun]))
+    known = _ordered(goal, _unique([*better_sets, *begun]))
     refined = []
-    chosen = exchanged[: goal.effort.refined]
+    chosen = known[: goal.effort.refined]
     for number, one in enumerate(chosen):
         tell("refining the best", 0.7 + 0.3 * number / len(chosen))
-        better, tried = _refined(goal, judges[one.parameters.laser], one)
+        judge = judges[one.parameters.laser]
+        better, tried = _refined(goal, judge, one)
         refined.append(better)
         count += tried
+        if _priced(goal) and better.merit <= 0:
+            cheap, tried = cheaper(goal, judge, better)
+            count += tried
+            if cheap is not better:
+                better, tried = _refined(goal, judge, cheap)
+                refined.append(better)
+                count += tried
     return Found(
-        best=tuple(_ordered(goal, _unique([*refined, *exchanged]))),
+        best=tuple(_ordered(goal, _unique([*refined, *known]))),
         count=count,
     )
 
@@ -152,16 +153,8 @@ def _grid(goal: Goal, laser: str) -> Grid:
         field_of_view=box_values(parts.field_of_view),
         power=tuple(sorted(stated.powers)),
         dwell=box_values(parts.dwell),
-        sets=_allowed(sets, stated.top_frequency),
+        sets=allowed(sets, stated.top_frequency),
     )
-
-
-def _allowed(
-    sets: tuple[tuple[float, ...], ...], top: float | None
-) -> tuple[tuple[float, ...], ...]:
-    """Return the sets that a laser can be modulated with; the lowest if none is."""
-    good = tuple(one for one in sets if top is None or max(one) <= top)
-    return good or (min(sets, key=max),)
 
 
 def _starts(goal: Goal, grid: Grid, score: Score, like: Parameters) -> list[Parameters]:
@@ -187,16 +180,6 @@ def _priced(goal: Goal) -> bool:
     return any(prices) or any(box.prices for box in boxes)
 
 
-def _candidate(judge: Judge, chosen: Parameters) -> Candidate:
-    """Return a candidate, judged in all draws at all distances."""
-    score = judge.of(chosen)
-    return Candidate(
-        parameters=chosen,
-        score=score,
-        merit=float(merits(judge.goal, score)[0]),
-    )
-
-
 def _unique(candidates: list[Candidate]) -> list[Candidate]:
     """Return each instrument once."""
     return list({one.parameters: one for one in candidates}.values())
@@ -211,79 +194,6 @@ def _ordered(goal: Goal, candidates: list[Candidate]) -> list[Candidate]:
         return not done, float(one.score.cost[0]) if priced and done else 0.0, one.merit
 
     return sorted(candidates, key=key)
-
-
-def _exchanged(goal: Goal, judge: Judge, start: Candidate) -> tuple[Candidate, int]:
-    """Return what exchanging frequencies makes of a candidate, and how many it took."""
-    modulation = goal.components.modulation
-    if modulation.sets:
-        return start, 0
-    top = laser_of(goal, start.parameters.laser).top_frequency
-    tones = tuple(
-        t for (t,) in _allowed(tuple((f,) for f in frequency_grid(goal)), top)
-    )
-    joint = start.parameters.method == "joint"
-    whole = replace(grid_of(start.parameters), sets=tuple((t,) for t in tones))
-    known = judge.lit(whole, joint=joint)
-    best, tried = start, 0
-    for _ in range(_EXCHANGES):
-        sets = _neighbours(best.parameters.frequencies, tones, modulation.most)
-        grid = replace(
-            grid_of(best.parameters),
-            dwell=_dwells(goal, best.parameters, sets),
-            sets=sets,
-        )
-        score = judge.score(
-            grid,
-            scheme=best.parameters.polarization,
-            method=best.parameters.method,
-            known=known,
-        )
-        tried += len(score.time)
-        merit = merits(goal, score)
-        at = int(np.argmin(merit))
-        if not merit[at] < best.merit - _GAIN:
-            break
-        best = Candidate(
-            parameters=grid.parameters(at, best.parameters),
-            score=score.part(np.array([at])),
-            merit=float(merit[at]),
-        )
-    return best, tried
-
-
-def _neighbours(
-    now: tuple[float, ...], tones: tuple[float, ...], most: int
-) -> tuple[tuple[float, ...], ...]:
-    """Return sets with one frequency added, dropped or exchanged, and this one."""
-    found = [now]
-    for tone in tones:
-        if tone in now:
-            continue
-        if len(now) < most:
-            found.append(tuple(sorted((*now, tone))))
-        found += [
-            tuple(sorted((*now[:k], tone, *now[k + 1 :]))) for k in range(len(now))
-        ]
-    if len(now) > 1:
-        found += [(*now[:k], *now[k + 1 :]) for k in range(len(now))]
-    return tuple(dict.fromkeys(found))
-
-
-def _dwells(
-    goal: Goal, like: Parameters, sets: tuple[tuple[float, ...], ...]
-) -> tuple[float, ...]:
-    """Return dwell times to choose from, those that just fit the time among them."""
-    box = goal.components.dwell
-    values = {like.dwell, *box_values(box)}
-    if not box.values and box.low is not None and box.high is not None:
-        pixels = goal.scan.rows * goal.scan.columns
-        channels = len(like.polarization.split("+"))
-        for count in {len(one) for one in sets}:
-            fitting = goal.scan.longest / (pixels * channels * count)
-            if box.low <= fitting <= box.high:
-                values.add(fitting)
-    return tuple(sorted(values))
 
 
 def _refined(goal: Goal, judge: Judge, start: Candidate) -> tuple[Candidate, int]:
@@ -324,7 +234,7 @@ def _refined(goal: Goal, judge: Judge, start: Candidate) -> tuple[Candidate, int
             "fatol": 1e-3,
         },
     )
-    better = _candidate(judge, at(tuple(result.x)))
+    better = candidate_of(judge, at(tuple(result.x)))
     return min(better, start, key=lambda one: one.merit), int(result.nfev)
 
 

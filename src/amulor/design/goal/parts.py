@@ -333,5 +333,5 @@ class Effort(Description):
 
     draws: Annotated[Count, Field(ge=4, le=4096)] = 64
     """Waters and targets that are drawn from their ranges [1]."""
-    refined: Annotated[Count, Field(ge=1, le=50)] = 6
+    refined: Annotated[Count, Field(ge=1, le=50)] = 4
     """Candidates of the grid that are refined [1]."""
