@@ -29,6 +29,7 @@ from amulor.design.exchange import Candidate
 from amulor.design.goal import Goal
 from amulor.design.requirements import Requirement, Shortfall
 from amulor.design.search import Found, search
+from amulor.design.shares import Shares, dwell_shares
 
 __all__ = ["Bound", "Choice", "Recommendation", "recommend"]
 
@@ -67,6 +68,8 @@ class Choice:
     """Time of all pixels [s]."""
     cost: float
     """Sum of prices [currency]."""
+    shares: Shares | None = None
+    """How the time would best be shared between the frequencies; None for one."""
 
     @property
     def met(self) -> bool:
@@ -86,6 +89,7 @@ class Choice:
             "share": self.share,
             "scan_time": self.scan_time,
             "cost": self.cost,
+            "shares": None if self.shares is None else asdict(self.shares),
             "survey": self.survey,
         }
 
@@ -262,6 +266,7 @@ def _choice(goal: Goal, found: Candidate) -> Choice:
         share=float(met.all("distance").mean()),
         scan_time=scan_time(goal, chosen),
         cost=cost_of(goal, chosen),
+        shares=dwell_shares(goal, chosen),
     )
 
 

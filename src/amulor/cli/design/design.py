@@ -87,6 +87,13 @@ def _print_choice(word: str, choice: Choice, accuracy: float) -> None:
         f"draws; {choice.scan_time / 60:.3g} min{cost}; largest term: "
         f"{choice.binding.replace('_', ' ')}"
     )
+    shares = choice.shares
+    if shares is not None and shares.error < 0.98 * shares.even:
+        divided = " : ".join(f"{100 * part:.0f}" for part in shares.share)
+        print(
+            f"    dwell shared {divided} between the frequencies: "
+            f"{1e3 * shares.error:.3g} mm (a survey shares it evenly)"
+        )
     for one in choice.requirements:
         state = "met" if one.met else "MISSED"
         binding = f"; {one.binding.replace('_', ' ')}" if one.binding else ""
