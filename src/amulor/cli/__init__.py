@@ -20,6 +20,14 @@ COMMANDS = {
         "design.design:design",
         "Recommend an instrument for a goal; write its survey.",
     ),
+    "survey presets": (
+        "design.presets:presets",
+        "List published instruments that ship as surveys.",
+    ),
+    "survey preset": (
+        "design.presets:preset",
+        "Write the survey file of a published instrument.",
+    ),
     "backscatter": (
         "backscatter:backscatter",
         "Compute the water signal against modulation frequency.",

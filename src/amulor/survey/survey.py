@@ -9,7 +9,7 @@ from typing import Annotated, Any, Self
 from pydantic import Field, ValidationError, model_validator
 
 from amulor.errors import SurveyError
-from amulor.survey import files, messages, toml_file
+from amulor.survey import files, messages, presets, toml_file
 from amulor.survey.calibration import Calibration
 from amulor.survey.changes import changed
 from amulor.survey.checks.limits import beyond
@@ -117,6 +117,33 @@ class Survey(Description):
                 "\n".join(f"{path}: {field}: {said}" for field, said in slips)
             )
         return survey
+
+    @classmethod
+    def preset(cls, name: str) -> Self:
+        """Return the survey of a published instrument that ships with amulor.
+
+        Parameters
+        ----------
+        name : str
+            Such as "amulor-2010"; `amulor survey presets` lists all.
+
+        Returns
+        -------
+        Survey
+            Instrument, and water, target and scan as its source states or suggests.
+
+        Raises
+        ------
+        SurveyError
+            If there is none of this name.
+
+        Examples
+        --------
+        >>> from amulor.survey import Survey
+        >>> Survey.preset("amulor-2010").instrument.modulation_frequencies
+        (39000000.0,)
+        """
+        return cls.from_text(presets.preset(name).text, name=name)
 
     @classmethod
     def from_text(

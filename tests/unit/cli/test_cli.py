@@ -217,6 +217,7 @@ def test_wrong_use_ends_with_2_and_one_line(words: list[str], capsys) -> None:
     "words",
     [
         ["survey", "check", "none.toml"],
+        ["survey", "preset", "nonesuch", "-o", "b.toml"],
         ["simulate", "none.toml", "-o", "b.nc"],
         ["backscatter", "none.toml"],
         ["design", "none.toml", "-o", "b.toml"],
@@ -267,7 +268,8 @@ def test_every_command_was_asked_wrongly() -> None:
     ):
         for words in test.pytestmark[0].args[1]:
             asked |= {words[0], " ".join(words[:2])}
-    assert set(COMMANDS) - asked == {"survey schema", "site schema"}  # take nothing
+    take_nothing = {"survey schema", "survey presets", "site schema"}
+    assert set(COMMANDS) - asked == take_nothing
 
 
 def _fails(words: list[str], capsys, *, code: int = 1, lines: int | None = None) -> str:
