@@ -16,10 +16,11 @@ from amulor.transport import (
     PlaneTarget,
     Progress,
     Source,
+    Tally,
     simulate,
 )
 
-__all__ = ["Light", "Place", "Setting", "follow", "way"]
+__all__ = ["Light", "Place", "Setting", "follow", "run", "way"]
 
 Complex = NDArray[np.complex128]
 Floats = NDArray[np.float64]
@@ -89,6 +90,50 @@ def follow(
 
     Parameters
     ----------
+    setting, place, frequency, relative_error, histories, seed, progress
+        As in `run`.
+
+    Returns
+    -------
+    Light
+        With the phase counted from where the water begins.
+
+    Raises
+    ------
+    KeyboardInterrupt
+        If the run was stopped from the keyboard.
+    """
+    tally = run(
+        setting,
+        place,
+        frequency,
+        relative_error=relative_error,
+        histories=histories,
+        seed=seed,
+        progress=progress,
+    )
+    return Light(
+        water=tally.water_signal,
+        water_error=_error(tally.water_covariance),
+        target=tally.target_signal,
+        target_error=_error(tally.target_covariance),
+    )
+
+
+def run(
+    setting: Setting,
+    place: Place,
+    frequency: Floats,
+    *,
+    relative_error: float,
+    histories: int,
+    seed: int,
+    progress: Callable[[Progress], None] | None = None,
+) -> Tally:
+    """Follow photons at one place, and keep all that is known of their light.
+
+    Parameters
+    ----------
     setting : Setting
         Water and receiver.
     place : Place
@@ -106,7 +151,7 @@ def follow(
 
     Returns
     -------
-    Light
+    Tally
         With the phase counted from where the water begins.
 
     Raises
@@ -157,14 +202,7 @@ def follow(
     )
     if tally.interrupted:
         raise KeyboardInterrupt
-    if gap:
-        tally = tally.delayed(-gap, group_index=setting.group_index)
-    return Light(
-        water=tally.water_signal,
-        water_error=_error(tally.water_covariance),
-        target=tally.target_signal,
-        target_error=_error(tally.target_covariance),
-    )
+    return tally.delayed(-gap, group_index=setting.group_index) if gap else tally
 
 
 def way(place: Place) -> float:

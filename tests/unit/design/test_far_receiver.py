@@ -25,9 +25,7 @@ def test_light_of_a_far_receiver_is_that_of_the_simulation(water: str) -> None:
     expected = expectation(survey).signal_to_noise[:, 0]
     index = 1.34 if water == "as stated" else 1.38
     scale = 299792458.0 / index / (4 * np.pi * np.array(frequencies))
-    own = np.sqrt(
-        sum(found[name] ** 2 for name in ("shot", "dark"))
-    ).values.ravel()
+    own = np.sqrt(sum(found[name] ** 2 for name in ("shot", "dark"))).values.ravel()
     # The index of sea water is 1.37 to 1.39 at 405 nm; noise is stated to 1 %.
     np.testing.assert_allclose(own, scale / expected, rtol=0.02)
     assert not found["saturated"].any()

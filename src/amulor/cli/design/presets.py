@@ -2,24 +2,50 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import Parameter
 
-from amulor.cli._output import print_json
+from amulor.cli._output import print_json, print_table, progress_bar
+
+if TYPE_CHECKING:
+    from amulor.design.reach import Reach
 
 
-def presets(*, json: Annotated[bool, Parameter(negative="")] = False) -> None:
+def presets(
+    *,
+    where: Annotated[bool, Parameter(negative="")] = False,
+    accuracy: str = "3 mm",
+    reflectance: str | None = None,
+    json: Annotated[bool, Parameter(negative="")] = False,
+) -> None:
     """List published instruments that ship as surveys.
 
     Parameters
     ----------
+    where
+        Show how far each reaches in waters that go by name.
+    accuracy
+        Total error of one pixel up to which a distance counts.
+    reflectance
+        Reflectance of what is looked at; that of each preset's target by default.
     json
         Print them for other programs.
     """
+    from amulor.cli._arguments import quantity_of
     from amulor.survey import presets as shipped
 
+    if where:
+        _print_reach(
+            quantity_of("--accuracy", accuracy, "length"),
+            None
+            if reflectance is None
+            else quantity_of("--reflectance", reflectance, "fraction"),
+            json=json,
+        )
+        return
     found = [shipped.preset(name) for name in shipped.names()]
     if json:
         print_json(
@@ -42,6 +68,43 @@ def presets(*, json: Annotated[bool, Parameter(negative="")] = False) -> None:
         print(f"  {one.use}")
         print(f"  {one.source}, doi:{one.doi}")
         print(f"  numbers: {said}; each line of the file says which")
+
+
+def _print_reach(accuracy: float, reflectance: float | None, *, json: bool) -> None:
+    """Print the distances at which each preset meets an accuracy, water by water."""
+    from dataclasses import asdict
+
+    from amulor.design.reach import WATERS, reach
+    from amulor.survey import Survey
+    from amulor.survey import presets as shipped
+
+    found = {}
+    with progress_bar(quiet=json) as advance:
+        for number, name in enumerate(shipped.names()):
+            advance(name, number / len(shipped.names()))
+            survey = Survey.preset(name)
+            found[name] = [
+                reach(survey, accuracy=accuracy, water=water, reflectance=reflectance)
+                for water in WATERS
+            ]
+    if json:
+        print_json({name: [asdict(one) for one in row] for name, row in found.items()})
+        return
+    print(f"Error of one pixel within {accuracy * 1e3:g} mm, and what ends it:")
+    for name, row in found.items():
+        print_table(
+            f"{name}: phases repeat after {row[0].repetition:.3g} m",
+            ["water", "attenuation 1/m", "from m", "to m", "ends by"],
+            [[one.water, f"{one.attenuation:.2g}", *_span(one)] for one in row],
+        )
+
+
+def _span(one: Reach) -> list[str]:
+    """Return the distances of one row of the table, and what ends them."""
+    if one.nearest is None or one.farthest is None:
+        return ["", "none", one.binding]
+    far = "> 60" if math.isinf(one.farthest) else f"{one.farthest:.3g}"
+    return [f"{one.nearest:.2g}", far, one.binding]
 
 
 def preset(
