@@ -15,6 +15,7 @@ from starlette.types import ASGIApp
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from amulor.errors import CubeError
+from amulor.view.design.explorer import Explorer
 from amulor.view.page.layers import stored
 from amulor.view.page.live import Live
 from amulor.view.page.measuring import measured
@@ -33,23 +34,24 @@ from amulor.view.page.web.answers import (
     numbers,
     object_of,
 )
+from amulor.view.page.web.design_pages import design_routes
 from amulor.view.page.web.security import Guard
 from amulor.view.page.web.space_pages import space_routes
 
 
 def application(
-    shown: Recording | Live | Space,
+    shown: Recording | Live | Space | Explorer,
     *,
     token: str,
     hosts: Collection[str] = (),
     beyond: bool = False,
     products: Products | None = None,
 ) -> ASGIApp:
-    """Return the page of a file or a scan as an ASGI application.
+    """Return the page of a file, a scan or a design as an ASGI application.
 
     Parameters
     ----------
-    shown : Recording, Live or Space
+    shown : Recording, Live, Space or Explorer
         What it shows.
     token : str
         First part of every address.
@@ -67,6 +69,8 @@ def application(
     """
     if isinstance(shown, Space):
         routes = space_routes(shown)
+    elif isinstance(shown, Explorer):
+        routes = design_routes(shown)
     else:
         routes = _routes(shown, products)
     inner = Starlette(routes=routes)

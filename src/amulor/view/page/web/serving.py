@@ -10,6 +10,7 @@ from collections.abc import Callable, Iterator
 import uvicorn
 
 from amulor.errors import FormatError
+from amulor.view.design.explorer import Explorer
 from amulor.view.page.live import Live
 from amulor.view.page.offers import Products
 from amulor.view.page.recording import Recording
@@ -23,7 +24,7 @@ _EVERYWHERE = ("0.0.0.0", "::")
 
 
 def serve(
-    shown: Recording | Live | Space,
+    shown: Recording | Live | Space | Explorer,
     *,
     host: str = "127.0.0.1",
     port: int = 0,
@@ -35,7 +36,7 @@ def serve(
 
     Parameters
     ----------
-    shown : Recording, Live or Space
+    shown : Recording, Live, Space or Explorer
         What it shows.
     host : str
         Address to listen at; others than that of this computer let others in, who
@@ -63,7 +64,7 @@ def serve(
 
 @contextlib.contextmanager
 def background(
-    shown: Recording | Live | Space,
+    shown: Recording | Live | Space | Explorer,
     *,
     token: str | None = None,
     products: Products | None = None,
@@ -72,7 +73,7 @@ def background(
 
     Parameters
     ----------
-    shown : Recording, Live or Space
+    shown : Recording, Live, Space or Explorer
         What it shows.
     token : str, optional
         First part of every path; drawn at random by default.
@@ -117,7 +118,7 @@ def _listener(host: str, port: int) -> socket.socket:
 
 
 def _server(
-    shown: Recording | Live | Space,
+    shown: Recording | Live | Space | Explorer,
     host: str,
     listener: socket.socket,
     token: str,

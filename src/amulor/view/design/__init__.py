@@ -1,0 +1,1 @@
+"""Which instrument: figures, report and the page with sliders."""

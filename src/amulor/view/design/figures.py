@@ -1,0 +1,245 @@
+"""Figures of a recommendation: map, fronts, what to measure, what would change it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import xarray as xr
+from matplotlib.axes import Axes
+from matplotlib.colors import LogNorm
+from matplotlib.figure import Figure
+from matplotlib.patches import Patch
+from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
+from numpy.typing import ArrayLike, NDArray
+
+from amulor.design.front import front, knee
+from amulor.view.style import COLOURS, ERROR_MAP, new_figure, style
+
+Floats = NDArray[np.float64]
+
+#: Total errors that get a line [mm].
+CONTOURS = (1.0, 3.0, 10.0)
+#: Regions where a range must not be trusted: flag, what it is, how it is hatched.
+REGIONS = (
+    ("ambiguous", "ambiguous", "///"),
+    ("saturated", "detector saturated", "..."),
+    ("model_not_valid", "model not valid", "xxx"),
+)
+_LIMITS = (0.1, 100.0)
+
+
+def error_map(
+    found: xr.Dataset,
+    *,
+    asked: Sequence[tuple[float, float]] = (),
+    title: str = "",
+) -> Figure:
+    """Draw total error against distance and attenuation.
+
+    Parameters
+    ----------
+    found : xarray.Dataset
+        `total_error` [m] over `attenuation` [1/m] and `distance` [m], and the flags
+        `ambiguous`, `saturated` and `model_not_valid`.
+    asked : sequence of pairs
+        Distance [m] and attenuation [1/m] of what is asked for, which get a mark.
+    title : str
+        What stands above it.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+        Colours, lines at 1, 3 and 10 mm, hatched regions.
+    """
+    with style():
+        figure = new_figure(5.6, 3.9)
+        axes = figure.add_subplot()
+        drawn = _mapped(axes, found)
+        bar = figure.colorbar(drawn, ax=axes, label="total error [mm]", extend="both")
+        bar.ax.yaxis.set_major_formatter(FuncFormatter(_plain))
+        if asked:
+            distance, attenuation = zip(*asked, strict=True)
+            axes.plot(
+                distance, attenuation, "o", color="white", markeredgecolor="black",
+                markersize=4.5, zorder=5, label="asked for",
+            )  # fmt: skip
+        _legend(axes, found, bool(asked))
+        axes.set_xlabel("distance [m]")
+        axes.set_ylabel("attenuation [1/m]")
+        axes.set_title(title)
+    return figure
+
+
+def _mapped(axes: Axes, found: xr.Dataset) -> Any:
+    found = found.transpose("attenuation", "distance")
+    x, y = found["distance"].values, found["attenuation"].values
+    error = found["total_error"].values * 1e3
+    shown = np.clip(np.where(np.isfinite(error), error, np.nan), 1e-6, 1e9)
+    drawn = axes.pcolormesh(
+        x, y, shown, cmap=ERROR_MAP, norm=LogNorm(*_LIMITS), shading="nearest",
+        rasterized=True,
+    )  # fmt: skip
+    lines = [level for level in CONTOURS if np.nanmin(shown) < level < np.nanmax(shown)]
+    if lines:
+        drawn_lines = axes.contour(x, y, np.log(shown), np.log(lines), colors="white")
+        axes.clabel(
+            drawn_lines,
+            fmt={np.log(level): f"{level:g} mm" for level in lines},
+            fontsize=7,
+        )
+    for name, _, hatch in REGIONS:
+        region = found[name].values.astype(float)
+        if region.any() and min(region.shape) > 1:
+            axes.contourf(
+                x, y, region, [0.5, 1.5], colors="none", hatches=[hatch]
+            ).set_edgecolor((1, 1, 1, 0.75))
+    axes.set_xlim(x[0], x[-1])
+    axes.set_ylim(y[0], y[-1])
+    if y[0] > 0 and y[-1] / y[0] >= 8:
+        axes.set_yscale("log")
+        axes.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+        axes.yaxis.set_major_formatter(FuncFormatter(_plain))
+        axes.yaxis.set_minor_formatter(NullFormatter())
+    return drawn
+
+
+def _legend(axes: Axes, found: xr.Dataset, asked: bool) -> None:
+    there = [
+        Patch(facecolor="#7c7b78", edgecolor="white", hatch=hatch, label=text)
+        for name, text, hatch in REGIONS
+        if bool(found[name].any())
+    ]
+    lines = axes.get_legend_handles_labels()[0] if asked else []
+    if there or lines:
+        axes.legend(
+            handles=[*lines, *there], loc="upper center", bbox_to_anchor=(0.5, -0.14),
+            ncols=4, handlelength=2.2, handleheight=1.2,
+        )  # fmt: skip
+
+
+def fronts(
+    error: ArrayLike,
+    *,
+    scan_time: ArrayLike,
+    top_frequency: ArrayLike,
+    best: int,
+    target: float | None = None,
+) -> Figure:
+    """Draw the error of candidates against scan time and against top frequency.
+
+    Parameters
+    ----------
+    error : array_like
+        Total error of each candidate, shape (candidate,) [m].
+    scan_time : array_like
+        Time of its scan, shape (candidate,) [s].
+    top_frequency : array_like
+        Its highest modulation frequency, shape (candidate,) [Hz].
+    best : int
+        Number of the recommended one.
+    target : float, optional
+        The error that is asked for [m].
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+        Two panels with all candidates, those that no other one beats, the knee of
+        these, and the recommended one.
+    """
+    error = np.asarray(error, dtype=float)
+    with style():
+        figure = new_figure(7.0, 3.0)
+        panels = figure.subplots(1, 2, sharey=True)
+        costs = (
+            ("time of a scan [min]", np.asarray(scan_time, dtype=float) / 60),
+            ("highest frequency [MHz]", np.asarray(top_frequency, dtype=float) / 1e6),
+        )
+        for axes, (label, cost) in zip(panels, costs, strict=True):
+            _front(axes, cost, error * 1e3, best)
+            if target is not None:
+                axes.axhline(target * 1e3, color=COLOURS[3], lw=0.8, ls="--")
+                axes.annotate(
+                    "asked for", (1, target * 1e3), xycoords=("axes fraction", "data"),
+                    xytext=(0, 2), textcoords="offset points", ha="right", fontsize=7,
+                    color=COLOURS[3],
+                )  # fmt: skip
+            axes.set_xlabel(label)
+        panels[0].set_ylabel("total error [mm]")
+        panels[0].legend(loc="best")
+    return figure
+
+
+def _front(axes: Axes, cost: Floats, error: Floats, best: int) -> None:
+    usable = np.isfinite(error) & (error > 0) & np.isfinite(cost)
+    axes.plot(
+        cost[usable], error[usable], ".", color="#b9c6cd", markersize=2.5,
+        label="candidates", rasterized=True,
+    )  # fmt: skip
+    order = front(cost, error)
+    axes.plot(
+        cost[order], error[order], "-", drawstyle="steps-post", color=COLOURS[0],
+        label="best that there is",
+    )  # fmt: skip
+    at = knee(cost[order], error[order])
+    if at is not None:
+        axes.plot(
+            cost[order[at]], error[order[at]], "D", color=COLOURS[4], markersize=5,
+            label="knee",
+        )  # fmt: skip
+    axes.plot(
+        cost[best], error[best], "*", color=COLOURS[1], markersize=10,
+        label="recommended",
+    )  # fmt: skip
+    axes.set_xscale("log")
+    axes.set_yscale("log")
+    for ruler in (axes.xaxis, axes.yaxis):
+        ruler.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+        ruler.set_major_formatter(FuncFormatter(_plain))
+        ruler.set_minor_formatter(NullFormatter())
+    shown = error[usable]
+    if shown.size:
+        low = min(float(shown.min()), float(error[best]))
+        axes.set_ylim(low / 1.6, min(float(shown.max()) * 1.6, low * 3e3))
+    axes.grid(True)
+
+
+def sensitivity_bars(
+    names: Sequence[str], shares: ArrayLike, errors: ArrayLike
+) -> Figure:
+    """Draw which number the error depends on most: total Sobol indices.
+
+    Parameters
+    ----------
+    names : sequence of str
+        What is uncertain.
+    shares : array_like
+        Total index of each, shape (name,) [1].
+    errors : array_like
+        Standard error of each, shape (name,) [1].
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+        Bars, the largest on top.
+    """
+    shares, errors = np.asarray(shares, dtype=float), np.asarray(errors, dtype=float)
+    order = np.argsort(shares)
+    with style():
+        figure = new_figure(5.6, 0.7 + 0.24 * len(order))
+        axes = figure.add_subplot()
+        axes.barh(
+            range(len(order)), shares[order], xerr=errors[order], color=COLOURS[5],
+            error_kw={"elinewidth": 0.8, "capsize": 2},
+        )  # fmt: skip
+        axes.set_yticks(range(len(order)), [names[number] for number in order])
+        axes.set_xlim(0, max(1.0, float(np.max(shares + errors)) * 1.05))
+        axes.set_xlabel("share of the variance of the error, alone and with others [1]")
+        axes.grid(True, axis="x")
+        axes.set_axisbelow(True)
+    return figure
+
+
+def _plain(value: float, _: object = None) -> str:
+    return f"{value:g}"
