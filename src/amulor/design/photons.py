@@ -15,7 +15,7 @@ from amulor.simulation import SmallAngleModel, geometry
 from amulor.simulation.geometry import Geometry
 from amulor.simulation.photon_runs import Place, Setting, run, way
 from amulor.survey import Survey, WaterProperties, water_properties
-from amulor.survey.view import refuse_beam_and_edges, refuse_layers
+from amulor.survey.view import beam_arguments, has_sharp_receiver, refuse_layers
 from amulor.survey.waters.whole_function import whole_phase_function
 from amulor.transport import Progress, Tally
 
@@ -95,7 +95,11 @@ def follow_photons(
     )
     water = water_properties(middle)
     refuse_layers(water, model="the photon model")
-    refuse_beam_and_edges(survey, model="the photon model")
+    if has_sharp_receiver(survey):
+        raise SurveyError(
+            "photons of a design know Gaussian receivers only, found "
+            'instrument.receiver.edge = "sharp"; leave it out'
+        )
     traced = geometry.trace(middle, water)
     if not bool((traced.target >= 0).all()):
         raise SurveyError(
@@ -119,6 +123,7 @@ def follow_photons(
             group_index=water.group_index,
             receiver_radius=survey.instrument.receiver.radius,
             acceptance_angle=view.acceptance,
+            **beam_arguments(middle, water),
         ),
         place,
         np.array([0.0, *middle.instrument.modulation_frequencies]),

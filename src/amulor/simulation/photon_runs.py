@@ -60,6 +60,10 @@ class Setting:
     """1/e radius of the aperture [m]."""
     acceptance_angle: float
     """1/e semi-angle of the receiver in the water [rad]."""
+    beam_radius: float = 0.0
+    """1/e half-width of the beam at its start [m]."""
+    beam_divergence: float = 0.0
+    """1/e semi-angle of the beam in the water [rad]."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -187,7 +191,12 @@ def run(
         )
     tally = simulate(
         medium,
-        Source(position=start, direction=direction),
+        Source(
+            position=start,
+            direction=direction,
+            radius=setting.beam_radius,
+            divergence=setting.beam_divergence,
+        ),
         GaussianReceiver(
             position=(place.baseline, 0.0, 0.0),
             radius=setting.receiver_radius,
