@@ -167,7 +167,9 @@ def fronts(
                 )  # fmt: skip
             axes.set_xlabel(label)
         panels[0].set_ylabel("total error [mm]")
-        panels[0].legend(loc="best")
+        figure.legend(
+            *panels[0].get_legend_handles_labels(), loc="outside lower center", ncols=4
+        )
     return figure
 
 

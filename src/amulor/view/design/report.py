@@ -1,0 +1,416 @@
+"""The report of a design on one page: what to build, why, and what would change it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import xarray as xr
+from matplotlib.figure import Figure
+
+from amulor.design.candidates import Parameters, middle, survey_of
+from amulor.design.confirm import Confirmation
+from amulor.design.draws import spreads_of
+from amulor.design.evaluate import evaluate
+from amulor.design.goal import Goal
+from amulor.design.recommend import Choice, Recommendation
+from amulor.design.requirements import parameters_text, written
+from amulor.design.sensitivity import Sensitivity
+from amulor.design.trade import Trade
+from amulor.design.what_if import Turn
+from amulor.survey import water_properties
+from amulor.view.design import figures
+from amulor.view.report import (
+    Heading,
+    Listing,
+    Paragraph,
+    Part,
+    Picture,
+    Table,
+    write_report,
+)
+
+__all__ = ["Reasons", "error_of", "figures_of", "waters_of", "write"]
+
+#: Places of the map along distance and attenuation.
+_SHAPE = (72, 44)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Reasons:
+    """What was found out about a recommendation besides itself."""
+
+    trade: Trade
+    """Other dwells and frequencies."""
+    sensitivity: Sensitivity | None
+    """Which number to measure; None where nothing is uncertain."""
+    turns: Sequence[Turn] = ()
+    """Where the runner-up wins."""
+    confirmations: Sequence[Confirmation] = ()
+    """What scans and photons say; empty if they were not asked."""
+
+
+def error_of(goal: Goal, chosen: Parameters) -> xr.Dataset:
+    """Return the errors of an instrument over distance and attenuation.
+
+    Parameters
+    ----------
+    goal : Goal
+        Medians of its ranges are taken.
+    chosen : Parameters
+        The instrument.
+
+    Returns
+    -------
+    xarray.Dataset
+        Of `amulor.design.evaluate`, around what is asked for.
+    """
+    survey = survey_of(goal, chosen)
+    held = {
+        name: middle(each)
+        for name, each in spreads_of(goal).items()
+        if name not in ("attenuation", "absorption", "scattering")
+    }
+    clear, murky = waters_of(goal, chosen)
+    far = min(goal.limits[1], 2 * goal.asked[-1])
+    return evaluate(
+        survey,
+        distance=np.linspace(
+            max(goal.asked[0] / 2, goal.limits[0], 0.05), far, _SHAPE[0]
+        ),
+        attenuation=np.geomspace(clear / 3, murky * 3, _SHAPE[1]),
+        method=chosen.method,
+        interval=goal.limits,
+        wrong_interval=goal.accuracy.wrong_interval,
+        **{"texture": 0.0, **goal.assumptions.model_dump(), **held},
+    )
+
+
+def waters_of(goal: Goal, chosen: Parameters) -> tuple[float, float]:
+    """Return the least and the largest attenuation that is asked for.
+
+    Parameters
+    ----------
+    goal : Goal
+        Its waters count.
+    chosen : Parameters
+        Its laser counts: ranges hold at the wavelength of the first laser.
+
+    Returns
+    -------
+    tuple of float
+        At the wavelength of the chosen laser [1/m].
+    """
+    stated = goal.waters.attenuation
+    own = water_properties(survey_of(goal, chosen)).attenuation
+    if stated is None:
+        return own, own
+    if chosen.laser == goal.components.lasers[0].name:
+        return stated.low, stated.high
+    first = goal.components.lasers[0].name
+    base = water_properties(survey_of(goal, replace(chosen, laser=first))).attenuation
+    return stated.low * own / base, stated.high * own / base
+
+
+def figures_of(found: Recommendation, reasons: Reasons) -> dict[str, Figure]:
+    """Return the figures of a recommendation.
+
+    Parameters
+    ----------
+    found : Recommendation
+        What is recommended.
+    reasons : Reasons
+        What was found out about it.
+
+    Returns
+    -------
+    dict of str to Figure
+        `map`, `runner-up-map` if there is a runner-up, `fronts`, and `sensitivity` if
+        anything is uncertain.
+    """
+    goal = found.goal
+    drawn = {"map": _map(goal, found.best, "Recommended")}
+    if found.runner_up is not None:
+        drawn["runner-up-map"] = _map(goal, found.runner_up, "Runner-up")
+    drawn["fronts"] = figures.fronts(
+        reasons.trade.error,
+        scan_time=reasons.trade.scan_time,
+        top_frequency=reasons.trade.top_frequency,
+        best=reasons.trade.best,
+        target=goal.accuracy.total_error,
+    )
+    if reasons.sensitivity is not None:
+        drawn["sensitivity"] = figures.sensitivity_bars(
+            [one.label for one in reasons.sensitivity.numbers],
+            reasons.sensitivity.total,
+            reasons.sensitivity.total_error,
+        )
+    return drawn
+
+
+def _map(goal: Goal, choice: Choice, title: str) -> Figure:
+    clear, murky = waters_of(goal, choice.parameters)
+    ends = sorted({clear, murky})
+    asked = [(distance, water) for distance in goal.asked for water in ends]
+    tones = ", ".join(f"{f / 1e6:.4g}" for f in choice.parameters.frequencies)
+    chosen = choice.parameters
+    return figures.error_map(
+        error_of(goal, chosen),
+        asked=asked,
+        title=f"{title}: {chosen.laser}, {tones} MHz, {chosen.polarization} by "
+        f"{chosen.method}",
+    )
+
+
+def write(
+    path: str | Path,
+    found: Recommendation,
+    reasons: Reasons,
+    *,
+    overwrite: bool = False,
+) -> None:
+    """Write the report of a design as one HTML file that needs nothing beside it.
+
+    Parameters
+    ----------
+    path : str or pathlib.Path
+        File to write.
+    found : Recommendation
+        What is recommended.
+    reasons : Reasons
+        What was found out about it.
+    overwrite : bool
+        Whether a file that is there may be replaced.
+
+    Raises
+    ------
+    FormatError
+        If the file exists, or cannot be written.
+    """
+    drawn = figures_of(found, reasons)
+    parts: list[Part] = [*_answer(found), *_edges(found)]
+    parts += [
+        Heading("What it is made of"),
+        _components(found),
+        Heading("What is asked for"),
+        _requirements(found.best),
+        Heading("Where it works"),
+        Picture(
+            drawn["map"],
+            "Total error of one pixel, noise and bias together, in median conditions. "
+            "Rings stand where it is asked for, in the clearest and the most turbid "
+            "water. Where it is hatched no range is to be trusted.",
+        ),
+    ]
+    if "runner-up-map" in drawn:
+        parts.append(Picture(drawn["runner-up-map"], "The same for the runner-up."))
+    parts += [
+        Heading("What time and frequency buy"),
+        Picture(
+            drawn["fronts"],
+            "The recommended instrument with other dwells and frequencies. At the knee "
+            "more begins to buy little.",
+        ),
+    ]
+    parts += _measure(reasons.sensitivity, drawn)
+    parts += _turns(found, reasons.turns)
+    parts += _confirmed(reasons.confirmations)
+    parts += [
+        Heading("What this rests on"),
+        Paragraph(
+            f"{found.looked_at:,} instruments were judged by the total error of one "
+            "pixel that the asked share of waters and targets keeps within, from the "
+            "small-angle model with the whole phase function and from the noise of "
+            "laser, detector and lock-in. Eye safety, prices and limits of components "
+            "are inputs as the goal states them, and no certificate."
+        ),
+        Listing("Survey of the recommended instrument", found.best.survey),
+    ]
+    if found.runner_up is not None:
+        parts.append(Listing("Survey of the runner-up", found.runner_up.survey))
+    write_report(path, found.goal.name, parts, overwrite=overwrite)
+
+
+def _answer(found: Recommendation) -> list[Part]:
+    best, goal = found.best, found.goal
+    reached = (
+        f"{best.error * 1e3:.3g} mm at {best.worst_distance:.3g} m in "
+        f"{goal.accuracy.share:.0%} of the waters and targets, with "
+        f"{goal.accuracy.total_error * 1e3:.3g} mm asked for"
+    )
+    if found.impossible:
+        return [
+            Paragraph(
+                f"No instrument of these components does it. The nearest one is "
+                f"{parameters_text(best.parameters)}: {reached}."
+            ),
+            *(Paragraph(f"What must give: {one.text}.") for one in found.impossible),
+        ]
+    cost = f", for {best.cost:,.0f}" if best.cost else ""
+    return [
+        Paragraph(
+            f"Build this: {parameters_text(best.parameters)}. It reaches {reached}, "
+            f"in {best.scan_time / 60:.3g} min a scan{cost}; what binds is "
+            f"{best.binding.replace('_', ' ')}."
+        )
+    ]
+
+
+def _edges(found: Recommendation) -> list[Part]:
+    return [Paragraph(f"At an edge: {one.text}.") for one in found.bounds]
+
+
+def _components(found: Recommendation) -> Table:
+    choices = [("recommended", found.best)]
+    if found.runner_up is not None:
+        choices.append(("runner-up", found.runner_up))
+    rows: list[list[str]] = []
+    names = {
+        "laser": "laser",
+        "power": "mean power",
+        "frequencies": "modulation",
+        "polarization": "channels",
+        "method": "water taken out by",
+        "baseline": "baseline",
+        "radius": "receiver radius (1/e)",
+        "field_of_view": "field of view, half (1/e)",
+        "dwell": "dwell for a sample",
+    }
+    for name, label in names.items():
+        rows.append([label, *(_written(one.parameters, name) for _, one in choices)])
+    more: list[tuple[str, Any]] = [
+        ("error at the worst distance", lambda one: f"{one.error * 1e3:.3g} mm"),
+        ("share of waters and targets", lambda one: f"{one.share:.0%}"),
+        ("binds", lambda one: one.binding.replace("_", " ")),
+        ("time of a scan", lambda one: f"{one.scan_time / 60:.3g} min"),
+        ("cost", lambda one: f"{one.cost:,.0f}" if one.cost else "not stated"),
+    ]
+    rows += [[label, *(text(one) for _, one in choices)] for label, text in more]
+    return Table(
+        ["", *(title for title, _ in choices)],
+        rows,
+        "The runner-up is the best instrument with another laser, scheme, method or "
+        "number of frequencies.",
+    )
+
+
+def _written(chosen: Parameters, name: str) -> str:
+    value = getattr(chosen, name)
+    if name == "frequencies":
+        return ", ".join(f"{f / 1e6:.4g}" for f in value) + " MHz"
+    return value if isinstance(value, str) else written(name, value)
+
+
+def _requirements(choice: Choice) -> Table:
+    rows = []
+    for one in choice.requirements:
+        name = one.name.partition(" at ")[0]
+        state = "met" if one.met else "!missed"
+        margin = "" if np.isinf(one.margin) else f"{one.margin:.3g}"
+        rows.append(
+            [
+                one.name,
+                state,
+                written(name, one.value),
+                written(name, one.limit),
+                margin,
+                one.binding.replace("_", " "),
+            ]
+        )
+    return Table(
+        ["requirement", "", "reached", "allowed", "margin", "binds"],
+        rows,
+        "Margin is what is allowed over what is reached; below 1 it is missed.",
+    )
+
+
+def _measure(found: Sensitivity | None, drawn: dict[str, Figure]) -> list[Part]:
+    if found is None:
+        return []
+    largest = found.largest
+    return [
+        Heading("What to measure before buying"),
+        Paragraph(
+            f"The error depends most on: {largest.label}. All together change it by a "
+            f"factor of {np.exp(found.spread):.2f} (one standard deviation)."
+        ),
+        Picture(
+            drawn["sensitivity"],
+            "Total Sobol indices with standard errors: the share of the variance of "
+            "the logarithm of the error that goes with each number. Ranges are those "
+            "of the goal; numbers that it assumes were varied by a factor of two.",
+        ),
+    ]
+
+
+def _turns(found: Recommendation, turns: Sequence[Turn]) -> list[Part]:
+    if found.runner_up is None or not turns:
+        return []
+    rows = [
+        [
+            one.label,
+            f"{one.value:.3g} {one.unit}" if one.unit != "1" else f"{one.value:.3g}",
+            "not within a factor of 10" if one.turns_at is None else _at(one),
+            "" if one.factor is None else f"{one.factor:.3g}",
+        ]
+        for one in turns
+    ]
+    return [
+        Heading("What would change the answer"),
+        Table(
+            ["assumption", "as stated", "the runner-up wins at", "factor"],
+            rows,
+            "One assumption is changed at a time; of ranges the middle is shown, and "
+            "they move as a whole.",
+        ),
+    ]
+
+
+def _at(one: Turn) -> str:
+    return f"{one.turns_at:.3g} {'' if one.unit == '1' else one.unit}".strip()
+
+
+def _confirmed(found: Sequence[Confirmation]) -> list[Part]:
+    if not found:
+        return []
+    parts: list[Part] = [Heading("Confirmed by scans and photons")]
+    parts += [Paragraph(f"{line}.") for one in found for line in one.said]
+    rows = []
+    for one in found:
+        scans, photons = one.scans, one.photons
+        mark = "" if scans.holds else "!"
+        row = [
+            one.name,
+            f"{scans.distance:.3g} m",
+            f"{scans.predicted * 1e3:.3g}",
+            f"{scans.achieved * 1e3:.3g}",
+            f"{mark}{scans.ratio:.3f} ± {scans.ratio_error:.3f}",
+            f"{scans.offset * 1e3:+.3f} ± {scans.offset_error * 1e3:.3f}",
+        ]
+        if photons is None:
+            rows.append([*row, "", "", "", ""])
+            continue
+        top = int(np.argmax(photons.frequency))
+        shift, rough = photons.shift[top] * 1e3, photons.shift_error[top] * 1e3
+        rows.append(
+            [
+                *row,
+                f"{photons.echo[top]:.3f} ± {photons.echo_error[top]:.3f}",
+                f"{photons.water[top]:.3f} ± {photons.water_error[top]:.3f}",
+                f"{shift:.2f} ± {rough:.2f}",
+                f"{one.late * 1e3:.2f}",
+            ]
+        )
+    header = ["instrument", "at", "predicted [mm]", "achieved [mm]", "ratio"]
+    header += ["offset [mm]", "echo", "water", "late by [mm]", "stated [mm]"]
+    caption = (
+        f"{found[0].scans.ranges} simulated ranges of each, through the chosen way to "
+        "take the water out; the ratio is to be 0.9 to 1.1. Echo and water before the "
+        "target by photon transport over those of the model, at the highest frequency; "
+        "how late the echo is, of which imaging takes three quarters off, and what is "
+        "stated as the uncertainty of that."
+    )
+    return [*parts, Table(header, rows, caption)]
