@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-from cyclopts import Parameter
+from cyclopts import Parameter, validators
 
 if TYPE_CHECKING:
     from amulor.design import Choice, Recommendation
@@ -15,8 +15,14 @@ def design(
     goal: Path,
     /,
     *,
-    output: Annotated[Path, Parameter(alias="-o")],
+    output: Annotated[Path | None, Parameter(alias="-o")] = None,
     runner_up: Path | None = None,
+    report: Path | None = None,
+    figures: Path | None = None,
+    confirm: Annotated[bool, Parameter(negative="")] = False,
+    interactive: Annotated[bool, Parameter(negative="")] = False,
+    port: Annotated[int, Parameter(validator=validators.Number(gte=0, lt=65536))] = 0,
+    browser: Annotated[bool, Parameter(negative="")] = False,
     json: Annotated[bool, Parameter(negative="")] = False,
     overwrite: Annotated[bool, Parameter(negative="")] = False,
 ) -> None:
@@ -30,33 +36,70 @@ def design(
         Survey file (TOML) of the recommended instrument.
     runner_up
         Survey file of the second best one.
+    report
+        Report to write: one page (HTML) with maps, what to measure before buying, and
+        what would change the answer.
+    figures
+        Folder for the figures of the report (PNG).
+    confirm
+        Simulate scans of the recommended instrument and of the runner-up, work on
+        them, and follow photons; say where these differ from what was predicted.
+    interactive
+        Open a page with sliders and the map of errors that they move, until Ctrl-C.
+    port
+        Port of that page; a free one by default.
+    browser
+        Open it in the browser of this computer.
     json
-        Print the recommendation as JSON.
+        Print the recommendation as JSON, with all that --report and --confirm find.
     overwrite
         Replace files that are there.
     """
-    from amulor import io
+    from amulor import _progress, io
     from amulor.cli._arguments import UsageError, check_ending
     from amulor.cli._output import print_json, progress_bar
+    from amulor.cli.design import outputs
     from amulor.design import Goal, recommend
 
-    files = [output] if runner_up is None else [output, runner_up]
-    for option, file in zip(("--output", "--runner-up"), files, strict=False):
-        check_ending(option, file, (".toml",))
-    if runner_up == output:
+    if output is None and not interactive:
+        raise UsageError("needed is --output survey.toml, or --interactive")
+    files = [one for one in (output, runner_up) if one is not None]
+    for option, file, ending in (
+        ("--output", output, ".toml"),
+        ("--runner-up", runner_up, ".toml"),
+        ("--report", report, ".html"),
+    ):
+        if file is not None:
+            check_ending(option, file, (ending,))
+    if runner_up is not None and output is None:
+        raise UsageError("--runner-up goes with --output")
+    if runner_up is not None and runner_up == output:
         raise UsageError("--runner-up and --output name the same file")
     asked = Goal.from_toml(goal)
-    for file in files:
+    for file in [*files, *([] if report is None else [report])]:
         io.check_output(file, overwrite=overwrite, inputs=[goal])
+    more = report is not None or figures is not None or confirm
+    reasons = None
     with progress_bar(quiet=json):
-        found = recommend(asked)
+        with _progress.part(0.0, 0.5 if more else 1.0):
+            found = recommend(asked)
+        if more:
+            with _progress.part(0.5, 1.0):
+                reasons = outputs.reasons_of(found, confirm=confirm)
     for file, choice in zip(files, (found.best, found.runner_up), strict=False):
         if choice is not None:
             file.write_text(choice.survey, "utf-8")
+    if reasons is not None:
+        outputs.write_all(found, reasons, report, figures, overwrite=overwrite)
     if json:
-        print_json(found.to_dict())
-        return
-    _print(found, files)
+        print_json(
+            found.to_dict() if reasons is None else outputs.as_json(found, reasons)
+        )
+    else:
+        _print(found, files)
+        outputs.print_reasons(found, reasons, report, figures)
+    if interactive:
+        outputs.serve(outputs.explorer_of(asked, found), port=port, browser=browser)
 
 
 def _print(found: Recommendation, files: list[Path]) -> None:
