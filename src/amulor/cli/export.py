@@ -21,6 +21,9 @@ Product = Literal[
     "cloud", "mesh", "orthoimage", "dem", "contours", "section", "deviation"
 ]
 
+#: Endings of clouds that can be written by rows.
+_BY_ROWS = (".ply", ".xyz", ".csv")
+
 
 def export(
     image: Path,
@@ -46,6 +49,7 @@ def export(
     unit: Literal["m", "cm", "mm", "inch"] = "m",
     farthest: str | None = None,
     title: str = "",
+    tile_rows: int | None = None,
     overwrite: Annotated[bool, Parameter(negative="")] = False,
 ) -> None:
     """Write a range image as a cloud, mesh, drawing, section or comparison.
@@ -96,10 +100,14 @@ def export(
         Larger deviations are other objects and left out, such as "2 cm".
     title
         Title of a drawing; that of the range image by default.
+    tile_rows
+        Write a .ply, .xyz or .csv cloud so many rows at a time, in bounded memory;
+        files of more than 16 million pixels are written so without being asked.
     overwrite
         Replace a file that is there.
     """
     from amulor import handover, io
+    from amulor.io.netcdf_rows import is_large
 
     check_ending("--output", output, _endings(product))
     if product is None:
@@ -128,6 +136,18 @@ def export(
     )
     inputs = [path for path in (image, pose, against) if path is not None]
     io.check_output(output, overwrite=overwrite, inputs=inputs)
+    by_rows = product == "cloud" and output.suffix.lower() in _BY_ROWS
+    if tile_rows is not None and not (by_rows and tile_rows >= 1):
+        raise UsageError(
+            f"--tile-rows {tile_rows}: state 1 row or more, and a cloud with one of "
+            f"the endings {', '.join(_BY_ROWS)}"
+        )
+    if by_rows and (tile_rows is not None or is_large(image)):
+        _by_rows(
+            image, output, tile_rows, axes, pose, largest, good_only, without_mixed,
+            overwrite=overwrite,
+        )  # fmt: skip
+        return
     with progress_bar() as progress:
         progress("reading", 0.0)
         cube = io.read_cube(image)
@@ -135,6 +155,36 @@ def export(
         progress(f"making the {product}", 0.2)
         said = handover.hand_over(cube, output, order, frame=frame, overwrite=overwrite)
     print(f"{output}: {said}")
+
+
+def _by_rows(
+    image: Path,
+    output: Path,
+    rows: int | None,
+    axes: Literal["instrument", "z-up", "pose"],
+    pose: Path | None,
+    largest: float | None,
+    good_only: bool,
+    without_mixed: bool,
+    *,
+    overwrite: bool,
+) -> None:
+    """Write a cloud tile by tile, and print what is in it."""
+    from amulor.io.netcdf_rows import open_rows
+    from amulor.scale.clouds import Selection, cloud_file
+
+    selection = Selection(good_only, largest, without_mixed)
+    with progress_bar():
+        with open_rows(image) as source:
+            first = source.tile(0, 1)
+        frame, _ = _chosen(first, axes, pose, None, False, False)
+        with refusing("--largest-uncertainty"):
+            made = cloud_file(
+                image, output, frame=frame, selection=selection, rows=rows,
+                overwrite=overwrite,
+            )  # fmt: skip
+    doubt = f", {made.doubtful} of them doubtful" if made.doubtful else ""
+    print(f"{output}: {made.points} points{doubt}")
 
 
 def scale_of(option: str, text: str) -> float:

@@ -84,8 +84,8 @@ def reject(
         Farthest possible slant range, such as "3 m"; with --nearest.
     tile_rows
         Work on so many rows at a time, in bounded memory; files of more than 16 million
-        samples are worked on by rows without being asked. Not with auto or
-        --open-water.
+        samples are worked on by rows without being asked. The file of --open-water is
+        read whole.
     json
         Print the figures as JSON.
     overwrite
@@ -118,19 +118,13 @@ def reject(
     column = _fraction("--column-uncertainty", column_uncertainty)
     inputs = [cube] if open_water is None else [cube, open_water]
     check_cube_output(output, overwrite=overwrite, inputs=inputs)
-    if tile_rows is not None or (
-        method != "auto" and open_water is None and is_large(cube)
-    ):
-        if open_water is not None:
-            raise UsageError(
-                "--open-water joins two cubes in memory, which --tile-rows does not; "
-                "record the shots in the cube, or leave one of the options out"
-            )
+    if tile_rows is not None or is_large(cube):
         options: dict[str, dict[str, Any]] = {
             "open-water": {"interval": interval, "column_uncertainty": column},
             "frequency": {"modulation_frequency": kept, "interval": interval},
             "combined": {"interval": interval, "target_ratio": target_ratio},
             "joint": {"interval": interval},
+            "auto": {"interval": interval},
         }
         options["polarization"] = options["unmix"] = {
             "target_ratio": target_ratio,
@@ -138,7 +132,7 @@ def reject(
             "water_fluctuation": fluctuation,
         }
         _by_rows(
-            cube, output, method, tile_rows, options.get(method, {}),
+            cube, output, method, tile_rows, open_water, options.get(method, {}),
             overwrite=overwrite, json=json,
         )  # fmt: skip
         return
@@ -203,6 +197,7 @@ def _by_rows(
     output: Path,
     method: str,
     rows: int | None,
+    open_water: Path | None,
     options: dict[str, Any],
     *,
     overwrite: bool,
@@ -218,16 +213,20 @@ def _by_rows(
     with progress_bar(quiet=json):
         try:
             made = scale.reject_file(
-                cube, output, method, rows=rows, overwrite=overwrite, **options
-            )
+                cube, output, method, rows=rows, overwrite=overwrite,
+                open_water=open_water, **options,
+            )  # fmt: skip
         except ValueError as error:
             raise UsageError(str(error)) from None
     share = made.flagged / max(made.count, 1)
     if json:
-        figures = _figures_of(output, method, made.head)
+        figures = _figures_of(output, method, made.head, made.comparison)
         print_json(figures | {"flagged_share": share, "flags": made.flags})
         return
-    _print_choice(made.head)
+    if made.comparison is not None:
+        _print_comparison(made.comparison)
+    else:
+        _print_choice(made.head)
     print(f"{output}: target signal, {share:.1%} of the samples flagged")
 
 
@@ -250,25 +249,20 @@ def _figures(
     output: Path, method: str, target: xr.Dataset, comparison: Comparison | None
 ) -> dict[str, Any]:
     """Return what `--json` prints."""
-    from dataclasses import asdict
-
     from amulor import cube as cubes
 
-    found = _figures_of(output, method, target) | {
+    return _figures_of(output, method, target, comparison) | {
         "flagged_share": float((target["quality_flag"] != 0).mean()),
         "flags": cubes.flag_counts(target),
     }
-    if comparison is not None:
-        found |= {
-            "method": comparison.method,
-            "reason": comparison.reason,
-            "comparison": [asdict(row) for row in comparison.rows],
-        }
-    return found
 
 
-def _figures_of(output: Path, method: str, target: xr.Dataset) -> dict[str, Any]:
+def _figures_of(
+    output: Path, method: str, target: xr.Dataset, comparison: Comparison | None
+) -> dict[str, Any]:
     """Return the figures that are not of samples."""
+    from dataclasses import asdict
+
     found: dict[str, Any] = {
         "output": str(output),
         "method": method,
@@ -278,6 +272,12 @@ def _figures_of(output: Path, method: str, target: xr.Dataset) -> dict[str, Any]
     for name in ("frequency_choice", "frequency_warnings", "target_ratio"):
         if name in target.attrs:
             found[name] = target.attrs[name]
+    if comparison is not None:
+        found |= {
+            "method": comparison.method,
+            "reason": comparison.reason,
+            "comparison": [asdict(row) for row in comparison.rows],
+        }
     return found
 
 

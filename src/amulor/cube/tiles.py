@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Any, Protocol
 
@@ -12,7 +12,15 @@ from numpy.typing import NDArray
 
 from amulor.cube.schema import QualityFlag
 
-__all__ = ["InMemory", "Source", "Whole", "bands", "sample_of", "without_truth"]
+__all__ = [
+    "Changed",
+    "InMemory",
+    "Source",
+    "Whole",
+    "bands",
+    "sample_of",
+    "without_truth",
+]
 
 #: Samples of a variable that are worked on at once, unless somebody says otherwise:
 #: what a step holds beside them is ten to a hundred times as much.
@@ -73,6 +81,43 @@ class InMemory:
         if begin == 0 and end >= self.rows:
             return self.cube
         return self.cube.isel(row=slice(begin, end))
+
+
+class Changed:
+    """The rows of a cube after a change that is the same for each of them.
+
+    Parameters
+    ----------
+    source : Source
+        Where the rows come from.
+    change : callable
+        From a cube to another one of as many rows and columns; looks at no other rows.
+    """
+
+    def __init__(
+        self, source: Source, change: Callable[[xr.Dataset], xr.Dataset]
+    ) -> None:
+        self._source, self._change = source, change
+        self._head = InMemory(change(source.tile(0, 1))).head
+
+    @property
+    def head(self) -> xr.Dataset:
+        """All that does not run over the rows, changed."""
+        return self._head
+
+    @property
+    def rows(self) -> int:
+        """Number of rows."""
+        return self._source.rows
+
+    @property
+    def columns(self) -> int:
+        """Number of columns."""
+        return self._source.columns
+
+    def tile(self, begin: int, end: int) -> xr.Dataset:
+        """Return some rows, changed."""
+        return self._change(self._source.tile(begin, end))
 
 
 def bands(source: Source, rows: int | None = None) -> Iterator[tuple[int, int]]:

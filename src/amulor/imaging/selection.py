@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import xarray as xr
+from numpy.typing import NDArray
 
 from amulor import cube as cubes
 from amulor.cube import UNUSABLE, QualityFlag
@@ -41,6 +42,41 @@ def leave_out(
         If the largest uncertainty is not above 0 m.
     """
     image = cubes.checked(image, "range_image")
+    gone, counts = to_leave_out(
+        image,
+        good_only=good_only,
+        largest_uncertainty=largest_uncertainty,
+        mixed=mixed,
+    )
+    return without(image, gone, counts)
+
+
+def to_leave_out(
+    image: xr.Dataset,
+    *,
+    good_only: bool,
+    largest_uncertainty: float | None,
+    mixed: bool,
+) -> tuple[NDArray[np.bool_], dict[str, int]]:
+    """Return which pixels `leave_out` takes, and how many for which reason.
+
+    Parameters
+    ----------
+    image, good_only, largest_uncertainty, mixed
+        As in `leave_out`.
+
+    Returns
+    -------
+    gone : ndarray of bool, shape (row, column)
+        Pixels.
+    counts : dict of str to int
+        By reason, each pixel once [1].
+
+    Raises
+    ------
+    ValueError
+        If the largest uncertainty is not above 0 m.
+    """
     if largest_uncertainty is not None and not largest_uncertainty > 0:
         raise ValueError(
             f"largest uncertainty must be above 0 m, got {largest_uncertainty:g} m"
@@ -58,12 +94,34 @@ def leave_out(
         sigma = image["slant_range_uncertainty"].values
         reasons[limit] = ~(sigma <= largest_uncertainty)
     gone = np.zeros(flag.shape, dtype=bool)
-    said = []
+    counts = {}
     for reason, where in reasons.items():
         new = where & usable & ~gone
         gone |= new
-        said.append(f"{int(new.sum())} {reason}")
-    if not gone.any():
+        counts[reason] = int(new.sum())
+    return gone, counts
+
+
+def without(
+    image: xr.Dataset, gone: NDArray[np.bool_], counts: dict[str, int]
+) -> xr.Dataset:
+    """Return a range image without some pixels.
+
+    Parameters
+    ----------
+    image : xarray.Dataset
+        Level `range_image`.
+    gone : ndarray of bool, shape (row, column)
+        Pixels, from `to_leave_out`.
+    counts : dict of str to int
+        Of these, or of a scan that the image is a part of, for the history [1].
+
+    Returns
+    -------
+    xarray.Dataset
+        Those pixels flagged `MISSING`; the same image if none was counted.
+    """
+    if not any(counts.values()):
         return image
     kept = {
         str(name): values.where(~gone)
@@ -71,4 +129,5 @@ def leave_out(
         if str(name).startswith("slant_range") and values.dims == ("row", "column")
     }
     image = with_flag(image.assign(kept), QualityFlag.MISSING, gone)
-    return cubes.note(image, f"left out: {', '.join(said)}")
+    said = ", ".join(f"{count} {reason}" for reason, count in counts.items())
+    return cubes.note(image, f"left out: {said}")

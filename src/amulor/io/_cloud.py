@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Mapping
+from collections.abc import Hashable, Iterable, Iterator, Mapping
 from typing import Any
 
 import numpy as np
@@ -65,6 +65,45 @@ def checked_cloud(cloud: xr.Dataset, *, name: str) -> xr.Dataset:
                 "from its range image"
             )
     return cloud
+
+
+def checked_parts(
+    parts: Iterable[xr.Dataset], count: int, *, name: str
+) -> Iterator[xr.Dataset]:
+    """Yield the parts of a cloud that hold points, checked as by `checked_cloud`.
+
+    Parameters
+    ----------
+    parts : iterable of xarray.Dataset
+        Parts of a cloud.
+    count : int
+        Points that they hold together.
+    name : str
+        How a message names the cloud.
+
+    Yields
+    ------
+    xarray.Dataset
+        A part.
+
+    Raises
+    ------
+    CubeError
+        As `checked_cloud`, and if there are more or fewer points, or none.
+    """
+    found = 0
+    part = None
+    for part in parts:
+        if part.sizes["point"]:
+            found += part.sizes["point"]
+            yield checked_cloud(part, name=name)
+    if part is not None and not found:
+        checked_cloud(part, name=name)
+    if found != count:
+        raise CubeError(
+            f"{name}: {found} points came, {count} were counted before; the range "
+            "image changed meanwhile: run it again"
+        )
 
 
 def provenance_lines(cloud: xr.Dataset) -> list[str]:

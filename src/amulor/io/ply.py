@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import os
 import textwrap
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 
 import numpy as np
 import xarray as xr
 from numpy.typing import ArrayLike, NDArray
 
-from amulor.io._cloud import checked_cloud, provenance_lines
+from amulor.io._cloud import checked_cloud, checked_parts, provenance_lines
 from amulor.io.files import atomic_output
 
 # Property of the file, its type, and the variable it comes from. CloudCompare shows
@@ -81,7 +81,6 @@ def write_ply(
     comments.
     """
     cloud = checked_cloud(cloud, name=f"the cloud for {path}")
-    kept = [entry for entry in _PROPERTIES if entry[3] in cloud]
     more = {
         name: np.asarray(values, dtype=float)
         for name, (values, _) in (scalars or {}).items()
@@ -89,8 +88,84 @@ def write_ply(
     count = cloud.sizes["point"]
     if any(values.shape != (count,) for values in more.values()):
         raise ValueError(f"scalars must have {count} values each, as many as points")
+    triangles = _triangles(faces, count)
+    about = {name: text for name, (_, text) in (scalars or {}).items()}
+    header = _header(cloud, count, about, _face_lines(triangles))
+    vertices = _vertices(cloud, more)
+    with (
+        atomic_output(Path(path), overwrite=overwrite) as temporary,
+        temporary.open("wb") as file,
+    ):
+        file.write(header)
+        file.write(vertices.data)
+        if faces is not None:
+            file.write(triangles.data)
+
+
+def write_ply_parts(
+    parts: Iterable[xr.Dataset],
+    count: int,
+    path: str | os.PathLike[str],
+    *,
+    overwrite: bool = False,
+) -> None:
+    """Write a point cloud that comes in parts; the same file as that of the whole.
+
+    Parameters
+    ----------
+    parts : iterable of xarray.Dataset
+        Cubes of level `point_cloud`; what the header says is that of the first.
+    count : int
+        Points of all of them.
+    path, overwrite
+        As in `write_ply`.
+
+    Raises
+    ------
+    CubeError, FormatError
+        As `write_ply`, and if there are not so many points.
+    """
+    with (
+        atomic_output(Path(path), overwrite=overwrite) as temporary,
+        temporary.open("wb") as file,
+    ):
+        for part in checked_parts(parts, count, name=f"the cloud for {path}"):
+            if file.tell() == 0:
+                file.write(_header(part, count, {}, []))
+            file.write(_vertices(part, {}).data)
+
+
+def _header(
+    cloud: xr.Dataset, count: int, about: Mapping[str, str], faces: list[str]
+) -> bytes:
+    """Return the head of a file, up to its points."""
+    kept = [entry for entry in _PROPERTIES if entry[3] in cloud]
+    comments = [
+        f"{name}: {cloud[variable].attrs['long_name']} "
+        f"[{cloud[variable].attrs['units']}]"
+        for name, _, _, variable in kept
+    ]
+    comments += [f"{name}: {text}" for name, text in about.items()]
+    lines = [
+        "ply",
+        "format binary_little_endian 1.0",
+        *(f"comment {line}" for line in _ascii(provenance_lines(cloud) + comments)),
+        f"element vertex {count}",
+        *(f"property {kind} {name}" for name, kind, _, _ in kept),
+        *(f"property double {name}" for name in about),
+        *faces,
+        "end_header\n",
+    ]
+    return "\n".join(lines).encode("ascii")
+
+
+def _vertices(
+    cloud: xr.Dataset, more: Mapping[str, NDArray[np.float64]]
+) -> NDArray[np.void]:
+    """Return points as the records of the file."""
+    kept = [entry for entry in _PROPERTIES if entry[3] in cloud]
     vertices = np.empty(
-        count,
+        cloud.sizes["point"],
         dtype=[(name, code) for name, _, code, _ in kept]
         + [(name, "<f8") for name in more],
     )
@@ -98,31 +173,7 @@ def write_ply(
         vertices[name] = cloud[variable].values
     for name, values in more.items():
         vertices[name] = values
-    triangles = _triangles(faces, count)
-    comments = [
-        f"{name}: {cloud[variable].attrs['long_name']} "
-        f"[{cloud[variable].attrs['units']}]"
-        for name, _, _, variable in kept
-    ]
-    comments += [f"{name}: {about}" for name, (_, about) in (scalars or {}).items()]
-    header = [
-        "ply",
-        "format binary_little_endian 1.0",
-        *(f"comment {line}" for line in _ascii(provenance_lines(cloud) + comments)),
-        f"element vertex {vertices.size}",
-        *(f"property {kind} {name}" for name, kind, _, _ in kept),
-        *(f"property double {name}" for name in more),
-        *_face_lines(triangles),
-        "end_header\n",
-    ]
-    with (
-        atomic_output(Path(path), overwrite=overwrite) as temporary,
-        temporary.open("wb") as file,
-    ):
-        file.write("\n".join(header).encode("ascii"))
-        file.write(vertices.data)
-        if faces is not None:
-            file.write(triangles.data)
+    return vertices
 
 
 def _triangles(faces: ArrayLike | None, count: int) -> NDArray[np.void]:

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Iterable
 from pathlib import Path
 
 import numpy as np
 import xarray as xr
 
-from amulor.io._cloud import checked_cloud, provenance_lines
+from amulor.io._cloud import checked_cloud, checked_parts, provenance_lines
 from amulor.io.files import atomic_output
 
 # Name of a column, its unit, the variable, and how it is printed: coordinates to the
@@ -56,20 +57,50 @@ def write_text(
     Lines at the start that begin with "#" say what it is, the axes, and where it comes
     from. Coordinates are rounded to a micrometre. UTF-8.
     """
-    path = Path(path)
     cloud = checked_cloud(cloud, name=f"the cloud for {path}")
-    kept = [column for column in _COLUMNS if column[2] in cloud]
+    write_text_parts([cloud], cloud.sizes["point"], path, overwrite=overwrite)
+
+
+def write_text_parts(
+    parts: Iterable[xr.Dataset],
+    count: int,
+    path: str | os.PathLike[str],
+    *,
+    overwrite: bool = False,
+) -> None:
+    """Write a point cloud that comes in parts; the same file as that of the whole.
+
+    Parameters
+    ----------
+    parts : iterable of xarray.Dataset
+        Cubes of level `point_cloud`; what the header says is that of the first.
+    count : int
+        Points of all of them.
+    path, overwrite
+        As in `write_text`.
+
+    Raises
+    ------
+    CubeError, FormatError
+        As `write_text`, and if there are not so many points.
+    """
+    path = Path(path)
     comma = path.suffix.lower() == ".csv"
     mark = "," if comma else " "
-    names = [
-        f"{name} [{unit}]" if comma else f"{name}[{unit}]" for name, unit, _, _ in kept
-    ]
-    header = [f"# {line}" for line in provenance_lines(cloud)]
-    header.append(("" if comma else "# ") + mark.join(names))
-    table = np.column_stack([cloud[variable].values for _, _, variable, _ in kept])
+    kept: list[tuple[str, str, str, str]] = []
     with (
         atomic_output(path, overwrite=overwrite) as temporary,
         temporary.open("w", encoding="utf-8", newline="\n") as file,
     ):
-        file.write("\n".join(header) + "\n")
-        np.savetxt(file, table, fmt=[form for *_, form in kept], delimiter=mark)
+        for part in checked_parts(parts, count, name=f"the cloud for {path}"):
+            if not kept:
+                kept = [column for column in _COLUMNS if column[2] in part]
+                names = [
+                    f"{name} [{unit}]" if comma else f"{name}[{unit}]"
+                    for name, unit, _, _ in kept
+                ]
+                header = [f"# {line}" for line in provenance_lines(part)]
+                header.append(("" if comma else "# ") + mark.join(names))
+                file.write("\n".join(header) + "\n")
+            table = np.column_stack([part[name].values for _, _, name, _ in kept])
+            np.savetxt(file, table, fmt=[form for *_, form in kept], delimiter=mark)

@@ -122,12 +122,29 @@ def _repeat_distance(cube: xr.Dataset) -> float:
     )
 
 
-def _without_shots(cube: xr.Dataset, interval: Interval) -> xr.Dataset:
+def without_shots(cube: xr.Dataset) -> xr.Dataset:
+    """Return samples without their open-water shots.
+
+    Parameters
+    ----------
+    cube : xarray.Dataset
+        Level `samples`.
+
+    Returns
+    -------
+    xarray.Dataset
+        The same pixels.
+    """
     shots = [name for name in cube.data_vars if str(name).startswith("open_water_")]
-    return joint(cube.drop_vars(shots), interval=interval)
+    return cube.drop_vars(shots)
 
 
-_WITHOUT_SHOTS = _Method("joint without shots", _without_shots)
+#: Name of the joint estimation that is told nothing of the shots.
+JOINT_WITHOUT_SHOTS = "joint without shots"
+_WITHOUT_SHOTS = _Method(
+    JOINT_WITHOUT_SHOTS,
+    lambda cube, interval: joint(without_shots(cube), interval=interval),
+)
 #: The simplest first.
 _METHODS = (
     _Method("cross-polarized", _cross_polarized),

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections import Counter
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -12,8 +12,17 @@ import numpy as np
 import xarray as xr
 
 from amulor import cube as cubes
+from amulor import io, rejection
+from amulor.cube import tiles
 from amulor.io.netcdf_rows import is_large, open_rows, row_writer, tile_rows
-from amulor.scale.steps import TiledStep, image_step, reject_step, run_step
+from amulor.scale.steps import (
+    TiledStep,
+    auto_step,
+    compared,
+    image_step,
+    reject_step,
+    run_step,
+)
 
 __all__ = ["Summary", "image_file", "is_large", "reject_file", "run_file"]
 
@@ -34,6 +43,8 @@ class Summary:
     """Those that are numbers and have a flag."""
     flags: dict[str, int]
     """How many have which flag."""
+    comparison: rejection.Comparison | None = None
+    """Of all methods, where one was to be chosen."""
 
 
 def run_file(
@@ -68,24 +79,36 @@ def run_file(
     AmulorError, ValueError
         As the step, and if a file cannot be read or written.
     """
+    with open_rows(Path(source)) as cube:
+        size = tile_rows(cube) if rows is None else rows
+        return _run(step, cube, output, size, overwrite=overwrite)
+
+
+def _run(
+    step: TiledStep,
+    cube: tiles.Source,
+    output: str | os.PathLike[str],
+    size: int,
+    *,
+    overwrite: bool,
+) -> Summary:
+    """Run a step on the rows of a cube, and count what it makes."""
     flags: Counter[str] = Counter()
     count = usable = flagged = doubtful = 0
     head: xr.Dataset | None = None
-    with open_rows(Path(source)) as cube:
-        size = tile_rows(cube) if rows is None else rows
-        with row_writer(output, cube.rows, overwrite=overwrite) as writer:
-            for begin, tile in run_step(step, cube, rows=size):
-                writer.put(tile, begin)
-                signal = "in_phase" if "in_phase" in tile else "slant_range"
-                number = np.isfinite(tile[signal].values)
-                flag = tile["quality_flag"].values != 0
-                count, usable = count + number.size, usable + int(number.sum())
-                flagged += int(flag.sum())
-                doubtful += int((flag & number).sum())
-                flags.update(cubes.flag_counts(tile))
-                if head is None:
-                    over = [k for k, v in tile.variables.items() if "row" in v.dims]
-                    head = tile.drop_vars(over)
+    with row_writer(output, cube.rows, overwrite=overwrite) as writer:
+        for begin, tile in run_step(step, cube, rows=size):
+            writer.put(tile, begin)
+            signal = "in_phase" if "in_phase" in tile else "slant_range"
+            number = np.isfinite(tile[signal].values)
+            flag = tile["quality_flag"].values != 0
+            count, usable = count + number.size, usable + int(number.sum())
+            flagged += int(flag.sum())
+            doubtful += int((flag & number).sum())
+            flags.update(cubes.flag_counts(tile))
+            if head is None:
+                over = [k for k, v in tile.variables.items() if "row" in v.dims]
+                head = tile.drop_vars(over)
     assert head is not None
     return Summary(
         head=head,
@@ -102,6 +125,7 @@ def reject_file(
     output: str | os.PathLike[str],
     method: str,
     *,
+    open_water: str | os.PathLike[str] | None = None,
     rows: int | None = None,
     overwrite: bool = False,
     **options: Any,
@@ -113,7 +137,9 @@ def reject_file(
     source, output, rows, overwrite
         As in `run_file`.
     method : str
-        As in `reject_step`.
+        As in `reject_step`, or "auto": the one that `compared` recommends.
+    open_water : path-like, optional
+        Cube with the shots, which is in memory whole.
     **options
         Arguments of the method.
 
@@ -127,8 +153,21 @@ def reject_file(
     AmulorError, ValueError
         As `run_file`, and as the method.
     """
-    step = reject_step(method, **options)
-    return run_file(step, source, output, rows=rows, overwrite=overwrite)
+    step = None if method == "auto" else reject_step(method, **options)
+    with open_rows(Path(source)) as samples:
+        size = tile_rows(samples) if rows is None else rows
+        cube: tiles.Source = samples
+        if open_water is not None:
+            shots = io.read_cube(open_water)
+            cube = tiles.Changed(
+                samples, lambda tile: rejection.with_open_water(tile, shots)
+            )
+        if step is not None:
+            return _run(step, cube, output, size, overwrite=overwrite)
+        comparison = compared(cube, **options)
+        step = auto_step(comparison, **options)
+        made = _run(step, cube, output, size, overwrite=overwrite)
+        return replace(made, comparison=comparison)
 
 
 def image_file(

@@ -15,10 +15,19 @@ from amulor._decisions import Decisions, deciding, told
 from amulor._progress import tell
 from amulor.cube import tiles
 from amulor.errors import CubeError
+from amulor.rejection.compare import JOINT_WITHOUT_SHOTS, without_shots
 from amulor.rejection.joint.estimate import prepared
 from amulor.rejection.joint.tile import of_rows
 
-__all__ = ["METHODS", "TiledStep", "image_step", "reject_step", "run_step"]
+__all__ = [
+    "METHODS",
+    "TiledStep",
+    "auto_step",
+    "compared",
+    "image_step",
+    "reject_step",
+    "run_step",
+]
 
 #: Rows above and below a tile that marks of edges and outliers look at: seven, and one
 #: more for a line that ends at the rim.
@@ -164,6 +173,70 @@ def reject_step(method: str, **options: Any) -> TiledStep:
             f"the method {method} needs the whole scan in memory; by rows work {known}"
         )
     return decided_once(partial(METHODS[method], **options))
+
+
+def compared(
+    source: tiles.Source, *, interval: tuple[float, float] | None = None
+) -> rejection.Comparison:
+    """Compare all methods of rejection on a sample of a scan.
+
+    Parameters
+    ----------
+    source : Source
+        Samples.
+    interval : tuple of float, optional
+        Nearest and farthest slant range that are possible [m].
+
+    Returns
+    -------
+    Comparison
+        As `amulor.rejection.compare`, of the whole scan if it has up to
+        `amulor.cube.tiles.SAMPLE` pixels.
+
+    Raises
+    ------
+    CubeError
+        If no method can use a single pixel.
+    """
+    sample = tiles.without_truth(tiles.sample_of(source))
+    return rejection.compare(sample, interval=interval)
+
+
+def auto_step(
+    comparison: rejection.Comparison, *, interval: tuple[float, float] | None = None
+) -> TiledStep:
+    """Return the method that a comparison recommends, with its best channel.
+
+    Parameters
+    ----------
+    comparison : Comparison
+        From `compared`.
+    interval : tuple of float, optional
+        The same as there [m].
+
+    Returns
+    -------
+    TiledStep
+        As `amulor.rejection.auto` does it.
+    """
+    names = ("open-water", "frequency", "combined", "joint")
+    bare = comparison.method == JOINT_WITHOUT_SHOTS
+    method = "joint" if bare else comparison.method
+    step = reject_step(method, **({"interval": interval} if method in names else {}))
+
+    def prepare(source: tiles.Source) -> OfRows:
+        of = step.prepare(tiles.Changed(source, without_shots) if bare else source)
+
+        def chosen(tile: xr.Dataset, first: int) -> xr.Dataset:
+            made = of(without_shots(tile) if bare else tile, first)
+            made = made.sel(polarization=[comparison.polarization])
+            return made.assign_attrs(
+                rejection_method=comparison.method, rejection_reason=comparison.reason
+            )
+
+        return chosen
+
+    return TiledStep(prepare=prepare)
 
 
 def image_step(**options: Any) -> TiledStep:

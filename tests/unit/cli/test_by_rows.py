@@ -50,6 +50,20 @@ def test_commands_work_by_rows(cube, tmp_path, capsys):
     xr.testing.assert_identical(*map(content, images))
 
 
+@pytest.mark.slow
+def test_auto_by_rows_prints_and_writes_what_it_does_with_the_whole(
+    cube, tmp_path, capsys
+):
+    said, made = [], []
+    for number, words in enumerate(([], ["--tile-rows", 4])):
+        output = tmp_path / f"{number}.nc"
+        run("reject", cube, "--method", "auto", "-o", output, "--json", *words)
+        said.append(json.loads(capsys.readouterr().out) | {"output": ""})
+        made.append(content(output))
+    assert said[0] == said[1]
+    xr.testing.assert_identical(*made)
+
+
 def test_large_files_are_worked_on_by_rows_unasked(cube, tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(netcdf_rows, "LARGE", 1)
     seen = []
@@ -69,8 +83,6 @@ def test_large_files_are_worked_on_by_rows_unasked(cube, tmp_path, monkeypatch, 
 @pytest.mark.parametrize(
     ("words", "code", "said"),
     [
-        (("--method", "auto"), 1, "auto needs the whole scan"),
-        (("--method", "none", "--open-water", "CUBE"), 2, "joins two cubes"),
         (("--method", "none", "--tile-rows", "0"), 2, "must be 1 or more"),
     ],
 )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +14,7 @@ from amulor import imaging, io, rejection
 from amulor._decisions import Decisions, decided, deciding, told
 from amulor.cube import tiles
 from amulor.errors import CubeError
+from amulor.rejection.compare import without_shots
 from amulor.scale import image_file, reject_file, reject_step, run_step, steps
 from amulor.simulation import simulate
 from amulor.survey import Survey
@@ -66,6 +68,48 @@ def test_a_rejection_in_tiles_is_that_of_the_whole(
     # A single row, and tiles that do not divide the scan.
     for rows in (1, 4):
         assert_same(in_tiles(step, samples, rows), whole)
+
+
+@pytest.mark.slow
+def test_shots_of_another_file_in_tiles_are_those_of_the_whole(
+    samples: xr.Dataset, tmp_path: Path
+) -> None:
+    shots = [name for name in samples.data_vars if str(name).startswith("open_water_")]
+    names = [tmp_path / name for name in ("bare.nc", "shots.nc", "target.nc")]
+    bare = samples.drop_vars(shots)
+    io.write_cube(bare, names[0])
+    io.write_cube(samples, names[1])
+    joined = rejection.with_open_water(io.read_cube(names[0]), io.read_cube(names[1]))
+    whole = rejection.open_water(joined, interval=INTERVAL)
+    for rows in (1, 4):
+        reject_file(
+            names[0], names[2], "open-water", open_water=names[1], rows=rows,
+            overwrite=True, interval=INTERVAL,
+        )  # fmt: skip
+        assert_same(io.read_cube(names[2]), whole)
+
+
+@pytest.mark.parametrize("shots", [True, False])
+@pytest.mark.study
+def test_auto_in_tiles_is_that_of_the_whole(
+    samples: xr.Dataset, tmp_path: Path, shots: bool
+) -> None:
+    cube = samples if shots else without_shots(samples)
+    name, output = tmp_path / "samples.nc", tmp_path / "target.nc"
+    io.write_cube(cube, name)
+    comparison = rejection.compare(cube, interval=INTERVAL)
+    whole = rejection.auto(cube, interval=INTERVAL, comparison=comparison)
+    for rows in (1, 4):
+        made = reject_file(
+            name, output, "auto", rows=rows, overwrite=True, interval=INTERVAL
+        )
+        assert repr(made.comparison) == repr(comparison)
+        assert_same(io.read_cube(output), whole)
+    # A recommendation without the shots is carried out without them.
+    chosen = replace(comparison, method="joint without shots", polarization="VV")
+    step = steps.auto_step(chosen, interval=INTERVAL)
+    whole = rejection.auto(cube, interval=INTERVAL, comparison=chosen)
+    assert_same(in_tiles(step, cube, 4), whole)
 
 
 @pytest.mark.slow
