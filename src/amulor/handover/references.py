@@ -182,11 +182,13 @@ def read_mesh(path: Path, *, unit: float) -> tuple[Floats, NDArray[np.intp]]:
         mesh: Any = trimesh.load(path, force="mesh", process=False)
         vertices = np.asarray(mesh.vertices, dtype=float) * unit
         faces = np.asarray(mesh.faces, dtype=np.intp).reshape(-1, 3)
+        corner = vertices[faces]
     except Exception as error:  # trimesh's readers raise whatever they meet
         raise FormatError(
             f"{path} cannot be read as a mesh: {' '.join(str(error).split())}"
         ) from error
-    corner = vertices[faces]
+    if not np.all(np.isfinite(corner)):
+        raise FormatError(f"{path} has triangles with corners that are not finite")
     area = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
     faces = faces[np.any(area != 0, axis=1)] if len(faces) else faces
     if not len(faces):

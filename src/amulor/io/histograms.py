@@ -6,6 +6,7 @@ import io
 import math
 import os
 import struct
+import tokenize
 import zipfile
 import zlib
 from dataclasses import dataclass
@@ -38,7 +39,12 @@ _DAMAGE = (
     SyntaxError,
     TypeError,
     ValueError,
+    tokenize.TokenError,  # of the text before the numbers, which is Python
 )
+#: What bins of photon counters last [s].
+_NARROWEST, _WIDEST = 1e-15, 1e-3
+#: Photons in one bin: no counter has so many [1].
+_MOST_COUNTS = 10**15
 _NEEDED = (
     "needed is an npz file with whole-number 'counts' (rows, columns, bins) and "
     "'bin_width_s'"
@@ -219,14 +225,20 @@ def _counts(path: Path, fields: dict[str, NDArray[Any]], name: str) -> NDArray[A
             f"{path}: field '{name}' holds {counts.min():g}, but a number of photons "
             "is not negative; save the counts before a background is taken off"
         )
+    if counts.max() > _MOST_COUNTS:
+        raise FormatError(
+            f"{path}: field '{name}' holds {counts.max():.3g} photons in one bin, more "
+            f"than any counter ({_MOST_COUNTS:.0e}); the file is damaged"
+        )
     return counts
 
 
 def _bin_width(path: Path, value: NDArray[Any]) -> float:
-    if value.size != 1 or not (np.isfinite(value).all() and (value > 0).all()):
+    if value.size != 1 or not np.all((value >= _NARROWEST) & (value <= _WIDEST)):
         raise FormatError(
             f"{path}: field 'bin_width_s' is {value.tolist()!r:.60}, needed is one "
-            "time above 0 s; a bin of 16 ps is 1.6e-11"
+            f"time above 0 s, from {_NARROWEST:g} to {_WIDEST:g} s; a bin of 16 ps is "
+            "1.6e-11"
         )
     return float(value.reshape(()))
 

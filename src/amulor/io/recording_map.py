@@ -26,7 +26,7 @@ class TableSettings(Description):
     comment: Annotated[str, Field(max_length=1)] = "#"
     """What a line begins with that holds no data; "%" for LabOne. The last of them
     before the data names the columns if no other line does."""
-    skip: Annotated[int, Field(ge=0)] = 0
+    skip: Annotated[int, Field(ge=0, le=10**9)] = 0
     """Lines before the one with the names [1]."""
     decimal: Literal[".", ","] = "."
     """What stands before the fraction of a number."""

@@ -96,7 +96,7 @@ def read_table(path: Path, described: RecordingMap) -> Table:
     wanted = [name for _, name in described.columns if name is not None]
     try:
         if described.table.format == "hdf5":
-            return _hdf5(path, wanted)
+            return _whole_hdf5(path, wanted)
         return _csv(path, wanted, described.table)
     except OSError as error:
         raise FormatError(
@@ -154,6 +154,18 @@ def _is_number(text: str, decimal: str) -> bool:
     except ValueError:
         return False
     return True
+
+
+def _whole_hdf5(path: Path, wanted: list[str]) -> Table:
+    try:
+        return _hdf5(path, wanted)
+    except (FormatError, OSError):
+        raise
+    except Exception as error:  # h5py raises many kinds inside of a damaged file
+        reason = " ".join(str(error).split())[:200] or type(error).__name__
+        raise FormatError(
+            f"{path}: is damaged, or no HDF5 file: {reason}; copy it again"
+        ) from error
 
 
 def _hdf5(path: Path, wanted: list[str]) -> Table:

@@ -58,10 +58,24 @@ class Description(BaseModel):
         return type(self).model_validate({**stated, **update})
 
 
+#: Largest size of what a file may state, where no field says less: beyond, a digit or
+#: a unit slipped [SI].
+_LARGEST = {"angle": 1e4}
+_LARGEST_OTHER = 1e16
+_LARGEST_COUNT = 2**53
+
+
 def _read(quantity: str) -> Any:
     def read(value: Any, info: ValidationInfo) -> Any:
         if isinstance(value, str):
-            return units.parse(value, quantity)
+            number = units.parse(value, quantity)
+            most = _LARGEST.get(quantity, _LARGEST_OTHER)
+            if abs(number) > most:
+                raise ValueError(
+                    f"found {value!r}; no {quantity} is beyond "
+                    f"{units.write(most, quantity)}"
+                )
+            return number
         from_text = bool(info.context and info.context.get("from_text"))
         if isinstance(value, bool) or not isinstance(value, int | float):
             raise ValueError(
@@ -158,10 +172,14 @@ def _no_truth(value: Any) -> Any:
     """Refuse true and false, which Python takes for 1 and 0."""
     if isinstance(value, bool):
         raise ValueError(f"found {str(value).lower()}; needed is a whole number")
+    if isinstance(value, int) and abs(value) > _LARGEST_COUNT:
+        raise ValueError(f"found {value:.3g}; nothing is counted so far")
     return value
 
 
 Count = Annotated[int, BeforeValidator(_no_truth)]
 
-Position = tuple[Length, Length, Length]
+#: Coordinates: no reference system has larger ones [m].
+_Coordinate = Annotated[Length, Field(ge=-1e9, le=1e9)]
+Position = tuple[_Coordinate, _Coordinate, _Coordinate]
 Rotation = tuple[Angle, Angle, Angle]

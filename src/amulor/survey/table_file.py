@@ -11,6 +11,8 @@ from pydantic import BaseModel, ValidationError
 from amulor.errors import SurveyError
 
 _Model = TypeVar("_Model", bound=BaseModel)
+#: Largest number of a table: peaks of phase functions stay far below [1].
+_LARGEST = 1e15
 _SIZE_LIMIT = 1_000_000
 
 
@@ -59,6 +61,11 @@ def columns(path: Path, *, count: int, where: str) -> list[list[float]]:
         if len(row) != count or not np.all(np.isfinite(row)):
             raise SurveyError(
                 f"{where}: {path}, line {number}: found {line.strip()[:60]!r}; {needed}"
+            )
+        if max(map(abs, row)) > _LARGEST:
+            raise SurveyError(
+                f"{where}: {path}, line {number}: found {max(row, key=abs):g}; no "
+                f"angle and no share of light is beyond {_LARGEST:.0e}"
             )
         rows.append(row)
     if not rows:

@@ -82,7 +82,7 @@ class Registration(Description):
     """Such as "targets", "cloud to cloud", or "single scan, not registered"."""
     rms_error: Annotated[Length, Field(ge=0)] | None = None
     """Global root mean square error; needed for more than one scan [m]."""
-    points: Annotated[int, Field(ge=0)] = 0
+    points: Annotated[int, Field(ge=0, le=10**9)] = 0
     """Control points or targets that were used [1]."""
     software: str = ""
     """Program that registered the scans."""
