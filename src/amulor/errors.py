@@ -2,27 +2,85 @@
 
 
 class AmulorError(Exception):
-    """Base of all errors that a user can mend; its text is one line."""
+    """Base of all errors that a user can mend; its text is one line.
+
+    Examples
+    --------
+    >>> from amulor.errors import AmulorError, CubeError
+    >>> issubclass(CubeError, AmulorError)
+    True
+    """
 
 
 class SurveyError(AmulorError):
-    """A survey file or a description in it cannot be used."""
+    """A survey file or a description in it cannot be used.
+
+    Examples
+    --------
+    >>> from amulor import Survey
+    >>> from amulor.errors import SurveyError
+    >>> try:
+    ...     Survey.from_text("[water]")
+    ... except SurveyError as error:
+    ...     print(str(error)[:24])
+    survey: name: is missing
+    """
 
 
 class CubeError(AmulorError):
-    """A measurement cube lacks something, or has something it must not have."""
+    """A measurement cube lacks something, or has something it must not have.
+
+    Examples
+    --------
+    >>> from amulor import imaging, samples
+    >>> from amulor.errors import CubeError
+    >>> try:
+    ...     imaging.range_image(samples.cube("ladder"))
+    ... except CubeError as error:
+    ...     print(str(error)[:64])
+    the cube: is of level samples, but level target_signal is needed
+    """
 
 
 class FormatError(AmulorError):
-    """A file cannot be read or written in the format asked for."""
+    """A file cannot be read or written in the format asked for.
+
+    Examples
+    --------
+    >>> from amulor import read_cube
+    >>> from amulor.errors import FormatError
+    >>> try:
+    ...     read_cube("nowhere.nc")
+    ... except FormatError as error:
+    ...     print(error)
+    nowhere.nc does not exist; check the name and the folder
+    """
 
 
 class InstrumentError(AmulorError):
-    """An instrument did not answer, or not as it must."""
+    """An instrument did not answer, or not as it must.
+
+    Examples
+    --------
+    >>> from amulor.errors import InstrumentError
+    >>> try:
+    ...     raise InstrumentError("lock-in: no answer within 2 s; check its cable")
+    ... except InstrumentError as error:
+    ...     print(error)
+    lock-in: no answer within 2 s; check its cable
+    """
 
 
 class MissingExtraError(AmulorError, ImportError):
-    """An optional dependency is not installed."""
+    """An optional dependency is not installed.
+
+    Examples
+    --------
+    >>> from amulor.errors import MissingExtraError
+    >>> error = MissingExtraError("trimesh", extra="scene", purpose="a mesh")
+    >>> str(error)[-27:]
+    "pip install 'amulor[scene]'"
+    """
 
     def __init__(self, package: str, *, extra: str, purpose: str) -> None:
         super().__init__(

@@ -35,7 +35,17 @@ DEVICES_NAME = "devices.toml"
 
 @dataclass(frozen=True, kw_only=True)
 class Progress:
-    """How far a scan has come."""
+    """How far a scan has come.
+
+    Examples
+    --------
+    >>> from amulor.acquisition import Progress
+    >>> now = Progress(
+    ...     done=120, total=400, rate=4.0, left=280 / 4.0, flagged=3, kind="scan"
+    ... )
+    >>> now.left
+    70.0
+    """
 
     done: int
     """Samples in the journal [1]."""
@@ -52,7 +62,21 @@ class Progress:
 
 
 class Control(Protocol):
-    """Who can interrupt a scan between two samples."""
+    """Who can interrupt a scan between two samples.
+
+    Examples
+    --------
+    >>> class Never:
+    ...     def pause_wanted(self) -> bool:
+    ...         return False
+    ...
+    ...     def go_on(self) -> bool:
+    ...         return True
+    >>> from amulor.acquisition import Control
+    >>> control: Control = Never()
+    >>> control.pause_wanted()
+    False
+    """
 
     def pause_wanted(self) -> bool:
         """Return whether the scan is to stop here for a question."""
@@ -71,7 +95,15 @@ class _Unattended:
 
 @dataclass(frozen=True, kw_only=True)
 class Outcome:
-    """What a run of a scan came to."""
+    """What a run of a scan came to.
+
+    Examples
+    --------
+    >>> from amulor.acquisition import Outcome
+    >>> outcome = Outcome(finished=False, done=120, total=400, flagged=3, unsafe=[])
+    >>> print(f"{outcome.done / outcome.total:.0%} done")
+    30% done
+    """
 
     finished: bool
     """Whether every planned sample is in the journal."""
@@ -143,6 +175,53 @@ def acquire(
     SurveyError, InstrumentError
         If a scan is resumed with another survey or other devices; if a device fails.
         What was acknowledged is kept, and all devices have been made safe.
+
+    Examples
+    --------
+    >>> from amulor import Survey, acquisition, simulation
+    >>> survey = Survey.from_text(
+    ...     '''
+    ...     name = "Plate"
+    ...     [water]
+    ...     absorption = "0.2 1/m"
+    ...     scattering = "0.6 1/m"
+    ...     asymmetry = 0.95
+    ...     [[targets]]
+    ...     kind = "plate"
+    ...     position = ["0 m", "0 m", "1.5 m"]
+    ...     width = "20 cm"
+    ...     height = "20 cm"
+    ...     reflectance = 0.2
+    ...     [instrument]
+    ...     wavelength = "405 nm"
+    ...     power = "20 mW"
+    ...     modulation_depth = 0.8
+    ...     modulation_frequencies = ["40 MHz"]
+    ...     polarizations = ["VV"]
+    ...     [instrument.receiver]
+    ...     position = ["7 cm", "0 m", "0 m"]
+    ...     radius = "2 cm"
+    ...     acceptance = "0.08 rad"
+    ...     [instrument.detector]
+    ...     optical_transmission = "10 %"
+    ...     [instrument.lock_in]
+    ...     time_constant = "10 ms"
+    ...     [scan]
+    ...     columns = 3
+    ...     rows = 2
+    ...     azimuth_span = "2 deg"
+    ...     elevation_span = "1 deg"
+    ...     dwell = "125 ms"
+    ...     '''
+    ... )
+    >>> import tempfile
+    >>> from pathlib import Path
+    >>> def scene(survey):
+    ...     return simulation.scene_light(survey, model=simulation.ClosureModel())
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     outcome = acquisition.acquire(survey, Path(folder) / "scan", scene=scene)
+    >>> outcome.finished, outcome.unsafe
+    (True, [])
     """
     settings = settings or Settings()
     plan.combs(survey, settings.procedure)  # refused before anything is touched

@@ -26,6 +26,13 @@ def group(cube: xr.Dataset, name: str) -> xr.Dataset | None:
     xarray.Dataset or None
         Its variables without the prefix, with the coordinates they use; None if the
         cube has no such part.
+
+    Examples
+    --------
+    >>> from amulor import cube as cubes, samples
+    >>> shots = cubes.group(samples.cube("ladder"), "open_water")
+    >>> shots["in_phase"].sizes["shot"]
+    540
     """
     prefix = f"{name}_"
     names = [str(key) for key in cube.data_vars if str(key).startswith(prefix)]
@@ -54,6 +61,12 @@ def without_groups(cube: xr.Dataset) -> xr.Dataset:
     -------
     xarray.Dataset
         The variables that every processing step may read.
+
+    Examples
+    --------
+    >>> from amulor import cube as cubes, samples
+    >>> "truth_target" in cubes.without_groups(samples.cube("ladder"))
+    False
     """
     prefixes = tuple(f"{name}_" for name in schema.GROUPS)
     kept = [key for key in cube.data_vars if not str(key).startswith(prefixes)]
@@ -76,6 +89,15 @@ def attach(cube: xr.Dataset, part: xr.Dataset, name: str) -> xr.Dataset:
     -------
     xarray.Dataset
         A new cube that holds both.
+
+    Examples
+    --------
+    >>> from amulor import cube as cubes, samples
+    >>> cube = samples.cube("ladder")
+    >>> shots = cubes.group(cube, "open_water")
+    >>> again = cubes.attach(cubes.without_groups(cube), shots, "open_water")
+    >>> "open_water_in_phase" in again
+    True
     """
     prefixed = {f"{name}_{key}": part[key].variable for key in part.data_vars}
     return cube.assign(prefixed)
@@ -93,6 +115,12 @@ def flag_counts(cube: xr.Dataset) -> dict[str, int]:
     -------
     dict
         Meaning to number, only of flags that occur; empty without `quality_flag`.
+
+    Examples
+    --------
+    >>> from amulor import cube as cubes, rejection, samples
+    >>> cubes.flag_counts(rejection.keep_water(samples.cube("ladder")))
+    {'no_open_water': 8000}
     """
     if "quality_flag" not in cube:
         return {}
@@ -114,6 +142,15 @@ class CubeAccessor:
     ----------
     cube : xarray.Dataset
         A cube of any level.
+
+    Examples
+    --------
+    >>> from amulor import samples
+    >>> cube = samples.cube("ladder")
+    >>> cube.amulor.level, cube.amulor.polarizations
+    ('samples', ['VV', 'VH'])
+    >>> print(f"{float(cube.amulor.amplitude.max()):.3f} V")
+    0.028 V
     """
 
     def __init__(self, cube: xr.Dataset) -> None:

@@ -42,6 +42,17 @@ def build(
     ------
     ValueError
         If a name is not in the schema of the level.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from amulor import cube as cubes
+    >>> points = {name: np.zeros(5) for name in cubes.LEVELS["point_cloud"].variables}
+    >>> cloud = cubes.build(
+    ...     "point_cloud", points, {}, geometry={}, attributes={"level": "point_cloud"}
+    ... )
+    >>> cloud.sizes["point"]
+    5
     """
     expected = schema.LEVELS[level]
     data = {
@@ -73,6 +84,15 @@ def open_water(variables: Mapping[str, ArrayLike]) -> xr.Dataset:
     -------
     xarray.Dataset
         Dimensions (modulation_frequency, polarization, shot).
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from amulor import cube as cubes, samples
+    >>> shots = cubes.group(samples.cube("ladder"), "open_water")
+    >>> again = cubes.open_water({name: shots[name].values for name in shots})
+    >>> again["in_phase"].dims
+    ('modulation_frequency', 'polarization', 'shot')
     """
     return xr.Dataset(
         {

@@ -26,9 +26,13 @@ def checked(
 
     Parameters
     ----------
-    cube, level, name
+    cube : xarray.Dataset
         As in `check`; dimensions that selecting a single value took away, such as
         `cube.sel(polarization="VV")`, may be missing.
+    level : str, optional
+        Level that it must have.
+    name : str
+        What messages call it.
 
     Returns
     -------
@@ -39,6 +43,13 @@ def checked(
     ------
     CubeError
         As `check`.
+
+    Examples
+    --------
+    >>> from amulor import cube as cubes, samples
+    >>> crossed = samples.cube("ladder").sel(polarization="VH")
+    >>> cubes.checked(crossed, "samples").sizes["polarization"]
+    1
     """
     whole = restore_dimensions(cube)
     check(whole, level, name=name)
@@ -64,6 +75,18 @@ def check(
     CubeError
         With the first variable, coordinate or attribute that is missing, of the
         wrong shape or unit, or not finite, and what to do about it.
+
+    Examples
+    --------
+    >>> from amulor import cube as cubes, samples
+    >>> from amulor.errors import CubeError
+    >>> cube = samples.cube("ladder")
+    >>> cubes.check(cube, "samples")  # nothing is wrong
+    >>> try:
+    ...     cubes.check(cube.drop_vars("in_phase"), "samples")
+    ... except CubeError as error:
+    ...     print(str(error)[:40])
+    the cube: variable 'in_phase' is missing
     """
     found = cube.attrs.get("level")
     if found not in schema.LEVELS:

@@ -43,6 +43,14 @@ def digest(content: bytes | str | Path) -> str:
     -------
     str
         "sha256:" and 64 hexadecimal digits.
+
+    Examples
+    --------
+    The first digits of the SHA-256 of "abc" (FIPS 180-4):
+
+    >>> from amulor.cube import digest
+    >>> digest("abc")[:23]
+    'sha256:ba7816bf8f01cfea'
     """
     if isinstance(content, Path):
         with content.open("rb") as file:
@@ -68,6 +76,13 @@ def attributes(level: str, *, title: str, source: str, **others: Any) -> dict[st
     -------
     dict
         CF and amulor attributes.
+
+    Examples
+    --------
+    >>> from amulor import cube as cubes
+    >>> found = cubes.attributes("samples", title="Tank", source="tank", history=None)
+    >>> found["level"], found["title"], "history" in found
+    ('samples', 'Tank', False)
     """
     named = {
         "Conventions": schema.CONVENTIONS,
@@ -114,6 +129,13 @@ def note(cube: xr.Dataset, step: str) -> xr.Dataset:
     -------
     xarray.Dataset
         The same data.
+
+    Examples
+    --------
+    >>> from amulor import cube as cubes, samples
+    >>> cube = cubes.note(samples.cube("ladder"), "looked at by hand")
+    >>> cube.attrs["history"].splitlines()[-1][-17:]
+    'looked at by hand'
     """
     time = _time.get() or datetime.datetime.now(datetime.UTC)
     now = time.strftime("%Y-%m-%dT%H:%M:%SZ")

@@ -14,7 +14,16 @@ CONVENTIONS = "CF-1.11"
 
 
 class QualityFlag(enum.IntFlag):
-    """Why a pixel is not used, or is used with care; bits that add up."""
+    """Why a pixel is not used, or is used with care; bits that add up.
+
+    Examples
+    --------
+    >>> from amulor.cube import QualityFlag
+    >>> QualityFlag(5)
+    <QualityFlag.MISSING|NO_TARGET: 5>
+    >>> QualityFlag.NO_TARGET in QualityFlag(5)
+    True
+    """
 
     GOOD = 0
     MISSING = 1

@@ -193,7 +193,19 @@ class BudgetLine:
 
 @dataclass(frozen=True, kw_only=True)
 class ErrorBudget:
-    """The error budget of a range image in the words of the GUM."""
+    """The error budget of a range image in the words of the GUM.
+
+    Examples
+    --------
+    >>> from amulor import imaging, rejection, samples
+    >>> target = rejection.cross_polarized(samples.cube("ladder"))
+    >>> image = imaging.range_image(target)
+    >>> budget = imaging.error_budget(image)
+    >>> print(f"{1e3 * budget.combined:.2f} mm")
+    0.49 mm
+    >>> bool(budget.expanded == 2 * budget.combined)
+    True
+    """
 
     lines: tuple[BudgetLine, ...]
     """All terms that are known, in the order of `amulor.cube.terms`."""
@@ -239,6 +251,15 @@ def error_budget(image: xr.Dataset) -> ErrorBudget:
     -----
     Shares are medians of the ratios, so that they need not add up to 1 exactly. An
     image that was made before there were terms has no lines.
+
+    Examples
+    --------
+    >>> from amulor import imaging, rejection, samples
+    >>> target = rejection.cross_polarized(samples.cube("ladder"))
+    >>> image = imaging.range_image(target)
+    >>> budget = imaging.error_budget(image)
+    >>> max(budget.lines, key=lambda line: line.share).term.name
+    'counting'
     """
     total = image["slant_range_uncertainty"].values
     usable = np.isfinite(total) & (total > 0)

@@ -61,6 +61,21 @@ def mixed_pixels(
     pixels along it as well, where these lie on a straight line within their noise: so a
     gap of a few times the noise is seen. Several frequencies see mixed pixels by
     themselves: their phases disagree, and `range_image` flags them `AMBIGUOUS`.
+
+    Examples
+    --------
+    Half of the beam on a surface at 1.5 m, half on one at 1.6 m: the column between.
+
+    >>> import numpy as np
+    >>> from amulor import imaging, rejection, samples
+    >>> target = rejection.cross_polarized(samples.cube("ladder"))
+    >>> image = imaging.range_image(target)
+    >>> image["slant_range"][:] = 1.5
+    >>> image["slant_range"][:, 50] = 1.55
+    >>> image["slant_range"][:, 51:] = 1.6
+    >>> image["slant_range_uncertainty"][:] = 1e-3
+    >>> np.flatnonzero(imaging.mixed_pixels(image)[20])
+    array([50])
     """
     image = cubes.checked(image, "range_image")
     if not significance > 0:
@@ -86,8 +101,12 @@ def flag_mixed(
 
     Parameters
     ----------
-    image, significance, reach
-        As in `mixed_pixels`.
+    image : xarray.Dataset
+        Level `range_image`.
+    significance : float
+        As in `mixed_pixels` [1].
+    reach : int
+        As in `mixed_pixels` [1].
 
     Returns
     -------
@@ -99,6 +118,15 @@ def flag_mixed(
     ------
     ValueError
         As `mixed_pixels`.
+
+    Examples
+    --------
+    >>> from amulor import imaging, rejection, samples
+    >>> target = rejection.cross_polarized(samples.cube("ladder"))
+    >>> image = imaging.range_image(target)
+    >>> flagged = imaging.flag_mixed(image)
+    >>> bool((flagged["user_mixed"].values == imaging.mixed_pixels(image)).all())
+    True
     """
     image = cubes.checked(image, "range_image")
     mixed = mixed_pixels(image, significance=significance, reach=reach)

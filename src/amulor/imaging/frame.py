@@ -33,7 +33,17 @@ _TEXTS: dict[str, tuple[str, tuple[str, str, str]]] = {
 
 @dataclass(frozen=True, kw_only=True)
 class Frame:
-    """Axes of a product, and how the instrument's axes turn into them."""
+    """Axes of a product, and how the instrument's axes turn into them.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from amulor.imaging import Frame
+    >>> turn = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])
+    >>> frame = Frame(name="z-up", rotation=turn, position=np.zeros(3))
+    >>> frame.place([0.1, 0.2, 3.0])  # right, down, forward
+    array([ 0.1,  3. , -0.2])
+    """
 
     name: Axes
     """Which of the three."""
@@ -172,6 +182,14 @@ def frame_of(
     ------
     CubeError
         If a pose is needed and nobody states one.
+
+    Examples
+    --------
+    >>> from amulor import imaging, rejection, samples
+    >>> target = rejection.cross_polarized(samples.cube("ladder"))
+    >>> image = imaging.range_image(target)
+    >>> imaging.frame_of(image, axes="z-up").place([0.1, 0.2, 3.0])
+    array([ 0.1,  3. , -0.2])
     """
     if axes == "instrument":
         return Frame(name=axes, rotation=np.eye(3), position=np.zeros(3))

@@ -20,7 +20,21 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True, kw_only=True)
 class PlaneFit:
-    """How far a region is from flat."""
+    """How far a region is from flat.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from amulor import imaging, rejection, samples
+    >>> target = rejection.cross_polarized(samples.cube("ladder"))
+    >>> image = imaging.range_image(target)
+    >>> image["slant_range"] = image["truth_slant_range"]  # no water, no noise
+    >>> tread = np.zeros(image["slant_range"].shape, dtype=bool)
+    >>> tread[5:35, 3:15] = True
+    >>> fit = imaging.metrics.plane_residual(image, tread)
+    >>> print(fit.points, f"normal towards the instrument: {fit.normal[2]:.2f}")
+    360 normal towards the instrument: -1.00
+    """
 
     residual: float
     """Root mean square distance of the points from their plane [m]."""
@@ -34,7 +48,15 @@ class PlaneFit:
 
 @dataclass(frozen=True)
 class StepHeight:
-    """Height of one step between two parallel planes."""
+    """Height of one step between two parallel planes.
+
+    Examples
+    --------
+    >>> from amulor.imaging.metrics import StepHeight
+    >>> step = StepHeight(height=0.0102, uncertainty=0.0004, random=0.0003)
+    >>> print(f"off by {(step.height - 0.01) / step.uncertainty:.1f} uncertainties")
+    off by 0.5 uncertainties
+    """
 
     height: float
     """Distance of the second plane in front of the first [m]."""
@@ -46,7 +68,16 @@ class StepHeight:
 
 @dataclass(frozen=True)
 class Contrast:
-    """Brightness of the target against its surroundings."""
+    """Brightness of the target against its surroundings.
+
+    Examples
+    --------
+    A target three times as bright as what is around it: (3 - 1) / (3 + 1).
+
+    >>> from amulor.imaging.metrics import Contrast
+    >>> Contrast(value=(3 - 1) / (3 + 1), uncertainty=0.01).value
+    0.5
+    """
 
     value: float
     """(target - surround) / (target + surround) of the mean amplitudes [1]."""
@@ -73,6 +104,19 @@ def plane_residual(image: xr.Dataset, region: ArrayLike | None = None) -> PlaneF
     ------
     CubeError
         If fewer than four usable pixels are there, or all in one line.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from amulor import imaging, rejection, samples
+    >>> target = rejection.cross_polarized(samples.cube("ladder"))
+    >>> image = imaging.range_image(target)
+    >>> image["slant_range"] = image["truth_slant_range"]  # no water, no noise
+    >>> tread = np.zeros(image["slant_range"].shape, dtype=bool)
+    >>> tread[5:35, 3:15] = True
+    >>> fit = imaging.metrics.plane_residual(image, tread)
+    >>> print(f"{1e3 * fit.residual:.2f} mm from flat")
+    0.00 mm from flat
     """
     image = cubes.checked(image, "range_image")
     shape = image["quality_flag"].shape
@@ -130,6 +174,19 @@ def step_heights(image: xr.Dataset, regions: ArrayLike) -> list[StepHeight]:
     delay, group index and geometry, which move all pixels the same way, the difference
     between the two planes counts; so does that of drift and column, which turn with the
     phase of the target.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from amulor import imaging, rejection, samples
+    >>> target = rejection.cross_polarized(samples.cube("ladder"))
+    >>> image = imaging.range_image(target)
+    >>> image["slant_range"] = image["truth_slant_range"]  # no water, no noise
+    >>> planes = np.zeros(image["slant_range"].shape, dtype=int)
+    >>> planes[5:35, 3:15], planes[5:35, 25:35] = 1, 2
+    >>> (step,) = imaging.metrics.step_heights(image, planes)
+    >>> print(f"{1e3 * step.height:.1f} mm")
+    40.0 mm
     """
     image = cubes.checked(image, "range_image")
     label = np.asarray(regions)
@@ -228,6 +285,20 @@ def contrast(image: xr.Dataset, target: ArrayLike, surround: ArrayLike) -> Contr
     ------
     CubeError
         If one of the two has fewer than two pixels.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from amulor import imaging, rejection, samples
+    >>> target = rejection.cross_polarized(samples.cube("ladder"))
+    >>> image = imaging.range_image(target)
+    >>> from amulor.imaging.metrics import contrast
+    >>> image["intensity"][:] = 1.0
+    >>> target = np.zeros(image["intensity"].shape, dtype=bool)
+    >>> target[10:30, 40:60] = True
+    >>> image["intensity"].values[target] = 3.0
+    >>> contrast(image, target, ~target).value
+    0.5
     """
     image = cubes.checked(image, "range_image")
     means, errors = [], []

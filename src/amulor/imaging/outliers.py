@@ -52,6 +52,15 @@ def outlying_pixels(
     average over their ways, in the median: so rough is the surface. Edges, ridges and
     ropes go on in one of the ways and are none. What neighbours share cancels and does
     not count.
+
+    Examples
+    --------
+    >>> from amulor import imaging, rejection, samples
+    >>> target = rejection.cross_polarized(samples.cube("ladder"))
+    >>> image = imaging.range_image(target)
+    >>> image["slant_range"][20, 50] += 0.2
+    >>> bool(imaging.outlying_pixels(image)[20, 50])
+    True
     """
     image = cubes.checked(image, "range_image")
     if not significance > 0:
@@ -73,8 +82,10 @@ def flag_outliers(image: xr.Dataset, *, significance: float = 3.0) -> xr.Dataset
 
     Parameters
     ----------
-    image, significance
-        As in `outlying_pixels`.
+    image : xarray.Dataset
+        Level `range_image`.
+    significance : float
+        As in `outlying_pixels` [1].
 
     Returns
     -------
@@ -85,6 +96,17 @@ def flag_outliers(image: xr.Dataset, *, significance: float = 3.0) -> xr.Dataset
     ------
     ValueError
         As `outlying_pixels`.
+
+    Examples
+    --------
+    >>> from amulor import imaging, rejection, samples
+    >>> target = rejection.cross_polarized(samples.cube("ladder"))
+    >>> image = imaging.range_image(target)
+    >>> image["slant_range"][20, 50] += 0.2
+    >>> flagged = imaging.flag_outliers(image)
+    >>> from amulor.cube import QualityFlag
+    >>> QualityFlag.OUTLIER in QualityFlag(int(flagged["quality_flag"][20, 50]))
+    True
     """
     image = cubes.checked(image, "range_image")
     outlying = outlying_pixels(image, significance=significance)

@@ -39,6 +39,18 @@ def point_cloud(image: xr.Dataset, *, frame: Frame | None = None) -> xr.Dataset:
     by the stated errors of the pose. Directions of the beams count as known. Errors of
     the three coordinates of a point are one and the same error, that of its range, so
     they are correlated fully.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from amulor import imaging, rejection, samples
+    >>> target = rejection.cross_polarized(samples.cube("ladder"))
+    >>> image = imaging.range_image(target)
+    >>> cloud = imaging.point_cloud(image)
+    >>> xyz = np.stack([cloud[axis].values for axis in "xyz"])
+    >>> ranges = np.linalg.norm(xyz, axis=0)  # the emitter is the origin
+    >>> bool(np.isclose(ranges.max(), image["slant_range"].max()))
+    True
     """
     image = cubes.checked(image, "range_image")
     frame = frame or frame_of(image)

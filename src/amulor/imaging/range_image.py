@@ -83,6 +83,15 @@ def range_image(
     ----------
     .. [1] R. Ricci et al., EURASIP J. Adv. Signal Process. 2010, 958360,
        :doi:`10.1155/2010/958360`.
+
+    Examples
+    --------
+    >>> from amulor import imaging, rejection, samples
+    >>> target = rejection.cross_polarized(samples.cube("ladder"))
+    >>> image = imaging.range_image(target)  # the water is still in: a little too near
+    >>> found = float(image["slant_range"][20, 2])
+    >>> print(f"{found:.2f} m, true {float(image['truth_slant_range'][20, 2]):.2f} m")
+    1.49 m, true 1.50 m
     """
     cube = cubes.checked(cube, "target_signal")
     joint = "joint_slant_range" in cube

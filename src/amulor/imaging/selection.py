@@ -40,6 +40,15 @@ def leave_out(
     ------
     ValueError
         If the largest uncertainty is not above 0 m.
+
+    Examples
+    --------
+    >>> from amulor import imaging, rejection, samples
+    >>> target = rejection.cross_polarized(samples.cube("ladder"))
+    >>> image = imaging.range_image(target)
+    >>> kept = imaging.leave_out(image, largest_uncertainty=2e-3)
+    >>> bool(kept["slant_range_uncertainty"].max() <= 2e-3)
+    True
     """
     image = cubes.checked(image, "range_image")
     gone, counts = to_leave_out(

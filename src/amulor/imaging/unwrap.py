@@ -69,6 +69,14 @@ def unwrapped_range_image(
     scikit-image (M. A. Herraez et al., Appl. Opt. 41, 7437 (2002)); a step of the scene
     that is higher comes out too low by whole intervals, which nothing can show. Parts
     of the picture that unusable pixels separate are unwrapped on their own.
+
+    Examples
+    --------
+    >>> from amulor import imaging, rejection, samples
+    >>> target = rejection.cross_polarized(samples.cube("ladder"))
+    >>> image = imaging.unwrapped_range_image(target, interval=(1.0, 2.0))
+    >>> print(f"{float(image['slant_range'].median()):.2f} m")
+    1.43 m
     """
     cube = cubes.checked(cube, "target_signal")
     one = channel_of(cube, polarization)

@@ -24,7 +24,17 @@ __all__ = ["Extrema", "find", "group_depth", "ripple", "separation"]
 
 @dataclass(frozen=True)
 class Extrema:
-    """Where a curve turns, in rising order of frequency."""
+    """Where a curve turns, in rising order of frequency.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from amulor.optics.extrema import find
+    >>> frequency = np.linspace(0, 100e6, 201)
+    >>> found = find(frequency, np.cos(2 * np.pi * frequency / 40e6))
+    >>> print((found.maxima / 1e6).round(2), (found.minima / 1e6).round(2))
+    [40. 80.] [20. 60.]
+    """
 
     maxima: NDArray[np.float64]
     """Modulation frequencies of the maxima [Hz]."""

@@ -184,7 +184,17 @@ def cut_off_of_sweep(modulation_frequency: ArrayLike, amplitude: ArrayLike) -> f
 
 @dataclass(frozen=True)
 class LowPassFit:
-    """Result of a fit of the first-order low-pass to a measured sweep."""
+    """Result of a fit of the first-order low-pass to a measured sweep.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from amulor.optics.low_pass import fit
+    >>> frequency = np.linspace(5e6, 100e6, 20)
+    >>> found = fit(frequency, 3.0 / np.sqrt(1 + (frequency / 20e6) ** 2))
+    >>> print(f"{found.cut_off / 1e6:.2f} MHz, {found.amplitude_at_zero:.2f}")
+    20.00 MHz, 3.00
+    """
 
     cut_off: float
     """Fitted cut-off frequency f_c [Hz]."""

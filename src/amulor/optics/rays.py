@@ -18,7 +18,18 @@ from amulor.optics._bounds import broadcast, finite, last_axes, require
 
 @dataclass(frozen=True, kw_only=True)
 class Medium:
-    """What the light crosses: water, and perhaps a window with air before it."""
+    """What the light crosses: water, and perhaps a window with air before it.
+
+    Examples
+    --------
+    >>> from amulor.optics.rays import Medium
+    >>> tank = Medium(
+    ...     refractive_index=1.34, group_index=1.38, window_distance=0.1,
+    ...     window_thickness=0.01, window_refractive_index=1.5, window_group_index=1.53,
+    ... )
+    >>> tank.window_thickness
+    0.01
+    """
 
     refractive_index: float
     """Phase index of the water [1]."""
@@ -36,7 +47,16 @@ class Medium:
 
 @dataclass(frozen=True, kw_only=True)
 class Beam:
-    """A beam as it travels in the water, and what it crossed before."""
+    """A beam as it travels in the water, and what it crossed before.
+
+    Examples
+    --------
+    >>> from amulor.optics.rays import Medium, enter_water
+    >>> water = Medium(refractive_index=1.34, group_index=1.38)
+    >>> beam = enter_water([0, 0, 0], [0, 0, 1], medium=water)
+    >>> print(beam.direction, beam.length_before)
+    [0. 0. 1.] 0.0
+    """
 
     entry: NDArray[np.float64]
     """Where the water begins, last axis (3,) [m]."""
@@ -107,6 +127,20 @@ def enter_water(position: ArrayLike, unit_vector: ArrayLike, *, medium: Medium) 
     Notes
     -----
     Snell's law keeps the part of the vector along the window times the index.
+
+    Examples
+    --------
+    Into a window at 30 degrees: sin 30 / 1.34 is the sine in the water.
+
+    >>> import numpy as np
+    >>> tank = Medium(
+    ...     refractive_index=1.34, group_index=1.38, window_distance=0.1,
+    ...     window_thickness=0.01, window_refractive_index=1.5, window_group_index=1.53,
+    ... )
+    >>> oblique = [np.sin(np.pi / 6), 0, np.cos(np.pi / 6)]
+    >>> beam = enter_water([0, 0, 0], oblique, medium=tank)
+    >>> print(f"{beam.direction[0]:.5f} {0.5 / 1.34:.5f}")
+    0.37313 0.37313
     """
     start = last_axes(position, (3,), name="position", meaning="(x, y, z)")
     vector = last_axes(unit_vector, (3,), name="unit_vector", meaning="(x, y, z)")
@@ -182,6 +216,14 @@ def return_length(
     With a window the ray is found by Newton's method in the tangent of its angle in
     air: the sideways distance it covers rises steadily and without an inflection that
     could throw the iteration off, since all indices are above that of air.
+
+    Examples
+    --------
+    A way of 5 m times the group index:
+
+    >>> water = Medium(refractive_index=1.34, group_index=1.38)
+    >>> print(f"{return_length([0, 0, 4], [3, 0, 0], medium=water):.2f} m")
+    6.90 m
     """
     source = last_axes(point, (3,), name="point", meaning="(x, y, z)")
     sink = last_axes(receiver, (3,), name="receiver", meaning="(x, y, z)")
@@ -256,6 +298,15 @@ def optical_path(
     See Also
     --------
     slant_range_of_path : The inverse.
+
+    Examples
+    --------
+    4 m out, 5 m back to a receiver 3 m beside: (4 + 5) times the group index.
+
+    >>> water = Medium(refractive_index=1.34, group_index=1.38)
+    >>> beam = enter_water([0, 0, 0], [0, 0, 1], medium=water)
+    >>> print(f"{optical_path(4.0, beam, [3.0, 0, 0], medium=water):.2f} m")
+    12.42 m
     """
     distance = finite(slant_range, name="slant_range", unit="m")
     water = np.maximum(distance - beam.length_before, 0.0)
@@ -299,6 +350,16 @@ def slant_range_of_path(
     the distance is closed: with the path :math:`L`, the baseline vector :math:`b` and
     the unit vector :math:`u`, :math:`s = (L^2 - b^2) / 2 (L - u \cdot b)`. With a
     window the closed form of an unbent way starts a secant iteration.
+
+    Examples
+    --------
+    The way of `optical_path`, back:
+
+    >>> water = Medium(refractive_index=1.34, group_index=1.38)
+    >>> beam = enter_water([0, 0, 0], [0, 0, 1], medium=water)
+    >>> path = 1.38 * (4.0 + 5.0)
+    >>> print(f"{slant_range_of_path(path, beam, [3.0, 0, 0], medium=water):.2f} m")
+    4.00 m
     """
     path = np.asarray(optical_path, dtype=float) - beam.optical_length_before
     sink = last_axes(receiver, (3,), name="receiver", meaning="(x, y, z)")
@@ -375,6 +436,18 @@ def path_limits(
     -----
     Frequencies settle what the smallest among them and their differences settles. A
     range of 0 means the start of the water.
+
+    Examples
+    --------
+    One frequency of 50 MHz settles a path of one wavelength, c / f:
+
+    >>> water = Medium(refractive_index=1.34, group_index=1.38)
+    >>> beam = enter_water([0, 0, 0], [0, 0, 1], medium=water)
+    >>> nearest, farthest = path_limits(
+    ...     None, beam, [0, 0, 0], medium=water, modulation_frequency=[50e6]
+    ... )
+    >>> print(f"{float(farthest):.3f} m")
+    5.996 m
     """
     nearest, farthest = (0.0, np.inf) if interval is None else interval
     if not 0 <= nearest < farthest:

@@ -38,7 +38,14 @@ _EQUAL = 0.05
 
 
 class Caution(enum.StrEnum):
-    """Why a row of a comparison should not be used, or be used with care."""
+    """Why a row of a comparison should not be used, or be used with care.
+
+    Examples
+    --------
+    >>> from amulor.rejection import Caution
+    >>> Caution("no pixel") is Caution.NO_PIXEL
+    True
+    """
 
     NONE = "none"
     """Nothing speaks against it."""
@@ -54,7 +61,20 @@ class Caution(enum.StrEnum):
 
 @dataclass(frozen=True, kw_only=True)
 class Row:
-    """What one method makes of one channel; NaN where nothing is usable."""
+    """What one method makes of one channel; NaN where nothing is usable.
+
+    Examples
+    --------
+    Bias and noise add in quadrature, 3, 4, 5:
+
+    >>> from amulor.rejection import Row
+    >>> row = Row(
+    ...     method="open-water", polarization="VV", bias=3e-4, noise=4e-4,
+    ...     usable=1.0, flagged=0.1, trusted=0.9,
+    ... )
+    >>> print(f"{1e3 * row.error:.1f} mm")
+    0.5 mm
+    """
 
     method: str
     """Name of the method, as on the command line."""
@@ -87,7 +107,23 @@ class Row:
 
 @dataclass(frozen=True, kw_only=True)
 class Comparison:
-    """All methods side by side."""
+    """All methods side by side.
+
+    Examples
+    --------
+    `compare` returns one; a table of it takes a line:
+
+    >>> from amulor.rejection import Comparison, Row
+    >>> row = Row(
+    ...     method="open-water", polarization="VV", bias=3e-4, noise=4e-4,
+    ...     usable=1.0, flagged=0.1, trusted=0.9, recommended=True,
+    ... )
+    >>> found = Comparison(
+    ...     rows=(row,), method="open-water", polarization="VV", reason="smallest error"
+    ... )
+    >>> [f"{one.method}: {1e3 * one.error:.1f} mm" for one in found.rows]
+    ['open-water: 0.5 mm']
+    """
 
     rows: tuple[Row, ...]
     """Method by method, channel by channel, the simplest method first."""
@@ -256,6 +292,23 @@ def auto(
     ------
     CubeError
         As `compare`.
+
+    Examples
+    --------
+    Without open water the crossed channel is what is left; here that was found before:
+
+    >>> from amulor import cube as cubes, rejection, samples
+    >>> row = rejection.Row(
+    ...     method="cross-polarized", polarization="VH", bias=1e-3, noise=1e-3,
+    ...     usable=1.0, flagged=1.0, trusted=0.0, recommended=True,
+    ... )
+    >>> found = rejection.Comparison(
+    ...     rows=(row,), method="cross-polarized", polarization="VH", reason="no shots",
+    ... )
+    >>> bare = cubes.without_groups(samples.cube("ladder"))
+    >>> target = rejection.auto(bare, comparison=found)
+    >>> target.amulor.polarizations, target.attrs["rejection_reason"]
+    (['VH'], 'no shots')
     """
     compared = 0.0 if comparison is not None else 0.8
     if comparison is None:

@@ -103,6 +103,17 @@ def choose_frequency(
     not, so high frequencies suffer less, but repeat sooner. The choice is the smallest
     error of the slant range, random error and shift together, among the frequencies
     that alone settle the interval; among all if none does.
+
+    Examples
+    --------
+    >>> from amulor import rejection, samples
+    >>> four = samples.cube("sweep").isel(modulation_frequency=[0, 4, 6, 8])
+    >>> four = four.isel(row=[3, 4], column=slice(0, None, 8), shot=slice(0, None, 8))
+    >>> choice = rejection.choose_frequency(four, polarization="VH")
+    >>> print(four["modulation_frequency"].values / 1e6)
+    [ 5. 20. 40. 80.]
+    >>> print(f"{choice.modulation_frequency / 1e6:.0f} MHz")
+    80 MHz
     """
     cube = cubes.checked(cube, "samples")
     figures = merit(cube, interval=interval)
@@ -177,6 +188,16 @@ def frequency(
     ------
     CubeError
         As `choose_frequency`, or if the cube has no such frequency.
+
+    Examples
+    --------
+    >>> from amulor import rejection, samples
+    >>> sweep = samples.cube("sweep").isel(row=[3], column=slice(0, None, 8))
+    >>> kept = rejection.frequency(
+    ...     sweep.isel(shot=slice(0, None, 8)), modulation_frequency=40e6
+    ... )
+    >>> kept.sizes["modulation_frequency"]
+    1
     """
     cube = cubes.checked(cube, "samples")
     warnings: tuple[str, ...] = ()

@@ -84,6 +84,20 @@ def open_water(
     ----------
     .. [1] R. Ricci et al., EURASIP J. Adv. Signal Process. 2010, 958360,
        :doi:`10.1155/2010/958360`.
+
+    Examples
+    --------
+    How much of the water is left, of what was there: the cube knows the true target.
+
+    >>> import numpy as np
+    >>> from amulor import rejection, samples
+    >>> cube = samples.cube("ladder").isel(row=[18], shot=slice(0, None, 4))
+    >>> target = rejection.open_water(cube).amulor.signal.values
+    >>> truth = cube["truth_target_in_phase"] + 1j * cube["truth_target_quadrature"]
+    >>> water = cube["truth_water_in_phase"] + 1j * cube["truth_water_quadrature"]
+    >>> left = np.abs((target - truth.values).mean()) / np.abs(water.values.mean())
+    >>> bool(left < 0.05)
+    True
     """
     cube = with_noise_of_shots(cubes.checked(cube, "samples"))
     left = subtract_open_water(

@@ -37,6 +37,13 @@ def keep_water(cube: xr.Dataset) -> xr.Dataset:
     xarray.Dataset
         Level `target_signal`, every sample flagged `NO_OPEN_WATER`: what a picture
         looks like before rejection.
+
+    Examples
+    --------
+    >>> from amulor import rejection, samples
+    >>> raw = rejection.keep_water(samples.cube("ladder"))
+    >>> raw.amulor.level, raw.amulor.polarizations
+    ('target_signal', ['VV', 'VH'])
     """
     cube = cubes.checked(cube, "samples")
     return _unchanged(cube, step="reject, nothing taken out")
@@ -60,6 +67,12 @@ def cross_polarized(cube: xr.Dataset) -> xr.Dataset:
     ------
     CubeError
         If there is no such channel.
+
+    Examples
+    --------
+    >>> from amulor import rejection, samples
+    >>> rejection.cross_polarized(samples.cube("ladder")).amulor.polarizations
+    ['VH']
     """
     return _chosen(cube, CROSS_POLARIZED, name="cross-polarized")
 
@@ -81,6 +94,12 @@ def co_polarized(cube: xr.Dataset) -> xr.Dataset:
     ------
     CubeError
         If there is no such channel.
+
+    Examples
+    --------
+    >>> from amulor import rejection, samples
+    >>> rejection.co_polarized(samples.cube("ladder")).amulor.polarizations
+    ['VV']
     """
     return _chosen(cube, CO_POLARIZED, name="co-polarized")
 
@@ -130,6 +149,14 @@ def choose_channel(
     A crossed channel has less water, but less of the target too: which one wins
     depends on the noise. Judged by random error and shift of the slant range together,
     both with the water left in, at the frequency that serves each channel best.
+
+    Examples
+    --------
+    >>> from amulor import rejection, samples
+    >>> cube = samples.cube("ladder").isel(row=[18], shot=slice(0, None, 4))
+    >>> choice = rejection.choose_channel(cube)
+    >>> choice.polarization, choice.channels
+    ('VH', ('VV', 'VH'))
     """
     cube = cubes.checked(cube, "samples")
     figures = merit(cube, interval=interval)
@@ -211,6 +238,16 @@ def unmix(
     -----
     With co-polarized :math:`A = T + W` and cross-polarized
     :math:`B = r_t T + r_w W`, :math:`T = (B - r_w A) / (r_t - r_w)`.
+
+    Examples
+    --------
+    >>> from amulor import rejection, samples
+    >>> target = rejection.unmix(
+    ...     samples.cube("ladder"),
+    ...     target_ratio=0.242, water_ratio=0.099, water_fluctuation=0.137,
+    ... )
+    >>> target.amulor.polarizations
+    ['VV']
     """
     cube = with_noise_of_shots(cubes.checked(cube, "samples"))
     co, cross = pair_of(cube)

@@ -1,5 +1,5 @@
 """Small measured and simulated data that come with the package."""
 
-from amulor.samples.listing import Sample, copy, sample, samples
+from amulor.samples.listing import Sample, copy, cube, sample, samples
 
-__all__ = ["Sample", "copy", "sample", "samples"]
+__all__ = ["Sample", "copy", "cube", "sample", "samples"]

@@ -9,18 +9,32 @@ from functools import cache
 from importlib import resources
 from importlib.resources.abc import Traversable
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from amulor.errors import FormatError
 from amulor.io.files import atomic_output, make_folder
 
-__all__ = ["Sample", "copy", "sample", "samples"]
+if TYPE_CHECKING:
+    import xarray as xr
+
+__all__ = ["Sample", "copy", "cube", "sample", "samples"]
 
 _LISTING = "samples.toml"
 
 
 @dataclass(frozen=True, kw_only=True)
 class Sample:
-    """Data that come with the package."""
+    """Data that come with the package.
+
+    Examples
+    --------
+    >>> from amulor import samples
+    >>> ladder = samples.sample("ladder")
+    >>> print(ladder.title)
+    A painted ladder in milky water, 39 MHz, VV and VH
+    >>> ladder.files
+    ('ladder.nc',)
+    """
 
     name: str
     """What it is asked for by."""
@@ -126,6 +140,12 @@ def sample(name: str) -> Sample:
     ------
     ValueError
         If there is none of that name; the message lists all.
+
+    Examples
+    --------
+    >>> from amulor import samples
+    >>> samples.sample("foam-letter-u").licence
+    'MIT'
     """
     try:
         return samples()[name]
@@ -134,6 +154,47 @@ def sample(name: str) -> Sample:
         raise ValueError(
             f"there are no sample data {name!r}; there are {known}"
         ) from None
+
+
+def cube(name: str) -> xr.Dataset:
+    """Return a sample cube, ready to work with; nothing is written.
+
+    Parameters
+    ----------
+    name : str
+        Sample data that are a cube, such as "ladder".
+
+    Returns
+    -------
+    xarray.Dataset
+        A copy of its own for each call, as `amulor.read_cube` gives it.
+
+    Raises
+    ------
+    ValueError
+        If there is none of that name, or if it is no cube.
+
+    Examples
+    --------
+    >>> from amulor import samples
+    >>> samples.cube("ladder").sizes["column"]
+    100
+    """
+    return _read(sample(name)).copy(deep=True)
+
+
+@cache
+def _read(found: Sample) -> xr.Dataset:
+    from amulor.io import read_cube
+
+    file = found.files[0]
+    if not file.endswith(".nc"):
+        raise ValueError(
+            f"sample data {found.name!r} are not a cube but {', '.join(found.files)}; "
+            "write them by amulor.samples.copy and import them as their commands say"
+        )
+    with resources.as_file(_data().joinpath(found.folder, file)) as path:
+        return read_cube(path)
 
 
 def copy(

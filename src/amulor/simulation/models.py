@@ -31,7 +31,29 @@ Error = NDArray[np.float64]
 
 
 class SignalModel(Protocol):
-    """What a forward model gives: responses before any polarizer."""
+    """What a forward model gives: responses before any polarizer.
+
+    Examples
+    --------
+    Any object with these four will do, such as one that dims an other:
+
+    >>> from dataclasses import dataclass
+    >>> from amulor.simulation import SignalModel, SmallAngleModel
+    >>> @dataclass(frozen=True)
+    ... class Dimmed:
+    ...     inner: SignalModel = SmallAngleModel()
+    ...     title: str = "half of the echo"
+    ...     late_echo: str = "absent"
+    ...
+    ...     def echo(self, modulation_frequency, **others):
+    ...         return 0.5 * self.inner.echo(modulation_frequency, **others)
+    ...
+    ...     def column(self, modulation_frequency, **others):
+    ...         return self.inner.column(modulation_frequency, **others)
+    >>> model: SignalModel = Dimmed()
+    >>> print(model.title)
+    half of the echo
+    """
 
     @property
     def title(self) -> str:
@@ -144,6 +166,12 @@ class DiffusionModel:
     Takes b_f, b_d and the second moment of the water, and spreads all light alike, what
     was never scattered included. With a split angle of 90 degrees its cut-off is some
     1.5 times that of photons, and a far echo a quarter of theirs.
+
+    Examples
+    --------
+    >>> from amulor.simulation import DiffusionModel
+    >>> print(DiffusionModel().title)
+    small-angle diffusion model, the paper's form
     """
 
     title: str = "small-angle diffusion model, the paper's form"
@@ -192,6 +220,12 @@ class SmallAngleModel:
 
     Takes the whole phase function of the water, and keeps the light that was not
     scattered. Within some percent of photons. Half a millisecond for each pixel.
+
+    Examples
+    --------
+    >>> from amulor.simulation import SmallAngleModel
+    >>> print(SmallAngleModel().title)
+    small-angle model with the whole phase function
     """
 
     title: str = "small-angle model with the whole phase function"
@@ -251,6 +285,12 @@ class ClosureModel:
     Takes the whole phase function, as `SmallAngleModel` does, and puts one Gaussian for
     the light of each depth. A cut-off some percent higher than that of (29), and
     an echo by a tenth to a fourth lower at 3.9 m.
+
+    Examples
+    --------
+    >>> from amulor.simulation import ClosureModel
+    >>> print(ClosureModel().title, "-", ClosureModel().late_echo)
+    closure of the small-angle model - absent
     """
 
     title: str = "closure of the small-angle model"

@@ -61,6 +61,13 @@ class PhotonModel:
     function near 1, which carries their late echo and all that is scattered twice by
     large angles. The errors of photons and of the interpolation, found at places
     between, are stated with the light and count in the samples' uncertainty.
+
+    Examples
+    --------
+    >>> from amulor.simulation import PhotonModel
+    >>> model = PhotonModel(relative_error=0.01, histories=500_000, seed=7)
+    >>> print(model.late_echo)
+    present
     """
 
     relative_error: float = 0.005

@@ -22,6 +22,14 @@ class Layer:
     ValueError
         If a coefficient is below zero or not finite, both are zero in a layer without
         end, or the thickness is not above zero.
+
+    Examples
+    --------
+    >>> from amulor.optics.phase_functions.models import isotropic
+    >>> from amulor.transport import Layer
+    >>> layer = Layer(absorption=0.25, scattering=0.5, phase_function=isotropic())
+    >>> layer.attenuation
+    0.75
     """
 
     absorption: float

@@ -45,6 +45,13 @@ class Technique:
     ------
     ValueError
         If a number is below 1.
+
+    Examples
+    --------
+    >>> from amulor.transport import Technique
+    >>> plain = Technique(paths=1, partners=1, stratified=False, balanced=False)
+    >>> plain.scattering_orders
+    10
     """
 
     paths: int = 8

@@ -21,6 +21,22 @@ class PathRecord:
     Light of all lengths in a bin counts at its middle. A phasor that is summed over
     the bins is wrong by at most an eighth of the square of the phase across a bin
     times the unmodulated light: 3e-4 at the highest frequency of the run.
+
+    Examples
+    --------
+    Light on a path of 3 m, half a wavelength at 50 MHz with a group index of 1: its
+    phase is half a turn.
+
+    >>> import numpy as np
+    >>> from scipy.constants import speed_of_light
+    >>> from amulor.transport import PathRecord
+    >>> record = PathRecord(
+    ...     length=np.array([speed_of_light / 100e6]), water=np.array([[1e-7]]),
+    ...     target=np.array([[0.0]]), beyond=0.0,
+    ... )
+    >>> light = record.stokes([50e6], group_index=1.0)
+    >>> print(f"{abs(np.angle(light[0, 0])) / np.pi:.3f} pi")
+    1.000 pi
     """
 
     length: Array

@@ -34,6 +34,14 @@ class Source:
     ValueError
         If a width is below zero, the divergence above 0.5 rad, the direction without
         length or along the axis to the right, or the polarization cannot exist.
+
+    Examples
+    --------
+    A vertical polarization, against the axis to the right:
+
+    >>> from amulor.transport import Source
+    >>> print(Source(polarization="V", radius=1e-3).stokes + 0.0)
+    [ 1. -1.  0.  0.]
     """
 
     position: ArrayLike = _ORIGIN
@@ -111,6 +119,13 @@ class DiscReceiver(_Receiver):
     """A round face that receives all light within a cone, and nothing else.
 
     With an acceptance of pi / 2 it receives all light that falls on its front.
+
+    Examples
+    --------
+    >>> from amulor.transport import DiscReceiver
+    >>> disc = DiscReceiver(radius=0.05, acceptance_angle=0.035, position=(0.07, 0, 0))
+    >>> print(disc.position)
+    (0.07, 0, 0)
     """
 
 
@@ -120,6 +135,15 @@ class GaussianReceiver(_Receiver):
 
     It receives the fraction :math:`\exp(-s^2/R^2 - \theta^2/\gamma^2)` of the light
     that falls on it at a distance s from its centre, under an angle to its axis.
+
+    Examples
+    --------
+    >>> from amulor.transport import GaussianReceiver
+    >>> eye = GaussianReceiver(
+    ...     radius=0.02, acceptance_angle=0.08, position=(0.07, 0, 0)
+    ... )
+    >>> eye.acceptance_angle
+    0.08
     """
 
 
@@ -162,6 +186,13 @@ class PlaneTarget:
     ValueError
         If the reflectance is outside of 0 to 1, the normal without length, or the
         matrix cannot exist.
+
+    Examples
+    --------
+    >>> from amulor.transport import PlaneTarget
+    >>> plate = PlaneTarget(position=(0, 0, 2.0), reflectance=0.2)
+    >>> print(plate.matrix[0, 0])
+    1.0
     """
 
     position: ArrayLike

@@ -53,8 +53,8 @@ class ScatteringMatrix:
     angle : ndarray
         Angles of the elements, rising from 0 to pi, shape (n,) [rad].
     elements : ndarray
-        m12, m22, m33, m34 and m44 over the first element, shape (n, 5) [1]. They are
-        linear in the angle between those given.
+        Columns m12, m22, m33, m34 and m44 over the first element, shape (n, 5) [1].
+        They are linear in the angle between those given.
 
     Raises
     ------

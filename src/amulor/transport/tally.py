@@ -34,6 +34,22 @@ class Tally:
     The signal is complex, in_phase + 1j quadrature, with a later echo at a larger
     phase. Errors come from the scatter of batches of histories that are
     independent of each other.
+
+    Examples
+    --------
+    >>> from amulor.optics.phase_functions.models import henyey_greenstein_function
+    >>> from amulor.transport import DiscReceiver, Layer, Medium, Source, simulate
+    >>> water = Layer(
+    ...     absorption=0.2, scattering=0.8,
+    ...     phase_function=henyey_greenstein_function(asymmetry=0.9),
+    ... )
+    >>> tally = simulate(
+    ...     Medium(layers=[water], group_index=1.38), Source(),
+    ...     DiscReceiver(radius=0.05, acceptance_angle=0.1), [0.0],
+    ...     histories=2000, seed=1,
+    ... )
+    >>> int(tally.histories_of.sum()), tally.interrupted
+    (2000, False)
     """
 
     modulation_frequency: Array

@@ -41,6 +41,14 @@ def signal_images(cube: xr.Dataset, *, frequency: int = 0) -> Figure:
     -------
     matplotlib.figure.Figure
         Two maps for each channel.
+
+    Examples
+    --------
+    >>> from amulor import samples
+    >>> from amulor.view import figures
+    >>> drawn = figures.signal_images(samples.cube("ladder"))
+    >>> len(drawn.axes)  # colour bars included
+    8
     """
     channels = [str(value) for value in cube["polarization"].values]
     amplitude = cube.amulor.amplitude.values[frequency]
@@ -81,6 +89,18 @@ def range_images(before: xr.Dataset, after: xr.Dataset) -> Figure:
     -------
     matplotlib.figure.Figure
         Four panels; both ranges in the same colours.
+
+    Examples
+    --------
+    >>> from amulor import imaging, rejection, samples
+    >>> target = rejection.cross_polarized(samples.cube("ladder"))
+    >>> image = imaging.range_image(target)
+    >>> from amulor.view import figures
+    >>> raw = rejection.keep_water(samples.cube("ladder"))
+    >>> before = imaging.range_image(raw, polarization="VH")
+    >>> drawn = figures.range_images(before, image)
+    >>> len(drawn.axes)  # colour bars included
+    8
     """
     ranges = [image["slant_range"].values * 1e3 for image in (before, after)]
     limits = usual_limits(np.concatenate([values.ravel() for values in ranges]), 0.05)
@@ -126,6 +146,16 @@ def image_overview(image: xr.Dataset) -> Figure:
     -------
     matplotlib.figure.Figure
         Four panels.
+
+    Examples
+    --------
+    >>> from amulor import imaging, rejection, samples
+    >>> target = rejection.cross_polarized(samples.cube("ladder"))
+    >>> image = imaging.range_image(target)
+    >>> from amulor.view import figures
+    >>> drawn = figures.image_overview(image)
+    >>> len(drawn.axes)  # colour bars included
+    8
     """
     panels = (
         ("slant range", "slant_range", "mm", DISTANCE_MAP),
@@ -155,6 +185,16 @@ def profiles(images: Mapping[str, Mapping[str, xr.Dataset]]) -> Figure:
     -------
     matplotlib.figure.Figure
         One column for each case, one row for each stage.
+
+    Examples
+    --------
+    >>> from amulor import imaging, rejection, samples
+    >>> target = rejection.cross_polarized(samples.cube("ladder"))
+    >>> image = imaging.range_image(target)
+    >>> from amulor.view import figures
+    >>> drawn = figures.profiles({"milk": {"before": image, "after": image}})
+    >>> len(drawn.axes)
+    2
     """
     stages = list(next(iter(images.values())))
     with style():
@@ -194,6 +234,16 @@ def surfaces(images: Mapping[str, xr.Dataset]) -> Figure:
     -------
     matplotlib.figure.Figure
         One panel for each, all with the same axes; near is up.
+
+    Examples
+    --------
+    >>> from amulor import imaging, rejection, samples
+    >>> target = rejection.cross_polarized(samples.cube("ladder"))
+    >>> image = imaging.range_image(target)
+    >>> from amulor.view import figures
+    >>> drawn = figures.surfaces({"after": image})
+    >>> [axis.get_title() for axis in drawn.axes if axis.get_title()]
+    ['(a) after']
     """
     columns = 2 if len(images) > 1 else 1
     rows = -(-len(images) // columns)

@@ -119,6 +119,15 @@ def flag_sentence(image: xr.Dataset) -> str:
     -------
     str
         For a caption.
+
+    Examples
+    --------
+    >>> from amulor import imaging, rejection, samples
+    >>> target = rejection.cross_polarized(samples.cube("ladder"))
+    >>> image = imaging.range_image(target)
+    >>> from amulor.view.image_report import flag_sentence
+    >>> print(flag_sentence(image)[27:68])
+    Flags, of 4000 pixels: 4000 no open water
     """
     counts = [
         f"{count} {meaning.replace('_', ' ')}"
@@ -147,6 +156,16 @@ def interactive(images: Mapping[str, xr.Dataset]) -> list[Part]:
     -------
     list of Part
         One page each; a sentence for those that are too large for a report.
+
+    Examples
+    --------
+    >>> from amulor import imaging, rejection, samples
+    >>> target = rejection.cross_polarized(samples.cube("ladder"))
+    >>> image = imaging.range_image(target)
+    >>> from amulor.view.image_report import interactive
+    >>> (part,) = interactive({"ladder": image})
+    >>> part.title[:23]
+    'ladder: drag to turn it'
     """
     from amulor.view import page
 

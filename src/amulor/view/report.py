@@ -17,7 +17,14 @@ from amulor.view.style import style
 
 @dataclass(frozen=True)
 class Paragraph:
-    """A piece of running text."""
+    """A piece of running text.
+
+    Examples
+    --------
+    >>> from amulor import view
+    >>> view.Paragraph("Recorded in the tank, milk 1:10,000.").text
+    'Recorded in the tank, milk 1:10,000.'
+    """
 
     text: str
     """Plain text."""
@@ -25,7 +32,14 @@ class Paragraph:
 
 @dataclass(frozen=True)
 class Heading:
-    """The title of what follows."""
+    """The title of what follows.
+
+    Examples
+    --------
+    >>> from amulor import view
+    >>> view.Heading("Plate at 1.5 m").text
+    'Plate at 1.5 m'
+    """
 
     text: str
     """Plain text."""
@@ -33,7 +47,15 @@ class Heading:
 
 @dataclass(frozen=True)
 class Picture:
-    """A figure with its caption."""
+    """A figure with its caption.
+
+    Examples
+    --------
+    >>> from matplotlib.figure import Figure
+    >>> from amulor import view
+    >>> view.Picture(Figure(figsize=(4, 3)), caption="Before and after.").caption
+    'Before and after.'
+    """
 
     figure: Figure
     """What is drawn."""
@@ -43,7 +65,17 @@ class Picture:
 
 @dataclass(frozen=True)
 class Table:
-    """Rows of text under a header."""
+    """Rows of text under a header.
+
+    Examples
+    --------
+    >>> from amulor import view
+    >>> table = view.Table(
+    ...     ["method", "error"], [["open-water", "0.3 mm"], ["none", "!48 mm"]], "Error"
+    ... )
+    >>> len(table.rows)
+    2
+    """
 
     header: Sequence[str]
     """Titles of the columns."""
@@ -55,7 +87,14 @@ class Table:
 
 @dataclass(frozen=True)
 class Listing:
-    """A text to be read as it is, folded away at first."""
+    """A text to be read as it is, folded away at first.
+
+    Examples
+    --------
+    >>> from amulor import samples, view
+    >>> view.Listing("Survey", samples.cube("ladder").attrs["survey"]).text[:30]
+    'name = "Ladder in milky water"'
+    """
 
     title: str
     """What it is."""
@@ -65,7 +104,14 @@ class Listing:
 
 @dataclass(frozen=True)
 class Interactive:
-    """A page inside the report; on paper a picture stands in its place."""
+    """A page inside the report; on paper a picture stands in its place.
+
+    Examples
+    --------
+    >>> from amulor import view
+    >>> view.Interactive("Range image", page="<!doctype html><p>a page</p>").title
+    'Range image'
+    """
 
     title: str
     """What it shows."""
@@ -96,6 +142,17 @@ def write_report(
     ------
     FormatError
         If the file exists, or cannot be written.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> from pathlib import Path
+    >>> from amulor import view
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     path = Path(folder) / "report.html"
+    ...     view.write_report(path, "Tank", [view.Paragraph("Flat.")])
+    ...     "<p>Flat.</p>" in path.read_text()
+    True
     """
     body = "\n".join(_rendered(part) for part in parts)
     page = _PAGE.format(title=html.escape(title), style=_STYLE, body=body)

@@ -50,6 +50,16 @@ def test_a_copy_is_the_same_bytes_and_replaces_nothing_unasked(tmp_path: Path) -
     assert paths[1].read_text() != "mine"
 
 
+def test_a_cube_is_read_once_and_each_caller_has_its_own(tmp_path: Path) -> None:
+    [path] = samples.copy("sweep", tmp_path)
+    first = samples.cube("sweep")
+    xr.testing.assert_identical(first, io.read_cube(path))
+    first["in_phase"][:] = 0
+    assert float(abs(samples.cube("sweep")["in_phase"]).max()) > 0
+    with pytest.raises(ValueError, match="not a cube but slab_transmission"):
+        samples.cube("foam-slabs")
+
+
 def test_wrong_names_list_what_there_is(capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(ValueError, match="there are ladder, sweep, amphora"):
         samples.sample("foam")

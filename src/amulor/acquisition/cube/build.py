@@ -82,6 +82,54 @@ def recover(
         If there is no journal, or the file cannot be written or read back.
     CubeError
         If the journal holds no sample of the scan.
+
+    Examples
+    --------
+    >>> from amulor import Survey, acquisition, simulation
+    >>> survey = Survey.from_text(
+    ...     '''
+    ...     name = "Plate"
+    ...     [water]
+    ...     absorption = "0.2 1/m"
+    ...     scattering = "0.6 1/m"
+    ...     asymmetry = 0.95
+    ...     [[targets]]
+    ...     kind = "plate"
+    ...     position = ["0 m", "0 m", "1.5 m"]
+    ...     width = "20 cm"
+    ...     height = "20 cm"
+    ...     reflectance = 0.2
+    ...     [instrument]
+    ...     wavelength = "405 nm"
+    ...     power = "20 mW"
+    ...     modulation_depth = 0.8
+    ...     modulation_frequencies = ["40 MHz"]
+    ...     polarizations = ["VV"]
+    ...     [instrument.receiver]
+    ...     position = ["7 cm", "0 m", "0 m"]
+    ...     radius = "2 cm"
+    ...     acceptance = "0.08 rad"
+    ...     [instrument.detector]
+    ...     optical_transmission = "10 %"
+    ...     [instrument.lock_in]
+    ...     time_constant = "10 ms"
+    ...     [scan]
+    ...     columns = 3
+    ...     rows = 2
+    ...     azimuth_span = "2 deg"
+    ...     elevation_span = "1 deg"
+    ...     dwell = "125 ms"
+    ...     '''
+    ... )
+    >>> import tempfile
+    >>> from pathlib import Path
+    >>> def scene(survey):
+    ...     return simulation.scene_light(survey, model=simulation.ClosureModel())
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     outcome = acquisition.acquire(survey, Path(folder) / "scan", scene=scene)
+    ...     path = acquisition.recover(Path(folder) / "scan")
+    ...     path.name
+    'cube.nc'
     """
     path = folder / CUBE_NAME if output is None else output
     with Journal.read(folder) as journal:
@@ -140,6 +188,55 @@ def build(journal: Journal, *, calibration: Calibration | None = None) -> xr.Dat
     from the amplitude, which is a lower limit. The modulation frequencies are those
     that the instrument said it used, since ranges follow from them; what the survey
     asked for is in the survey.
+
+    Examples
+    --------
+    >>> from amulor import Survey, acquisition, simulation
+    >>> survey = Survey.from_text(
+    ...     '''
+    ...     name = "Plate"
+    ...     [water]
+    ...     absorption = "0.2 1/m"
+    ...     scattering = "0.6 1/m"
+    ...     asymmetry = 0.95
+    ...     [[targets]]
+    ...     kind = "plate"
+    ...     position = ["0 m", "0 m", "1.5 m"]
+    ...     width = "20 cm"
+    ...     height = "20 cm"
+    ...     reflectance = 0.2
+    ...     [instrument]
+    ...     wavelength = "405 nm"
+    ...     power = "20 mW"
+    ...     modulation_depth = 0.8
+    ...     modulation_frequencies = ["40 MHz"]
+    ...     polarizations = ["VV"]
+    ...     [instrument.receiver]
+    ...     position = ["7 cm", "0 m", "0 m"]
+    ...     radius = "2 cm"
+    ...     acceptance = "0.08 rad"
+    ...     [instrument.detector]
+    ...     optical_transmission = "10 %"
+    ...     [instrument.lock_in]
+    ...     time_constant = "10 ms"
+    ...     [scan]
+    ...     columns = 3
+    ...     rows = 2
+    ...     azimuth_span = "2 deg"
+    ...     elevation_span = "1 deg"
+    ...     dwell = "125 ms"
+    ...     '''
+    ... )
+    >>> import tempfile
+    >>> from pathlib import Path
+    >>> def scene(survey):
+    ...     return simulation.scene_light(survey, model=simulation.ClosureModel())
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     outcome = acquisition.acquire(survey, Path(folder) / "scan", scene=scene)
+    ...     with acquisition.Journal.read(Path(folder) / "scan") as journal:
+    ...         cube = acquisition.build(journal)
+    >>> cube.sizes["row"], cube.sizes["column"]
+    (2, 3)
     """
     meta = journal.meta()
     survey = Survey.from_text(

@@ -52,7 +52,22 @@ class FrequencyCalibration(Description):
 
 
 class Calibration(Description):
-    """Delays of the instrument itself, by modulation frequency and amplitude."""
+    """Delays of the instrument itself, by modulation frequency and amplitude.
+
+    Examples
+    --------
+    >>> from amulor.acquisition import Calibration
+    >>> calibration = Calibration.from_text(
+    ...     '''
+    ...     [[frequencies]]
+    ...     modulation_frequency = "39 MHz"
+    ...     amplitudes = ["1 mV", "10 mV"]
+    ...     phases = ["0.20 rad", "0.21 rad"]
+    ...     '''
+    ... )
+    >>> calibration.frequencies[0].phases
+    (0.2, 0.21)
+    """
 
     frequencies: Annotated[tuple[FrequencyCalibration, ...], Field(min_length=1)]
     """One for each modulation frequency of a scan, in any order."""
@@ -196,6 +211,61 @@ def from_plates(plates: Sequence[xr.Dataset], *, distance: float) -> Calibration
     The delay is the phase of the sum of all samples, each turned back by the phase of
     its own way: 2 pi f / c times the group index times the length, out to the plate
     and back to the receiver.
+
+    Examples
+    --------
+    >>> from amulor import Survey, acquisition, rejection, simulation
+    >>> survey = Survey.from_text(
+    ...     '''
+    ...     name = "Plate"
+    ...     [water]
+    ...     absorption = "0.05 1/m"
+    ...     scattering = "0.001 1/m"
+    ...     asymmetry = 0.95
+    ...     [[targets]]
+    ...     kind = "plate"
+    ...     position = ["0 m", "0 m", "1.5 m"]
+    ...     width = "20 cm"
+    ...     height = "20 cm"
+    ...     reflectance = 0.2
+    ...     [instrument]
+    ...     wavelength = "405 nm"
+    ...     power = "20 mW"
+    ...     modulation_depth = 0.8
+    ...     modulation_frequencies = ["40 MHz"]
+    ...     polarizations = ["VV"]
+    ...     [instrument.receiver]
+    ...     position = ["7 cm", "0 m", "0 m"]
+    ...     radius = "2 cm"
+    ...     acceptance = "0.08 rad"
+    ...     [instrument.detector]
+    ...     optical_transmission = "10 %"
+    ...     [instrument.lock_in]
+    ...     time_constant = "10 ms"
+    ...     [scan]
+    ...     columns = 3
+    ...     rows = 2
+    ...     azimuth_span = "2 deg"
+    ...     elevation_span = "1 deg"
+    ...     dwell = "125 ms"
+    ...     '''
+    ... )
+    >>> import tempfile
+    >>> from pathlib import Path
+    >>> def scene(survey):
+    ...     return simulation.scene_light(survey, model=simulation.ClosureModel())
+    >>> settings = acquisition.Settings(
+    ...     simulation={"cable_delay": "1 ns"}, procedure={"dark_readings": 0}
+    ... )
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     outcome = acquisition.acquire(
+    ...         survey, Path(folder) / "scan", settings=settings, scene=scene
+    ...     )
+    ...     with acquisition.Journal.read(Path(folder) / "scan") as journal:
+    ...         plate = rejection.keep_water(acquisition.build(journal))
+    >>> found = acquisition.from_plates([plate], distance=1.5)
+    >>> print(f"{found.frequencies[0].phases[0]:.2f} rad")  # 2 pi f times 1 ns: 0.25
+    0.25 rad
     """
     if not distance > 0:
         raise ValueError(f"distance must be above 0 m, got {distance:g} m")

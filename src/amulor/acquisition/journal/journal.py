@@ -32,6 +32,16 @@ class Journal:
     """An open journal; one writer at a time, any number of readers.
 
     Use `create`, `resume` or `read`; close it, or use it in a `with` statement.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> from pathlib import Path
+    >>> from amulor.acquisition import Journal
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     with Journal.create(Path(folder), meta={"survey": "none"}) as journal:
+    ...         journal.folder.samefile(folder)
+    True
     """
 
     def __init__(

@@ -245,7 +245,14 @@ class SimulationSettings(Description):
 
 
 class Settings(Description):
-    """The devices of a scan; by default all of them are simulated."""
+    """The devices of a scan; by default all of them are simulated.
+
+    Examples
+    --------
+    >>> from amulor.acquisition import Settings
+    >>> Settings().lock_in.driver, Settings().laser.driver
+    ('simulated', 'simulated')
+    """
 
     lock_in: LockInSettings = LockInSettings()
     """The lock-in amplifier."""

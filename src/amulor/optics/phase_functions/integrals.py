@@ -48,6 +48,18 @@ class Panels:
     -----
     Rules of 16 points. For a function whose singularities lie no closer to a panel
     than the angle 0 does, their relative error is about 1e-12.
+
+    Examples
+    --------
+    Isotropic scattering: half of it goes forward.
+
+    >>> import numpy as np
+    >>> panels = Panels(
+    ...     value=lambda angle: np.full(angle.shape, 1 / (4 * np.pi)),
+    ...     edges=np.geomspace(1e-8, np.pi, 40),
+    ... )
+    >>> print(f"{panels.cumulative(np.array([np.pi / 2]))[0]:.6f}")
+    0.500000
     """
 
     value: Density
@@ -329,7 +341,31 @@ def _weighted_integrals(
 
 @cache
 def gauss_legendre(count: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return nodes and weights on -1..1, worked out once, not writable."""
+    """Return nodes and weights on -1..1, worked out once, not writable.
+
+    Parameters
+    ----------
+    count : int
+        Number of points, above zero [1].
+
+    Returns
+    -------
+    tuple of two ndarrays
+        Nodes and weights, shape (count,) [1].
+
+    Notes
+    -----
+    Exact for polynomials of a degree below twice the number of points.
+
+    Examples
+    --------
+    Two points integrate x^2 over -1 to 1, 2/3, without error:
+
+    >>> from amulor.optics.phase_functions.integrals import gauss_legendre
+    >>> nodes, weights = gauss_legendre(2)
+    >>> print(f"{(weights * nodes**2).sum():.6f}")
+    0.666667
+    """
     nodes, weights = np.polynomial.legendre.leggauss(count)
     nodes.flags.writeable = weights.flags.writeable = False
     return nodes, weights

@@ -41,7 +41,17 @@ LARGEST_SIZE_PARAMETER = 2e4
 
 
 class Sphere(NamedTuple):
-    """Efficiencies of a sphere: cross sections over its geometric one."""
+    """Efficiencies of a sphere: cross sections over its geometric one.
+
+    Examples
+    --------
+    What is neither scattered nor passed is absorbed:
+
+    >>> from amulor.optics.phase_functions.mie import Sphere
+    >>> one = Sphere(extinction=2.1, scattering=2.0, backscattering=0.3, asymmetry=0.9)
+    >>> print(f"{one.extinction - one.scattering:.1f}")
+    0.1
+    """
 
     extinction: float
     """Extinction efficiency [1]."""
@@ -141,7 +151,21 @@ def amplitudes(
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Suspension:
-    """What spheres of many sizes scatter, per volume of the medium."""
+    """What spheres of many sizes scatter, per volume of the medium.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from amulor.optics.phase_functions.mie import Suspension
+    >>> angle = np.linspace(0, np.pi, 181)
+    >>> nothing = np.zeros(181)
+    >>> even = Suspension(  # isotropic, and depolarizing
+    ...     scattering=0.5, extinction=0.6, asymmetry=0.0, angle=angle,
+    ...     value=np.full(181, 1 / (4 * np.pi)), m12=nothing, m33=nothing, m34=nothing,
+    ... )
+    >>> print(f"{even.phase_function.integral:.3f}")
+    1.000
+    """
 
     scattering: float
     """Scattering coefficient b [1/m]."""

@@ -34,6 +34,14 @@ class SamplingTable:
 
     Both arrays rise, so the inverse is monotone. Between two nodes the phase function
     is taken as constant, which keeps the fraction of each cell exact.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> ends = np.array([0.0, 1.0])  # isotropic scattering: half goes beyond 90 degrees
+    >>> table = SamplingTable(ends, ends, error=0.0)
+    >>> print(f"{np.degrees(table.angle(0.5)):.0f} degrees")
+    90 degrees
     """
 
     cumulative: NDArray[np.float64]
@@ -85,6 +93,14 @@ class PhaseFunction:
     Calling it gives its value. Closed forms are
     used where there are any; the rest are integrals by
     `amulor.optics.phase_functions.integrals.Panels`.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from amulor.optics.phase_functions.models import henyey_greenstein_function
+    >>> function = henyey_greenstein_function(asymmetry=0.9)
+    >>> print(f"{float(function(np.pi)):.5f} 1/sr")  # (1 - g) / (4 pi (1 + g)^2)
+    0.00220 1/sr
     """
 
     name: str

@@ -85,8 +85,8 @@ def ideal_backscatter() -> NDArray[np.float64]:
     Returns
     -------
     ndarray
-        diag(1, 1, -1, -1), shape (4, 4) [1]: a mirror, or Rayleigh scatterers and
-        spheres at 180 degrees.
+        The matrix diag(1, 1, -1, -1), shape (4, 4) [1]: a mirror, or Rayleigh
+        scatterers and spheres at 180 degrees.
 
     Notes
     -----
@@ -106,7 +106,8 @@ def ideal_depolarizer() -> NDArray[np.float64]:
     Returns
     -------
     ndarray
-        diag(1, 0, 0, 0), shape (4, 4) [1]: an ideal white Lambertian surface.
+        The matrix diag(1, 0, 0, 0), shape (4, 4) [1]: an ideal white Lambertian
+        surface.
 
     Notes
     -----
@@ -132,7 +133,7 @@ def painted_metal(*, m44: float = -0.46) -> NDArray[np.float64]:
     Returns
     -------
     ndarray
-        diag(1, 0.61, -0.61, m44), shape (4, 4) [1].
+        The matrix diag(1, 0.61, -0.61, m44), shape (4, 4) [1].
 
     Raises
     ------
@@ -216,10 +217,12 @@ def particles(
         Element m12 = m21, from -1 to 1 [1].
     m22 : array_like
         Element m22, 1 for spheres and less for other shapes [1].
-    m33, m44 : array_like
-        Elements m33 and m44, from -1 to 1 and equal for spheres [1].
+    m33 : array_like
+        Element m33, from -1 to 1 [1].
     m34 : array_like
         Element m34 = -m43, from -1 to 1 [1].
+    m44 : array_like
+        Element m44, from -1 to 1; m33 for spheres [1].
 
     Returns
     -------
@@ -412,5 +415,10 @@ def as_matrices(mueller: ArrayLike) -> NDArray[np.float64]:
     ------
     ValueError
         If the last axes are not (4, 4).
+
+    Examples
+    --------
+    >>> as_matrices([[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]]).shape
+    (4, 4)
     """
     return last_axes(mueller, (4, 4), name="mueller")

@@ -45,6 +45,14 @@ class PolarizationArm:
     """Polarizer and quarter-wave plate of the emitter or of the receiver.
 
     Fields are numbers or arrays that broadcast; by default all is ideal.
+
+    Examples
+    --------
+    A sheet polarizer that lets a thousandth of the crossed light through:
+
+    >>> sheet = PolarizationArm(extinction_ratio=1e-3)
+    >>> print(launched_stokes("H", arm=sheet).round(3))  # (1 - r) / (1 + r)
+    [1.    0.998 0.    0.   ]
     """
 
     extinction_ratio: ArrayLike = 0.0
@@ -269,8 +277,14 @@ def cross_talk(
 
     Parameters
     ----------
-    mueller, pair, emitter, receiver, laser
-        As in `received_fraction`.
+    mueller : array_like
+        Mueller matrices of target or water, last axes (4, 4) [1].
+    pair : str
+        Launched and analysed state, as in `received_fraction`.
+    emitter, receiver : PolarizationArm
+        Components of both sides.
+    laser : array_like
+        Stokes vector of the laser, as in `launched_stokes`.
 
     Returns
     -------

@@ -103,8 +103,9 @@ def pair_states(pair: str) -> tuple[str, str]:
 
     Returns
     -------
-    launched, analysed : str
-        Names as in `state`; both "none" for "none".
+    tuple of two str
+        Names of the launched and the analysed state as in `state`; both "none" for
+        "none".
 
     Raises
     ------

@@ -47,10 +47,12 @@ def impulse_response(
         Volume scattering function at 180 degrees [1/(m sr)].
     group_index : array_like
         Group index of the water [1].
-    baseline, receiver_radius, standoff : array_like
+    baseline, receiver_radius : array_like
         As in `small_angle_diffusion.overlap` [m].
     acceptance_angle, tilt, cross_tilt : array_like
         As in `small_angle_diffusion.overlap` [rad].
+    standoff : array_like
+        As in `small_angle_diffusion.overlap` [m].
     end : array_like
         Where the water ends [m].
 

@@ -44,7 +44,19 @@ _BANDS = {"B": 400e-9, "G": 500e-9, "R": 600e-9}
 
 
 class MilkSuspension(NamedTuple):
-    """What milk adds to the water that it is stirred into."""
+    """What milk adds to the water that it is stirred into.
+
+    Examples
+    --------
+    >>> from amulor.optics.water.milk import MilkSuspension
+    >>> from amulor.optics.phase_functions.models import henyey_greenstein_function
+    >>> made = MilkSuspension(
+    ...     absorption=0.0, scattering=0.6,
+    ...     phase_function=henyey_greenstein_function(asymmetry=0.9),
+    ... )
+    >>> print(f"{made.scattering * (1 - made.phase_function.asymmetry):.2f} 1/m")
+    0.06 1/m
+    """
 
     absorption: float
     """Absorption coefficient of fat and casein [1/m]."""
@@ -55,7 +67,15 @@ class MilkSuspension(NamedTuple):
 
 
 class MeasuredMilk(NamedTuple):
-    """What a camera saw of undiluted milk, in one of its bands."""
+    """What a camera saw of undiluted milk, in one of its bands.
+
+    Examples
+    --------
+    >>> from amulor.optics.water.milk import measured_milk
+    >>> seen = measured_milk(532e-9, kind="whole")
+    >>> print(f"{seen.reduced_scattering:.0f} 1/m")
+    3210 1/m
+    """
 
     absorption: float
     """Absorption coefficient [1/m]."""

@@ -66,7 +66,15 @@ _MILKS = {0.001: (3.4e3, 0.25), 0.015: (12.5e3, 0.63), 0.035: (37e3, 0.80)}
 
 @dataclass(frozen=True, kw_only=True)
 class JerlovWater:
-    """Optical coefficients of a Jerlov water type, all arrays of one shape."""
+    """Optical coefficients of a Jerlov water type, all arrays of one shape.
+
+    Examples
+    --------
+    >>> from amulor.optics.water.types import jerlov
+    >>> water = jerlov("III", 475e-9, source="solonenko-mobley-2015")
+    >>> bool(water.scattering > water.absorption > 0), str(water.status)
+    (True, 'model')
+    """
 
     absorption: _Array
     """Absorption coefficient a, with that of water [1/m]."""
@@ -82,7 +90,15 @@ class JerlovWater:
 
 @dataclass(frozen=True, kw_only=True)
 class PetzoldStation:
-    """Optical coefficients of one of Petzold's stations."""
+    """Optical coefficients of one of Petzold's stations.
+
+    Examples
+    --------
+    >>> from amulor.optics.water.types import petzold_station
+    >>> harbour = petzold_station("NUC 2200")
+    >>> print(harbour.place, f"c = {harbour.attenuation:.3f} 1/m")
+    San Diego Harbor c = 1.920 1/m
+    """
 
     name: str
     """Station, as the report calls it."""
@@ -110,7 +126,15 @@ class PetzoldStation:
 
 @dataclass(frozen=True, kw_only=True)
 class Milk:
-    """What milk adds to the scattering of the water that it is stirred into."""
+    """What milk adds to the scattering of the water that it is stirred into.
+
+    Examples
+    --------
+    >>> from amulor.optics.water.types import milk
+    >>> added = milk(1e-4, fat=0.035)
+    >>> print(f"{float(added.scattering):.2f} 1/m at {added.wavelength * 1e9:.0f} nm")
+    3.70 1/m at 405 nm
+    """
 
     wavelength: float
     """Wavelength [m]."""

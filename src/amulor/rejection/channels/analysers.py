@@ -50,6 +50,22 @@ def stokes_vectors(cube: xr.Dataset, *, launched: str) -> xr.DataArray:
     Each component of (59) of Ricci et al. 2010, as rebuilt, is a power and so has a
     modulation of its own, amplitude and phase. An ideal analyser with the Stokes
     vector a passes :math:`\\tfrac12 \\mathbf a \\cdot \\mathbf S`; least squares.
+
+    Examples
+    --------
+    Two more analyser states that pass half of the light each: neither diagonal nor
+    circular polarization is found.
+
+    >>> import numpy as np
+    >>> import xarray as xr
+    >>> from amulor import cube as cubes, rejection, samples
+    >>> pair = cubes.without_groups(samples.cube("ladder").isel(row=[20]))
+    >>> half = pair.mean("polarization", keep_attrs=True)
+    >>> more = [half.expand_dims(polarization=[name]) for name in ("VP", "VR")]
+    >>> four = xr.concat([pair, *more], "polarization", data_vars="minimal")
+    >>> stokes = rejection.stokes_vectors(four, launched="V")
+    >>> bool(np.allclose(stokes[2:], 0, atol=1e-12))
+    True
     """
     cube = cubes.checked(cube)
     chosen = _launched_as(cube, launched)
@@ -111,6 +127,19 @@ def unmix_stokes(
     that the analysers pass, (60) and (69) of Ricci et al. 2010, as rebuilt; with four
     states it is the fit of the Stokes vector by those of target and water. The
     fluctuation of the water is taken from the open-water shots, if there are any.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from amulor import rejection, samples
+    >>> target = rejection.unmix_stokes(
+    ...     samples.cube("ladder").isel(row=[18]),
+    ...     launched="V",
+    ...     target_mueller=np.diag([1, 0.61, -0.61, -0.46]),
+    ...     water_mueller=np.diag([1, 0.82, -0.82, -0.64]),
+    ... )
+    >>> target.amulor.polarizations
+    ['VV']
     """
     cube = with_noise_of_shots(cubes.checked(cube, "samples"))
     chosen = _launched_as(cube, launched)

@@ -22,7 +22,15 @@ Complex = NDArray[np.complex128]
 
 @dataclass(frozen=True)
 class Ratio:
-    """A depolarization ratio: cross-polarized over co-polarized signal."""
+    """A depolarization ratio: cross-polarized over co-polarized signal.
+
+    Examples
+    --------
+    >>> from amulor import rejection, samples
+    >>> ratio = rejection.water_ratio(samples.cube("ladder"))
+    >>> print(f"{ratio.value:.3f} from {ratio.source}")
+    0.099 from 540 open-water shots
+    """
 
     value: float
     """The ratio [1]."""
@@ -58,6 +66,15 @@ def water_ratio(cube: xr.Dataset, *, water_only: ArrayLike | None = None) -> Rat
     Least squares of the cross-polarized on the mean co-polarized signal, frequency by
     frequency, and their mean weighted by the scatter that the samples show: it holds
     the noise of the instrument and the fluctuation of the water in both channels.
+
+    Examples
+    --------
+    The water was made with m22 = 0.82, and (1 - 0.82) / (1 + 0.82) = 0.099:
+
+    >>> from amulor import rejection, samples
+    >>> ratio = rejection.water_ratio(samples.cube("ladder"))
+    >>> bool(abs(ratio.value - 0.18 / 1.82) < 3 * ratio.uncertainty)
+    True
     """
     cube = with_noise_of_shots(cubes.checked(cube, "samples"))
     co, cross = pair_of(cube)
@@ -126,6 +143,16 @@ def target_ratio(
     :math:`r = \sum w\, \mathrm{Re}(T_a^* T_b) / \sum w (|T_a|^2 - \sigma_a^2)`: taking
     the variance off removes the bias by noise in the denominator. The error of the
     reference, which all pixels share, is carried through with its sign unknown.
+
+    Examples
+    --------
+    The ladder was made with m22 = 0.61, and (1 - 0.61) / (1 + 0.61) = 0.242:
+
+    >>> from amulor import rejection, samples
+    >>> cube = samples.cube("ladder").isel(row=[18], shot=slice(0, None, 4))
+    >>> ratio = rejection.target_ratio(cube)
+    >>> bool(abs(ratio.value - 0.39 / 1.61) < 3 * ratio.uncertainty)
+    True
     """
     cube = cubes.checked(cube, "samples")
     pair_of(cube)

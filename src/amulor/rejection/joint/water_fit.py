@@ -81,7 +81,18 @@ class WaterFit:
 
 @dataclass(frozen=True, kw_only=True)
 class ScatteringSplit:
-    """Absorption and scattering of the water, for a known phase function."""
+    """Absorption and scattering of the water, for a known phase function.
+
+    Examples
+    --------
+    >>> from amulor.rejection import ScatteringSplit
+    >>> split = ScatteringSplit(
+    ...     absorption=0.25, absorption_uncertainty=0.02,
+    ...     scattering=0.60, scattering_uncertainty=0.05,
+    ... )
+    >>> print(f"c = {split.absorption + split.scattering:.2f} 1/m")
+    c = 0.85 1/m
+    """
 
     absorption: float
     """Absorption coefficient a; below zero the phase function does not fit [1/m]."""
@@ -123,6 +134,23 @@ def water_fit(cube: xr.Dataset, *, no_target: bool = False) -> WaterFit:
     goes on from there where the phase function is known. The strength holds the
     calibration of the instrument and cannot be told apart from the backscatter without
     it.
+
+    Examples
+    --------
+    The water was made with a = 0.255 / m and all of its scattering forward of the split
+    angle, so that k' = a:
+
+    >>> from amulor import rejection, samples
+    >>> four = samples.cube("sweep").isel(modulation_frequency=[0, 4, 6, 8])
+    >>> fit = rejection.water_fit(four.isel(polarization=[0], shot=slice(0, None, 8)))
+    >>> print(f"{fit.reduced_attenuation:.2f} 1/m")
+    0.26 1/m
+
+    Its phase function is known; scattering is the spread over the second moment:
+
+    >>> split = split_scattering(fit, second_moment=0.06, forward_fraction=1.0)
+    >>> bool(abs(split.scattering - fit.spread / 0.06) < 1e-9)
+    True
     """
     cube = cubes.checked(cube, "samples")
     count = cube.sizes["modulation_frequency"]

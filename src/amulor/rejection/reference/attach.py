@@ -40,6 +40,15 @@ def with_open_water(cube: xr.Dataset, reference: xr.Dataset) -> xr.Dataset:
         If the reference lacks a frequency or a channel of the cube, was recorded by
         another instrument or in another place, or in water that its survey describes
         otherwise.
+
+    Examples
+    --------
+    >>> from amulor import cube as cubes, rejection, samples
+    >>> cube = samples.cube("ladder")
+    >>> bare = cubes.without_groups(cube)
+    >>> with_shots = rejection.with_open_water(bare, cube)
+    >>> with_shots.sizes["shot"]
+    540
     """
     cube = cubes.checked(cube, "samples", name="the target cube")
     reference = cubes.checked(reference, "samples", name="the open-water cube")

@@ -19,7 +19,15 @@ from amulor.transport.tally import Tally
 
 @dataclass(frozen=True, kw_only=True)
 class Progress:
-    """How far a run has come."""
+    """How far a run has come.
+
+    Examples
+    --------
+    >>> from amulor.transport import Progress
+    >>> now = Progress(histories=25_000, goal=100_000, relative_error=0.04, seconds=1.0)
+    >>> print(f"{now.histories / now.goal:.0%}")
+    25%
+    """
 
     histories: int
     """Histories done."""
@@ -40,6 +48,13 @@ class ErrorGoal:
     ------
     ValueError
         If the error is not above zero, or the number of the frequency below zero.
+
+    Examples
+    --------
+    >>> from amulor.transport import ErrorGoal
+    >>> goal = ErrorGoal(relative_error=0.01, light="target")
+    >>> goal.light, goal.frequency
+    ('target', 0)
     """
 
     relative_error: float
