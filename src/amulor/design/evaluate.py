@@ -14,7 +14,7 @@ from amulor.design.axes import Arranged, arranged
 from amulor.design.candidates import first_choice, survey_of
 from amulor.design.goal import Goal
 from amulor.design.light import Case, case_of
-from amulor.design.numbers import Assessed, assessed
+from amulor.design.numbers import MOST_BENT, Assessed, assessed
 from amulor.errors import SurveyError
 from amulor.survey import Survey, water_properties
 from amulor.survey.reach import target_reach
@@ -59,8 +59,6 @@ _MEANINGS = {
     "model_not_valid": ("1 where model or first-order errors do not hold", "1"),
     "ambiguity_interval": ("range after which all phases repeat", "m"),
 }
-#: Mean square angle of scattering up to which small angles describe it [rad^2].
-_WIDEST = 0.5
 #: Largest inclination of a surface for the echo models [rad].
 _STEEPEST = 0.5
 
@@ -291,7 +289,7 @@ def _variables(
         | (distance < each.near),
         "saturated": column["output"] > 1,
         "model_not_valid": (column["unseen"] > 0.5)
-        | (each.bent > _WIDEST)
+        | (each.bent > MOST_BENT)
         | (slope > _STEEPEST),
     }
     found: dict[str, NDArray[Any]] = {

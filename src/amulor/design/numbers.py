@@ -19,7 +19,7 @@ from amulor.rejection.channels.names import PARTNERS
 from amulor.survey import OpenWater, counting
 from amulor.survey.mueller import matrix
 
-__all__ = ["METHODS", "Assessed", "Method", "assessed"]
+__all__ = ["METHODS", "MOST_BENT", "Assessed", "Method", "assessed"]
 
 Floats = NDArray[np.float64]
 
@@ -38,6 +38,8 @@ _WITH_SHOTS = ("frequency", "open-water", "combined", "joint")
 _PAIRED = ("unmix", "combined")
 #: Coefficients of the surface that is fitted to shots over a scan, and over one row.
 _SURFACE, _ROW = 6, 3
+#: Mean square angle of scattering up to which small angles describe it [rad^2].
+MOST_BENT = 0.5
 #: Share of the dwell that the lock-in's time constant may have [1].
 _LOCK_IN = 0.1
 

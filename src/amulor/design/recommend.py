@@ -77,21 +77,24 @@ class Choice:
         return all(one.met for one in self.requirements)
 
     def to_dict(self) -> dict[str, Any]:
-        """Return plain numbers, texts and lists."""
-        return {
-            "parameters": self.parameters.to_dict(),
-            "met": self.met,
-            "requirements": [asdict(one) for one in self.requirements],
-            "terms": self.terms,
-            "binding": self.binding,
-            "error": self.error,
-            "worst_distance": self.worst_distance,
-            "share": self.share,
-            "scan_time": self.scan_time,
-            "cost": self.cost,
-            "shares": None if self.shares is None else asdict(self.shares),
-            "survey": self.survey,
-        }
+        """Return plain numbers, texts and lists; None for what has no limit."""
+        plain: dict[str, Any] = _finite(
+            {
+                "parameters": self.parameters.to_dict(),
+                "met": self.met,
+                "requirements": [asdict(one) for one in self.requirements],
+                "terms": self.terms,
+                "binding": self.binding,
+                "error": self.error,
+                "worst_distance": self.worst_distance,
+                "share": self.share,
+                "scan_time": self.scan_time,
+                "cost": self.cost,
+                "shares": None if self.shares is None else asdict(self.shares),
+                "survey": self.survey,
+            }
+        )
+        return plain
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -149,13 +152,25 @@ class Recommendation:
         }
 
 
+def _finite(value: Any) -> Any:
+    """Return tables and lists with None for numbers that are not finite."""
+    if isinstance(value, dict):
+        return {name: _finite(item) for name, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_finite(item) for item in value]
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return value
+
+
 def _plain_row(row: xr.Dataset) -> dict[str, Any]:
     """Return one row of the table of candidates, its frequencies as a list."""
     tones = row["modulation_frequency"].values
     plain = {
         str(name): row[name].item() for name in row if name != "modulation_frequency"
     }
-    return {**plain, "frequencies": tones[np.isfinite(tones)].tolist()}
+    found: dict[str, Any] = _finite(plain)
+    return {**found, "frequencies": tones[np.isfinite(tones)].tolist()}
 
 
 def recommend(

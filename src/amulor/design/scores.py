@@ -22,15 +22,13 @@ from amulor.design.candidates import (
 from amulor.design.draws import drawn
 from amulor.design.goal import Goal
 from amulor.design.light import Case, Lit, case_of, lit
-from amulor.design.numbers import Assessed, assessed
+from amulor.design.numbers import MOST_BENT, Assessed, assessed
 from amulor.survey import water_properties
 
-__all__ = ["MOST_BENT", "Grid", "Judge", "Score", "merits"]
+__all__ = ["Grid", "Judge", "Score", "merits"]
 
 Floats = NDArray[np.float64]
 
-#: Mean square angle of scattering up to which small angles describe it [rad^2].
-MOST_BENT = 0.5
 #: Share of the frequencies of which the phase may be lost in noise [1].
 _UNSEEN = 0.5
 #: How much a requirement that is missed counts, over the accuracy.
