@@ -4,12 +4,13 @@ from amulor.design.axes import AXES
 from amulor.design.candidates import Parameters
 from amulor.design.evaluate import TERMS, evaluate
 from amulor.design.goal import Goal, json_schema
-from amulor.design.recommend import Bound, Choice, Recommendation, recommend
+from amulor.design.recommend import Between, Bound, Choice, Recommendation, recommend
 from amulor.design.requirements import Requirement, Shortfall
 
 __all__ = [
     "AXES",
     "TERMS",
+    "Between",
     "Bound",
     "Choice",
     "Goal",

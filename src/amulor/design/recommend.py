@@ -23,15 +23,16 @@ from amulor.design.candidates import (
     scan_time,
     survey_of,
 )
-from amulor.design.draws import drawn
 from amulor.design.evaluate import TERMS, evaluate
 from amulor.design.exchange import Candidate
 from amulor.design.goal import Goal
 from amulor.design.requirements import Requirement, Shortfall
+from amulor.design.scores import draws_at
 from amulor.design.search import Found, search
 from amulor.design.shares import Shares, dwell_shares
+from amulor.survey import Survey
 
-__all__ = ["Bound", "Choice", "Recommendation", "recommend"]
+__all__ = ["Between", "Bound", "Choice", "Recommendation", "recommend"]
 
 Floats = NDArray[np.float64]
 
@@ -39,8 +40,22 @@ Floats = NDArray[np.float64]
 _EDGE = 2e-3
 #: Candidates that a recommendation lists.
 _LISTED = 50
-#: Draws that the shares of terms are found from.
-_SHARED = 32
+#: Distances that are looked at between the first and the last asked one.
+_BETWEEN = 41
+
+
+@dataclass(frozen=True, kw_only=True)
+class Between:
+    """Where the error is largest from the nearest to the farthest asked distance.
+
+    The phase of the water against that of the target turns with distance, so an
+    instrument can be good at each asked distance and not between them.
+    """
+
+    distance: float
+    """Slant range [m]."""
+    error: float
+    """Total error there, as the asked share of draws reaches it [m]."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -70,6 +85,8 @@ class Choice:
     """Sum of prices [currency]."""
     shares: Shares | None = None
     """How the time would best be shared between the frequencies; None for one."""
+    between: Between
+    """Where the error is largest between the asked distances."""
 
     @property
     def met(self) -> bool:
@@ -91,6 +108,7 @@ class Choice:
                 "scan_time": self.scan_time,
                 "cost": self.cost,
                 "shares": None if self.shares is None else asdict(self.shares),
+                "between": asdict(self.between),
                 "survey": self.survey,
             }
         )
@@ -245,19 +263,7 @@ def _choice(goal: Goal, found: Candidate) -> Choice:
     """Return a candidate with its reasons."""
     chosen = found.parameters
     survey = survey_of(goal, chosen)
-    draws = {
-        name: xr.DataArray(values, dims="draw") for name, values in _draws(goal).items()
-    }
-    errors = evaluate(
-        survey,
-        distance=np.array(goal.asked),
-        method=chosen.method,
-        interval=goal.limits,
-        wrong_interval=goal.accuracy.wrong_interval,
-        **{"texture": 0.0, **goal.assumptions.model_dump(), **draws},
-    )
-    if "draw" not in errors.dims:
-        errors = errors.expand_dims("draw")
+    errors = _errors(goal, chosen, survey, np.array(goal.asked))
     worst = int(np.argmax(found.score.error[0]))
     there = errors.isel(distance=worst)
     terms = {
@@ -282,12 +288,39 @@ def _choice(goal: Goal, found: Candidate) -> Choice:
         scan_time=scan_time(goal, chosen),
         cost=cost_of(goal, chosen),
         shares=dwell_shares(goal, chosen),
+        between=_between(goal, chosen, survey),
     )
 
 
-def _draws(goal: Goal) -> dict[str, Floats]:
-    """Return the draws of the goal that terms are found from."""
-    return drawn(goal)
+def _errors(
+    goal: Goal, chosen: Parameters, survey: Survey, distance: Floats
+) -> xr.Dataset:
+    """Return the errors of an instrument at some distances, over the draws."""
+    draws = {
+        name: xr.DataArray(values, dims="draw")
+        for name, values in draws_at(goal, chosen).items()
+    }
+    errors = evaluate(
+        survey,
+        distance=distance,
+        method=chosen.method,
+        interval=goal.limits,
+        wrong_interval=goal.accuracy.wrong_interval,
+        **{"texture": 0.0, **goal.assumptions.model_dump(), **draws},
+    )
+    return errors if "draw" in errors.dims else errors.expand_dims("draw")
+
+
+def _between(goal: Goal, chosen: Parameters, survey: Survey) -> Between:
+    """Return where the error is largest from the first to the last asked distance."""
+    distance = np.unique(
+        [*goal.asked, *np.linspace(goal.asked[0], goal.asked[-1], _BETWEEN)]
+    )
+    every = _errors(goal, chosen, survey, distance)["total_error"]
+    # The value that the asked share of the draws stays below, as in the search.
+    error = every.quantile(goal.accuracy.share, "draw", method="inverted_cdf")
+    worst = int(error.argmax("distance"))
+    return Between(distance=float(distance[worst]), error=float(error[worst]))
 
 
 def _bounds(goal: Goal, chosen: Parameters) -> tuple[Bound, ...]:

@@ -25,7 +25,7 @@ from amulor.design.light import Case, Lit, case_of, lit
 from amulor.design.numbers import MOST_BENT, Assessed, assessed
 from amulor.survey import water_properties
 
-__all__ = ["Grid", "Judge", "Score", "merits"]
+__all__ = ["Grid", "Judge", "Score", "draws_at", "merits"]
 
 Floats = NDArray[np.float64]
 
@@ -156,6 +156,38 @@ def _log(ratio: Floats) -> Floats:
     return np.asarray(np.clip(value, -_WORST, _WORST))
 
 
+def draws_at(
+    goal: Goal, chosen: Parameters, count: int | None = None
+) -> dict[str, Floats]:
+    """Return the drawn waters and targets at the wavelength of an instrument.
+
+    Parameters
+    ----------
+    goal : Goal
+        Its waters are stated at the wavelength of its first laser; those of others
+        are in the proportion of the base water.
+    chosen : Parameters
+        Names the laser.
+    count : int, optional
+        How many; all of the goal by default.
+
+    Returns
+    -------
+    dict of str to ndarray
+        By the names of axes, each of the same length.
+    """
+    found = drawn(goal, count)
+    first = goal.components.lasers[0].name
+    if found and first != chosen.laser:
+        water = water_properties(survey_of(goal, chosen))
+        base = water_properties(survey_of(goal, replace(chosen, laser=first)))
+        for name in ("attenuation", "absorption", "scattering"):
+            own, other = getattr(water, name), getattr(base, name)
+            if name in found and other > 0:
+                found[name] = found[name] * own / other
+    return found
+
+
 class Judge:
     """Judges candidates with one laser.
 
@@ -192,17 +224,7 @@ class Judge:
         water = water_properties(survey)
         self.case: Case = case_of(survey, water)
         self.case.stated.update(goal.assumptions.model_dump(), texture=0.0)
-        found = drawn(goal, draws)
-        # Other wavelengths have other waters, in the proportion of the stated ones.
-        first = goal.components.lasers[0]
-        if found and first.name != laser:
-            base = water_properties(
-                survey_of(goal, replace(self.start, laser=first.name))
-            )
-            for name in ("attenuation", "absorption", "scattering"):
-                own, other = getattr(water, name), getattr(base, name)
-                if name in found and other > 0:
-                    found[name] = found[name] * own / other
+        found = draws_at(goal, self.start, draws)
         self.count = max((len(each) for each in found.values()), default=1)
         self._draws = {n: _along(v, _DIMENSIONS - 1) for n, v in found.items()}
         asked = goal.asked if distances is None else tuple(distances)

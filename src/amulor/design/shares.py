@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 
 from amulor.design._kernels.intervals import astray
 from amulor.design.candidates import Parameters, survey_of
-from amulor.design.draws import drawn
 from amulor.design.evaluate import evaluate
 from amulor.design.goal import Goal
+from amulor.design.scores import draws_at
 from amulor.optics import ranging
 from amulor.survey import water_properties
 
@@ -82,7 +82,7 @@ def dwell_shares(goal: Goal, chosen: Parameters) -> Shares | None:
         dwell=np.append(each, chosen.dwell),
         distance=np.array(goal.asked),
         method=chosen.method,
-        **{"texture": 0.0, **goal.assumptions.model_dump(), **_draws(goal)},
+        **{"texture": 0.0, **goal.assumptions.model_dump(), **_draws(goal, chosen)},
     )
     if "draw" not in found.dims:
         found = found.expand_dims("draw")
@@ -103,8 +103,9 @@ def dwell_shares(goal: Goal, chosen: Parameters) -> Shares | None:
     )
 
 
-def _draws(goal: Goal) -> dict[str, xr.DataArray]:
-    return {n: xr.DataArray(v, dims="draw") for n, v in drawn(goal, _DRAWS).items()}
+def _draws(goal: Goal, chosen: Parameters) -> dict[str, xr.DataArray]:
+    found = draws_at(goal, chosen, _DRAWS)
+    return {name: xr.DataArray(values, dims="draw") for name, values in found.items()}
 
 
 def _error(

@@ -13,8 +13,10 @@ import pytest
 import xarray as xr
 
 from amulor.design import Goal, Recommendation, evaluate, recommend
-from amulor.design.candidates import scan_time, survey_of
+from amulor.design.candidates import first_choice, scan_time, survey_of
 from amulor.design.draws import drawn
+from amulor.design.scores import Judge, draws_at
+from amulor.survey import water_properties
 
 EXAMPLES = Path(__file__).parents[3] / "examples" / "goals"
 
@@ -89,6 +91,68 @@ def test_the_best_meets_what_its_survey_is_said_to_meet(tank: Recommendation) ->
     assert tank.runner_up is not None
     assert tank.runner_up.parameters != best.parameters
     assert json.loads(json.dumps(tank.to_dict(), allow_nan=False))["possible"]
+
+
+def test_the_error_between_the_asked_distances_is_told(tank: Recommendation) -> None:
+    best, goal = tank.best, tank.goal
+    draws = {n: xr.DataArray(v, dims="draw") for n, v in drawn(goal).items()}
+    found = evaluate(
+        survey_of(goal, best.parameters),
+        distance=np.linspace(1.5, 2.5, 41),
+        interval=goal.limits,
+        texture=0.0,
+        **goal.assumptions.model_dump(),
+        **draws,
+    )
+    # The value that 90 % of 8 draws reach is the eighth.
+    error = found["total_error"].max("draw")
+    assert best.between.error == pytest.approx(float(error.max()))
+    assert best.between.distance == pytest.approx(
+        float(error["distance"][int(error.argmax("distance"))])
+    )
+    # The phase of the water turns: here it is worse between than at the ends.
+    assert best.between.error >= best.error * 0.999
+
+
+def test_the_water_is_that_at_the_wavelength_of_the_laser(goal_text: str) -> None:
+    # Natural water is stated at 532 nm and absorbs ten times as much at 650 nm.
+    water = goal_text[goal_text.index("[waters.base]") : goal_text.index("[waters]\n")]
+    text = goal_text.replace(
+        water, '[waters.base]\nkind = "jerlov"\ntype = "III"\n'
+    ).replace(
+        "[components]\n",
+        '[[components.lasers]]\nname = "red"\nwavelength = "650 nm"\n'
+        'powers = ["30 mW"]\n[components]\n',
+        1,
+    )
+    goal = Goal.from_text(text)
+    red = replace(first_choice(goal), laser="red", polarization="VH", dwell=0.12)
+    green, there = (
+        draws_at(goal, replace(red, laser=laser))["attenuation"]
+        for laser in ("green", "red")
+    )
+    of = {
+        laser: water_properties(survey_of(goal, replace(red, laser=laser))).attenuation
+        for laser in ("green", "red")
+    }
+    np.testing.assert_allclose(there / green, of["red"] / of["green"])
+    assert of["red"] / of["green"] > 1.5
+    # The reasons are of the same waters as the search.
+    judged = Judge(goal, "red").of(red).error[0]
+    draws = {
+        name: xr.DataArray(values, dims="draw")
+        for name, values in draws_at(goal, red).items()
+    }
+    found = evaluate(
+        survey_of(goal, red),
+        distance=np.array(goal.asked),
+        interval=goal.limits,
+        texture=0.0,
+        **goal.assumptions.model_dump(),
+        **draws,
+    )
+    error = found["total_error"].transpose("draw", "distance").max("draw")
+    np.testing.assert_allclose(error, judged, rtol=5e-3)
 
 
 def test_what_stands_at_an_edge_is_a_bound(tank: Recommendation) -> None:

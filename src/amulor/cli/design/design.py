@@ -112,6 +112,13 @@ def _print(found: Recommendation, files: list[Path]) -> None:
     _print_choice(word, found.best, asked.accuracy.total_error)
     for bound in found.bounds:
         print(f"  bound: {bound.text}")
+    between = found.best.between
+    if between.error > max(asked.accuracy.total_error, found.best.error):
+        print(
+            f"  note: the error is {1e3 * between.error:.3g} mm at "
+            f"{between.distance:.3g} m, between the distances that are asked for; name "
+            "nearest and farthest in [distances] if it must be met from end to end"
+        )
     if found.runner_up is not None:
         _print_choice("runner-up", found.runner_up, asked.accuracy.total_error)
     for file in files[: 1 if found.runner_up is None else 2]:
