@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 import xarray as xr
+from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
+from matplotlib.patheffects import AbstractPathEffect, withStroke
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 from numpy.typing import ArrayLike, NDArray
 
@@ -59,17 +61,71 @@ def error_map(
         drawn = _mapped(axes, found)
         bar = figure.colorbar(drawn, ax=axes, label="total error [mm]", extend="both")
         bar.ax.yaxis.set_major_formatter(FuncFormatter(_plain))
-        if asked:
-            distance, attenuation = zip(*asked, strict=True)
-            axes.plot(
-                distance, attenuation, "o", color="white", markeredgecolor="black",
-                markersize=4.5, zorder=5, label="asked for",
-            )  # fmt: skip
+        _rings(axes, asked)
         _legend(axes, found, bool(asked))
         axes.set_xlabel("distance [m]")
         axes.set_ylabel("attenuation [1/m]")
         axes.set_title(title)
     return figure
+
+
+def error_maps(
+    found: Mapping[str, xr.Dataset], *, asked: Sequence[tuple[float, float]] = ()
+) -> Figure:
+    """Draw several maps beside each other, in the same colours.
+
+    Parameters
+    ----------
+    found : mapping of str to xarray.Dataset
+        Title to what `error_map` takes, all over the same places.
+    asked : sequence of pairs
+        As `error_map`.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+        One panel for each.
+    """
+    with style():
+        figure = new_figure(1.2 + 2.5 * len(found), 3.1)
+        panels = figure.subplots(1, len(found), sharey=True, squeeze=False)[0]
+        for axes, (title, one) in zip(panels, found.items(), strict=True):
+            drawn = _mapped(axes, one)
+            _rings(axes, asked)
+            axes.set_xlabel("distance [m]")
+            axes.set_title(title)
+        panels[0].set_ylabel("attenuation [1/m]")
+        bar = figure.colorbar(
+            drawn, ax=list(panels), label="total error [mm]", extend="both"
+        )
+        bar.ax.yaxis.set_major_formatter(FuncFormatter(_plain))
+        handles: list[Artist] = list(panels[0].get_legend_handles_labels()[0])
+        handles += _hatched(list(found.values()))
+        if handles:
+            figure.legend(
+                handles=handles, loc="outside lower center", ncols=4,
+                handlelength=2.2, handleheight=1.2,
+            )  # fmt: skip
+    return figure
+
+
+def _rings(axes: Axes, asked: Sequence[tuple[float, float]]) -> None:
+    if not asked:
+        return
+    distance, attenuation = zip(*asked, strict=True)
+    axes.plot(
+        distance, attenuation, "o", color="white", markeredgecolor="black",
+        markersize=4.5, zorder=5, label="asked for",
+    )  # fmt: skip
+
+
+def _hatched(found: Sequence[xr.Dataset]) -> list[Patch]:
+    """Return what explains the regions that there are."""
+    return [
+        Patch(facecolor="#7c7b78", edgecolor="white", hatch=hatch, label=text)
+        for name, text, hatch in REGIONS
+        if any(bool(one[name].any()) for one in found)
+    ]
 
 
 def _mapped(axes: Axes, found: xr.Dataset) -> Any:
@@ -84,11 +140,17 @@ def _mapped(axes: Axes, found: xr.Dataset) -> Any:
     lines = [level for level in CONTOURS if np.nanmin(shown) < level < np.nanmax(shown)]
     if lines:
         drawn_lines = axes.contour(x, y, np.log(shown), np.log(lines), colors="white")
-        axes.clabel(
+        edge: list[AbstractPathEffect] = [
+            withStroke(linewidth=2.2, foreground="#0b1c26b0")
+        ]
+        drawn_lines.set_path_effects(edge)
+        texts = axes.clabel(
             drawn_lines,
             fmt={np.log(level): f"{level:g} mm" for level in lines},
             fontsize=7,
         )
+        for text in texts:
+            text.set_path_effects(edge)
     for name, _, hatch in REGIONS:
         region = found[name].values.astype(float)
         if region.any() and min(region.shape) > 1:
@@ -106,11 +168,7 @@ def _mapped(axes: Axes, found: xr.Dataset) -> Any:
 
 
 def _legend(axes: Axes, found: xr.Dataset, asked: bool) -> None:
-    there = [
-        Patch(facecolor="#7c7b78", edgecolor="white", hatch=hatch, label=text)
-        for name, text, hatch in REGIONS
-        if bool(found[name].any())
-    ]
+    there = _hatched([found])
     lines = axes.get_legend_handles_labels()[0] if asked else []
     if there or lines:
         axes.legend(
