@@ -92,6 +92,7 @@ def test_three_scans_are_the_least(plate: Survey) -> None:
         scans(plate, "open-water", repeats=2)
 
 
+@pytest.mark.slow
 def test_a_design_that_sees_nothing_is_said(plate: Survey) -> None:
     dark = plate.with_({"instrument.power": 1e-12})
     with pytest.raises(SurveyError, match="fewer than half"):

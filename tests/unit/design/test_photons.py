@@ -27,6 +27,7 @@ def test_in_water_that_scatters_nothing_photons_are_the_model(survey: Survey) ->
     assert found.shift[0] == pytest.approx(0.02**2 / (4 * 1.5), rel=0.1)
 
 
+@pytest.mark.slow
 def test_scattered_light_is_late_by_more_than_chance(survey: Survey) -> None:
     milk = survey.with_({"water.scattering": 0.6, "water.absorption": 0.25})
     found = follow_photons(milk, histories=400_000, relative_error=0.01)

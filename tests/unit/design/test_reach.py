@@ -18,6 +18,7 @@ def survey() -> Survey:
     return Survey.preset("amulor-2010")
 
 
+@pytest.mark.slow
 def test_reach_falls_with_the_attenuation_and_with_the_accuracy(survey: Survey) -> None:
     order = ["pure", "IB", "II", "III", "1C", "3C", "5C"]
     assert list(WATERS) == order
@@ -48,6 +49,7 @@ def test_an_accuracy_that_is_nowhere_met_is_said(survey: Survey) -> None:
     assert found.binding == "phase floor"
 
 
+@pytest.mark.slow
 def test_the_command_prints_one_row_for_each_water(capsys) -> None:
     assert main(["survey", "presets", "--where", "--accuracy", "3 mm", "--json"]) == 0
     found = json.loads(capsys.readouterr().out)

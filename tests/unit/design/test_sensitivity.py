@@ -23,6 +23,7 @@ def test_what_is_stated_as_a_range_and_what_is_assumed() -> None:
     assert all(factor == pytest.approx(4) for factor in assumed.values())
 
 
+@pytest.mark.slow
 def test_shares_are_those_of_conditional_means() -> None:
     goal, chosen = paper_goal.choice().goal, paper_goal.choice().best.parameters
     found = sensitivity(goal, chosen, samples=256)
