@@ -211,8 +211,8 @@ def write(
         Heading("What time and frequency buy"),
         Picture(
             drawn["fronts"],
-            "The recommended instrument with other dwells and frequencies. At the knee "
-            "more begins to buy little.",
+            "The recommended instrument with other dwells and frequencies, whatever "
+            "they cost. At the knee more begins to buy little.",
         ),
     ]
     parts += _measure(reasons.sensitivity, drawn)
