@@ -24,7 +24,7 @@ __all__ = ["Asked", "Explorer"]
 Floats = NDArray[np.float64]
 
 #: Places of the map along distance and attenuation.
-_SHAPE = (48, 28)
+_SHAPE = (44, 24)
 
 
 @dataclass(frozen=True)

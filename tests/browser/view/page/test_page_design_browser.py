@@ -49,7 +49,7 @@ def test_sliders_redraw_the_map_and_nothing_is_asked_elsewhere(
     after = shown.evaluate("amulor.found.error.slice()")
     # Less light, more noise, wherever there is a range.
     pairs = [(a, b) for a, b in zip(before, after, strict=True) if a and b]
-    assert len(pairs) > 1000
+    assert len(pairs) > 900
     assert all(b >= a * 0.999 for a, b in pairs)
     assert max(b / a for a, b in pairs) > 1.05
     # Without the time that the loaded server of a test takes, drawing is quick.
