@@ -49,8 +49,8 @@ def content(path: Path) -> bytes:
     ("ending", "selection"),
     [
         ("ply", Selection(True, 4e-3, False)),
-        ("csv", Selection()),
-        ("xyz", Selection(mixed=True)),
+        pytest.param("csv", Selection(), marks=pytest.mark.slow),
+        pytest.param("xyz", Selection(mixed=True), marks=pytest.mark.slow),
     ],
 )
 def test_a_cloud_by_rows_is_that_of_the_whole(

@@ -104,7 +104,7 @@ def board(width: float) -> CheckerboardTarget:
     )  # fmt: skip
 
 
-@pytest.mark.parametrize("shared", [True, False])
+@pytest.mark.parametrize("shared", [False, pytest.param(True, marks=pytest.mark.slow)])
 def test_the_middle_of_a_disc_has_the_error_that_is_stated(
     monkeypatch: pytest.MonkeyPatch, shared: bool
 ) -> None:
@@ -127,7 +127,10 @@ def test_the_middle_of_a_disc_has_the_error_that_is_stated(
 # Beams as wide as their distance (4.6 mm from pixel to pixel), and far narrower ones.
 @pytest.mark.parametrize(
     ("blur", "least"),
-    [(3.5e-3, 0.5), pytest.param(0.1e-3, 0.1, marks=pytest.mark.slow)],
+    [
+        pytest.param(3.5e-3, 0.5, marks=pytest.mark.slow),
+        pytest.param(0.1e-3, 0.1, marks=pytest.mark.slow),
+    ],
 )
 def test_the_middle_of_a_checkerboard_has_the_error_that_is_stated(
     blur: float, least: float
