@@ -73,6 +73,32 @@ def test_every_page_stands_in_a_table_of_contents() -> None:
     assert pages - listed == {"README", "gallery/ricci2010-discussion"}
 
 
+def test_a_link_that_leads_nowhere_is_found(tmp_path: Path) -> None:
+    (tmp_path / "api").mkdir()
+    (tmp_path / "index.html").write_text(
+        '<a href="api/one.html#here"></a><a href="https://example.org/gone"></a>'
+        '<a href="api/one.html#there"></a><a href="two.html"></a><a href="#top"></a>'
+        '<h1 id="top"></h1><img src="_images/no.png"><a href="api"></a>'
+    )
+    (tmp_path / "api" / "one.html").write_text(
+        '<p id="here"></p><a href="../index.html#top"></a><a href="../x%20y.txt"></a>'
+    )
+    (tmp_path / "x y.txt").write_text("")
+    assert _script("check_links").broken(tmp_path) == [
+        "index.html: api/one.html#there: no such place in it",
+        "index.html: two.html: no such file",
+        "index.html: _images/no.png: no such file",
+        "index.html: api: no such file",
+    ]
+
+
+@pytest.mark.slow
+def test_the_links_of_the_built_site_lead_somewhere() -> None:
+    if not (DOCS / "_build" / "html" / "index.html").exists():
+        pytest.skip("the site is not built; make docs")
+    assert _script("check_links").broken(DOCS / "_build" / "html") == []
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("path", EXAMPLES, ids=lambda path: path.stem)
 def test_an_example_runs(path: Path) -> None:
