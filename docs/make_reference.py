@@ -168,7 +168,8 @@ def samples_page() -> str:
         "",
         "They come with the package, so that nothing but `pip install` is needed to",
         "begin: `amulor samples` lists them, `amulor samples NAME -o FOLDER` writes",
-        "them, and in Python `amulor.samples.copy(NAME, FOLDER)` does. The cubes are",
+        "them, and in Python `amulor.samples.copy(NAME, FOLDER)` does;",
+        '`amulor.samples.cube("ladder")` reads a cube without a file. The cubes are',
         "made by `tools/make_samples.py`.",
         "",
     ]

@@ -2,8 +2,8 @@
 A letter behind foam, measured
 ==============================
 
-The one set of measured light that comes with the package: a letter U behind an inch of
-polyurethane foam, recorded at two distances as histograms of single photons. What the
+Measured light that comes with the package: a letter U behind an inch of polyurethane
+foam, recorded at two distances as histograms of single photons. What the
 two recordings share is the foam; taken out, like open water, it leaves the letter at
 its distance. Its shape stays a blur, which the foam makes of it: to read it takes the
 tomography of the authors.

@@ -42,6 +42,10 @@ def isotropic() -> PhaseFunction:
     PhaseFunction
         1 / 4 pi [1/sr].
 
+    Notes
+    -----
+    Eq. (70) of Ricci et al. 2010 (:doi:`10.1155/2010/958360`) with an asymmetry of 0.
+
     Examples
     --------
     >>> print(f"{isotropic().backscatter_fraction:.1f}")
