@@ -143,3 +143,27 @@ def test_without_scikit_image_the_remedy_is_said(
     monkeypatch.setattr(builtins, "__import__", refuse)
     with pytest.raises(MissingExtraError, match="scikit-image"):
         imaging.unwrapped_range_image(_scene(SLOPE), interval=(0.8, 3.6))
+
+
+@pytest.mark.parametrize(
+    ("errors", "chosen"),
+    # Error of the range is that of the phase over the frequency: 4 / 2 against 3 / 1,
+    # and 7 / 2 against 3 / 1.
+    [((3e-3, 4e-3), 1), ((3e-3, 7e-3), 0)],
+)
+def test_the_frequency_with_the_smallest_error_of_the_range_is_taken(
+    errors: tuple[float, float], chosen: int
+) -> None:
+    scenes = [
+        _scene(SLOPE, frequency=frequency, noise=noise)
+        for frequency, noise in zip((FREQUENCY, 2 * FREQUENCY), errors, strict=True)
+    ]
+    both = xr.concat(
+        scenes, "modulation_frequency", data_vars="minimal", join="outer",
+        coords="minimal", compat="override", combine_attrs="override",
+    )  # fmt: skip
+    image = imaging.unwrapped_range_image(both, interval=(0.8, 3.6))
+    alone = imaging.unwrapped_range_image(scenes[chosen], interval=(0.8, 3.6))
+    np.testing.assert_array_equal(
+        image["slant_range"].values, alone["slant_range"].values
+    )

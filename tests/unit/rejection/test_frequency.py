@@ -134,3 +134,20 @@ def test_what_is_not_there_is_named(by_hand: Make) -> None:
     empty = by_hand(frequency=[20e6, 39e6], channels=ONE, target=0.0)
     with pytest.raises(CubeError, match="no pixel shows a target at any frequency"):
         rejection.choose_frequency(empty)
+
+
+def test_the_end_of_the_sweep_is_told_unless_the_interval_made_it(
+    by_hand: Make,
+) -> None:
+    end = "stands at the end of the sweep"
+    # The water disturbs less and less: the highest frequency is the best one.
+    rising = by_hand(frequency=SWEEP, channels=ONE, water=0.4, noise=1e-6)
+    low = rising.isel(modulation_frequency=slice(0, 5))
+    best = rejection.choose_frequency(low)
+    assert best.modulation_frequency in (SWEEP[0], SWEEP[4])
+    assert any(end in w for w in best.warnings)
+    # Within 19.5 m 8 MHz and above repeat: 4 MHz is blocked by its neighbour.
+    two = rising.isel(modulation_frequency=slice(0, 4))
+    blocked = rejection.choose_frequency(two, interval=(0.5, 20.0))
+    assert blocked.modulation_frequency == SWEEP[0]
+    assert not any(end in w for w in blocked.warnings)
