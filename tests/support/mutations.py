@@ -193,7 +193,11 @@ def npz(content: bytes, rng: random.Random) -> bytes:
     """Change an array, and write the archive anew, its checksums right."""
     try:
         with np.load(io.BytesIO(content)) as archive:
-            arrays = dict(archive)
+            arrays = {
+                name: values
+                for name, values in archive.items()
+                if isinstance(values, np.ndarray)
+            }
     except Exception:  # bytes that other mutations left
         return flip(content, rng)
     if not arrays:

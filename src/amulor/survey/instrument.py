@@ -59,7 +59,7 @@ class Receiver(Description):
     edge: Literal["gaussian", "sharp"] | None = None
     """Whether aperture and field of view fall off as Gaussians, or end sharply;
     Gaussian if left out."""
-    speckle_cells: Annotated[float, Field(ge=1, allow_inf_nan=False)] | None = None
+    speckle_cells: Annotated[float, Field(ge=1, le=1e15)] | None = None
     """Number M of speckles of the target's light that the aperture takes in: its power
     then varies by 1 / sqrt(M) from place to place; not at all if left out [1]."""
 

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import os
 import tomllib
+from collections.abc import Iterator
 from pathlib import Path
-from typing import TypeVar
+from typing import Any, TypeVar
 
 from pydantic import BaseModel, ValidationError
 
@@ -73,7 +75,21 @@ def described(
     except tomllib.TOMLDecodeError as found:
         raise error(f"{name}: is no valid TOML: {found}") from None
     try:
-        return model.model_validate(content, context={"from_text": True})
+        model_of_text = model.model_validate(content, context={"from_text": True})
     except ValidationError as found:
         lines = messages.lines(found, content, model=model, name=name, what=what)
         raise error("\n".join(lines)) from None
+    for path in _paths(model_of_text.model_dump(mode="python")):
+        # The operating system would refuse to look for it, in its own words.
+        if "\0" in str(path) or any(len(os.fsencode(p)) > 255 for p in path.parts):
+            raise error(f"{name}: {str(path)[:60]!r} is no name that a file can have")
+    return model_of_text
+
+
+def _paths(content: Any) -> Iterator[Path]:
+    """Yield all names of files in a description."""
+    if isinstance(content, Path):
+        yield content
+    elif isinstance(content, dict | list | tuple):
+        for item in content.values() if isinstance(content, dict) else content:
+            yield from _paths(item)

@@ -15,8 +15,8 @@ from amulor.survey.checks.limits import LIMITS, beyond
 
 SLIPS = {
     "receiver far off": ('["7 cm",', '["70 m",', "at most 20.0 m: emitter and"),
-    "scattering": ('"0.595 1/m"', '"6e199 1/m"', "at most 1000.0 1/m: undiluted milk"),
-    "absorption": ('"0.255 1/m"', '"1e308 1/m"', "at most 1000.0 1/m"),
+    "scattering": ('"0.595 1/m"', '"6e12 1/m"', "at most 1000.0 1/m: undiluted milk"),
+    "absorption": ('"0.255 1/m"', '"1e12 1/m"', "at most 1000.0 1/m"),
     "power": ('power = "20 mW"', 'power = "20 kW"', "at most 100.0 W: modulated"),
     "millihertz": ('["39 MHz"]', '["39 mHz"]', "at least 1000.0 Hz: below, phases"),
     "dwell": ('dwell = "125 ms"', 'dwell = "2 h"', "at most 3600.0 s"),
@@ -98,3 +98,26 @@ def test_every_limit_is_of_a_field_that_there_is() -> None:
     for path in LIMITS:
         name = [part for part in path.split(".") if part != "*"][-1]
         assert f"'{name}'" in text, path
+
+
+@pytest.mark.parametrize("name", ["a" * 300 + ".stl", "a\\u0000.stl"])
+def test_names_that_no_file_can_have_get_one_line(plate_text: str, name: str) -> None:
+    mesh = f'kind = "mesh"\nfile = "{name}"\n'
+    text = plate_text.replace('kind = "plate"\n', mesh)
+    text = text.replace('width = "30 cm"\nheight = "30 cm"\n', "")
+    with pytest.raises(SurveyError, match="is no name that a file can have") as found:
+        Survey.from_text(text)
+    assert "\n" not in str(found.value)
+
+
+@pytest.mark.parametrize(
+    ("old", "new"),
+    [('"-2.672 deg"', '"1e300 deg"'), ('"7 cm", "0 m"', '"7 cm", "1e20 m"'),
+     ('"20 mW"', '"1e30 W"'), ('"0.595 1/m"', '"6e199 1/m"')],
+)  # fmt: skip
+def test_numbers_beyond_all_measure_are_refused(
+    plate_text: str, old: str, new: str
+) -> None:
+    assert old in plate_text
+    with pytest.raises(SurveyError, match=r"no [a-z ]+ is beyond"):
+        Survey.from_text(plate_text.replace(old, new))
