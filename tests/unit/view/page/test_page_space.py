@@ -281,3 +281,17 @@ def test_names_of_numbers_cannot_leave_their_place(tmp_path: Path) -> None:
     names = [layer["name"] for layer in shown.layers]
     assert names == ["______etc", "_b_", "position 2"]
     assert shown.values("position 2") != shown.values("position")
+
+
+def test_a_laz_file_of_more_parts_than_bytes_gets_a_line(
+    written: Callable[[str], Path],
+) -> None:
+    path = written(".laz")
+    content = bytearray(path.read_bytes())
+    points = int.from_bytes(content[96:100], "little")
+    table = int.from_bytes(content[points : points + 8], "little")
+    content[table + 4 : table + 8] = (2**31 - 1).to_bytes(4, "little")
+    path.write_bytes(content)
+    # The package would ask for 34 GB, and end the program where it gets none.
+    with pytest.raises(FormatError, match="2147483647 parts, more than bytes"):
+        space.opened(path)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import struct
 from pathlib import Path
 from typing import Any
 
@@ -55,6 +56,7 @@ def read_laz(path: Path, *, most: int) -> Shape:
         ) from error
     # What it has to say of damage is in the error; its log would be more lines.
     logging.getLogger("laspy").addHandler(logging.NullHandler())
+    _check_chunks(path)
     try:
         with laspy.open(path) as file:
             return _read(file, most, path.name)
@@ -66,6 +68,30 @@ def read_laz(path: Path, *, most: int) -> Shape:
             f"{path.name} cannot be read as LAS or LAZ: {reason}; it is damaged or was "
             "not copied whole"
         ) from error
+
+
+def _check_chunks(path: Path) -> None:
+    """Refuse a LAZ file of more parts than bytes: lazrs would end the program."""
+    size = path.stat().st_size
+    with path.open("rb") as file:
+        head = file.read(105)
+        if len(head) < 105 or not head[104] & 0x80:  # not compressed, or none at all
+            return
+        (points,) = struct.unpack_from("<I", head, 96)
+        file.seek(points)
+        (table,) = struct.unpack("<q", file.read(8).ljust(8, b"\0"))
+        if table == -1 and size > 8:  # written at the end, by what could not go back
+            file.seek(size - 8)
+            (table,) = struct.unpack("<q", file.read(8))
+        if not 0 <= table <= size - 8:
+            return
+        file.seek(table + 4)
+        (chunks,) = struct.unpack("<I", file.read(4))
+    if chunks > size:
+        raise FormatError(
+            f"{path.name} says that it has {chunks} parts, more than bytes; it is "
+            "damaged or was not copied whole"
+        )
 
 
 def _read(file: Any, most: int, name: str) -> Shape:
