@@ -18,6 +18,8 @@ help:
 	@echo "make study     the long statistical studies (minutes)"
 	@echo "make coverage  make test, and which lines no test has run"
 	@echo "make docs      build the documentation site, docs/_build/html, and look for broken links"
+	@echo "make linkcheck ask the sites that the documentation links to"
+	@echo "make mutate    change the sources in places and see whether tests notice"
 	@echo "make soak      hours of a scan in simulated time, with faults, pages, commands"
 	@echo "make bench     speed against peers and limits, measured in one run"
 	@echo "make package   build wheel and sdist, and use the wheel alone"
@@ -72,8 +74,16 @@ soak: .venv/installed-test
 # Each example of the gallery runs; a warning is an error.
 docs: .venv/installed-docs
 	$(BIN)/python -m sphinx -q -W --keep-going -b html docs docs/_build/html
+	$(BIN)/python docs/check_links.py
 	$(BIN)/codespell --toml pyproject.toml docs src examples README.md CHANGELOG.md
 	@echo "The site is docs/_build/html/index.html"
+
+# Asks other sites, so it needs a network.
+linkcheck: .venv/installed-docs
+	$(BIN)/python -m sphinx -q -b linkcheck docs docs/_build/linkcheck
+
+mutate: .venv/installed-test
+	$(BIN)/python tools/mutate.py --sample 60 --seed 1
 
 coverage: .venv/installed-test
 	$(PYTEST) $(TOGETHER) --cov --cov-report=term
@@ -95,4 +105,4 @@ clean:
 	rm -rf .venv .venv-oldest dist amulor-demo foam-transients .coverage .coverage.*
 	rm -rf docs/_build docs/api docs/gallery/examples docs/gallery/backreferences
 
-.PHONY: help demo style types contracts lint test check study soak docs coverage bench package oldest surface clean
+.PHONY: help demo style types contracts lint test check study soak docs coverage bench package oldest surface clean linkcheck mutate

@@ -8,9 +8,9 @@ import numpy as np
 import paper_goal
 import pytest
 
-from amulor.design import confirm as module
-from amulor.design.confirm import Scans, confirm, scans
 from amulor.design.photons import Photons
+from amulor.design.reasons import confirm as module
+from amulor.design.reasons.confirm import Scans, confirm, scans
 from amulor.errors import SurveyError
 from amulor.survey import Survey
 

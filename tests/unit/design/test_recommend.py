@@ -115,16 +115,15 @@ def test_the_error_between_the_asked_distances_is_told(tank: Recommendation) -> 
 
 
 def test_the_water_is_that_at_the_wavelength_of_the_laser(goal_text: str) -> None:
-    # Natural water is stated at 532 nm and absorbs ten times as much at 650 nm.
+    # The draws are of the first laser, green; red light is lost faster.
     water = goal_text[goal_text.index("[waters.base]") : goal_text.index("[waters]\n")]
-    text = goal_text.replace(
-        water, '[waters.base]\nkind = "jerlov"\ntype = "III"\n'
-    ).replace(
-        "[components]\n",
-        '[[components.lasers]]\nname = "red"\nwavelength = "650 nm"\n'
-        'powers = ["30 mW"]\n[components]\n',
-        1,
+    natural = (
+        '[waters.base]\nkind = "jerlov"\ntype = "3C"\nsalinity = 35\n'
+        'source = "williamson-hollins-2022"\ntemperature = "12 degC"\n'
     )
+    other = '[[components.lasers]]\nname = "red"\nwavelength = "650 nm"\n'
+    other += 'powers = ["30 mW"]\n[components]\n'
+    text = goal_text.replace(water, natural).replace("[components]\n", other, 1)
     goal = Goal.from_text(text)
     red = replace(first_choice(goal), laser="red", polarization="VH", dwell=0.12)
     green, there = (
@@ -136,7 +135,7 @@ def test_the_water_is_that_at_the_wavelength_of_the_laser(goal_text: str) -> Non
         for laser in ("green", "red")
     }
     np.testing.assert_allclose(there / green, of["red"] / of["green"])
-    assert of["red"] / of["green"] > 1.5
+    assert of["red"] / of["green"] > 1.2
     # The reasons are of the same waters as the search.
     judged = Judge(goal, "red").of(red).error[0]
     draws = {

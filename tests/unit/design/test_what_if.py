@@ -9,9 +9,9 @@ import paper_goal
 import pytest
 
 from amulor.design import Goal, Parameters, recommend
+from amulor.design.reasons.trade import trade
+from amulor.design.reasons.what_if import what_if
 from amulor.design.scores import Judge, merits
-from amulor.design.trade import trade
-from amulor.design.what_if import what_if
 
 
 def _merit(goal: Goal, chosen: Parameters, draws: int) -> float:

@@ -10,11 +10,11 @@ import numpy as np
 import paper_goal
 import pytest
 
-from amulor.design.confirm import Confirmation, Scans
+from amulor.design.reasons.confirm import Confirmation, Scans
+from amulor.design.reasons.sensitivity import Sensitivity, Uncertain
+from amulor.design.reasons.trade import Trade
+from amulor.design.reasons.what_if import Turn
 from amulor.design.requirements import Shortfall
-from amulor.design.sensitivity import Sensitivity, Uncertain
-from amulor.design.trade import Trade
-from amulor.design.what_if import Turn
 from amulor.view.design import report
 
 pytestmark = pytest.mark.slow

@@ -28,10 +28,10 @@ def reasons_of(found: Recommendation, *, confirm: bool) -> Reasons:
         For report, figures and JSON.
     """
     from amulor import _progress
-    from amulor.design.confirm import confirm as confirmed
-    from amulor.design.sensitivity import sensitivity, uncertain
-    from amulor.design.trade import trade
-    from amulor.design.what_if import what_if
+    from amulor.design.reasons.confirm import confirm as confirmed
+    from amulor.design.reasons.sensitivity import sensitivity, uncertain
+    from amulor.design.reasons.trade import trade
+    from amulor.design.reasons.what_if import what_if
     from amulor.view.design.report import Reasons
 
     goal, best = found.goal, found.best.parameters

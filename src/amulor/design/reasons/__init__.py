@@ -1,0 +1,1 @@
+"""Why a recommendation is what it is, and whether scans and photons agree with it."""
