@@ -39,7 +39,13 @@ _LOCK_IN = 0.1
 
 @dataclass(frozen=True, kw_only=True)
 class Parameters:
-    """One instrument: what a goal leaves to be chosen."""
+    """One instrument: what a goal leaves to be chosen.
+
+    Examples
+    --------
+    >>> chosen = recommend(goal).best.parameters  # doctest: +SKIP
+    >>> survey = survey_of(goal, chosen)  # doctest: +SKIP
+    """
 
     laser: str
     """Name of the laser."""

@@ -50,6 +50,11 @@ class Between:
 
     The phase of the water against that of the target turns with distance, so an
     instrument can be good at each asked distance and not between them.
+
+    Examples
+    --------
+    >>> worst = recommend(goal).best.between  # doctest: +SKIP
+    >>> print(f"{1e3 * worst.error:.1f} mm at {worst.distance:.1f} m")  # doctest: +SKIP
     """
 
     distance: float
@@ -60,7 +65,13 @@ class Between:
 
 @dataclass(frozen=True, kw_only=True)
 class Choice:
-    """One instrument that is proposed, with all that speaks for and against it."""
+    """One instrument that is proposed, with all that speaks for and against it.
+
+    Examples
+    --------
+    >>> best = recommend(goal).best  # doctest: +SKIP
+    >>> [one.name for one in best.requirements if not one.met]  # doctest: +SKIP
+    """
 
     parameters: Parameters
     """What it is made of."""
@@ -120,6 +131,11 @@ class Bound:
     """A parameter whose best value is the last one that the goal allows.
 
     It is no recommendation: what lies beyond was not looked at.
+
+    Examples
+    --------
+    >>> for bound in recommend(goal).bounds:  # doctest: +SKIP
+    ...     print(bound.text)
     """
 
     parameter: str
@@ -134,7 +150,13 @@ class Bound:
 
 @dataclass(frozen=True, kw_only=True)
 class Recommendation:
-    """What to build for a goal."""
+    """What to build for a goal.
+
+    Examples
+    --------
+    >>> found = recommend(goal)  # doctest: +SKIP
+    >>> Path("wall.toml").write_text(found.best.survey)  # doctest: +SKIP
+    """
 
     goal: Goal
     """What was asked."""
@@ -221,6 +243,12 @@ def recommend(
     saturation, the limits of the model, time and budget are requirements; each that is
     missed counts ten times. Where the goal states prices, the cheapest instrument that
     meets all is the best one.
+
+    Examples
+    --------
+    >>> goal = Goal.from_toml("examples/goals/harbour_wall.toml")  # doctest: +SKIP
+    >>> found = recommend(goal)  # doctest: +SKIP
+    >>> found.best.parameters.frequencies  # doctest: +SKIP
     """
     with nullcontext() if progress is None else listening(progress):
         found = search(goal)

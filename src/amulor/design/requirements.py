@@ -30,7 +30,14 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True, kw_only=True)
 class Requirement:
-    """One requirement."""
+    """One requirement.
+
+    Examples
+    --------
+    >>> one = recommend(goal).best.requirements[0]  # doctest: +SKIP
+    >>> one.met == (one.value <= one.limit)  # doctest: +SKIP
+    True
+    """
 
     name: str
     """What is required, such as "total error at 2 m"."""
@@ -50,7 +57,13 @@ class Requirement:
 
 @dataclass(frozen=True, kw_only=True)
 class Shortfall:
-    """One requirement that must give."""
+    """One requirement that must give.
+
+    Examples
+    --------
+    >>> for one in recommend(goal).impossible:  # doctest: +SKIP
+    ...     print(one.text)
+    """
 
     requirement: str
     """Which one."""
@@ -85,6 +98,8 @@ _READ = {
     "validity of the model": ("%", 1e2),
 }
 _UNITS = {"total error": "m", "scan time": "s"}
+#: Probabilities below this are not told apart.
+_SELDOM = 1e-8
 
 
 def written(name: str, value: float) -> str:
@@ -103,6 +118,8 @@ def written(name: str, value: float) -> str:
         With a unit.
     """
     unit, factor = _READ[name]
+    if name == "wrong interval" and 0 < value < _SELDOM:
+        return f"below {_SELDOM * factor:g} {unit}"
     return f"{value * factor:.4g} {unit}".strip()
 
 

@@ -59,8 +59,8 @@ class Description(BaseModel):
 
 
 #: Largest size of what a file may state, where no field says less: beyond, a digit or
-#: a unit slipped [SI].
-_LARGEST = {"angle": 1e4}
+#: a unit slipped [SI]. Of a limit in volts "never" may be said by a number.
+_LARGEST = {"angle": 1e4, "voltage": 1e30}
 _LARGEST_OTHER = 1e16
 _LARGEST_COUNT = 2**53
 

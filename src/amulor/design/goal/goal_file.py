@@ -25,7 +25,13 @@ from amulor.survey.quantity import Description, Length
 
 
 class Goal(Description):
-    """What an instrument must do, in which waters, and what it may be made of."""
+    """What an instrument must do, in which waters, and what it may be made of.
+
+    Examples
+    --------
+    >>> goal = Goal.from_toml("examples/goals/harbour_wall.toml")  # doctest: +SKIP
+    >>> goal.accuracy.total_error  # doctest: +SKIP
+    """
 
     name: Annotated[str, Field(min_length=1, max_length=200)]
     """What is to be built; the title of all that comes of it."""
@@ -154,6 +160,12 @@ def json_schema() -> dict[str, Any]:
     -------
     dict
         JSON Schema, draft 2020-12.
+
+    Examples
+    --------
+    >>> from amulor.design import json_schema
+    >>> json_schema()["required"][:3]
+    ['name', 'distances', 'accuracy']
     """
     return {
         "$schema": "https://json-schema.org/draft/2020-12/schema",
