@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 from cyclopts import Parameter, validators
 
 if TYPE_CHECKING:
-    from amulor.design import Choice, Recommendation
+    from amulor.design import Choice, Recommendation, Requirement
 
 
 def design(
@@ -113,7 +113,7 @@ def _print(found: Recommendation, files: list[Path]) -> None:
     for bound in found.bounds:
         print(f"  bound: {bound.text}")
     between = found.best.between
-    if between.error > max(asked.accuracy.total_error, found.best.error):
+    if between.error > 1.01 * max(asked.accuracy.total_error, found.best.error):
         print(
             f"  note: the error is {1e3 * between.error:.3g} mm at "
             f"{between.distance:.3g} m, between the distances that are asked for; name "
@@ -144,10 +144,25 @@ def _print_choice(word: str, choice: Choice, accuracy: float) -> None:
             f"    dwell shared {divided} between the frequencies: "
             f"{1e3 * shares.error:.3g} mm (a survey shares it evenly)"
         )
-    for one in choice.requirements:
+    for one, count in _told(choice.requirements):
         state = "met" if one.met else "MISSED"
         binding = f"; {one.binding.replace('_', ' ')}" if one.binding else ""
+        among = f"; the tightest of {count} distances" if count > 1 else ""
         print(
             f"    {state}: {one.name} {quantity_text(one.name, one.value)} of "
-            f"{quantity_text(one.name, one.limit)}{binding}"
+            f"{quantity_text(one.name, one.limit)}{binding}{among}"
         )
+
+
+def _told(requirements: tuple[Requirement, ...]) -> list[tuple[Requirement, int]]:
+    """Return what is printed: all that is missed, of what is met at all the tightest."""
+    kinds: dict[str, list[Requirement]] = {}
+    for one in requirements:
+        kinds.setdefault(one.name.partition(" at ")[0], []).append(one)
+    told = []
+    for each in kinds.values():
+        if all(one.met for one in each):
+            told.append((min(each, key=lambda one: one.margin), len(each)))
+        else:
+            told += [(one, 1) for one in each if not one.met]
+    return told
