@@ -155,7 +155,7 @@ def _print_choice(word: str, choice: Choice, accuracy: float) -> None:
 
 
 def _told(requirements: tuple[Requirement, ...]) -> list[tuple[Requirement, int]]:
-    """Return what is printed: all that is missed, of what is met at all the tightest."""
+    """Return what is missed, and of what is met at all distances the tightest."""
     kinds: dict[str, list[Requirement]] = {}
     for one in requirements:
         kinds.setdefault(one.name.partition(" at ")[0], []).append(one)
