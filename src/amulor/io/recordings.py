@@ -146,6 +146,17 @@ def read_recordings(
     )
     if shots.any():
         part = samples.part(shots)
+        without = sorted(
+            set(zip(frequency[scan], polarization[scan], strict=True))
+            - set(zip(frequency[shots], polarization[shots], strict=True))
+        )
+        if without:
+            f, p = without[0]
+            raise FormatError(
+                f"{path}: the scan has {frequencies[f] / 1e6:g} MHz {pairs[p]}, of "
+                "which there is no open-water shot; record shots in all channels, or "
+                "take out constants.open_water of the map"
+            )
         group = _shots(part, (frequency[shots], polarization[shots]), survey, described)
         cube = cubes.attach(cube, group, "open_water")
     cube = cube.assign(_user_variables(found, broken))

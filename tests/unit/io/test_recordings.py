@@ -288,6 +288,19 @@ def test_bad_recordings_get_one_line(tmp_path, survey, cube, change, message) ->
     assert "\n" not in str(raised.value)
 
 
+def test_shots_of_a_channel_that_were_left_out_are_named(
+    tmp_path, survey, cube
+) -> None:
+    lines = [
+        line
+        for line in written(cube)
+        if (line[4], line[6]) != ("41000000.0", "open_water")
+    ]
+    path = saved(tmp_path / "scan.csv", lines)
+    with pytest.raises(FormatError, match=r"has 41 MHz V[VH], of which there is"):
+        read_recordings(path, mapped(tmp_path, XY), survey)
+
+
 def test_samples_beyond_the_scan_are_refused(tmp_path, survey, cube) -> None:
     path = saved(tmp_path / "scan.csv", written(cube, water=False))
     # Milliradians that were taken for degrees.

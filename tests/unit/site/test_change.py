@@ -196,6 +196,16 @@ def test_a_registration_is_read_as_it_was_written(tmp_path: Path) -> None:
     # What is fixed has no error.
     both = found.covariance_of("pose a", "error delay: i", "pose b")
     assert_allclose(both.diagonal(), [0] * 6 + [7, 1, 2, 3, 4, 5, 6])
+    text = (tmp_path / "poses.json").read_text()
+    # A pose that was moved by hand, a row of the covariance that is gone.
+    for damaged in (
+        text.replace("0.5", "0.6", 1),
+        text.replace('"fixed": "a"', '"f": 1'),
+    ):
+        assert damaged != text
+        (tmp_path / "damaged.json").write_text(damaged)
+        with pytest.raises(FormatError, match="is damaged or was edited"):
+            read_registration(tmp_path / "damaged.json")
     (tmp_path / "other.json").write_text('{"kind": "something"}')
     with pytest.raises(FormatError, match="amulor site register makes one"):
         read_registration(tmp_path / "other.json")

@@ -159,6 +159,7 @@ def write_registration(
         "places": result.places,
         "covariance": result.covariance.tolist(),
     }
+    content["digest"] = _digest_of(content)
     with atomic_output(Path(path), overwrite=overwrite) as temporary:
         temporary.write_text(json.dumps(content, indent=1, allow_nan=False))
 
@@ -193,6 +194,26 @@ def read_registration(path: str | Path) -> Registration:
         raise FormatError(
             f"{path}: is no registration of a site; amulor site register makes one"
         )
+    if content.pop("digest", None) != _digest_of(content):
+        raise FormatError(
+            f"{path} is damaged or was edited: its numbers are not those that amulor "
+            "wrote; run amulor site register again"
+        )
+    try:
+        return _registration_of(content)
+    except (KeyError, TypeError, ValueError, IndexError, AttributeError) as error:
+        raise FormatError(
+            f"{path}: is no registration of this version ({error}); run amulor site "
+            "register again"
+        ) from None
+
+
+def _digest_of(content: dict[str, Any]) -> str:
+    """Return the digest of what a file states, whatever its order and spaces."""
+    return provenance.digest(json.dumps(content, sort_keys=True).encode())
+
+
+def _registration_of(content: dict[str, Any]) -> Registration:
     poses = {}
     for name, one in content["poses"].items():
         matrix = np.array(one["matrix"], dtype=float)
