@@ -312,7 +312,7 @@ def test_what_was_acquired_is_worth_what_was_simulated() -> None:
     "scene",
     [
         "noise",
-        pytest.param("wide", marks=pytest.mark.slow),
+        pytest.param("wide", marks=pytest.mark.study),
         pytest.param("tall", marks=pytest.mark.slow),
     ],
 )

@@ -50,7 +50,7 @@ def test_commands_work_by_rows(cube, tmp_path, capsys):
     xr.testing.assert_identical(*map(content, images))
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_auto_by_rows_prints_and_writes_what_it_does_with_the_whole(
     cube, tmp_path, capsys
 ):
