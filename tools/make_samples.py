@@ -16,6 +16,7 @@ from pathlib import Path
 import xarray as xr
 
 from amulor import Survey, acquisition, read_cube, simulate, simulation, write_cube
+from amulor import cube as cubes
 from amulor.cube.provenance import dated
 from amulor.studies.ladder import survey_text
 
@@ -65,7 +66,12 @@ def amphora() -> xr.Dataset:
     with tempfile.TemporaryDirectory() as folder:
         scan = Path(folder) / "scan"
         acquisition.acquire(survey, scan, scene=simulation.scene_light)
-        return read_cube(acquisition.recover(scan))
+        cube = read_cube(acquisition.recover(scan))
+    # As from a boat: nobody states what is looked at, and no file lies beside the cube.
+    stated = survey.with_({"targets": []}).to_toml()
+    old = cubes.digest(cube.attrs["survey"])
+    digests = str(cube.attrs["input_digests"]).replace(old, cubes.digest(stated))
+    return cube.assign_attrs(survey=stated, input_digests=digests)
 
 
 CUBES: dict[str, Callable[[], xr.Dataset]] = {

@@ -92,6 +92,13 @@ def test_the_acquired_cube_has_no_truth(tmp_path: Path) -> None:
     assert not [name for name in cube.variables if "truth" in str(name)]
 
 
+def test_no_cube_needs_a_file_beside_it() -> None:
+    for name in ("ladder", "sweep", "amphora"):
+        text = str(samples.cube(name).attrs["survey"])
+        assert "file = " not in text
+        assert "/tmp" not in text
+
+
 def test_the_pages_name_all_of_them() -> None:
     text = (ROOT / "docs" / "reference" / "samples.md").read_text("utf-8")
     for name, one in samples.samples().items():
