@@ -37,6 +37,11 @@ def load(target: Mesh) -> Any:
     trimesh = trimesh_module()
     # Merging vertices of one place would merge their colours, too.
     options = {} if target.texture is None else {"process": False}
+    if not target.file.is_file():
+        raise SurveyError(
+            f"{target.file}: there is no such file; a mesh is needed to simulate what "
+            "stands in the water"
+        )
     try:
         loaded = trimesh.load(target.file, force="mesh", **options)
         corners = np.asarray(loaded.triangles, dtype=float)

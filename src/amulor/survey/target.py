@@ -154,9 +154,13 @@ class Mesh(_Target):
         return self
 
     def settled(self, folder: Path, *, where: str) -> Self:
-        """Return the same with the whole path of its file."""
+        """Return the same with the whole path of its file.
+
+        One that is whole already is looked for when the mesh is read: a cube names the
+        mesh that it was made of, and goes to other computers without it.
+        """
         file = (folder / self.file).resolve()
-        if not file.is_file():
+        if not file.is_file() and not self.file.is_absolute():
             raise SurveyError(
                 f"{where}.file: found {str(self.file)!r}, but there is no such file in "
                 f"{folder.resolve()}"

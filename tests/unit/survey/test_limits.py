@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 
 from amulor import units
 from amulor.errors import SurveyError
+from amulor.simulation import simulate
 from amulor.survey import Survey
 from amulor.survey.checks.limits import LIMITS, beyond
 
@@ -121,3 +122,15 @@ def test_numbers_beyond_all_measure_are_refused(
     assert old in plate_text
     with pytest.raises(SurveyError, match=r"no [a-z ]+ is beyond"):
         Survey.from_text(plate_text.replace(old, new))
+
+
+def test_a_cube_goes_without_the_mesh_that_it_was_made_of(plate_text: str) -> None:
+    mesh = 'kind = "mesh"\nfile = "/elsewhere/amphora.stl"\nunit = "m"\n'
+    text = plate_text.replace('kind = "plate"\n', mesh)
+    text = text.replace('width = "30 cm"\nheight = "30 cm"\n', "")
+    # What the survey says of instrument and scan is to be had; a scene is not.
+    found = Survey.from_text(text)
+    assert found.scan.columns > 0
+    with pytest.raises(SurveyError, match=r"amphora\.stl: there is no such file") as no:
+        simulate(found, rng=1)
+    assert "\n" not in str(no.value)
