@@ -99,7 +99,7 @@ def test_the_links_of_the_built_site_lead_somewhere() -> None:
     assert _script("check_links").broken(DOCS / "_build" / "html") == []
 
 
-@pytest.mark.slow
+@pytest.mark.study
 @pytest.mark.parametrize("path", EXAMPLES, ids=lambda path: path.stem)
 def test_an_example_runs(path: Path) -> None:
     done = subprocess.run(

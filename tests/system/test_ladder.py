@@ -187,7 +187,7 @@ def over_seeds(plate: Survey) -> list[xr.Dataset]:
     ]
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_slant_range_uncertainties_are_true_over_seeds(
     over_seeds: list[xr.Dataset],
 ) -> None:

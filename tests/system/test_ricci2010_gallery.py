@@ -30,7 +30,7 @@ def quick(folder: Path) -> dict[str, Any]:
     return json.loads((folder / "checks.json").read_text())
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_every_figure_is_drawn(folder: Path) -> None:
     for name in reproduce.output_names(reproduce.FIGURES):
         assert (folder / name).stat().st_size > 10_000, name
@@ -40,7 +40,7 @@ def test_every_figure_is_drawn(folder: Path) -> None:
         assert ("synthetic" in picture) == (number != 1), number
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_the_gallery_shows_the_statements_and_outcomes_of_this_code(
     quick: dict[str, Any],
 ) -> None:

@@ -313,7 +313,7 @@ def test_what_was_acquired_is_worth_what_was_simulated() -> None:
     [
         "noise",
         pytest.param("wide", marks=pytest.mark.study),
-        pytest.param("tall", marks=pytest.mark.slow),
+        pytest.param("tall", marks=pytest.mark.study),
     ],
 )
 def test_understated_noise_and_wide_scans_hold_with_few_frequencies(scene: str) -> None:
@@ -358,7 +358,14 @@ def test_intervals_hold_from_half_to_three_attenuation_lengths(scene: str) -> No
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("function", ["petzold", "fournier-forand", "two-term"])
+@pytest.mark.parametrize(
+    "function",
+    [
+        "petzold",
+        "fournier-forand",
+        pytest.param("two-term", marks=pytest.mark.study),
+    ],
+)
 def test_intervals_hold_the_surface_in_water_made_of_photons(function: str) -> None:
     # They held in 0 to 4 % of the trusted pixels, or none was trusted: late light was
     # in no error, and the column behind the target was the model's.

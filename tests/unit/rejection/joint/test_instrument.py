@@ -111,7 +111,7 @@ def test_an_instrument_one_standard_uncertainty_off_is_covered(
     assert np.mean(np.abs(z) < 1.96) > 0.93
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_over_many_instruments_the_interval_of_a_scan_holds() -> None:
     rng = np.random.default_rng(7)
     scores = []
