@@ -42,40 +42,12 @@ class SceneLight:
     Examples
     --------
     >>> from amulor import Survey, simulation
-    >>> survey = Survey.from_text(
-    ...     '''
-    ...     name = "Plate"
-    ...     [water]
-    ...     absorption = "0.2 1/m"
-    ...     scattering = "0.6 1/m"
-    ...     asymmetry = 0.95
-    ...     [[targets]]
-    ...     kind = "plate"
-    ...     position = ["0 m", "0 m", "1.5 m"]
-    ...     width = "20 cm"
-    ...     height = "20 cm"
-    ...     reflectance = 0.2
-    ...     [instrument]
-    ...     wavelength = "405 nm"
-    ...     power = "20 mW"
-    ...     modulation_depth = 0.8
-    ...     modulation_frequencies = ["40 MHz"]
-    ...     polarizations = ["VV"]
-    ...     [instrument.receiver]
-    ...     position = ["7 cm", "0 m", "0 m"]
-    ...     radius = "2 cm"
-    ...     acceptance = "0.08 rad"
-    ...     [instrument.detector]
-    ...     optical_transmission = "10 %"
-    ...     [instrument.lock_in]
-    ...     time_constant = "10 ms"
-    ...     [scan]
-    ...     columns = 3
-    ...     rows = 2
-    ...     azimuth_span = "2 deg"
-    ...     elevation_span = "1 deg"
-    ...     dwell = "125 ms"
-    ...     '''
+    >>> survey = Survey.preset("amulor-2010").with_(
+    ...     {
+    ...         "instrument.polarizations": ["VV"],
+    ...         "scan.columns": 3,
+    ...         "scan.rows": 2,
+    ...     }
     ... )
     >>> light = simulation.scene_light(survey, model=simulation.ClosureModel())
     >>> type(light).__name__
@@ -118,40 +90,12 @@ def scene_light(
     --------
     >>> from amulor import Survey
     >>> from amulor.simulation import ClosureModel
-    >>> survey = Survey.from_text(
-    ...     '''
-    ...     name = "Plate"
-    ...     [water]
-    ...     absorption = "0.2 1/m"
-    ...     scattering = "0.6 1/m"
-    ...     asymmetry = 0.95
-    ...     [[targets]]
-    ...     kind = "plate"
-    ...     position = ["0 m", "0 m", "1.5 m"]
-    ...     width = "20 cm"
-    ...     height = "20 cm"
-    ...     reflectance = 0.2
-    ...     [instrument]
-    ...     wavelength = "405 nm"
-    ...     power = "20 mW"
-    ...     modulation_depth = 0.8
-    ...     modulation_frequencies = ["40 MHz"]
-    ...     polarizations = ["VV"]
-    ...     [instrument.receiver]
-    ...     position = ["7 cm", "0 m", "0 m"]
-    ...     radius = "2 cm"
-    ...     acceptance = "0.08 rad"
-    ...     [instrument.detector]
-    ...     optical_transmission = "10 %"
-    ...     [instrument.lock_in]
-    ...     time_constant = "10 ms"
-    ...     [scan]
-    ...     columns = 3
-    ...     rows = 2
-    ...     azimuth_span = "2 deg"
-    ...     elevation_span = "1 deg"
-    ...     dwell = "125 ms"
-    ...     '''
+    >>> survey = Survey.preset("amulor-2010").with_(
+    ...     {
+    ...         "instrument.polarizations": ["VV"],
+    ...         "scan.columns": 3,
+    ...         "scan.rows": 2,
+    ...     }
     ... )
     >>> light = scene_light(survey, model=ClosureModel())
     >>> light.with_target.target.shape  # frequency, polarization, place
