@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Iterator
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -31,6 +31,7 @@ __all__ = [
     "middle",
     "scan_time",
     "survey_of",
+    "water_scale",
 ]
 
 #: Share of the dwell that the lock-in's time constant may have [1].
@@ -201,6 +202,34 @@ def depolarizing(stated: Any, m22: float) -> tuple[tuple[float, ...], ...]:
     scaled = known * (m22 / known[1, 1])
     scaled[0, 0] = 1.0
     return tuple(tuple(map(float, row)) for row in scaled)
+
+
+def water_scale(goal: Goal, chosen: Parameters) -> dict[str, float]:
+    """Return water at the wavelength of an instrument over that of the ranges.
+
+    Parameters
+    ----------
+    goal : Goal
+        Its ranges of water hold at the wavelength of its first laser.
+    chosen : Parameters
+        Names the laser.
+
+    Returns
+    -------
+    dict of str to float
+        Of attenuation, absorption and scattering, where they are known and not zero;
+        empty for the first laser [1].
+    """
+    first = goal.components.lasers[0].name
+    if chosen.laser == first:
+        return {}
+    own = water_properties(survey_of(goal, chosen))
+    base = water_properties(survey_of(goal, replace(chosen, laser=first)))
+    return {
+        name: getattr(own, name) / getattr(base, name)
+        for name in ("attenuation", "absorption", "scattering")
+        if getattr(base, name) > 0 and math.isfinite(getattr(own, name))
+    }
 
 
 def survey_of(goal: Goal, chosen: Parameters) -> Survey:

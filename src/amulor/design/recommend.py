@@ -291,7 +291,8 @@ def _choice(goal: Goal, found: Candidate) -> Choice:
     """Return a candidate with its reasons."""
     chosen = found.parameters
     survey = survey_of(goal, chosen)
-    errors = _errors(goal, chosen, survey, np.array(goal.asked))
+    every = _errors(goal, chosen, survey)
+    errors = every.sel(distance=list(goal.asked))
     worst = int(np.argmax(found.score.error[0]))
     there = errors.isel(distance=worst)
     terms = {
@@ -316,14 +317,15 @@ def _choice(goal: Goal, found: Candidate) -> Choice:
         scan_time=scan_time(goal, chosen),
         cost=cost_of(goal, chosen),
         shares=dwell_shares(goal, chosen),
-        between=_between(goal, chosen, survey),
+        between=_between(goal, every["total_error"]),
     )
 
 
-def _errors(
-    goal: Goal, chosen: Parameters, survey: Survey, distance: Floats
-) -> xr.Dataset:
-    """Return the errors of an instrument at some distances, over the draws."""
+def _errors(goal: Goal, chosen: Parameters, survey: Survey) -> xr.Dataset:
+    """Return the errors at the asked distances and between them, over the draws."""
+    distance = np.unique(
+        [*goal.asked, *np.linspace(goal.asked[0], goal.asked[-1], _BETWEEN)]
+    )
     draws = {
         name: xr.DataArray(values, dims="draw")
         for name, values in draws_at(goal, chosen).items()
@@ -334,21 +336,17 @@ def _errors(
         method=chosen.method,
         interval=goal.limits,
         wrong_interval=goal.accuracy.wrong_interval,
-        **{"texture": 0.0, **goal.assumptions.model_dump(), **draws},
+        **{**goal.assumed, **draws},
     )
     return errors if "draw" in errors.dims else errors.expand_dims("draw")
 
 
-def _between(goal: Goal, chosen: Parameters, survey: Survey) -> Between:
+def _between(goal: Goal, every: xr.DataArray) -> Between:
     """Return where the error is largest from the first to the last asked distance."""
-    distance = np.unique(
-        [*goal.asked, *np.linspace(goal.asked[0], goal.asked[-1], _BETWEEN)]
-    )
-    every = _errors(goal, chosen, survey, distance)["total_error"]
     # The value that the asked share of the draws stays below, as in the search.
     error = every.quantile(goal.accuracy.share, "draw", method="inverted_cdf")
-    worst = int(error.argmax("distance"))
-    return Between(distance=float(distance[worst]), error=float(error[worst]))
+    worst = error.isel(distance=int(error.argmax("distance")))
+    return Between(distance=float(worst["distance"]), error=float(worst))
 
 
 def _bounds(goal: Goal, chosen: Parameters) -> tuple[Bound, ...]:

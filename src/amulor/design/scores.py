@@ -18,6 +18,7 @@ from amulor.design.candidates import (
     laser_of,
     scan_time,
     survey_of,
+    water_scale,
 )
 from amulor.design.draws import drawn
 from amulor.design.goal import Goal
@@ -177,15 +178,8 @@ def draws_at(
         By the names of axes, each of the same length.
     """
     found = drawn(goal, count)
-    first = goal.components.lasers[0].name
-    if found and first != chosen.laser:
-        water = water_properties(survey_of(goal, chosen))
-        base = water_properties(survey_of(goal, replace(chosen, laser=first)))
-        for name in ("attenuation", "absorption", "scattering"):
-            own, other = getattr(water, name), getattr(base, name)
-            if name in found and other > 0:
-                found[name] = found[name] * own / other
-    return found
+    scale = water_scale(goal, chosen) if found else {}
+    return {name: values * scale.get(name, 1.0) for name, values in found.items()}
 
 
 class Judge:
@@ -223,7 +217,7 @@ class Judge:
         survey = survey_of(goal, self.start)
         water = water_properties(survey)
         self.case: Case = case_of(survey, water)
-        self.case.stated.update(goal.assumptions.model_dump(), texture=0.0)
+        self.case.stated.update(goal.assumed)
         found = draws_at(goal, self.start, draws)
         self.count = max((len(each) for each in found.values()), default=1)
         self._draws = {n: _along(v, _DIMENSIONS - 1) for n, v in found.items()}

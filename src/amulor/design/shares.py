@@ -82,7 +82,7 @@ def dwell_shares(goal: Goal, chosen: Parameters) -> Shares | None:
         dwell=np.append(each, chosen.dwell),
         distance=np.array(goal.asked),
         method=chosen.method,
-        **{"texture": 0.0, **goal.assumptions.model_dump(), **_draws(goal, chosen)},
+        **{**goal.assumed, **_draws(goal, chosen)},
     )
     if "draw" not in found.dims:
         found = found.expand_dims("draw")

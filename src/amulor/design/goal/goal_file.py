@@ -104,6 +104,11 @@ class Goal(Description):
             return self.interval.nearest, self.interval.farthest
         return 0.0, 1.1 * self.asked[-1]
 
+    @property
+    def assumed(self) -> dict[str, Any]:
+        """Axes of `amulor.design.evaluate` that the goal assumes; draws go before."""
+        return {"texture": 0.0, **self.assumptions.model_dump()}
+
     @classmethod
     def from_toml(cls, path: str | Path) -> Self:
         """Read a goal file.

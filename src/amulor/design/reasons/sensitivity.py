@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -12,11 +11,10 @@ from numpy.typing import NDArray
 from scipy import stats
 
 from amulor import _progress
-from amulor.design.candidates import Parameters, first_choice, survey_of
+from amulor.design.candidates import Parameters, survey_of, water_scale
 from amulor.design.draws import spreads_of, values_at
 from amulor.design.evaluate import evaluate
 from amulor.design.goal import Goal
-from amulor.survey import Survey, water_properties
 
 __all__ = ["Sensitivity", "Uncertain", "sensitivity", "uncertain"]
 
@@ -198,7 +196,7 @@ def sensitivity(
     if not numbers:
         raise ValueError("nothing is uncertain: the goal states no range")
     survey = survey_of(goal, chosen)
-    scale = _scale(goal, chosen, survey)
+    scale = water_scale(goal, chosen)
     spreads = spreads_of(goal)
 
     def errors(shares: Floats) -> Floats:
@@ -210,14 +208,13 @@ def sensitivity(
             else:
                 values = one.low * (one.high / one.low) ** share
             axes[one.axis] = xr.DataArray(values, dims="draw")
-        known = {"texture": 0.0, **goal.assumptions.model_dump()}
         found = evaluate(
             survey,
             distance=np.array(goal.asked),
             method=chosen.method,
             interval=goal.limits,
             wrong_interval=goal.accuracy.wrong_interval,
-            **{**known, **axes},
+            **{**goal.assumed, **axes},
         )["total_error"]
         worst = np.nan_to_num(found.max("distance").values, nan=1e3)
         return np.asarray(np.log(np.clip(worst, 1e-9, 1e3)))
@@ -253,17 +250,3 @@ def _indices(known: dict[str, Floats], samples: int) -> tuple[Floats, Floats]:
     """Return total and first-order indices of values that are known."""
     found = stats.sobol_indices(func=known, n=samples)
     return np.ravel(found.total_order), np.ravel(found.first_order)
-
-
-def _scale(goal: Goal, chosen: Parameters, survey: Survey) -> dict[str, float]:
-    """Return water at the laser's wavelength over that at the one of the ranges."""
-    first = goal.components.lasers[0].name
-    if chosen.laser == first:
-        return {}
-    start = replace(first_choice(goal), laser=first)
-    base, own = water_properties(survey_of(goal, start)), water_properties(survey)
-    return {
-        name: getattr(own, name) / getattr(base, name)
-        for name in ("attenuation", "absorption", "scattering")
-        if getattr(base, name) > 0 and math.isfinite(getattr(own, name))
-    }

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +11,7 @@ import numpy as np
 import xarray as xr
 from matplotlib.figure import Figure
 
-from amulor.design.candidates import Parameters, middle, survey_of
+from amulor.design.candidates import Parameters, middle, survey_of, water_scale
 from amulor.design.draws import spreads_of
 from amulor.design.evaluate import evaluate
 from amulor.design.goal import Goal
@@ -85,7 +85,7 @@ def error_of(goal: Goal, chosen: Parameters) -> xr.Dataset:
         method=chosen.method,
         interval=goal.limits,
         wrong_interval=goal.accuracy.wrong_interval,
-        **{"texture": 0.0, **goal.assumptions.model_dump(), **held},
+        **{**goal.assumed, **held},
     )
 
 
@@ -105,14 +105,11 @@ def waters_of(goal: Goal, chosen: Parameters) -> tuple[float, float]:
         At the wavelength of the chosen laser [1/m].
     """
     stated = goal.waters.attenuation
-    own = water_properties(survey_of(goal, chosen)).attenuation
     if stated is None:
+        own = water_properties(survey_of(goal, chosen)).attenuation
         return own, own
-    if chosen.laser == goal.components.lasers[0].name:
-        return stated.low, stated.high
-    first = goal.components.lasers[0].name
-    base = water_properties(survey_of(goal, replace(chosen, laser=first))).attenuation
-    return stated.low * own / base, stated.high * own / base
+    scale = water_scale(goal, chosen).get("attenuation", 1.0)
+    return stated.low * scale, stated.high * scale
 
 
 def figures_of(found: Recommendation, reasons: Reasons) -> dict[str, Figure]:
