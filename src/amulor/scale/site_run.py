@@ -24,6 +24,7 @@ from amulor.errors import AmulorError, CubeError, FormatError
 from amulor.io.files import atomic_output
 from amulor.io.netcdf_rows import open_rows
 from amulor.scale.files import image_file, reject_file
+from amulor.scale.steps import WITH_INTERVAL
 from amulor.simulation import simulate
 from amulor.site import Site
 from amulor.survey import Survey
@@ -36,7 +37,6 @@ RETRIES = 3
 RECORD = "steps.json"
 #: Word for a cluster of processes on this machine.
 LOCAL = "local"
-_WITH_INTERVAL = ("open-water", "frequency", "combined", "joint")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -163,7 +163,7 @@ def _steps(task: Task, record: _Record) -> None:
         )
     if level == "samples":
         source, method = current, str(task.method)
-        own = options if method in _WITH_INTERVAL else {}
+        own = options if method in WITH_INTERVAL else {}
         current = record.made(
             "target_signal.nc",
             of=source,

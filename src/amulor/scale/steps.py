@@ -21,6 +21,7 @@ from amulor.rejection.joint.tile import of_rows
 
 __all__ = [
     "METHODS",
+    "WITH_INTERVAL",
     "TiledStep",
     "auto_step",
     "compared",
@@ -145,6 +146,10 @@ METHODS: dict[str, Callable[..., xr.Dataset]] = {
 }
 
 
+#: Those that are told which slant ranges are possible.
+WITH_INTERVAL = ("open-water", "frequency", "combined", "joint")
+
+
 def reject_step(method: str, **options: Any) -> TiledStep:
     """Return a method of rejection that works in tiles.
 
@@ -219,10 +224,11 @@ def auto_step(
     TiledStep
         As `amulor.rejection.auto` does it.
     """
-    names = ("open-water", "frequency", "combined", "joint")
     bare = comparison.method == JOINT_WITHOUT_SHOTS
     method = "joint" if bare else comparison.method
-    step = reject_step(method, **({"interval": interval} if method in names else {}))
+    step = reject_step(
+        method, **({"interval": interval} if method in WITH_INTERVAL else {})
+    )
 
     def prepare(source: tiles.Source) -> OfRows:
         of = step.prepare(tiles.Changed(source, without_shots) if bare else source)
