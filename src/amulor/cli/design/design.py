@@ -60,6 +60,7 @@ def design(
     from amulor.cli._output import print_json, progress_bar
     from amulor.cli.design import outputs
     from amulor.design import Goal, recommend
+    from amulor.io.files import atomic_output
 
     if output is None and not interactive:
         raise UsageError("needed is --output survey.toml, or --interactive")
@@ -88,7 +89,8 @@ def design(
                 reasons = outputs.reasons_of(found, confirm=confirm)
     for file, choice in zip(files, (found.best, found.runner_up), strict=False):
         if choice is not None:
-            file.write_text(choice.survey, "utf-8")
+            with atomic_output(file, overwrite=overwrite) as path:
+                path.write_text(choice.survey, "utf-8")
     if reasons is not None:
         outputs.write_all(found, reasons, report, figures, overwrite=overwrite)
     if json:
