@@ -4,7 +4,7 @@ import { CloudView } from "./cloud.js";
 import { flagColour, MAP_OF, table } from "./colour.js";
 import { Live } from "./live.js";
 import { colourBar, fitted, MapView } from "./map.js";
-import { listMeasurements, showLegend, showReadout } from "./panel.js";
+import { failed, listMeasurements, say, showLegend, showReadout } from "./panel.js";
 import { download, pictureOf, png, themed as themedColours } from "./picture.js";
 import { along, drawHistogram, drawProfile, drawSpectrum, profileOf } from "./plots.js";
 import { Products } from "./products.js";
@@ -42,16 +42,6 @@ const state = {
 const views = {};
 let colours = {};
 let waiting = 0;
-
-function say(text) {
-  $("message").textContent = text;
-  $("message").hidden = !text;
-}
-
-function failed(error) {
-  say(error.message ?? String(error));
-  document.documentElement.dataset.failed = "yes";
-}
 
 /** Draw everything soon, once. */
 function redraw() {

@@ -3,6 +3,7 @@
 import { table } from "./colour.js";
 import { ErrorMap, hatch, LIMITS, placeIn } from "./error_map.js";
 import { fitted } from "./map.js";
+import { failed, say } from "./panel.js";
 import { download, themed } from "./picture.js";
 import { short } from "./text.js";
 
@@ -15,16 +16,6 @@ const state = { scene: null, settings: {}, water: null, found: null, mark: null,
 const shades = table("cividis");
 let colours = {};
 let map;
-
-function say(text) {
-  $("message").textContent = text;
-  $("message").hidden = !text;
-}
-
-function failed(error) {
-  say(error.message ?? String(error));
-  document.documentElement.dataset.failed = "yes";
-}
 
 async function ask(path, body) {
   const request = body === undefined ? {} : { method: "POST", headers: { "content-type": "application/json" }, body: JSON.stringify(body) };

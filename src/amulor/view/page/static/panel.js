@@ -1,8 +1,20 @@
-// Parts that both pages have beside their views: numbers of a point, flags, measurements.
+// Parts that the pages have beside their views: messages, numbers of a point, flags, measurements.
 
 import { explained, flagColour } from "./colour.js";
 
 const $ = (id) => document.getElementById(id);
+
+/** Show a message; an empty one hides it. */
+export function say(text) {
+  $("message").textContent = text;
+  $("message").hidden = !text;
+}
+
+/** Show what went wrong, and mark the page as failed. */
+export function failed(error) {
+  say(error.message ?? String(error));
+  document.documentElement.dataset.failed = "yes";
+}
 
 function made(tag, properties, ...children) {
   const element = Object.assign(document.createElement(tag), properties);

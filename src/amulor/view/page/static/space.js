@@ -4,7 +4,7 @@ import { Camera, multiplied, projected } from "./camera.js";
 import { flagColour, flagRanks, flagTable, MAP_OF, table } from "./colour.js";
 import { colourBar, dot, fitted, halo, tag } from "./map.js";
 import { distanceOf, lengthAlong, numberAt, seen } from "./picking.js";
-import { listMeasurements, showLegend, showReadout } from "./panel.js";
+import { failed, listMeasurements, say, showLegend, showReadout } from "./panel.js";
 import { download, pictureOf, png, themed } from "./picture.js";
 import { drawHistogram } from "./plots.js";
 import { PointRenderer } from "./points.js";
@@ -36,16 +36,6 @@ let colours = {};
 let waiting = 0;
 let busy = 0;
 let by = null;
-
-function say(text) {
-  $("message").textContent = text;
-  $("message").hidden = !text;
-}
-
-function failed(error) {
-  say(error.message ?? String(error));
-  document.documentElement.dataset.failed = "yes";
-}
 
 function hint(text, wrong = false) {
   $("hint").textContent = text;
