@@ -11,7 +11,7 @@ import xarray as xr
 from scipy.constants import speed_of_light
 
 from amulor import rejection, simulate
-from amulor.cube import QualityFlag
+from amulor.cube import QualityFlag, without_groups
 from amulor.imaging import range_image
 from amulor.optics import small_angle
 from amulor.optics.phase_functions import henyey_greenstein
@@ -106,9 +106,7 @@ def tank(
 
 def without_shots(cube: xr.Dataset) -> xr.Dataset:
     """Return a cube as if no open water had been recorded."""
-    return cube.drop_vars(
-        [name for name in cube.data_vars if str(name).startswith("open_water_")]
-    )
+    return without_groups(cube, "open_water")
 
 
 def errors(found: xr.Dataset, truth: xr.Dataset) -> tuple[np.ndarray, np.ndarray]:

@@ -49,18 +49,20 @@ def group(cube: xr.Dataset, name: str) -> xr.Dataset | None:
     )
 
 
-def without_groups(cube: xr.Dataset) -> xr.Dataset:
+def without_groups(cube: xr.Dataset, *groups: str) -> xr.Dataset:
     """Return a cube without its open-water shots and without truth.
 
     Parameters
     ----------
     cube : xarray.Dataset
         A cube of any level.
+    *groups : str
+        Which to leave out, "open_water" or "truth"; both by default.
 
     Returns
     -------
     xarray.Dataset
-        The variables that every processing step may read.
+        Without both, the variables that every processing step may read.
 
     Examples
     --------
@@ -68,7 +70,7 @@ def without_groups(cube: xr.Dataset) -> xr.Dataset:
     >>> "truth_target" in cubes.without_groups(samples.cube("ladder"))
     False
     """
-    prefixes = tuple(f"{name}_" for name in schema.GROUPS)
+    prefixes = tuple(f"{name}_" for name in groups or schema.GROUPS)
     kept = [key for key in cube.data_vars if not str(key).startswith(prefixes)]
     return cube[kept]
 

@@ -19,7 +19,6 @@ __all__ = [
     "Whole",
     "bands",
     "sample_of",
-    "without_truth",
 ]
 
 #: Samples of a variable that are worked on at once, unless somebody says otherwise:
@@ -141,12 +140,6 @@ def bands(source: Source, rows: int | None = None) -> Iterator[tuple[int, int]]:
         rows = max(1, SAMPLES_AT_ONCE // max(source.columns * planes, 1))
     for begin in range(0, source.rows, rows):
         yield begin, min(begin + rows, source.rows)
-
-
-def without_truth(cube: xr.Dataset) -> xr.Dataset:
-    """Return a cube without the truth of a simulation, which no step reads."""
-    names = [name for name in cube.data_vars if str(name).startswith("truth_")]
-    return cube.drop_vars(names) if names else cube
 
 
 class Whole:

@@ -158,28 +158,13 @@ def _repeat_distance(cube: xr.Dataset) -> float:
     )
 
 
-def without_shots(cube: xr.Dataset) -> xr.Dataset:
-    """Return samples without their open-water shots.
-
-    Parameters
-    ----------
-    cube : xarray.Dataset
-        Level `samples`.
-
-    Returns
-    -------
-    xarray.Dataset
-        The same pixels.
-    """
-    shots = [name for name in cube.data_vars if str(name).startswith("open_water_")]
-    return cube.drop_vars(shots)
-
-
 #: Name of the joint estimation that is told nothing of the shots.
 JOINT_WITHOUT_SHOTS = "joint without shots"
 _WITHOUT_SHOTS = _Method(
     JOINT_WITHOUT_SHOTS,
-    lambda cube, interval: joint(without_shots(cube), interval=interval),
+    lambda cube, interval: joint(
+        cubes.without_groups(cube, "open_water"), interval=interval
+    ),
 )
 #: The simplest first.
 _METHODS = (

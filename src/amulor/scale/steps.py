@@ -10,12 +10,13 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
+from amulor import cube as cubes
 from amulor import imaging, rejection
 from amulor._decisions import Decisions, deciding, told
 from amulor._progress import tell
 from amulor.cube import tiles
 from amulor.errors import CubeError
-from amulor.rejection.compare import JOINT_WITHOUT_SHOTS, without_shots
+from amulor.rejection.compare import JOINT_WITHOUT_SHOTS
 from amulor.rejection.joint.estimate import prepared
 from amulor.rejection.joint.tile import of_rows
 
@@ -103,7 +104,7 @@ def decided_once(function: Step) -> TiledStep:
     def prepare(source: tiles.Source) -> OfRows:
         decisions = Decisions(**_spans(source))
         with deciding(decisions):
-            function(tiles.without_truth(tiles.sample_of(source)))
+            function(cubes.without_groups(tiles.sample_of(source), "truth"))
 
         def of(tile: xr.Dataset, first: int) -> xr.Dataset:
             with told(decisions):
@@ -203,7 +204,7 @@ def compared(
     CubeError
         If no method can use a single pixel.
     """
-    sample = tiles.without_truth(tiles.sample_of(source))
+    sample = cubes.without_groups(tiles.sample_of(source), "truth")
     return rejection.compare(sample, interval=interval)
 
 
@@ -230,11 +231,14 @@ def auto_step(
         method, **({"interval": interval} if method in WITH_INTERVAL else {})
     )
 
+    def seen(cube: xr.Dataset) -> xr.Dataset:
+        return cubes.without_groups(cube, "open_water") if bare else cube
+
     def prepare(source: tiles.Source) -> OfRows:
-        of = step.prepare(tiles.Changed(source, without_shots) if bare else source)
+        of = step.prepare(tiles.Changed(source, seen) if bare else source)
 
         def chosen(tile: xr.Dataset, first: int) -> xr.Dataset:
-            made = of(without_shots(tile) if bare else tile, first)
+            made = of(seen(tile), first)
             made = made.sel(polarization=[comparison.polarization])
             return made.assign_attrs(
                 rejection_method=comparison.method, rejection_reason=comparison.reason

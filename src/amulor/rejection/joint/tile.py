@@ -183,7 +183,7 @@ def of_rows(tile: xr.Dataset, common: Common, first: int = 0) -> xr.Dataset:
     rows, columns = tile["azimuth"].shape
     wide = min(columns, _AT_ONCE)
     high = max(1, _AT_ONCE // wide)
-    bare = tiles.without_truth(tile)
+    bare = cubes.without_groups(tile, "truth")
     whole = tiles.Whole(rows, columns)
     places = [
         (row, column)

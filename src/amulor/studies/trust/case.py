@@ -9,6 +9,8 @@ import xarray as xr
 from numpy.typing import NDArray
 from scipy.constants import speed_of_light
 
+from amulor import cube as cubes
+
 Floats = NDArray[np.float64]
 
 
@@ -62,9 +64,8 @@ def case_of(
     if surfaces is None:
         surfaces = truth["slant_range"].values[None]
     shape = surfaces.shape[1:]
-    hidden = [name for name in samples.data_vars if str(name).startswith("truth_")]
     return Case(
-        samples=samples.drop_vars(hidden),
+        samples=cubes.without_groups(samples, "truth"),
         surfaces=surfaces,
         late=np.zeros(shape) if late is None else late,
         interval=interval,

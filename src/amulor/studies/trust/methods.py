@@ -7,16 +7,12 @@ from dataclasses import dataclass
 
 import xarray as xr
 
+from amulor import cube as cubes
 from amulor import imaging, rejection
 from amulor.errors import AmulorError
 from amulor.studies.trust.case import Case
 
 Run = Callable[[Case], xr.Dataset]
-
-
-def _without_shots(samples: xr.Dataset) -> xr.Dataset:
-    shots = [n for n in samples.data_vars if str(n).startswith("open_water_")]
-    return samples.drop_vars(shots)
 
 
 #: From a case to a target signal.
@@ -32,7 +28,7 @@ METHODS: dict[str, Run] = {
     "combined": lambda case: rejection.combined(case.samples, interval=case.interval),
     "joint": lambda case: rejection.joint(case.samples, interval=case.interval),
     "joint, no shots": lambda case: rejection.joint(
-        _without_shots(case.samples), interval=case.interval
+        cubes.without_groups(case.samples, "open_water"), interval=case.interval
     ),
     "auto": lambda case: rejection.auto(case.samples, interval=case.interval),
 }

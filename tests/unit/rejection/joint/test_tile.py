@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from amulor.cube import tiles
+from amulor.cube import tiles, without_groups
 from amulor.rejection import joint
 from amulor.rejection.joint import tile as joint_tile
 from amulor.rejection.joint.estimate import prepared
@@ -70,7 +70,7 @@ def test_memory_does_not_grow_with_the_pixels(
     def beyond(times: int) -> tuple[int, int]:
         """Return pixels, and the memory beyond the cubes that go in and out [B]."""
         rows = np.tile(np.arange(samples.sizes["row"]), times)
-        cube = tiles.without_truth(samples).isel(row=rows)
+        cube = without_groups(samples, "truth").isel(row=rows)
         tracemalloc.start()
         try:
             result = joint(cube, interval=INTERVAL)
