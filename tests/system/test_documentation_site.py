@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib.util
 import json
 import os
 import re
@@ -13,19 +12,14 @@ from types import ModuleType
 
 import pytest
 from numpy.testing import assert_allclose
+from scripts import script
 
 DOCS = Path(__file__).parents[2] / "docs"
 EXAMPLES = sorted((DOCS.parent / "examples" / "gallery").glob("plot_*.py"))
 
 
 def _script(name: str) -> ModuleType:
-    path = DOCS / f"{name}.py"
-    spec = importlib.util.spec_from_file_location(name, path)
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
+    return script(f"docs/{name}.py")
 
 
 def test_the_figures_look_up_what_the_models_say() -> None:

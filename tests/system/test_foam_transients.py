@@ -2,7 +2,6 @@
 
 import contextlib
 import dataclasses
-import importlib.util
 import io
 import re
 import sys
@@ -14,6 +13,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 from scipy.constants import speed_of_light
+from scripts import script
 
 from amulor import cube as cubes
 from amulor import imaging, rejection
@@ -51,12 +51,7 @@ def table():
 @pytest.fixture(scope="module")
 def example():
     matplotlib.use("Agg")
-    spec = importlib.util.spec_from_file_location(
-        "foam_transients", EXAMPLES / "foam_transients.py"
-    )
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
+    return script("examples/foam_transients.py")
 
 
 @pytest.fixture(scope="module")

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import xarray as xr
+from scripts import script
 
 from amulor import imaging, io, rejection
 from amulor.cli import main
@@ -335,13 +336,6 @@ def test_the_water_of_a_cube_is_fitted_and_what_is_not_settled_is_said(
 
 @pytest.mark.slow
 def test_the_benchmark_runs_and_its_table_is_right() -> None:
-    import importlib.util
-
-    place = Path(__file__).parents[2] / "benchmarks" / "time_rejection.py"
-    spec = importlib.util.spec_from_file_location("time_rejection", place)
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
+    module = script("benchmarks/time_rejection.py")
     *_, error, _ = module.main(columns=30, rows=10, times=4, count=100_000)
     assert error < 1e-4

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import importlib.util
 import json
 from pathlib import Path
 from typing import Any
 
 import pytest
+from scripts import script
 
 from amulor.cli import main
 from amulor.studies.ricci2010 import parameters, reproduce
@@ -67,13 +67,7 @@ def test_the_gallery_was_made_with_these_numbers() -> None:
 
 
 def test_the_page_is_made_from_the_kept_checks() -> None:
-    spec = importlib.util.spec_from_file_location(
-        "make_gallery", DOCS / "make_gallery.py"
-    )
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
+    module = script("docs/make_gallery.py")
     page = (DOCS / "gallery" / "ricci2010.md").read_text()
     assert page == module.page(KEPT), "run: python docs/make_gallery.py --page"
 

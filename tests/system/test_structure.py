@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import ast
-import importlib.util
 from pathlib import Path
 from types import ModuleType
 
 import pytest
+from scripts import script
 
 ROOT = Path(__file__).parents[2]
 #: What a person can hold in mind at once, docs/decisions/0010-rooms.md.
@@ -18,13 +18,7 @@ MOST_FILES = 20
 @pytest.fixture(scope="module")
 def measure() -> ModuleType:
     """Return the script that measures the code."""
-    path = ROOT / "benchmarks" / "measure_structure.py"
-    spec = importlib.util.spec_from_file_location("measure_structure", path)
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
+    return script("benchmarks/measure_structure.py")
 
 
 @pytest.mark.slow

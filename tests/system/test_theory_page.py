@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import importlib
-import importlib.util
 import re
 from functools import cache
 from pathlib import Path
@@ -14,6 +13,7 @@ import matplotlib
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
+from scripts import script
 
 ROOT = Path(__file__).parents[2]
 PAGES = sorted((ROOT / "docs" / "theory").glob("*.md"))
@@ -26,13 +26,7 @@ MATH = re.compile(r"^\$\$\n(.*?)^\$\$$|\$([^$\n]+)\$", flags=re.DOTALL | re.MULT
 
 def _script(name: str) -> ModuleType:
     """Return a script out of docs."""
-    path = ROOT / "docs" / f"{name}.py"
-    spec = importlib.util.spec_from_file_location(name, path)
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
+    return script(f"docs/{name}.py")
 
 
 outputs = _script("make_theory_outputs")

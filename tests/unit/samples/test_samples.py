@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib.util
 import json
 import shlex
 from pathlib import Path
@@ -10,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import xarray as xr
+from scripts import script
 
 from amulor import io, samples
 from amulor.cli import main
@@ -130,12 +130,7 @@ def test_the_commands_it_names_do_what_they_promise(
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["ladder", "sweep"])
 def test_the_cubes_are_what_the_tool_makes_today(name: str) -> None:
-    where = ROOT / "tools" / "make_samples.py"
-    spec = importlib.util.spec_from_file_location("make_samples", where)
-    assert spec is not None
-    assert spec.loader is not None
-    tool = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(tool)
+    tool = script("tools/make_samples.py")
     made = tool.CUBES[name]()
     kept = io.read_cube(ROOT / "src" / "amulor" / "samples" / "data" / f"{name}.nc")
     for key in ("in_phase", "quadrature"):
