@@ -54,6 +54,19 @@ def print_table(
     Console().print(table)
 
 
+def announcing(name: str = "", *, browser: bool) -> Callable[[str], None]:
+    """Return what tells the address of a page, and opens it where that is asked."""
+
+    def announce(address: str) -> None:
+        print(f"{name}{address}\nCtrl-C stops it.", flush=True)
+        if browser:
+            import webbrowser
+
+            webbrowser.open(address)
+
+    return announce
+
+
 @contextmanager
 def progress_bar(*, quiet: bool = False) -> Iterator[Callable[[str, float], None]]:
     """Show what `amulor._progress` is told: a bar on a terminal, lines in a pipe.

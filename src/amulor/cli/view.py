@@ -97,15 +97,13 @@ def view(
         print(f"{save}: one page, {save.stat().st_size / 1e6:.1f} MB")
         return
 
-    def announce(address: str) -> None:
-        print(f"{path}: {address}\nCtrl-C stops it.", flush=True)
-        if browser:
-            import webbrowser
-
-            webbrowser.open(address)
+    from amulor.cli._output import announcing
 
     products = handover.PageProducts(against=against, unit=unit or "m")
-    page.serve(shown, host=host, port=port, announce=announce, products=products)
+    page.serve(
+        shown, host=host, port=port, products=products,
+        announce=announcing(f"{path}: ", browser=browser),
+    )  # fmt: skip
 
 
 def _shown(

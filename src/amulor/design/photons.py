@@ -8,9 +8,9 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.constants import speed_of_light
 
 from amulor.errors import SurveyError
+from amulor.optics import ranging
 from amulor.simulation import SmallAngleModel, geometry
 from amulor.simulation.geometry import Geometry
 from amulor.simulation.photon_runs import Place, Setting, run, way
@@ -180,7 +180,7 @@ def _compared(
     water, water_error, _ = _ratio(
         tally.water_signal[1:], tally.water_covariance[1:], expected[1]
     )
-    per_phase = speed_of_light / group_index / (4 * np.pi * frequency)
+    per_phase = ranging.range_per_phase(frequency, group_index=group_index)
     return Photons(
         frequency=frequency,
         histories=tally.histories,

@@ -106,7 +106,7 @@ class Choice:
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain numbers, texts and lists; None for what has no limit."""
-        plain: dict[str, Any] = _finite(
+        plain: dict[str, Any] = finite(
             {
                 "parameters": self.parameters.to_dict(),
                 "met": self.met,
@@ -192,12 +192,12 @@ class Recommendation:
         }
 
 
-def _finite(value: Any) -> Any:
-    """Return tables and lists with None for numbers that are not finite."""
+def finite(value: Any) -> Any:
+    """Return tables and lists with None for numbers that are not finite, as JSON."""
     if isinstance(value, dict):
-        return {name: _finite(item) for name, item in value.items()}
+        return {name: finite(item) for name, item in value.items()}
     if isinstance(value, list | tuple):
-        return [_finite(item) for item in value]
+        return [finite(item) for item in value]
     if isinstance(value, float) and not math.isfinite(value):
         return None
     return value
@@ -209,7 +209,7 @@ def _plain_row(row: xr.Dataset) -> dict[str, Any]:
     plain = {
         str(name): row[name].item() for name in row if name != "modulation_frequency"
     }
-    found: dict[str, Any] = _finite(plain)
+    found: dict[str, Any] = finite(plain)
     return {**found, "frequencies": tones[np.isfinite(tones)].tolist()}
 
 

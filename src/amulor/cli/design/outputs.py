@@ -64,6 +64,8 @@ def reasons_of(found: Recommendation, *, confirm: bool) -> Reasons:
 
 def as_json(found: Recommendation, reasons: Reasons) -> dict[str, Any]:
     """Return all that was found as plain numbers, texts and lists."""
+    from amulor.design.recommend import finite
+
     return {
         **found.to_dict(),
         "sensitivity": None
@@ -71,18 +73,11 @@ def as_json(found: Recommendation, reasons: Reasons) -> dict[str, Any]:
         else reasons.sensitivity.to_dict(),
         "what_if": [vars(one) for one in reasons.turns],
         "trade": {
-            name: value if isinstance(value, int) else _finite(value)
+            name: value if isinstance(value, int) else finite(value.tolist())
             for name, value in vars(reasons.trade).items()
         },
         "confirmation": [one.to_dict() for one in reasons.confirmations],
     }
-
-
-def _finite(values: Any) -> list[float | None]:
-    """Return numbers as JSON has them: none where they are infinite."""
-    import math
-
-    return [float(v) if math.isfinite(v) else None for v in values]
 
 
 def write_all(
@@ -139,18 +134,12 @@ def print_reasons(
 def serve(shown: Explorer, *, port: int, browser: bool) -> None:
     """Serve the page with sliders until Ctrl-C."""
     from amulor import _extras
+    from amulor.cli._output import announcing
 
     _extras.require("view", purpose="the page")
     from amulor.view import page
 
-    def announce(address: str) -> None:
-        print(f"{address}\nCtrl-C stops it.", flush=True)
-        if browser:
-            import webbrowser
-
-            webbrowser.open(address)
-
-    page.serve(shown, port=port, announce=announce)
+    page.serve(shown, port=port, announce=announcing(browser=browser))
 
 
 def write_figures(
