@@ -22,12 +22,6 @@ WITHOUT_EXAMPLE = {
     "amulor.view.image_report.write": "draws for a second; amulor report",
     "amulor.rejection.split_scattering": "water_fit's example goes on with it",
 }
-#: Rooms whose descriptions and readers are shown by whole survey files and by pages of
-#: their own (docs/reference/survey-file.md, docs/reference/cube.md), field by field.
-SHOWN_BY_PAGES = (
-    "amulor.io.", "amulor.survey.", "amulor.Survey", "amulor.read_cube",
-    "amulor.write_cube",
-)  # fmt: skip
 #: What is held: https://numpydoc.readthedocs.io/en/latest/validation.html. Unknown or
 #: missing parameters, their order, types and descriptions; returned types; a docstring.
 CODES = {"GL08", "PR01", "PR02", "PR03", "PR04", "PR07", "PR08", "RT02", "RT04", "SS02"}
@@ -61,7 +55,6 @@ def test_every_public_object_has_an_example() -> None:
         name
         for name, one in _objects().items()
         if ">>> " not in (inspect.getdoc(one) or "")
-        and not name.startswith(SHOWN_BY_PAGES)
     }
     assert without == set(WITHOUT_EXAMPLE)
 

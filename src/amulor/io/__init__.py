@@ -81,6 +81,18 @@ def write_cloud(
         or if it cannot be written.
     MissingExtraError
         If the package that writes the format is not installed.
+
+    Examples
+    --------
+    >>> from pathlib import Path
+    >>> from amulor import imaging, io, rejection, samples
+    >>> image = imaging.range_image(
+    ...     rejection.cross_polarized(samples.cube("ladder"))
+    ... )
+    >>> cloud = imaging.point_cloud(image)
+    >>> io.write_cloud(cloud, "ladder.xyz")
+    >>> Path("ladder.xyz").read_text().splitlines()[0]
+    "# axes: right-handed: x right, y down, z forward, in the instrument's axes [m]"
     """
     suffix = Path(path).suffix.lower()
     if suffix == ".ply":

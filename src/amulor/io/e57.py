@@ -66,6 +66,18 @@ def write_e57(
     Points are stored in the instrument's axes, and `pose` turns them into those of
     the cloud. The format has no field for an uncertainty or a quality flag; a PLY or
     LAZ file holds them.
+
+    Examples
+    --------
+    >>> import pye57
+    >>> from amulor import imaging, io, rejection, samples
+    >>> image = imaging.range_image(
+    ...     rejection.cross_polarized(samples.cube("ladder"))
+    ... )
+    >>> cloud = imaging.point_cloud(image)
+    >>> io.write_e57(cloud, "ladder.e57")
+    >>> pye57.E57("ladder.e57").scan_count
+    1
     """
     shapes = None if shape is None else [shape]
     write_e57_scans([cloud], path, shapes=shapes, overwrite=overwrite)
@@ -99,6 +111,18 @@ def write_e57_scans(
         As `write_e57`.
     MissingExtraError
         If pye57 is not installed.
+
+    Examples
+    --------
+    >>> import pye57
+    >>> from amulor import imaging, io, rejection, samples
+    >>> image = imaging.range_image(
+    ...     rejection.cross_polarized(samples.cube("ladder"))
+    ... )
+    >>> cloud = imaging.point_cloud(image)
+    >>> io.write_e57_scans([cloud, cloud], "ladder.e57")
+    >>> pye57.E57("ladder.e57").scan_count
+    2
     """
     libe57 = _libe57()
     name = f"the cloud for {path}"

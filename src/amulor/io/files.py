@@ -62,6 +62,14 @@ def make_folder(path: str | os.PathLike[str]) -> None:
     ------
     FormatError
         If something else has this name, or if it cannot be made or written to.
+
+    Examples
+    --------
+    >>> from pathlib import Path
+    >>> from amulor import io
+    >>> io.make_folder("clouds")
+    >>> Path("clouds").is_dir()
+    True
     """
     path = Path(path)
     try:
@@ -154,6 +162,14 @@ def check_output(
     ------
     FormatError
         If the file exists and must not be replaced, is an input, or has no folder.
+
+    Examples
+    --------
+    >>> from amulor import io
+    >>> io.check_output("scan.nc", inputs=["scan.nc"])  # doctest: +ELLIPSIS
+    Traceback (most recent call last):
+        ...
+    amulor.errors.FormatError: scan.nc is what is read; choose another name for ...
     """
     path = Path(path)
     for source in inputs:

@@ -53,7 +53,19 @@ _NEEDED = (
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Histograms:
-    """Photon counts against time, as a file holds them."""
+    """Photon counts against time, as a file holds them.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from amulor import io
+    >>> np.savez(
+    ...     "photons.npz", counts=np.ones((2, 3, 100), dtype=int), bin_width_s=4e-12
+    ... )
+    >>> found = io.read_histograms("photons.npz")
+    >>> found.name, found.bin_width
+    ('photons.npz', 4e-12)
+    """
 
     path: Path
     """File that they come from."""
@@ -103,6 +115,16 @@ def read_histograms(path: str | os.PathLike[str]) -> Histograms:
     -----
     Arrays are read as plain numbers: Python objects in a file are refused, not
     loaded.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from amulor import io
+    >>> np.savez(
+    ...     "photons.npz", counts=np.ones((2, 3, 100), dtype=int), bin_width_s=4e-12
+    ... )
+    >>> io.read_histograms("photons.npz").counts.shape
+    (1, 2, 3, 100)
     """
     path = Path(path)
     content = read_bytes(path)

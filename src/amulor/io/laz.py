@@ -79,6 +79,18 @@ def write_laz(
     with their units in the description. Points whose range is doubtful are withheld,
     which readers leave out or mark. Provenance and axes stand in an extended record of
     the user "amulor".
+
+    Examples
+    --------
+    >>> import laspy
+    >>> from amulor import imaging, io, rejection, samples
+    >>> image = imaging.range_image(
+    ...     rejection.cross_polarized(samples.cube("ladder"))
+    ... )
+    >>> cloud = imaging.point_cloud(image)
+    >>> io.write_laz(cloud, "ladder.laz")
+    >>> laspy.read("ladder.laz").header.point_count == cloud.sizes["point"]
+    True
     """
     laspy = _laspy()
     name = f"the cloud for {path}"

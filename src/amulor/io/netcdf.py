@@ -70,6 +70,13 @@ def read_cube(path: str | os.PathLike[str]) -> xr.Dataset:
         If the file is missing, damaged, or no netCDF-4 file.
     CubeError
         If what it holds does not keep the schema of its level.
+
+    Examples
+    --------
+    >>> from amulor import io, samples
+    >>> io.write_cube(samples.cube("ladder"), "ladder.nc")
+    >>> io.read_cube("ladder.nc").attrs["level"]
+    'samples'
     """
     path = Path(path)
     content = read_bytes(path)
@@ -128,6 +135,14 @@ def write_cube(
     `read_cube` gives back an identical cube, but for what netCDF does not know: lists
     in attributes come back as arrays, and those of one value as that value; the
     `encoding` is not kept.
+
+    Examples
+    --------
+    >>> from amulor import io, samples
+    >>> cube = samples.cube("ladder")
+    >>> io.write_cube(cube, "ladder.nc")
+    >>> io.read_cube("ladder.nc").identical(cube)
+    True
     """
     path = Path(path)
     name = f"the cube for {path}"

@@ -79,6 +79,18 @@ def write_ply(
     coordinates [m] as `double`, the other
     variables as properties that start with `scalar_`. Units and provenance stand in
     comments.
+
+    Examples
+    --------
+    >>> from pathlib import Path
+    >>> from amulor import imaging, io, rejection, samples
+    >>> image = imaging.range_image(
+    ...     rejection.cross_polarized(samples.cube("ladder"))
+    ... )
+    >>> cloud = imaging.point_cloud(image)
+    >>> io.write_ply(cloud, "ladder.ply")
+    >>> Path("ladder.ply").read_bytes()[:3]
+    b'ply'
     """
     cloud = checked_cloud(cloud, name=f"the cloud for {path}")
     more = {

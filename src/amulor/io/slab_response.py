@@ -25,7 +25,25 @@ _DARK = 3.0
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Slabs:
-    """Histograms of pulsed light through slabs, and without a slab."""
+    """Histograms of pulsed light through slabs, and without a slab.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from amulor import io
+    >>> light = np.zeros((3, 400), dtype=int)
+    >>> light[:, 40:60] = [[500], [200], [900]]
+    >>> np.savez(
+    ...     "slabs.npz",
+    ...     counts=light[:2],
+    ...     direct_counts=light[2],
+    ...     thickness_inch=[0.5, 1.0],
+    ...     bin_width_s=4e-12,
+    ... )
+    >>> slabs = io.read_slabs("slabs.npz")
+    >>> slabs.counts.sum(axis=1)
+    array([10000.,  4000., 18000.])
+    """
 
     histograms: Histograms
     """The file as it is."""
@@ -63,6 +81,23 @@ def read_slabs(path: str | os.PathLike[str]) -> Slabs:
     all bins hold no light: with light in a third of them it is high by 0.67 of the
     noise of a bin. It is taken off all bins, and what falls below zero stays there:
     setting it to zero would leave half of the noise as light.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from amulor import io
+    >>> light = np.zeros((3, 400), dtype=int)
+    >>> light[:, 40:60] = [[500], [200], [900]]
+    >>> np.savez(
+    ...     "slabs.npz",
+    ...     counts=light[:2],
+    ...     direct_counts=light[2],
+    ...     thickness_inch=[0.5, 1.0],
+    ...     bin_width_s=4e-12,
+    ... )
+    >>> slabs = io.read_slabs("slabs.npz")
+    >>> slabs.thickness
+    array([0.0127, 0.0254])
     """
     histograms = read_histograms(path)
     if histograms.thickness is None or histograms.direct_counts is None:

@@ -54,6 +54,26 @@ def write_tally(
     All batches are kept, so what `read_tally` gives back can be merged and gone on
     with like the original, and has the same numbers to the last bit. Complex numbers
     are stored as real and imaginary part, in_phase and quadrature.
+
+    Examples
+    --------
+    >>> from amulor import io, transport
+    >>> from amulor.optics.phase_functions.models import henyey_greenstein_function
+    >>> water = transport.Medium.homogeneous(
+    ...     absorption=0.1,
+    ...     scattering=0.5,
+    ...     group_index=1.34,
+    ...     phase_function=henyey_greenstein_function(asymmetry=0.9),
+    ... )
+    >>> disc = transport.DiscReceiver(
+    ...     radius=0.05, acceptance_angle=0.035, position=(0.07, 0, 0)
+    ... )
+    >>> tally = transport.simulate(
+    ...     water, transport.Source(), disc, [0.0, 50e6], histories=2_000, seed=1
+    ... )
+    >>> io.write_tally(tally, "run.nc")
+    >>> io.read_tally("run.nc").histories
+    2000
     """
     from amulor.transport.contributions import ANALYSERS, LIGHT
 
@@ -133,6 +153,27 @@ def read_tally(path: str | os.PathLike[str]) -> Tally:
     ------
     FormatError
         If the file is missing or damaged, or something else than such a result.
+
+    Examples
+    --------
+    >>> from amulor import io, transport
+    >>> from amulor.optics.phase_functions.models import henyey_greenstein_function
+    >>> water = transport.Medium.homogeneous(
+    ...     absorption=0.1,
+    ...     scattering=0.5,
+    ...     group_index=1.34,
+    ...     phase_function=henyey_greenstein_function(asymmetry=0.9),
+    ... )
+    >>> disc = transport.DiscReceiver(
+    ...     radius=0.05, acceptance_angle=0.035, position=(0.07, 0, 0)
+    ... )
+    >>> tally = transport.simulate(
+    ...     water, transport.Source(), disc, [0.0, 50e6], histories=2_000, seed=1
+    ... )
+    >>> io.write_tally(tally, "run.nc")
+    >>> again = io.read_tally("run.nc")
+    >>> bool((again.batches == tally.batches).all())
+    True
     """
     path = Path(path)
     content = read_bytes(path)

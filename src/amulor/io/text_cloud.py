@@ -56,6 +56,19 @@ def write_text(
     -----
     Lines at the start that begin with "#" say what it is, the axes, and where it comes
     from. Coordinates are rounded to a micrometre. UTF-8.
+
+    Examples
+    --------
+    >>> from pathlib import Path
+    >>> from amulor import imaging, io, rejection, samples
+    >>> image = imaging.range_image(
+    ...     rejection.cross_polarized(samples.cube("ladder"))
+    ... )
+    >>> cloud = imaging.point_cloud(image)
+    >>> io.write_text(cloud, "ladder.csv")
+    >>> lines = Path("ladder.csv").read_text().splitlines()
+    >>> sum(not line.startswith("#") for line in lines) - 1 == cloud.sizes["point"]
+    True
     """
     cloud = checked_cloud(cloud, name=f"the cloud for {path}")
     write_text_parts([cloud], cloud.sizes["point"], path, overwrite=overwrite)

@@ -18,7 +18,15 @@ from amulor.survey.quantity import (
 
 
 class Calibration(Description):
-    """Standard uncertainties of what no sample can show; left out means not known."""
+    """Standard uncertainties of what no sample can show; left out means not known.
+
+    Examples
+    --------
+    >>> from amulor.survey import Calibration
+    >>> known = Calibration(date="2026-05-01", delay_uncertainty="0.02 ns")
+    >>> print(known.date, f"{known.delay_uncertainty:.0e} s")
+    2026-05-01 2e-11 s
+    """
 
     date: datetime.date | None = None
     """Day on which the delay was measured, such as 2026-05-01."""

@@ -10,7 +10,20 @@ from amulor.survey.quantity import Description, Length, PerMetre, SpectralRadian
 
 
 class Daylight(Description):
-    """Daylight that the receiver sees beside the laser's: it adds shot noise."""
+    """Daylight that the receiver sees beside the laser's: it adds shot noise.
+
+    Examples
+    --------
+    >>> from amulor.survey import Daylight
+    >>> light = Daylight(
+    ...     radiance="0.02 W/(m^2 sr nm)",
+    ...     bandwidth="10 nm",
+    ...     depth="12 m",
+    ...     diffuse_attenuation="0.1 1/m",
+    ... )
+    >>> light.bandwidth, light.depth
+    (1e-08, 12.0)
+    """
 
     radiance: Annotated[SpectralRadiance, Field(ge=0)]
     """Spectral radiance just below the surface, from where the receiver looks, such as

@@ -27,7 +27,18 @@ PolarizationPair = Annotated[str, Field(pattern=f"^({stokes.PAIR_PATTERN})$")]
 
 
 class Emitter(Description):
-    """Where the beam starts and where it points when the scan angles are zero."""
+    """Where the beam starts and where it points when the scan angles are zero.
+
+    Examples
+    --------
+    >>> from amulor.survey import Emitter
+    >>> Emitter(
+    ...     position=("-5 cm", "0 cm", "0 cm"),
+    ...     beam_radius="1 mm",
+    ...     beam_divergence="0.5 mrad",
+    ... ).position
+    (-0.05, 0.0, 0.0)
+    """
 
     position: Position = (0.0, 0.0, 0.0)
     """Start of the beam (right, down, forward) [m]."""
@@ -43,6 +54,16 @@ class Receiver(Description):
 
     With sharp edges they are the radius of a disc and the semi-angle of a cone, of the
     same area and solid angle.
+
+    Examples
+    --------
+    >>> from amulor.survey import Receiver
+    >>> Receiver(
+    ...     position=("15 cm", "0 cm", "0 cm"),
+    ...     radius="2.5 cm",
+    ...     acceptance="20 mrad",
+    ... ).acceptance
+    0.02
     """
 
     position: Position
@@ -65,7 +86,16 @@ class Receiver(Description):
 
 
 class Detector(Description):
-    """The photomultiplier and the optics in front of it."""
+    """The photomultiplier and the optics in front of it.
+
+    Examples
+    --------
+    >>> from amulor.survey import Detector
+    >>> Detector(
+    ...     quantum_efficiency="25 %", dark_rate="2 kHz", saturation="0.5 V"
+    ... ).quantum_efficiency
+    0.25
+    """
 
     quantum_efficiency: Annotated[Fraction, Field(gt=0, le=1)] = 0.25
     """Photoelectrons per photon [1]."""
@@ -82,7 +112,14 @@ class Detector(Description):
 
 
 class LockIn(Description):
-    """The lock-in amplifier."""
+    """The lock-in amplifier.
+
+    Examples
+    --------
+    >>> from amulor.survey import LockIn
+    >>> LockIn(time_constant="3 ms", phase_floor="0.5 mrad").phase_floor
+    0.0005
+    """
 
     time_constant: Annotated[Time, Field(gt=0)] = 0.01
     """Time constant of its one-pole output filter [s]."""
@@ -91,7 +128,16 @@ class LockIn(Description):
 
 
 class Window(Description):
-    """A flat window across the view, with the instrument in air behind it."""
+    """A flat window across the view, with the instrument in air behind it.
+
+    Examples
+    --------
+    >>> from amulor.survey import Window
+    >>> Window(
+    ...     distance="20 cm", thickness="1 cm", reflection_loss=True
+    ... ).refractive_index
+    1.47
+    """
 
     distance: Annotated[Length, Field(gt=0)]
     """Forward coordinate of its near face [m]."""
@@ -107,7 +153,18 @@ class Window(Description):
 
 
 class Instrument(Description):
-    """An amplitude-modulated laser radar."""
+    """An amplitude-modulated laser radar.
+
+    Examples
+    --------
+    >>> from amulor.survey import Survey
+    >>> survey = Survey.preset("amulor-2010")
+    >>> survey.instrument.power, survey.instrument.polarizations
+    (0.02, ('VV', 'VH'))
+    >>> faster = survey.with_({"instrument.modulation_frequencies": ["80 MHz"]})
+    >>> faster.instrument.modulation_frequencies
+    (80000000.0,)
+    """
 
     wavelength: Annotated[Length, Field(ge=400e-9, le=700e-9)]
     """Wavelength of the laser in vacuum [m]."""

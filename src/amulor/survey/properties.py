@@ -24,7 +24,15 @@ _INNERMOST, _WIDE, _HEAD, _REST = 1e-5, 0.1, 160, 360
 
 @dataclass(frozen=True, kw_only=True)
 class WaterProperties:
-    """The numbers of the water that the signal models take."""
+    """The numbers of the water that the signal models take.
+
+    Examples
+    --------
+    >>> from amulor.survey import Survey, water_properties
+    >>> found = water_properties(Survey.preset("amulor-2010"))
+    >>> round(found.attenuation, 3), round(found.reduced_attenuation, 3)
+    (0.06, 0.018)
+    """
 
     absorption: float
     """Absorption coefficient a [1/m]."""
@@ -83,6 +91,22 @@ def water_properties(survey: Survey) -> WaterProperties:
         If the water is not known at this wavelength.
     MissingExtraError
         If the water holds spheres or milk and the extra `mie` is not installed.
+
+    Examples
+    --------
+    >>> from amulor.survey import Survey, water_properties
+    >>> survey = Survey.preset("amulor-2010").with_(
+    ...     {
+    ...         "water": {
+    ...             "kind": "jerlov",
+    ...             "type": "1C",
+    ...             "source": "williamson-hollins-2022",
+    ...         }
+    ...     }
+    ... )
+    >>> found = water_properties(survey)
+    >>> round(found.absorption, 3), round(found.scattering, 3)
+    (0.182, 0.472)
     """
     water = survey.water
     wavelength = survey.instrument.wavelength

@@ -10,10 +10,12 @@ from pydantic import (
     BeforeValidator,
     ConfigDict,
     Field,
+    GetJsonSchemaHandler,
     PlainSerializer,
     ValidationInfo,
     WithJsonSchema,
 )
+from pydantic_core import CoreSchema
 
 from amulor import units
 
@@ -27,6 +29,17 @@ class Description(BaseModel):
         use_attribute_docstrings=True,
         str_strip_whitespace=True,
     )
+
+    @classmethod
+    def __get_pydantic_json_schema__(
+        cls, core_schema: CoreSchema, handler: GetJsonSchemaHandler
+    ) -> dict[str, Any]:
+        """Return the JSON Schema, which editors show, without examples in Python."""
+        schema = handler(core_schema)
+        shown = handler.resolve_ref_schema(schema)
+        if "description" in shown:
+            shown["description"] = shown["description"].split("\n\nExamples\n")[0]
+        return schema
 
     def model_copy(
         self, *, update: Mapping[str, Any] | None = None, deep: bool = False

@@ -21,7 +21,17 @@ from amulor.survey.quantity import (
 
 
 class OpenWater(Description):
-    """Shots of the same water without the target, spread over the scan."""
+    """Shots of the same water without the target, spread over the scan.
+
+    Examples
+    --------
+    >>> from amulor.survey import OpenWater, Survey
+    >>> survey = Survey.preset("amulor-2010").with_(
+    ...     {"scan.open_water": OpenWater(columns=9, rows=9)}
+    ... )
+    >>> survey.scan.open_water.repeats
+    10
+    """
 
     columns: Annotated[Count, Field(ge=1, le=10_000)] = 9
     """Directions along a row; the first and the last are the scan's own edges [1]."""
@@ -32,7 +42,21 @@ class OpenWater(Description):
 
 
 class Scan(Description):
-    """A rectangular grid of directions."""
+    """A rectangular grid of directions.
+
+    Examples
+    --------
+    >>> from amulor.survey import Scan
+    >>> scan = Scan(
+    ...     columns=120,
+    ...     rows=80,
+    ...     azimuth_span="12 deg",
+    ...     elevation_span="8 deg",
+    ...     dwell="60 ms",
+    ... )
+    >>> scan.columns * scan.rows * scan.dwell
+    576.0
+    """
 
     columns: Annotated[Count, Field(ge=1, le=20_000)]
     """Pixels along a row [1]."""
@@ -57,7 +81,20 @@ class Scan(Description):
 
 
 class Pose(Description):
-    """Place and attitude of the instrument, in metres east, north and up."""
+    """Place and attitude of the instrument, in metres east, north and up.
+
+    Examples
+    --------
+    >>> from amulor.survey import Pose
+    >>> pose = Pose(
+    ...     position=("431.2 m", "88.0 m", "-12.5 m"),
+    ...     heading="45 deg",
+    ...     pitch="-10 deg",
+    ...     level_uncertainty="0.2 deg",
+    ... )
+    >>> pose.position, round(pose.heading, 4)
+    ((431.2, 88.0, -12.5), 0.7854)
+    """
 
     position: Position = (0.0, 0.0, 0.0)
     """Origin of the instrument's axes (east, north, up), in the local frame [m]."""
@@ -92,7 +129,7 @@ class _PoseFile(Description):
 
 
 def read_pose(path: str | Path) -> Pose:
-    """Read the section [pose] of a TOML file that has nothing else.
+    r"""Read the section [pose] of a TOML file that has nothing else.
 
     Parameters
     ----------
@@ -108,6 +145,16 @@ def read_pose(path: str | Path) -> Pose:
     ------
     SurveyError
         With one line for each thing that is wrong.
+
+    Examples
+    --------
+    >>> from pathlib import Path
+    >>> from amulor.survey import read_pose
+    >>> size = Path("pose.toml").write_text(
+    ...     '[pose]\nheading = "90 deg"\nposition = ["10 m", "0 m", "-8 m"]\n'
+    ... )
+    >>> read_pose("pose.toml").position
+    (10.0, 0.0, -8.0)
     """
     text = toml_file.text_of(path, error=SurveyError)
     return toml_file.described(

@@ -21,14 +21,31 @@ _Slant = Annotated[Angle, Field(ge=0, le=math.pi / 2)]
 
 
 class Lambertian(Description):
-    """A matte surface: equally bright from everywhere."""
+    """A matte surface: equally bright from everywhere.
+
+    Examples
+    --------
+    >>> from amulor.survey import Lambertian, Survey
+    >>> survey = Survey.preset("amulor-2010").with_(
+    ...     {"targets.0.surface": Lambertian(kind="lambertian")}
+    ... )
+    >>> survey.targets[0].surface.kind
+    'lambertian'
+    """
 
     kind: Literal["lambertian"]
     """Which surface this is."""
 
 
 class OrenNayar(Description):
-    """A rough matte surface, of facets that each follow Lambert's law."""
+    """A rough matte surface, of facets that each follow Lambert's law.
+
+    Examples
+    --------
+    >>> from amulor.survey import OrenNayar
+    >>> round(OrenNayar(kind="oren-nayar", roughness="20 deg").roughness, 4)
+    0.3491
+    """
 
     kind: Literal["oren-nayar"]
     """Which surface this is."""
@@ -37,7 +54,21 @@ class OrenNayar(Description):
 
 
 class TabulatedSurface(Description):
-    """A surface whose BRDF is a table, linear in between."""
+    """A surface whose BRDF is a table, linear in between.
+
+    Examples
+    --------
+    >>> from amulor.survey import TabulatedSurface
+    >>> glossy = TabulatedSurface(
+    ...     kind="tabulated",
+    ...     incidence=("0 deg", "40 deg", "90 deg"),
+    ...     reflection=("0 deg", "90 deg"),
+    ...     azimuth=("0 deg",),
+    ...     values=(0.4, 0.2, 0.3, 0.2, 0.2, 0.2),
+    ... )
+    >>> len(glossy.values)
+    6
+    """
 
     kind: Literal["tabulated"]
     """Which surface this is."""

@@ -26,7 +26,17 @@ _MOST_SAMPLES = 10_000_000
 
 
 class Survey(Description):
-    """Water, targets, instrument and scan: all that is known before measuring."""
+    """Water, targets, instrument and scan: all that is known before measuring.
+
+    Examples
+    --------
+    >>> from amulor.survey import Survey
+    >>> survey = Survey.preset("amulor-2010")
+    >>> survey.instrument.modulation_frequencies, survey.scan.columns
+    ((39000000.0,), 40)
+    >>> Survey.from_text(survey.to_toml()) == survey
+    True
+    """
 
     name: Annotated[str, Field(min_length=1, max_length=200)]
     """What the survey is about; the title of all that comes of it."""
@@ -247,6 +257,13 @@ def json_schema() -> dict[str, Any]:
     -------
     dict
         JSON Schema, draft 2020-12.
+
+    Examples
+    --------
+    >>> from amulor.survey import json_schema
+    >>> schema = json_schema()
+    >>> schema["title"], "water" in schema["required"]
+    ('amulor survey', True)
     """
     schema = Survey.model_json_schema()
     return {

@@ -42,7 +42,22 @@ class _Target(Description):
 
 
 class Plate(_Target):
-    """A flat rectangle that faces the instrument."""
+    """A flat rectangle that faces the instrument.
+
+    Examples
+    --------
+    >>> from amulor.survey import Plate, Survey
+    >>> plate = Plate(
+    ...     kind="plate",
+    ...     position=("0 m", "0 m", "1.5 m"),
+    ...     reflectance=0.4,
+    ...     width="60 cm",
+    ...     height="40 cm",
+    ... )
+    >>> survey = Survey.preset("amulor-2010").with_({"targets": [plate]})
+    >>> survey.targets[0].width
+    0.6
+    """
 
     kind: Literal["plate"]
     """Which shape this is."""
@@ -56,6 +71,20 @@ class Staircase(_Target):
     """Treads side by side, each nearer to the instrument than the one on its left.
 
     The first tread lies in the plane of `position`.
+
+    Examples
+    --------
+    >>> from amulor.survey import Staircase
+    >>> stairs = Staircase(
+    ...     kind="staircase",
+    ...     position=("0 m", "0 m", "1.5 m"),
+    ...     reflectance=0.4,
+    ...     tread_width="4 cm",
+    ...     step_heights=("1 mm", "2 mm", "5 mm"),
+    ...     height="10 cm",
+    ... )
+    >>> stairs.step_heights
+    (0.001, 0.002, 0.005)
     """
 
     kind: Literal["staircase"]
@@ -71,7 +100,23 @@ class Staircase(_Target):
 
 
 class Disc(_Target):
-    """A round plate with holes, bent or flat."""
+    """A round plate with holes, bent or flat.
+
+    Examples
+    --------
+    >>> from amulor.survey import Disc
+    >>> disc = Disc(
+    ...     kind="disc",
+    ...     position=("0 m", "0 m", "1.5 m"),
+    ...     reflectance="20 %",
+    ...     diameter="20 cm",
+    ...     hole_count=6,
+    ...     hole_diameter="1 cm",
+    ...     hole_circle="14 cm",
+    ... )
+    >>> disc.diameter, disc.hole_circle
+    (0.2, 0.14)
+    """
 
     kind: Literal["disc"]
     """Which shape this is."""
@@ -119,7 +164,20 @@ class Disc(_Target):
 
 
 class Mesh(_Target):
-    """A surface from a file: STL, PLY, OBJ or GLB."""
+    """A surface from a file: STL, PLY, OBJ or GLB.
+
+    Examples
+    --------
+    >>> from amulor.survey import Mesh
+    >>> Mesh(
+    ...     kind="mesh",
+    ...     file="amphora.ply",
+    ...     unit="mm",
+    ...     position=("0 m", "0 m", "2 m"),
+    ...     reflectance=0.3,
+    ... ).unit
+    'mm'
+    """
 
     kind: Literal["mesh"]
     """Which shape this is."""

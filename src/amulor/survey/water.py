@@ -52,7 +52,22 @@ class WaterState(Description):
 
 
 class Water(WaterState):
-    """Optical properties of a homogeneous water body at the laser's wavelength."""
+    """Optical properties of a homogeneous water body at the laser's wavelength.
+
+    Examples
+    --------
+    >>> from amulor.survey import Water, Survey, water_properties
+    >>> water = Water(
+    ...     absorption="0.05 1/m",
+    ...     scattering="0.3 1/m",
+    ...     asymmetry=0.92,
+    ...     temperature="12 degC",
+    ...     salinity=38,
+    ... )
+    >>> survey = Survey.preset("amulor-2010").with_({"water": water})
+    >>> water_properties(survey).attenuation
+    0.35
+    """
 
     kind: Literal["coefficients"] | None = None
     """Which water this is; water without a kind is stated by its coefficients."""

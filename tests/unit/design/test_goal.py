@@ -54,6 +54,7 @@ def test_what_is_wrong_is_said_in_one_line(old, new, said, goal_text: str) -> No
 
 def test_the_schema_names_every_part() -> None:
     schema = json_schema()
+    assert ">>>" not in str(schema)
     assert schema["title"] == "amulor design goal"
     assert set(Goal.model_fields) == set(schema["properties"])
 

@@ -132,6 +132,7 @@ def test_a_mesh_is_looked_for_beside_the_survey(
 
 def test_the_json_schema_allows_what_is_shipped_and_names_units() -> None:
     schema = json_schema()
+    assert ">>>" not in str(schema)
     json.dumps(schema)
     water = schema["$defs"]["Water"]
     assert water["additionalProperties"] is False

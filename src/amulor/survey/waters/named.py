@@ -26,7 +26,19 @@ class SeaWater(WaterState):
 
 
 class JerlovWater(SeaWater):
-    """One of Jerlov's types of sea water."""
+    """One of Jerlov's types of sea water.
+
+    Examples
+    --------
+    >>> from amulor.survey import JerlovWater, Survey, water_properties
+    >>> water = JerlovWater(
+    ...     kind="jerlov", type="3C", source="solonenko-mobley-2015"
+    ... )
+    >>> survey = Survey.preset("amulor-2010").with_({"water": water})
+    >>> found = water_properties(survey)
+    >>> round(found.absorption, 2), round(found.scattering, 2)
+    (0.36, 1.79)
+    """
 
     kind: Literal["jerlov"]
     """Which water this is."""
@@ -41,7 +53,21 @@ class JerlovWater(SeaWater):
 
 
 class PetzoldWater(SeaWater):
-    """Water of a station where Petzold measured volume scattering functions."""
+    """Water of a station where Petzold measured volume scattering functions.
+
+    Examples
+    --------
+    >>> from amulor.survey import PetzoldWater, Survey, water_properties
+    >>> water = PetzoldWater(
+    ...     kind="petzold",
+    ...     station="NUC 2200",
+    ...     absorption="0.4 1/m",
+    ...     scattering="1.8 1/m",
+    ... )
+    >>> survey = Survey.preset("amulor-2010").with_({"water": water})
+    >>> round(water_properties(survey).attenuation, 2)
+    2.2
+    """
 
     kind: Literal["petzold"]
     """Which water this is."""
@@ -64,7 +90,17 @@ class PetzoldWater(SeaWater):
 
 
 class PureWater(WaterState):
-    """Pure fresh or sea water of the stated temperature and salinity."""
+    """Pure fresh or sea water of the stated temperature and salinity.
+
+    Examples
+    --------
+    >>> from amulor.survey import PureWater, Survey, water_properties
+    >>> water = PureWater(kind="pure", temperature="15 degC")
+    >>> survey = Survey.preset("amulor-2010").with_({"water": water})
+    >>> found = water_properties(survey)
+    >>> round(found.absorption, 4), round(found.group_index, 3)
+    (0.0026, 1.381)
+    """
 
     kind: Literal["pure"]
     """Which water this is."""
@@ -74,7 +110,16 @@ class PureWater(WaterState):
 
 
 class Case1Water(SeaWater):
-    """Open ocean whose optics follow from its chlorophyll."""
+    """Open ocean whose optics follow from its chlorophyll.
+
+    Examples
+    --------
+    >>> from amulor.survey import Case1Water, Survey, water_properties
+    >>> water = Case1Water(kind="case-1", chlorophyll="0.5 mg/m^3")
+    >>> survey = Survey.preset("amulor-2010").with_({"water": water})
+    >>> round(water_properties(survey).attenuation, 2)
+    0.38
+    """
 
     kind: Literal["case-1"]
     """Which water this is."""
@@ -88,7 +133,21 @@ class Case1Water(SeaWater):
 
 
 class MilkWater(WaterState):
-    """Pure water with milk in it."""
+    """Pure water with milk in it.
+
+    Examples
+    --------
+    >>> from amulor.survey import MilkWater, Survey, water_properties
+    >>> water = MilkWater(
+    ...     kind="milk",
+    ...     volume_fraction="0.002 %",
+    ...     fat="3.5 %",
+    ...     scattering_source="jensen-2001",
+    ... )
+    >>> survey = Survey.preset("amulor-2010").with_({"water": water})
+    >>> round(water_properties(survey).scattering, 2)
+    0.5
+    """
 
     kind: Literal["milk"]
     """Which water this is."""
@@ -114,7 +173,21 @@ class MilkWater(WaterState):
 
 
 class SphereWater(WaterState):
-    """Pure water with spheres of one size in it: Mie scattering."""
+    """Pure water with spheres of one size in it: Mie scattering.
+
+    Examples
+    --------
+    >>> from amulor.survey import SphereWater, Survey, water_properties
+    >>> water = SphereWater(
+    ...     kind="spheres",
+    ...     diameter="2 um",
+    ...     particle_index=1.59,
+    ...     scattering="0.5 1/m",
+    ... )
+    >>> survey = Survey.preset("amulor-2010").with_({"water": water})
+    >>> round(water_properties(survey).attenuation, 2)
+    0.51
+    """
 
     kind: Literal["spheres"]
     """Which water this is."""
@@ -140,7 +213,21 @@ class SphereWater(WaterState):
 
 
 class WaterLayer(Description):
-    """A layer of water across the forward axis."""
+    """A layer of water across the forward axis.
+
+    Examples
+    --------
+    >>> from amulor.survey import WaterLayer
+    >>> grain = {"kind": "henyey-greenstein", "asymmetry": 0.9}
+    >>> layer = WaterLayer(
+    ...     thickness="3 m",
+    ...     absorption="0.05 1/m",
+    ...     scattering="0.1 1/m",
+    ...     phase_function=grain,
+    ... )
+    >>> layer.thickness, layer.phase_function.asymmetry
+    (3.0, 0.9)
+    """
 
     thickness: Annotated[Length, Field(gt=0)] | None = None
     """Thickness along the forward axis; the last layer has none and goes on [m]."""
@@ -158,7 +245,26 @@ class WaterLayer(Description):
 
 
 class LayeredWater(WaterState):
-    """Layers of water, one behind the other, for the photons of open water alone."""
+    """Layers of water, one behind the other, for the photons of open water alone.
+
+    Examples
+    --------
+    >>> from amulor.survey import LayeredWater, Survey, WaterLayer, water_properties
+    >>> grain = {"kind": "henyey-greenstein", "asymmetry": 0.9}
+    >>> clear = WaterLayer(
+    ...     thickness="3 m",
+    ...     absorption="0.05 1/m",
+    ...     scattering="0.1 1/m",
+    ...     phase_function=grain,
+    ... )
+    >>> below = WaterLayer(
+    ...     absorption="0.1 1/m", scattering="1 1/m", phase_function=grain
+    ... )
+    >>> water = LayeredWater(kind="layers", layers=(clear, below))
+    >>> survey = Survey.preset("amulor-2010").with_({"water": water, "targets": []})
+    >>> [round(layer.scattering, 2) for layer in water_properties(survey).layers]
+    [0.1, 1.0]
+    """
 
     kind: Literal["layers"]
     """Which water this is."""

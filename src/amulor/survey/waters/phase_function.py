@@ -18,7 +18,19 @@ _Asymmetry = Annotated[float, Field(ge=-0.9999, le=0.999999)]
 
 
 class HenyeyGreenstein(Description):
-    """The Henyey-Greenstein phase function."""
+    """The Henyey-Greenstein phase function.
+
+    Examples
+    --------
+    >>> from amulor.survey import HenyeyGreenstein, Survey, water_properties
+    >>> stated = HenyeyGreenstein(kind="henyey-greenstein", asymmetry=0.9)
+    >>> survey = Survey.preset("amulor-2010").with_(
+    ...     {"water.phase_function": stated}
+    ... )
+    >>> function = water_properties(survey).phase_function
+    >>> round(function.asymmetry, 3), round(function.backscatter_fraction, 4)
+    (0.9, 0.0229)
+    """
 
     kind: Literal["henyey-greenstein"]
     """Which phase function this is."""
@@ -27,7 +39,24 @@ class HenyeyGreenstein(Description):
 
 
 class TwoTerm(Description):
-    """Two Henyey-Greenstein functions, a forward and mostly a backward one."""
+    """Two Henyey-Greenstein functions, a forward and mostly a backward one.
+
+    Examples
+    --------
+    >>> from amulor.survey import TwoTerm, Survey, water_properties
+    >>> stated = TwoTerm(
+    ...     kind="two-term",
+    ...     forward_asymmetry=0.95,
+    ...     backward_asymmetry=-0.5,
+    ...     forward_weight=0.97,
+    ... )
+    >>> survey = Survey.preset("amulor-2010").with_(
+    ...     {"water.phase_function": stated}
+    ... )
+    >>> function = water_properties(survey).phase_function
+    >>> round(function.asymmetry, 3), round(function.backscatter_fraction, 4)
+    (0.906, 0.0354)
+    """
 
     kind: Literal["two-term"]
     """Which phase function this is."""
@@ -40,7 +69,21 @@ class TwoTerm(Description):
 
 
 class FournierForand(Description):
-    """The Fournier-Forand phase function of particles of the sea."""
+    """The Fournier-Forand phase function of particles of the sea.
+
+    Examples
+    --------
+    >>> from amulor.survey import FournierForand, Survey, water_properties
+    >>> stated = FournierForand(
+    ...     kind="fournier-forand", backscatter_fraction="1.83 %"
+    ... )
+    >>> survey = Survey.preset("amulor-2010").with_(
+    ...     {"water.phase_function": stated}
+    ... )
+    >>> function = water_properties(survey).phase_function
+    >>> round(function.asymmetry, 3), round(function.backscatter_fraction, 4)
+    (0.93, 0.0183)
+    """
 
     kind: Literal["fournier-forand"]
     """Which phase function this is."""
@@ -64,7 +107,19 @@ class FournierForand(Description):
 
 
 class Petzold(Description):
-    """A phase function of natural water that Petzold measured in 1972."""
+    """A phase function of natural water that Petzold measured in 1972.
+
+    Examples
+    --------
+    >>> from amulor.survey import Petzold, Survey, water_properties
+    >>> stated = Petzold(kind="petzold", station="average_particle")
+    >>> survey = Survey.preset("amulor-2010").with_(
+    ...     {"water.phase_function": stated}
+    ... )
+    >>> function = water_properties(survey).phase_function
+    >>> round(function.asymmetry, 3), round(function.backscatter_fraction, 4)
+    (0.924, 0.0181)
+    """
 
     kind: Literal["petzold"]
     """Which phase function this is."""
@@ -84,7 +139,19 @@ class Petzold(Description):
 
 
 class Rayleigh(Description):
-    """The phase function of molecules: of water without particles."""
+    """The phase function of molecules: of water without particles.
+
+    Examples
+    --------
+    >>> from amulor.survey import Rayleigh, Survey, water_properties
+    >>> stated = Rayleigh(kind="rayleigh")
+    >>> survey = Survey.preset("amulor-2010").with_(
+    ...     {"water.phase_function": stated}
+    ... )
+    >>> function = water_properties(survey).phase_function
+    >>> round(function.asymmetry, 3), round(function.backscatter_fraction, 4)
+    (0.0, 0.5)
+    """
 
     kind: Literal["rayleigh"]
     """Which phase function this is."""
@@ -93,7 +160,23 @@ class Rayleigh(Description):
 
 
 class Tabulated(Description):
-    """Your own phase function or volume scattering function, as a table."""
+    """Your own phase function or volume scattering function, as a table.
+
+    Examples
+    --------
+    >>> from amulor.survey import Tabulated, Survey, water_properties
+    >>> stated = Tabulated(
+    ...     kind="tabulated",
+    ...     angles=("0.1 deg", "10 deg", "90 deg", "180 deg"),
+    ...     values=(100, 1, 0.02, 0.02),
+    ... )
+    >>> survey = Survey.preset("amulor-2010").with_(
+    ...     {"water.phase_function": stated}
+    ... )
+    >>> function = water_properties(survey).phase_function
+    >>> round(function.asymmetry, 3), round(function.backscatter_fraction, 4)
+    (0.611, 0.1563)
+    """
 
     kind: Literal["tabulated"]
     """Which phase function this is."""
