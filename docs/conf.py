@@ -44,7 +44,12 @@ suppress_warnings = [
     # Module docstrings list what a whole module rests on.
     "ref.citation",
 ]
-nitpicky = False
+# A name that no page defines is an error; these are bases without a page of their own.
+nitpicky = True
+nitpick_ignore_regex = [
+    ("py:class", r"amulor\..*\.(Description|WaterState|SeaWater|_\w+)"),
+    ("py:class", r"enum\.\w+"),
+]
 
 # ------------------------------------------------------------------- pages
 myst_enable_extensions = ["colon_fence", "deflist", "dollarmath"]
