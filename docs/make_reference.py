@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import typing
 from pathlib import Path
 
@@ -10,6 +11,8 @@ from pydantic_core import PydanticUndefined
 
 from amulor import samples, survey
 from amulor.cube import schema
+from amulor.design.reach import WATERS, reach
+from amulor.survey import presets
 from amulor.survey.water import WaterState
 from amulor.view import explanations
 
@@ -215,11 +218,43 @@ def _default(value: object) -> str:
     return str(value)
 
 
+def reach_table() -> str:
+    """Return the table of what each published instrument sees where."""
+    names = presets.names()
+    found = {
+        name: [
+            reach(survey.Survey.preset(name), accuracy=3e-3, water=water)
+            for water in WATERS
+        ]
+        for name in names
+    }
+    violet, green = found["amulor-2010"], found["green-2021"]
+    lines = [
+        "| water | attenuation at 405, 532 nm | "
+        + " | ".join(f"`{name}`" for name in names)
+        + " |",
+        "| --- " * (2 + len(names)) + "|",
+    ]
+    for number, first in enumerate(violet):
+        water = first.water.split(",")[0]
+        attenuation = f"{first.attenuation:.2g}, {green[number].attenuation:.2g} 1/m"
+        cells = [_reached(found[name][number].farthest) for name in names]
+        lines.append(f"| {water} | {attenuation} | {' | '.join(cells)} |")
+    return "\n".join(lines) + "\n"
+
+
+def _reached(farthest: float | None) -> str:
+    if farthest is None:
+        return "nowhere"
+    return "> 60 m" if math.isinf(farthest) else f"{farthest:.2g} m"
+
+
 PAGES: dict[str, typing.Callable[[], str]] = {
     "survey-file.md": survey_page,
     "cube.md": cube_page,
     "flags.md": flags_page,
     "samples.md": samples_page,
+    "presets-where.md": reach_table,
 }
 
 

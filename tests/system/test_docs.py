@@ -16,7 +16,15 @@ def _generator() -> ModuleType:
     return script("docs/make_reference.py")
 
 
-@pytest.mark.parametrize("name", ["survey-file.md", "cube.md", "samples.md"])
+@pytest.mark.parametrize(
+    "name",
+    [
+        "survey-file.md",
+        "cube.md",
+        "samples.md",
+        pytest.param("presets-where.md", marks=pytest.mark.slow),
+    ],
+)
 def test_the_reference_pages_are_up_to_date(name: str) -> None:
     page = _generator().PAGES[name]()
     found = (ROOT / "docs" / "reference" / name).read_text(encoding="utf-8")
