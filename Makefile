@@ -57,7 +57,7 @@ test: lint
 	$(PYTEST) $(TOGETHER)
 
 check: EXAMPLES = thorough
-check: test
+check: .venv/installed-docs test
 	$(PYTEST) $(TOGETHER) -m 'slow and not study'
 
 study: EXAMPLES = thorough
