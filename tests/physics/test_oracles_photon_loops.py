@@ -10,6 +10,8 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 from scipy.constants import speed_of_light
 
+pytestmark = pytest.mark.slow
+
 TESTS = Path(__file__).parents[1]
 
 ELLIPTICAL = (1.0, 0.48, 0.36, 0.8)

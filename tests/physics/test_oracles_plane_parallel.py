@@ -10,6 +10,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 
+pytestmark = pytest.mark.slow
+
 TESTS = Path(__file__).parents[1]
 NATURAL = [1.0, 0.0, 0.0, 0.0]
 COSINE = st.floats(0.05, 1.0)

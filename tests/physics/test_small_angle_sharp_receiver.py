@@ -142,6 +142,7 @@ def test_response_agrees_with_plain_quadrature(name, column):
     assert_allclose(found, expected, rtol=0, atol=1e-6 * expected[0].real)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", PHASE_FUNCTIONS)
 @pytest.mark.parametrize("radius", [1e-3, 7e-3, 0.05])
 @pytest.mark.parametrize("acceptance", [5e-3, 0.2])

@@ -48,6 +48,7 @@ def assert_within(found, covariance, expected):
     assert np.all(np.abs(pair) <= SIGMAS * error + 1e-12), pair / (error + 1e-300)
 
 
+@pytest.mark.slow
 def test_modulated_reflection_and_transmission_of_the_mcml_slab():
     # van de Hulst's slab at six modulation frequencies, discrete ordinates N = 64.
     table = np.loadtxt(

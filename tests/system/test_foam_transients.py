@@ -107,6 +107,7 @@ def test_thicker_slabs_damp_and_delay_more(slabs):
     assert np.all(np.diff(delay) > 0)
 
 
+@pytest.mark.slow
 def test_the_cut_off_drops_with_thickness(slabs, printed):
     # Printed to 1 MHz, which is 1.5 % of the lowest and as much of the amplitude.
     limits = 1e6 * np.array(

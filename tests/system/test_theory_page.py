@@ -201,6 +201,7 @@ def models() -> tuple[ModuleType, dict[Any, Any], dict[str, Any]]:
     return script, script.kept(), script.compared()
 
 
+@pytest.mark.slow
 def test_the_tables_of_the_models_are_those_of_the_kept_photons(models) -> None:
     script, photons, found = models
     for table in (script.summary(photons, found), script.table(photons, found)):

@@ -175,6 +175,7 @@ def test_six_surveys_are_worth_as_much_as_their_simulations(
     compare(survey, acquired(survey, folder, "2e-5 rad", breaks=2, **more), channel)
 
 
+@pytest.mark.slow
 def test_commands_take_an_acquired_cube_to_a_point_cloud(
     sized, folder, monkeypatch
 ) -> None:

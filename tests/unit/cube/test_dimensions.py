@@ -154,6 +154,7 @@ REJECTION: dict[str, Step] = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", REJECTION)
 def test_rejection_takes_one_channel(samples: xr.Dataset, name: str) -> None:
     step = REJECTION[name]

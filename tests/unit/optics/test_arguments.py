@@ -199,6 +199,7 @@ def test_the_small_angle_form_is_that_of_the_oracle(gaussian_oracle):
     assert_allclose(_gaussian(), gaussian_oracle, rtol=1e-6)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("one", "other"), _pairs(gaussian_kernels.Water, LOOK))
 def test_two_exchanged_arguments_of_the_small_angle_form_show(
     one, other, gaussian_oracle, monkeypatch

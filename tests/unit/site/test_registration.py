@@ -256,6 +256,7 @@ def loop(slip: float) -> Alignment:
     return align(scene.scans(rng), Ties(start=start), overlap=0.05)
 
 
+@pytest.mark.slow
 def test_a_loop_that_does_not_close_counts_less() -> None:
     found = loop(0.0)
     assert len(found.pairs) == 3

@@ -45,6 +45,7 @@ def odd_samples(samples: xr.Dataset) -> xr.Dataset:
     return cube.assign_coords(time=(("row", "column"), time, stated))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("rows", [1, 4])
 def test_tiles_of_rows_give_what_the_whole_gives(
     rows: int, odd_samples: xr.Dataset, monkeypatch: pytest.MonkeyPatch
@@ -86,6 +87,7 @@ def test_memory_does_not_grow_with_the_pixels(
     assert (large - small) / (many - few) < 300
 
 
+@pytest.mark.slow
 def test_a_tile_may_hold_what_the_first_one_has() -> None:
     plane = xr.Dataset(
         {"a": (("f", "row", "column"), np.arange(24.0).reshape(2, 3, 4)), "b": 3},

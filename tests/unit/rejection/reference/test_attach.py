@@ -28,6 +28,7 @@ def empty_scan(plate_text: str) -> xr.Dataset:
     return simulate(Survey.from_text(text), rng=5)
 
 
+@pytest.mark.slow
 def test_the_shots_of_another_cube_serve_as_its_own(samples: xr.Dataset) -> None:
     bare = cubes.without_groups(samples)
     found = rejection.open_water(rejection.with_open_water(bare, samples))

@@ -23,6 +23,7 @@ def _places(count: int, *, width: float, near: float, far: float) -> np.ndarray:
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("width", "near", "far", "tabulated"),
     [
