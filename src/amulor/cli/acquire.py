@@ -173,7 +173,6 @@ def recover(
         Replace a file that is there.
     """
     from amulor import acquisition, io
-    from amulor.acquisition.journal.journal import Journal
     from amulor.cli._arguments import CUBE_ENDINGS, check_ending
     from amulor.errors import FormatError
 
@@ -182,22 +181,22 @@ def recover(
     known = None
     if calibration is not None:
         known = acquisition.Calibration.from_toml(calibration)
-    lines: list[str] = []
-    path = acquisition.recover(
-        folder, output=output, calibration=known, overwrite=overwrite,
-        told=lines.append,
-    )  # fmt: skip
-    for line in lines:
+    damage: list[str] = []
+
+    def damaged(line: str) -> None:
+        damage.append(line)
         _told(line)
+
+    path = acquisition.recover(
+        folder, output=output, calibration=known, overwrite=overwrite, told=_told,
+        damaged=damaged,
+    )  # fmt: skip
     missing = int(io.read_cube(path)["in_phase"].isnull().sum())
     print(f"{path}: {missing} samples missing")
-    # That an older amulor wrote no checksums is said, and is no damage.
-    with Journal.read(folder) as journal:
-        damaged = len(lines) - (not journal.has_checksums)
-    if damaged:
+    if damage:
         raise FormatError(
-            f"{folder}: the journal is damaged in {damaged} places, named above; the "
-            f"rest is in {path}"
+            f"{folder}: the journal is damaged in {len(damage)} places, named above; "
+            f"the rest is in {path}"
         )
 
 
@@ -208,7 +207,8 @@ def _told(line: str) -> None:
 class _Interrupts:
     """Ctrl-C asks between two samples; a second one, or a termination, ends at once.
 
-    While devices are made safe after that, no signal but SIGKILL is listened to.
+    While devices are made safe after that, no signal but SIGKILL is listened to. What
+    the program was started to ignore, as by nohup, stays ignored; but for SIGTERM.
     """
 
     #: Ctrl-Z, too: a program that is only stopped would leave the light on.
@@ -226,8 +226,11 @@ class _Interrupts:
         if threading.current_thread() is threading.main_thread():
             for names, handler in ((self._ASK, self._want), (self._END, self._end)):
                 for name in names:
-                    if hasattr(signal, name):
-                        number = getattr(signal, name)
+                    if not hasattr(signal, name):
+                        continue
+                    number = getattr(signal, name)
+                    ignored = signal.getsignal(number) is signal.SIG_IGN
+                    if not ignored or name == "SIGTERM":
                         self._before[number] = signal.signal(number, handler)
         return self
 

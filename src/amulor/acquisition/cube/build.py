@@ -53,6 +53,7 @@ def recover(
     calibration: Calibration | None = None,
     overwrite: bool = False,
     told: Callable[[str], None] = lambda line: None,
+    damaged: Callable[[str], None] | None = None,
 ) -> Path:
     """Make the cube of a scan from its journal, finished or not.
 
@@ -69,6 +70,8 @@ def recover(
     told : callable
         Told in a line about each row of the journal that is damaged and left out, and
         about a journal of an older amulor, whose rows have no checksums.
+    damaged : callable, optional
+        Told about what is damaged in place of `told`.
 
     Returns
     -------
@@ -108,7 +111,7 @@ def recover(
     with Journal.read(folder) as journal:
         cube = build(journal, calibration=calibration)
         for line in journal.damage():
-            told(f"{folder}: {line}")
+            (damaged or told)(f"{folder}: {line}")
         if not journal.has_checksums:
             told(
                 f"{folder}: the journal, or a part of it, is of an older amulor and "
