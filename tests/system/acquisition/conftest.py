@@ -91,7 +91,7 @@ class Terminal:
 
     def wait_for(self, words: bytes) -> None:
         """Wait until some words are shown after those that were waited for before."""
-        deadline = time.monotonic() + 120
+        deadline = time.monotonic() + 240
         start = len(self.text)
         while words not in self.text[start:]:
             assert time.monotonic() < deadline, self.text[-500:]
@@ -104,7 +104,7 @@ class Terminal:
 
     def read_until(self, reached: Callable[[], bool]) -> None:
         """Read what is shown, so that nothing waits for it, until something holds."""
-        deadline = time.monotonic() + 120
+        deadline = time.monotonic() + 240
         while not reached():
             assert time.monotonic() < deadline, self.text[-500:]
             if select.select([self._master], [], [], 0.05)[0]:

@@ -55,7 +55,7 @@ def adapter(rehearsal: Rehearsal) -> Any:
     """Return a link of pymeasure to the simulated lock-in."""
     host, port = place(rehearsal.settings.lock_in.address or "")
     return client("pymeasure.adapters").VISAAdapter(
-        f"TCPIP::{host}::{port}::SOCKET", visa_library="@py", timeout=2000,
+        f"TCPIP::{host}::{port}::SOCKET", visa_library="@py", timeout=60_000,
         read_termination="\n", write_termination="\n",
     )  # fmt: skip
 
@@ -79,7 +79,7 @@ def makers_sr865a(rehearsal: Rehearsal) -> Iterator[Any]:
     client("srsgui").Instrument.connect(
         device, "tcpip", *place(rehearsal.settings.lock_in.address or "")
     )
-    device.comm.set_timeout(2)
+    device.comm.set_timeout(60)
     try:
         yield device
     finally:
@@ -261,7 +261,7 @@ def test_pipython_starts_and_moves_the_stages(stages: tuple[Any, Rehearsal]) -> 
     assert device.IsControllerReady()
     low, high = device.qTMN(), device.qTMX()
     device.MOV({"1": high["1"] / 9, "2": low["2"] / 9})
-    tools.waitontarget(device, axes=["1", "2"], timeout=20)
+    tools.waitontarget(device, axes=["1", "2"], timeout=120)
     assert not any(device.IsMoving().values())
     # What the scanner misses by is 2 urad, 1e-4 degrees.
     assert device.qPOS("1")["1"] == pytest.approx(high["1"] / 9, abs=1e-3)
@@ -269,7 +269,7 @@ def test_pipython_starts_and_moves_the_stages(stages: tuple[Any, Rehearsal]) -> 
         low["2"] / 9, abs=1e-3
     )
     device.MVR("5", 2.5)
-    tools.waitontarget(device, axes="5", timeout=20)
+    tools.waitontarget(device, axes="5", timeout=120)
     assert device.qPOS("5")["5"] == pytest.approx(2.5)
     assert device.qMOV("5")["5"] == pytest.approx(2.5)
 

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import builtins
 import json
-import os
 import shutil
 import signal
 import sqlite3
 import subprocess
 import sys
+import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -202,11 +202,10 @@ def test_what_is_unsafe_after_ctrl_c_is_shown(here, capsys, monkeypatch) -> None
 
 
 def press(*names: str) -> None:
-    """Send signals to this program, those that there are here."""
+    """Send signals to this program, those that there are here, each heard at once."""
     for name in names:
         if hasattr(signal, name):
-            os.kill(os.getpid(), getattr(signal, name))
-            time.sleep(0.01)
+            signal.raise_signal(getattr(signal, name))
 
 
 def test_devices_are_made_safe_however_often_ctrl_c_is_pressed() -> None:
@@ -254,6 +253,28 @@ def test_other_signals_end_at_once(name) -> None:
         scan()
 
 
+@pytest.mark.parametrize("name", ["SIGHUP", "SIGINT", "SIGTERM"])
+def test_what_a_program_was_started_to_ignore_ends_no_scan(name) -> None:
+    # As nohup does with a terminal that is closed, and a script with Ctrl-C.
+    if not hasattr(signal, name):
+        pytest.skip("there is no such signal here")
+    number = getattr(signal, name)
+    before = signal.signal(number, signal.SIG_IGN)
+    try:
+        ended = False
+        with acquire._Interrupts(acquire._Screen()) as control:
+            try:
+                press(name)
+            except KeyboardInterrupt:
+                ended = True
+            assert control.pause_wanted() is ended
+        # What is to end it does so all the same.
+        assert ended is (name == "SIGTERM")
+        assert signal.getsignal(number) is signal.SIG_IGN
+    finally:
+        signal.signal(number, before)
+
+
 def test_the_end_of_the_input_is_no_answer(monkeypatch, capsys) -> None:
     def ended() -> str:
         raise EOFError
@@ -284,7 +305,17 @@ def test_a_termination_leaves_the_laser_off_and_a_folder_that_resumes(
     here, survey
 ) -> None:
     base = Settings.model_validate({"procedure": {"dark_readings": 2}})
+    reached, ended = begun(here / "scan", samples=80), threading.Event()
     with rehearse(survey, base, speed=20, scene=scene_light) as rehearsal:
+        answer = rehearsal.lock_in.answer
+
+        def slowly(line: str) -> Sequence[str | bytes]:
+            # From then on the scan does not run away from the one who is to end it.
+            if not ended.is_set() and reached():
+                ended.wait(0.5)
+            return answer(line)
+
+        rehearsal.lock_in.answer = slowly  # type: ignore[method-assign]
         Path("devices.toml").write_text(rehearsal.settings.to_toml())
         words = [
             "acquire",
@@ -299,14 +330,15 @@ def test_a_termination_leaves_the_laser_off_and_a_folder_that_resumes(
             [sys.executable, "-m", "amulor", *words],
             stdout=subprocess.PIPE, stderr=subprocess.PIPE,
         )  # fmt: skip
-        reached, deadline = begun(here / "scan", samples=80), time.monotonic() + 120
+        deadline = time.monotonic() + 240
         while not reached():
             assert running.poll() is None
             assert time.monotonic() < deadline
             time.sleep(0.05)
         assert rehearsal.bench.laser_on
         running.send_signal(signal.SIGTERM)
-        _, errors = running.communicate(timeout=60)
+        ended.set()
+        _, errors = running.communicate(timeout=240)
         assert running.returncode == 130, errors
         assert not rehearsal.bench.laser_on
         assert "HLT" in rehearsal.stages.lines[-12:]
@@ -320,9 +352,13 @@ def test_a_termination_leaves_the_laser_off_and_a_folder_that_resumes(
 
 @pytest.mark.slow
 def test_ctrl_c_asks_and_the_scan_goes_on_or_ends_and_is_resumed(
-    here, survey, terminal, capsys
+    here, sized, terminal, capsys
 ) -> None:
+    # Long enough not to end by itself while somebody is slow to press a key.
+    survey = sized(columns=24, rows=10)
+    Path("tank.toml").write_text(survey.to_toml())
     Path("paced.toml").write_text(PACED)
+    Path("fast.toml").write_text(PACED.partition("[simulation]")[0])
     words = ["acquire", "tank.toml", "-o", "scan", "--devices", "paced.toml"]
     running = subprocess.Popen(
         [sys.executable, "-m", "amulor", *words], stdin=terminal.near,
@@ -342,7 +378,7 @@ def test_ctrl_c_asks_and_the_scan_goes_on_or_ends_and_is_resumed(
         terminal.wait_for(b"Go on with the scan? [Y/n]")
         terminal.type(b"n\n")
         terminal.wait_for(b"--resume")
-        assert running.wait(timeout=60) == 130
+        assert running.wait(timeout=240) == 130
     finally:
         running.kill()
         running.wait()
@@ -353,7 +389,8 @@ def test_ctrl_c_asks_and_the_scan_goes_on_or_ends_and_is_resumed(
         b"Paused: laser off, stage stopped.",
     ):
         assert words in terminal.text
-    assert main(["acquire", "scan/survey.toml", "-o", "scan", "--resume"]) == 0
+    words = ["scan/survey.toml", "-o", "scan", "--resume", "--devices", "fast.toml"]
+    assert main(["acquire", *words]) == 0
     capsys.readouterr()
     procedure = Settings.from_toml("paced.toml").procedure
     planned = {step.key for step in plan.steps(survey, procedure)}

@@ -41,7 +41,7 @@ def served(survey: Path, devices: Path) -> Iterator[None]:
         yield
     finally:
         serving.send_signal(signal.SIGTERM)
-        serving.communicate(timeout=30)
+        serving.communicate(timeout=120)
 
 
 @pytest.mark.study
@@ -155,7 +155,7 @@ def interrupted(folder: Path, terminal) -> list[int]:
             terminal.wait_for(b"Go on with the scan? [Y/n]")
             terminal.type(answer)
         terminal.wait_for(b"--resume")
-        assert running.wait(timeout=60) == 130
+        assert running.wait(timeout=240) == 130
     finally:
         running.kill()
         running.wait()

@@ -133,15 +133,16 @@ def _child(
 def _killed(
     survey: Survey,
     folder: Path,
-    after: float,
     *,
-    begun: bool,
+    samples: int,
+    after: float,
     settings: Settings,
     way: str,
 ) -> tuple[list[int], bool]:
     """Return the samples that a scan acknowledged before it was killed.
 
-    The time counts from the first acknowledged sample if `begun`, else from the start.
+    The time counts from so many acknowledged samples on, of none from the start: how
+    many there are before a kill is not for the machine to say.
     """
     told, told_in = os.pipe()
     child = os.fork()
@@ -153,13 +154,18 @@ def _killed(
         finally:
             os._exit(code)
     os.close(told_in)
-    if begun:
-        select.select([told], [], [])
-    time.sleep(after)
-    os.kill(child, signal.SIGKILL)
-    _, status = os.waitpid(child, 0)
-    with os.fdopen(told, "rb") as end:
-        content = end.read()
+    content = b""
+    with os.fdopen(told, "rb", buffering=0) as end:
+        while len(content) < samples * struct.calcsize("i"):
+            if not select.select([end], [], [], 240)[0]:
+                break
+            if not (more := end.read(4096)):  # it has ended by itself
+                break
+            content += more
+        time.sleep(after)
+        os.kill(child, signal.SIGKILL)
+        _, status = os.waitpid(child, 0)
+        content += end.read()
     numbers = [n for (n,) in struct.iter_unpack("i", content[: len(content) // 4 * 4])]
     ended = os.WIFEXITED(status)
     assert not ended or os.WEXITSTATUS(status) == 0
@@ -180,13 +186,18 @@ def _kill_loop(
         assert _scan(survey, home / name, settings, way=way)
         whole = time.monotonic() - start
     counts = {"kills": 0, "acknowledged": 0, "folders": 0, "lost": 0, "twice": 0}
+    # One in four while it begins or goes on, the others in the middle of dwells.
+    dwell = whole / len(planned)
     while counts["kills"] < kills:
         folder = home / str(counts["folders"])
         counts["folders"] += 1
         acknowledged: list[int] = []
         while counts["kills"] < kills:
+            early = counts["kills"] % 4 == 3
             numbers, was_killed = _killed(
-                survey, folder, rng.uniform(0, whole), begun=rng.random() < 0.75,
+                survey, folder,
+                samples=0 if early else rng.randrange(5, len(planned) // 2),
+                after=rng.uniform(0, whole / 4 if early else 2 * dwell),
                 settings=settings, way=way,
             )  # fmt: skip
             counts["kills"] += was_killed

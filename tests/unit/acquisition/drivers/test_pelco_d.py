@@ -215,7 +215,7 @@ def test_a_head_on_a_serial_port(bench, clock) -> None:
             pass
 
     threading.Thread(target=serve, daemon=True).start()
-    link = OctetLink(f"ASRL{os.ttyname(near)}::INSTR", timeout=5.0)
+    link = OctetLink(f"ASRL{os.ttyname(near)}::INSTR", timeout=60.0)
     head = PelcoHead(link, ScannerSettings(**HEAD), clock=clock)
     bench.send({"azimuth": 0.5}, speed=1e9)
     assert head._angle("pan", head._position("pan")) == pytest.approx(0.5, abs=2e-4)

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import math
-import time
 
 import pytest
 from numpy.testing import assert_allclose
 
+from amulor.acquisition import clock as clock_module
 from amulor.acquisition.clock import RealClock
 from amulor.acquisition.drivers.pi_gcs import (
     PiController,
@@ -214,13 +214,28 @@ def test_a_place_that_was_not_reached_is_no_place(script, clock, kind) -> None:
     assert not link.turns
 
 
-def test_a_fast_clock_leaves_time_for_the_wire(script) -> None:
+class Wall:
+    """A wall clock that goes on when it is told, however busy the machine is."""
+
+    def __init__(self) -> None:
+        self.shown = 0.0
+
+    def monotonic(self) -> float:
+        return self.shown
+
+    def sleep(self, duration: float) -> None:
+        self.shown += duration
+
+
+def test_a_fast_clock_leaves_time_for_the_wire(script, monkeypatch) -> None:
+    wall = Wall()
+    monkeypatch.setattr(clock_module, "time", wall)
     # At a thousand times the speed 30 s are 30 ms, less than a slow answer may take.
     fast = RealClock(1000.0)
 
     class Slow(script):
         def ask(self, line: str, *, answers: int = 1) -> list[str]:
-            time.sleep(0.05)
+            wall.sleep(0.05)
             return super().ask(line, answers=answers)
 
     link = Slow(IDN, ("MOV 1 1.0000000", []))
@@ -228,3 +243,10 @@ def test_a_fast_clock_leaves_time_for_the_wire(script) -> None:
         *[("ONT? 1\nPOS? 1", ["1=0", "1=0"])] * 4, ("ONT? 1\nPOS? 1", ["1=1", "1=1"])
     )
     assert PiController(link, clock=fast).move({"1": 1.0}, timeout=30.0) == [1.0]
+    # But not for ever: two seconds on the wall are over after 40 answers.
+    link = Slow(IDN, ("MOV 1 1.0000000", []))
+    link.extend(*[("ONT? 1\nPOS? 1", ["1=0", "1=0"])] * 50)
+    link.turns.insert(42, ("ERR?", ["0"]))
+    with pytest.raises(InstrumentError, match="not on target 30 s after MOV"):
+        PiController(link, clock=fast).move({"1": 1.0}, timeout=30.0)
+    assert len(link.turns) == 10

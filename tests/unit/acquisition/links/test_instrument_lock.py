@@ -95,13 +95,13 @@ def instrument():
 
 
 def test_a_lock_keeps_others_out_until_the_link_is_closed(instrument) -> None:
-    ours = open_link(instrument.address, timeout=5.0, lock=True)
+    ours = open_link(instrument.address, timeout=60.0, lock=True)
     assert ours.ask("who?") == ["who?"]
     assert instrument.locked_by is not None
     with pytest.raises(InstrumentError, match=r"cannot be locked.*on another computer"):
-        open_link(instrument.address, timeout=5.0, lock=True)
+        open_link(instrument.address, timeout=60.0, lock=True)
     # One that asks for no lock is refused what it says.
-    other = open_link(instrument.address, timeout=5.0)
+    other = open_link(instrument.address, timeout=60.0)
     with pytest.raises(InstrumentError):
         other.send("OUTP OFF")
     ours.reopen()
@@ -110,12 +110,12 @@ def test_a_lock_keeps_others_out_until_the_link_is_closed(instrument) -> None:
     other.send("OUTP OFF")
     assert instrument.heard == ["who?", "OUTP OFF"]
     other.close()
-    second = open_link(instrument.address, timeout=5.0, lock=True)
+    second = open_link(instrument.address, timeout=60.0, lock=True)
     second.close()
 
 
 def test_a_lock_of_the_lost_link_does_not_keep_us_from_making_safe(instrument) -> None:
-    ours = open_link(instrument.address, timeout=5.0, lock=True)
+    ours = open_link(instrument.address, timeout=60.0, lock=True)
     dead = instrument.locked_by
     ours.close()
     instrument.locked_by = dead  # the instrument has not noticed yet

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import contextlib
 import sys
 import time
+from collections.abc import Iterator
+from typing import Any
 
 import pytest
 
@@ -35,18 +38,25 @@ class Echo:
         return [line] if line.endswith("?") else []
 
 
-@pytest.fixture(params=["tcp", "visa"])
-def link(request):
-    """Return a link of each kind to an echo, and the echo."""
-    if request.param == "visa":
+@contextlib.contextmanager
+def linked(kind: str, *, timeout: float) -> Iterator[tuple[Any, Echo]]:
+    """Return a link of a kind to an echo, and the echo."""
+    if kind == "visa":
         pytest.importorskip("pyvisa_py", reason="PyVISA-py is not installed")
     echo = Echo()
     with DeviceServer(echo) as server:
-        address = server.address if request.param == "tcp" else server.visa_name
-        found = open_link(address, timeout=0.3)
+        address = server.address if kind == "tcp" else server.visa_name
+        found = open_link(address, timeout=timeout)
         yield found, echo
         found.close()
         found.close()
+
+
+@pytest.fixture(params=["tcp", "visa"])
+def link(request):
+    """Return a link that waits long, also where the machine is busy."""
+    with linked(request.param, timeout=60.0) as found:
+        yield found
 
 
 def test_questions_are_answered_in_order(link) -> None:
@@ -57,20 +67,25 @@ def test_questions_are_answered_in_order(link) -> None:
     assert echo.lines == ["a word", "one?", "MOV", "two?", "three?"]
 
 
-def test_silence_is_an_error_after_the_stated_time(link) -> None:
-    found, _ = link
-    start = time.monotonic()
-    with pytest.raises(InstrumentError, match=r"not answered 'mute\?' within 0.3 s"):
-        found.ask("mute?")
-    assert 0.25 < time.monotonic() - start < 3
+@pytest.mark.parametrize("kind", ["tcp", "visa"])
+def test_silence_is_an_error_after_the_stated_time(kind) -> None:
+    with linked(kind, timeout=0.3) as (found, _):
+        start = time.monotonic()
+        with pytest.raises(InstrumentError, match=r"answered 'mute\?' within 0.3 s"):
+            found.ask("mute?")
+        # Not before; how much later is for the machine to say.
+        assert 0.25 < time.monotonic() - start < 60
 
 
-def test_a_lost_link_is_an_error_and_can_be_opened_again(link) -> None:
-    found, _ = link
-    with pytest.raises(InstrumentError, match="check cable and power"):
-        found.ask("hang up")
-    found.reopen()
-    assert found.ask("one?") == ["one?"]
+@pytest.mark.parametrize("kind", ["tcp", "visa"])
+def test_a_lost_link_is_an_error_and_can_be_opened_again(kind) -> None:
+    # PyVISA-py does not see that the other end is gone, and waits.
+    with linked(kind, timeout=0.3) as (found, _):
+        with pytest.raises(InstrumentError, match="check cable and power"):
+            found.ask("hang up")
+        found._timeout = 60.0
+        found.reopen()
+        assert found.ask("one?") == ["one?"]
 
 
 def test_a_closed_link_is_not_used(link) -> None:
@@ -89,7 +104,7 @@ def test_nobody_at_an_address_is_an_error(kind) -> None:
     # PyVISA-py opens a socket that nobody answers without a word; the first question
     # tells.
     with pytest.raises(InstrumentError, match=r"check (address|cable)"):
-        open_link(gone, timeout=0.3).ask("*IDN?")
+        open_link(gone, timeout=2.0).ask("*IDN?")
 
 
 @pytest.mark.parametrize("address", ["tcp://nowhere", "tcp://:5", "tcp://a:b"])

@@ -124,7 +124,7 @@ def test_an_sr844_is_spoken_to_over_a_serial_line() -> None:
     threading.Thread(target=instrument, daemon=True).start()
     link = connecting.open_link(
         f"ASRL{os.ttyname(near)}::INSTR",
-        timeout=5.0,
+        timeout=60.0,
         serial=SerialPort(end="\r", baud_rate=19_200, flow_control="none"),
     )
     try:
