@@ -30,7 +30,7 @@ _NO_PART_OF_IT = (
 _SINCE_LATER = (
     "modulation_amplitude", "options", "reference", "scpi", "interlock_input",
     "output_filter", "frequencies_at_once", "readings", "analog", "pan_tilt",
-    "mode", "run_up", "settled_by",
+    "mode", "run_up", "settled_by", "input_range",
 )  # fmt: skip
 _WORDS_SINCE_LATER = {
     "laser": (

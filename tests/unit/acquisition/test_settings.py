@@ -177,6 +177,23 @@ def test_numbers_that_no_device_has_are_refused_by_name(
     assert len(str(caught.value).splitlines()) <= 2
 
 
+def test_only_an_sr865a_has_input_ranges_and_only_its_own(tmp_path) -> None:
+    def stated(value: str, driver: str = "sr865a") -> str:
+        words = f'driver = "{driver}"\ninput_range = "{value}"\n'
+        words += 'modulation_amplitude = "0.5 V"\n' * (driver == "sr865a")
+        return REAL.replace('driver = "sr844"\n', words)
+
+    found = read(tmp_path, stated("30 mV"))
+    assert found.lock_in.input_range == pytest.approx(0.03)
+    assert digest(found, {}) != digest(read(tmp_path, stated("0.3 V")), {})
+    for wrong, message in (
+        (stated("50 mV"), r"0\.05 V, an SR865A has 1 V, 300 mV"),
+        (stated("1 V", "sr844"), "'sr844' cannot set lock_in.input_range"),
+    ):
+        with pytest.raises(InstrumentError, match=message):
+            read(tmp_path, wrong)
+
+
 def test_a_clock_that_seems_to_stand_is_refused() -> None:
     for speed in (0.0, 1e-12, -1.0, float("nan"), 1e7):
         with pytest.raises(ValueError, match="speed must be above 0"):

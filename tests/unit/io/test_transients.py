@@ -447,6 +447,8 @@ def test_background_bins_have_to_be_bins_of_the_file(tmp_path):
         {"group_index": 0.9},
         {"refractive_index": np.inf},
         {"repetition_frequency": -1.0},
+        {"repetition_frequency": 0.0},
+        {"repetition_frequency": np.inf},
     ],
 )
 def test_arguments_out_of_range_are_refused(tmp_path, arguments):

@@ -20,7 +20,7 @@ from amulor.acquisition.drivers.pymeasure import PymeasureLockIn
 from amulor.acquisition.drivers.scpi import ScpiSource
 from amulor.acquisition.drivers.scpi_lock_in import ScpiLockIn
 from amulor.acquisition.drivers.stanford_sr844 import Sr844
-from amulor.acquisition.drivers.stanford_sr865a import Sr865a
+from amulor.acquisition.drivers.stanford_sr865a import INPUT_RANGES, Sr865a
 from amulor.acquisition.drivers.zurich import ZurichLockIn
 from amulor.acquisition.links.octets import OctetLink
 from amulor.acquisition.links.opening import linked
@@ -160,6 +160,7 @@ def lock_in_of(settings: Settings, clock: Clock) -> LockIn:
             link,
             mean_output_input=own.mean_output_input,
             modulation_amplitude=own.modulation_amplitude,
+            input_range=own.input_range or INPUT_RANGES[0],
             clock=clock,
             external=external,
         )

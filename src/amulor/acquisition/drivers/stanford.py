@@ -152,16 +152,18 @@ class Stanford:
                 f"{'; '.join(lines)} (event status {status}); check its firmware"
             )
 
-    def index_of(self, wanted: float, offered: Sequence[float], what: str) -> int:
+    def index_of(
+        self, wanted: float, offered: Sequence[float], what: str, unit: str = "s"
+    ) -> int:
         """Return the code of a value that the instrument offers."""
         for code, value in enumerate(offered):
             if math.isclose(value, wanted, rel_tol=1e-6):
                 return code
         closest = sorted(offered, key=lambda value: abs(math.log(value / wanted)))[:2]
         raise InstrumentError(
-            f"{self.model} has no {what} of {wanted:g} s; it has "
-            f"{min(closest):g} s and {max(closest):g} s: change instrument.lock_in of "
-            "the survey"
+            f"{self.model} has no {what} of {wanted:g} {unit}; it has "
+            f"{min(closest):g} {unit} and {max(closest):g} {unit}: change "
+            f"{'instrument.lock_in of the survey' if unit == 's' else 'the setting'}"
         )
 
     def _choose_interface(self) -> None:

@@ -69,6 +69,8 @@ class Sr865a(Stanford):
         Auxiliary input that the mean output of the detector is wired to [1].
     modulation_amplitude : float
         Root mean square of the modulation output [V].
+    input_range : float
+        One of `INPUT_RANGES`, which a scan begins with [V].
     clock : Clock
         What waits go by.
     external : bool
@@ -86,6 +88,7 @@ class Sr865a(Stanford):
         *,
         mean_output_input: int | None,
         modulation_amplitude: float,
+        input_range: float = INPUT_RANGES[0],
         clock: Clock,
         external: bool = False,
     ) -> None:
@@ -95,7 +98,7 @@ class Sr865a(Stanford):
             clock=clock,
             external=external,
         )
-        self._amplitude = modulation_amplitude
+        self._amplitude, self._first_range = modulation_amplitude, input_range
         self._rate, self._stride = 0.0, 1
         #: The next point of a stream.
         self._next = 0
@@ -105,7 +108,8 @@ class Sr865a(Stanford):
     def prepare(self, *, time_constant: float) -> None:
         """Set internal reference, one-pole output filter and time constant [s]."""
         code = self.index_of(time_constant, TIME_CONSTANTS, "time constant")
-        self._scale = self._range = 0
+        self._scale = 0
+        self._range = self.index_of(self._first_range, INPUT_RANGES, "input range", "V")
         self._constant, self._rate = time_constant, 0.0
         self._frequency = math.nan
         lines = [
@@ -379,7 +383,8 @@ class Sr865a(Stanford):
     def sharpen(self, amplitude: float) -> bool:
         """Take the next finer SCAL if this peak amplitude [V] leaves room.
 
-        The input range is left alone: what is beside the modulation needs it.
+        The input range is left alone, since what is beside the modulation needs it: it
+        is what the devices file says, or what an overload made of it.
         """
         if self._scale == len(SCALES) - 1:
             return False

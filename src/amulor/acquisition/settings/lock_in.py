@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Annotated, Literal, Self
 
 from pydantic import Field, model_validator
@@ -11,6 +12,8 @@ from amulor.survey.quantity import Description, Time, Voltage
 
 #: Auxiliary inputs of each lock-in, counted from 1.
 _INPUTS = {"simulated": 4, "sr844": 2, "sr865a": 4, "zurich": 2, "digitiser": 0}
+#: Input ranges of an SR865A, peak [V].
+_INPUT_RANGES = (1.0, 0.3, 0.1, 0.03, 0.01)
 LockInDriver = Annotated[
     str,
     known(
@@ -103,6 +106,9 @@ class LockInSettings(Linked):
     modulation_amplitude: Annotated[Voltage, Field(gt=0, le=2)] | None = None
     """Root mean square of the modulation output, which drives the laser; needed where
     it can be set (sr865a, zurich) [V]."""
+    input_range: Annotated[Voltage, Field(gt=0)] | None = None
+    """Largest peak voltage at the input of an sr865a that a scan begins with, 1 V, 300,
+    100, 30 or 10 mV; a wider one is taken when it overloads; 1 V if left out [V]."""
     lock_timeout: Patience = 10.0
     """How long the reference may take to lock [s]."""
     reference: Literal["external"] | None = None
@@ -130,6 +136,22 @@ class LockInSettings(Linked):
             raise ValueError(
                 f"the driver {self.driver!r} cannot set lock_in.modulation_amplitude; "
                 "take it out"
+            )
+        return self
+
+    @model_validator(mode="after")
+    def _range_is_one_of_it(self) -> Self:
+        if self.input_range is None:
+            return self
+        if self.driver != "sr865a":
+            raise ValueError(
+                f"the driver {self.driver!r} cannot set lock_in.input_range; take it "
+                "out"
+            )
+        if not any(math.isclose(self.input_range, own) for own in _INPUT_RANGES):
+            raise ValueError(
+                f"lock_in.input_range is {self.input_range:g} V, an SR865A has 1 V, "
+                "300 mV, 100 mV, 30 mV and 10 mV; state one of them"
             )
         return self
 

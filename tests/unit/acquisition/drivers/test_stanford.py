@@ -224,6 +224,26 @@ def test_an_sr865a_has_nothing_beyond_its_largest_input_range(sr865a) -> None:
         instrument.set_frequency(39e6, timeout=1.0)
 
 
+def test_an_sr865a_begins_with_its_stated_input_range(script, clock) -> None:
+    lines = [("IRNG 3", []) if line == "IRNG 0" else (line, answer)
+             for line, answer in PREPARE_865]  # fmt: skip
+    link = script(IDN_865, *lines)
+    instrument = Sr865a(
+        link, mean_output_input=1, modulation_amplitude=0.3, input_range=0.03,
+        clock=clock,
+    )  # fmt: skip
+    instrument.prepare(time_constant=0.01)
+    # Wider and wider at an overload of the input, whatever the scale, to the end.
+    link.extend(("IRNG 2", []), ("IRNG 1", []), ("IRNG 0", []))
+    for left in (True, True, True, False):
+        assert instrument.relieve(Overload.INPUT) is left
+    assert not link.turns
+    # The next scan begins with what is stated again.
+    link.extend(*lines)
+    instrument.prepare(time_constant=0.01)
+    assert not link.turns
+
+
 def test_the_gate_of_a_laser_is_read_back(sr844) -> None:
     instrument, link = sr844
     gate = LockInGate(instrument, LaserSettings(driver="lock_in_output", output=2))
