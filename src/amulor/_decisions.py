@@ -13,7 +13,11 @@ from contextlib import contextmanager
 from contextvars import ContextVar
 from typing import Any, TypeVar
 
-__all__ = ["Decisions", "decided", "deciding", "told"]
+__all__ = ["FARTHEST", "Decisions", "decided", "deciding", "is_known", "told"]
+
+#: Name under which a scan that is simulated by rows says before how deep its columns of
+#: water reach [m]; the light that they share is decided once then.
+FARTHEST = "farthest end of the columns"
 
 _Value = TypeVar("_Value")
 
@@ -92,6 +96,23 @@ def decided(name: str, decide: Callable[[], _Value]) -> _Value:
         _asking.reset(token)
     asking.decisions.keep(name, value)
     return value
+
+
+def is_known(name: str) -> bool:
+    """Return whether a step runs inside that was told something before its sample.
+
+    Parameters
+    ----------
+    name : str
+        Of what was found from all of the scan.
+
+    Returns
+    -------
+    bool
+        False where nothing is decided once.
+    """
+    asking = _asking.get()
+    return asking is not None and name in asking.decisions.known
 
 
 @contextmanager

@@ -22,7 +22,7 @@ Product = Literal[
 ]
 
 #: Endings of clouds that can be written by rows.
-_BY_ROWS = (".ply", ".xyz", ".csv")
+_BY_ROWS = (".ply", ".xyz", ".csv", ".laz", ".las", ".e57", ".nc")
 
 
 def export(
@@ -101,8 +101,8 @@ def export(
     title
         Title of a drawing; that of the range image by default.
     tile_rows
-        Write a .ply, .xyz or .csv cloud so many rows at a time, in bounded memory;
-        files of more than 16 million pixels are written so without being asked.
+        Write a cloud so many rows at a time, in bounded memory; clouds of files of more
+        than 16 million pixels are written so without being asked.
     overwrite
         Replace a file that is there.
     """
@@ -139,8 +139,8 @@ def export(
     by_rows = product == "cloud" and output.suffix.lower() in _BY_ROWS
     if tile_rows is not None and not (by_rows and tile_rows >= 1):
         raise UsageError(
-            f"--tile-rows {tile_rows}: state 1 row or more, and a cloud with one of "
-            f"the endings {', '.join(_BY_ROWS)}"
+            f"--tile-rows {tile_rows}: state 1 row or more, and a cloud: other "
+            "products need the whole image"
         )
     if by_rows and (tile_rows is not None or is_large(image)):
         _by_rows(

@@ -24,6 +24,7 @@ def simulate(
     model: Literal["small-angle", "closure", "diffusion", "photons"] = "small-angle",
     error: str = "0.5%",
     seed: Annotated[int, Parameter(validator=SEED)] = 1,
+    tile_rows: int | None = None,
     overwrite: Annotated[bool, Parameter(negative="")] = False,
 ) -> None:
     """Simulate a survey into a measurement cube.
@@ -43,6 +44,9 @@ def simulate(
         the uncertainty of the samples.
     seed
         Seed of the simulated noise, and of photons.
+    tile_rows
+        Work on so many rows at a time, in bounded memory; scans of more than 1e7
+        samples are simulated by rows without being asked. Photons take a scan whole.
     overwrite
         Replace a file that is there.
     """
@@ -56,6 +60,7 @@ def simulate(
     )
     from amulor.simulation import simulate as simulate_survey
     from amulor.survey import Survey
+    from amulor.survey.memory import MOST_SAMPLES, samples_of
     from amulor.survey.reach import unsettled_interval
 
     goal = quantity_of("--error", error, "fraction")
@@ -64,7 +69,10 @@ def simulate(
             f"--error: needed is a relative error above 0 and below 1, found {error}"
         )
     check_cube_output(output, overwrite=overwrite, inputs=[survey])
+    if tile_rows is not None and tile_rows < 1:
+        raise UsageError(f"--tile-rows must be 1 or more, got {tile_rows}")
     described = Survey.from_toml(survey)
+    by_rows = tile_rows is not None or samples_of(described) > MOST_SAMPLES
     try:
         with progress_bar() as advance, _progress.part(0.0, 0.9):
             chosen: SignalModel
@@ -80,15 +88,26 @@ def simulate(
                     from amulor.simulation import PhotonModel
 
                     chosen = PhotonModel(relative_error=goal, seed=seed)
-            cube = simulate_survey(described, rng=seed, model=chosen)
-            advance(f"writing {output}", 0.9)
-            io.write_cube(cube, output, overwrite=overwrite)
+            if by_rows:
+                # Loads what works by rows, which other simulations do without.
+                from amulor.scale.simulated import simulate_file
+
+                made = simulate_file(
+                    described, output, rng=seed, model=chosen, rows=tile_rows,
+                    overwrite=overwrite,
+                )  # fmt: skip
+                sizes, hit, overload = made.sizes, made.hit, made.saturated
+            else:
+                cube = simulate_survey(described, rng=seed, model=chosen)
+                advance(f"writing {output}", 0.9)
+                io.write_cube(cube, output, overwrite=overwrite)
+                sizes = {str(name): size for name, size in cube.sizes.items()}
+                hit = float((cube.amulor.truth["target"] >= 0).mean())
+                overload = float((cube["saturated"] != 0).mean())
     except SurveyError as problem:
         raise SurveyError(f"{survey}: {problem}") from None
-    print(f"{output}: {_sizes(cube.sizes)}")
+    print(f"{output}: {', '.join(f'{name} {count}' for name, count in sizes.items())}")
     if described.targets:
-        hit = float((cube.amulor.truth["target"] >= 0).mean())
-        overload = float((cube["saturated"] != 0).mean())
         print(
             f"{hit:.1%} of the beams meet a target, {overload:.1%} of the samples "
             "overload the detector"
@@ -98,10 +117,3 @@ def simulate(
     )
     if reason and described.targets:
         print(f"note: {reason}; amulor image will need --nearest and --farthest")
-
-
-def _sizes(sizes: object) -> str:
-    from collections.abc import Mapping
-
-    assert isinstance(sizes, Mapping)
-    return ", ".join(f"{name} {count}" for name, count in sizes.items())

@@ -106,6 +106,34 @@ def checked_parts(
         )
 
 
+def in_blocks(arrays: Iterable[NDArray[Any]], size: int) -> Iterator[NDArray[Any]]:
+    """Yield the elements of arrays in blocks of one size, the last one smaller.
+
+    Parameters
+    ----------
+    arrays : iterable of ndarray, shape (n,)
+        Of one type.
+    size : int
+        Elements of a block.
+
+    Yields
+    ------
+    ndarray
+        The same blocks however the elements came.
+    """
+    waiting: list[NDArray[Any]] = []
+    count = 0
+    for array in arrays:
+        waiting.append(array)
+        count += len(array)
+        while count >= size:
+            joined = waiting[0] if len(waiting) == 1 else np.concatenate(waiting)
+            yield joined[:size]
+            waiting, count = [joined[size:]], count - size
+    if count:
+        yield np.concatenate(waiting)
+
+
 def provenance_lines(cloud: xr.Dataset) -> list[str]:
     """Return what the cloud is and where it comes from, one statement a line.
 

@@ -5,7 +5,8 @@ from __future__ import annotations
 import contextlib
 import os
 import uuid
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -15,15 +16,10 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from amulor import cube as cubes
-from amulor.errors import CubeError, FormatError, MissingExtraError
-from amulor.io._cloud import checked_cloud, doubtful, provenance_lines
+from amulor.errors import FormatError, MissingExtraError
+from amulor.io._cloud import checked_cloud, checked_parts, provenance_lines
+from amulor.io.e57_records import BLOCK, FIELDS, Records
 from amulor.io.files import atomic_output
-
-#: A cloud, its records, and the matrix that takes it into its frame.
-_Part = tuple[xr.Dataset, Mapping[str, NDArray[Any]], NDArray[np.float64] | None]
-
-# What `cartesianInvalidState` says of a pixel, after ASTM E2807.
-_VALID, _DIRECTION_ONLY, _NOTHING_MEANT = 0, 1, 2
 
 
 def write_e57(
@@ -83,6 +79,47 @@ def write_e57(
     write_e57_scans([cloud], path, shapes=shapes, overwrite=overwrite)
 
 
+def write_e57_parts(
+    parts: Callable[[], Iterable[xr.Dataset]],
+    count: int,
+    path: str | os.PathLike[str],
+    *,
+    shape: tuple[int, int],
+    overwrite: bool = False,
+) -> None:
+    """Write the cloud of a scan that comes in parts, so that none is in memory whole.
+
+    Parameters
+    ----------
+    parts : callable
+        Gives the parts in the order of their rows, the same ones each time: once for
+        bounds and identifiers and once to write them.
+    count : int
+        Points that they hold together.
+    path, overwrite
+        As in `write_e57`.
+    shape : tuple of int
+        Rows and columns of the scan [1].
+
+    Raises
+    ------
+    CubeError, FormatError, MissingExtraError
+        As `write_e57`, and if there are more or fewer points.
+
+    Notes
+    -----
+    The file is that of the whole cloud, byte for byte: records are handed over in
+    blocks of the same size for whatever parts.
+    """
+    name = f"the cloud for {path}"
+
+    def checked() -> Iterator[xr.Dataset]:
+        return checked_parts(parts(), count, name=name)
+
+    libe57 = _libe57()
+    _write_file(libe57, [Records(checked, shape, name=name)], path, overwrite=overwrite)
+
+
 def write_e57_scans(
     clouds: Sequence[xr.Dataset],
     path: str | os.PathLike[str],
@@ -126,15 +163,24 @@ def write_e57_scans(
     """
     libe57 = _libe57()
     name = f"the cloud for {path}"
-    parts = []
+    scans = []
     for number, cloud in enumerate(clouds):
         cloud = checked_cloud(cloud, name=name)
-        cloud, matrix = _in_the_instrument(cloud)
         shape = _shape_of(cloud) if shapes is None else shapes[number]
-        parts.append((cloud, _records(cloud, shape, name=name), matrix))
+        scans.append(Records(partial(iter, [cloud]), shape, name=name))
+    _write_file(libe57, scans, path, overwrite=overwrite)
+
+
+def _write_file(
+    libe57: Any,
+    scans: Sequence[Records],
+    path: str | os.PathLike[str],
+    *,
+    overwrite: bool,
+) -> None:
     with atomic_output(Path(path), overwrite=overwrite) as temporary:
         try:
-            _write(libe57, temporary, parts)
+            _write(libe57, temporary, scans)
         except libe57.E57Exception as error:
             reason = str(error).partition("\n")[0]
             raise FormatError(
@@ -161,59 +207,6 @@ def _shape_of(cloud: xr.Dataset) -> tuple[int, int]:
     return int(cloud["row"].max()) + 1, int(cloud["column"].max()) + 1
 
 
-def _records(
-    cloud: xr.Dataset, shape: tuple[int, int], *, name: str
-) -> dict[str, NDArray[Any]]:
-    row = cloud["row"].values.astype(np.int64)
-    column = cloud["column"].values.astype(np.int64)
-    if row.max() >= shape[0] or column.max() >= shape[1]:
-        raise CubeError(
-            f"{name}: a point is in row {row.max()} and one in column {column.max()}, "
-            f"but the scan has {shape[0]} rows and {shape[1]} columns, numbered from "
-            "0; give the shape of the scan that the cloud was made from"
-        )
-    pixel = row * shape[1] + column
-    if np.unique(pixel).size < pixel.size:
-        raise CubeError(
-            f"{name}: a pixel of the scan has two points, an E57 scan has room for "
-            "one; write each scan to its own file"
-        )
-    pixels = np.arange(shape[0] * shape[1])
-    records: dict[str, NDArray[Any]] = {
-        f"cartesian{axis.upper()}": np.zeros(pixels.size) for axis in "xyz"
-    }
-    records["intensity"] = np.zeros(pixels.size)
-    for key, variable in zip(records, ("x", "y", "z", "intensity"), strict=True):
-        records[key][pixel] = cloud[variable].values
-    # pye57 0.4.19 takes only every other half of the integers that C calls long.
-    records["rowIndex"] = (pixels // shape[1]).astype(np.longlong)
-    records["columnIndex"] = (pixels % shape[1]).astype(np.longlong)
-    state = np.full(pixels.size, _NOTHING_MEANT, dtype=np.int8)
-    state[pixel] = np.where(doubtful(cloud), _DIRECTION_ONLY, _VALID)
-    records["cartesianInvalidState"] = state
-    return records
-
-
-def _in_the_instrument(
-    cloud: xr.Dataset,
-) -> tuple[xr.Dataset, NDArray[np.float64] | None]:
-    """Return the cloud in the instrument's axes, and the matrix that takes it back."""
-    if cloud.attrs.get("frame", "instrument") == "instrument":
-        return cloud, None
-    matrix = np.asarray(cloud.attrs["frame_matrix"], dtype=float).reshape(4, 4)
-    placed = np.stack([cloud[axis].values for axis in "xyz"], axis=1)
-    own = (placed - matrix[:3, 3]) @ matrix[:3, :3]
-    return (
-        cloud.assign(
-            {
-                axis: cloud[axis].copy(data=own[:, number])
-                for number, axis in enumerate("xyz")
-            }
-        ),
-        matrix,
-    )
-
-
 def _pose(matrix: NDArray[np.float64]) -> dict[str, dict[str, float]]:
     """Return a pose as the format states it: unit quaternion and translation."""
     x, y, z, w = Rotation.from_matrix(matrix[:3, :3]).as_quat()
@@ -222,13 +215,13 @@ def _pose(matrix: NDArray[np.float64]) -> dict[str, dict[str, float]]:
     return {"rotation": rotation, "translation": place}
 
 
-def _write(libe57: Any, path: Path, parts: Sequence[_Part]) -> None:
+def _write(libe57: Any, path: Path, scans: Sequence[Records]) -> None:
     file = libe57.ImageFile(str(path), "w")
     try:
         file.extensionsAdd("", libe57.E57_V1_0_URI)
         # The same clouds get the same identifiers.
-        digests = [_digest(cloud, records) for cloud, records, _ in parts]
-        digest = digests[0] if len(parts) == 1 else cubes.digest(str(digests).encode())
+        digests = [scan.digest for scan in scans]
+        digest = digests[0] if len(scans) == 1 else cubes.digest(str(digests).encode())
         _set(libe57, file, file.root(), {
             "formatName": "ASTM E57 3D Imaging Data File",
             "guid": f"{{{uuid.uuid5(uuid.NAMESPACE_OID, digest)}}}",
@@ -237,54 +230,42 @@ def _write(libe57: Any, path: Path, parts: Sequence[_Part]) -> None:
             "e57LibraryVersion": libe57.E57_LIBRARY_ID,
             "coordinateMetadata": "",
         })  # fmt: skip
-        scans = libe57.VectorNode(file, True)
-        file.root().set("data3D", scans)
+        listed = libe57.VectorNode(file, True)
+        file.root().set("data3D", listed)
         file.root().set("images2D", libe57.VectorNode(file, True))
-        for own, (cloud, records, matrix) in zip(digests, parts, strict=True):
-            scan = libe57.StructureNode(file)
-            scans.append(scan)
-            _set(libe57, file, scan, {
-                "guid": f"{{{uuid.uuid5(uuid.NAMESPACE_OID, own + ' scan')}}}",
-                "name": str(cloud.attrs.get("title") or "scan"),
-                "description": "\n".join(provenance_lines(cloud)),
-                **_bounds(cloud, records),
-                **({} if matrix is None else {"pose": _pose(matrix)}),
+        for scan in scans:
+            node = libe57.StructureNode(file)
+            listed.append(node)
+            _set(libe57, file, node, {
+                "guid": f"{{{uuid.uuid5(uuid.NAMESPACE_OID, scan.digest + ' scan')}}}",
+                "name": str(scan.first.attrs.get("title") or "scan"),
+                "description": "\n".join(provenance_lines(scan.first)),
+                **_bounds(scan),
+                **({} if scan.matrix is None else {"pose": _pose(scan.matrix)}),
             })  # fmt: skip
-            _write_points(libe57, file, scan, records)
+            _write_points(libe57, file, node, scan)
         file.close()
     except BaseException:
         file.cancel()
         raise
 
 
-def _digest(cloud: xr.Dataset, records: Mapping[str, NDArray[Any]]) -> str:
-    text = "\n".join(provenance_lines(cloud))
-    content = b"".join(values.tobytes() for values in records.values())
-    return cubes.digest(text.encode() + content)
-
-
-def _bounds(
-    cloud: xr.Dataset, records: Mapping[str, NDArray[Any]]
-) -> dict[str, dict[str, int | float]]:
-    def ends(start: str, values: NDArray[Any]) -> dict[str, int | float]:
-        return {
-            f"{start}Minimum": values.min().item(),
-            f"{start}Maximum": values.max().item(),
-        }
+def _bounds(scan: Records) -> dict[str, dict[str, int | float]]:
+    def named(start: str, key: str) -> dict[str, int | float]:
+        low, high = scan.ends[key]
+        return {f"{start}Minimum": low, f"{start}Maximum": high}
 
     return {
         "indexBounds": {
-            **ends("row", records["rowIndex"]),
-            **ends("column", records["columnIndex"]),
+            **named("row", "rowIndex"),
+            **named("column", "columnIndex"),
             "returnMinimum": 0,
             "returnMaximum": 0,
         },
         "cartesianBounds": {
-            key: end
-            for axis in "xyz"
-            for key, end in ends(axis, cloud[axis].values.astype(float)).items()
+            key: end for axis in "xyz" for key, end in named(axis, axis).items()
         },
-        "intensityLimits": ends("intensity", records["intensity"]),
+        "intensityLimits": named("intensity", "intensity"),
     }
 
 
@@ -303,26 +284,32 @@ def _set(libe57: Any, file: Any, node: Any, children: Mapping[str, Any]) -> None
         node.set(key, child)
 
 
-def _write_points(
-    libe57: Any, file: Any, scan: Any, records: Mapping[str, NDArray[Any]]
-) -> None:
+def _write_points(libe57: Any, file: Any, node: Any, scan: Records) -> None:
+    size = min(BLOCK, scan.count)
+    # The writer takes its records from these, again and again.
+    taken: dict[str, NDArray[Any]] = {
+        key: np.zeros(size, dtype=kind) for key, kind in FIELDS.items()
+    }
     prototype = libe57.StructureNode(file)
-    for key, values in records.items():
+    for key, values in taken.items():
         if values.dtype.kind == "f":
             field = libe57.FloatNode(file, 0.0, libe57.E57_DOUBLE)
         else:
-            field = libe57.IntegerNode(file, 0, 0, max(1, int(values.max())))
+            field = libe57.IntegerNode(file, 0, 0, max(1, int(scan.ends[key][1])))
         prototype.set(key, field)
     points = libe57.CompressedVectorNode(file, prototype, libe57.VectorNode(file, True))
-    scan.set("points", points)
+    node.set("points", points)
     buffers = libe57.VectorSourceDestBuffer()
-    for key, values in records.items():
+    for key, values in taken.items():
         buffers.append(
             libe57.SourceDestBuffer(file, key, values, values.size, True, True)
         )
     writer = points.writer(buffers)
     try:
-        writer.write(next(iter(records.values())).size)
+        for block in scan.blocks():
+            for key, values in taken.items():
+                values[: len(block)] = block[key]
+            writer.write(len(block))
     except BaseException:
         # A writer that is open when its file goes ends the whole program.
         with contextlib.suppress(libe57.E57Exception):

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-import io
 import os
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +14,13 @@ from numpy.typing import NDArray
 
 from amulor.cube import provenance
 from amulor.errors import CubeError, FormatError, MissingExtraError
-from amulor.io._cloud import checked_cloud, doubtful, provenance_lines
+from amulor.io._cloud import (
+    checked_cloud,
+    checked_parts,
+    doubtful,
+    in_blocks,
+    provenance_lines,
+)
 from amulor.io.files import atomic_output
 
 #: Step of the coordinates in the file [m]: the rounding, half of it, is far below the
@@ -22,6 +29,8 @@ SCALE = 1e-6
 # Coordinates are 32-bit steps from an offset.
 _LARGEST = np.iinfo(np.int32).max
 _BRIGHTEST = np.iinfo(np.uint16).max
+#: Points that go to the compressor at once: whole chunks of 50,000.
+_BLOCK = 500_000
 # Name, type, variable, and description of at most 32 bytes, where the unit goes.
 _EXTRA = (
     ("amplitude", np.float64, "intensity", "amplitude of the signal [V]"),
@@ -92,36 +101,153 @@ def write_laz(
     >>> laspy.read("ladder.laz").header.point_count == cloud.sizes["point"]
     True
     """
+    cloud = checked_cloud(cloud, name=f"the cloud for {path}")
+    write_laz_parts(lambda: [cloud], cloud.sizes["point"], path, overwrite=overwrite)
+
+
+def write_laz_parts(
+    parts: Callable[[], Iterable[xr.Dataset]],
+    count: int,
+    path: str | os.PathLike[str],
+    *,
+    overwrite: bool = False,
+) -> None:
+    """Write a point cloud that comes in parts, so that none is in memory whole.
+
+    Parameters
+    ----------
+    parts : callable
+        Gives the parts in their order, the same ones each time: once for the extent of
+        the cloud and once to write it.
+    count : int
+        Points that they hold together.
+    path, overwrite
+        As in `write_laz`.
+
+    Raises
+    ------
+    CubeError, FormatError, MissingExtraError
+        As `write_laz`, and if there are more or fewer points.
+
+    Notes
+    -----
+    The file is that of the whole cloud, byte for byte: points go to the compressor in
+    blocks of the same size for whatever parts.
+    """
     laspy = _laspy()
     name = f"the cloud for {path}"
-    cloud = checked_cloud(cloud, name=name)
+    extent = _extent(checked_parts(parts(), count, name=name), name=name)
+    path = Path(path)
+    header, kept = _header(laspy, extent, name=name)
+    text = "\n".join(provenance_lines(extent.first))
+    record = laspy.VLR("amulor", 1, "provenance", text.encode())
+    records = (
+        _records(laspy, part, header, kept, extent.brightest)
+        for part in checked_parts(parts(), count, name=name)
+    )
+    with atomic_output(path, overwrite=overwrite) as temporary:
+        try:
+            with (
+                temporary.open("w+b") as file,
+                laspy.open(
+                    file,
+                    mode="w",
+                    header=header,
+                    do_compress=path.suffix.lower() != ".las",
+                    closefd=False,
+                ) as writer,
+            ):
+                for block in in_blocks(records, _BLOCK):
+                    writer.write_points(
+                        laspy.PackedPointRecord(block, header.point_format)
+                    )
+                writer.write_evlrs(laspy.vlrs.vlrlist.VLRList([record]))
+        except _lazrs_error() as error:
+            raise FormatError(
+                f"{path} cannot be written: {error}; free some space or choose another "
+                "folder"
+            ) from error
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Extent:
+    """What the header of a file says of all points."""
+
+    first: xr.Dataset
+    low: NDArray[np.float64]
+    high: NDArray[np.float64]
+    brightest: float
+
+
+def _extent(parts: Iterable[xr.Dataset], *, name: str) -> _Extent:
+    """Return how far a cloud goes, and its largest amplitude."""
+    first: xr.Dataset | None = None
+    low, high = np.full(3, np.inf), np.full(3, -np.inf)
+    brightest = 0.0
+    for part in parts:
+        first = part if first is None else first
+        placed = [part[axis].values for axis in "xyz"]
+        low = np.minimum(low, [values.min() for values in placed])
+        high = np.maximum(high, [values.max() for values in placed])
+        amplitude = part["intensity"].values
+        if np.min(amplitude) < 0:
+            raise CubeError(
+                f"{name}: 'intensity' must not be below 0 V, found "
+                f"{np.min(amplitude):g} V; it is an amplitude"
+            )
+        brightest = max(brightest, float(np.max(amplitude)))
+    assert first is not None
+    return _Extent(first=first, low=low, high=high, brightest=brightest or 1.0)
+
+
+def _header(laspy: Any, extent: _Extent, *, name: str) -> tuple[Any, list[Any]]:
+    """Return the header of a file, and the entries of `_EXTRA` that are in it."""
     header = laspy.LasHeader(version="1.4", point_format=6)
     header.global_encoding.wkt = True  # asked for by this point format, even if unused
     header.system_identifier = "amulor"
     header.generating_software = f"amulor {provenance.software_versions()['amulor']}"
-    kept = [entry for entry in _EXTRA if entry[2] in cloud]
+    kept = [entry for entry in _EXTRA if entry[2] in extent.first]
     header.add_extra_dims(
         [laspy.ExtraBytesParams(key, kind, about) for key, kind, _, about in kept]
     )
     header.scales = np.full(3, SCALE)
-    header.offsets = np.array([_offset(cloud[axis].values) for axis in "xyz"])
-    points = laspy.LasData(header)
+    header.offsets = _offsets(extent, name=name)
+    return header, kept
+
+
+def _offsets(extent: _Extent, *, name: str) -> NDArray[np.float64]:
+    # Whole metres, which the file holds exactly; adding zero makes -0 a plain 0.
+    offsets = np.round((extent.low + extent.high) / 2) + 0.0
+    ends = np.stack([extent.low, extent.high])
+    wide = np.abs(np.round((ends - offsets) / SCALE)).max(axis=0) > _LARGEST
+    if wide.any():
+        axis = int(np.argmax(wide))
+        low, high = ends[:, axis]
+        raise FormatError(
+            f"{name}: '{'xyz'[axis]}' goes from {low:g} m to {high:g} m, but a LAS "
+            f"file in steps of {SCALE:g} m holds {2 * _LARGEST * SCALE:.0f} m; write a "
+            "PLY or an E57 file, or leave out the far points"
+        )
+    return np.asarray(offsets)
+
+
+def _records(
+    laspy: Any, part: xr.Dataset, header: Any, kept: list[Any], brightest: float
+) -> NDArray[np.void]:
+    """Return points as the file holds them."""
+    points = laspy.ScaleAwarePointRecord.zeros(part.sizes["point"], header=header)
     for axis, offset in zip("xyz", header.offsets, strict=True):
-        points[axis.upper()] = _steps(cloud[axis].values, offset, axis=axis, name=name)
-    points["intensity"] = _brightness(cloud["intensity"].values, name=name)
-    points["return_number"] = np.ones(cloud.sizes["point"], dtype=np.uint8)
-    points["number_of_returns"] = np.ones(cloud.sizes["point"], dtype=np.uint8)
-    points["withheld"] = doubtful(cloud).astype(np.uint8)
+        steps = np.round((part[axis].values - offset) / SCALE)
+        points[axis.upper()] = steps.astype(np.int32)
+    share = part["intensity"].values / brightest
+    points["intensity"] = np.round(share * _BRIGHTEST).astype(np.uint16)
+    points["return_number"] = np.ones(part.sizes["point"], dtype=np.uint8)
+    points["number_of_returns"] = np.ones(part.sizes["point"], dtype=np.uint8)
+    points["withheld"] = doubtful(part).astype(np.uint8)
     for key, kind, variable, _ in kept:
-        points[key] = cloud[variable].values.astype(kind)
-    text = "\n".join(provenance_lines(cloud))
-    record = laspy.VLR("amulor", 1, "provenance", text.encode())
-    points.evlrs = laspy.vlrs.vlrlist.VLRList([record])
-    path = Path(path)
-    with atomic_output(path, overwrite=overwrite) as temporary:
-        content = io.BytesIO()
-        points.write(content, do_compress=path.suffix.lower() != ".las")
-        temporary.write_bytes(content.getvalue())
+        points[key] = part[variable].values.astype(kind)
+    records: NDArray[np.void] = points.array
+    return records
 
 
 def _laspy() -> Any:
@@ -135,29 +261,8 @@ def _laspy() -> Any:
     return laspy
 
 
-def _offset(values: NDArray[np.float64]) -> float:
-    # Whole metres, which the file holds exactly; adding zero makes -0 a plain 0.
-    return float(np.round((np.min(values) + np.max(values)) / 2)) + 0.0
+def _lazrs_error() -> Any:
+    """Return what the compressor raises if it cannot write."""
+    import lazrs
 
-
-def _steps(
-    values: NDArray[np.float64], offset: float, *, axis: str, name: str
-) -> NDArray[np.int32]:
-    steps = np.round((values - offset) / SCALE)
-    if np.max(np.abs(steps)) > _LARGEST:
-        raise FormatError(
-            f"{name}: '{axis}' goes from {np.min(values):g} m to {np.max(values):g} m, "
-            f"but a LAS file in steps of {SCALE:g} m holds {2 * _LARGEST * SCALE:.0f} "
-            "m; write a PLY or an E57 file, or leave out the far points"
-        )
-    return steps.astype(np.int32)
-
-
-def _brightness(values: NDArray[np.float64], *, name: str) -> NDArray[np.uint16]:
-    if np.min(values) < 0:
-        raise CubeError(
-            f"{name}: 'intensity' must not be below 0 V, found {np.min(values):g} V; "
-            "it is an amplitude"
-        )
-    largest = float(np.max(values)) or 1.0
-    return np.round(values / largest * _BRIGHTEST).astype(np.uint16)
+    return lazrs.LazrsError

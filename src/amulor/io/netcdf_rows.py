@@ -244,8 +244,8 @@ def _digest(file: Any, length: int) -> str:
 class RowWriter:
     """A cube that is written row by row; made by `row_writer`."""
 
-    def __init__(self, file: Any, rows: int, *, name: str) -> None:
-        self._file, self._rows, self._name = file, rows, name
+    def __init__(self, file: Any, rows: int, *, name: str, over: str = "row") -> None:
+        self._file, self._rows, self._name, self._over = file, rows, name, over
         self._made: dict[str, dict[str, Any]] | None = None
         self._written = 0
 
@@ -274,28 +274,28 @@ class RowWriter:
                 parts[group] = part
         if begin != self._written:
             raise CubeError(
-                f"{self._name}: rows from {begin} on do not follow row "
-                f"{self._written - 1}; write the tiles in order"
+                f"{self._name}: {self._over}s from {begin} on do not follow "
+                f"{self._over} {self._written - 1}; write the tiles in order"
             )
         if self._made is None:
             self._made = {key: self._begun(key, part) for key, part in parts.items()}
-        end = begin + tile.sizes["row"]
+        end = begin + tile.sizes[self._over]
         for key, part in parts.items():
             over = {
                 str(name): variable
                 for name, variable in part.variables.items()
-                if "row" in variable.dims
+                if self._over in variable.dims
             }
             made = self._made.get(key, {})
             if set(made) != set(over):
                 odd = ", ".join(sorted(set(made) ^ set(over)))
                 raise CubeError(
-                    f"{self._name}: rows from {begin} on and the first ones differ in "
-                    f"{odd}; tiles of one cube have the same variables"
+                    f"{self._name}: {self._over}s from {begin} on and the first ones "
+                    f"differ in {odd}; tiles of one cube have the same variables"
                 )
             for name, variable in over.items():
                 place = tuple(
-                    slice(begin, end) if dimension == "row" else slice(None)
+                    slice(begin, end) if dimension == self._over else slice(None)
                     for dimension in variable.dims
                 )
                 values = variable.values
@@ -313,21 +313,23 @@ class RowWriter:
         """
         if self._written != self._rows:
             raise CubeError(
-                f"{self._name}: {self._written} of {self._rows} rows are written; "
-                "write the others"
+                f"{self._name}: {self._written} of {self._rows} {self._over}s are "
+                "written; write the others"
             )
 
     def _begun(self, key: str, part: xr.Dataset) -> dict[str, Any]:
         """Make a group with what does not run over the rows; return what does."""
         _check_storable(part, name=self._name)
         group = self._file.create_group(key) if key else self._file
-        sizes = {**part.sizes, "row": self._rows} if "row" in part.sizes else part.sizes
+        sizes = dict(part.sizes)
+        if self._over in sizes:
+            sizes[self._over] = self._rows
         for dimension, size in sizes.items():
             group.dimensions[dimension] = size
         listed, attributes = _listing(part)
         made = {}
         for name, variable in part.variables.items():
-            over = "row" in variable.dims
+            over = self._over in variable.dims
             shape = tuple(int(sizes[dimension]) for dimension in variable.dims)
             created = _create(
                 group, str(name), variable, listed[name], shape=shape if over else None
@@ -340,7 +342,11 @@ class RowWriter:
 
 @contextmanager
 def row_writer(
-    path: str | os.PathLike[str], rows: int, *, overwrite: bool = False
+    path: str | os.PathLike[str],
+    rows: int,
+    *,
+    overwrite: bool = False,
+    over: str = "row",
 ) -> Iterator[RowWriter]:
     """Write a cube row by row; the file is there when all of it is written.
 
@@ -352,6 +358,8 @@ def row_writer(
         Rows of the whole cube.
     overwrite : bool
         Whether an existing file is replaced.
+    over : str
+        The dimension that is written part by part: "row", or "point" of a cloud.
 
     Yields
     ------
@@ -369,7 +377,7 @@ def row_writer(
 
     with atomic_output(path, overwrite=overwrite) as temporary:
         with h5netcdf.File(temporary, "w", libver=_LIBRARY_VERSION) as file:
-            writer = RowWriter(file, rows, name=f"the cube for {path}")
+            writer = RowWriter(file, rows, name=f"the cube for {path}", over=over)
             yield writer
             writer.end()
         with temporary.open("r+b") as file:

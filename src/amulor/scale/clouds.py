@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -12,23 +12,63 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
+from amulor import _progress, imaging
 from amulor import cube as cubes
-from amulor import imaging
 from amulor._progress import tell
 from amulor.cube import DOUBTFUL, UNUSABLE, tiles
 from amulor.errors import FormatError
 from amulor.imaging.frame import Frame
 from amulor.imaging.selection import to_leave_out, without
-from amulor.io.netcdf_rows import open_rows, tile_rows
+from amulor.io._cloud import checked_parts
+from amulor.io.e57 import write_e57_parts
+from amulor.io.laz import write_laz_parts
+from amulor.io.netcdf_rows import open_rows, row_writer, tile_rows
 from amulor.io.ply import write_ply_parts
 from amulor.io.text_cloud import write_text_parts
 
 __all__ = ["BY_ROWS", "CloudSummary", "Selection", "cloud_file"]
 
+#: Gives the parts of a cloud, the same ones each time.
+Parts = Callable[[], Iterator[xr.Dataset]]
+#: Rows and columns of the image that a cloud comes from.
+Shape = tuple[int, int]
+
+
+def _ply(parts: Parts, count: int, shape: Shape, path: Path, overwrite: bool) -> None:
+    write_ply_parts(parts(), count, path, overwrite=overwrite)
+
+
+def _text(parts: Parts, count: int, shape: Shape, path: Path, overwrite: bool) -> None:
+    write_text_parts(parts(), count, path, overwrite=overwrite)
+
+
+def _laz(parts: Parts, count: int, shape: Shape, path: Path, overwrite: bool) -> None:
+    write_laz_parts(parts, count, path, overwrite=overwrite)
+
+
+def _e57(parts: Parts, count: int, shape: Shape, path: Path, overwrite: bool) -> None:
+    write_e57_parts(parts, count, path, shape=shape, overwrite=overwrite)
+
+
+def _netcdf(
+    parts: Parts, count: int, shape: Shape, path: Path, overwrite: bool
+) -> None:
+    done = 0
+    with row_writer(path, count, overwrite=overwrite, over="point") as writer:
+        for part in checked_parts(parts(), count, name=f"the cloud for {path}"):
+            whole = np.array(shape, dtype=np.int32)
+            writer.put(part.assign_attrs(scan_shape=whole), done)
+            done += part.sizes["point"]
+
+
 _WRITERS = {
-    ".ply": write_ply_parts,
-    ".xyz": write_text_parts,
-    ".csv": write_text_parts,
+    ".ply": _ply,
+    ".xyz": _text,
+    ".csv": _text,
+    ".laz": _laz,
+    ".las": _laz,
+    ".e57": _e57,
+    ".nc": _netcdf,
 }
 #: Endings of clouds that are written by rows.
 BY_ROWS = tuple(_WRITERS)
@@ -111,18 +151,20 @@ def cloud_file(
     with open_rows(Path(source)) as image:
         cubes.checked(image.tile(0, 1), "range_image")
         size = tile_rows(image) if rows is None else rows
-        summary, counts = _counted(image, chosen, size)
+        with _progress.part(0.0, 0.2):
+            summary, counts = _counted(image, chosen, size)
 
         def parts() -> Iterator[xr.Dataset]:
             for begin, end in tiles.bands(image, size):
-                tell(f"row {begin:,} of {image.rows:,}", 0.3 + 0.7 * begin / image.rows)
+                tell(f"row {begin:,} of {image.rows:,}", 0.2 + 0.8 * begin / image.rows)
                 tile = image.tile(begin, end)
                 tile = without(tile, chosen.of(tile)[0], counts)
                 cloud = imaging.point_cloud(tile, frame=frame)
                 row = cloud["row"]
                 yield cloud.assign(row=row.copy(data=row.values + np.int32(begin)))
 
-        _WRITERS[ending](parts(), summary.points, output, overwrite=overwrite)
+        shape = image.rows, image.columns
+        _WRITERS[ending](parts, summary.points, shape, Path(output), overwrite)
     return summary
 
 
@@ -133,7 +175,7 @@ def _counted(
     counts: Counter[str] = Counter()
     points = doubtful = 0
     for begin, end in tiles.bands(image, size):
-        tell(f"counting, row {begin:,} of {image.rows:,}", 0.3 * begin / image.rows)
+        tell(f"counting, row {begin:,} of {image.rows:,}", begin / image.rows)
         tile = image.tile(begin, end)
         gone, found = selection.of(tile)
         # Reasons without a pixel stay in the list.

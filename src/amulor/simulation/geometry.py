@@ -43,7 +43,13 @@ class Geometry:
     target's reflectance: BRDF and texture [1]."""
 
 
-def trace(survey: Survey, water: WaterProperties) -> Geometry:
+def trace(
+    survey: Survey,
+    water: WaterProperties,
+    *,
+    directions: tuple[Floats, Floats, Floats] | None = None,
+    scene: Scene | None = None,
+) -> Geometry:
     """Follow every beam of a scan to what it meets.
 
     Parameters
@@ -52,6 +58,10 @@ def trace(survey: Survey, water: WaterProperties) -> Geometry:
         Targets, instrument and scan.
     water : WaterProperties
         Indices of the water.
+    directions : tuple of three ndarrays, shape (row, column), optional
+        Azimuth, elevation [rad] and time [s] of the beams; all of the scan by default.
+    scene : Scene, optional
+        The survey's targets, if they are known already.
 
     Returns
     -------
@@ -71,13 +81,13 @@ def trace(survey: Survey, water: WaterProperties) -> Geometry:
     """
     instrument = survey.instrument
     surroundings = medium(survey, water)
-    azimuth, elevation, time = scan_directions(survey)
+    azimuth, elevation, time = directions or scan_directions(survey)
     beam = rays.enter_water(
         instrument.emitter.position,
         rays.direction(azimuth, elevation),
         medium=surroundings,
     )
-    scene = Scene(survey.targets)
+    scene = scene or Scene(survey.targets)
     hits = scene.cast(beam.entry.reshape(-1, 3), beam.direction.reshape(-1, 3))
     _refuse_targets_behind_the_water(survey, hits)
     receiver = np.asarray(instrument.receiver.position)

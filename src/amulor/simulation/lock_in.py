@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -53,12 +54,49 @@ def expected_signal(survey: Survey, light: Light) -> NDArray[np.complex128]:
     )
 
 
+class Noise(Protocol):
+    """What a random generator does here; its rows can also come one after another."""
+
+    def standard_normal(self, size: tuple[int, ...], /) -> NDArray[np.float64]:
+        """Return normal numbers."""
+        ...
+
+    def gamma(
+        self, shape: float, scale: float, /, size: tuple[int, ...]
+    ) -> NDArray[np.float64]:
+        """Return numbers of the gamma distribution."""
+        ...
+
+
+def draws(survey: Survey) -> list[tuple[str, int]]:
+    """Return what `sample` asks of a random generator, in its order.
+
+    Parameters
+    ----------
+    survey : Survey
+        Its frequencies, analysers and speckle count.
+
+    Returns
+    -------
+    list of tuple of str and int
+        Method of the generator, and how many planes of (row, column) [1].
+    """
+    analysers = len(survey.instrument.polarizations)
+    planes = len(survey.instrument.modulation_frequencies) * analysers
+    speckled = survey.instrument.receiver.speckle_cells is not None
+    return [
+        ("standard_normal", planes),
+        *([("gamma", analysers)] if speckled else []),
+        *[("standard_normal", planes)] * 3,
+    ]
+
+
 def sample(
     survey: Survey,
     target: Light,
     water: Light,
     *,
-    rng: np.random.Generator,
+    rng: Noise,
 ) -> Samples:
     """Draw the lock-in samples of target and water light together.
 
@@ -68,8 +106,8 @@ def sample(
         Its instrument, its dwell and the fluctuation of its water count.
     target, water : Light
         Received power per launched power, of one shape.
-    rng : numpy.random.Generator
-        Source of all randomness.
+    rng : numpy.random.Generator or Noise
+        Source of all randomness; `draws` says what is asked of it.
 
     Returns
     -------
@@ -122,7 +160,7 @@ def sample(
     )
 
 
-def _speckled(survey: Survey, target: Light, *, rng: np.random.Generator) -> Light:
+def _speckled(survey: Survey, target: Light, *, rng: Noise) -> Light:
     """Return the target's light with the speckle of each place and analyser.
 
     What does not move has one pattern for all modulation frequencies.

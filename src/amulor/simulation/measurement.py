@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import numbers
+from contextlib import nullcontext
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -10,14 +12,18 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from amulor import cube
+from amulor._decisions import FARTHEST, Decisions, deciding, told
 from amulor._progress import part, tell
+from amulor.cube import tiles
 from amulor.optics.rays import Medium
 from amulor.simulation import geometry as geometry_of
 from amulor.simulation import lock_in, signal
-from amulor.simulation.models import DEFAULT_MODEL, SignalModel
+from amulor.simulation.models import DEFAULT_MODEL, SignalModel, UncertainModel
+from amulor.simulation.scene import Scene
 from amulor.survey import Survey, WaterProperties, water_properties
 from amulor.survey.counting import photon_noise_volt
-from amulor.survey.directions import open_water_directions
+from amulor.survey.directions import Floats, open_water_directions, scan_directions
+from amulor.survey.memory import refuse_scans_beyond_memory
 from amulor.survey.view import geometry_attributes
 from amulor.survey.view import medium as medium_of
 from amulor.survey.view import view as view_of
@@ -77,11 +83,110 @@ def simulate(
     [[1.5003 1.5001 1.5003]
      [1.5003 1.5001 1.5003]]
     """
-    seed = int(rng) if isinstance(rng, numbers.Integral) else None
+    refuse_scans_beyond_memory(survey)
     generator = np.random.default_rng(rng)
-    water = water_properties(survey)
+    setting = Setting.of(survey, rng=rng, model=model)
+    decisions = decisions_of(setting)
+    with nullcontext() if decisions is None else told(decisions):
+        samples, truth = measured(setting, scan_directions(survey), noise=generator)
+    tell("open-water shots", 0.8)
+    return joined(samples, open_water(setting, rng=generator), truth)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Setting:
+    """What all rows of a simulated scan share."""
+
+    survey: Survey
+    """What is measured, and with what."""
+    model: SignalModel
+    """Forward model."""
+    water: WaterProperties
+    """Optical numbers of the water."""
+    medium: Medium
+    """What the light crosses."""
+    scene: Scene
+    """The targets."""
+    seed: int | None
+    """That of the noise, if there is one."""
+
+    @classmethod
+    def of(
+        cls, survey: Survey, *, rng: np.random.Generator | int, model: SignalModel
+    ) -> Setting:
+        """Return the setting of a survey; see `simulate`."""
+        water = water_properties(survey)
+        return cls(
+            survey=survey,
+            model=model,
+            water=water,
+            medium=medium_of(survey, water),
+            scene=Scene(survey.targets),
+            seed=int(rng) if isinstance(rng, numbers.Integral) else None,
+        )
+
+
+def decisions_of(setting: Setting) -> Decisions | None:
+    """Return what is decided once for the pixels of a scan, whatever rows they are in.
+
+    Parameters
+    ----------
+    setting : Setting
+        What all rows share.
+
+    Returns
+    -------
+    Decisions or None
+        From all pixels of a scan of up to `tiles.SAMPLE`, of a larger one from as many
+        that are spread over it from edge to edge. None where a model knows its own
+        errors and takes the scan whole.
+    """
+    survey, scan = setting.survey, setting.survey.scan
+    if isinstance(setting.model, UncertainModel):
+        return None
+    directions = scan_directions(
+        survey, **({} if _is_small(survey) else _spread(scan.rows, scan.columns))
+    )
+    end = survey.water.column_end
+    far = np.inf if end is None else end
+    if _is_small(survey):
+        traced = _traced(setting, directions)
+        far = min(far, float(traced.depth.max()))
+    decisions = Decisions(**{FARTHEST: far})
+    with deciding(decisions):
+        _light(setting, directions)
+    return decisions
+
+
+def _is_small(survey: Survey) -> bool:
+    return survey.scan.rows * survey.scan.columns <= tiles.SAMPLE
+
+
+def _spread(rows: int, columns: int) -> dict[str, NDArray[np.intp]]:
+    """Return rows and columns that stand for all, the first and last among them."""
+    high = min(rows, max(int(tiles.SAMPLE**0.5), tiles.SAMPLE // columns))
+    wide = min(columns, tiles.SAMPLE // high)
+    return {
+        "rows": np.linspace(0, rows - 1, high).astype(np.intp),
+        "columns": np.linspace(0, columns - 1, wide).astype(np.intp),
+    }
+
+
+def _traced(
+    setting: Setting, directions: tuple[Floats, Floats, Floats]
+) -> geometry_of.Geometry:
+    return geometry_of.trace(
+        setting.survey, setting.water, directions=directions, scene=setting.scene
+    )
+
+
+def _light(
+    setting: Setting, directions: tuple[Floats, Floats, Floats]
+) -> tuple[geometry_of.Geometry, signal.Light, signal.Light]:
+    """Return what beams meet, and the light of targets and water."""
+    survey, water, model = setting.survey, setting.water, setting.model
     tell("following the beams to the targets", 0.0)
-    geometry = geometry_of.trace(survey, water)
+    geometry = _traced(setting, directions)
     tell(f"light of the targets, {model.title}", 0.1)
     with part(0.1, 0.3):
         target = signal.target_light(survey, water, geometry, model=model)
@@ -90,10 +195,36 @@ def simulate(
         column = signal.water_light(
             survey, water, geometry.view, end=geometry.depth, model=model
         )
+    return geometry, target, column
+
+
+def measured(
+    setting: Setting,
+    directions: tuple[Floats, Floats, Floats],
+    *,
+    noise: lock_in.Noise,
+) -> tuple[xr.Dataset, xr.Dataset]:
+    """Return the samples of some rows of a scan, and the truth of them.
+
+    Parameters
+    ----------
+    setting : Setting
+        What all rows share.
+    directions : tuple of three ndarrays
+        Of the rows, from `scan_directions`.
+    noise : numpy.random.Generator or Noise
+        Source of the noise.
+
+    Returns
+    -------
+    tuple of two xarray.Dataset
+        For `joined`.
+    """
+    survey, model = setting.survey, setting.model
+    geometry, target, column = _light(setting, directions)
     tell("noise of detector and lock-in", 0.7)
-    samples = lock_in.sample(survey, target, column, rng=generator)
-    medium = medium_of(survey, water)
-    measured = cube.build(
+    samples = lock_in.sample(survey, target, column, rng=noise)
+    built = cube.build(
         "samples",
         {**_outputs(samples), "saturated": samples.saturated},
         {
@@ -103,27 +234,30 @@ def simulate(
             "elevation": geometry.elevation,
             "time": geometry.time,
         },
-        geometry=geometry_attributes(survey, medium),
+        geometry=geometry_attributes(survey, setting.medium),
         attributes=cube.attributes(
             "samples",
             title=survey.name,
             source=f"simulation by amulor, {model.title}",
             simulated=np.int32(1),
             late_echo=model.late_echo,
-            seed=seed,
+            seed=setting.seed,
             survey=survey.to_toml(),
             input_digests=f"survey {cube.digest(survey.to_toml())}",
             modulation_depth=survey.instrument.modulation_depth,
             photon_noise_volt=photon_noise_volt(survey),
         ),
     )
-    if survey.scan.open_water is not None:
-        tell("open-water shots", 0.8)
-        measured = cube.attach(
-            measured, _open_water(survey, water, medium, generator, model), "open_water"
-        )
-    truth = _truth(survey, geometry, target, column)
-    return cube.note(cube.attach(measured, truth, "truth"), "simulate")
+    return built, _truth(survey, geometry, target, column)
+
+
+def joined(
+    samples: xr.Dataset, shots: xr.Dataset | None, truth: xr.Dataset
+) -> xr.Dataset:
+    """Return samples, shots if there are any, and truth as one cube."""
+    if shots is not None:
+        samples = cube.attach(samples, shots, "open_water")
+    return cube.note(cube.attach(samples, truth, "truth"), "simulate")
 
 
 def _outputs(samples: lock_in.Samples) -> dict[str, NDArray[Any]]:
@@ -136,16 +270,27 @@ def _outputs(samples: lock_in.Samples) -> dict[str, NDArray[Any]]:
     }
 
 
-def _open_water(
-    survey: Survey,
-    water: WaterProperties,
-    medium: Medium,
-    rng: np.random.Generator,
-    model: SignalModel,
-) -> xr.Dataset:
+def open_water(setting: Setting, *, rng: np.random.Generator) -> xr.Dataset | None:
+    """Return the open-water shots of a scan, if its survey plans some.
+
+    Parameters
+    ----------
+    setting : Setting
+        What they share with the scan.
+    rng : numpy.random.Generator
+        Source of the noise, which has given the scan its own.
+
+    Returns
+    -------
+    xarray.Dataset or None
+        For `joined`.
+    """
+    survey = setting.survey
+    if survey.scan.open_water is None:
+        return None
     azimuth, elevation = open_water_directions(survey)
-    view = view_of(survey, azimuth, elevation, medium=medium)
-    light = signal.water_light(survey, water, view, model=model)
+    view = view_of(survey, azimuth, elevation, medium=setting.medium)
+    light = signal.water_light(survey, setting.water, view, model=setting.model)
     dark = signal.Light(np.zeros_like(light.modulated), np.zeros_like(light.mean))
     shots = lock_in.sample(survey, dark, light, rng=rng)
     return cube.open_water(

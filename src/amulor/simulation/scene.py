@@ -49,6 +49,7 @@ class Scene:
     def __init__(self, targets: tuple[Plate | Staircase | Disc | Mesh, ...]) -> None:
         pieces = [triangles(target) for target in targets]
         self._targets = targets
+        self._textures: dict[int, Texture] = {}
         self._first = np.concatenate([[0], np.cumsum([len(p) for p in pieces])])
         self._corners = (
             np.concatenate(pieces) if pieces else np.empty((0, 3, 3), dtype=float)
@@ -126,7 +127,10 @@ class Scene:
                 continue
             which = hits.triangle[own]
             share = barycentric(self._corners[which], hits.point[own])
-            bright[own] = Texture(target)(which - self._first[number], share)
+            if number not in self._textures:
+                self._textures[number] = Texture(target)
+            texture = self._textures[number]
+            bright[own] = texture(which - self._first[number], share)
         return bright
 
     def visible_fraction(

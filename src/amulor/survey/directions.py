@@ -6,33 +6,50 @@ import numpy as np
 from numpy.typing import NDArray
 
 from amulor.errors import SurveyError
+from amulor.survey.memory import refuse_scans_beyond_memory
 from amulor.survey.survey import Survey
 
 Floats = NDArray[np.float64]
+#: Which rows or columns of a scan.
+Which = slice | NDArray[np.intp]
 
 
-def scan_directions(survey: Survey) -> tuple[Floats, Floats, Floats]:
+def scan_directions(
+    survey: Survey, *, rows: Which = slice(None), columns: Which = slice(None)
+) -> tuple[Floats, Floats, Floats]:
     """Return azimuth, elevation [rad] and start time [s] of every pixel.
 
     Parameters
     ----------
     survey : Survey
         Its scan counts.
+    rows, columns : slice or ndarray of int
+        Which of its rows and columns; all by default.
 
     Returns
     -------
     tuple of three ndarrays, shape (rows, columns)
         The first row is the upper one, the first column the left one.
+
+    Raises
+    ------
+    SurveyError
+        If all of a scan is asked for that has too many samples for memory.
     """
     scan = survey.scan
-    azimuth, elevation = _grid(survey, scan.rows, scan.columns)
-    number = np.arange(scan.rows * scan.columns).reshape(scan.rows, scan.columns)
+    if isinstance(rows, slice) and rows == columns == slice(None):
+        refuse_scans_beyond_memory(survey)
+    across, down = _lines(survey, scan.rows, scan.columns)
+    azimuth, elevation = np.meshgrid(across[columns], down[rows])
+    row = np.arange(scan.rows)[rows][:, None]
+    place = np.arange(scan.columns)[columns]
     if scan.order == "serpentine":
-        number[1::2] = number[1::2, ::-1].copy()
+        place = np.where(row % 2 == 1, scan.columns - 1 - place, place)
     channels = len(survey.instrument.modulation_frequencies) * len(
         survey.instrument.polarizations
     )
-    return azimuth, elevation, (number * scan.dwell * channels).astype(float)
+    time = (row * scan.columns + place) * scan.dwell * channels
+    return azimuth, elevation, time.astype(float)
 
 
 def open_water_directions(survey: Survey) -> tuple[Floats, Floats]:
@@ -59,20 +76,20 @@ def open_water_directions(survey: Survey) -> tuple[Floats, Floats]:
             "scan.open_water: is missing; state columns, rows and repeats of the "
             "open-water shots"
         )
-    azimuth, elevation = _grid(survey, plan.rows, plan.columns)
+    azimuth, elevation = np.meshgrid(*_lines(survey, plan.rows, plan.columns))
     return (
         np.repeat(azimuth.ravel(), plan.repeats),
         np.repeat(elevation.ravel(), plan.repeats),
     )
 
 
-def _grid(survey: Survey, rows: int, columns: int) -> tuple[Floats, Floats]:
+def _lines(survey: Survey, rows: int, columns: int) -> tuple[Floats, Floats]:
+    """Return the azimuths of the columns and the elevations of the rows [rad]."""
     scan = survey.scan
     # One row or column alone stands in the middle.
     across = np.linspace(-0.5, 0.5, columns) if columns > 1 else np.zeros(1)
     down = np.linspace(0.5, -0.5, rows) if rows > 1 else np.zeros(1)
-    azimuth, elevation = np.meshgrid(
+    return (
         scan.azimuth + across * scan.azimuth_span,
         scan.elevation + down * scan.elevation_span,
     )
-    return azimuth, elevation

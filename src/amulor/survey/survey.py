@@ -21,8 +21,6 @@ from amulor.survey.target import Target
 from amulor.survey.waters.named import WaterStated
 
 _SIZE_LIMIT = 1_000_000
-#: Samples of one cube: 6 GB at the widest step of processing.
-_MOST_SAMPLES = 10_000_000
 
 
 class Survey(Description):
@@ -63,22 +61,6 @@ class Survey(Description):
                 f"scan.dwell ({self.scan.dwell:g} s) is shorter than five time "
                 f"constants of the lock-in ({5 * tau:g} s), so that each pixel would "
                 "still hold the one before; lengthen dwell or shorten time_constant"
-            )
-        return self
-
-    @model_validator(mode="after")
-    def _scan_fits_into_memory(self) -> Self:
-        instrument = self.instrument
-        channels = len(instrument.modulation_frequencies) * len(
-            instrument.polarizations
-        )
-        samples = self.scan.rows * self.scan.columns * channels
-        if samples > _MOST_SAMPLES:
-            raise ValueError(
-                f"the scan has {samples:.3g} samples ({self.scan.columns} x "
-                f"{self.scan.rows} pixels, {channels} samples each), at most "
-                f"{_MOST_SAMPLES:.0e} fit into memory (600 bytes each); split it into "
-                "several surveys"
             )
         return self
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import datetime
 import re
 from pathlib import Path
 
@@ -12,8 +13,9 @@ from site_scenes import scanning
 
 from amulor import imaging, io
 from amulor.cli import main
-from amulor.cube import QualityFlag
+from amulor.cube import QualityFlag, provenance
 from amulor.errors import CubeError, FormatError
+from amulor.io import e57, e57_records, laz
 from amulor.scale.clouds import CloudSummary, Selection, cloud_file
 
 #: When a cube was made; the only thing that differs.
@@ -49,30 +51,42 @@ def content(path: Path) -> bytes:
     ("ending", "selection"),
     [
         ("ply", Selection(True, 4e-3, False)),
+        ("laz", Selection(True)),
+        ("e57", Selection(mixed=True)),
+        pytest.param("las", Selection(), marks=pytest.mark.slow),
         pytest.param("csv", Selection(), marks=pytest.mark.slow),
         pytest.param("xyz", Selection(mixed=True), marks=pytest.mark.slow),
     ],
 )
 def test_a_cloud_by_rows_is_that_of_the_whole(
-    image: xr.Dataset, tmp_path: Path, ending: str, selection: Selection
+    image: xr.Dataset,
+    tmp_path: Path,
+    ending: str,
+    selection: Selection,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
+    # Blocks that end within rows.
+    monkeypatch.setattr(laz, "_BLOCK", 20)
+    monkeypatch.setattr(e57, "BLOCK", 23)
+    monkeypatch.setattr(e57_records, "BLOCK", 23)
     name, one, other = (tmp_path / n for n in ("i.nc", f"1.{ending}", f"2.{ending}"))
     io.write_cube(image, name)
     frame = imaging.frame_of(image, axes="z-up")
-    left = imaging.leave_out(
-        io.read_cube(name),
-        good_only=selection.good_only,
-        largest_uncertainty=selection.largest_uncertainty,
-        mixed=selection.mixed,
-    )
-    cloud = imaging.point_cloud(left, frame=frame)
-    io.write_cloud(cloud, one)
-    for rows in (1, 4):
-        made = cloud_file(
-            name, other, frame=frame, selection=selection, rows=rows, overwrite=True
+    with provenance.dated(datetime.datetime(2026, 1, 2, tzinfo=datetime.UTC)):
+        left = imaging.leave_out(
+            io.read_cube(name),
+            good_only=selection.good_only,
+            largest_uncertainty=selection.largest_uncertainty,
+            mixed=selection.mixed,
         )
-        assert content(one) == content(other)
-        assert made.points == cloud.sizes["point"]
+        cloud = imaging.point_cloud(left, frame=frame)
+        io.write_cloud(cloud, one)
+        for rows in (1, 4):
+            made = cloud_file(
+                name, other, frame=frame, selection=selection, rows=rows, overwrite=True
+            )
+            assert one.read_bytes() == other.read_bytes()
+            assert made.points == cloud.sizes["point"]
     assert (made.doubtful > 0) == (selection == Selection())
 
 
@@ -89,11 +103,36 @@ def test_the_command_writes_the_same_by_rows(
         said.append(capsys.readouterr().out.split(": ")[1])
     assert said[0] == said[1]
     assert content(tmp_path / "0.ply") == content(tmp_path / "1.ply")
-    words = ["export", str(name), "-o", str(tmp_path / "c.laz"), "--tile-rows", "4"]
+    words = ["export", str(name), "-o", str(tmp_path / "d.tif"), "--tile-rows", "4"]
     assert main(words) == 2
-    assert "one of the endings .ply, .xyz, .csv" in " ".join(
+    assert "other products need the whole image" in " ".join(
         capsys.readouterr().err.split()
     )
+
+
+def test_a_cloud_as_a_cube_by_rows_is_that_of_the_whole(
+    image: xr.Dataset, tmp_path: Path
+) -> None:
+    name, output = tmp_path / "i.nc", tmp_path / "c.nc"
+    io.write_cube(image, name)
+    left = imaging.leave_out(io.read_cube(name), good_only=True)
+    cloud = imaging.point_cloud(left).assign_attrs(history="")
+    for rows in (1, 4):
+        cloud_file(name, output, selection=Selection(True), rows=rows, overwrite=True)
+        found = io.read_cube(output)
+        xr.testing.assert_identical(found.assign_attrs(history=""), cloud)
+
+
+def test_parts_of_an_e57_scan_come_in_the_order_of_their_rows(
+    image: xr.Dataset, tmp_path: Path
+) -> None:
+    cloud = imaging.point_cloud(image)
+    number = cloud["row"].values
+    parts = [cloud.isel(point=number >= 4), cloud.isel(point=number < 4)]
+    count = cloud.sizes["point"]
+    with pytest.raises(CubeError, match="row 0 comes after those of row 8"):
+        e57.write_e57_parts(lambda: parts, count, tmp_path / "c.e57", shape=(9, 17))
+    assert not (tmp_path / "c.e57").exists()
 
 
 def test_what_is_no_cloud_leaves_no_file(image: xr.Dataset, tmp_path: Path) -> None:
@@ -104,7 +143,7 @@ def test_what_is_no_cloud_leaves_no_file(image: xr.Dataset, tmp_path: Path) -> N
     with pytest.raises(CubeError, match="there is no point in it"):
         cloud_file(name, output, rows=4)
     with pytest.raises(FormatError, match=r"by rows are written \.ply, \.xyz, \.csv"):
-        cloud_file(name, tmp_path / "c.laz")
+        cloud_file(name, tmp_path / "c.stl")
     assert not output.exists()
     io.write_cube(image, name, overwrite=True)
     assert isinstance(cloud_file(name, output), CloudSummary)

@@ -50,7 +50,6 @@ MISTAKES = [
     ("columns = 12", "columns = 1.5", "scan.columns", "whole number"),
     ("columns = 12", "columns = 0", "scan.columns", "at least 1"),
     ("columns = 12", "columns = 1000000", "scan.columns", "at most 20000"),
-    ("columns = 12\nrows = 6", "columns = 20000\nrows = 20000", "survey", "split it"),
     ('dwell = "125 ms"', 'dwell = "20 ms"', "survey", "five time constants"),
     ('dwell = "125 ms"', "", "scan.dwell", "is missing"),
     ("[scan]", '[scan]\nmoves = "all"', "scan.moves", "'beam' or 'both'"),

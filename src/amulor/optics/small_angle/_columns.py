@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from amulor._decisions import FARTHEST, is_known
 from amulor.optics import _bounds
 from amulor.optics._water_column import Receiver, checked, phase_per_depth
 from amulor.optics.small_angle._tables import PhaseFunction, Table, table
@@ -145,7 +146,7 @@ def _together(
     """Return the integrals of many columns that share water and receiver, if so."""
     inner = np.broadcast_shapes(*(value.shape for value in columns.values()))
     count = int(np.prod(inner))
-    if count < 2:
+    if count < 2 and not is_known(FARTHEST):
         return None
     shape = np.broadcast_shapes(phases.shape, inner)
     padded = (1,) * (len(shape) - phases.ndim) + phases.shape

@@ -19,7 +19,7 @@ from amulor.optics._quadrature.kernels import ORDER
 from amulor.optics._quadrature.rule import RULE
 from amulor.optics.small_angle import _kernels, _many_kernels
 
-__all__ = ["FEWEST", "Shared", "integrals"]
+__all__ = ["FEWEST", "Light", "Shared", "integrals", "light_of"]
 
 Array = NDArray[np.float64]
 
@@ -41,22 +41,39 @@ class Shared(NamedTuple):
     """Nodes and weights of a panel of spatial frequencies."""
 
 
-def integrals(
-    phase_per_depth: Array,
-    view: Array,
-    shared: Shared,
-    panels_of: Callable[[Array], Array],
-) -> NDArray[np.complex128]:
-    """Return the integrals of exp(i w z) times the scattered light, column by column.
+class Light(NamedTuple):
+    """The scattered light of one water at any depth and distance from the axis."""
+
+    edge: Array
+    """Panels of the depth in which it is smooth, shape (panel, 2) [m]."""
+    span: Array
+    """Start and width of the cells of ln(1 + q) at each node, shape (node, 2)."""
+    cells: Array
+    """Their polynomials, shape (node, cell, 10)."""
+
+
+def light_of(view: Array, shared: Shared, panels_of: Callable[[Array], Array]) -> Light:
+    """Return the light that columns look up.
 
     A row of view is baseline, tilt, cross tilt and end of a column; `panels_of` gives
     the edges of panels in which the light of one such row is smooth.
     """
     edge = _common(np.concatenate([panels_of(view[i]) for i in _spread(view)]))
+    node, _ = legendre.leggauss(2 * ORDER)
+    depth = (edge[:, :1] + np.diff(edge) * (node + 1) / 2).ravel()
+    return Light(edge, *_tables(depth, view, shared))
+
+
+def integrals(
+    phase_per_depth: Array, view: Array, shared: Shared, light: Light
+) -> NDArray[np.complex128]:
+    """Return the integrals of exp(i w z) times the scattered light, column by column.
+
+    A column is the same whatever others come with it.
+    """
+    edge, span, cells = light
     size = 2 * ORDER
     node, weight = legendre.leggauss(size)
-    depth = (edge[:, :1] + np.diff(edge) * (node + 1) / 2).ravel()
-    span, cells = _tables(depth, view, shared)
     order = np.argsort(phase_per_depth)
     sums = np.zeros((len(view), 2, phase_per_depth.size))
     degree = np.arange(size)

@@ -14,6 +14,7 @@ from numpy.polynomial import legendre
 from numpy.typing import ArrayLike, NDArray
 from scipy.constants import speed_of_light
 
+from amulor._decisions import FARTHEST, decided, is_known
 from amulor.optics import small_angle_diffusion
 from amulor.optics._quadrature.bessel import bessel
 from amulor.optics.small_angle import _kernels
@@ -26,7 +27,13 @@ from amulor.optics.small_angle._columns import (
     response_of,
 )
 from amulor.optics.small_angle._depths import integral, panels
-from amulor.optics.small_angle._many import FEWEST, Shared, integrals
+from amulor.optics.small_angle._many import (
+    FEWEST,
+    Light,
+    Shared,
+    integrals,
+    light_of,
+)
 from amulor.optics.small_angle._tables import PhaseFunction, Table
 
 __all__ = ["overlap", "water_response"]
@@ -381,16 +388,55 @@ def _responses(
 
     None where a table does not hold what single columns say, to a millionth.
     """
-    if len(view) < FEWEST:
-        singly = [
-            _response(phase_per_depth, _looking(column, row), spread) for row in view
-        ]
-        return np.array(singly)
+    found = partial(_look_up, phase_per_depth, column=column, spread=spread)
+    by_rows = is_known(FARTHEST)
+    own = float(view[:, 3].max())
+    far = decided(FARTHEST, lambda: own) if by_rows else own
+
+    def decide() -> str | Light:
+        if len(view) < FEWEST:
+            return "singly"
+        if column.scattering == 0:
+            return "without a table"
+        light = _light_of(view, far, column, spread)
+        few = view[np.linspace(0, len(view) - 1, _CHECKS).astype(int)]
+        for row, value in zip(few, found(few, light=light), strict=True):
+            expected = _response(phase_per_depth, _looking(column, row), spread)
+            if np.max(abs(value - expected)) > _TABLE * np.max(abs(expected)):
+                return "not by a table"
+        return light
+
+    # Other steps by rows have columns of their own in each tile.
+    light = decided("light of many columns", decide) if by_rows else decide()
+    if light == "not by a table":
+        return None
+    if light == "singly":
+        return np.array(
+            [_response(phase_per_depth, _looking(column, row), spread) for row in view]
+        )
+    return found(view, light=light if isinstance(light, Light) else None)
+
+
+def _look_up(
+    phase_per_depth: Array,
+    view: Array,
+    *,
+    column: Column,
+    spread: Table,
+    light: Light | None,
+) -> NDArray[np.complex128]:
+    """Return the integrals of many columns, their scattered light by a table if any."""
     names = dict(zip(VIEW, view.T[:, :, None], strict=True))
     plain = _plain(phase_per_depth, column._replace(**names))
-    if column.scattering == 0:
+    if light is None:
         return plain
-    far = float(view[:, 3].max())
+    shared = Shared(_water(column, spread), spread.cells, _frequency_rule())
+    scattered = integrals(phase_per_depth, view, shared, light)
+    return plain + _peak(column) * scattered
+
+
+def _light_of(view: Array, far: float, column: Column, spread: Table) -> Light:
+    """Return the scattered light of many columns, in a table to a depth."""
 
     def panels_of(row: Array) -> Array:
         looking = _looking(column, row)._replace(end=far)
@@ -398,12 +444,7 @@ def _responses(
         return _panels(looking, spread, known=known)[0]
 
     shared = Shared(_water(column, spread), spread.cells, _frequency_rule())
-    found = plain + _peak(column) * integrals(phase_per_depth, view, shared, panels_of)
-    for row in np.linspace(0, len(view) - 1, _CHECKS).astype(int):
-        expected = _response(phase_per_depth, _looking(column, view[row]), spread)
-        if np.max(abs(found[row] - expected)) > _TABLE * np.max(abs(expected)):
-            return None
-    return found
+    return light_of(view, shared, panels_of)
 
 
 def _looking(column: Column, row: Array) -> Column:

@@ -1,0 +1,87 @@
+"""Simulated scans larger than memory: simulated and written tile by tile."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass
+
+import numpy as np
+
+from amulor._progress import tell
+from amulor.cube import tiles
+from amulor.io.netcdf_rows import row_writer, tile_rows
+from amulor.simulation.by_rows import SimulatedRows
+from amulor.simulation.models import DEFAULT_MODEL, SignalModel
+from amulor.survey import Survey
+
+__all__ = ["SimulatedSummary", "simulate_file"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class SimulatedSummary:
+    """What a simulation by rows has made."""
+
+    sizes: dict[str, int]
+    """Lengths of the dimensions of the cube [1]."""
+    hit: float
+    """Share of the beams that meet a target [1]."""
+    saturated: float
+    """Share of the samples that overload the detector [1]."""
+
+
+def simulate_file(
+    survey: Survey,
+    output: str | os.PathLike[str],
+    *,
+    rng: np.random.Generator | int,
+    model: SignalModel = DEFAULT_MODEL,
+    rows: int | None = None,
+    overwrite: bool = False,
+) -> SimulatedSummary:
+    """Simulate a survey of any size into a file, tile by tile.
+
+    Parameters
+    ----------
+    survey : Survey
+        What is measured, and with what.
+    output : path-like
+        File to make (netCDF).
+    rng, model
+        As in `amulor.simulate`; a model that takes the scan whole, as photons do, is
+        refused.
+    rows : int, optional
+        Rows of a tile; by default a quarter of a million samples.
+    overwrite : bool
+        Whether an existing file is replaced.
+
+    Returns
+    -------
+    SimulatedSummary
+        Of the file, which holds what `amulor.simulate` returns, bit for bit.
+
+    Raises
+    ------
+    SurveyError, MissingExtraError
+        As `amulor.simulate`.
+    FormatError
+        If the file exists and `overwrite` is not set, or cannot be written.
+    """
+    tell("what all rows share", 0.0)
+    source = SimulatedRows(survey, rng=rng, model=model)
+    size = tile_rows(source) if rows is None else rows
+    sizes: dict[str, int] = {}
+    hit = saturated = samples = 0
+    with row_writer(output, source.rows, overwrite=overwrite) as writer:
+        for begin, end in tiles.bands(source, size):
+            tell(f"row {begin:,} of {source.rows:,}", begin / source.rows)
+            tile = source.tile(begin, end)
+            writer.put(tile, begin)
+            hit += int((tile["truth_target"].values >= 0).sum())
+            saturated += int((tile["saturated"].values != 0).sum())
+            samples += tile["saturated"].size
+            sizes = sizes or {str(name): length for name, length in tile.sizes.items()}
+    return SimulatedSummary(
+        sizes={**sizes, "row": source.rows},
+        hit=hit / (source.rows * source.columns),
+        saturated=saturated / samples,
+    )
