@@ -11,7 +11,10 @@ from amulor.cli._arguments import UsageError, check_ending, quantity_of
 from amulor.cli._output import progress_bar
 
 if TYPE_CHECKING:
+    import xarray as xr
+
     from amulor.imaging.measure import Check
+    from amulor.imaging.thinning import Whole
 
 
 def report(
@@ -21,6 +24,7 @@ def report(
     output: Annotated[Path, Parameter(alias="-o")],
     checks: Path | None = None,
     check: tuple[str, ...] = (),
+    tile_rows: int | None = None,
     overwrite: Annotated[bool, Parameter(negative="")] = False,
 ) -> None:
     """Draw range images into one HTML file.
@@ -38,32 +42,59 @@ def report(
     check
         A check distance "ROW,COLUMN ROW,COLUMN LENGTH [TOLERANCE]", such as "20,10
         20,60 40mm 1mm"; may be given several times.
+    tile_rows
+        Read so many rows at a time, in bounded memory; images of more than a million
+        pixels are read by rows without being asked, and drawn from some of them.
     overwrite
         Replace a file that is there.
     """
-    from amulor import io
+    from amulor import _progress, io
     from amulor.imaging import measure
     from amulor.view import image_report
 
     known = [_check_of(text, number) for number, text in enumerate(check)]
+    if tile_rows is not None and tile_rows < 1:
+        raise UsageError(f"--tile-rows must be 1 or more, got {tile_rows}")
     inputs = [*images, *([checks] if checks else [])]
     io.check_output(output, overwrite=overwrite, inputs=inputs)
     check_ending("--output", output, (".html", ".htm"))
     if checks is not None:
         known = [*measure.read_checks(checks), *known]
     stems = [path.stem for path in images]
+    names = [
+        path.stem
+        if stems.count(path.stem) == 1
+        else f"{number + 1}: {path.resolve().parent.name}/{path.stem}"
+        for number, path in enumerate(images)
+    ]
+    cubes, wholes = {}, {}
     with progress_bar() as progress:
-        progress("reading", 0.0)
-        cubes = {
-            path.stem
-            if stems.count(path.stem) == 1
-            else f"{number + 1}: {path.resolve().parent.name}/{path.stem}": (
-                io.read_cube(path)
+        for number, (name, path) in enumerate(zip(names, images, strict=True)):
+            progress(f"reading {path}", 0.5 * number / len(images))
+            ends = 0.5 * number / len(images), 0.5 * (number + 1) / len(images)
+            with _progress.part(*ends):
+                cubes[name], whole = _shown(path, tile_rows, known)
+            if whole is not None:
+                wholes[name] = whole
+        with _progress.part(0.5, 1.0):
+            image_report.write(
+                output, cubes, checks=known, wholes=wholes, overwrite=overwrite
             )
-            for number, path in enumerate(images)
-        }
-        image_report.write(output, cubes, checks=known, overwrite=overwrite)
     print(f"{output}: {len(cubes)} range image{'s' if len(cubes) > 1 else ''}")
+
+
+def _shown(
+    path: Path, rows: int | None, checks: list[Check]
+) -> tuple[xr.Dataset, Whole | None]:
+    """Return an image to be drawn, and what is known of all of a large one."""
+    from amulor import io
+    from amulor.imaging import thinning
+    from amulor.io.netcdf_rows import is_large, open_rows, tile_rows
+
+    if rows is None and not is_large(path, most=8 * thinning.LARGEST):
+        return io.read_cube(path), None
+    with open_rows(path) as source:
+        return thinning.thinned(source, rows=rows or tile_rows(source), checks=checks)
 
 
 def _check_of(text: str, number: int) -> Check:

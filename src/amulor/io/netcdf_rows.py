@@ -161,25 +161,27 @@ def open_rows(path: str | os.PathLike[str]) -> Iterator[CubeRows]:
         yield CubeRows(cube, path)
 
 
-def is_large(path: str | os.PathLike[str]) -> bool:
+def is_large(path: str | os.PathLike[str], *, most: int = LARGE) -> bool:
     """Return whether a file should be worked on row by row.
 
     Parameters
     ----------
     path : path-like
         Any file; one that cannot be read is not large.
+    most : int
+        Bytes of samples, or of ranges, of the largest file that is not [B].
 
     Returns
     -------
     bool
-        True above `LARGE` bytes of samples.
+        True above these.
     """
     import h5py
 
     try:
         with h5py.File(path, "r") as storage:
             found = storage.get("in_phase", storage.get("slant_range"))
-            return found is not None and found.size * found.dtype.itemsize > LARGE
+            return found is not None and found.size * found.dtype.itemsize > most
     except (OSError, RuntimeError, ValueError, KeyError, AttributeError):
         return False
 

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from amulor import cube as cubes
 from amulor._progress import tell
 from amulor.imaging.measure import Check, compared
+from amulor.imaging.thinning import Whole
 from amulor.view import figures
 from amulor.view.accuracy import (
     accuracy_statement,
@@ -37,6 +38,7 @@ def write(
     images: Mapping[str, xr.Dataset],
     *,
     checks: Sequence[Check] = (),
+    wholes: Mapping[str, Whole] | None = None,
     overwrite: bool = False,
 ) -> None:
     """Write range images into one self-contained HTML file.
@@ -49,6 +51,9 @@ def write(
         Name to range image (level `range_image`).
     checks : sequence of Check
         Known lengths, measured in each of the images.
+    wholes : mapping of str to Whole, optional
+        What is known of all pixels of images that are thinned
+        (`amulor.imaging.thinning.thinned`), check distances among it.
     overwrite : bool
         Whether a file that is there may be replaced.
 
@@ -63,11 +68,19 @@ def write(
         cubes.check(image, "range_image", name=name)
     first = next(iter(images.values()))
     tell("measuring check distances", 0.0)
+    known = wholes or {}
     measured = {
-        name: [compared(image, check) for check in checks]
+        name: list(known[name].checks)
+        if name in known
+        else [compared(image, check) for check in checks]
         for name, image in images.items()
     }
-    parts: list[Part] = [Paragraph(_origin(images)), _numbers(images)]
+    parts: list[Part] = [Paragraph(_origin(images)), _numbers(images, known)]
+    parts += [
+        Paragraph(_thinning(name, whole))
+        for name, whole in known.items()
+        if whole.step > 1
+    ]
     parts += accuracy_statement(images, measured)
     tell("working out the error budget", 0.1)
     parts += error_budgets(images)
@@ -77,7 +90,9 @@ def write(
         tell(f"drawing {name}", 0.2 + 0.4 * number / len(images))
         parts += [
             Heading(name),
-            Picture(figures.image_overview(image), flag_sentence(image)),
+            Picture(
+                figures.image_overview(image), flag_sentence(image, known.get(name))
+            ),
         ]
     # A surface needs two rows and two columns, and something to be drawn of them.
     drawable = {name: image for name, image in images.items() if _is_surface(image)}
@@ -107,13 +122,15 @@ def write(
     write_report(path, title, parts, overwrite=overwrite)
 
 
-def flag_sentence(image: xr.Dataset) -> str:
+def flag_sentence(image: xr.Dataset, whole: Whole | None = None) -> str:
     """Return a sentence that counts the flags of a range image.
 
     Parameters
     ----------
     image : xarray.Dataset
         With `quality_flag`.
+    whole : Whole, optional
+        What is known of all pixels, where the image holds some of them.
 
     Returns
     -------
@@ -129,15 +146,15 @@ def flag_sentence(image: xr.Dataset) -> str:
     >>> print(flag_sentence(image)[27:68])
     Flags, of 4000 pixels: 4000 no open water
     """
+    found = cubes.flag_counts(image) if whole is None else whole.flags
     counts = [
-        f"{count} {meaning.replace('_', ' ')}"
-        for meaning, count in cubes.flag_counts(image).items()
+        f"{count} {meaning.replace('_', ' ')}" for meaning, count in found.items()
     ]
     listed = "; ".join(counts) if counts else "none"
-    pixels = image["quality_flag"].size
+    pixels = image["quality_flag"].size if whole is None else whole.rows * whole.columns
     reason = image.attrs.get("interval_unsettled", "")
     unsettled = f" Ranges may be off by whole intervals: {reason}." if reason else ""
-    asked = f" What they mean: {hint(cubes.flag_counts(image))}." if counts else ""
+    asked = f" What they mean: {hint(found)}." if counts else ""
     return (
         f"Grey pixels hold no range. Flags, of {pixels} pixels: {listed}.{asked}"
         f"{unsettled}"
@@ -207,18 +224,29 @@ def _origin(images: Mapping[str, xr.Dataset]) -> str:
     return f"Measured data, but for {', '.join(simulated)}, which are simulated."
 
 
-def _numbers(images: Mapping[str, xr.Dataset]) -> Table:
+def _thinning(name: str, whole: Whole) -> str:
+    return (
+        f"{name} has {whole.columns} x {whole.rows} pixels: one row and column of "
+        f"every {whole.step} is drawn, and medians, percentiles and the error budget "
+        "are of those. Shares of usable pixels, flags and check distances are of all."
+    )
+
+
+def _numbers(images: Mapping[str, xr.Dataset], wholes: Mapping[str, Whole]) -> Table:
     rows = []
     for name, image in images.items():
         slant_range = image["slant_range"].values
-        usable = np.isfinite(slant_range)
+        usable = float(np.isfinite(slant_range).mean())
+        if name in wholes:
+            whole = wholes[name]
+            usable = whole.usable / (whole.rows * whole.columns)
         sigma = image["slant_range_uncertainty"].values
         bias = image.get("slant_range_bias")
         rows.append(
             [
                 name,
                 f"{image.attrs.get('polarization', '')}",
-                f"{usable.mean():.1%}",
+                f"{usable:.1%}",
                 _median(slant_range, ".4f"),
                 _median(sigma * 1e3, ".2f"),
                 "unknown" if bias is None else _median(bias.values * 1e3, "+.2f"),
