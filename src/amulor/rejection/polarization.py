@@ -22,6 +22,10 @@ from amulor.rejection.covariance import Covariance, along, covariance_of
 from amulor.rejection.merit import merit
 from amulor.rejection.reference.noise import with_noise_of_shots
 from amulor.rejection.reference.shots import fit_shots, fluctuation_of
+from amulor.rejection.reference.size import (
+    not_smaller_than_shots_say,
+    not_smaller_than_usual,
+)
 
 
 def keep_water(cube: xr.Dataset) -> xr.Dataset:
@@ -272,10 +276,8 @@ def unmix(
     target = (b - water_ratio * a) / contrast
     water = a - target
     fluctuations = [
-        _fluctuation(part, water, water_fluctuation).scaled(
-            (water_ratio / contrast) ** 2
-        )
-        for part in (first, second)
+        each.scaled((water_ratio / contrast) ** 2)
+        for each in _fluctuations(first, second, water, water_fluctuation)
     ]
     independent = covariance_of(second).scaled(contrast**-2) + covariance_of(
         first
@@ -308,20 +310,26 @@ def unmix(
 _SMALLEST_CONTRAST = 1e-3
 
 
-def _fluctuation(
-    channel: xr.Dataset, water: NDArray[np.complex128], stated: float | None
-) -> Covariance:
-    """Return how the water signal of a channel fluctuates, as co-polarized water."""
+def _fluctuations(
+    co: xr.Dataset,
+    cross: xr.Dataset,
+    water: NDArray[np.complex128],
+    stated: float | None,
+) -> list[Covariance]:
+    """Return how the water of either channel fluctuates, as co-polarized water."""
     if stated is not None:
-        return along(water, stated)
-    shots = channel.amulor.open_water
-    if shots is None:
+        return 2 * [along(not_smaller_than_usual(water), stated)]
+    if co.amulor.open_water is None:
         raise CubeError(
             "the cube has no open-water shots to tell how much the water signal "
             "fluctuates; state water_fluctuation (command line: --water-fluctuation, "
             '0 for still water, such as "5 %")'
         )
-    return fluctuation_of(fit_shots(channel, shots), water)
+    size = not_smaller_than_shots_say(co, water)
+    return [
+        fluctuation_of(fit_shots(channel, channel.amulor.open_water), size)
+        for channel in (co, cross)
+    ]
 
 
 def _chosen(cube: xr.Dataset, channels: tuple[str, ...], *, name: str) -> xr.Dataset:

@@ -14,6 +14,7 @@ from amulor.rejection.channels import mixing
 from amulor.rejection.covariance import Covariance, covariance_of
 from amulor.rejection.reference.noise import with_noise_of_shots
 from amulor.rejection.reference.shots import fit_shots, fluctuation_of
+from amulor.rejection.reference.size import not_smaller_than_shots_say
 
 Floats = NDArray[np.float64]
 
@@ -184,7 +185,8 @@ def unmix_stokes(
     if shots is not None:
         # Each channel's water follows from what is left of it.
         water = signal - np.stack([w * solved.target for w in weights[0]], axis=1)
-        fluctuation = fluctuation_of(fit_shots(part, shots), water)
+        size = not_smaller_than_shots_say(part, water)
+        fluctuation = fluctuation_of(fit_shots(part, shots), size)
         solved = solve(errors + fluctuation)
     first = saturated_in_any(cube.sel(polarization=[chosen[0]]), part)
     target = solved.target[:, None]
