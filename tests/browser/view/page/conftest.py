@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from pages import settled
 
 from amulor import rejection
 from amulor.simulation import simulate
@@ -41,6 +42,8 @@ class Tab:
 
     def __init__(self, browser: Any, **options: Any) -> None:
         self.page = browser.new_page(**options)
+        # A busy machine is no failure of the page.
+        self.page.set_default_timeout(90_000)
         self.errors: list[str] = []
         self.asked: list[str] = []
         self.page.on("pageerror", lambda error: self.errors.append(str(error)))
@@ -56,7 +59,7 @@ class Tab:
         """Open an address and wait until all of it is drawn."""
         self.page.goto(address)
         self.page.wait_for_selector("html[data-complete=yes]", timeout=60_000)
-        self.page.wait_for_timeout(150)
+        settled(self.page)
         return self.page
 
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import base64
 import io
-import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -12,6 +11,7 @@ from typing import Any
 import matplotlib.image
 import numpy as np
 import pytest
+from pages import settled, until
 
 from amulor import imaging
 from amulor.view import page
@@ -27,14 +27,6 @@ def drawn(tab_page: Any, name: str) -> np.ndarray:
     data = tab_page.evaluate(PICTURE, name).partition(",")[2]
     picture = matplotlib.image.imread(io.BytesIO(base64.b64decode(data)))
     return np.round(picture * 255).astype(int)
-
-
-def until(tab_page: Any, expression: str, timeout: float = 30_000) -> None:
-    """Wait until something holds; the page's policy forbids it to wait by itself."""
-    deadline = time.monotonic() + timeout / 1000
-    while not tab_page.evaluate(expression):
-        assert time.monotonic() < deadline, expression
-        tab_page.wait_for_timeout(60)
 
 
 def image_of(recording: page.Recording) -> Any:
@@ -65,7 +57,7 @@ def test_the_map_shows_the_scene_and_nothing_leaves_the_host(
     with page.background(steps) as address:
         shown = one.open(address)
         shown.evaluate("amulor.cursor = null; document.getElementById('light').click()")
-        shown.wait_for_timeout(300)
+        settled(shown)
         colours = drawn(shown, "map")
         image = image_of(steps)
         viridis_green = colours[..., 1]
@@ -104,7 +96,7 @@ def test_a_pick_is_the_pixel_and_the_range_of_the_cube(
             assert f"{image['slant_range'].values[pixel] * 1e3:.0f}"[:3] in text
         # In space, seen from the front: what is seen at a point's place is that point.
         shown.click("#front")
-        shown.wait_for_timeout(300)
+        settled(shown)
         spot = shown.evaluate("""() => {
           const view = amulor.views.cloud;
           const p = amulor.scene.point(12, 30);
@@ -206,7 +198,7 @@ def test_keys_switch_and_themes_work(
         )
         after = drawn(shown, "map")
         shown.keyboard.press("w")
-        shown.wait_for_timeout(400)
+        settled(shown)
         assert shown.evaluate("amulor.layerName") == "range_before"
         assert (drawn(shown, "map") != after).any()
         shown.keyboard.press("w")
@@ -219,7 +211,7 @@ def test_keys_switch_and_themes_work(
             shown.keyboard.press(key)
             until(shown, f"amulor.layerName === '{name}'")
         shown.keyboard.press("o")
-        shown.wait_for_timeout(300)
+        settled(shown)
         # A scale bar in orthographic views only, and as long as it says.
         bar = shown.evaluate(
             "[amulor.views.cloud.barMetres, amulor.views.cloud.barPixels,"

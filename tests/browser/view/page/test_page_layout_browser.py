@@ -6,6 +6,7 @@ from collections.abc import Callable
 from typing import Any
 
 import pytest
+from pages import settled
 
 from amulor import handover
 from amulor.view import page
@@ -66,6 +67,6 @@ def test_nothing_is_cut_off_and_all_points_are_in_view(
         # The farthest points are left aside; the rest nearly fills the view.
         assert 0.7 < shown.evaluate(REACH) < 1.05
         shown.click("#front")
-        shown.wait_for_timeout(250)
+        settled(shown)
         assert 0.7 < shown.evaluate(REACH) < 1.05
         assert opened.errors == []

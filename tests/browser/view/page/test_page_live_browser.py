@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from pages import until
 
 from amulor import acquisition, simulation
 from amulor.acquisition.journal.file import FILE_NAME
@@ -23,13 +24,14 @@ pytestmark = pytest.mark.slow
 KNOWN = """amulor.scene.maps.get(amulor.scene.main).values
     .reduce((sum, value) => sum + (Number.isFinite(value) ? 1 : 0), 0)"""
 
-
-def until(tab_page: Any, expression: str, timeout: float = 30_000) -> None:
-    """Wait until something holds; the page's policy forbids it to wait by itself."""
-    deadline = time.monotonic() + timeout / 1000
-    while not tab_page.evaluate(expression):
-        assert time.monotonic() < deadline, expression
-        tab_page.wait_for_timeout(60)
+#: Closes the connection, and keeps what the card says even if it is mended at once.
+CLOSED = """() => {
+  const card = document.querySelector("#scan-card .state");
+  window.states = [];
+  new MutationObserver(() => window.states.push(card.className))
+    .observe(card, { attributes: true });
+  amulor.live.socket.close();
+}"""
 
 
 @pytest.fixture
@@ -52,12 +54,16 @@ def test_a_scan_grows_while_the_page_is_open(
         }
     )
     go_on = threading.Event()
+    finish = threading.Event()
 
     def slowly(now: acquisition.Progress) -> None:
-        # Half of the first channel, then no further before the page is open.
+        # Half of the first channel, then no further before the page is open; and no
+        # end before all has been tried that a running scan shows.
         if now.done > 90:
-            go_on.wait(120)
+            go_on.wait(300)
             time.sleep(0.03)
+        if now.done > now.total - 20:
+            finish.wait(300)
 
     thread = threading.Thread(
         target=acquisition.acquire,
@@ -78,28 +84,23 @@ def test_a_scan_grows_while_the_page_is_open(
             shown = one.open(address)
             until(shown, "document.documentElement.dataset.done > 50")
             go_on.set()
-            until(shown, "document.documentElement.dataset.rows > 0", timeout=90_000)
+            until(shown, "document.documentElement.dataset.rows > 0")
             first = shown.evaluate(KNOWN)
-            until(shown, f"({KNOWN}) > {first}", timeout=90_000)
+            until(shown, f"({KNOWN}) > {first}")
             assert shown.inner_text("#scan-card .state").startswith("taking")
             assert "time left" in shown.inner_text("#scan-card")
             # Loss of the connection: said, and mended by itself.
-            shown.evaluate("amulor.live.socket.close()")
-            shown.wait_for_selector("#scan-card .state.lost", timeout=20_000)
+            shown.evaluate(CLOSED)
+            until(shown, "window.states.some((state) => state.includes('lost'))")
             until(
-                shown,
-                "amulor.live.socket.readyState === 1 && amulor.live.tries === 0",
-                timeout=30_000,
+                shown, "amulor.live.socket.readyState === 1 && amulor.live.tries === 0"
             )
             # A reload in the middle shows at once what is there.
             shown = one.open(address)
-            until(shown, f"({KNOWN}) >= {first}", timeout=60_000)
-            until(
-                shown,
-                "document.documentElement.dataset.state === 'finished'",
-                timeout=120_000,
-            )
-            until(shown, f"({KNOWN}) >= 155", timeout=90_000)
+            until(shown, f"({KNOWN}) >= {first}")
+            finish.set()
+            until(shown, "document.documentElement.dataset.state === 'finished'")
+            until(shown, f"({KNOWN}) >= 155")
             assert shown.evaluate("amulor.scene.byName.has('range_before')")
             assert one.errors == []
             # Once more from the start.
@@ -114,5 +115,6 @@ def test_a_scan_grows_while_the_page_is_open(
             assert shown.evaluate(KNOWN) == whole
     finally:
         go_on.set()
+        finish.set()
         thread.join(120)
         live.stop()

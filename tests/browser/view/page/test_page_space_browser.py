@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from pages import settled
 
 from amulor import io
 from amulor.imaging import point_cloud
@@ -57,7 +58,7 @@ def test_picks_give_the_point_of_the_file_and_lengths_their_bound(
         shown = tabbed.open(address)
         # Along the beams no point hides another one.
         shown.keyboard.press("f")
-        shown.wait_for_timeout(200)
+        settled(shown)
         shown.click("#tools [data-kind=distance]")
         points = np.stack([cloud[axis].values for axis in "xyz"], axis=1)
         pixels = [(4, 5), (18, 30)]
@@ -106,7 +107,7 @@ def test_a_mesh_is_drawn_picked_and_saved(
             found = opened.open(where)
             found.keyboard.press("t")
             found.keyboard.press("o")
-            found.wait_for_timeout(300)
+            settled(found)
             found.click("#tools [data-kind=distance]")
             # From above: right is x, up in the picture is y, and the lid is at 25 mm.
             corners = np.array([[-0.09, -0.04, 0.025], [0.09, -0.04, 0.025]])
@@ -142,22 +143,18 @@ def test_colours_keys_and_the_picture_as_a_file(
         shown = opened.open(address)
         names = shown.locator("#colours button").all_inner_texts()
         assert names == ["Height", "Uncertainty", "Amplitude", "Flags"]
+        layers = ["height", "uncertainty", "amplitude", "flags"]
         seen = {}
-        for key in "1234":
+        for key, layer in zip("1234", layers, strict=True):
             shown.keyboard.press(key)
-            # A busy machine draws later.
-            for _ in range(40):
-                shown.wait_for_timeout(150)
-                drawn = shown.evaluate("document.querySelector('#space').toDataURL()")
-                if drawn not in seen.values():
-                    break
-            seen[key] = drawn
+            shown.wait_for_selector(f"#space[data-layer={layer}]")
+            seen[key] = shown.evaluate("document.querySelector('#space').toDataURL()")
         assert len(set(seen.values())) == 4
         # Up: height counts along another axis, and the view follows.
         shown.keyboard.press("1")
         low = shown.evaluate("amulor.limits[0]")
         shown.select_option("#up", "z")
-        shown.wait_for_timeout(150)
+        settled(shown)
         # z is the distance here: a wall at 1.5 m and a board at 1.44 m.
         assert low < 0 < 1.3 < shown.evaluate("amulor.limits[0]") < 1.5
         # By keyboard alone: what is in the middle is picked.

@@ -117,6 +117,7 @@ function draw() {
     $("unit").textContent = unit.unit;
   }
   drawHistogram($("histogram"), state, colours);
+  canvas.dataset.layer = by;
   document.documentElement.dataset.ready = "yes";
 }
 
