@@ -91,7 +91,15 @@ def steps(folder: Path) -> dict[str, list[str]]:
 
 
 #: Steps that work by rows where they are told to; the others find out by the size.
-TOLD = ("simulate", "reject", "image", "export .ply", "export .laz", "export .nc")
+TOLD = (
+    "simulate",
+    "reject",
+    "image",
+    "export .ply",
+    "export .laz",
+    "export .e57",
+    "export .nc",
+)
 
 
 def measured(words: list[str]) -> dict[str, float]:

@@ -21,6 +21,9 @@ Product = Literal[
     "cloud", "mesh", "orthoimage", "dem", "contours", "section", "deviation"
 ]
 
+#: Pixels above which a cloud is written by rows without being asked: the same bytes in
+#: less memory.
+_MANY = 1_000_000
 #: Endings of clouds that can be written by rows.
 _BY_ROWS = (".ply", ".xyz", ".csv", ".laz", ".las", ".e57", ".nc")
 
@@ -101,8 +104,8 @@ def export(
     title
         Title of a drawing; that of the range image by default.
     tile_rows
-        Write a cloud so many rows at a time, in bounded memory; clouds of files of more
-        than 16 million pixels are written so without being asked.
+        Write a cloud so many rows at a time, in bounded memory; clouds of more than a
+        million pixels are written so without being asked.
     overwrite
         Replace a file that is there.
     """
@@ -142,7 +145,7 @@ def export(
             f"--tile-rows {tile_rows}: state 1 row or more, and a cloud: other "
             "products need the whole image"
         )
-    if by_rows and (tile_rows is not None or is_large(image)):
+    if by_rows and (tile_rows is not None or is_large(image, most=8 * _MANY)):
         _by_rows(
             image, output, tile_rows, axes, pose, largest, good_only, without_mixed,
             overwrite=overwrite,

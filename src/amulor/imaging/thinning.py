@@ -19,7 +19,7 @@ from amulor.imaging.measure import Check, Checked, compared
 __all__ = ["LARGEST", "SHOWN", "Whole", "thinned"]
 
 #: Pixels up to which an image is shown as it is [1].
-LARGEST = 2**20
+LARGEST = 400_000
 #: Pixels that are left of a larger one, at most [1].
 SHOWN = 400_000
 

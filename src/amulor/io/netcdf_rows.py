@@ -103,13 +103,18 @@ class CubeRows:
 
 
 @contextmanager
-def open_rows(path: str | os.PathLike[str]) -> Iterator[CubeRows]:
+def open_rows(
+    path: str | os.PathLike[str], *, check_digest: bool = True
+) -> Iterator[CubeRows]:
     """Open a cube to read rows of it.
 
     Parameters
     ----------
     path : path-like
         netCDF-4 file with a cube over rows and columns.
+    check_digest : bool
+        Whether all of the file is read before for its digest; if not, damage is found
+        by the checksums of its blocks as they are read.
 
     Yields
     ------
@@ -129,7 +134,8 @@ def open_rows(path: str | os.PathLike[str]) -> Iterator[CubeRows]:
     path = Path(path)
     with ExitStack() as stack:
         try:
-            _check_digest(path)
+            if check_digest:
+                _check_digest(path)
             storage = stack.enter_context(h5py.File(path, "r"))
             if "amulor_schema_version" not in dict(storage.attrs):
                 raise FormatError(
@@ -161,15 +167,16 @@ def open_rows(path: str | os.PathLike[str]) -> Iterator[CubeRows]:
         yield CubeRows(cube, path)
 
 
-def is_large(path: str | os.PathLike[str], *, most: int = LARGE) -> bool:
+def is_large(path: str | os.PathLike[str], *, most: int | None = None) -> bool:
     """Return whether a file should be worked on row by row.
 
     Parameters
     ----------
     path : path-like
         Any file; one that cannot be read is not large.
-    most : int
-        Bytes of samples, or of ranges, of the largest file that is not [B].
+    most : int, optional
+        Bytes of samples, or of ranges, of the largest file that is not; `LARGE` by
+        default [B].
 
     Returns
     -------
@@ -178,10 +185,11 @@ def is_large(path: str | os.PathLike[str], *, most: int = LARGE) -> bool:
     """
     import h5py
 
+    limit = LARGE if most is None else most
     try:
         with h5py.File(path, "r") as storage:
             found = storage.get("in_phase", storage.get("slant_range"))
-            return found is not None and found.size * found.dtype.itemsize > most
+            return found is not None and found.size * found.dtype.itemsize > limit
     except (OSError, RuntimeError, ValueError, KeyError, AttributeError):
         return False
 

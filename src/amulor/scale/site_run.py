@@ -10,121 +10,47 @@ from __future__ import annotations
 import datetime
 import json
 import os
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
-from amulor import imaging, io
+from amulor import io
 from amulor._extras import require
 from amulor._progress import tell
-from amulor.cube.provenance import dated, digest, software_versions
-from amulor.errors import AmulorError, CubeError, FormatError
+from amulor.cube.provenance import dated
+from amulor.errors import AmulorError, FormatError
 from amulor.io.files import atomic_output
-from amulor.io.netcdf_rows import open_rows
-from amulor.scale.files import image_file, reject_file
-from amulor.scale.steps import WITH_INTERVAL
-from amulor.simulation import simulate
+from amulor.scale.parts import (
+    chain,
+    forget_parts,
+    make_part,
+    parts_of,
+    splits,
+    whole,
+)
+from amulor.scale.tasks import Done, Record, Task, tasks_of
 from amulor.site import Site
-from amulor.survey import Survey
 
-__all__ = ["Done", "Task", "run_site", "tasks_of", "work"]
+__all__ = ["Done", "Task", "is_made", "run_site", "work", "work_on_rows"]
 
 #: How often a scan is begun again whose worker has died.
 RETRIES = 3
-#: Name of the file that says what is done, in the folder of each scan.
-RECORD = "steps.json"
 #: Word for a cluster of processes on this machine.
 LOCAL = "local"
 
 
-@dataclass(frozen=True, kw_only=True)
-class Task:
-    """One scan, with all that a worker needs; the files are on a shared disk."""
-
-    name: str
-    """Of the scan."""
-    file: str
-    """Its cube; not looked at if it is simulated."""
-    simulated_from: str | None
-    """Survey that it is simulated from."""
-    seed: int
-    """Seed of that simulation."""
-    method: str | None
-    """Rejection method; none is needed for a range image."""
-    polarization: str | None
-    """Channel to take."""
-    interval: tuple[float, float] | None
-    """Nearest and farthest slant range [m]."""
-    folder: str
-    """Where its files go."""
-    started: str
-    """When the run began for the first time (ISO 8601): all of it is dated so."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class Done:
-    """What became of a scan."""
-
-    name: str
-    """Of the scan."""
-    files: dict[str, str]
-    """Digests by the names of files in its folder."""
-    made: tuple[str, ...]
-    """Files that were made now; the others were there."""
-    error: str = ""
-    """Why it stopped; empty if all is there."""
-
-
-def tasks_of(site: Site, output: Path, *, started: str) -> tuple[Task, ...]:
-    """Return one task for each scan of a site.
-
-    Parameters
-    ----------
-    site : Site
-        With whole paths.
-    output : pathlib.Path
-        Folder that gets one for each scan.
-    started : str
-        When the run began for the first time (ISO 8601).
-
-    Returns
-    -------
-    tuple of Task
-        In the order of the site file.
-    """
-    tasks = []
-    for scan in site.scan:
-        how = scan.processing
-        interval = None
-        if how is not None and how.nearest is not None and how.farthest is not None:
-            interval = (how.nearest, how.farthest)
-        tasks.append(
-            Task(
-                name=scan.name,
-                file=str(scan.file),
-                simulated_from=(
-                    None if scan.simulated_from is None else str(scan.simulated_from)
-                ),
-                seed=int(scan.seed),
-                method=None if how is None else how.method,
-                polarization=None if how is None else how.polarization,
-                interval=interval,
-                folder=str((output / scan.name).resolve()),
-                started=started,
-            )
-        )
-    return tuple(tasks)
-
-
-def work(task: Task) -> Done:
+def work(task: Task, until: str | None = None) -> Done:
     """Take a scan through its steps: samples, target signal, range image, cloud.
 
     Parameters
     ----------
     task : Task
         One scan.
+    until : str, optional
+        Name of the last file to be made; all by default.
 
     Returns
     -------
@@ -132,128 +58,71 @@ def work(task: Task) -> Done:
         With the reason if a step refuses its data.
     """
     _set_up_worker()
-    record = _Record(Path(task.folder))
+    record = Record(Path(task.folder))
+    record.tidy()
     try:
         with dated(datetime.datetime.fromisoformat(task.started)):
-            _steps(task, record)
+            _steps(task, record, *([] if until is None else [until]))
     except (AmulorError, ValueError) as error:
         return record.done(task.name, error=str(error))
     return record.done(task.name)
 
 
-def _steps(task: Task, record: _Record) -> None:
-    io.make_folder(task.folder)
-    options: dict[str, Any] = {"interval": task.interval}
-    current = Path(task.file)
-    if task.simulated_from is not None:
-        survey = Path(task.simulated_from)
-        current = record.made(
-            "samples.nc",
-            of=survey,
-            how={"step": "simulate", "seed": task.seed},
-            make=lambda path: io.write_cube(
-                simulate(Survey.from_toml(survey), rng=task.seed), path, overwrite=True
-            ),
-        )
-    level = _level_of(current)
-    if level in ("samples", "target_signal") and task.method is None:
-        raise CubeError(
-            f"scan {task.name!r}: {current} holds {level}, not a range image; state "
-            "[scan.processing] with a method"
-        )
-    if level == "samples":
-        source, method = current, str(task.method)
-        own = options if method in WITH_INTERVAL else {}
-        current = record.made(
-            "target_signal.nc",
-            of=source,
-            how={"step": "reject", "method": method, **own},
-            make=lambda path: reject_file(source, path, method, overwrite=True, **own),
-        )
-    if level != "range_image":
-        target = current
-        options["polarization"] = task.polarization
-        current = record.made(
-            "range_image.nc",
-            of=target,
-            how={"step": "image", **options},
-            make=lambda path: image_file(target, path, overwrite=True, **options),
-        )
-    image = current
-    record.made(
-        "cloud.ply",
-        of=image,
-        how={"step": "cloud"},
-        make=lambda path: io.write_cloud(
-            imaging.point_cloud(io.read_cube(image)), path, overwrite=True
-        ),
-    )
+def is_made(task: Task, name: str) -> bool:
+    """Return whether a file of a scan is there, whole and made of the same.
 
+    Parameters
+    ----------
+    task : Task
+        One scan.
+    name : str
+        Of the file.
 
-class _Record:
-    """What is done of a scan, in a file beside its results."""
-
-    def __init__(self, folder: Path) -> None:
-        self._folder = folder
-        self._new: list[str] = []
-        self._steps: dict[str, dict[str, str]] = {}
-        try:
-            found = json.loads((folder / RECORD).read_text("utf-8"))
-            self._steps = {str(name): dict(step) for name, step in found.items()}
-        except (OSError, ValueError, TypeError, AttributeError):
-            # None yet, or a record that is no record: everything is made anew.
-            self._steps = {}
-        self._now: dict[str, str] = {}
-        # What a worker that died was writing; a scan is in one worker at a time.
-        for left in folder.glob(".amulor-*"):
-            left.unlink(missing_ok=True)
-
-    def made(
-        self, name: str, *, of: Path, how: dict[str, Any], make: Callable[[Path], Any]
-    ) -> Path:
-        """Return a file, made now unless it is there, whole, and made of the same."""
-        path = self._folder / name
-        version = software_versions()["amulor"]
-        made_of = json.dumps(
-            {"of": _digest_of(of), "how": how, "amulor": version}, sort_keys=True
-        )
-        before = self._steps.get(name, {})
-        if (
-            before.get("made_of") == made_of
-            and path.is_file()
-            and _digest_of(path) == before.get("digest")
-        ):
-            self._now[name] = before["digest"]
-            return path
-        make(path)
-        self._new.append(name)
-        self._now[name] = _digest_of(path)
-        self._steps[name] = {"made_of": made_of, "digest": self._now[name]}
-        text = json.dumps(self._steps, indent=2, sort_keys=True) + "\n"
-        with atomic_output(self._folder / RECORD, overwrite=True) as temporary:
-            temporary.write_text(text, "utf-8")
-        return path
-
-    def done(self, name: str, *, error: str = "") -> Done:
-        """Return what became of the scan."""
-        return Done(
-            name=name, files=dict(self._now), made=tuple(self._new), error=error
-        )
-
-
-def _digest_of(path: Path) -> str:
+    Returns
+    -------
+    bool
+        False as well if what it is made of is not there.
+    """
     try:
-        return digest(path)
-    except OSError as error:
-        raise FormatError(
-            f"{path} cannot be read: {error.strerror or error}; workers need the disk "
-            "on which the site file is"
-        ) from error
+        (step,) = (step for step in chain(task) if step.name == name)
+        return Record(Path(task.folder)).is_made(name, of=step.of, how=step.how)
+    except AmulorError:
+        return False
 
 
-def _level_of(path: Path) -> str:
-    with open_rows(path) as rows:
-        return str(rows.head.attrs.get("level"))
+def work_on_rows(task: Task, name: str, begin: int, end: int) -> str:
+    """Make some rows of a file of a scan, which `work` puts together.
+
+    Parameters
+    ----------
+    task : Task
+        One scan.
+    name : str
+        Of the file.
+    begin, end : int
+        The first row, and the one behind the last.
+
+    Returns
+    -------
+    str
+        Why it stopped; empty if the rows are there.
+    """
+    _set_up_worker()
+    try:
+        with dated(datetime.datetime.fromisoformat(task.started)):
+            make_part(task, name, begin, end)
+    except (AmulorError, ValueError) as error:
+        return str(error)
+    return ""
+
+
+def _steps(task: Task, record: Record, until: str | None = None) -> None:
+    io.make_folder(task.folder)
+    for step in chain(task):
+        # Those before are there, or nobody would ask for this one.
+        if until in (None, step.name):
+            record.made(step.name, of=step.of, how=step.how, make=partial(whole, step))
+            forget_parts(step)
 
 
 def _set_up_worker() -> None:
@@ -282,6 +151,7 @@ def run_site(
     *,
     scheduler: str | None = None,
     workers: int | None = None,
+    tile_rows: int | None = None,
 ) -> tuple[Done, ...]:
     """Take all scans of a site through their steps.
 
@@ -297,6 +167,10 @@ def run_site(
         processes on this machine; by default one scan after the other, here.
     workers : int, optional
         Number of processes of "local"; one for each processor by default.
+    tile_rows : int, optional
+        Rows that are worked on at once, and on a cluster by one task; by default a
+        quarter of a million samples, and tasks of a million pixels of scans of more
+        than four.
 
     Returns
     -------
@@ -323,7 +197,7 @@ def run_site(
     site = Site.from_toml(Path(path))
     folder = Path(output)
     io.make_folder(folder)
-    tasks = tasks_of(site, folder, started=_started(folder))
+    tasks = tasks_of(site, folder, started=_started(folder), tile_rows=tile_rows)
     found: dict[str, Done] = {}
     if scheduler is None:
         for number, task in enumerate(tasks):
@@ -392,13 +266,96 @@ def _spread_out(client: Any, tasks: tuple[Task, ...]) -> Iterator[Done]:
     import distributed
 
     dask: Any = distributed
-    futures = client.map(work, tasks, pure=False, retries=RETRIES)
-    names = {future.key: task.name for future, task in zip(futures, tasks, strict=True)}
-    for future in dask.as_completed(futures):
+    spread = _Spread(client, dask.as_completed())
+    for task in tasks:
+        spread.begin(task, list(splits(task)))
+    for future in spread.futures:
         error = future.exception()
-        if error is None:
-            yield future.result()
-        else:
-            # Such as a worker that died time and again.
+        # Such as a worker that died time and again.
+        said = ""
+        if error is not None:
             said = " ".join(str(error).split()) or type(error).__name__
-            yield Done(name=names[future.key], files={}, made=(), error=said)
+        done = spread.after(future, said)
+        if done is not None:
+            yield done
+
+
+@dataclass(kw_only=True)
+class _Underway:
+    """A scan that is being worked on."""
+
+    task: Task
+    stages: list[str]
+    """Files whose rows are tasks of their own, those first that come first."""
+    left: int = 0
+    """Tasks of rows that are not done."""
+    made: list[str] = field(default_factory=list)
+    error: str = ""
+
+
+class _Spread:
+    """Hands tasks to a cluster: large scans stage by stage, in rows."""
+
+    def __init__(self, client: Any, futures: Any) -> None:
+        self._client, self.futures = client, futures
+        self._known: dict[str, tuple[_Underway, str]] = {}
+
+    def begin(self, task: Task, stages: list[str]) -> None:
+        """Begin with a scan."""
+        self._next(_Underway(task=task, stages=stages))
+
+    def _next(self, scan: _Underway) -> None:
+        """Ask whether the next file is there; without one, do the rest of the scan."""
+        if scan.stages:
+            self._submit("asked", scan, is_made, scan.stages[0])
+        else:
+            self._submit("rest", scan, work)
+
+    def _submit(self, kind: str, scan: _Underway, function: Any, *words: Any) -> None:
+        future = self._client.submit(
+            function, scan.task, *words, pure=False, retries=RETRIES
+        )
+        self._known[future.key] = scan, kind
+        self.futures.add(future)
+
+    def after(self, future: Any, error: str) -> Done | None:
+        """Go on with the scan of a future that is done; return it if that was all."""
+        scan, kind = self._known.pop(future.key)
+        found = None if error else future.result()
+        name = scan.stages[0] if scan.stages else ""
+        if kind == "asked" and found:
+            scan.stages.pop(0)
+            self._next(scan)
+        elif kind == "asked" and not error:
+            try:
+                parts = parts_of(scan.task, name)
+            except (AmulorError, ValueError):
+                # A worker says why; it need not be so there.
+                scan.stages = []
+                self._next(scan)
+                return None
+            scan.left = len(parts)
+            for begin, end in parts:
+                self._submit("rows", scan, work_on_rows, name, begin, end)
+        elif kind == "rows":
+            scan.error = scan.error or error or str(found)
+            scan.left -= 1
+            if scan.left:
+                return None
+            if scan.error:
+                return self._stopped(scan, scan.error)
+            self._submit("joined", scan, work, name)
+        elif error:
+            return self._stopped(scan, error)
+        else:
+            assert isinstance(found, Done)
+            scan.made += found.made
+            if found.error or kind == "rest":
+                return replace(found, made=tuple(scan.made))
+            scan.stages.pop(0)
+            self._next(scan)
+        return None
+
+    def _stopped(self, scan: _Underway, error: str) -> Done:
+        made = tuple(scan.made)
+        return Done(name=scan.task.name, files={}, made=made, error=error)

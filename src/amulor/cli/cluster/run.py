@@ -15,6 +15,7 @@ def run(
     output: Annotated[Path, Parameter(alias="-o")],
     scheduler: str | None = None,
     workers: int | None = None,
+    tile_rows: int | None = None,
     json: Annotated[bool, Parameter(negative="")] = False,
 ) -> None:
     """Take all scans of a site to range images and clouds, here or on a cluster.
@@ -32,6 +33,9 @@ def run(
         the site and of the results.
     workers
         Number of processes for --scheduler local; one for each processor by default.
+    tile_rows
+        Work on so many rows at a time, on a cluster one task each; without it scans of
+        more than 4 million pixels go to a cluster in parts of a million.
     json
         Print the digests of all files as JSON.
     """
@@ -44,8 +48,12 @@ def run(
 
     if workers is not None and (workers < 1 or scheduler != LOCAL):
         raise UsageError("--workers is a number from 1 on, with --scheduler local")
+    if tile_rows is not None and tile_rows < 1:
+        raise UsageError(f"--tile-rows must be 1 or more, got {tile_rows}")
     with progress_bar(quiet=json):
-        done = run_site(site, output, scheduler=scheduler, workers=workers)
+        done = run_site(
+            site, output, scheduler=scheduler, workers=workers, tile_rows=tile_rows
+        )
     if json:
         print_json({"output": str(output), "scans": [asdict(one) for one in done]})
     else:

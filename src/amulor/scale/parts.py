@@ -1,0 +1,360 @@
+"""The steps of a scan of a site, whole or in rows that tasks of a cluster make."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from functools import lru_cache, partial
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any, cast
+
+import xarray as xr
+
+from amulor.cube import schema, tiles
+from amulor.errors import CubeError
+from amulor.io.netcdf_rows import open_rows, row_writer, tile_rows
+from amulor.scale.clouds import cloud_file
+from amulor.scale.steps import WITH_INTERVAL, TiledStep, image_step, reject_step
+from amulor.scale.tasks import Record, Task
+from amulor.simulation.by_rows import SimulatedRows
+from amulor.survey import Survey
+
+__all__ = [
+    "LARGE",
+    "PART",
+    "Step",
+    "chain",
+    "forget_parts",
+    "make_part",
+    "parts_of",
+    "splits",
+    "whole",
+]
+
+#: Pixels of a scan above which a cluster works on it in parts.
+LARGE = 4_000_000
+#: Pixels of such a part, about.
+PART = 1_000_000
+#: Folder of the parts, in that of a scan.
+FOLDER = "parts"
+#: Name of the file of a part.
+ROWS = "rows.nc"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Step:
+    """One file of a scan, and how it is made."""
+
+    task: Task
+    """The scan."""
+    name: str
+    """Of the file."""
+    of: Path
+    """What it is made of."""
+    how: dict[str, Any]
+    """Step and arguments, for the record."""
+    tiled: TiledStep | None = None
+    """What is done to rows; None of a survey and of a cloud."""
+
+    @property
+    def folder(self) -> Path:
+        """Where the parts of the file are."""
+        return Path(self.task.folder) / FOLDER / Path(self.name).stem
+
+
+def chain(task: Task) -> tuple[Step, ...]:
+    """Return the steps of a scan: samples, target signal, range image, cloud.
+
+    Parameters
+    ----------
+    task : Task
+        One scan.
+
+    Returns
+    -------
+    tuple of Step
+        In their order; those that its file needs.
+
+    Raises
+    ------
+    CubeError
+        If it needs a method and has none.
+    FormatError
+        If its file cannot be read.
+    """
+    steps: list[Step] = []
+    folder, current = Path(task.folder), Path(task.file)
+
+    def add(name: str, how: dict[str, Any], tiled: TiledStep | None = None) -> Path:
+        steps.append(Step(task=task, name=name, of=current, how=how, tiled=tiled))
+        return folder / name
+
+    if task.simulated_from is not None:
+        current = Path(task.simulated_from)
+        current = add("samples.nc", {"step": "simulate", "seed": task.seed})
+        level = "samples"
+    else:
+        level = _level_of(current)
+    if level in ("samples", "target_signal") and task.method is None:
+        raise CubeError(
+            f"scan {task.name!r}: {current} holds {level}, not a range image; state "
+            "[scan.processing] with a method"
+        )
+    options: dict[str, Any] = {"interval": task.interval}
+    if level == "samples":
+        method = str(task.method)
+        own = options if method in WITH_INTERVAL else {}
+        how = {"step": "reject", "method": method, **own}
+        current = add("target_signal.nc", how, reject_step(method, **own))
+    if level != "range_image":
+        options["polarization"] = task.polarization
+        how = {"step": "image", **options}
+        current = add("range_image.nc", how, image_step(**options))
+    add("cloud.ply", {"step": "cloud"})
+    return tuple(steps)
+
+
+def _level_of(path: Path) -> str:
+    with open_rows(path, check_digest=False) as rows:
+        return str(rows.head.attrs.get("level"))
+
+
+class _Rows:
+    """The rows of a file that is to be made, in tiles."""
+
+    def __init__(
+        self, source: tiles.Source, task: Task, of: Callable[[int, int], xr.Dataset]
+    ) -> None:
+        self.rows, self.columns, self.of = source.rows, source.columns, of
+        self.size = task.tile_rows or tile_rows(source)
+
+    def tiles(self, begin: int, end: int) -> Iterator[tuple[int, xr.Dataset]]:
+        """Yield the tiles between two rows, the first of which begins one."""
+        for first in range(begin, end, self.size):
+            yield first, self.of(first, min(first + self.size, end))
+
+
+@contextmanager
+def _opened(step: Step, *, check_digest: bool) -> Iterator[_Rows]:
+    """Open what the rows of a file are made of."""
+    if step.tiled is None:
+        source = _simulated(step.of.read_text("utf-8"), step.of, step.task.seed)
+        yield _Rows(source, step.task, source.tile)
+        return
+    identity = Record(Path(step.task.folder)).identity(step.of)
+    with open_rows(step.of, check_digest=check_digest) as cube:
+        made = _prepared(_Known(f"{step.how}, {step.of}, {identity}", step, cube))
+        yield _Rows(cube, step.task, partial(_made, step.tiled, made, cube))
+
+
+def _made(
+    step: TiledStep, of: Any, source: tiles.Source, begin: int, end: int
+) -> xr.Dataset:
+    """Return some rows of what a step makes."""
+    first = max(begin - step.halo, 0)
+    wide = source.tile(first, min(end + step.halo, source.rows))
+    found: xr.Dataset = of(wide, first)
+    return found.isel(row=slice(begin - first, end - first))
+
+
+@lru_cache(maxsize=1)
+def _simulated(text: str, path: Path, seed: int) -> SimulatedRows:
+    """Return the rows of a survey; kept, since a worker makes many parts of a scan."""
+    del text  # tells a survey that was changed from the one before
+    return SimulatedRows(Survey.from_toml(path), rng=seed)
+
+
+@dataclass(frozen=True)
+class _Known:
+    """What all parts of a file share, told from others by a text."""
+
+    key: str
+    step: Step
+    source: tiles.Source
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, _Known) and other.key == self.key
+
+    def __hash__(self) -> int:
+        return hash(self.key)
+
+
+@lru_cache(maxsize=1)
+def _prepared(known: _Known) -> Any:
+    """Return what treats rows; kept, as the simulation is."""
+    assert known.step.tiled is not None
+    return known.step.tiled.prepare(known.source)
+
+
+def splits(task: Task) -> tuple[str, ...]:
+    """Return which files of a scan are worth being made in parts.
+
+    Parameters
+    ----------
+    task : Task
+        One scan.
+
+    Returns
+    -------
+    tuple of str
+        Names of files; none of a small scan, or if its file cannot be read here.
+    """
+    try:
+        steps = chain(task)
+        sizes = _sizes(steps[0])
+    except (CubeError, OSError, ValueError):
+        return ()
+    large = sizes.rows * sizes.columns > LARGE
+    if task.tile_rows is not None:
+        large = sizes.rows > task.tile_rows
+    return tuple(step.name for step in steps if large and step.name != "cloud.ply")
+
+
+def _sizes(step: Step) -> tiles.Source:
+    """Return rows, columns and planes of what a file is made of."""
+    if step.how["step"] == "simulate":
+        survey = Survey.from_toml(step.of)
+        instrument = survey.instrument
+        sizes = {
+            "modulation_frequency": len(instrument.modulation_frequencies),
+            "polarization": len(instrument.polarizations),
+        }
+        scan = survey.scan
+        found: Any = SimpleNamespace(
+            head=SimpleNamespace(sizes=sizes), rows=scan.rows, columns=scan.columns
+        )
+        return cast(tiles.Source, found)
+    with open_rows(step.of, check_digest=False) as cube:
+        return cube
+
+
+def parts_of(task: Task, name: str) -> list[tuple[int, int]]:
+    """Return in which rows a file of a scan is made.
+
+    Parameters
+    ----------
+    task : Task
+        One scan.
+    name : str
+        Of the file.
+
+    Returns
+    -------
+    list of tuple of int
+        First row, and the one behind the last; whole tiles each.
+    """
+    source = _sizes(_step(task, name))
+    size = task.tile_rows or tile_rows(source)
+    few = 1 if task.tile_rows else max(1, round(PART / (size * source.columns)))
+    step = size * few
+    return [
+        (begin, min(begin + step, source.rows)) for begin in range(0, source.rows, step)
+    ]
+
+
+def _step(task: Task, name: str) -> Step:
+    return next(step for step in chain(task) if step.name == name)
+
+
+def make_part(task: Task, name: str, begin: int, end: int) -> None:
+    """Make some rows of a file of a scan, unless they are there.
+
+    Parameters
+    ----------
+    task : Task
+        One scan.
+    name : str
+        Of the file.
+    begin, end : int
+        As `parts_of` says.
+
+    Raises
+    ------
+    AmulorError, ValueError
+        As the step.
+    """
+    step = _step(task, name)
+    folder = step.folder / f"{begin:08d}"
+    folder.mkdir(parents=True, exist_ok=True)
+
+    def make(path: Path) -> None:
+        # Not all of the source for each part of it; its blocks have checksums.
+        with (
+            _opened(step, check_digest=False) as rows,
+            row_writer(path, end - begin, overwrite=True) as writer,
+        ):
+            for first, tile in rows.tiles(begin, end):
+                writer.put(tile, first - begin)
+
+    identity = Record(Path(task.folder)).identity(step.of)
+    how = {**step.how, "rows": [begin, end], "tile_rows": task.tile_rows}
+    Record(folder).made(ROWS, of=identity, how=how, make=make)
+
+
+def whole(step: Step, path: Path) -> None:
+    """Make a file: of its parts if all are there, from the beginning if not.
+
+    Parameters
+    ----------
+    step : Step
+        Which file.
+    path : pathlib.Path
+        Where it goes.
+
+    Raises
+    ------
+    AmulorError, ValueError
+        As the step.
+    """
+    if step.name == "cloud.ply":
+        cloud_file(step.of, path, rows=step.task.tile_rows, overwrite=True)
+        return
+    parts = parts_of(step.task, step.name)
+    files = [step.folder / f"{begin:08d}" / ROWS for begin, _ in parts]
+    rows = parts[-1][1]
+    with row_writer(path, rows, overwrite=True) as writer:
+        if all(file.is_file() for file in files):
+            for (first, _), file in zip(parts, files, strict=True):
+                _put(writer, first, file, step)
+            return
+        with _opened(step, check_digest=True) as source:
+            for begin, tile in source.tiles(0, rows):
+                writer.put(tile, begin)
+
+
+def _put(writer: Any, first: int, file: Path, step: Step) -> None:
+    """Copy the rows of a part, in the tiles in which they were made."""
+    size = step.task.tile_rows or tile_rows(_sizes(step))
+    with open_rows(file) as cube:
+        names = _in_order(file)
+        for begin in range(0, cube.rows, size):
+            tile = cube.tile(begin, min(begin + size, cube.rows))
+            writer.put(tile[[n for n in names if n in tile.variables]], first + begin)
+
+
+def _in_order(file: Path) -> list[str]:
+    """Return the variables of a file in the order in which they were made."""
+    import h5py
+
+    with h5py.File(file, "r") as storage:
+        names = list(storage)
+        for group in schema.GROUPS:
+            names += [f"{group}_{name}" for name in storage.get(group, ())]
+    return names
+
+
+def forget_parts(step: Step) -> None:
+    """Remove the parts of a file that is there.
+
+    Parameters
+    ----------
+    step : Step
+        Which file.
+    """
+    shutil.rmtree(step.folder, ignore_errors=True)
+    folder = step.folder.parent
+    if folder.is_dir() and not any(folder.iterdir()):
+        folder.rmdir()

@@ -1,0 +1,231 @@
+"""What is to be done of a site, scan by scan, and what is done already."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from amulor.cube.provenance import digest, software_versions
+from amulor.errors import FormatError
+from amulor.io.files import atomic_output
+from amulor.site import Site
+
+__all__ = ["RECORD", "Done", "Record", "Task", "tasks_of"]
+
+#: Name of the file that says what is done, in the folder of each scan.
+RECORD = "steps.json"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Task:
+    """One scan, with all that a worker needs; the files are on a shared disk."""
+
+    name: str
+    """Of the scan."""
+    file: str
+    """Its cube; not looked at if it is simulated."""
+    simulated_from: str | None
+    """Survey that it is simulated from."""
+    seed: int
+    """Seed of that simulation."""
+    method: str | None
+    """Rejection method; none is needed for a range image."""
+    polarization: str | None
+    """Channel to take."""
+    interval: tuple[float, float] | None
+    """Nearest and farthest slant range [m]."""
+    folder: str
+    """Where its files go."""
+    started: str
+    """When the run began for the first time (ISO 8601): all of it is dated so."""
+    tile_rows: int | None = None
+    """Rows that are worked on at once; None as many as hold a quarter of a million
+    samples."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Done:
+    """What became of a scan."""
+
+    name: str
+    """Of the scan."""
+    files: dict[str, str]
+    """Digests by the names of files in its folder."""
+    made: tuple[str, ...]
+    """Files that were made now; the others were there."""
+    error: str = ""
+    """Why it stopped; empty if all is there."""
+
+
+def tasks_of(
+    site: Site, output: Path, *, started: str, tile_rows: int | None = None
+) -> tuple[Task, ...]:
+    """Return one task for each scan of a site.
+
+    Parameters
+    ----------
+    site : Site
+        With whole paths.
+    output : pathlib.Path
+        Folder that gets one for each scan.
+    started : str
+        When the run began for the first time (ISO 8601).
+    tile_rows : int, optional
+        Rows that are worked on at once.
+
+    Returns
+    -------
+    tuple of Task
+        In the order of the site file.
+    """
+    tasks = []
+    for scan in site.scan:
+        how = scan.processing
+        interval = None
+        if how is not None and how.nearest is not None and how.farthest is not None:
+            interval = (how.nearest, how.farthest)
+        tasks.append(
+            Task(
+                name=scan.name,
+                file=str(scan.file),
+                simulated_from=(
+                    None if scan.simulated_from is None else str(scan.simulated_from)
+                ),
+                seed=int(scan.seed),
+                method=None if how is None else how.method,
+                polarization=None if how is None else how.polarization,
+                interval=interval,
+                folder=str((output / scan.name).resolve()),
+                started=started,
+                tile_rows=tile_rows,
+            )
+        )
+    return tuple(tasks)
+
+
+class Record:
+    """What is done of a scan, or of some rows of it, in a file beside the results.
+
+    Parameters
+    ----------
+    folder : pathlib.Path
+        Where the results are; need not be there.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self._folder = folder
+        self._new: list[str] = []
+        self._steps: dict[str, dict[str, str]] = {}
+        try:
+            found = json.loads((folder / RECORD).read_text("utf-8"))
+            self._steps = {str(name): dict(step) for name, step in found.items()}
+        except (OSError, ValueError, TypeError, AttributeError):
+            # None yet, or a record that is no record: everything is made anew.
+            self._steps = {}
+        self._now: dict[str, str] = {}
+
+    def tidy(self) -> None:
+        """Remove what a worker that died was writing; nobody else writes here now."""
+        for left in self._folder.glob(".amulor-*"):
+            left.unlink(missing_ok=True)
+
+    def made(
+        self,
+        name: str,
+        *,
+        of: Path | str,
+        how: dict[str, Any],
+        make: Callable[[Path], Any],
+    ) -> Path:
+        """Return a file, made now unless it is there, whole, and made of the same.
+
+        Parameters
+        ----------
+        name : str
+            Of the file.
+        of : pathlib.Path or str
+            The file that it is made of, or what tells that one from others.
+        how : dict
+            Step and arguments.
+        make : callable
+            Makes it under a path.
+
+        Returns
+        -------
+        pathlib.Path
+            Of the file.
+        """
+        path = self._folder / name
+        made_of = _made_of(of if isinstance(of, str) else _digest_of(of), how)
+        if self._is_whole(name, made_of):
+            self._now[name] = self._steps[name]["digest"]
+            return path
+        make(path)
+        self._new.append(name)
+        self._now[name] = _digest_of(path)
+        self._steps[name] = {"made_of": made_of, "digest": self._now[name]}
+        text = json.dumps(self._steps, indent=2, sort_keys=True) + "\n"
+        with atomic_output(self._folder / RECORD, overwrite=True) as temporary:
+            temporary.write_text(text, "utf-8")
+        return path
+
+    def identity(self, path: Path) -> str:
+        """Return what tells a file from others, without reading all of it.
+
+        Parameters
+        ----------
+        path : pathlib.Path
+            One that the record knows by its digest, or any other.
+
+        Returns
+        -------
+        str
+            Its digest, or its size and when it was written.
+        """
+        if path.parent == self._folder and path.name in self._steps:
+            return self._steps[path.name]["digest"]
+        try:
+            found = path.stat()
+        except OSError as error:
+            raise _unreadable(path, error) from error
+        return f"{found.st_size} B, {found.st_mtime_ns} ns"
+
+    def is_made(self, name: str, *, of: Path, how: dict[str, Any]) -> bool:
+        """Return whether a file is there, whole, and made of the same."""
+        return self._is_whole(name, _made_of(_digest_of(of), how))
+
+    def _is_whole(self, name: str, made_of: str) -> bool:
+        path, before = self._folder / name, self._steps.get(name, {})
+        return (
+            before.get("made_of") == made_of
+            and path.is_file()
+            and _digest_of(path) == before.get("digest")
+        )
+
+    def done(self, name: str, *, error: str = "") -> Done:
+        """Return what became of the scan."""
+        return Done(
+            name=name, files=dict(self._now), made=tuple(self._new), error=error
+        )
+
+
+def _digest_of(path: Path) -> str:
+    try:
+        return digest(path)
+    except OSError as error:
+        raise _unreadable(path, error) from error
+
+
+def _unreadable(path: Path, error: OSError) -> FormatError:
+    return FormatError(
+        f"{path} cannot be read: {error.strerror or error}; workers need the disk on "
+        "which the site file is"
+    )
+
+
+def _made_of(of: str, how: dict[str, Any]) -> str:
+    version = software_versions()["amulor"]
+    return json.dumps({"of": of, "how": how, "amulor": version}, sort_keys=True)
