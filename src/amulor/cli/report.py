@@ -43,7 +43,7 @@ def report(
         A check distance "ROW,COLUMN ROW,COLUMN LENGTH [TOLERANCE]", such as "20,10
         20,60 40mm 1mm"; may be given several times.
     tile_rows
-        Read so many rows at a time, in bounded memory; images of more than 400,000
+        Read so many rows at a time, in bounded memory; images of more than 250,000
         pixels are read by rows without being asked, and drawn from some of them.
     overwrite
         Replace a file that is there.

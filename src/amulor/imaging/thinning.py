@@ -19,9 +19,9 @@ from amulor.imaging.measure import Check, Checked, compared
 __all__ = ["LARGEST", "SHOWN", "Whole", "thinned"]
 
 #: Pixels up to which an image is shown as it is [1].
-LARGEST = 400_000
+LARGEST = 250_000
 #: Pixels that are left of a larger one, at most [1].
-SHOWN = 400_000
+SHOWN = 250_000
 
 
 @dataclass(frozen=True, kw_only=True)
