@@ -8,6 +8,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 
+from amulor.acquisition.cube.samples import Samples, counting_variance
+from amulor.acquisition.settings import Procedure
 from amulor.acquisition.uncertainty import (
     reading_variance,
     readings_of,
@@ -68,3 +70,37 @@ def test_the_rest_of_a_dwell_is_filled_with_readings(small, dwell, number) -> No
     scan = small.scan.model_copy(update={"dwell": dwell})
     survey = small.model_copy(update={"scan": scan})
     assert readings_of(survey, settling=5.0) == number
+
+
+def one_sample(survey: Survey, *, mean: float, amplitude: float) -> Samples:
+    samples = Samples(survey, 1, 1)
+    samples.mean[:], samples.raw_amplitude[:] = mean, amplitude
+    return samples
+
+
+def test_light_is_what_the_mean_output_shows_beyond_dark_counts(small: Survey) -> None:
+    survey = small.with_({"instrument.detector.dark_rate": "3e5 1/s"})
+    # As above, for light of 1e6 and of 0 photoelectrons a second; below the dark counts
+    # there is none.
+    for rate, light in ((1e6, 1e6), (0.0, 0.0), (-1e5, 0.0)):
+        samples = one_sample(survey, mean=8e-12 * (rate + 3e5), amplitude=1e-9)
+        found = counting_variance(samples, survey, Procedure())
+        expected = (8e-12) ** 2 * 2 * 1.2 * (light + 3e5) / 0.02
+        assert_allclose(found, expected, rtol=1e-9)
+
+
+def test_a_moving_beam_saw_at_least_the_light_that_was_modulated(small: Survey) -> None:
+    moving = Procedure.model_validate(
+        {"mode": "continuous", "output_filter": "known", "readings": "buffer"}
+    )
+    dark, unknown, bright = (
+        counting_variance(one_sample(small, mean=mean, amplitude=1e-5), small, moving)
+        for mean in (0.0, float("nan"), 1.0)
+    )
+    assert_allclose(dark, unknown)
+    assert (dark < bright).all()
+    # Standing still the mean output is that of the sample, and counts.
+    still = counting_variance(
+        one_sample(small, mean=0.0, amplitude=1e-5), small, Procedure()
+    )
+    assert (still < unknown).all()
