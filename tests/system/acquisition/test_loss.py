@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ast
 import os
 import random
 import resource
@@ -9,7 +10,6 @@ import select
 import shutil
 import signal
 import sqlite3
-import struct
 import subprocess
 import sys
 import time
@@ -121,11 +121,10 @@ def _by_plan(device: ScanDevice, acknowledged: Callable[[Key], None]) -> bool:
 def _child(
     survey: Survey, folder: Path, told: int, settings: Settings, way: str
 ) -> None:
-    """Scan in a process of its own and tell each acknowledged sample."""
-    numbers = {key: n for n, key in enumerate(_planned(survey, settings))}
+    """Scan in a process of its own and tell each acknowledged sample, in a line."""
 
     def tell(key: Key) -> None:
-        os.write(told, struct.pack("i", numbers.get(key, -1)))
+        os.write(told, f"{tuple(key)!r}\n".encode())
 
     _scan(survey, folder, settings, way=way, acknowledged=tell)
 
@@ -138,7 +137,7 @@ def _killed(
     after: float,
     settings: Settings,
     way: str,
-) -> tuple[list[int], bool]:
+) -> tuple[list[Key], bool]:
     """Return the samples that a scan acknowledged before it was killed.
 
     The time counts from so many acknowledged samples on, of none from the start: how
@@ -156,7 +155,7 @@ def _killed(
     os.close(told_in)
     content = b""
     with os.fdopen(told, "rb", buffering=0) as end:
-        while len(content) < samples * struct.calcsize("i"):
+        while content.count(b"\n") < samples:
             if not select.select([end], [], [], 240)[0]:
                 break
             if not (more := end.read(4096)):  # it has ended by itself
@@ -166,10 +165,10 @@ def _killed(
         os.kill(child, signal.SIGKILL)
         _, status = os.waitpid(child, 0)
         content += end.read()
-    numbers = [n for (n,) in struct.iter_unpack("i", content[: len(content) // 4 * 4])]
+    lines = content.decode().split("\n")[:-1]
     ended = os.WIFEXITED(status)
     assert not ended or os.WEXITSTATUS(status) == 0
-    return numbers, not ended
+    return [Key(*ast.literal_eval(line)) for line in lines], not ended
 
 
 def _kill_loop(
@@ -191,23 +190,25 @@ def _kill_loop(
     while counts["kills"] < kills:
         folder = home / str(counts["folders"])
         counts["folders"] += 1
-        acknowledged: list[int] = []
+        acknowledged: list[Key] = []
         while counts["kills"] < kills:
             early = counts["kills"] % 4 == 3
-            numbers, was_killed = _killed(
+            told, was_killed = _killed(
                 survey, folder,
-                samples=0 if early else rng.randrange(5, len(planned) // 2),
+                samples=0 if early else rng.randrange(1, len(planned) * 5 // 4),
                 after=rng.uniform(0, whole / 4 if early else 2 * dwell),
                 settings=settings, way=way,
             )  # fmt: skip
             counts["kills"] += was_killed
-            acknowledged += [number for number in numbers if number >= 0]
-            counts["acknowledged"] += len(numbers)
+            acknowledged += told
+            counts["acknowledged"] += len(told)
             if (folder / FILE_NAME).exists():
                 with Journal.read(folder) as journal:
                     keys = journal.keys()
                     counts["twice"] += journal.count() - len(keys)
-                counts["lost"] += sum(planned[n] not in keys for n in acknowledged)
+                counts["lost"] += len({*acknowledged} - keys)
+            else:
+                counts["lost"] += len(acknowledged)
             if not was_killed:
                 break
         counts["twice"] += len(acknowledged) - len({*acknowledged})
