@@ -34,6 +34,8 @@ MATTERS = 10.0
 #: The same where the echo departs and the water does not: a delay that all frequencies
 #: share goes with it, and no sample shows that [1].
 ECHO_MATTERS = 0.3
+#: Part of the pixels that is most of them [1].
+_MOST = 0.5
 #: Step of the optical path for the derivative of the slant range [m].
 _DIFFERENCE = 1e-5
 
@@ -54,6 +56,8 @@ class Scan:
     """Growth of the mean square angle by which echoes are late [rad^2/m]."""
     instrument_uncertainty: float
     """Median of what is not known of the instrument, over slant ranges [m]."""
+    echo_is_doubted: bool
+    """Whether the scan by itself refuses its echo, which shots of other water hide."""
 
 
 def typical_of(
@@ -94,6 +98,59 @@ def typical_of(
     known = _known(frame, beam, result, instrument, late_spread)
     some = known[seen & np.isfinite(known)]
     return late_spread, float(np.sqrt(np.median(some)) if some.size else 0.0)
+
+
+def refuses_its_echo(
+    frame: Frame,
+    beam: rays.Beam,
+    result: Result,
+    shared: Shared,
+    instrument: Instrument,
+) -> bool:
+    """Return whether most pixels are flagged since the echo is no pure delay.
+
+    Parameters
+    ----------
+    frame, beam, result, shared, instrument
+        As in `typical_of`; fitted without the shots.
+
+    Returns
+    -------
+    bool
+        False where the water departs from its model as well.
+    """
+    if (
+        shared.evidence <= DECISIVE
+        or shared.water_departs
+        or not shared.echo_departs
+        or not result.detected.any()
+    ):
+        return False
+    slope = _slope(frame, beam, result.estimates.path)
+    known = _known(frame, beam, result, instrument, shared.shape.spread)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        _, matters = _departure(result, slope, known, ECHO_MATTERS)
+    return bool(np.mean(matters[result.detected]) > _MOST)
+
+
+def _slope(frame: Frame, beam: rays.Beam, path: Floats) -> Floats:
+    """Return the derivative of slant ranges by the optical path [1]."""
+    ranges = [
+        rays.slant_range_of_path(length, beam, frame.receiver, medium=frame.medium)
+        for length in (path, path + _DIFFERENCE)
+    ]
+    slope: Floats = (ranges[1] - ranges[0]) / _DIFFERENCE
+    return slope
+
+
+def _departure(
+    result: Result, slope: Floats, known: Floats, limit: float
+) -> tuple[Floats, NDArray[np.bool_]]:
+    """Return how far departures move slant ranges [m], and whether that matters."""
+    own = 1 / np.sqrt(result.estimates.information)
+    sigma = np.hypot(own, np.sqrt(result.shared_variance))
+    departure = slope * result.departure
+    return departure, departure > limit * np.hypot(slope * sigma, np.sqrt(known))
 
 
 def _known(
@@ -167,16 +224,16 @@ def cube_of(cube: xr.Dataset, scan: Scan, result: Result) -> xr.Dataset:
         )
 
     slant_range = np.where(detected, to_range(path), np.nan)
-    slope = (to_range(path + _DIFFERENCE) - to_range(path)) / _DIFFERENCE
+    slope = _slope(frame, beam, path)
     known = _known(frame, beam, result, scan.instrument, scan.late_spread)
     with np.errstate(divide="ignore", invalid="ignore"):
         own = 1 / np.sqrt(estimates.information)
-        sigma = np.hypot(own, np.sqrt(result.shared_variance))
-        departure = np.zeros(len(path))
-        if shared.evidence > DECISIVE:
-            departure = slope * result.departure
-        limit = MATTERS if shared.water_departs else ECHO_MATTERS
-        matters = departure > limit * np.hypot(slope * sigma, np.sqrt(known))
+        limit = MATTERS
+        if scan.echo_is_doubted or not shared.water_departs:
+            limit = ECHO_MATTERS
+        departure, matters = _departure(result, slope, known, limit)
+        if shared.evidence <= DECISIVE:
+            departure, matters = np.zeros(len(path)), np.zeros(len(path), dtype=bool)
     freedom, cost, p_value = _misfit(estimates, detected)
     flag = np.zeros(len(path), dtype=np.int16)
     flag[detected & (estimates.wrong > WRONG)] |= QualityFlag.AMBIGUOUS

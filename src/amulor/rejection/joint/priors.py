@@ -123,6 +123,11 @@ class Shared:
         return self.widths[0] > _TRIED[0][0] or self.widths[1] > _TRIED[1][0]
 
     @property
+    def echo_departs(self) -> bool:
+        """Whether the data prefer that the echo is no pure delay."""
+        return self.widths[2] > _TRIED[2][0]
+
+    @property
     def water_drifts(self) -> bool:
         """Whether the data prefer that the water changes during the scan."""
         return self.widths[4] > _TRIED[4][0]

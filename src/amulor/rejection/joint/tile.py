@@ -16,11 +16,17 @@ from amulor.rejection.covariance import Covariance
 from amulor.rejection.joint import pixels as joint_pixels
 from amulor.rejection.joint import shared as joint_shared
 from amulor.rejection.joint._kernels.threads import each
-from amulor.rejection.joint.cube import Scan, cube_of, typical_of
+from amulor.rejection.joint.cube import (
+    Scan,
+    cube_of,
+    refuses_its_echo,
+    typical_of,
+)
 from amulor.rejection.joint.drift import Clock, clock_of, trends_of
 from amulor.rejection.joint.instrument import Instrument
 from amulor.rejection.joint.overlap.frame import Frame, frame_of
 from amulor.rejection.joint.pixels import Pixels
+from amulor.rejection.joint.priors import DECISIVE, Shared
 from amulor.rejection.joint.samples import (
     FEWEST_FREQUENCIES,
     SHARING,
@@ -135,19 +141,28 @@ def common_of(
         ]
     )  # fmt: skip
     tell("water that all pixels share", 0.0)
-    shared = joint_shared.fit(
-        frame,
-        some,
-        shot_pixels(frame, shots, places, frequency),
-        transfer=transfer,
-        deepest=float(some.depths.max()),
-        turn_width=instrument.direction,
-    )
+
+    def fitted(shots: Pixels | None) -> Shared:
+        return joint_shared.fit(
+            frame,
+            some,
+            shots,
+            transfer=transfer,
+            deepest=float(some.depths.max()),
+            turn_width=instrument.direction,
+        )
+
+    of_water = shot_pixels(frame, shots, places, frequency)
+    shared = fitted(of_water)
     found = solve(frame, some, shared, transfer)
-    azimuth, elevation = _directions_at(source, chosen)
-    late_spread, known = typical_of(
-        frame, frame.beam(azimuth, elevation), found, shared, instrument
-    )
+    beam = frame.beam(*_directions_at(source, chosen))
+    late_spread, known = typical_of(frame, beam, found, shared, instrument)
+    doubted = False
+    if of_water is not None and shared.evidence > DECISIVE and shared.water_departs:
+        # Shots of other water hide what is wrong with the echo: ask without them.
+        alone = fitted(None)
+        by_itself = solve(frame, some, alone, transfer)
+        doubted = refuses_its_echo(frame, beam, by_itself, alone, instrument)
     return Common(
         scan=Scan(
             frame=frame,
@@ -156,6 +171,7 @@ def common_of(
             span=float((some.longest - some.shortest).max()),
             late_spread=late_spread,
             instrument_uncertainty=known,
+            echo_is_doubted=doubted,
         ),
         transfer=transfer,
         interval=interval,
