@@ -53,17 +53,16 @@ def test_a_scan_grows_while_the_page_is_open(
             "scan.open_water": {"columns": 3, "rows": 2, "repeats": 3},
         }
     )
-    go_on = threading.Event()
-    finish = threading.Event()
+    go_on, grow, finish = (threading.Event() for _ in range(3))
 
     def slowly(now: acquisition.Progress) -> None:
-        # Half of the first channel, then no further before the page is open; and no
-        # end before all has been tried that a running scan shows.
+        # Half of the first channel, then no further before the page is open, has shown
+        # some rows, and has shown what a running scan shows.
+        for done, event in ((90, go_on), (120, grow), (now.total - 20, finish)):
+            if now.done > done:
+                event.wait(300)
         if now.done > 90:
-            go_on.wait(300)
             time.sleep(0.03)
-        if now.done > now.total - 20:
-            finish.wait(300)
 
     thread = threading.Thread(
         target=acquisition.acquire,
@@ -86,6 +85,7 @@ def test_a_scan_grows_while_the_page_is_open(
             go_on.set()
             until(shown, "document.documentElement.dataset.rows > 0")
             first = shown.evaluate(KNOWN)
+            grow.set()
             until(shown, f"({KNOWN}) > {first}")
             assert shown.inner_text("#scan-card .state").startswith("taking")
             assert "time left" in shown.inner_text("#scan-card")
@@ -114,7 +114,7 @@ def test_a_scan_grows_while_the_page_is_open(
             until(shown, "document.documentElement.dataset.replayed === '1'")
             assert shown.evaluate(KNOWN) == whole
     finally:
-        go_on.set()
-        finish.set()
+        for event in (go_on, grow, finish):
+            event.set()
         thread.join(120)
         live.stop()
