@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import xarray as xr
+from patient_links import links_are_patient  # noqa: F401  it is used by itself
 
 from amulor import imaging, rejection
 from amulor.acquisition.settings import Settings

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pytest
 import xarray as xr
+from patient_links import links_are_patient  # noqa: F401  it is used by itself
 
 from amulor import acquisition
 from amulor.acquisition.clock import VirtualClock
