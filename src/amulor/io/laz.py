@@ -30,7 +30,7 @@ SCALE = 1e-6
 _LARGEST = np.iinfo(np.int32).max
 _BRIGHTEST = np.iinfo(np.uint16).max
 #: Points that go to the compressor at once: whole chunks of 50,000.
-_BLOCK = 500_000
+_BLOCK = 200_000
 # Name, type, variable, and description of at most 32 bytes, where the unit goes.
 _EXTRA = (
     ("amplitude", np.float64, "intensity", "amplitude of the signal [V]"),

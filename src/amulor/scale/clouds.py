@@ -70,6 +70,8 @@ _WRITERS = {
     ".e57": _e57,
     ".nc": _netcdf,
 }
+#: Pixels that are made into points at once, unless somebody says otherwise.
+_PIXELS = 2**17
 #: Endings of clouds that are written by rows.
 BY_ROWS = tuple(_WRITERS)
 
@@ -125,7 +127,7 @@ def cloud_file(
     selection : Selection, optional
         Pixels that are left out; none by default.
     rows : int, optional
-        Rows of a tile; by default a quarter of a million pixels.
+        Rows of a tile; by default 131,072 pixels.
     overwrite : bool
         Whether an existing file is replaced.
 
@@ -150,7 +152,8 @@ def cloud_file(
     chosen = selection or Selection()
     with open_rows(Path(source)) as image:
         cubes.checked(image.tile(0, 1), "range_image")
-        size = tile_rows(image) if rows is None else rows
+        few = max(1, _PIXELS // image.columns)
+        size = min(tile_rows(image), few) if rows is None else rows
         with _progress.part(0.0, 0.2):
             summary, counts = _counted(image, chosen, size)
 
