@@ -11,7 +11,13 @@ from scipy.spatial.transform import Rotation
 
 from amulor.site.description.site_file import Site
 from amulor.site.merging.cloud import corrected
-from amulor.site.registration.pair import Pair, compared, tree_of
+from amulor.site.registration.pair import (
+    Pair,
+    compared,
+    held_directions,
+    mean_lever,
+    tree_of,
+)
 from amulor.site.registration.pose import ScanPose, cross_matrix
 from amulor.site.registration.result import Registration
 from amulor.site.registration.surface import ScanSurface
@@ -138,7 +144,8 @@ def motion_of(
                 pairs.append(pair)
         if sum(pair.used for pair in pairs) < _FEWEST:
             return None
-        normal, gradient = _sums(pairs, middle, steady=gate is not None)
+        held, _ = _held(pairs, middle)
+        normal, gradient = _sums(pairs, middle, held, steady=gate is not None)
         step = -np.linalg.pinv(normal, rcond=1e-9) @ gradient
         # A step of the points back onto the first epoch is one of the object forward.
         undone = Rotation.from_rotvec(step[3:]).as_matrix()
@@ -188,10 +195,29 @@ def _to_middle(pair: Pair, middle: Floats) -> Floats:
     return carried
 
 
-def _sums(pairs: list[Pair], middle: Floats, *, steady: bool) -> tuple[Floats, Floats]:
+def _held(pairs: list[Pair], middle: Floats) -> tuple[Floats, tuple[Floats, ...]]:
+    """Return what all pairs together hold of a motion, and what they do not.
+
+    What one pair does not hold another one may, and each of them by itself would leave
+    out another turn of a round body.
+    """
+    matrix = np.zeros((6, 6))
+    for pair in pairs:
+        into = _to_middle(pair, middle)
+        weighted = (pair.by_source[:, :6] @ into) * pair.weight[:, None]
+        matrix += weighted.T @ (pair.by_target[:, :6] @ into)
+    lever = np.concatenate([pair.place - middle for pair in pairs])
+    weight = np.concatenate([pair.weight for pair in pairs])
+    unsure = float(np.sqrt(sum(pair.unsure**2 for pair in pairs)))
+    return held_directions(matrix, unsure=unsure, length=mean_lever(lever, weight))
+
+
+def _sums(
+    pairs: list[Pair], middle: Floats, held: Floats, *, steady: bool
+) -> tuple[Floats, Floats]:
     normal, gradient = np.zeros((6, 6)), np.zeros(6)
     for pair in pairs:
-        into = pair.held @ _to_middle(pair, middle)
+        into = _to_middle(pair, middle) @ held
         x = pair.by_target[:, :6] @ into
         z = x if steady else pair.by_source[:, :6] @ into
         weighted = z * pair.weight[:, None]
@@ -208,7 +234,8 @@ def _result(
     registration: Registration,
     cut: Mapping[str, ScanSurface],
 ) -> Motion:
-    normal, _ = _sums(pairs, middle, steady=False)
+    held, loose = _held(pairs, middle)
+    normal, _ = _sums(pairs, middle, held, steady=False)
     back = np.linalg.pinv(normal, rcond=1e-9)
     # Each pixel takes part in several pairs.
     noise = np.zeros((6, 6))
@@ -229,7 +256,7 @@ def _result(
     starts = dict(zip(names, np.cumsum([0, *sizes[:-1]]), strict=True))
     gain = np.zeros((6, sum(sizes)))
     for pair in pairs:
-        into = pair.held @ _to_middle(pair, middle)
+        into = _to_middle(pair, middle) @ held
         weighted = (pair.by_source[:, :6] @ into) * pair.weight[:, None]
         rows = pair.misfit * weighted
         of_pixel[pair.source][pair.source_pixel] += rows * pair.along[:, None]
@@ -249,14 +276,8 @@ def _result(
         noise += scaled.T @ scaled
     known = registration.covariance_of(*names)
     covariance = back @ (noise + gain @ known @ gain.T) @ back.T
-    best = max(pairs, key=lambda one: one.used)
-    values, axes = np.linalg.eigh((normal + normal.T) / 2)
-    loose = tuple(
-        np.asarray(axis)
-        for value, axis in zip(values, axes.T, strict=True)
-        if value < 1e-9 * values[-1]
-    )
-    away = _best_place(covariance)
+    # A turn that the shape does not tell is any turn: the place is on its axis.
+    away = _best_place(covariance + sum(np.outer(one, one) for one in loose))
     carried = np.eye(6)
     carried[:3, 3:] = -cross_matrix(away)
     return Motion(
@@ -264,7 +285,7 @@ def _result(
         shift=shift + (turn - np.eye(3)) @ away,
         turn=Rotation.from_matrix(turn).as_rotvec(),
         covariance=carried @ covariance @ carried.T,
-        loose=loose or best.loose,
+        loose=loose,
         points=sum(pair.used for pair in pairs),
         misfit=max(pair.misfit for pair in pairs),
     )

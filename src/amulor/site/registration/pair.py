@@ -48,6 +48,8 @@ class Pair:
     """Of the shared errors of both."""
     pivot: Floats
     """Middle of the points, in the site, shape (3,) [m]."""
+    place: Floats
+    """The points in the site, shape (n, 3) [m]."""
     distance: Floats
     """Along the beams of the target, shape (n,) [m]."""
     weight: Floats
@@ -69,6 +71,9 @@ class Pair:
     """Projection on the directions that the surfaces hold, shape (6, 6)."""
     loose: tuple[Floats, ...]
     """Directions that they do not hold (shift [m], turn [rad])."""
+    unsure: float
+    """What noise of normals puts into sums of products of derivatives, with turns
+    counted at the mean distance from the pivot [1/m^2]."""
     moved: Numbers
     """Pixels of the source that stand off together: another object, or a moved one."""
 
@@ -174,12 +179,18 @@ def compared(
     known = np.array([errors.get(key, 0.0) for key in keys])
     distance = at.distance + rows[0][:, 6:] @ known
     outcome = _weights(source, pixel, distance, variance, good, gate)
-    held, loose = _held(rows, outcome.weight, target, at, normals[0], placed - pivot)
+    unsure = _unsure(outcome.weight, target, at, normals[0])
+    held, loose = held_directions(
+        rows[1][:, :6].T @ (outcome.weight[:, None] * rows[0][:, :6]),
+        unsure=unsure,
+        length=mean_lever(placed - pivot, outcome.weight),
+    )
     return Pair(
         source=source.name,
         target=target.name,
         keys=keys,
         pivot=pivot,
+        place=placed,
         distance=distance,
         weight=outcome.weight,
         by_target=rows[0],
@@ -190,6 +201,7 @@ def compared(
         misfit=outcome.misfit,
         held=held,
         loose=loose,
+        unsure=unsure,
         moved=outcome.moved,
     )
 
@@ -388,36 +400,57 @@ def _stand_off(
     return np.asarray(off[grid])
 
 
-def _held(
-    rows: list[Floats],
-    weight: Floats,
-    target: ScanSurface,
-    at: OnGrid,
-    normal: Floats,
-    lever: Floats,
-) -> tuple[Floats, tuple[Floats, ...]]:
-    """Return a projection on what the surfaces hold, and the directions they do not.
+def mean_lever(lever: Floats, weight: Floats) -> float:
+    """Return how far points stand from a place, as a root mean square.
 
+    Parameters
+    ----------
+    lever : ndarray, shape (n, 3)
+        Points less the place [m].
+    weight : ndarray, shape (n,)
+        Of the points.
+
+    Returns
+    -------
+    float
+        Distance [m].
+    """
+    return float(np.sqrt(np.average((lever**2).sum(axis=1), weights=weight + 1e-300)))
+
+
+def held_directions(
+    matrix: Floats, *, unsure: float, length: float
+) -> tuple[Floats, tuple[Floats, ...]]:
+    """Return a projection on what surfaces hold, and the directions they do not.
+
+    Parameters
+    ----------
+    matrix : ndarray, shape (6, 6)
+        Sum of the products of derivatives by shift and turn, weighted.
+    unsure : float
+        What noise of normals puts into such a sum, turns counted at `length` [1/m^2].
+    length : float
+        Mean distance of the points from where the turn is about [m].
+
+    Returns
+    -------
+    projection : ndarray, shape (6, 6)
+        To be multiplied with derivatives from the right.
+    loose : tuple of ndarray
+        Directions (shift [m], turn [rad]).
+
+    Notes
+    -----
     Noise of normals in both scans makes products whose mean is zero; a direction is
     held if its sum stands out of their scatter.
     """
-    length = float(np.sqrt(np.average((lever**2).sum(axis=1), weights=weight + 1e-300)))
     scale = np.array([1.0, 1.0, 1.0, length, length, length])
-    x, z = (row[:, :6] / scale for row in rows)
-    matrix = z.T @ (weight[:, None] * x)
-    matrix = (matrix + matrix.T) / 2
-    values, axes = np.linalg.eigh(matrix)
-    # Of the slope of a patch, per pixel across it, as an angle of the surface.
-    angle = target.slope * target.own.ravel()[at.pixel] / target.spacing
-    noise = angle**2 * weight
-    along = np.sqrt((normal * at.direction).sum(axis=1) ** 2)
-    noise = noise / np.maximum(along, _GRAZING) ** 2
-    together = target.kernels.shape[1] ** 2 / 2
-    spread = float(np.sqrt(together * (noise**2).sum()))
+    scaled = matrix / np.outer(scale, scale)
+    values, axes = np.linalg.eigh((scaled + scaled.T) / 2)
     projection = np.eye(6)
     loose = []
     for value, axis in zip(values, axes.T, strict=True):
-        if value < _HELD * spread:
+        if value < _HELD * unsure:
             projection -= np.outer(axis, axis)
             direction = axis / scale
             size = (
@@ -426,6 +459,17 @@ def _held(
             loose.append(np.asarray(direction / max(float(size), 1e-12)))
     # Back from scaled to plain coordinates, where rows are multiplied from the right.
     return np.diag(1 / scale) @ projection @ np.diag(scale), tuple(loose)
+
+
+def _unsure(weight: Floats, target: ScanSurface, at: OnGrid, normal: Floats) -> float:
+    """Return what noise of normals puts into sums of products of derivatives."""
+    # Of the slope of a patch, per pixel across it, as an angle of the surface.
+    angle = target.slope * target.own.ravel()[at.pixel] / target.spacing
+    noise = angle**2 * weight
+    along = np.sqrt((normal * at.direction).sum(axis=1) ** 2)
+    noise = noise / np.maximum(along, _GRAZING) ** 2
+    together = target.kernels.shape[1] ** 2 / 2
+    return float(np.sqrt(together * (noise**2).sum()))
 
 
 def _dot(one: Floats, other: Floats) -> Floats:
