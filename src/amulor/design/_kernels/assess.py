@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import math
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from amulor._compiled import numba
 from amulor.design._kernels.intervals import astray
 from amulor.design._kernels.joint import range_information
 from amulor.design._kernels.linear import phase_errors

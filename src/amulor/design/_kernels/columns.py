@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
+
+from amulor._compiled import numba
 
 __all__ = ["Nodes", "fill_columns"]
 

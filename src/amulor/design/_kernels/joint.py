@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from amulor._compiled import numba
 from amulor.design._kernels.points import (
     B_COLUMN,
     DARK,

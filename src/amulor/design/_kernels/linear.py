@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import cmath
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from amulor._compiled import numba
 from amulor.design._kernels.points import (
     B_COLUMN,
     B_DRIFT,

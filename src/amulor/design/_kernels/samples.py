@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import math
 
-import numba
 import numpy as np
 
+from amulor._compiled import numba
 from amulor.design._kernels.points import (
     DARK,
     DEPTH,

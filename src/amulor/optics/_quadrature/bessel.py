@@ -8,11 +8,12 @@ from __future__ import annotations
 import math
 from functools import cache
 
-import numba
 import numpy as np
 from numpy.polynomial import chebyshev
 from numpy.typing import NDArray
 from scipy import special
+
+from amulor._compiled import numba
 
 __all__ = ["NO_WAVE", "bessel", "bessel_nodes", "j0", "monomials", "polynomial"]
 

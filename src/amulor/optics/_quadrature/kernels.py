@@ -10,9 +10,10 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
+
+from amulor._compiled import numba
 
 __all__ = ["ORDER", "SPLIT", "Panel", "add_panel", "expand", "sine_cosine"]
 

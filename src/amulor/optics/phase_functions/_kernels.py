@@ -8,10 +8,10 @@ from __future__ import annotations
 
 import math
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from amulor._compiled import numba
 from amulor.optics._quadrature.bessel import j0
 
 __all__ = ["NODES", "SLOW", "narrow_panels"]

@@ -5,10 +5,10 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from amulor._compiled import numba
 from amulor.optics._quadrature.bessel import j0, polynomial
 from amulor.optics._quadrature.kernels import ORDER, Panel, add_panel
 

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import math
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from amulor._compiled import numba
 from amulor.optics._quadrature.bessel import polynomial
 from amulor.optics._quadrature.kernels import ORDER, Panel, add_panel
 from amulor.optics.small_angle._kernels import Water

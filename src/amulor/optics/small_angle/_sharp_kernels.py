@@ -5,10 +5,10 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from amulor._compiled import numba
 from amulor.optics._quadrature.bessel import NO_WAVE, j0, polynomial
 from amulor.optics.small_angle import _kernels
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any, Protocol, TypeVar
 
-from numba import njit
+from amulor._compiled import numba
 
 Loop = TypeVar("Loop", bound=Callable[..., Any])
 
@@ -22,7 +22,8 @@ class Compiler(Protocol):
         """Return the compiled loop."""
 
 
-_njit: Any = njit  # the types that come with numba do not know all of these options
+# The types that come with numba do not know all of these options.
+_njit: Any = numba.njit
 _COMMON: dict[str, Any] = {"cache": True, "error_model": "numpy"}
 #: Without an entry from Python, which would take a tenth of the time of compiling;
 #: `py_func` is the uncompiled function.

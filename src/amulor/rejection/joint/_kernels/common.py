@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import numba
 import numpy as np
 
+from amulor._compiled import numba
 from amulor.rejection.joint._kernels.bundles import Array, Covariances, WaterModel
 from amulor.rejection.joint._kernels.options import LANES, inner
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-import numba
 import numpy as np
 
+from amulor._compiled import numba
 from amulor.rejection.joint._kernels.bundles import (
     Array,
     Derivatives,

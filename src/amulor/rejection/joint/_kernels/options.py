@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any, TypeVar
 
-import numba
+from amulor._compiled import numba
 
 _Function = TypeVar("_Function", bound=Callable[..., Any])
 

@@ -1,0 +1,154 @@
+"""numba for the loops of this package: compiled code on disk is never stale.
+
+Files with compiled loops take numba from here. On disk numba keeps a compiled function
+until its own file changes, and does not see a change in another file whose functions,
+or constants, were compiled into it. Here the name under which a function is stored
+holds a digest of its file and of all that the file imports from the package::
+
+    from amulor._compiled import numba
+"""
+
+from __future__ import annotations
+
+import hashlib
+import re
+import sys
+from contextlib import suppress
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numba
+from numba.core import caching
+
+__all__ = ["keep_fresh", "numba"]
+
+_IMPORT = re.compile(
+    rb"^(?:from ([\w.]+) import (\([^)]*\)|[^\n]*)|import ([\w.]+))", re.MULTILINE
+)
+#: What was read of each file and its digest, and the import at which it was.
+_read: dict[Path, tuple[object, bytes, bytes]] = {}
+#: The digest of a file and of all behind it, and the import at which it was taken.
+_digests: dict[Path, tuple[object, str]] = {}
+
+
+def keep_fresh(package: Path) -> None:
+    """Let numba look at all sources that a function of a package is compiled from.
+
+    To be called before the functions are decorated with `numba.njit(cache=True)`.
+    Functions of other packages are stored as numba does it. What is stored of former
+    sources is removed when the function is compiled anew.
+
+    Parameters
+    ----------
+    package : pathlib.Path
+        Folder of the package.
+    """
+    # Before version 0.61 of numba the class had a private name.
+    public = hasattr(caching, "CacheImpl")
+    kept: Any = getattr(caching, "CacheImpl" if public else "_CacheImpl")
+    places = kept._locator_classes
+    kept._locator_classes = [*(_fresh(place, package) for place in places), *places]
+
+
+def _fresh(place: Any, package: Path) -> Any:
+    """Return a locator of numba that knows of all files behind a function."""
+
+    class Fresh(place):  # type: ignore[misc]
+        _digest = ""
+        _function = ""
+
+        @classmethod
+        def from_function(cls, py_func: Any, py_file: str) -> Any:
+            path = Path(py_file)
+            if not path.is_relative_to(package) or not path.is_file():
+                return None
+            located = super().from_function(py_func, py_file)
+            if located is not None:
+                located._digest = digest_of(path, package)
+                named = f"{path.stem}.{py_func.__qualname__}-"
+                located._function = re.sub("[<>]", "", named)  # as numba does
+            return located
+
+        def get_disambiguator(self) -> str:
+            return f"{super().get_disambiguator()}.{self._digest}"
+
+        def ensure_cache_path(self) -> None:
+            super().ensure_cache_path()
+            if self._function:  # empty while numba looks for a place, set when it saves
+                former = Path(self.get_cache_path()).glob(f"{self._function}*.nb[ic]")
+                for path in former:
+                    if self._digest not in path.name:
+                        with suppress(OSError):
+                            path.unlink()
+
+    return Fresh
+
+
+def digest_of(path: Path, package: Path) -> str:
+    """Return a digest of a file and of all that it imports from its package.
+
+    Only imports at the left margin count: others are for types, or come after the
+    decorators.
+    """
+    imported = _import_of(path, package)
+    if path in _digests and _digests[path][0] is imported:
+        return _digests[path][1]
+    files, waiting = {path: _source(path, package)}, [path]
+    while waiting:
+        for found in _imported(files[waiting.pop()][0], package):
+            if found not in files:
+                files[found] = _source(found, package)
+                waiting.append(found)
+    digest = hashlib.sha256()
+    for file in sorted(files, key=str):
+        digest.update(str(file.relative_to(package)).encode() + b"\0" + files[file][1])
+    _digests[path] = imported, digest.hexdigest()[:16]
+    return _digests[path][1]
+
+
+def _source(path: Path, package: Path) -> tuple[bytes, bytes]:
+    """Return a source, as it was when it was imported, and its digest."""
+    imported = _import_of(path, package)
+    if path not in _read or _read[path][0] is not imported:
+        text = path.read_bytes()
+        _read[path] = imported, text, hashlib.sha256(text).digest()
+    return _read[path][1:]
+
+
+def _import_of(path: Path, package: Path) -> object:
+    """Return what is another one for each import, `importlib.reload` included."""
+    parts = path.relative_to(package.parent).with_suffix("").parts
+    name = ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
+    return getattr(sys.modules.get(name), "__spec__", None)
+
+
+@cache
+def _imported(text: bytes, package: Path) -> tuple[Path, ...]:
+    """Return the files of a package that a source imports."""
+    found = set()
+    for origin, names, whole in _IMPORT.findall(text):
+        module = (origin or whole).decode()
+        if module.partition(".")[0] != package.name:
+            continue
+        file = _file(module, package)
+        if names and (file is None or file.stem == "__init__"):
+            for name in re.sub(rb"#.*", b"", names).decode().strip("() \n").split(","):
+                inner = ".".join([module, *name.split()[:1]])
+                found.add(_file(inner, package) or file)
+        else:
+            found.add(file)
+    return tuple(path for path in found if path is not None)
+
+
+@cache
+def _file(module: str, package: Path) -> Path | None:
+    """Return the file of a module, if it has one."""
+    place = package.parent.joinpath(*module.split("."))
+    for path in (place.with_suffix(".py"), place / "__init__.py"):
+        if path.is_file():
+            return path
+    return None
+
+
+keep_fresh(Path(__file__).parent)
