@@ -27,15 +27,13 @@ settings.load_profile("quick")
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    """Let tests be interrupted by SIGINT, and never run compiled code that is stale."""
+    """Let tests be interrupted by SIGINT, and compile each function once."""
     # A shell that starts a program in the background has it ignore SIGINT, and so do
     # the programs that it starts in turn; tests that press Ctrl-C would wait for ever.
     if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
         signal.signal(signal.SIGINT, signal.default_int_handler)
     if "PYTEST_XDIST_WORKER" in os.environ:
         compile_cache.compile_one_at_a_time()
-    else:
-        compile_cache.discard_stale()
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:

@@ -44,11 +44,12 @@ def keep_fresh(package: Path) -> None:
     package : pathlib.Path
         Folder of the package.
     """
-    # Before version 0.61 of numba the class had a private name.
-    public = hasattr(caching, "CacheImpl")
-    kept: Any = getattr(caching, "CacheImpl" if public else "_CacheImpl")
-    places = kept._locator_classes
-    kept._locator_classes = [*(_fresh(place, package) for place in places), *places]
+    # Before version 0.61 of numba the class had a private name; a numba that has
+    # neither stores as it does.
+    kept: Any = getattr(caching, "CacheImpl", getattr(caching, "_CacheImpl", None))
+    places = getattr(kept, "_locator_classes", None)
+    if places:
+        kept._locator_classes = [*(_fresh(place, package) for place in places), *places]
 
 
 def _fresh(place: Any, package: Path) -> Any:
