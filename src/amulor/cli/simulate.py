@@ -60,7 +60,7 @@ def simulate(
     )
     from amulor.simulation import simulate as simulate_survey
     from amulor.survey import Survey
-    from amulor.survey.memory import MOST_SAMPLES, samples_of
+    from amulor.survey.checks.memory import MOST_SAMPLES, samples_of
     from amulor.survey.reach import unsettled_interval
 
     goal = quantity_of("--error", error, "fraction")

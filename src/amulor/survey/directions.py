@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from amulor.errors import SurveyError
-from amulor.survey.memory import refuse_scans_beyond_memory
+from amulor.survey.checks.memory import refuse_scans_beyond_memory
 from amulor.survey.survey import Survey
 
 Floats = NDArray[np.float64]

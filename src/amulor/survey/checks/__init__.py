@@ -1,1 +1,1 @@
-"""What a survey file must keep to be about an instrument that can exist."""
+"""What a survey must keep to be of an instrument that can exist, and to fit memory."""
