@@ -27,11 +27,14 @@ settings.load_profile("quick")
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    """Let tests be interrupted by SIGINT, and compile each function once."""
-    # A shell that starts a program in the background has it ignore SIGINT, and so do
-    # the programs that it starts in turn; tests that press Ctrl-C would wait for ever.
-    if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
-        signal.signal(signal.SIGINT, signal.default_int_handler)
+    """Let tests hear signals, and compile each function once."""
+    # A shell that starts a program in the background has it ignore some signals, and so
+    # do the programs that it starts in turn; tests that send them would wait for ever.
+    for name in ("SIGINT", "SIGHUP", "SIGQUIT"):
+        number = getattr(signal, name, None)
+        if number is not None and signal.getsignal(number) is signal.SIG_IGN:
+            heard = signal.default_int_handler if name == "SIGINT" else signal.SIG_DFL
+            signal.signal(number, heard)
     if "PYTEST_XDIST_WORKER" in os.environ:
         compile_cache.compile_one_at_a_time()
 

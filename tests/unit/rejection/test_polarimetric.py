@@ -17,6 +17,7 @@ from amulor.cube import QualityFlag
 from amulor.errors import CubeError
 from amulor.optics.polarization import mueller
 from amulor.rejection.channels import names as channels
+from amulor.rejection.channels.ratios import ratio_of
 from amulor.simulation import simulate
 from amulor.survey import Survey
 
@@ -83,6 +84,68 @@ def test_targets_of_two_kinds_widen_the_uncertainty(by_hand: Make) -> None:
     assert found.value == pytest.approx((PAINT + 0.5) / 2, abs=0.02)
     assert found.uncertainty == pytest.approx((0.5 - PAINT) / 2, rel=0.1)
     assert rejection.target_ratio(one).uncertainty < 0.02
+
+
+def _left(make: Make, light: np.ndarray, noise: np.ndarray) -> xr.Dataset:
+    """Return what open water leaves, with light (pair, pixel) and its deviation."""
+    cube = rejection.open_water(make(1, frequency=[39e6], channels=PAIR, noise=1e-3))
+    rows, columns = cube.sizes["row"], cube.sizes["column"]
+    order = ["VV", "VH"]
+
+    def filled(values: np.ndarray) -> xr.DataArray:
+        return xr.DataArray(
+            values.reshape(2, 1, rows, columns),
+            dims=("polarization", "modulation_frequency", "row", "column"),
+            coords={"polarization": order},
+        ).reindex(polarization=cube["polarization"].values)
+
+    exact = {name: 0.0 * cube[name] for name in cube if str(name).startswith("common_")}
+    return cube.assign(
+        exact
+        | {
+            "in_phase": filled(light.real).transpose(*cube["in_phase"].dims),
+            "quadrature": filled(light.imag).transpose(*cube["in_phase"].dims),
+            "in_phase_uncertainty": filled(noise).transpose(*cube["in_phase"].dims),
+            "quadrature_uncertainty": filled(noise).transpose(*cube["in_phase"].dims),
+            "in_phase_quadrature_covariance": 0.0 * cube["in_phase"],
+            "quality_flag": 0 * cube["quality_flag"],
+        }
+    )
+
+
+def test_pixels_count_for_the_ratio_by_the_variance_of_their_difference(
+    by_hand: Make,
+) -> None:
+    # Of b - r a: that of b where a is sure, that of r a where b is. They are alike
+    # here, so a small change of b counts alike in both halves of the pixels.
+    size, sure = 48, 1e-6
+    light = np.array([np.full(size, 1.0 + 0j), np.full(size, PAINT + 0j)])
+    noise = np.array([np.full(size, 1e-3), np.full(size, sure)])
+    noise[:, size // 2 :] = [[sure], [1e-3 * PAINT]]
+    start = ratio_of(_left(by_hand, light, noise)).value
+    assert start == pytest.approx(PAINT, rel=1e-5)
+    moved = []
+    for pixel in (3, size // 2 + 3):
+        changed = light.copy()
+        changed[1, pixel] += 1e-3
+        moved.append(ratio_of(_left(by_hand, changed, noise)).value - start)
+    assert moved[0] == pytest.approx(1e-3 / size, rel=1e-2)
+    assert moved[1] == pytest.approx(moved[0], rel=1e-2)
+
+
+def test_the_spread_of_ratios_is_what_noise_leaves_of_their_scatter(
+    by_hand: Make,
+) -> None:
+    size, apart, sigma, own = 48, 0.02, 0.05, 0.008
+    sign = np.where(np.arange(size) % 2, 1.0, -1.0)
+    light = np.array([np.full(size, 1.0 + 0j), PAINT + apart * sign])
+    noise = np.array([np.full(size, sigma), np.full(size, own)])
+    found = ratio_of(_left(by_hand, light, noise))
+    # The scatter of the ratios, less what noise of either makes of it; and the error
+    # of the mean.
+    spread = np.sqrt(apart**2 - own**2 - (PAINT * sigma) ** 2)
+    expected = np.hypot(spread, apart / np.sqrt(size))
+    assert found.uncertainty == pytest.approx(expected, rel=1e-2)
 
 
 def test_without_a_target_there_is_no_ratio_of_it(by_hand: Make) -> None:

@@ -183,11 +183,11 @@ def test_a_wavelength_that_was_converted_from_nanometres_is_not_refused_for_roun
 @pytest.mark.parametrize(
     ("wavelength", "temperature", "salinity", "text"),
     [
-        (399e-9, 20, 0, "wavelength must be from 4e-07 to 7e-07"),
-        (701e-9, 20, 0, "wavelength must be from 4e-07 to 7e-07"),
+        (399e-9, 20, 0, r"wavelength must be from 4e-07 to 7e-07 \[m\], got"),
+        (701e-9, 20, 0, r"wavelength must be from 4e-07 to 7e-07 \[m\], got"),
         (405.0, 20, 0, "wavelength must be from"),
-        (405e-9, 293.15, 0, "temperature must be from 0 to 30"),
-        (405e-9, -1, 0, "temperature must be from 0 to 30"),
+        (405e-9, 293.15, 0, r"temperature must be from 0 to 30 \[degC\], got"),
+        (405e-9, -1, 0, r"temperature must be from 0 to 30 \[degC\], got"),
         (405e-9, 20, -1, "salinity must be from 0 to 43"),
         (405e-9, 20, 44, "salinity must be from 0 to 43"),
         (405e-9, np.nan, 0, "temperature must be from"),
@@ -206,10 +206,10 @@ def test_indices_outside_of_the_range_are_refused(
 @pytest.mark.parametrize(
     ("wavelength", "temperature", "density", "text"),
     [
-        (199e-9, 20, 998, "wavelength must be from 2e-07 to 1.1e-06"),
-        (405e-9, -13, 998, "temperature must be from -12 to 500"),
-        (405e-9, 20, 0.0, "density must be above 0 and at most 1060"),
-        (405e-9, 20, 1061, "density must be above 0 and at most 1060"),
+        (199e-9, 20, 998, r"wavelength must be from 2e-07 to 1.1e-06 \[m\], got"),
+        (405e-9, -13, 998, r"temperature must be from -12 to 500 \[degC\], got"),
+        (405e-9, 20, 0.0, r"density must be above 0 and at most 1060 \[kg/m\^3\]"),
+        (405e-9, 20, 1061, r"density must be above 0 and at most 1060 \[kg/m\^3\]"),
     ],
 )
 def test_iapws_arguments_outside_of_the_range_are_refused(
