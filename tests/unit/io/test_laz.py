@@ -8,7 +8,7 @@ import pytest
 
 from amulor.errors import CubeError, FormatError, MissingExtraError
 from amulor.io import write_laz
-from amulor.io.laz import SCALE
+from amulor.io.laz import SCALE, write_laz_parts
 
 
 @pytest.fixture
@@ -50,6 +50,23 @@ def test_intensity_is_the_amplitude_in_parts_of_the_largest(point_cloud, path):
     assert found.max() == 65535
     # Half a step of the 16 bits.
     np.testing.assert_allclose(found / 65535, amplitude / amplitude.max(), atol=7.7e-6)
+
+
+def test_the_largest_amplitude_of_a_cloud_in_parts_is_that_of_any_part(
+    point_cloud, path
+):
+    number = point_cloud.sizes["point"]
+    point_cloud["intensity"].values[:] = 1.0
+    point_cloud["intensity"].values[1] = 4.0
+    half = number // 2
+    parts = [
+        point_cloud.isel(point=slice(0, half)),
+        point_cloud.isel(point=slice(half, None)),
+    ]
+    write_laz_parts(lambda: parts, number, path)
+    found = laspy.read(path).intensity
+    assert found[1] == 65535
+    assert set(np.delete(found, 1)) <= {16383, 16384}
 
 
 def test_a_cloud_without_any_light_is_black(point_cloud, path):
