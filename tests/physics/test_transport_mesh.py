@@ -376,7 +376,7 @@ def test_a_target_in_equal_layers_is_one_in_homogeneous_water(kind):
         np.testing.assert_allclose(runs[0].signal, runs[1].signal, rtol=1e-4)
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_light_around_a_plate_is_within_its_error_or_flagged():
     # A receiver that looks past a lit plate at the water behind it: light of the plate
     # comes by a second scattering only, from some ten of 3750 groups. Unflagged runs

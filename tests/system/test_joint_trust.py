@@ -36,7 +36,9 @@ def holds(score: Score, *, trusted: float) -> bool:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("scene", ["tall", "wide"])
+@pytest.mark.parametrize(
+    "scene", ["wide", pytest.param("tall", marks=pytest.mark.study)]
+)
 def test_large_scans_are_followed(scene: str) -> None:
     # Scans of 9 x 19 and 19 x 4 degrees were refused.
     for row in run([scene], ["joint, no shots"], [2, 4]):
@@ -107,7 +109,7 @@ def test_absorption_and_scattering_of_the_survey_do_not_count(factor: float) -> 
         assert holds(row.score, trusted=0.99), row
 
 
-@pytest.mark.slow
+@pytest.mark.study
 @pytest.mark.parametrize("scene", ["spikes", "particles"])
 def test_spoiled_samples_cost_no_trust(scene: str) -> None:
     # 42 to 90 % were trusted, with intervals up to ten times too wide.

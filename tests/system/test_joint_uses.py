@@ -95,7 +95,7 @@ def test_two_channels_say_what_each_says_and_more(
     assert_allclose(strength[1] / strength[0], expected[1] / expected[0], rtol=0.02)
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_a_window_is_looked_through(plate_text: str) -> None:
     cube = simulate(sweep(plate_text, **{"[scan]\n": WINDOW}), rng=5)
     cube = cube.isel(polarization=[0])

@@ -201,7 +201,7 @@ def _clear(text: str) -> str:
     return text.replace('"0.06 deg"', '"0.25 deg"')
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_intervals_hold(plate_text: str) -> None:
     text = plate_text.replace("repeats = 8", "repeats = 40")
     scores = _scores(text, 8, [name for name in METHODS if name != "frequency"])

@@ -109,7 +109,7 @@ def bytes_of(folder: Path) -> dict[str, bytes]:
     }
 
 
-@pytest.mark.slow
+@pytest.mark.study
 @pytest.mark.usefixtures("dated")
 def test_a_cluster_makes_the_same_bytes_and_survives_a_killed_worker(
     site: Path, tmp_path: Path

@@ -44,7 +44,7 @@ def estimated(folder: Path, *, threads: int) -> xr.Dataset:
     return io.read_cube(output)
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_the_estimate_is_the_same_with_any_number_of_threads(
     plate_text: str, tmp_path: Path
 ) -> None:

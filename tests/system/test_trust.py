@@ -281,7 +281,7 @@ def test_a_phase_that_disagrees_costs_neither_the_pixel_nor_the_interval(
         assert row.score.worst < 5, row
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_noise_that_is_twice_what_is_stated_is_noticed() -> None:
     # 71 to 75 % of the intervals held.
     for row in run(["noise"], ["open-water", "polarization"], [16]):
@@ -326,7 +326,15 @@ def test_understated_noise_and_wide_scans_hold_with_few_frequencies(scene: str) 
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("scene", ["noise", "wide", "tall", "wide paper's form"])
+@pytest.mark.parametrize(
+    "scene",
+    [
+        "wide",
+        pytest.param("noise", marks=pytest.mark.study),
+        pytest.param("tall", marks=pytest.mark.study),
+        pytest.param("wide paper's form", marks=pytest.mark.study),
+    ],
+)
 def test_the_same_with_two_and_four_frequencies(scene: str) -> None:
     for row in run([scene], ["open-water", "combined", "polarization"], [2, 4]):
         assert row.score.trusted > 0.95, row

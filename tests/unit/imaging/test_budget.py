@@ -336,7 +336,7 @@ def test_intervals_hold_over_draws_of_delay_place_and_index(text):
     assert abs(outside - 0.95) < 3 * np.sqrt(0.95 * 0.05 / 50)
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_intervals_hold_over_many_draws(text):
     inside, outside = coverage(text, 500, seed=6)
     assert abs(inside - 0.683) < 3 * np.sqrt(0.683 * 0.317 / 500)
@@ -448,7 +448,7 @@ def test_terms_of_the_samples_are_those_of_the_rejection(target):
     assert image.attrs["open_water_shots"] == target.attrs["open_water_shots"] > 20
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_counting_is_the_noise_that_samples_state(target, text):
     """The scatter over seeds is what `counting` and `fluctuation` say."""
     made = Survey.from_text(text)

@@ -288,7 +288,7 @@ def _scores(text: str, seeds: int, step, **options) -> np.ndarray:
     return np.array(found)
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_the_fluctuation_is_that_of_the_water_before_the_target(
     plate_text: str,
 ) -> None:

@@ -31,7 +31,7 @@ WHOLE = {
 }
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_drawn_pixels_are_those_of_photons_followed_directly(plate: Survey) -> None:
     survey = plate.with_(
         {

@@ -66,7 +66,7 @@ def test_the_receiver_of_a_preset_is_aimed_at_its_target(name: str) -> None:
     assert receiver.azimuth == pytest.approx(np.arctan2(right, forward), abs=2e-5)
 
 
-@pytest.mark.slow
+@pytest.mark.study
 @pytest.mark.parametrize("name", PRINTED)
 def test_a_preset_simulates_rejects_and_images_its_target(name: str) -> None:
     whole = Survey.preset(name)

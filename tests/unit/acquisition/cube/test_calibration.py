@@ -51,7 +51,7 @@ def recorded(survey: Survey, folder: Path, **simulation: object):
         return folder, rejection.open_water(acquisition.build(journal))
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_a_delay_in_the_cable_is_found_and_taken_off(clear, folder) -> None:
     place, plate = recorded(clear, folder / "a", cable_delay=3e-9, pickup=1e-5)
     calibration = from_plates([plate], distance=1.5)

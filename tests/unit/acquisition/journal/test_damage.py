@@ -280,7 +280,7 @@ def test_damage_is_named_or_refused_in_one_line(whole, folder) -> None:
     assert counts["refused"] > 3
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_four_hundred_damaged_journals_change_no_number(whole, folder) -> None:
     print(campaign(whole, folder, range(1000, 1400)))
 

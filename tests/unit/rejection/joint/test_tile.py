@@ -61,7 +61,7 @@ def test_tiles_of_rows_give_what_the_whole_gives(
     )
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_memory_does_not_grow_with_the_pixels(
     samples: xr.Dataset, monkeypatch: pytest.MonkeyPatch
 ) -> None:
