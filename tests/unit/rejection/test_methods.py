@@ -302,7 +302,7 @@ def test_the_fluctuation_is_that_of_the_water_before_the_target(
     assert 0.85 < np.nanstd(z) < 1.15
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_the_uncertainty_of_unmixing_holds_in_water_that_fluctuates(
     plate_text: str,
 ) -> None:
