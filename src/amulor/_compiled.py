@@ -23,9 +23,10 @@ from numba.core import caching
 
 __all__ = ["keep_fresh", "numba"]
 
-_IMPORT = re.compile(
-    rb"^(?:from ([\w.]+) import (\([^)]*\)|[^\n]*)|import ([\w.]+))", re.MULTILINE
-)
+_FORM = rb"(?:from ([\w.]+) import (\([^)]*\)|[^\n]*)|import ([\w.]+))"
+_IMPORT = re.compile(rb"^" + _FORM, re.MULTILINE)
+#: Those that a package makes for types, too, and when it is asked for a name.
+_ANY_IMPORT = re.compile(rb"^[ \t]*" + _FORM, re.MULTILINE)
 #: What was read of each file and its digest, and the import at which it was.
 _read: dict[Path, tuple[object, bytes, bytes]] = {}
 #: The digest of a file and of all behind it, and the import at which it was taken.
@@ -90,7 +91,7 @@ def digest_of(path: Path, package: Path) -> str:
     """Return a digest of a file and of all that it imports from its package.
 
     Only imports at the left margin count: others are for types, or come after the
-    decorators.
+    decorators. A name of a package that imports lazily is followed to where it is from.
     """
     imported = _import_of(path, package)
     if path in _digests and _digests[path][0] is imported:
@@ -127,19 +128,37 @@ def _import_of(path: Path, package: Path) -> object:
 @cache
 def _imported(text: bytes, package: Path) -> tuple[Path, ...]:
     """Return the files of a package that a source imports."""
-    found = set()
+    found: set[Path | None] = set()
     for origin, names, whole in _IMPORT.findall(text):
         module = (origin or whole).decode()
         if module.partition(".")[0] != package.name:
             continue
         file = _file(module, package)
         if names and (file is None or file.stem == "__init__"):
-            for name in re.sub(rb"#.*", b"", names).decode().strip("() \n").split(","):
-                inner = ".".join([module, *name.split()[:1]])
-                found.add(_file(inner, package) or file)
+            for name in _names(names):
+                found.update((file, _defined(module, name[0], package)))
         else:
             found.add(file)
     return tuple(path for path in found if path is not None)
+
+
+def _names(imported: bytes) -> list[list[str]]:
+    """Return the words of each name of an import: `name` or `name as other`."""
+    words = re.sub(rb"#.*", b"", imported).decode().strip("() \n").split(",")
+    return [name.split() for name in words if name.strip()]
+
+
+def _defined(module: str, name: str, package: Path) -> Path | None:
+    """Return the file that a name of a package is from."""
+    file = _file(f"{module}.{name}", package) or _file(module, package)
+    if file is None or file != _file(module, package) or file.stem != "__init__":
+        return file
+    for origin, names, _ in _ANY_IMPORT.findall(file.read_bytes()):
+        for words in _names(names):
+            same = (origin.decode(), words[0]) == (module, name)
+            if words[-1] == name and not same:
+                return _defined(origin.decode(), words[0], package)
+    return file
 
 
 @cache

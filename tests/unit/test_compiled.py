@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ast
 import importlib
 import os
 import subprocess
@@ -176,6 +177,146 @@ def test_what_a_loop_of_the_package_calls_is_in_a_file_that_its_digest_covers() 
                     file = Path(callee.py_func.__code__.co_filename)
                     assert file in covered, f"{module.__name__}: {name}"
     assert loops > 100
+
+
+def _module_file(module: str, package: Path) -> Path | None:
+    place = package.parent.joinpath(*module.split("."))
+    found = (place.with_suffix(".py"), place / "__init__.py")
+    return next((path for path in found if path.is_file()), None)
+
+
+def _defined_in(module: str, name: str, package: Path) -> Path | None:
+    """Return the file a name comes from, through packages that import it lazily."""
+    file = _module_file(f"{module}.{name}", package)
+    if file is not None:
+        return file
+    file = _module_file(module, package)
+    if file is None or file.name != "__init__.py":
+        return file
+    # What a package imports for types is what it imports when it is asked for.
+    for origin, original, bound in _imports(file, package, anywhere=True):
+        if bound == name and (origin, original) != (module, name):
+            return _defined_in(origin, original, package) if original else file
+    return file
+
+
+def _imports(
+    file: Path, package: Path, *, anywhere: bool = False
+) -> list[tuple[str, str, str]]:
+    """Return module, name in it and name here of all that a file imports."""
+    tree = ast.parse(file.read_bytes())
+    folder = file.parent.relative_to(package.parent).parts
+    found = []
+    for node in ast.walk(tree) if anywhere else _run_at_import(tree):
+        if isinstance(node, ast.Import):
+            found += [(one.name, "", one.asname or one.name) for one in node.names]
+        elif isinstance(node, ast.ImportFrom):
+            above = folder[: len(folder) + 1 - node.level] if node.level else ()
+            origin = ".".join([*above, *([node.module] if node.module else [])])
+            found += [(origin, one.name, one.asname or one.name) for one in node.names]
+    return [one for one in found if one[0].split(".")[0] == package.name]
+
+
+def _run_at_import(tree: ast.AST) -> list[ast.AST]:
+    """Return statements that run with an import: none in functions or for types."""
+    found: list[ast.AST] = []
+    for node in ast.iter_child_nodes(tree):
+        if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef):
+            continue
+        if isinstance(node, ast.If) and ast.unparse(node.test) == "TYPE_CHECKING":
+            continue
+        found += [node, *_run_at_import(node)]
+    return found
+
+
+def _behind(file: Path, package: Path) -> set[Path]:
+    """Return a file and all of the package whose names it takes, by their syntax."""
+    found, waiting = {file}, [file]
+    while waiting:
+        for module, name, _ in _imports(waiting.pop(), package):
+            source = (
+                _defined_in(module, name, package)
+                if name
+                else _module_file(module, package)
+            )
+            if source is not None and source not in found:
+                found.add(source)
+                waiting.append(source)
+    return found
+
+
+def _covered(file: Path, package: Path) -> set[Path]:
+    """Return the files whose change is a change of the digest of one."""
+    _compiled._digests.clear()
+    _compiled._read.clear()
+    _compiled.digest_of(file, package)
+    covered = set(_compiled._read)
+    _compiled._digests.clear()
+    return covered
+
+
+def test_all_that_a_file_with_loops_imports_is_part_of_its_digest() -> None:
+    files = [Path(str(module.__file__)) for module in _modules()]
+    assert len(files) > 20
+    missing = {
+        file.relative_to(ROOT).as_posix(): sorted(
+            path.relative_to(ROOT).as_posix()
+            for path in _behind(file, ROOT) - _covered(file, ROOT)
+        )
+        for file in files
+    }
+    assert {file: names for file, names in missing.items() if names} == {}
+    # The digest does not read relative imports: none may come behind a loop.
+    behind = set().union(*(_behind(file, ROOT) for file in files))
+    assert not [
+        path
+        for path in behind
+        for node in ast.walk(ast.parse(path.read_bytes()))
+        if isinstance(node, ast.ImportFrom) and node.level
+    ]
+
+
+@pytest.mark.parametrize(
+    "imported",
+    [
+        "from shelf import ADDED",
+        "from shelf import ADDED as other",
+        "from shelf import (\n    ADDED,  # a number\n)",
+        "from shelf.inner import ADDED",
+        "from shelf.inner import numbers",
+        "from shelf.inner import numbers as other",
+        "import shelf.inner.numbers",
+        "import shelf.inner.numbers as other",
+        "from shelf._named import ADDED",
+    ],
+)
+def test_a_number_is_in_the_digest_by_whichever_way_it_is_imported(
+    tmp_path: Path, imported: str
+) -> None:
+    shelf = tmp_path / "shelf"
+    lazy = (
+        "from typing import TYPE_CHECKING\nif TYPE_CHECKING:\n    from {} import {}\n"
+    )
+    texts = {
+        "__init__": lazy.format("shelf.inner", "ADDED"),
+        "inner/__init__": lazy.format("shelf.inner.numbers", "ADDED"),
+        "inner/numbers": "ADDED = 1.0\n",
+        "_named": "from shelf import ADDED\n",
+        "loop": imported + "\n",
+    }
+    for name, text in texts.items():
+        path = shelf / f"{name}.py"
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(text)
+    number = shelf / "inner" / "numbers.py"
+    assert number in _behind(shelf / "loop.py", shelf)
+    digests = []
+    for value in ("1.0", "2.0"):
+        number.write_text(f"ADDED = {value}\n")
+        _compiled._digests.clear()
+        _compiled._read.clear()
+        digests.append(_compiled.digest_of(shelf / "loop.py", shelf))
+    assert digests[0] != digests[1]
 
 
 def test_no_file_of_the_package_takes_its_loops_from_numba_itself() -> None:
