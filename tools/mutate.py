@@ -3,8 +3,10 @@
 Run from the root of the repository: `python tools/mutate.py --sample 60 --seed 1`, with
 names of rooms or files (`rejection`, `io/ply.py`) to stay within them. The sources are
 copied, the copy is changed; what is in the repository stays as it is. It prints the
-share that was caught, and each change that no test noticed: close it by a test of
-behaviour, or see that it changes nothing that can be observed.
+share that was caught, with its binomial interval of 95 %, and each change that no test
+noticed: close it by a test of behaviour, or see that it changes nothing that can be
+observed and write it, with the reason, into `tools/equivalent_mutants.toml`. Changes
+that stand there are drawn and counted, but not tried.
 """
 
 from __future__ import annotations
@@ -13,17 +15,22 @@ import argparse
 import ast
 import os
 import random
+import re
 import shutil
 import subprocess
 import sys
 import tempfile
 import time
+import tomllib
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
+from scipy.stats import binomtest
+
 ROOT = Path(__file__).parents[1]
 PACKAGE = ROOT / "src" / "amulor"
+EQUIVALENT = Path(__file__).with_name("equivalent_mutants.toml")
 #: Rooms whose tests take minutes, or need devices; kernels are compiled each time.
 _LEFT_OUT = ("_kernels", "studies", "acquisition/drivers", "view/page/files")
 _ARITHMETIC: dict[type, type] = {
@@ -53,6 +60,16 @@ class Mutant:
     """The byte after the last one."""
     new: str
     """What comes in its place."""
+
+    @property
+    def code(self) -> str:
+        """The line that it begins in, without its margin."""
+        return self.file.read_text("utf-8").splitlines()[self.line - 1].strip()
+
+    @property
+    def key(self) -> tuple[str, str, str]:
+        """File, line and change, as the list of equivalent ones names them."""
+        return self.file.relative_to(PACKAGE).as_posix(), self.code, self.said
 
     @property
     def source(self) -> str:
@@ -158,8 +175,25 @@ def _quiet(tree: ast.Module) -> set[int]:
     return quiet
 
 
-def tests_of(file: Path) -> list[str]:
-    """Return the tests that touch a module, by the layout of the folders.
+def equivalents(listed: Path = EQUIVALENT) -> dict[tuple[str, str, str], str]:
+    """Return the changes that are known to change nothing that can be observed.
+
+    Parameters
+    ----------
+    listed : pathlib.Path
+        A file with tables `[[mutant]]` of `file`, `code`, `change` and `reason`.
+
+    Returns
+    -------
+    dict
+        The reason of each, by file, code of the line and change.
+    """
+    rows = tomllib.loads(listed.read_text("utf-8"))["mutant"]
+    return {(row["file"], row["code"], row["change"]): row["reason"] for row in rows}
+
+
+def tests_of(file: Path) -> list[list[str]]:
+    """Return the tests that touch a module: the nearest ones, then all others.
 
     Parameters
     ----------
@@ -168,24 +202,68 @@ def tests_of(file: Path) -> list[str]:
 
     Returns
     -------
-    list of str
-        Folders and files of tests, those of its room first; of the whole program those
-        that name the module or its package.
+    list of list of str
+        Files of tests that are called after the module, name it, or name what it
+        defines for others; then those of its room, and of the whole program those that
+        name the module or its package. None is empty, and none holds a file twice.
     """
     inside = file.relative_to(PACKAGE)
     tests = ROOT / "tests"
     own = [tests / "unit" / part for part in (inside.parent, inside.parts[0])]
-    found = [next((place for place in own if place.is_dir()), tests / "unit")]
+    room = next((place for place in own if place.is_dir()), tests / "unit")
     name = ".".join(("amulor", *inside.with_suffix("").parts))
     called = (name, name.rpartition(".")[0] + " import " + inside.stem)
+    public = [
+        node.name
+        for node in ast.parse(file.read_bytes()).body
+        if isinstance(node, ast.FunctionDef | ast.ClassDef)
+        and not node.name.startswith("_")
+    ]
+    defined = re.compile(rf"\b({'|'.join(public)})\b") if public else None
+    stem = inside.stem.strip("_")
+    near, far = [], []
     for path in sorted(tests.glob("**/test_*.py")):
-        if any(path.is_relative_to(place) for place in found):
-            continue
         if "browser" in path.parts or "soak" in path.parts:
             continue
-        if any(word in path.read_text("utf-8") for word in called):
-            found.append(path)
-    return [str(path.relative_to(ROOT)) for path in found]
+        text = path.read_text("utf-8")
+        named = any(word in text for word in called)
+        if path.is_relative_to(room):
+            close = stem in path.stem or named or (defined and defined.search(text))
+            (near if close else far).append(path)
+        elif named:
+            far.append(path)
+    near.sort(key=lambda path: stem not in path.stem)
+    staged = [[str(path.relative_to(ROOT)) for path in found] for found in (near, far)]
+    return [found for found in staged if found]
+
+
+def summary(tried: int, noticed: int, equivalent: int) -> str:
+    """Return what a campaign found, in a line.
+
+    Parameters
+    ----------
+    tried : int
+        Changes that were drawn.
+    noticed : int
+        Those that a test noticed.
+    equivalent : int
+        Those that are known to change nothing.
+
+    Returns
+    -------
+    str
+        Share of the others that was noticed, with its interval of 95 % (Clopper and
+        Pearson).
+    """
+    others = tried - equivalent
+    if not others:
+        return f"all {tried} changes are equivalent"
+    interval = binomtest(noticed, others).proportion_ci(0.95, method="exact")
+    return (
+        f"{noticed} of {others} changes that are not equivalent were caught: "
+        f"{noticed / others:.1%}, 95 % within {interval.low:.1%} and "
+        f"{interval.high:.1%}; {equivalent} of {tried} drawn are equivalent"
+    )
 
 
 def caught(mutant: Mutant, copy: Path, *, longest: float) -> bool:
@@ -209,7 +287,8 @@ def caught(mutant: Mutant, copy: Path, *, longest: float) -> bool:
     kept = place.read_text("utf-8")
     place.write_text(mutant.source, "utf-8")
     try:
-        return _fails(tests_of(mutant.file), copy, longest=longest)
+        stages = tests_of(mutant.file)
+        return any(_fails(stage, copy, longest=longest) for stage in stages)
     finally:
         place.write_text(kept, "utf-8")
 
@@ -266,14 +345,19 @@ def main() -> int:
             tried.append(one)
         if not by_file[file]:
             del by_file[file]
-    survivors = []
+    known = equivalents()
+    survivors, equivalent = [], 0
     with tempfile.TemporaryDirectory() as folder:
         copy = Path(folder) / "src"
         shutil.copytree(ROOT / "src", copy)
         for number, mutant in enumerate(tried, start=1):
             begun = time.monotonic()
-            noticed = caught(mutant, copy, longest=words.longest)
             where = f"{mutant.file.relative_to(ROOT)}:{mutant.line}: {mutant.said}"
+            if mutant.key in known:
+                equivalent += 1
+                print(f"{number}/{len(tried)} equivalent {where[:150]}", flush=True)
+                continue
+            noticed = caught(mutant, copy, longest=words.longest)
             print(
                 f"{number}/{len(tried)} {'caught' if noticed else 'NOT CAUGHT'} "
                 f"{time.monotonic() - begun:.0f} s {where[:150]}",
@@ -281,10 +365,11 @@ def main() -> int:
             )
             if not noticed:
                 survivors.append(where)
-    share = 1 - len(survivors) / max(len(tried), 1)
-    print(f"\n{share:.1%} of {len(tried)} changes were caught (seed {words.seed})")
+    others = len(tried) - equivalent
+    noticed_all = others - len(survivors)
+    print(f"\n{summary(len(tried), noticed_all, equivalent)} (seed {words.seed})")
     print("\n".join(f"  {where}" for where in survivors))
-    return int(share < words.least)
+    return int(noticed_all < words.least * others)
 
 
 if __name__ == "__main__":
