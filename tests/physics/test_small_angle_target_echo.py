@@ -16,6 +16,7 @@ from amulor.optics.phase_functions import (
     forward_split,
     henyey_greenstein,
     henyey_greenstein_forward_fraction,
+    models,
 )
 from amulor.optics.small_angle import sharp_receiver as small_angle_sharp_receiver
 
@@ -265,3 +266,17 @@ def test_what_cannot_be_is_refused(echo, wrong, words):
     arguments |= SCATTERER | {"baseline": 0.1}
     with pytest.raises(ValueError, match=words):
         echo(39e6, **(arguments | wrong))
+
+
+def test_a_beam_is_thin_parallel_and_straight_where_nothing_else_is_said() -> None:
+    # All of the spot is seen in water that only absorbs: the lidar equation.
+    depth, radius, absorption = 2.0, 0.02, 0.15
+    found = target_echo.sharp_receiver_target_response(
+        0.0, depth=depth, optical_path=2 * depth, reflectance=0.8,
+        absorption=absorption, scattering=1e-9,
+        phase_function=models.henyey_greenstein_function(asymmetry=0.95),
+        split_angle=np.pi / 2, baseline=0.0, receiver_radius=radius,
+        acceptance_angle=0.08,
+    )  # fmt: skip
+    lidar = 0.8 * (radius / depth) ** 2 * np.exp(-2 * absorption * depth)
+    np.testing.assert_allclose(found, lidar, rtol=1e-3)
