@@ -177,6 +177,21 @@ def test_survey_check_asks_for_denser_shots_where_the_scan_is_wide(
     assert "they are 4, and 5 are needed" in said["few"]
 
 
+# Spikes -----------------------------------------------------------------------------
+
+
+@pytest.mark.slow
+@pytest.mark.study
+def test_small_spikes_in_two_channels_are_seen_among_the_neighbours() -> None:
+    # 2.2 and 2.0 % of the trusted were beyond 3.5 sigma, up to 10.
+    for seed in (1, 2):
+        (row,) = run(["spikes"], ["polarization"], [2], seed=seed)
+        assert row.score.trusted > 0.88, row
+        assert row.score.inside_95 > 0.96, row
+        # Two of 384 pixels.
+        assert row.score.far < 0.006, row
+
+
 # The column behind the target -------------------------------------------------------
 
 

@@ -208,9 +208,12 @@ def _pixel_flags() -> list[Explanation]:
             "neighbours: a particle in the beam, a spike in the electronics.",
             "Hypothesis: the pixel goes on from its neighbours in one direction at "
             f"least. Rejected where it stands off by {alone:g} standard errors in all "
-            f"four, and by {outliers._ROUGHER:g} times the roughness around it. Of "
+            f"four, and by {outliers._ROUGHER:g} times the roughness around it; by "
+            f"less, down to {outliers._LEAST:g}, where more pixels do than chance "
+            "makes. Of "
             "several frequencies: that all phases belong to one path.",
-            f"Noise does so in at most {_share(_tail(alone))} pixels.",
+            f"Noise does so in at most {_share(_tail(alone))} pixels, and in "
+            f"{outliers._BY_CHANCE:.0%} of those that are flagged for being many.",
             "Leave it out, or scan the place again. Many outliers at once speak of "
             "particles or of an instrument that is not calm.",
         ),

@@ -73,6 +73,23 @@ def test_rough_ground_has_few(written: Make) -> None:
     assert imaging.outlying_pixels(written(gravel)).mean() < 0.01
 
 
+def test_small_spikes_are_found_where_there_are_many(written: Make) -> None:
+    rng = np.random.default_rng(9)
+    clean = 1.5 + SIGMA * rng.standard_normal((60, 60))
+    hit = rng.random(clean.shape) < 0.05
+    off = SIGMA * rng.uniform(3, 12, clean.shape) * rng.choice([-1, 1], clean.shape)
+    noise = (clean - 1.5) / SIGMA
+    spoiled = clean + np.where(hit, off, 0)
+    found = imaging.outlying_pixels(written(spoiled))
+    # Beyond 4.5 standard errors a spike shows, unless others stand right beside it.
+    large = hit & (np.abs(noise + off / SIGMA) > 4.5)
+    assert found[large].mean() > 0.85
+    # A tenth of what is flagged may be chance: twice that is beyond three errors.
+    assert found[~hit].sum() < 0.2 * found.sum()
+    # With the same noise and one spike, what the others do does not count.
+    assert imaging.outlying_pixels(written(clean)).sum() <= 1
+
+
 def test_missing_pixels_and_lone_ones_decide_nothing(written: Make) -> None:
     distance = np.full(SHAPE, np.nan)
     distance[5, 5] = 1.0
