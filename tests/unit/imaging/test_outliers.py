@@ -77,13 +77,13 @@ def test_small_spikes_are_found_where_there_are_many(written: Make) -> None:
     rng = np.random.default_rng(9)
     clean = 1.5 + SIGMA * rng.standard_normal((60, 60))
     hit = rng.random(clean.shape) < 0.05
-    off = SIGMA * rng.uniform(3, 12, clean.shape) * rng.choice([-1, 1], clean.shape)
+    off = SIGMA * rng.uniform(3, 6, clean.shape) * rng.choice([-1, 1], clean.shape)
     noise = (clean - 1.5) / SIGMA
     spoiled = clean + np.where(hit, off, 0)
     found = imaging.outlying_pixels(written(spoiled))
-    # Beyond 4.5 standard errors a spike shows, unless others stand right beside it.
-    large = hit & (np.abs(noise + off / SIGMA) > 4.5)
-    assert found[large].mean() > 0.85
+    # By the fixed limit of 3 in all four ways alone, it is 55 %; three errors above.
+    large = hit & (np.abs(noise + off / SIGMA) > 3.5)
+    assert found[large].mean() > 0.66
     # A tenth of what is flagged may be chance: twice that is beyond three errors.
     assert found[~hit].sum() < 0.2 * found.sum()
     # With the same noise and one spike, what the others do does not count.
