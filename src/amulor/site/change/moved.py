@@ -11,13 +11,8 @@ from scipy.spatial.transform import Rotation
 
 from amulor.site.description.site_file import Site
 from amulor.site.merging.cloud import corrected
-from amulor.site.registration.pair import (
-    Pair,
-    compared,
-    held_directions,
-    mean_lever,
-    tree_of,
-)
+from amulor.site.registration.held import held_directions, mean_lever
+from amulor.site.registration.pair import Pair, compared, tree_of
 from amulor.site.registration.pose import ScanPose, cross_matrix
 from amulor.site.registration.result import Registration
 from amulor.site.registration.surface import ScanSurface

@@ -13,9 +13,12 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import ndimage, sparse
+from scipy import sparse
 from scipy.spatial import cKDTree
 
+from amulor.site.registration.bodies import Points
+from amulor.site.registration.held import held_directions, mean_lever
+from amulor.site.registration.outliers import counted
 from amulor.site.registration.pose import ScanPose
 from amulor.site.registration.surface import ScanSurface
 
@@ -26,12 +29,6 @@ Numbers = NDArray[np.intp]
 _GRAZING = 0.2
 #: Two normals of one surface differ by less; cosine of the angle [1].
 _ALIKE = 0.7
-#: A distance is another surface if it stands off by so many standard errors [1].
-_FAR = 4.0
-#: Neighbours that stand off together, by so many standard errors of their mean [1].
-_MOVED = 5.0
-#: Directions count as held if what holds them stands out of noise so many times [1].
-_HELD = 6.0
 #: Points of a source that are compared; more tell nothing, since what is shared stays.
 MOST_POINTS = 20_000
 
@@ -152,7 +149,6 @@ def compared(
     keys = tuple(dict.fromkeys((*source.shared.keys, *target.shared.keys)))
     window = _window(target, at)
     own = [one.own.ravel() for one in (source, target)]
-    theirs = np.asarray(window.power(2) @ np.nan_to_num(own[1]) ** 2)
     # What distances are multiplied with knows nothing of their noise, not even by the
     # place: where neighbours of the pixel put it, on the patches there.
     guessed = poses[0].place(source.apart.reshape(-1, 3)[pixel])
@@ -175,11 +171,27 @@ def compared(
                 by_errors[:, keys.index(key)] += shape * factor
         rows.append(np.hstack([gradient, np.cross(spot - pivot, gradient), by_errors]))
         alongs.append(along)
-    variance = np.array([(alongs[0] * own[0][pixel]) ** 2, theirs])
+    noise = alongs[0] * own[0][pixel]
+    patches = window @ sparse.diags(np.nan_to_num(own[1]))
     known = np.array([errors.get(key, 0.0) for key in keys])
-    distance = at.distance + rows[0][:, 6:] @ known
-    outcome = _weights(source, pixel, distance, variance, good, gate)
-    unsure = _unsure(outcome.weight, target, at, normals[0])
+    corrected = rows[0][:, 6:] @ known
+    distance = at.distance + corrected
+    points = Points(
+        smooth=source.smooth,
+        pixel=pixel,
+        lever=placed - pivot,
+        distance=distance,
+        corrected=corrected,
+        variance=np.array([noise**2, np.asarray(patches.power(2).sum(axis=1)).ravel()]),
+        by_target=rows[0],
+        by_source=rows[1],
+        noise=noise,
+        window=patches.tocsr(),
+        tilt=_tilt(target, at, normals[0]),
+        together=target.kernels.shape[1] ** 2 / 2,
+    )
+    outcome = counted(points, good, gate)
+    unsure = points.unsure(outcome.weight)
     held, loose = held_directions(
         rows[1][:, :6].T @ (outcome.weight[:, None] * rows[0][:, :6]),
         unsure=unsure,
@@ -333,143 +345,12 @@ def _shapes_at(scan: ScanSurface, pixel: Numbers, point: Floats) -> Floats:
     return np.asarray(shapes + growth * off)
 
 
-@dataclass(frozen=True)
-class _Outcome:
-    weight: Floats
-    misfit: float
-    moved: Numbers
-
-
-def _weights(
-    source: ScanSurface,
-    pixel: Numbers,
-    distance: Floats,
-    variance: Floats,
-    good: NDArray[np.bool_],
-    gate: float | None,
-) -> _Outcome:
-    """Return weights without points of other surfaces, and the scatter over noise."""
-    sigma = np.sqrt(variance.sum(axis=0))
-    score = distance / sigma
-    middle = np.median(score[good])
-    scatter = 1.4826 * np.median(np.abs(score[good] - middle))
-    # A sample of n has a scatter of 1 +- 1.17 / sqrt(n) by chance; neighbours share
-    # a fifth of their noise.
-    sure = 1 + 3 * 1.17 / np.sqrt(max(int(good.sum()) / 2, 1.0))
-    misfit = float(scatter) if scatter > sure else 1.0
-    moved = np.zeros(len(pixel), dtype=bool)
-    if gate is None:
-        shape = source.smooth.shape
-        together = _stand_off(shape, pixel, score, variance, good, misfit)
-        moved = good & together
-        good = good & ~together & (np.abs(score) < _FAR * misfit)
-    weight = np.where(good, 1 / (sigma * misfit) ** 2, 0.0)
-    return _Outcome(weight, misfit, pixel[moved])
-
-
-def _stand_off(
-    shape: tuple[int, ...],
-    pixel: Numbers,
-    score: Floats,
-    variance: Floats,
-    good: NDArray[np.bool_],
-    misfit: float,
-) -> NDArray[np.bool_]:
-    """Return points whose neighbours stand off with them: moved things."""
-    row, column = np.divmod(pixel, shape[1])
-    steps = [
-        max(int(np.min(np.diff(np.unique(one)), initial=99)), 1)
-        for one in (row, column)
-    ]
-    grid = (row // steps[0], column // steps[1])
-    size = tuple(int(one.max()) + 1 for one in grid)
-    total, count, patches = (np.zeros(size) for _ in range(3))
-    clipped = np.clip(score, -20, 20)
-    total[grid] = np.where(good, clipped, 0.0)
-    count[grid] = good
-    patches[grid] = np.where(good, variance[1] / variance.sum(axis=0), 0.0)
-    total, count, patches = (
-        25 * ndimage.uniform_filter(one, 5, mode="constant")
-        for one in (total, count, patches)
-    )
-    number = np.maximum(count, 1.0)
-    # Noise of the patches is the same in neighbours, at worst.
-    error = misfit * np.sqrt(1 / number + patches / number)
-    off = (np.abs(total / number) > _MOVED * error) & (count >= 5)
-    off = ndimage.binary_dilation(off, iterations=2)
-    return np.asarray(off[grid])
-
-
-def mean_lever(lever: Floats, weight: Floats) -> float:
-    """Return how far points stand from a place, as a root mean square.
-
-    Parameters
-    ----------
-    lever : ndarray, shape (n, 3)
-        Points less the place [m].
-    weight : ndarray, shape (n,)
-        Of the points.
-
-    Returns
-    -------
-    float
-        Distance [m].
-    """
-    return float(np.sqrt(np.average((lever**2).sum(axis=1), weights=weight + 1e-300)))
-
-
-def held_directions(
-    matrix: Floats, *, unsure: float, length: float
-) -> tuple[Floats, tuple[Floats, ...]]:
-    """Return a projection on what surfaces hold, and the directions they do not.
-
-    Parameters
-    ----------
-    matrix : ndarray, shape (6, 6)
-        Sum of the products of derivatives by shift and turn, weighted.
-    unsure : float
-        What noise of normals puts into such a sum, turns counted at `length` [1/m^2].
-    length : float
-        Mean distance of the points from where the turn is about [m].
-
-    Returns
-    -------
-    projection : ndarray, shape (6, 6)
-        To be multiplied with derivatives from the right.
-    loose : tuple of ndarray
-        Directions (shift [m], turn [rad]).
-
-    Notes
-    -----
-    Noise of normals in both scans makes products whose mean is zero; a direction is
-    held if its sum stands out of their scatter.
-    """
-    scale = np.array([1.0, 1.0, 1.0, length, length, length])
-    scaled = matrix / np.outer(scale, scale)
-    values, axes = np.linalg.eigh((scaled + scaled.T) / 2)
-    projection = np.eye(6)
-    loose = []
-    for value, axis in zip(values, axes.T, strict=True):
-        if value < _HELD * unsure:
-            projection -= np.outer(axis, axis)
-            direction = axis / scale
-            size = (
-                np.linalg.norm(axis[:3]) if np.linalg.norm(axis[:3]) > 0.5 else length
-            )
-            loose.append(np.asarray(direction / max(float(size), 1e-12)))
-    # Back from scaled to plain coordinates, where rows are multiplied from the right.
-    return np.diag(1 / scale) @ projection @ np.diag(scale), tuple(loose)
-
-
-def _unsure(weight: Floats, target: ScanSurface, at: OnGrid, normal: Floats) -> float:
-    """Return what noise of normals puts into sums of products of derivatives."""
+def _tilt(target: ScanSurface, at: OnGrid, normal: Floats) -> Floats:
+    """Return the squares of derivatives by the noise of normals."""
     # Of the slope of a patch, per pixel across it, as an angle of the surface.
     angle = target.slope * target.own.ravel()[at.pixel] / target.spacing
-    noise = angle**2 * weight
-    along = np.sqrt((normal * at.direction).sum(axis=1) ** 2)
-    noise = noise / np.maximum(along, _GRAZING) ** 2
-    together = target.kernels.shape[1] ** 2 / 2
-    return float(np.sqrt(together * (noise**2).sum()))
+    along = np.abs(_dot(normal, at.direction))
+    return np.asarray(angle**2 / np.maximum(along, _GRAZING) ** 2)
 
 
 def _dot(one: Floats, other: Floats) -> Floats:

@@ -1,0 +1,187 @@
+"""Which bodies in a pair of scans moved against all else that both saw."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage, sparse
+from scipy.stats import chi2
+
+from amulor.site.registration.held import held_directions, mean_lever
+
+Floats = NDArray[np.float64]
+Flags = NDArray[np.bool_]
+Numbers = NDArray[np.intp]
+
+#: A body that stayed is taken for one that moved so often [1].
+_CHANCE = 1e-5
+#: A body of which so much stands off by itself or with neighbours has moved [1].
+_MUCH = 0.3
+#: Points of a body that can tell [1].
+_FEWEST = 10
+
+
+@dataclass(frozen=True, kw_only=True)
+class Points:
+    """Points of one scan beside the patches of another; see `pair.Pair`."""
+
+    smooth: Flags
+    """Pixels of the source on smooth surfaces, shape (row, column)."""
+    pixel: Numbers
+    """Numbers of the source's pixels, shape (n,)."""
+    lever: Floats
+    """From the pivot, shape (n, 3) [m]."""
+    distance: Floats
+    """With the shared errors as they are estimated so far, shape (n,) [m]."""
+    corrected: Floats
+    """How much of it these are, shape (n,) [m]."""
+    variance: Floats
+    """Of the distance by the noise of source and target, shape (2, n) [m^2]."""
+    by_target: Floats
+    """Derivatives with the normals of the target, shape (n, 6 + k)."""
+    by_source: Floats
+    """The same with the normals of the source."""
+    noise: Floats
+    """Of a distance by that of the source's pixel, shape (n,) [m]."""
+    window: sparse.csr_matrix
+    """Noise of a distance by that of the target's pixels, shape (n, pixels) [m]."""
+    tilt: Floats
+    """Squares of derivatives by the noise of normals, shape (n,)."""
+    together: float
+    """How many neighbours share that noise [1]."""
+
+    def unsure(self, weight: Floats) -> float:
+        """Return what noise of normals puts into sums of products of derivatives."""
+        return float(np.sqrt(self.together * ((self.tilt * weight) ** 2).sum()))
+
+
+def moved_bodies(
+    points: Points, weight: Floats, kept: Flags, *, misfit: float
+) -> Flags:
+    r"""Return the points of bodies that moved against all else in the pair.
+
+    Parameters
+    ----------
+    points : Points
+        All that met a patch.
+    weight : ndarray, shape (n,)
+        One over the variance, 0 for what is not seen well [1/m^2].
+    kept : ndarray of bool, shape (n,)
+        Points that count so far: none that stands off by itself or with neighbours.
+    misfit : float
+        Scatter of the distances over what is stated [1].
+
+    Returns
+    -------
+    ndarray of bool, shape (n,)
+        Whole bodies: what hangs together in the scan. The largest is never among them.
+
+    Notes
+    -----
+    The part of a body that stands off least passes for noise, pulls the scans along,
+    and hides the motion; so a body counts as a whole. It moved if much of it stands
+    off, or else by a test: with the sums :math:`g = Z^T W e` and :math:`N = Z^T W X` of
+    the body and of all other points, :math:`g_b - N_b N_r^{-1} g_r` has the mean zero
+    wherever the scans stand, if the body stayed. Its variance is that of pixels,
+    patches and shared errors; directions that the others do not hold are left out.
+    Chi-square then tells what moved, the surest first.
+    """
+    labels, _ = ndimage.label(points.smooth)
+    body = labels.ravel()[points.pixel]
+    size = np.bincount(body[weight > 0])
+    order = [int(number) for number in np.flatnonzero(size >= _FEWEST)]
+    if len(order) < 2:
+        return np.zeros(len(body), dtype=bool)
+    order.remove(int(np.argmax(size)))
+    off = np.bincount(body[(weight > 0) & ~kept], minlength=len(size))
+    moved = [number for number in order if off[number] > _MUCH * size[number]]
+    order = [number for number in order if number not in moved]
+    while order:
+        left = kept & ~np.isin(body, moved)
+        whole = _sum(points, weight, left)
+        chances = [
+            _chance(points, weight, whole, left, left & (body == number), misfit)
+            for number in order
+        ]
+        surest = int(np.argmin(chances))
+        if chances[surest] > _CHANCE:
+            break
+        moved.append(order.pop(surest))
+    return np.asarray(np.isin(body, moved))
+
+
+@dataclass(frozen=True)
+class _Sum:
+    """Sums over some points, and how noise enters them."""
+
+    matrix: Floats
+    gradient: Floats
+    shared: Floats
+    own: Floats
+    patches: Floats
+
+
+def _sum(
+    points: Points, weight: Floats, at: Flags, columns: Numbers | None = None
+) -> _Sum:
+    """Return the sums over some points; the noise of patches in some pixels."""
+    z = points.by_source[at, :6] * weight[at, None]
+    window = points.window[at]
+    if columns is not None:
+        window = window[:, columns]
+    own = z * points.noise[at, None]
+    return _Sum(
+        matrix=z.T @ points.by_target[at, :6],
+        gradient=z.T @ (points.distance - points.corrected)[at],
+        shared=z.T @ points.by_target[at, 6:],
+        own=own.T @ own,
+        patches=np.asarray(window.T @ z),
+    )
+
+
+def _chance(
+    points: Points,
+    weight: Floats,
+    whole: _Sum,
+    kept: Flags,
+    body: Flags,
+    misfit: float,
+) -> float:
+    """Return how often a body that stayed would stand off so far, by chance."""
+    rest = kept & ~body
+    if int(body.sum()) < _FEWEST or int(rest.sum()) < 2 * _FEWEST:
+        return 1.0
+    columns = np.unique(points.window[body].indices)
+    one = _sum(points, weight, body, columns)
+    matrix = whole.matrix - one.matrix
+    held, loose = held_directions(
+        matrix,
+        unsure=points.unsure(np.where(rest, weight, 0.0)),
+        length=mean_lever(points.lever[rest], weight[rest]),
+    )
+    carry = one.matrix @ held @ np.linalg.pinv(held.T @ matrix @ held) @ held.T
+    off = one.gradient - carry @ (whole.gradient - one.gradient)
+    shared = one.shared - carry @ (whole.shared - one.shared)
+    # The patches of the body, and those of all else, share pixels at its rim.
+    near = whole.patches[columns]
+    cross = one.patches.T @ (near - one.patches)
+    patches = whole.patches.T @ whole.patches - near.T @ near
+    patches += (near - one.patches).T @ (near - one.patches)
+    noise = one.own + carry @ (whole.own - one.own) @ carry.T
+    noise += one.patches.T @ one.patches + carry @ patches @ carry.T
+    noise -= cross @ carry.T + carry @ cross.T
+    variance = misfit**2 * noise + shared @ shared.T
+    scale = np.sqrt(variance.diagonal())
+    off, variance = off / scale, variance / np.outer(scale, scale)
+    if loose:
+        # Where the others hold nothing, the scans may stand anywhere.
+        free = one.matrix @ np.stack(loose, axis=1) / scale[:, None]
+        basis, sizes, _ = np.linalg.svd(free)
+        basis = basis[:, int((sizes > 1e-9 * sizes[0]).sum()) :]
+        off, variance = basis.T @ off, basis.T @ variance @ basis
+    values, axes = np.linalg.eigh(variance)
+    told = values > 1e-6 * values[-1]
+    score = float(((axes.T @ off)[told] ** 2 / values[told]).sum())
+    return float(chi2.sf(score, int(told.sum())))
