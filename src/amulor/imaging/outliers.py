@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import xarray as xr
+from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 from scipy.special import ndtr
 
@@ -98,9 +99,8 @@ def outlying_pixels(
     variance = own_variance(image)
     stand = _standing(distance, variance, distance)
     above = (stand.ways >= 2) & (stand.score > significance)
-    for place in np.argwhere(above):
-        rough = _median_around(stand.average, place)
-        above[tuple(place)] = stand.least[tuple(place)] > _ROUGHER * rough
+    rough = _median_around(stand.average, above)
+    above[above] = stand.least[above] > _ROUGHER * rough
     known = (image["quality_flag"].values & QualityFlag.OUTLIER) != 0
     return above | _more_than_chance(distance, variance, known | above)
 
@@ -116,10 +116,10 @@ def _more_than_chance(
     alone = stand.agreed & (stand.least > _ALIKE * stand.middle)
     score = np.where(judged & alone, score, 0.0)
     size = np.where(judged, stand.middle, np.nan)
-    for place in np.argwhere(score > _LEAST):
-        at = tuple(place)
-        rough = _median_around(size, place) / _HALF
-        score[at] = min(score[at], stand.middle[at] / rough) if rough > 0 else score[at]
+    far = score > _LEAST
+    rough = _median_around(size, far) / _HALF
+    with np.errstate(divide="ignore", invalid="ignore"):
+        score[far] = np.fmin(score[far], stand.middle[far] / rough)
     limit = decided(
         "excess that is more than chance",
         lambda: _rarely_by_chance(score[score > _LEAST], int(judged.sum())),
@@ -135,10 +135,12 @@ def _rarely_by_chance(scores: Floats, count: int) -> float:
     return float(beyond[few[-1]]) if len(few) else np.inf
 
 
-def _median_around(values: Floats, place: NDArray[np.intp]) -> float:
-    rows, columns = (slice(max(k - _AROUND, 0), k + _AROUND + 1) for k in place)
-    around = values[rows, columns]
-    return float(np.median(around[np.isfinite(around)]))
+def _median_around(values: Floats, at: NDArray[np.bool_]) -> Floats:
+    """Return the median of what is around some pixels, shape (n,)."""
+    padded = np.pad(values, _AROUND, constant_values=np.nan)
+    size = 2 * _AROUND + 1
+    around = sliding_window_view(padded, (size, size))[at].reshape(-1, size**2).T
+    return _median(around, np.isfinite(around).sum(axis=0))
 
 
 def flag_outliers(image: xr.Dataset, *, significance: float = 3.0) -> xr.Dataset:
