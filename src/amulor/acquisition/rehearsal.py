@@ -16,7 +16,7 @@ from amulor.acquisition.simulated.pi import SimulatedPiController
 from amulor.acquisition.simulated.scene import Scene
 from amulor.acquisition.simulated.sr844 import SimulatedSr844
 from amulor.acquisition.simulated.sr865a import SimulatedSr865a
-from amulor.acquisition.simulated.stanford import SimulatedStanford
+from amulor.acquisition.simulated.stanford import INTERLOCK_INPUT, SimulatedStanford
 from amulor.survey import Survey
 
 #: What the simulated lock-in is wired to, by the model.
@@ -111,7 +111,12 @@ def _addressed(
         "scanner": {"driver": "pi_gcs", "address": stages},
         "launch": {"driver": "pi_gcs", "address": stages},
         "analyser": {"driver": "pi_gcs", "address": stages, "axis": base.analyser.axis},
-        "laser": {"driver": "lock_in_output", "output": 1, "on_voltage": 5.0},
+        "laser": {
+            "driver": "lock_in_output",
+            "output": 1,
+            "on_voltage": 5.0,
+            "interlock_input": INTERLOCK_INPUT,
+        },
         "target": {"driver": "pi_gcs", "address": stages},
         "procedure": {"clock_speed": speed},
     }

@@ -76,7 +76,6 @@ def test_a_day_in_which_all_goes_wrong_ends_in_a_true_range_image(
     base = Settings.model_validate(
         {
             "procedure": {"references": 3, "dark_readings": 5},
-            "laser": {"interlock_input": 2},
             "simulation": {
                 "faults": [f"interlock@{OPENS}x{LASTS}"],
                 "water_drift": DRIFT,

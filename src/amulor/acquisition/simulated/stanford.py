@@ -13,8 +13,10 @@ from amulor.acquisition.links.tcp import LinkLostError
 from amulor.acquisition.protocols import SIMULATOR
 from amulor.acquisition.simulated.bench import Bench
 
-#: Voltage of the interlock's monitor while it is closed; it is wired to input 2 [V].
+#: Voltage of the interlock's monitor while it is closed [V], and the auxiliary input
+#: that it is wired to.
 INTERLOCK = 5.0
+INTERLOCK_INPUT = 2
 #: Voltage of the laser's gate from which on light is let out [V].
 _GATE = 2.0
 #: Bits of *ESR?: a command that is not known, a value that is not allowed.
