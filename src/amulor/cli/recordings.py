@@ -16,6 +16,7 @@ def recordings(
     columns: Path,
     output: Annotated[Path, Parameter(alias="-o")],
     temperature: float | None = None,
+    tile_rows: int | None = None,
     overwrite: Annotated[bool, Parameter(negative="")] = False,
 ) -> None:
     """Turn a recording of other software into a measurement cube.
@@ -32,36 +33,43 @@ def recordings(
         File to write (netCDF).
     temperature
         Which temperature, in degC, where the recording holds several.
+    tile_rows
+        Work on so many rows at a time, in bounded memory; scans of more than 1e7
+        samples are imported by rows without being asked.
     overwrite
         Replace a file that is there.
     """
-    from amulor import io
-    from amulor.cli._arguments import check_cube_output
+    from amulor.cli._arguments import UsageError, check_cube_output
+    from amulor.cli._output import progress_bar
     from amulor.io.recording_map import RecordingMap
-    from amulor.io.recordings import read_recordings
+    from amulor.io.recordings import marked, read_recordings
     from amulor.survey import Survey
+    from amulor.survey.checks.memory import MOST_SAMPLES, samples_of
 
     check_cube_output(output, overwrite=overwrite, inputs=[file, survey, columns])
+    if tile_rows is not None and tile_rows < 1:
+        raise UsageError(f"--tile-rows must be 1 or more, got {tile_rows}")
     described = RecordingMap.from_toml(columns)
-    cube = read_recordings(
-        file,
-        described,
-        Survey.from_toml(survey),
-        temperature=temperature,
-    )
-    io.write_cube(cube, output, overwrite=overwrite)
-    flag = cube["user_sample_flag"].values
-    marked = ", ".join(
-        f"{int((flag & mask != 0).sum())} {word.replace('_', ' ')}"
-        for mask, word in zip(
-            cube["user_sample_flag"].attrs["flag_masks"],
-            cube["user_sample_flag"].attrs["flag_meanings"].split(),
-            strict=True,
-        )
-        if (flag & mask != 0).any()
-    )
+    planned = Survey.from_toml(survey)
+    if tile_rows is not None or samples_of(planned) > MOST_SAMPLES:
+        # Loads what works by rows, which other imports do without.
+        from amulor.scale.recorded import import_file
+
+        with progress_bar():
+            made = import_file(
+                file, described, planned, output, temperature=temperature,
+                rows=tile_rows, overwrite=overwrite,
+            )  # fmt: skip
+        sizes, counts = made.sizes, made.marked
+    else:
+        from amulor import io
+
+        cube = read_recordings(file, described, planned, temperature=temperature)
+        io.write_cube(cube, output, overwrite=overwrite)
+        sizes, counts = {str(k): v for k, v in cube.sizes.items()}, marked(cube)
+    words = ", ".join(f"{count} {word}" for word, count in counts.items())
     print(
-        f"{output}: {cube.sizes['row']} x {cube.sizes['column']} pixels at "
-        f"{cube.sizes['modulation_frequency']} frequencies in "
-        f"{cube.sizes['polarization']} polarizations; marked: {marked or 'none'}"
+        f"{output}: {sizes['row']} x {sizes['column']} pixels at "
+        f"{sizes['modulation_frequency']} frequencies in "
+        f"{sizes['polarization']} polarizations; marked: {words or 'none'}"
     )

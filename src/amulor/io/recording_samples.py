@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import itertools
 import re
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +20,7 @@ from amulor.survey.directions import scan_directions
 
 Floats = NDArray[np.float64]
 Complex = NDArray[np.complex128]
+Places = Literal["rows", "angles", "order"]
 
 #: Turns rms into peak amplitudes [1].
 _PEAK = 2**0.5
@@ -124,33 +127,64 @@ def of_one_temperature(
 ) -> Samples:
     """Return the samples of one temperature, refusing to mix several."""
     known = samples.temperature[np.isfinite(samples.temperature)]
-    rounded = np.unique(np.round(known / (2 * _SAME_TEMPERATURE))) * 2
-    listed = ", ".join(f"{value * _SAME_TEMPERATURE:g}" for value in rounded)
+    refuse_several(path, rounded_temperatures(known), known, temperature)
+    if temperature is None:
+        return samples
+    return samples.part(at_temperature(samples.temperature, temperature))
+
+
+def rounded_temperatures(known: Floats) -> Floats:
+    """Return the temperatures that differ, in the words of a message [degC]."""
+    step = 2 * _SAME_TEMPERATURE
+    return np.asarray(np.unique(np.round(known / step)) * 2 * _SAME_TEMPERATURE)
+
+
+def at_temperature(values: Floats, temperature: float) -> NDArray[np.bool_]:
+    """Return which samples are of a temperature."""
+    return np.asarray(np.abs(values - temperature) <= _SPREAD / 2)
+
+
+def refuse_several(
+    path: Path, rounded: Floats, known: Floats, temperature: float | None
+) -> None:
+    """Refuse several temperatures if none is chosen, and one that is not there.
+
+    `known` has the temperatures, of which some may be left out that are neither the
+    least, nor the largest, nor nearest to the chosen one.
+    """
+    listed = ", ".join(f"{value:g}" for value in rounded)
     if temperature is None:
         if known.size and np.ptp(known) > _SPREAD:
             raise FormatError(
                 f"{path}: was recorded at several temperatures ({listed} degC); choose "
                 "one (--temperature), and import the others into cubes of their own"
             )
-        return samples
-    chosen = np.abs(samples.temperature - temperature) <= _SPREAD / 2
-    if not chosen.any():
+    elif not at_temperature(known, temperature).any():
         raise FormatError(
             f"{path}: holds no sample at {temperature:g} degC; there are "
             f"{listed or 'none with a temperature'}"
         )
-    return samples.part(chosen)
 
 
 def distinct(values: Floats) -> tuple[Floats, NDArray[np.intp]]:
     """Return the frequencies that differ, rising, and which one each sample has."""
-    order = np.argsort(values, kind="stable")
-    ordered = values[order]
-    border = np.diff(ordered) > _SAME_FREQUENCY * ordered[:-1]
-    group = np.empty(values.size, dtype=np.intp)
-    group[order] = np.concatenate([[0], np.cumsum(border)])
+    ordered, place = np.unique(values, return_inverse=True)
+    group = groups(ordered)[place]
     means = np.bincount(group, values) / np.bincount(group)
     return np.asarray(means), group
+
+
+def groups(ordered: Floats) -> NDArray[np.intp]:
+    """Return which frequency each of some rising values is of."""
+    border = np.diff(ordered) > _SAME_FREQUENCY * ordered[:-1]
+    return np.concatenate([[0], np.cumsum(border)]).astype(np.intp)
+
+
+def places_known_by(samples: Samples) -> Places:
+    """Return what tells where samples are on the scan."""
+    if np.isfinite(samples.row).any():
+        return "rows"
+    return "angles" if np.isfinite(samples.azimuth).any() else "order"
 
 
 def pixels(
@@ -158,17 +192,27 @@ def pixels(
     samples: Samples,
     channel: tuple[NDArray[np.intp], NDArray[np.intp]],
     survey: Survey,
+    *,
+    known_by: Places | None = None,
+    before: dict[tuple[int, int], int] | None = None,
 ) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Return row and column of each sample; by the order of the scan if need be."""
+    """Return row and column of each sample; by the order of the scan if need be.
+
+    Of a part of the samples, `known_by` is what is so of all, and `before` as `turn`
+    takes it.
+    """
     rows, columns = survey.scan.rows, survey.scan.columns
-    if np.isfinite(samples.row).any():
+    known_by = known_by or places_known_by(samples)
+    if known_by == "rows":
         row, column = samples.row, samples.column
-    elif np.isfinite(samples.azimuth).any():
-        azimuth, elevation, _ = scan_directions(survey)
+    elif known_by == "angles":
+        every, one = slice(0, rows), np.zeros(1, dtype=np.intp)
+        _, elevation, _ = scan_directions(survey, rows=every, columns=one)
+        azimuth, _, _ = scan_directions(survey, rows=one)
         row = _steps(samples.elevation, elevation[:, 0])
         column = _steps(samples.azimuth, azimuth[0])
     else:
-        order = turn(channel)
+        order = turn(channel, before)
         row, column = order // columns, order % columns
         if survey.scan.order == "serpentine":
             column = np.where(row % 2 == 1, columns - 1 - column, column)
@@ -194,11 +238,62 @@ def _steps(angle: Floats, grid: Floats) -> Floats:
     return np.asarray((angle - grid[0]) / (grid[-1] - grid[0]) * (len(grid) - 1))
 
 
-def turn(channel: tuple[NDArray[np.intp], NDArray[np.intp]]) -> NDArray[np.float64]:
-    """Return how many samples of its channel come before each one."""
-    counted: dict[tuple[int, int], int] = {}
+def turn(
+    channel: tuple[NDArray[np.intp], NDArray[np.intp]],
+    before: dict[tuple[int, int], int] | None = None,
+) -> NDArray[np.float64]:
+    """Return how many samples of its channel come before each one.
+
+    `before` says how many came before these, and is told how many there are now.
+    """
+    counted = {} if before is None else before
     result = np.empty(len(channel[0]))
     for number, key in enumerate(zip(*map(np.ndarray.tolist, channel), strict=True)):
         result[number] = counted.setdefault(key, 0)
         counted[key] += 1
     return result
+
+
+def around(signal: Complex) -> list[Complex]:
+    """Return the eight neighbours of all pixels, no numbers beyond the scan."""
+    wide = np.pad(
+        signal, ((0, 0), (0, 0), (1, 1), (1, 1)), constant_values=complex(np.nan)
+    )
+    rows, columns = signal.shape[2:]
+    return [
+        wide[:, :, down : down + rows, right : right + columns]
+        for down, right in itertools.product(range(3), repeat=2)
+        if (down, right) != (1, 1)
+    ]
+
+
+def nearest_distance(signal: Complex) -> Floats:
+    """Return the distance of the nearest neighbour, no number without one."""
+    nearest = np.full(signal.shape, np.inf)
+    for other in around(signal):
+        nearest = np.fmin(nearest, np.abs(signal - other))
+    nearest[~np.isfinite(signal) | ~np.isfinite(nearest)] = np.nan
+    return nearest
+
+
+def median_of(nearest: Floats) -> float:
+    """Return the median of what is a number; no number without any."""
+    known = nearest[np.isfinite(nearest)]
+    return float(np.median(known)) if known.size else np.nan
+
+
+def off_mixtures(signal: Complex, beside: Complex) -> tuple[Floats, Floats]:
+    """Return the distance of samples from mixtures of two neighbours, and their spread.
+
+    A beam on an edge sees a mixture of both sides. `beside` has the neighbours of each
+    sample along its first axis, no numbers where there are none.
+    """
+    off, spread = np.full(signal.shape, np.inf), np.zeros(signal.shape)
+    for one, other in itertools.combinations_with_replacement(beside, 2):
+        span = other - one
+        length = np.abs(span)
+        along = ((signal - one) * span.conj()).real
+        share = np.clip(along / np.where(length > 0, length, 1) ** 2, 0, 1)
+        off = np.fmin(off, np.abs(signal - one - share * span))
+        spread = np.fmax(spread, length)
+    return off, spread

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import csv
-from collections.abc import Iterable, Sequence
+import itertools
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -28,12 +29,20 @@ class Table:
         Name to array of one dimension.
     lines : sequence of int
         Line of the file that each sample stands in; empty where there are none.
+    first : int
+        Samples of the file before the first one.
     """
 
     def __init__(
-        self, path: Path, columns: dict[str, NDArray[Any]], lines: Sequence[int] = ()
+        self,
+        path: Path,
+        columns: dict[str, NDArray[Any]],
+        lines: Sequence[int] = (),
+        *,
+        first: int = 0,
     ) -> None:
         self._path, self._columns, self._lines = path, columns, lines
+        self._first = first
 
     def __len__(self) -> int:
         """Return the number of samples."""
@@ -70,7 +79,7 @@ class Table:
         """Return how a message names a sample."""
         if len(self._lines):
             return f"{self._path}, line {self._lines[number]}"
-        return f"{self._path}, sample {number}"
+        return f"{self._path}, sample {number + self._first}"
 
 
 def read_table(path: Path, described: RecordingMap) -> Table:
@@ -93,11 +102,38 @@ def read_table(path: Path, described: RecordingMap) -> Table:
     FormatError
         If the file cannot be read, a column is missing, or they differ in length.
     """
+    (table,) = table_parts(path, described, None)
+    return table
+
+
+def table_parts(
+    path: Path, described: RecordingMap, count: int | None
+) -> Iterator[Table]:
+    """Read the columns that a map names, so many samples at a time.
+
+    Parameters
+    ----------
+    path, described
+        As in `read_table`.
+    count : int or None
+        Most samples of a part; None for all in one.
+
+    Yields
+    ------
+    Table
+        At least one, and at least one sample each.
+
+    Raises
+    ------
+    FormatError
+        As `read_table`, when the part is reached.
+    """
     wanted = [name for _, name in described.columns if name is not None]
     try:
         if described.table.format == "hdf5":
-            return _whole_hdf5(path, wanted)
-        return _csv(path, wanted, described.table)
+            yield from _whole_hdf5(path, wanted, count)
+        else:
+            yield from _csv(path, wanted, described.table, count)
     except OSError as error:
         raise FormatError(
             f"{path}: cannot be read ({error.strerror or error}); check name and format"
@@ -106,46 +142,74 @@ def read_table(path: Path, described: RecordingMap) -> Table:
         raise FormatError(f"{path}: is no text; state table.format") from None
 
 
-def _csv(path: Path, wanted: list[str], own: TableSettings) -> Table:
+def _csv(
+    path: Path, wanted: list[str], own: TableSettings, count: int | None
+) -> Iterator[Table]:
     with path.open(encoding="utf-8-sig", newline="") as file:
-        names, rows = _rows(enumerate(file, start=1), own)
+        names = _names(file, own)
     _refuse_missing(path, wanted, names)
     places = [names.index(name) for name in wanted]
-    if not rows:
+    with path.open(encoding="utf-8-sig", newline="") as file:
+        samples = _samples(file, own)
+        begun = False
+        while rows := list(itertools.islice(samples, count)):
+            begun = True
+            for line, row in rows:
+                if len(row) < len(names):
+                    raise FormatError(
+                        f"{path}, line {line}: has {len(row)} columns, needed are "
+                        f"{len(names)}; was the recording broken off?"
+                    )
+            columns = {
+                name: np.array([row[place] for _, row in rows])
+                for name, place in zip(wanted, places, strict=True)
+            }
+            yield Table(path, columns, [line for line, _ in rows])
+    if not begun:
         raise FormatError(f"{path}: holds no sample below the names of its columns")
-    for line, row in rows:
-        if len(row) < len(names):
-            raise FormatError(
-                f"{path}, line {line}: has {len(row)} columns, needed are "
-                f"{len(names)}; was the recording broken off?"
-            )
-    columns = {
-        name: np.array([row[place] for _, row in rows])
-        for name, place in zip(wanted, places, strict=True)
-    }
-    return Table(path, columns, [line for line, _ in rows])
 
 
-def _rows(
-    file: Iterable[tuple[int, str]], own: TableSettings
-) -> tuple[list[str], list[tuple[int, list[str]]]]:
-    """Return the names of the columns, and the cells of each line with its number."""
-    names: list[str] = []
-    comment: list[str] = []
-    rows: list[tuple[int, list[str]]] = []
-    for line, text in file:
+def _cells(
+    file: Iterable[str], own: TableSettings
+) -> Iterator[tuple[int, list[str], bool]]:
+    """Yield number and cells of each line, and whether it is a comment."""
+    for line, text in enumerate(file, start=1):
         if line <= own.skip or not text.strip():
             continue
         (cells,) = csv.reader([text.strip("\r\n")], delimiter=own.delimiter)
         cells = [cell.strip() for cell in cells]
-        if own.comment and text.startswith(own.comment):
+        remark = bool(own.comment) and text.startswith(own.comment)
+        if remark:
             cells[0] = cells[0].lstrip(own.comment).strip()
-            comment = cells if not rows else comment
-        elif not names and not _is_number(cells[0], own.decimal):
-            names = cells
+        yield line, cells, remark
+
+
+def _names(file: Iterable[str], own: TableSettings) -> list[str]:
+    """Return the names of the columns: a line of texts, or the last comment above."""
+    comment: list[str] = []
+    begun = False
+    for _, cells, remark in _cells(file, own):
+        if remark:
+            comment = comment if begun else cells
+        elif not _is_number(cells[0], own.decimal):
+            return cells
         else:
-            rows.append((line, cells))
-    return names or comment, rows
+            begun = True
+    return comment
+
+
+def _samples(
+    file: Iterable[str], own: TableSettings
+) -> Iterator[tuple[int, list[str]]]:
+    """Yield number and cells of each line with a sample."""
+    named = False
+    for line, cells, remark in _cells(file, own):
+        if remark:
+            continue
+        if not named and not _is_number(cells[0], own.decimal):
+            named = True
+        else:
+            yield line, cells
 
 
 def _is_number(text: str, decimal: str) -> bool:
@@ -156,9 +220,9 @@ def _is_number(text: str, decimal: str) -> bool:
     return True
 
 
-def _whole_hdf5(path: Path, wanted: list[str]) -> Table:
+def _whole_hdf5(path: Path, wanted: list[str], count: int | None) -> Iterator[Table]:
     try:
-        return _hdf5(path, wanted)
+        yield from _hdf5(path, wanted, count)
     except (FormatError, OSError):
         raise
     except Exception as error:  # h5py raises many kinds inside of a damaged file
@@ -168,7 +232,7 @@ def _whole_hdf5(path: Path, wanted: list[str]) -> Table:
         ) from error
 
 
-def _hdf5(path: Path, wanted: list[str]) -> Table:
+def _hdf5(path: Path, wanted: list[str], count: int | None) -> Iterator[Table]:
     import h5py
 
     with h5py.File(path, "r") as file:
@@ -181,20 +245,39 @@ def _hdf5(path: Path, wanted: list[str]) -> Table:
         file.visititems(note)
         bare = [name.strip("/") for name in wanted]
         _refuse_missing(path, bare, known)
-        columns = {
-            name: np.asarray(file[place][()]).ravel()
-            for name, place in zip(wanted, bare, strict=True)
-        }
-    for name, values in columns.items():
-        if values.dtype.kind in "SO":
-            columns[name] = np.array(
-                [v.decode() if isinstance(v, bytes) else str(v) for v in values]
+        places = dict(zip(wanted, bare, strict=True))
+        sizes = {name: int(file[place].size) for name, place in places.items()}
+        if len(set(sizes.values())) != 1 or 0 in sizes.values():
+            listed = ", ".join(f"{name}: {size}" for name, size in sizes.items())
+            raise FormatError(
+                f"{path}: arrays differ in length, or are empty: {listed}"
             )
-    sizes = {name: len(values) for name, values in columns.items()}
-    if len(set(sizes.values())) != 1 or 0 in sizes.values():
-        listed = ", ".join(f"{name}: {size}" for name, size in sizes.items())
-        raise FormatError(f"{path}: arrays differ in length, or are empty: {listed}")
-    return Table(path, columns)
+        (size,) = set(sizes.values())
+        for begin in range(0, size, count or size):
+            end = min(begin + (count or size), size)
+            columns = {
+                name: _flat(file[place], begin, end) for name, place in places.items()
+            }
+            yield Table(path, columns, first=begin)
+
+
+def _flat(dataset: Any, begin: int, end: int) -> NDArray[Any]:
+    """Return some values of an array, counted along its rows, texts decoded."""
+    if dataset.ndim == 0:
+        values = np.asarray(dataset[()]).ravel()
+    else:
+        # The axis along which whole slices are read is the first one with a length.
+        axis = next((n for n, size in enumerate(dataset.shape) if size > 1), 0)
+        inner = dataset.size // dataset.shape[axis]
+        low = begin // inner
+        head = (0,) * axis
+        values = np.asarray(dataset[(*head, slice(low, -(-end // inner)))]).ravel()
+        values = values[begin - low * inner : end - low * inner]
+    if values.dtype.kind in "SO":
+        values = np.array(
+            [v.decode() if isinstance(v, bytes) else str(v) for v in values]
+        )
+    return values
 
 
 def _refuse_missing(path: Path, wanted: list[str], there: list[str]) -> None:

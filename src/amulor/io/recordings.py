@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
-import warnings
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -17,8 +15,12 @@ from amulor.errors import FormatError
 from amulor.io.recording_map import RecordingMap
 from amulor.io.recording_samples import (
     Samples,
+    around,
     distinct,
+    median_of,
+    nearest_distance,
     of_one_temperature,
+    off_mixtures,
     pixels,
     samples_of,
     turn,
@@ -26,6 +28,7 @@ from amulor.io.recording_samples import (
 from amulor.io.recording_table import read_table
 from amulor.optics import detection
 from amulor.survey import Survey, water_properties
+from amulor.survey.checks.memory import refuse_scans_beyond_memory
 from amulor.survey.counting import (
     counting_variance,
     integration_time,
@@ -62,6 +65,10 @@ class _Gathered:
     temperature: Floats
     takes: NDArray[np.int32]
     flag: NDArray[np.int16]
+
+    def rows(self, kept: slice) -> _Gathered:
+        """Return some rows."""
+        return _Gathered(**{key: v[:, :, kept] for key, v in vars(self).items()})
 
 
 def read_recordings(
@@ -116,19 +123,110 @@ def read_recordings(
     pairs = list(dict.fromkeys(map(str, samples.polarization)))
     polarization = np.array([pairs.index(str(pair)) for pair in samples.polarization])
     scan, shots = ~samples.water, samples.water
-    if not scan.any():
-        raise FormatError(
-            f"{path}: holds open-water shots and no sample of the scan; check "
-            "constants.open_water of the map"
-        )
+    refuse_no_scan(path, any_scan=bool(scan.any()))
     seen = samples.part(scan)
     channel = frequency[scan], polarization[scan]
-    shape = len(frequencies), len(pairs), survey.scan.rows, survey.scan.columns
     at = (*channel, *pixels(path, seen, channel, survey))
+    recording = Recording(
+        path=path,
+        survey=survey,
+        described=described,
+        frequencies=frequencies,
+        pairs=pairs,
+        shots=shots_of(
+            path, samples.part(shots), (frequency[shots], polarization[shots]),
+            survey, described, names=(frequencies, pairs), scanned=channel,
+        ),
+    )  # fmt: skip
+    refuse_scans_beyond_memory(survey)
+    band = gathered_band(recording, seen, at, (0, survey.scan.rows))
+    typical = np.stack(
+        [[median_of(near) for near in plane] for plane in band.nearest],
+    )
+    return cube_of(
+        recording, band, typical[..., None, None],
+        mean=bool(np.isfinite(band.found.mean).any()),
+        temperature=bool(np.isfinite(band.found.temperature).any()),
+    )  # fmt: skip
+
+
+@dataclass(frozen=True, kw_only=True)
+class Recording:
+    """What all rows of a recording share."""
+
+    path: Path
+    survey: Survey
+    described: RecordingMap
+    frequencies: Floats
+    pairs: list[str]
+    shots: xr.Dataset | None
+
+
+@dataclass(frozen=True, kw_only=True)
+class Band:
+    """Some rows of a recording, with those beside them, before breakdowns are told."""
+
+    found: _Gathered
+    uncertainty: Floats
+    nearest: Floats
+    azimuth: Floats
+    elevation: Floats
+    rows: tuple[int, int]
+    """First row, and the one behind the last, which are wanted."""
+    kept: slice
+    """Where these are in the arrays."""
+
+
+def band_with_neighbours(survey: Survey, rows: tuple[int, int]) -> tuple[int, int]:
+    """Return rows with those that breakdowns in them are told by."""
+    return max(rows[0] - 1, 0), min(rows[1] + 1, survey.scan.rows)
+
+
+def gathered_band(
+    recording: Recording,
+    seen: Samples,
+    at: tuple[NDArray[np.intp], ...],
+    rows: tuple[int, int],
+) -> Band:
+    """Return the means of samples in some rows.
+
+    `seen` has all samples of `band_with_neighbours`, and no others; `at` says where
+    they are: frequency, polarization, row and column of the scan.
+    """
+    survey = recording.survey
+    begin, end = band_with_neighbours(survey, rows)
+    shape = (
+        len(recording.frequencies),
+        len(recording.pairs),
+        end - begin,
+        survey.scan.columns,
+    )
+    at = (at[0], at[1], at[2] - begin, at[3])
     found = _gathered(seen, at, shape)
-    uncertainty = _uncertainty(described, survey, found)
-    broken = _breakdowns(found.signal, uncertainty)
-    azimuth, elevation, _ = scan_directions(survey)
+    azimuth, elevation, _ = scan_directions(survey, rows=slice(begin, end))
+    return Band(
+        found=found,
+        uncertainty=_uncertainty(recording.described, survey, found),
+        nearest=nearest_distance(found.signal),
+        azimuth=_direction(seen.azimuth, at, azimuth),
+        elevation=_direction(seen.elevation, at, elevation),
+        rows=rows,
+        kept=slice(rows[0] - begin, rows[1] - begin),
+    )
+
+
+def cube_of(
+    recording: Recording, band: Band, typical: Floats, *, mean: bool, temperature: bool
+) -> xr.Dataset:
+    """Return some rows of the cube.
+
+    `typical` is the median distance of neighbours in each channel; `mean` and
+    `temperature` say whether any row of the recording has them.
+    """
+    survey, described = recording.survey, recording.described
+    broken = _breakdowns(band, typical)[:, :, band.kept]
+    found = band.found.rows(band.kept)
+    uncertainty = band.uncertainty[:, :, band.kept]
     cube = cubes.build(
         "samples",
         {
@@ -136,31 +234,76 @@ def read_recordings(
             "saturated": broken.astype(np.int8),
         },
         {
-            "modulation_frequency": frequencies,
-            "polarization": pairs,
-            "azimuth": _direction(seen.azimuth, at, azimuth),
-            "elevation": _direction(seen.elevation, at, elevation),
+            "modulation_frequency": recording.frequencies,
+            "polarization": recording.pairs,
+            "azimuth": band.azimuth[band.kept],
+            "elevation": band.elevation[band.kept],
         },
         geometry=geometry_attributes(survey, medium(survey, water_properties(survey))),
-        attributes=_attributes(path, survey, frequencies, pairs),
+        attributes=_attributes(
+            recording.path, survey, recording.frequencies, recording.pairs
+        ),
     )
-    if shots.any():
-        part = samples.part(shots)
-        without = sorted(
-            set(zip(frequency[scan], polarization[scan], strict=True))
-            - set(zip(frequency[shots], polarization[shots], strict=True))
-        )
-        if without:
-            f, p = without[0]
-            raise FormatError(
-                f"{path}: the scan has {frequencies[f] / 1e6:g} MHz {pairs[p]}, of "
-                "which there is no open-water shot; record shots in all channels, or "
-                "take out constants.open_water of the map"
-            )
-        group = _shots(part, (frequency[shots], polarization[shots]), survey, described)
-        cube = cubes.attach(cube, group, "open_water")
-    cube = cube.assign(_user_variables(found, broken))
+    if recording.shots is not None:
+        cube = cubes.attach(cube, recording.shots, "open_water")
+    cube = cube.assign(
+        _user_variables(found, broken, mean=mean, temperature=temperature)
+    )
     return cubes.note(cube, "import recordings")
+
+
+def marked(cube: xr.Dataset) -> dict[str, int]:
+    """Return how many samples of a cube are marked with which word, without zeros."""
+    flag = cube["user_sample_flag"]
+    counted = {
+        word.replace("_", " "): int((flag.values & mask != 0).sum())
+        for mask, word in zip(
+            flag.attrs["flag_masks"], flag.attrs["flag_meanings"].split(), strict=True
+        )
+    }
+    return {word: count for word, count in counted.items() if count}
+
+
+def is_measured(signal: Complex) -> NDArray[np.bool_]:
+    """Return which samples are numbers other than 0."""
+    return np.asarray((signal != 0) & ~_is_none(signal))
+
+
+def _is_none(signal: Complex) -> NDArray[np.bool_]:
+    return np.asarray(~(np.abs(np.nan_to_num(signal, nan=np.inf)) < _NO_VOLTAGE))
+
+
+def refuse_no_scan(path: Path, *, any_scan: bool) -> None:
+    """Refuse a recording of nothing but shots."""
+    if not any_scan:
+        raise FormatError(
+            f"{path}: holds open-water shots and no sample of the scan; check "
+            "constants.open_water of the map"
+        )
+
+
+def shots_of(
+    path: Path,
+    samples: Samples,
+    channel: tuple[NDArray[np.intp], NDArray[np.intp]],
+    survey: Survey,
+    described: RecordingMap,
+    *,
+    names: tuple[Floats, list[str]],
+    scanned: tuple[NDArray[np.intp], NDArray[np.intp]],
+) -> xr.Dataset | None:
+    """Return the open-water shots, None without any; all scanned channels have some."""
+    if not len(samples.water):
+        return None
+    missing = set(zip(*scanned, strict=True)) - set(zip(*channel, strict=True))
+    if missing:
+        f, p = min(missing)
+        raise FormatError(
+            f"{path}: the scan has {names[0][f] / 1e6:g} MHz {names[1][p]}, of "
+            "which there is no open-water shot; record shots in all channels, or "
+            "take out constants.open_water of the map"
+        )
+    return _shots(samples, channel, survey, described)
 
 
 def _gathered(
@@ -168,8 +311,8 @@ def _gathered(
 ) -> _Gathered:
     """Return the mean of all samples of a place, but for those without a number."""
     zero = samples.signal == 0
-    none = ~(np.abs(np.nan_to_num(samples.signal, nan=np.inf)) < _NO_VOLTAGE)
-    good = ~(zero | none)
+    none = _is_none(samples.signal)
+    good = is_measured(samples.signal)
     flat = np.ravel_multi_index(at, shape)
     size = int(np.prod(shape))
 
@@ -241,47 +384,16 @@ def _outputs(
     }
 
 
-def _breakdowns(signal: Complex, uncertainty: Floats) -> NDArray[np.bool_]:
+def _breakdowns(band: Band, typical: Floats) -> NDArray[np.bool_]:
     """Return which pixels stand alone, far from all that their neighbours explain."""
-    wide = np.pad(
-        signal, ((0, 0), (0, 0), (1, 1), (1, 1)), constant_values=complex(np.nan)
-    )
-    rows, columns = signal.shape[2:]
-    around = [
-        wide[:, :, down : down + rows, right : right + columns]
-        for down, right in itertools.product(range(3), repeat=2)
-        if (down, right) != (1, 1)
-    ]
-    nearest = np.full(signal.shape, np.inf)
-    for other in around:
-        nearest = np.fmin(nearest, np.abs(signal - other))
-    nearest[~np.isfinite(signal) | ~np.isfinite(nearest)] = np.nan
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", RuntimeWarning)  # channels without a number
-        typical = np.nanmedian(nearest, axis=(2, 3), keepdims=True)
-    far = np.maximum(_BREAKDOWN * typical, _SURE * uncertainty)
-    broken = np.asarray(nearest > far)
-    beside = np.stack([other[broken] for other in around])
-    off, spread = _off_mixtures(signal[broken], beside)
+    signal = band.found.signal
+    beside = around(signal)
+    far = np.maximum(_BREAKDOWN * typical, _SURE * band.uncertainty)
+    broken = np.asarray(band.nearest > far)
+    near = np.stack([other[broken] for other in beside])
+    off, spread = off_mixtures(signal[broken], near)
     broken[broken] = off > np.maximum(far[broken], _SPREAD * spread)
     return broken
-
-
-def _off_mixtures(signal: Complex, beside: Complex) -> tuple[Floats, Floats]:
-    """Return the distance of samples from mixtures of two neighbours, and their spread.
-
-    A beam on an edge sees a mixture of both sides. `beside` has the neighbours of each
-    sample along its first axis, no numbers where there are none.
-    """
-    off, spread = np.full(signal.shape, np.inf), np.zeros(signal.shape)
-    for one, other in itertools.combinations_with_replacement(beside, 2):
-        span = other - one
-        length = np.abs(span)
-        along = ((signal - one) * span.conj()).real
-        share = np.clip(along / np.where(length > 0, length, 1) ** 2, 0, 1)
-        off = np.fmin(off, np.abs(signal - one - share * span))
-        spread = np.fmax(spread, length)
-    return off, spread
 
 
 def _shots(
@@ -318,7 +430,7 @@ def _shots(
 
 
 def _user_variables(
-    found: _Gathered, broken: NDArray[np.bool_]
+    found: _Gathered, broken: NDArray[np.bool_], *, mean: bool, temperature: bool
 ) -> dict[str, xr.Variable]:
     flag = (found.flag | np.int16(BREAKDOWN) * broken).astype(np.int16)
     masks = np.array([ZERO, BREAKDOWN, NO_NUMBER], dtype=np.int16)
@@ -341,11 +453,11 @@ def _user_variables(
             {"long_name": "samples that were averaged", "units": "1"},
         ),
     }
-    for name, values, unit in (
-        ("mean output of the detector", found.mean, "V"),
-        ("temperature of the water", found.temperature, "degC"),
+    for name, values, unit, there in (
+        ("mean output of the detector", found.mean, "V", mean),
+        ("temperature of the water", found.temperature, "degC", temperature),
     ):
-        if np.isfinite(values).any():
+        if there:
             short = "user_mean_output" if unit == "V" else "user_temperature"
             result[short] = xr.Variable(
                 _SAMPLE, values, {"long_name": name, "units": unit}

@@ -1,0 +1,366 @@
+"""Recordings larger than memory: sorted on the disk, then imported by rows."""
+
+from __future__ import annotations
+
+import os
+import tempfile
+from collections import Counter
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from amulor import _progress
+from amulor._progress import tell
+from amulor.cube import tiles
+from amulor.io import recordings
+from amulor.io.netcdf_rows import row_writer
+from amulor.io.recording_map import RecordingMap
+from amulor.io.recording_samples import (
+    Places,
+    Samples,
+    at_temperature,
+    groups,
+    pixels,
+    refuse_several,
+    rounded_temperatures,
+    samples_of,
+)
+from amulor.io.recording_table import table_parts
+from amulor.survey import Survey
+
+__all__ = ["RecordedSummary", "import_file"]
+
+Floats = NDArray[np.float64]
+Scratch = NDArray[np.void]
+
+#: Lines of a recording that are read at once.
+_LINES = 2**16
+#: Samples that are read back at once.
+_SAMPLES = 2**18
+_NUMBERS = (
+    "mean", "frequency", "azimuth", "elevation", "row", "column", "temperature",
+)  # fmt: skip
+#: A sample on the disk; `pair` is an index of the polarizations as they were first met.
+_SAMPLE = np.dtype(
+    [
+        ("signal", "c16"),
+        *((name, "f8") for name in _NUMBERS),
+        ("pair", "i4"),
+        ("water", "?"),
+    ]
+)
+#: The same with its place on the scan.
+_PLACED = np.dtype([("sample", _SAMPLE), ("at", "i8", (4,))])
+
+
+@dataclass(frozen=True, kw_only=True)
+class RecordedSummary:
+    """What an import by rows has made."""
+
+    sizes: dict[str, int]
+    """Lengths of the dimensions of the cube [1]."""
+    marked: dict[str, int]
+    """How many samples are marked with which word [1]."""
+
+
+def import_file(
+    path: str | os.PathLike[str],
+    described: RecordingMap,
+    survey: Survey,
+    output: str | os.PathLike[str],
+    *,
+    temperature: float | None = None,
+    rows: int | None = None,
+    overwrite: bool = False,
+) -> RecordedSummary:
+    """Turn a recording of any size into a measurement cube, tile by tile.
+
+    Parameters
+    ----------
+    path, described, survey, temperature
+        As in `amulor.io.read_recordings`.
+    output : path-like
+        File to make (netCDF).
+    rows : int, optional
+        Rows of a tile; by default a quarter of a million samples.
+    overwrite : bool
+        Whether an existing file is replaced.
+
+    Returns
+    -------
+    RecordedSummary
+        Of the file, which holds what `read_recordings` returns, bit for bit.
+
+    Raises
+    ------
+    FormatError
+        As `read_recordings`; if the file exists and `overwrite` is not set, or cannot
+        be written.
+
+    Notes
+    -----
+    Beside the file that is made, about 200 bytes for each sample stand on its disk
+    until it is whole. Open-water shots and the frequencies that differ are in memory.
+    """
+    path, output = Path(path), Path(output)
+    with (
+        row_writer(output, survey.scan.rows, overwrite=overwrite) as writer,
+        tempfile.TemporaryDirectory(dir=output.parent, prefix=".amulor-") as made,
+    ):
+        folder = Path(made)
+        with _progress.part(0.0, 0.5):
+            pairs = _spilled(path, described, survey, folder, temperature)
+            known = _known(folder, pairs, temperature)
+            recordings.refuse_no_scan(path, any_scan=known.any_scan)
+        planes = len(known.frequencies) * len(known.pairs)
+        size = rows or max(
+            1, tiles.SAMPLES_AT_ONCE // max(survey.scan.columns * planes, 1)
+        )
+        recording = _sorted(path, described, survey, folder, known, size)
+        typical = _typical(recording, folder, size)
+        marked: Counter[str] = Counter()
+        sizes: dict[str, int] = {}
+        for begin, end in _bands(survey, size):
+            tell(f"row {begin:,} of {survey.scan.rows:,}", begin / survey.scan.rows)
+            band = _band(recording, folder, size, (begin, end))
+            tile = recordings.cube_of(
+                recording, band, typical, mean=known.mean, temperature=known.warm
+            )
+            writer.put(tile, begin)
+            marked.update(recordings.marked(tile))
+            sizes = sizes or {str(name): length for name, length in tile.sizes.items()}
+    return RecordedSummary(
+        sizes={**sizes, "row": survey.scan.rows}, marked=dict(marked)
+    )
+
+
+def _spilled(
+    path: Path,
+    described: RecordingMap,
+    survey: Survey,
+    folder: Path,
+    temperature: float | None,
+) -> list[str]:
+    """Write all samples to the disk; return the polarizations as they are met."""
+    pairs: dict[str, int] = {}
+    rounded: Floats = np.zeros(0)
+    ends: list[float] = []
+    read = 0
+    with (folder / "samples").open("wb") as file:
+        for table in table_parts(path, described, _LINES):
+            tell(f"reading, sample {read:,}", 0.0)
+            read += len(table)
+            samples = samples_of(table, described, survey)
+            part = np.zeros(len(table), dtype=_SAMPLE)
+            for name in ("signal", "water", *_NUMBERS):
+                part[name] = getattr(samples, name)
+            part["pair"] = [
+                pairs.setdefault(str(pair), len(pairs)) for pair in samples.polarization
+            ]
+            file.write(part.tobytes())
+            there = samples.temperature[np.isfinite(samples.temperature)]
+            if there.size:
+                rounded = np.union1d(rounded, rounded_temperatures(there))
+                ends += [float(there.min()), float(there.max())]
+                if temperature is not None:
+                    off = np.abs(there - temperature)
+                    ends.append(float(there[np.argmin(off)]))
+    refuse_several(path, rounded, np.array(ends), temperature)
+    return list(pairs)
+
+
+@dataclass(kw_only=True)
+class _Known:
+    """What is to be known of all samples before any is placed."""
+
+    temperature: float | None
+    pairs: list[str] = field(default_factory=list)
+    pair: NDArray[np.intp] = field(default_factory=lambda: np.zeros(0, dtype=np.intp))
+    """Which of `pairs` a polarization is that was met."""
+    values: Floats = field(default_factory=lambda: np.zeros(0))
+    frequencies: Floats = field(default_factory=lambda: np.zeros(0))
+    places: Places = "order"
+    any_scan: bool = False
+    mean: bool = False
+    warm: bool = False
+
+    def samples(self, folder: Path) -> Iterator[Scratch]:
+        """Yield all samples that are of the temperature that was chosen."""
+        for part in _read(folder / "samples", _SAMPLE):
+            if self.temperature is None:
+                yield part
+            else:
+                yield part[at_temperature(part["temperature"], self.temperature)]
+
+    def frequency(self, part: Scratch) -> NDArray[np.intp]:
+        """Return which frequency each sample has."""
+        return groups(self.values)[np.searchsorted(self.values, part["frequency"])]
+
+
+def _read(path: Path, dtype: np.dtype[np.void]) -> Iterator[Scratch]:
+    with path.open("rb") as file:
+        while len(part := np.fromfile(file, dtype, _SAMPLES)):
+            yield part
+
+
+def _known(folder: Path, pairs: list[str], temperature: float | None) -> _Known:
+    known = _Known(temperature=temperature)
+    met: dict[int, None] = {}
+    rows = angles = False
+    for part in known.samples(folder):
+        known.values = np.union1d(known.values, part["frequency"])
+        unique, first = np.unique(part["pair"], return_index=True)
+        met.update(dict.fromkeys(int(pair) for pair in unique[np.argsort(first)]))
+        seen = part[~part["water"]]
+        good = recordings.is_measured(seen["signal"])
+        known.any_scan |= bool(len(seen))
+        known.mean |= bool(np.isfinite(seen["mean"][good]).any())
+        known.warm |= bool(np.isfinite(seen["temperature"]).any())
+        rows |= bool(np.isfinite(seen["row"]).any())
+        angles |= bool(np.isfinite(seen["azimuth"]).any())
+    known.places = "rows" if rows else "angles" if angles else "order"
+    known.pairs = [pairs[number] for number in met]
+    known.pair = np.zeros(len(pairs), dtype=np.intp)
+    known.pair[list(met)] = np.arange(len(met))
+    count = int(groups(known.values)[-1]) + 1 if known.values.size else 0
+    total: Floats = np.zeros(count)
+    number = np.zeros(count, dtype=np.intp)
+    own = np.arange(count)
+    for part in known.samples(folder):
+        # Sums go on where those of the part before ended, as those of one part would.
+        group = known.frequency(part)
+        weights = np.concatenate([total, part["frequency"]])
+        total = np.asarray(np.bincount(np.concatenate([own, group]), weights))
+        number += np.bincount(group, minlength=count)
+    known.frequencies = np.asarray(total / number)
+    return known
+
+
+def _samples(part: Scratch, pairs: list[str]) -> Samples:
+    return Samples(
+        signal=np.ascontiguousarray(part["signal"]),
+        polarization=np.array([pairs[0]] * len(part)),
+        water=part["water"],
+        **{name: np.ascontiguousarray(part[name]) for name in _NUMBERS},
+    )
+
+
+def _sorted(
+    path: Path,
+    described: RecordingMap,
+    survey: Survey,
+    folder: Path,
+    known: _Known,
+    size: int,
+) -> recordings.Recording:
+    """Put the samples of each tile into a file of its own; return what all share."""
+    before: dict[tuple[int, int], int] = {}
+    scanned: set[tuple[int, int]] = set()
+    shots: list[Scratch] = []
+    for part in known.samples(folder):
+        shots.append(part[part["water"]])
+        part = part[~part["water"]]
+        if not len(part):
+            continue
+        channel = known.frequency(part), known.pair[part["pair"]]
+        scanned |= set(zip(*map(np.ndarray.tolist, channel), strict=True))
+        row, column = pixels(
+            path, _samples(part, known.pairs), channel, survey,
+            known_by=known.places, before=before,
+        )  # fmt: skip
+        placed = np.zeros(len(part), dtype=_PLACED)
+        placed["sample"] = part
+        placed["at"] = np.stack([*channel, row, column], axis=1)
+        tile = row // size
+        order = np.argsort(tile, kind="stable")
+        borders = np.flatnonzero(np.diff(tile[order])) + 1
+        for some in np.split(order, borders):
+            with (folder / f"tile {tile[some[0]]}").open("ab") as file:
+                file.write(placed[some].tobytes())
+    (folder / "samples").unlink()
+    part = np.concatenate(shots)
+    channels = np.array(sorted(scanned))
+    return recordings.Recording(
+        path=path,
+        survey=survey,
+        described=described,
+        frequencies=known.frequencies,
+        pairs=known.pairs,
+        shots=recordings.shots_of(
+            path,
+            _samples(part, known.pairs),
+            (known.frequency(part), known.pair[part["pair"]]),
+            survey,
+            described,
+            names=(known.frequencies, known.pairs),
+            scanned=(channels[:, 0], channels[:, 1]),
+        ),
+    )
+
+
+def _bands(survey: Survey, size: int) -> Iterator[tuple[int, int]]:
+    for begin in range(0, survey.scan.rows, size):
+        yield begin, min(begin + size, survey.scan.rows)
+
+
+def _band(
+    recording: recordings.Recording, folder: Path, size: int, rows: tuple[int, int]
+) -> recordings.Band:
+    """Return some rows, from their file and what is needed of those beside them."""
+    begin, end = recordings.band_with_neighbours(recording.survey, rows)
+    parts = [np.zeros(0, dtype=_PLACED)]
+    for tile in range(begin // size, (end - 1) // size + 1):
+        file = folder / f"tile {tile}"
+        for part in _read(file, _PLACED) if file.exists() else ():
+            row = part["at"][:, 2]
+            parts.append(part[(row >= begin) & (row < end)])
+    placed = np.concatenate(parts)
+    at = tuple(np.ascontiguousarray(placed["at"][:, axis]) for axis in range(4))
+    seen = _samples(placed["sample"], recording.pairs)
+    return recordings.gathered_band(recording, seen, at, rows)
+
+
+def _typical(recording: recordings.Recording, folder: Path, size: int) -> Floats:
+    """Return the median distance of neighbours in each channel, of all rows."""
+    shape = len(recording.frequencies), len(recording.pairs)
+    for rows in _bands(recording.survey, size):
+        band = _band(recording, folder, size, rows)
+        for at in np.ndindex(shape):
+            near = band.nearest[at][band.kept]
+            with (folder / f"near {at}").open("ab") as file:
+                file.write(near[np.isfinite(near)].tobytes())
+    result = np.full((*shape, 1, 1), np.nan)
+    for at in np.ndindex(shape):
+        result[at] = _median_of(folder / f"near {at}")
+    return result
+
+
+def _median_of(path: Path) -> float:
+    """Return the median of a file of numbers of 0 and above, as numpy does."""
+    count = path.stat().st_size // 8
+    if not count:
+        return np.nan
+    low, high = (_ranked(path, rank) for rank in ((count - 1) // 2, count // 2))
+    return float(np.mean([low, high]))
+
+
+def _ranked(path: Path, rank: int) -> float:
+    """Return the number of which so many are not larger, 16 of its bits at a time."""
+    found = 0
+    for shift in (48, 32, 16, 0):
+        counts = np.zeros(2**16, dtype=np.int64)
+        with path.open("rb") as file:
+            while len(part := np.fromfile(file, np.uint64, _SAMPLES)):
+                high = part >> np.uint64(shift)
+                if shift < 48:
+                    high = high[high >> np.uint64(16) == np.uint64(found)]
+                low = (high & np.uint64(0xFFFF)).astype(np.intp)
+                counts += np.bincount(low, minlength=2**16)
+        upto = np.cumsum(counts)
+        digit = int(np.searchsorted(upto, rank, side="right"))
+        rank -= int(upto[digit] - counts[digit])
+        found = found << 16 | digit
+    return float(np.array([found], dtype=np.uint64).view(np.float64)[0])
