@@ -212,7 +212,6 @@ def tests_of(file: Path) -> list[list[str]]:
     own = [tests / "unit" / part for part in (inside.parent, inside.parts[0])]
     room = next((place for place in own if place.is_dir()), tests / "unit")
     name = ".".join(("amulor", *inside.with_suffix("").parts))
-    called = (name, name.rpartition(".")[0] + " import " + inside.stem)
     public = [
         node.name
         for node in ast.parse(file.read_bytes()).body
@@ -226,7 +225,8 @@ def tests_of(file: Path) -> list[list[str]]:
         if "browser" in path.parts or "soak" in path.parts:
             continue
         text = path.read_text("utf-8")
-        named = any(word in text for word in called)
+        beside = inside.stem in text
+        named = name in text or (beside and name in _imported(text))
         if path.is_relative_to(room):
             close = stem in path.stem or named or (defined and defined.search(text))
             (near if close else far).append(path)
@@ -235,6 +235,17 @@ def tests_of(file: Path) -> list[list[str]]:
     near.sort(key=lambda path: stem not in path.stem)
     staged = [[str(path.relative_to(ROOT)) for path in found] for found in (near, far)]
     return [found for found in staged if found]
+
+
+def _imported(text: str) -> set[str]:
+    """Return what a source imports by whole names, in whatever form it says so."""
+    found = set()
+    for node in ast.walk(ast.parse(text)):
+        if isinstance(node, ast.Import):
+            found |= {one.name for one in node.names}
+        elif isinstance(node, ast.ImportFrom) and node.module:
+            found |= {f"{node.module}.{one.name}" for one in node.names}
+    return found
 
 
 def summary(tried: int, noticed: int, equivalent: int) -> str:

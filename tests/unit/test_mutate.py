@@ -79,3 +79,12 @@ def test_the_nearest_tests_come_first_and_none_comes_twice(tool: ModuleType) -> 
     root = TOOL.parents[1]
     room = (root / "tests" / "unit" / "io").rglob("test_*.py")
     assert {str(path.relative_to(root)) for path in room} <= set(files)
+
+
+def test_tests_that_import_a_module_beside_others_are_run_for_it(
+    tool: ModuleType,
+) -> None:
+    # It says: from amulor.optics import small_angle, target_echo.
+    stages = tool.tests_of(tool.PACKAGE / "optics" / "target_echo.py")
+    files = {file for stage in stages for file in stage}
+    assert "tests/physics/test_small_angle_target_echo.py" in files
