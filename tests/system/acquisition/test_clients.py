@@ -325,6 +325,7 @@ def test_an_instrument_of_pymeasure_takes_a_scan(tiny, folder) -> None:
         content = rehearsal.settings.model_dump(mode="json", exclude_unset=True)
         content["lock_in"] = tomllib.loads(text)["lock_in"]
         content["lock_in"]["address"] = f"TCPIP::{host}::{port}::SOCKET"
+        del content["laser"]["interlock_input"]  # pymeasure reads no auxiliary input
         settings = Settings.model_validate(content, context={"from_text": True})
         outcome = acquisition.acquire(tiny, folder, settings=settings)
         assert not rehearsal.bench.laser_on
