@@ -250,6 +250,7 @@ def test_slant_range_uncertainties_are_true_over_seeds(
     assert (np.abs(z) < 1.96).mean() > 0.93
 
 
+@pytest.mark.study
 @pytest.mark.slow
 def test_slant_range_uncertainties_without_foreknowledge_are_the_scatter(
     over_seeds: list[xr.Dataset],
