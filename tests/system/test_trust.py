@@ -192,6 +192,15 @@ def test_small_spikes_in_two_channels_are_seen_among_the_neighbours() -> None:
         assert row.score.far < 0.006, row
 
 
+def test_a_spike_at_the_best_of_four_frequencies_is_told_by_the_other_channel() -> None:
+    # 1.1 % of the trusted were beyond 3.5 sigma, up to 7 by open water.
+    for row in run(["spikes"], ["open-water", "combined"], [4], seed=2):
+        assert row.score.trusted > 0.95, row
+        assert row.score.inside_95 > 0.93, row
+        # One of 384 pixels.
+        assert row.score.far < 0.003, row
+
+
 # The column behind the target -------------------------------------------------------
 
 
@@ -258,8 +267,9 @@ def test_one_frequency_of_two_noisy_channels_sees_two_plates_as_well() -> None:
 def test_surfaces_without_an_edge_have_no_mixed_pixels() -> None:
     for scene in ("flat", "slope 75"):
         for row in run([scene], ["open-water"], [16]):
-            # Five sigma from both sides at once do not happen in 384 pixels.
-            assert row.score.trusted == 1, row
+            # Five sigma from both sides at once do not happen in 384 pixels; in one
+            # image of ten there is an outlier by chance.
+            assert row.score.trusted > 1 - 1.5 / 384, row
 
 
 # What spoils samples, and water that is not that of the shots ------------------------

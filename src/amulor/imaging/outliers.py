@@ -12,6 +12,7 @@ from scipy.special import ndtr
 
 from amulor import cube as cubes
 from amulor._decisions import decided
+from amulor._discoveries import largest_discovered
 from amulor.cube import QualityFlag
 from amulor.imaging.common import own_variance, with_flag
 
@@ -19,16 +20,23 @@ Floats = NDArray[np.float64]
 
 #: Ways through a pixel along which its neighbours are compared: (rows, columns).
 _WAYS = ((0, 1), (1, 0), (1, 1), (1, -1))
+#: At a rim, straight continuations of the next pixels: steps and their weights [1].
+_ONWARD = (((1, 1.0), (2, 0.5), (4, -0.5)), ((1, 2.0), (2, -1.0)))
+_REACH = 4
 #: Half width of the surroundings whose roughness counts [pixel].
 _AROUND = 3
 #: How much farther than the roughness around it a pixel must stand off [1].
 _ROUGHER = 3.0
 #: Share of chance among the pixels that are outliers together [1].
 _BY_CHANCE = 0.1
+#: How often they are looked for.
+_ROUNDS = 2
 #: Standard errors below which no number of outliers makes a pixel one.
 _LEAST = 2.5
-#: Of the median of its ways each one has at least so much, or the shape goes on [1].
+#: Of the median of its ways each one has at least so much, or the shape goes on [1],
 _ALIKE = 0.5
+#: unless it is off the median by fewer standard errors of its line.
+_UNLIKE = 2.5
 #: Variance of the median of four independent lines over that of one, by 10^6 normal
 #: draws, which is above it where a rim makes them unequal [1].
 _OF_MEDIAN = 0.3
@@ -72,11 +80,13 @@ def outlying_pixels(
     Where more pixels stand off than chance makes, as among spikes and particles, those
     that stand off less are likely to be outliers as well. The median of a pixel's ways
     is compared with its standard error, or with what it is around where that is more;
-    none of its ways may have less than half of it. The smallest excess from 2.5
-    standard errors on is taken beyond which chance makes at most a tenth of the pixels
-    that are there [1]_. Among pixels that are all right this marks one in one image of
-    ten. Pixels that are `OUTLIER` already, or by the first rule, are no neighbours of
-    others for this.
+    each of its ways must have half of it, or be off it by less than 2.5 errors of its
+    own line. At the rim, where one way at least has neighbours on both sides, others
+    are continued through the next four. The smallest excess from 2.5 standard errors on
+    is taken beyond which chance makes at most a tenth of the outliers that are there,
+    known ones included [1]_. Outliers are no neighbours of others for this, and since
+    those that are found no longer are, it is done twice. Among pixels that are all
+    right this marks one in 10^4.
 
     References
     ----------
@@ -102,7 +112,10 @@ def outlying_pixels(
     rough = _median_around(stand.average, above)
     above[above] = stand.least[above] > _ROUGHER * rough
     known = (image["quality_flag"].values & QualityFlag.OUTLIER) != 0
-    return above | _more_than_chance(distance, variance, known | above)
+    found = known | above
+    for _ in range(_ROUNDS):  # one that is found no longer hides another beside it
+        found |= _more_than_chance(distance, variance, found)
+    return np.asarray(found & (above | ~known))
 
 
 def _more_than_chance(
@@ -112,27 +125,26 @@ def _more_than_chance(
     stand = _standing(distance, variance, np.where(known, np.nan, distance))
     with np.errstate(invalid="ignore", divide="ignore"):
         score = stand.middle / np.sqrt(variance + _OF_MEDIAN * stand.spread)
-    judged = (stand.ways >= 3) & np.isfinite(score) & ~known
-    alone = stand.agreed & (stand.least > _ALIKE * stand.middle)
+    judged = (stand.ways >= 3) & (stand.between > 0) & np.isfinite(score) & ~known
+    alike = (stand.least > _ALIKE * stand.middle) | (stand.unlike < _UNLIKE)
+    alone = stand.agreed & alike
     score = np.where(judged & alone, score, 0.0)
     size = np.where(judged, stand.middle, np.nan)
     far = score > _LEAST
     rough = _median_around(size, far) / _HALF
     with np.errstate(divide="ignore", invalid="ignore"):
         score[far] = np.fmin(score[far], stand.middle[far] / rough)
+    far &= score > _LEAST
+    chance = np.where(far, 2 * ndtr(-score), np.nan)
+    all_found = np.where(known, 0.0, chance)
     limit = decided(
-        "excess that is more than chance",
-        lambda: _rarely_by_chance(score[score > _LEAST], int(judged.sum())),
+        "chance of an excess that is more than chance",
+        lambda: largest_discovered(
+            all_found, share=_BY_CHANCE, tests=int((judged | known).sum())
+        ),
     )
-    return np.asarray(score >= limit)
-
-
-def _rarely_by_chance(scores: Floats, count: int) -> float:
-    """Return the excess beyond which few of so many pixels are by chance."""
-    beyond = np.sort(scores)[::-1]
-    by_chance = count * 2 * ndtr(-beyond)
-    few = np.flatnonzero(by_chance <= _BY_CHANCE * np.arange(1, len(beyond) + 1))
-    return float(beyond[few[-1]]) if len(few) else np.inf
+    with np.errstate(invalid="ignore"):
+        return np.asarray(chance <= limit)
 
 
 def _median_around(values: Floats, at: NDArray[np.bool_]) -> Floats:
@@ -194,34 +206,45 @@ class _Standing:
     """Their average [m], not a number where there is none."""
     score: Floats
     """The least in standard errors, 0 where ways disagree about the side [1]."""
+    unlike: Floats
+    """How far the ways are off their median, at most, in errors of their lines [1]."""
     agreed: NDArray[np.bool_]
     """Where all ways have the pixel on one side."""
     ways: NDArray[np.intp]
     """How many there are."""
+    between: NDArray[np.intp]
+    """How many of them have a neighbour on either side."""
 
 
 def _standing(distance: Floats, variance: Floats, neighbours: Floats) -> _Standing:
     """Return how far pixels stand off the lines through their neighbours."""
-    padded = np.pad(neighbours, 2, constant_values=np.nan)
-    errors = np.pad(variance, 2, constant_values=np.nan)
+    padded = np.pad(neighbours, _REACH, constant_values=np.nan)
+    errors = np.pad(variance, _REACH, constant_values=np.nan)
     rows, columns = distance.shape
 
     def at(values: Floats, way: tuple[int, int], step: int) -> Floats:
-        down, right = 2 + step * way[0], 2 + step * way[1]
+        down, right = _REACH + step * way[0], _REACH + step * way[1]
         return values[down : down + rows, right : right + columns]
 
     each = np.full((len(_WAYS), *distance.shape), np.nan)
+    between = np.zeros(each.shape, dtype=bool)
     scores, spreads = np.full((2, *each.shape), np.nan)
     for index, way in enumerate(_WAYS):
         one, other = at(padded, way, -1), at(padded, way, 1)
         line = (one + other) / 2
         spread = (at(errors, way, -1) + at(errors, way, 1)) / 4
-        for side in (-1, 1):
-            onward = 2 * at(padded, way, side) - at(padded, way, 2 * side)
-            wider = 4 * at(errors, way, side) + at(errors, way, 2 * side)
-            missing = ~np.isfinite(line)
-            line = np.where(missing, onward, line)
-            spread = np.where(missing, wider, spread)
+        between[index] = np.isfinite(line)
+        for weights in _ONWARD:
+            for side in (-1, 1):
+                onward = sum(
+                    weight * at(padded, way, side * step) for step, weight in weights
+                )
+                wider = sum(
+                    weight**2 * at(errors, way, side * step) for step, weight in weights
+                )
+                missing = ~np.isfinite(line)
+                line = np.where(missing, onward, line)
+                spread = np.where(missing, wider, spread)
         each[index] = distance - line
         spreads[index] = np.where(np.isfinite(each[index]), spread, np.nan)
         with np.errstate(divide="ignore", invalid="ignore"):
@@ -232,10 +255,14 @@ def _standing(distance: Floats, variance: Floats, neighbours: Floats) -> _Standi
     agreed = (ways > 0) & (np.abs(sides) == ways)
     size = np.where(there, np.abs(each), np.nan)
     least = np.fmin.reduce(size, initial=np.inf)
+    middle = _median(each, ways)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        unlike = np.abs(each - middle) / np.sqrt(spreads)
     weakest = np.fmin.reduce(np.where(there, scores, np.nan), initial=np.inf)
     return _Standing(
         least=least,
-        middle=np.abs(_median(each, ways)),
+        middle=np.abs(middle),
+        unlike=np.fmax.reduce(unlike, initial=0.0),
         spread=_median(spreads, ways),
         average=np.where(
             ways > 0, np.nansum(size, axis=0) / np.maximum(ways, 1), np.nan
@@ -243,6 +270,7 @@ def _standing(distance: Floats, variance: Floats, neighbours: Floats) -> _Standi
         score=np.where(agreed, weakest, 0.0),
         agreed=agreed,
         ways=ways,
+        between=between.sum(axis=0),
     )
 
 

@@ -292,11 +292,15 @@ def phase_errors(
     each = one["quality_flag"].values
     unseen = (each & QualityFlag.NO_TARGET) != 0
     # A target that half of the frequencies show is there: the others are left out.
-    shown = unseen.mean(axis=0) <= _HALF
-    each = np.where(unseen & shown, each & ~QualityFlag.NO_TARGET, each)
+    unseen &= unseen.mean(axis=0) <= _HALF
+    outlying = (each & QualityFlag.OUTLIER) != 0
+    # The rest of the frequencies tells the range without a few that disagree.
+    outlying &= outlying.mean(axis=0) <= ambiguity.BREAKDOWN
+    each = np.where(unseen, each & ~QualityFlag.NO_TARGET, each)
+    each = np.where(outlying, each & ~QualityFlag.OUTLIER, each)
     flag = np.bitwise_or.reduce(each, axis=0).astype(np.int16)
     sigma = _phase_uncertainty(one, signal, (flag & UNUSABLE) == 0, "")
-    sigma = np.where(unseen & shown, np.inf, sigma)
+    sigma = np.where(unseen | outlying, np.inf, sigma)
     return flag, sigma, _phase_left_in(one, signal)
 
 

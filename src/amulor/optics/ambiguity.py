@@ -24,7 +24,7 @@ _MOST_CANDIDATES = 10_000
 #: without any other one by this much in chi-square.
 _CULPRIT = 16.0
 #: At most this fraction of the frequencies can be left out of a pixel [1].
-_BREAKDOWN = 1 / 3
+BREAKDOWN = 1 / 3
 #: Outliers are looked for where at most this fraction of the pixels is unsettled [1].
 _MOST_SPOILED = 0.7
 #: What so many pixels have in common is no outlier but a wrong model [1].
@@ -215,7 +215,7 @@ def _wrong(
     strain = path.strain[unsettled]
     cured = np.zeros(strain.size, dtype=bool)
     going_on = np.ones(strain.size, dtype=bool)
-    for _ in range(int(len(gone) * _BREAKDOWN)):
+    for _ in range(int(len(gone) * BREAKDOWN)):
         here = np.flatnonzero(going_on)
         if here.size == 0:
             break

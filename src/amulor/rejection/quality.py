@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
+from scipy.special import ndtr, ndtri
 
 from amulor._decisions import decided
+from amulor._discoveries import largest_discovered
 from amulor.cube import QualityFlag
 from amulor.optics import detection, ranging
 from amulor.rejection.covariance import Covariance
@@ -164,8 +167,14 @@ def looks_like_water(
 
 #: Phases of two channels that differ by so many standard errors do not see the same.
 _DISAGREE = 4.0
+#: So many are enough where more do than chance makes.
+_LEAST_DISAGREEMENT = 2.5
+#: Share of chance among these [1].
+_BY_CHANCE = 0.1
 #: What so many pixels have in common is no outlier [1].
 _RARE = 0.15
+#: Half of normal deviates are smaller [1].
+_HALF = 0.6745
 
 
 def channels_disagree(
@@ -184,16 +193,16 @@ def channels_disagree(
     -------
     ndarray of bool
         Both samples of a pair are marked, for nothing tells which one is wrong. None
-        are where more than 15 % of the samples of a pair disagree, which is no chance,
-        and with three frequencies at least, which tell by themselves later.
+        are where more than 15 % of the samples of a pair disagree, which is no chance.
 
     Notes
     -----
-    Every analyser passes some fraction of the same echo: their phases are one.
+    Every analyser passes some fraction of the same echo: their phases are one, but for
+    what most pixels have in common. They disagree where they differ by four standard
+    errors, and from 2.5 on where more do than chance makes: fewer than a third of them
+    are by chance. Where phases scatter more than stated, their scatter is the error.
     """
     marked = np.zeros(signal.shape, dtype=bool)
-    if len(signal) > 2:
-        return marked
     seen = np.isfinite(signal) & (signal != 0)
     sigma = phase_error(signal, uncertainty, seen)
     seen &= sigma < LARGEST_PHASE_ERROR
@@ -203,18 +212,54 @@ def channels_disagree(
             both = seen[:, pair].all(axis=1)
             turn = np.angle(signal[:, first] * signal[:, second].conj())
             error = np.hypot(sigma[:, first], sigma[:, second])
-            off = both & (np.abs(turn) > _DISAGREE * error)
-            often = decided(
-                "channels that often disagree",
-                partial(_are_often, off, both),
-            )
-            marked[:, pair] |= (off & ~often[:, None, None])[:, None]
+            away = np.where(both, turn / error, np.nan)
+            off = decided(
+                "phases in which channels disagree", partial(_Disagreement.of, away)
+            ).where(away)
+            marked[:, pair] |= off[:, None]
     return marked
 
 
-def _are_often(off: NDArray[np.bool_], both: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Return the frequencies at which samples are off too often for chance."""
-    return np.asarray(off.sum(axis=(1, 2)) > _RARE * both.sum(axis=(1, 2)))
+@dataclass(frozen=True, kw_only=True)
+class _Disagreement:
+    """What two channels must differ by, in standard errors, of each frequency."""
+
+    usual: NDArray[np.float64]
+    """What most pixels have in common, shape (modulation_frequency, 1, 1)."""
+    scatter: NDArray[np.float64]
+    """How far apart they are, 1 at least, of the same shape."""
+    limit: float
+    """Least difference of an outlier."""
+    rare: NDArray[np.bool_]
+    """Where so few pixels have it that it is one, of the same shape."""
+
+    @classmethod
+    def of(cls, away: NDArray[np.float64]) -> _Disagreement:
+        """Return what phases say that differ by so many standard errors."""
+        usual, scatter = np.zeros((len(away), 1, 1)), np.ones((len(away), 1, 1))
+        for index, each in enumerate(away):
+            there = each[np.isfinite(each)]
+            if there.size:
+                usual[index] = np.median(there)
+                spread = np.median(np.abs(there - usual[index])) / _HALF
+                scatter[index] = max(spread, 1.0)
+        size = np.abs(away - usual) / scatter
+        far = size > _LEAST_DISAGREEMENT
+        chance = largest_discovered(
+            2 * ndtr(-size[far]), share=_BY_CHANCE, tests=int(np.isfinite(size).sum())
+        )
+        limit = min(_DISAGREE, -ndtri(chance / 2)) if chance > 0 else _DISAGREE
+        often = (size >= limit).sum(axis=(1, 2), keepdims=True)
+        known = np.isfinite(size).sum(axis=(1, 2), keepdims=True)
+        return cls(
+            usual=usual, scatter=scatter, limit=limit, rare=often <= _RARE * known
+        )
+
+    def where(self, away: NDArray[np.float64]) -> NDArray[np.bool_]:
+        """Return which of these phases disagree."""
+        with np.errstate(invalid="ignore"):
+            size = np.abs(away - self.usual) / self.scatter
+            return np.asarray((size >= self.limit) & self.rare)
 
 
 #: What is explained leaves a rest that chance makes at least so often [1].

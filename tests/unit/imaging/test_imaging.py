@@ -79,6 +79,28 @@ def test_an_interval_leads_past_the_first_ambiguity(plate_text: str) -> None:
     assert np.isnan(both["slant_range"]).all()
 
 
+def test_a_range_does_without_a_third_of_its_samples(plate_text: str) -> None:
+    text = plate_text.replace('["39 MHz"]', '["39 MHz", "47 MHz", "120 MHz"]')
+    target = rejection.open_water(simulate(Survey.from_text(text), rng=4))
+    flags = target["quality_flag"]
+    assert not flags.values[:, :, 2, 4:6].any()
+    flags.values[2, :, 2, 4] |= QualityFlag.OUTLIER
+    flags.values[1:, :, 2, 5] |= QualityFlag.OUTLIER
+    image = imaging.range_image(target, polarization="VV", interval=(1.2, 1.8))
+    assert image["quality_flag"].values[2, 4] == 0
+    assert image["quality_flag"].values[2, 5] == QualityFlag.OUTLIER
+    # What is left are 39 and 47 MHz, as if there were no others.
+    others = imaging.range_image(
+        target.isel(modulation_frequency=[0, 1]).assign(
+            quality_flag=flags[:2] & ~QualityFlag.OUTLIER
+        ),
+        polarization="VV",
+        interval=(1.2, 1.8),
+    )
+    for name in ("slant_range", "slant_range_uncertainty"):
+        assert_allclose(image[name][2, 4], others[name][2, 4], rtol=1e-6)
+
+
 def test_unusable_pixels_have_a_flag_and_no_number(plate_text: str) -> None:
     text = plate_text.replace('width = "30 cm"', 'width = "5 cm"')
     cube = simulate(Survey.from_text(text), rng=4)

@@ -44,7 +44,8 @@ def test_a_spike_on_a_leaning_wall_is_found_wherever_it_is(
     # At the rim the line is continued, with five times the variance.
     if abs(size) > 20 or not corner:
         assert outlying[row, column]
-    assert outlying.sum() <= 1
+    # Where one is found, the noise that is next in size may be called one as well.
+    assert outlying.sum() <= 2
 
 
 def test_the_rate_of_false_alarms_is_below_one_in_ten_thousand(written: Make) -> None:
@@ -88,6 +89,23 @@ def test_small_spikes_are_found_where_there_are_many(written: Make) -> None:
     assert found[~hit].sum() < 0.2 * found.sum()
     # With the same noise and one spike, what the others do does not count.
     assert imaging.outlying_pixels(written(clean)).sum() <= 1
+
+
+def test_small_spikes_are_found_side_by_side_and_at_the_rim(written: Make) -> None:
+    rng = np.random.default_rng(10)
+    distance = 1.5 + SIGMA * rng.standard_normal((60, 60))
+    places = rng.choice(29 * 29, 60, replace=False)
+    row, column = 2 * (places // 29) + 1, 2 * (places % 29) + 1
+    distance[row, column] += 30 * SIGMA
+    beside = (row[:12], column[:12] + 1)
+    rim = (np.zeros(12, dtype=int), np.arange(2, 60, 5))
+    for here in (beside, rim):
+        distance[here] = 1.5 + 6 * SIGMA
+    found = imaging.outlying_pixels(written(distance))
+    assert found[row, column].all()
+    # With each pixel compared once none of the former, and 3 of the latter.
+    assert found[beside].mean() > 0.6
+    assert found[rim].mean() > 0.6
 
 
 def test_missing_pixels_and_lone_ones_decide_nothing(written: Make) -> None:

@@ -117,3 +117,33 @@ def test_channels_see_one_distance() -> None:
     # What half of the pixels have in common is no spike.
     left[0, 1, :6] *= np.exp(0.1j)
     assert not channels_disagree(left, own).any()
+
+
+def test_small_disagreement_counts_where_there_is_much_of_it() -> None:
+    rng = np.random.default_rng(3)
+    frequency = np.array([20e6, 50e6, 80e6])
+
+    def scan(seed: int) -> tuple[np.ndarray, Covariance]:
+        return _scan(seed, frequency=frequency, channels=[1.0, 0.3], change=0)[::2][:2]
+
+    # In a tenth of the scans that are all right there is one.
+    assert sum(channels_disagree(*scan(seed)).any() for seed in range(30)) <= 8
+    left, own = scan(4)
+    # Of the difference, 3.5 millirad each: three or four and a half of them.
+    hit = rng.random(left[:, 1].shape) < 0.06
+    left[:, 1] *= np.exp(1j * np.where(hit, 0.0145, 0.0))
+    found = channels_disagree(left, own)
+    assert (found[:, 0] == found[:, 1]).all()
+    # By four standard errors alone half of them.
+    assert found[:, 0][hit].mean() > 0.75
+    assert found[:, 0][~hit].mean() < 0.01
+
+
+def test_a_difference_that_all_pixels_have_is_no_outlier() -> None:
+    frequency = np.array([20e6, 50e6, 80e6])
+    left, _, own, _, _ = _scan(5, frequency=frequency, channels=[1.0, 0.3], change=0)
+    left[:, 1] *= np.exp(0.01j)  # three standard errors of the difference
+    left[1, 1, 3, 5] *= np.exp(0.1j)
+    found = channels_disagree(left, own)
+    assert found[1, :, 3, 5].all()
+    assert found.sum() <= 4

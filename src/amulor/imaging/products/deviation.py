@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import norm
 
+from amulor._discoveries import largest_discovered
 from amulor.errors import CubeError, MissingExtraError
 from amulor.imaging.frame import Frame
 from amulor.imaging.products.surface import Surface
@@ -230,8 +231,4 @@ def _significant(value: Floats, sigma: Floats) -> NDArray[np.bool_]:
     with np.errstate(divide="ignore", invalid="ignore"):
         chance = 2 * norm.sf(np.abs(value) / sigma)
     chance = np.where(np.isfinite(chance), chance, 1.0)
-    order = np.sort(chance)
-    below = order <= FALSE_SHARE * np.arange(1, len(order) + 1) / len(order)
-    if not below.any():
-        return np.zeros(len(value), dtype=bool)
-    return np.asarray(chance <= order[np.flatnonzero(below)[-1]])
+    return np.asarray(chance <= largest_discovered(chance, share=FALSE_SHARE))

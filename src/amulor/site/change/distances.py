@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 from scipy.stats import norm
 
+from amulor._discoveries import largest_discovered
 from amulor._progress import tell
 from amulor.errors import CubeError
 from amulor.site.description.site_file import Site
@@ -161,7 +162,8 @@ def change(
         uncertainty=uncertainty,
         own=own,
         shared=shared,
-        significant=_significant(chance, site.comparison.false_alarms),
+        significant=chance
+        <= largest_discovered(chance, share=site.comparison.false_alarms),
         chance=chance,
         area=area,
         spacing=spacing,
@@ -349,14 +351,3 @@ def _patches(
     own = np.sqrt(np.abs(back[:, 0, 0]) / np.maximum(scale, 1e-30)) * scatter
     good = (count >= _FEWEST) & (scatter < _ROUGH) & (back[:, 0, 0] < 0.5 * _FEWEST)
     return _Patches(solved[:, 0], own, share, good)
-
-
-def _significant(chance: Floats, share: float) -> Flags:
-    """Return which changes are none of chance, after Benjamini and Hochberg."""
-    known = np.isfinite(chance)
-    order = np.sort(chance[known])
-    below = order <= share * np.arange(1, len(order) + 1) / max(len(order), 1)
-    if not below.any():
-        return np.zeros(len(chance), dtype=bool)
-    limit = order[np.flatnonzero(below)[-1]]
-    return np.asarray(known & (np.where(known, chance, 1.0) <= limit))

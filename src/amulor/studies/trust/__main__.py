@@ -6,6 +6,7 @@ import argparse
 import sys
 from pathlib import Path
 
+from amulor.studies.trust.counts import counts, written
 from amulor.studies.trust.methods import METHODS
 from amulor.studies.trust.scenes.catalogue import SCENES
 from amulor.studies.trust.study import run
@@ -33,7 +34,13 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--output", type=Path, help="file for the table")
     parser.add_argument("--list", action="store_true", help="list the scenes")
+    parser.add_argument(
+        "--count", type=Path, metavar="TABLE", help="count what a written table says"
+    )
     chosen = parser.parse_args(arguments)
+    if chosen.count is not None:
+        print(counts(written(chosen.count.read_text(encoding="utf-8"))), end="")
+        return 0
     if chosen.list:
         for scene in SCENES:
             print(f"{scene.name:<28} {scene.title}")
