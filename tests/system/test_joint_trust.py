@@ -210,7 +210,10 @@ def _with_shots_of(cube: xr.Dataset, factor: float) -> xr.Dataset:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("late", "trusted"), [(0.0, 0.97), (0.022, 0.0)])
+@pytest.mark.parametrize(
+    ("late", "trusted"),
+    [pytest.param(0.0, 0.97, marks=pytest.mark.study), (0.022, 0.0)],
+)
 def test_shots_of_other_water_do_not_hide_an_echo_that_is_late(
     late: float, trusted: float
 ) -> None:

@@ -210,8 +210,9 @@ def test_a_spike_at_the_best_of_four_frequencies_is_told_by_the_other_channel() 
         "flat",
         *(
             pytest.param(name, marks=pytest.mark.slow)
-            for name in ("a, b doubled", "a, b halved", "coastal")
+            for name in ("a, b halved", "coastal")
         ),
+        pytest.param("a, b doubled", marks=[pytest.mark.slow, pytest.mark.study]),
     ],
 )
 def test_open_water_by_default_is_trusted_and_holds_whatever_the_survey_says(
@@ -257,6 +258,7 @@ def test_pixels_that_see_two_plates_are_not_called_good(scene: str) -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.study
 def test_one_frequency_of_two_noisy_channels_sees_two_plates_as_well() -> None:
     # Noise of 1.2 mm: 75 % of the pixels were trusted, 8 or 12 mm off.
     for row in run(["mixed 2 cm"], ["polarization"], [1]):
@@ -351,14 +353,10 @@ def test_understated_noise_and_wide_scans_hold_with_few_frequencies(scene: str) 
 
 
 @pytest.mark.slow
+@pytest.mark.study
 @pytest.mark.parametrize(
     "scene",
-    [
-        "wide",
-        pytest.param("noise", marks=pytest.mark.study),
-        pytest.param("tall", marks=pytest.mark.study),
-        pytest.param("wide paper's form", marks=pytest.mark.study),
-    ],
+    ["wide", "noise", "tall", "wide paper's form"],
 )
 def test_the_same_with_two_and_four_frequencies(scene: str) -> None:
     for row in run([scene], ["open-water", "combined", "polarization"], [2, 4]):
@@ -395,7 +393,7 @@ def test_intervals_hold_from_half_to_three_attenuation_lengths(scene: str) -> No
     "function",
     [
         "petzold",
-        "fournier-forand",
+        pytest.param("fournier-forand", marks=pytest.mark.study),
         pytest.param("two-term", marks=pytest.mark.study),
     ],
 )
