@@ -5,8 +5,8 @@ from __future__ import annotations
 import datetime
 from collections.abc import Callable
 from dataclasses import dataclass
-from itertools import product
 from importlib.resources import files
+from itertools import product
 from pathlib import Path
 from typing import Any
 
