@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import subprocess
 import sys
+import threading
 import tomllib
 from pathlib import Path
 
@@ -388,8 +389,11 @@ def test_what_fails_is_told_and_left_safe(monkeypatch, tiny):
         ("scanner", {"class": "not_there:Head"}, "cannot be imported"),
         ("laser", {"arguments": {"colour": 1}}, "cannot be connected: TypeError"),
     ):
+        before = set(threading.enumerate())
         with pytest.raises(InstrumentError, match=text):
             connect(tiny, changed(part, **options))
+        # No loop of a device that is not there goes on.
+        assert set(threading.enumerate()) <= before
     devices = connect(tiny, settings)
     # One scan at a time, although there is no address.
     with pytest.raises(InstrumentError, match="driven by another scan"):

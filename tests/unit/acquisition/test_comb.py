@@ -73,6 +73,16 @@ def zurich(survey: Survey, settings: Settings, *, options: str = "MF") -> Device
     )
 
 
+def test_after_power_on_nothing_is_measured_or_put_out(four: Survey) -> None:
+    clock = connect(four, procedure(), scene=light).clock
+    bench = simulated_bench(four, procedure(), scene=light, clock=clock)
+    device = SimulatedUhfli(bench)
+    assert [device.demods[k].enable() for k in range(8)] == [0] * 8
+    assert {device.demods[k].adcselect() for k in range(8)} == {0}
+    assert device.sigouts[0].on() == 0
+    assert device.auxouts[0].offset() == 0.0
+
+
 @pytest.mark.parametrize("many", [2, 3, 4, 9])
 def test_the_plan_holds_the_same_samples_whatever_is_measured_at_once(
     four, many

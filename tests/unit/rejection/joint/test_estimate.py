@@ -50,6 +50,23 @@ def test_the_slant_range_is_that_of_the_scene(found: xr.Dataset) -> None:
     assert abs(np.mean(z**2) - 1) < 4 * np.sqrt(2 / z.size)
 
 
+def test_the_bound_is_that_of_phases_whose_water_is_known(sweep: Sweep) -> None:
+    # Shots leave 0.1 % of the error to the water where nothing but noise is in them.
+    calm = {
+        'signal_fluctuation = "5 %"': "",
+        'phase_floor = "0.06 deg"': 'phase_floor = "0 deg"',
+    }
+    samples = simulate(sweep(**calm), rng=4)
+    found = joint(samples, interval=INTERVAL)
+    truth, noise = samples.amulor.truth, samples["in_phase_uncertainty"].values
+    size = np.hypot(truth["target_in_phase"], truth["target_quadrature"]).values
+    turn = 4 * np.pi * samples["modulation_frequency"].values * 1.38 / speed_of_light
+    information = ((turn[:, None, None, None] * size / noise) ** 2).sum(axis=(0, 1))
+    assert_allclose(
+        found["joint_slant_range_bound"].values, information**-0.5, rtol=0.003
+    )
+
+
 def test_what_is_taken_out_is_the_water_up_to_the_target(found: xr.Dataset) -> None:
     truth = found.amulor.truth
     water = truth["water_in_phase"].values + 1j * truth["water_quadrature"].values

@@ -45,6 +45,14 @@ def test_the_table_keeps_its_error_bound(
     assert (np.abs(found - exact).max() > 1e-14) == tabulated
 
 
+def test_many_pixels_close_together_share_a_table(plate: Survey) -> None:
+    places = _places(2_500, width=0.01, near=1.45, far=1.5)
+    frequency = np.array([39e6])
+    found = column_fraction.fractions(plate, *places, modulation_frequency=frequency)
+    error = np.abs(found - column_fraction.integrated(plate, places, frequency)).max()
+    assert 1e-14 < error < column_fraction.LARGEST_ERROR
+
+
 def test_where_no_table_holds_every_pixel_is_integrated(plate: Survey) -> None:
     # 2 GHz over 6 m turn by 100 periods: no table of 65 depths follows from the start.
     places = _places(200, width=0.3, near=0.0, far=6.0)

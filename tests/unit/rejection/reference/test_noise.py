@@ -43,7 +43,7 @@ def _scale(
     return noise_scale(scatters)
 
 
-@pytest.mark.parametrize("factor", [1.5, 2.0, 4.0])
+@pytest.mark.parametrize("factor", [1.5, 2.0, 4.0, 20.0])
 def test_understated_noise_is_found_beside_a_fluctuation(factor: float) -> None:
     found = np.array([_scale(seed, factor=factor) for seed in range(20)])
     # 972 deviations about 54 means: 2.5 % each, somewhat more beside the fluctuation.
@@ -63,13 +63,14 @@ def test_a_particle_in_a_shot_is_no_noise() -> None:
     assert np.mean(np.array(found) > 1) <= 0.1
 
 
-def test_directions_that_are_all_alike_tell_nothing() -> None:
+@pytest.mark.parametrize("signal", [1.0, 1e-4], ids=["bright", "dim"])
+def test_directions_that_are_all_alike_tell_nothing(signal: float) -> None:
     rng = np.random.default_rng(4)
-    shots = 1 + 0.1 * (rng.standard_normal(270) + 1j * rng.standard_normal(270))
+    noise = 0.1 * (rng.standard_normal(270) + 1j * rng.standard_normal(270))
     variance = np.full(270, STATED**2)
     errors = Covariance(variance, variance, np.zeros(270))
     single = places_of(np.zeros((270, 2)))
-    assert noise_scale(list(scatter_of(shots, errors, single))) == 1
+    assert noise_scale(list(scatter_of(signal + noise, errors, single))) == 1
 
 
 def test_samples_and_shots_are_scaled_once() -> None:
