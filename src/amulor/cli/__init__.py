@@ -3,8 +3,12 @@
 from __future__ import annotations
 
 import os
+import signal
 import sys
-from collections.abc import Sequence
+import threading
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from typing import Any
 
 #: Command, where it lives, and its line in the help. The functions are imported when
 #: they are called, so that `amulor --help` answers at once.
@@ -131,7 +135,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     Returns
     -------
     int
-        0 done; 1 something is wrong with files or data; 2 wrong use; 130 interrupted.
+        0 done; 1 something is wrong with files or data; 2 wrong use; 130 interrupted;
+        128 and its number if ended by another signal.
     """
     words = _with_negative(sys.argv[1:] if arguments is None else arguments)
     try:
@@ -218,12 +223,13 @@ def _run(words: list[str]) -> int:
         # The text is that of the function, which is not imported for the list.
         place.command(f"amulor.cli.{target}", name=own, help=summary)
     try:
-        app(
-            words,
-            exit_on_error=False,
-            print_error=False,
-            result_action="return_value",
-        )
+        with _ended_in_order():
+            app(
+                words,
+                exit_on_error=False,
+                print_error=False,
+                result_action="return_value",
+            )
     except CycloptsError as error:
         _complain(" ".join(str(error).split()))
         return 2
@@ -232,10 +238,48 @@ def _run(words: list[str]) -> int:
         return 2
     except AmulorError as error:
         return _complain(str(error))
+    except _Ended as end:
+        print(f"amulor: ended by {end.signal.name}", file=sys.stderr)
+        return 128 + end.signal
     except KeyboardInterrupt:
         print("amulor: interrupted", file=sys.stderr)
         return 130
     return 0
+
+
+class _Ended(KeyboardInterrupt):
+    """A signal asks the program to end."""
+
+    def __init__(self, number: int) -> None:
+        self.signal = signal.Signals(number)
+
+
+@contextmanager
+def _ended_in_order() -> Iterator[None]:
+    """Let a program that is told to end take away what it has half written.
+
+    The first SIGTERM or SIGHUP does so, the next ones do not disturb it. What the
+    program was started to ignore, as by nohup, stays ignored. Commands that drive
+    devices have handlers of their own meanwhile.
+    """
+    before: dict[int, Any] = {}
+
+    def end(number: int, _: object) -> None:
+        for other in before:
+            signal.signal(other, signal.SIG_IGN)
+        raise _Ended(number)
+
+    if threading.current_thread() is threading.main_thread():
+        for name in ("SIGTERM", "SIGHUP"):
+            number = getattr(signal, name, None)
+            if number is not None and signal.getsignal(number) is signal.SIG_DFL:
+                before[number] = signal.SIG_DFL
+                signal.signal(number, end)
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
 
 
 def _complain(text: str) -> int:
