@@ -13,6 +13,25 @@ import pytest
 LISTING = Path(__file__).parents[1] / "reference" / "public_surface.txt"
 #: Public objects without an example, and why.
 WITHOUT_EXAMPLE = {
+    **{
+        f"amulor.imaging.{name}": f"{maker}'s example makes one"
+        for name, maker in {
+            "measure.Checked": "compared",
+            "measure.Fit": "plane",
+            "measure.Measurement": "distance",
+            "measure.Points": "points_of",
+            "products.Contour": "contours",
+            "products.Deviation": "deviation",
+            "products.Plane": "plane_of",
+            "products.Raster": "raster",
+            "products.Section": "section",
+            "products.Surface": "surface",
+        }.items()
+    },
+    **{
+        f"amulor.imaging.measure.{name}": "plane's example, with another shape"
+        for name in ("circle", "cylinder", "sphere")
+    },
     "amulor.rejection.ChannelChoice": "choose_channel's example makes one",
     "amulor.rejection.FrequencyChoice": "choose_frequency's example makes one",
     "amulor.rejection.WaterFit": "water_fit's example makes one",

@@ -1,10 +1,15 @@
 """What `import amulor` offers: nothing goes, and nothing comes, without being seen."""
 
+import ast
 import importlib
+import re
 import runpy
 import subprocess
 import sys
+import types
+from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -73,6 +78,34 @@ def test_attribute_access_alone_reaches_what_others_call() -> None:
         check=True,
     )
     assert done.stdout == ""
+
+
+def _reached() -> Iterator[tuple[Any, list[str]]]:
+    """Yield what examples of the guides import of amulor, and what they read of it."""
+    for page in [ROOT / "README.md", *sorted((ROOT / "docs/how-to").glob("*.md"))]:
+        for code in re.findall(r"```python\n(.*?)```", page.read_text("utf-8"), re.S):
+            known: dict[str, Any] = {}
+            for node in ast.parse(code).body:
+                words = ast.unparse(node)
+                if re.match(r"(import|from) amulor\b", words):
+                    exec(words, known)
+            for each in ast.walk(ast.parse(code)):
+                first, *names = ast.unparse(each).split(".")
+                if isinstance(each, ast.Attribute) and isinstance(
+                    known.get(first), types.ModuleType
+                ):
+                    yield known[first], names
+
+
+def test_examples_of_the_guides_reach_what_is_public() -> None:
+    found = list(_reached())
+    assert any(names == ["measure", "height"] for _, names in found)
+    for module, names in found:
+        within: Any = module
+        for name in names:
+            # Another import may have put it there: only what is listed always is.
+            assert name in getattr(within, "__all__", dir(within)), (module, names)
+            within = getattr(within, name)
 
 
 def test_tab_completion_shows_what_is_public_and_only_that() -> None:

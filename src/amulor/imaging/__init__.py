@@ -1,5 +1,10 @@
 """From the target signal to range images, point clouds and their quality."""
 
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from amulor import _lazy
 from amulor.imaging import correlation, metrics
 from amulor.imaging.budget import ErrorBudget, error_budget
 from amulor.imaging.edges import flag_mixed, mixed_pixels
@@ -9,6 +14,9 @@ from amulor.imaging.point_cloud import point_cloud
 from amulor.imaging.range_image import range_image
 from amulor.imaging.selection import leave_out
 from amulor.imaging.unwrap import unwrapped_range_image
+
+if TYPE_CHECKING:
+    from amulor.imaging import measure, products
 
 __all__ = [
     "Axes",
@@ -20,15 +28,15 @@ __all__ = [
     "flag_outliers",
     "frame_of",
     "leave_out",
+    "measure",
     "metrics",
     "mixed_pixels",
     "outlying_pixels",
     "point_cloud",
+    "products",
     "range_image",
     "unwrapped_range_image",
 ]
 
-
-def __dir__() -> list[str]:
-    """List the public names, not the modules that they come from."""
-    return sorted(__all__)
+if not TYPE_CHECKING:
+    __getattr__, __dir__ = _lazy.attach(__name__, __all__)

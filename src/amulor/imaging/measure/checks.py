@@ -22,7 +22,15 @@ _Number = Annotated[int, Field(ge=0)]
 
 
 class Check(Description):
-    """A length between two pixels that is known from elsewhere."""
+    """A length between two pixels that is known from elsewhere.
+
+    Examples
+    --------
+    >>> from amulor.imaging.measure import Check
+    >>> bar = Check(name="scale bar", first=(20, 8), second=(20, 60), expected="80 mm")
+    >>> bar.expected
+    0.08
+    """
 
     name: Annotated[str, Field(min_length=1, max_length=100)]
     """What it is, such as "scale bar A-B"."""
@@ -83,6 +91,20 @@ def read_checks(path: str | Path) -> tuple[Check, ...]:
     ------
     SurveyError
         With one line for each thing that is wrong.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> from pathlib import Path
+    >>> from amulor import imaging
+    >>> ends = "first = [20, 8], second = [20, 60]"
+    >>> text = f'checks = [{{name = "scale bar", expected = "80 mm", {ends}}}]'
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     file = Path(folder) / "checks.toml"
+    ...     _ = file.write_text(text)
+    ...     (found,) = imaging.measure.read_checks(file)
+    >>> found.name
+    'scale bar'
     """
     text = toml_file.text_of(path, error=SurveyError)
     return toml_file.described(
@@ -120,6 +142,18 @@ def compared(image: xr.Dataset, check: Check) -> Checked:
     under a tolerance T it passes if :math:`|d| + U \le T` and fails if :math:`|d| - U >
     T`, the guarded acceptance and rejection of JCGM 106; in between nobody can tell.
     Without one it passes if :math:`|d| \le U`.
+
+    Examples
+    --------
+    >>> from amulor import imaging, rejection, samples
+    >>> target = rejection.cross_polarized(samples.cube("ladder"))
+    >>> image = imaging.range_image(target)
+    >>> bar = imaging.measure.Check(
+    ...     name="board before wall", kind="relief", first=(20, 8), second=(20, 26),
+    ...     reach=3, expected="40.8 mm", tolerance="1 mm",
+    ... )
+    >>> imaging.measure.compared(image, bar).verdict
+    'pass'
     """
     try:
         if check.kind == "distance":

@@ -66,6 +66,15 @@ def distance(
     r_i`, the part of each beam along the distance; first order. What both pixels share
     cancels as far as their beams and the shares are alike. The directions of the beams
     count as known.
+
+    Examples
+    --------
+    >>> from amulor import imaging, rejection, samples
+    >>> target = rejection.cross_polarized(samples.cube("ladder"))
+    >>> image = imaging.range_image(target)
+    >>> found = imaging.measure.distance(image, (20, 8), (20, 60), reach=2)
+    >>> print(f"{found.value * 1e3:.1f} mm +- {found.uncertainty * 1e3:.1f} mm")
+    80.2 mm +- 0.1 mm
     """
     picked, weight = _picked(image, [first, second], reach)
     place = weight @ picked.position
@@ -110,6 +119,19 @@ def height(
         If a pixel holds no range.
     ValueError
         If the axis has no length.
+
+    Examples
+    --------
+    How far the first board of the ladder stands before its wall: 41 mm.
+
+    >>> from amulor import imaging, rejection, samples
+    >>> target = rejection.cross_polarized(samples.cube("ladder"))
+    >>> image = imaging.range_image(target)
+    >>> found = imaging.measure.height(
+    ...     image, (20, 8), (20, 26), axis=(0, 0, -1), reach=3
+    ... )
+    >>> print(f"{found.value * 1e3:.1f} mm +- {found.uncertainty * 1e3:.1f} mm")
+    40.9 mm +- 0.1 mm
     """
     up = np.asarray(axis, dtype=float)
     size = float(np.linalg.norm(up))
@@ -146,6 +168,15 @@ def angle(
     CubeError
         If a pixel holds no range, or the three lie on a line, where no uncertainty of
         first order exists.
+
+    Examples
+    --------
+    >>> from amulor import imaging, rejection, samples
+    >>> target = rejection.cross_polarized(samples.cube("ladder"))
+    >>> image = imaging.range_image(target)
+    >>> found = imaging.measure.angle(image, (5, 5), (20, 40), (30, 90), reach=1)
+    >>> print(f"{found.value:.3f} rad +- {found.uncertainty:.4f} rad")
+    0.365 rad +- 0.0003 rad
     """
     picked, weight = _picked(image, [first, corner, second], reach)
     place = weight @ picked.position
@@ -191,6 +222,16 @@ def area(image: xr.Dataset, corners: Sequence[Pixel], *, reach: int = 0) -> Meas
     Notes
     -----
     :math:`|\sum_k p_k \times p_{k+1}| / 2`, the length of the vector area.
+
+    Examples
+    --------
+    >>> from amulor import imaging, rejection, samples
+    >>> target = rejection.cross_polarized(samples.cube("ladder"))
+    >>> image = imaging.range_image(target)
+    >>> corners = [(5, 65), (5, 75), (30, 75), (30, 65)]
+    >>> found = imaging.measure.area(image, corners, reach=1)
+    >>> print(f"{found.value * 1e6:.0f} mm2 +- {found.uncertainty * 1e6:.0f} mm2")
+    240 mm2 +- 1 mm2
     """
     if len(corners) < 3:
         raise CubeError(f"an area needs at least 3 corners, got {len(corners)}")

@@ -66,20 +66,48 @@ def plane(image: xr.Dataset, region: ArrayLike) -> Fit:
     ------
     CubeError
         If the region has too few usable pixels, or they lie on a line.
+
+    Notes
+    -----
+    Least squares of ranges, where all of the error is: distances from the plane would
+    be the smallest of a plane along the beams where noise is as large as the region.
+
+    Examples
+    --------
+    A board in milky water:
+
+    >>> import numpy as np
+    >>> from amulor import imaging, rejection, samples
+    >>> target = rejection.cross_polarized(samples.cube("ladder"))
+    >>> image = imaging.range_image(target)
+    >>> region = np.zeros(image["slant_range"].shape, dtype=bool)
+    >>> region[2:38, 42:58] = True
+    >>> board = imaging.measure.plane(image, region)
+    >>> board.pixels
+    576
+    >>> print(f"chi-square per degree of freedom {board.misfit:.0f}: water is left in")
+    chi-square per degree of freedom 29: water is left in
     """
     points = _points(image, region, fewest=4, what="a plane")
     middle = points.position.mean(axis=0)
-    frame = _frame(points.position - middle)
-    if frame.spread[1] < 1e-9 * frame.spread[0]:
+    back = -points.direction.mean(axis=0)
+    back /= np.linalg.norm(back)
+    across = np.linalg.svd(back[None])[2][1:]
+    away = points.position - middle
+    spread = np.linalg.svd(away @ across.T, compute_uv=False)
+    if spread[1] < 1e-9 * spread[0]:
         raise CubeError("the pixels lie on a line, through which many planes go")
-    axes = frame.axes if frame.axes[2, 2] <= 0 else frame.axes * [[1], [-1], [-1]]
+    slopes = np.linalg.lstsq(away @ across.T, away @ back, rcond=None)[0]
 
     def normal(values: Floats) -> Floats:
-        vector = axes[2] + values[0] * axes[0] + values[1] * axes[1]
+        vector = back - values[:2] @ across
         return np.asarray(vector / np.linalg.norm(vector))
 
-    def residuals(values: Floats, position: Floats) -> Floats:
+    def apart(values: Floats, position: Floats) -> Floats:
         return np.asarray((position - middle) @ normal(values) - values[2])[None]
+
+    def residuals(values: Floats, position: Floats) -> Floats:
+        return apart(values, position) / (points.direction @ normal(values))
 
     def derived(values: Floats) -> dict[str, float]:
         at = normal(values)
@@ -92,7 +120,8 @@ def plane(image: xr.Dataset, region: ArrayLike) -> Fit:
             "tilt": float(np.arctan2(sideways, -at[2])),
         }
 
-    return _fitted("plane", points, residuals, [np.zeros(3)], derived)
+    start = np.append(slopes, 0.0)
+    return _fitted("plane", points, residuals, [start], derived, shown=apart)
 
 
 def circle(image: xr.Dataset, region: ArrayLike) -> Fit:
@@ -307,6 +336,8 @@ def _fitted(
     residuals: _Residuals,
     starts: list[Floats],
     derived: Callable[[Floats], dict[str, float]],
+    *,
+    shown: _Residuals | None = None,
 ) -> Fit:
     r"""Return the shape that is nearest to points, and its uncertainty.
 
@@ -349,7 +380,7 @@ def _fitted(
     names = list(values)
     to_values = _slope(lambda at: np.array([*derived(at).values()]), found.x, step=1e-6)
     of_values = np.einsum("ij,jk,ik->i", to_values, covariance, to_values)
-    plain = residuals(found.x, points.position)
+    plain = (shown or residuals)(found.x, points.position)
     return Fit(
         kind=kind,
         values=values,

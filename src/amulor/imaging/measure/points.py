@@ -52,6 +52,15 @@ def points_of(image: xr.Dataset, rows: ArrayLike, columns: ArrayLike) -> Points:
     ------
     CubeError
         If a pixel is outside of the image or holds no range, or if there are too many.
+
+    Examples
+    --------
+    >>> from amulor import imaging, rejection, samples
+    >>> target = rejection.cross_polarized(samples.cube("ladder"))
+    >>> image = imaging.range_image(target)
+    >>> points = imaging.measure.points_of(image, [20, 20], [8, 60])
+    >>> print((points.position[:, 2] * 1e3).round(0))
+    [1483. 1424.]
     """
     row, column = (np.atleast_1d(np.asarray(v, dtype=np.intp)) for v in (rows, columns))
     shape = image["slant_range"].shape

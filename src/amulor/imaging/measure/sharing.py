@@ -32,6 +32,15 @@ def reference_basis(
     As `amulor.imaging.correlation.covariance`: :math:`\phi_i^T (\Phi^T \Phi)^{-1}
     \phi_j` over its diagonal, by the singular values of :math:`\Phi`. For programs
     that work out a covariance by themselves, such as a saved page.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from amulor import imaging
+    >>> azimuth, elevation = np.linspace(-1, 1, 4), np.zeros(4)
+    >>> basis = imaging.measure.reference_basis(azimuth, elevation, degree=1)
+    >>> basis["powers"]
+    [[0, 0], [0, 1], [1, 0]]
     """
     middle, factor, axes = [], [], []
     for angles in (azimuth, elevation):

@@ -60,6 +60,18 @@ def contours(raster: Raster, *, interval: float) -> list[Contour]:
     -----
     A line is left out unless the heights three cells to its left and right differ, in
     the mean along it, by more than 6 standard errors of their noise.
+
+    Examples
+    --------
+    >>> from amulor import imaging, rejection, samples
+    >>> target = rejection.cross_polarized(samples.cube("ladder"))
+    >>> image = imaging.range_image(target)
+    >>> surface = imaging.products.surface(image)
+    >>> plane = imaging.products.plane_of(surface.frame)
+    >>> raster = imaging.products.raster(surface, plane, cell=2e-3)
+    >>> lines = imaging.products.contours(raster, interval=0.02)
+    >>> sorted({round(line.level, 3) for line in lines})
+    [-1.44, -1.42, -1.4]
     """
     import contourpy
 

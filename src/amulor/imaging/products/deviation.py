@@ -104,6 +104,17 @@ def deviation(
     ----------
     .. [1] Y. Benjamini, Y. Hochberg, J. R. Stat. Soc. B 57 (1995) 289,
        :doi:`10.1111/j.2517-6161.1995.tb02031.x`.
+
+    Examples
+    --------
+    >>> from amulor import imaging, rejection, samples
+    >>> target = rejection.cross_polarized(samples.cube("ladder"))
+    >>> image = imaging.range_image(target)
+    >>> surface = imaging.products.surface(image)
+
+    >>> own = imaging.products.deviation(surface, surface.position, surface.triangles)
+    >>> bool(own.significant.any()), round(abs(own.mean), 6)  # from itself
+    (False, 0.0)
     """
     hit, face = _met(surface, vertices, faces)
     corner = vertices[faces[face]]

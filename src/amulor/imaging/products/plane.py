@@ -42,6 +42,15 @@ def plane_of(frame: Frame, side: Side = "front") -> Plane:
     -------
     Plane
         Its axes; heights are counted towards the viewer from the frame's origin.
+
+    Examples
+    --------
+    >>> from amulor import imaging, rejection, samples
+    >>> target = rejection.cross_polarized(samples.cube("ladder"))
+    >>> image = imaging.range_image(target)
+    >>> surface = imaging.products.surface(image)
+    >>> imaging.products.plane_of(surface.frame).names
+    ('right', 'up', 'nearer')
     """
     if side == "top":
         if frame.name == "instrument":

@@ -106,6 +106,16 @@ def raster(
     with the range (beam d, normal N, axis e towards the viewer),
     :math:`u^2 = \sum_i w_i^2 g_i^2 u_i^2 + (\sum_i w_i g_i c_i)^2` with the own part u
     and the shared part c of the ranges' uncertainty, and the pose.
+
+    Examples
+    --------
+    >>> from amulor import imaging, rejection, samples
+    >>> target = rejection.cross_polarized(samples.cube("ladder"))
+    >>> image = imaging.range_image(target)
+    >>> surface = imaging.products.surface(image)
+    >>> plane = imaging.products.plane_of(surface.frame)
+    >>> imaging.products.raster(surface, plane, cell=2e-3).height.shape
+    (20, 49)
     """
     if not cell > 0:
         raise ValueError(f"cell must be above 0 m, got {cell:g} m")

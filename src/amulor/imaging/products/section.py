@@ -67,6 +67,19 @@ def section(
     A point between the pixels i and j is their mean with weights w; its range errors
     move the profile across itself by :math:`g = d \cdot N / \sqrt{1 - (N \cdot q)^2}`
     with the beam d, the normal N and the normal q of the cutting plane.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from amulor import imaging, rejection, samples
+    >>> target = rejection.cross_polarized(samples.cube("ladder"))
+    >>> image = imaging.range_image(target)
+    >>> surface = imaging.products.surface(image)
+    >>> plane = imaging.products.plane_of(surface.frame)
+    >>> ends = {"start": (-0.05, 0.0), "end": (0.05, 0.0)}
+    >>> cut = imaging.products.section(surface, plane, **ends)
+    >>> print(f"{cut.along.size} points, {np.ptp(cut.height) * 1e3:.0f} mm deep")
+    179 points, 93 mm deep
     """
     first, last = (np.asarray(v, dtype=float) for v in (start, end))
     length = float(np.linalg.norm(last - first))

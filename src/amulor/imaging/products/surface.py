@@ -100,6 +100,15 @@ def surface(
     than the distance across the beams times tan(steepest), and by more than 3.5
     standard uncertainties of the difference of their own noise, so that noise tears no
     holes.
+
+    Examples
+    --------
+    >>> from amulor import imaging, rejection, samples
+    >>> target = rejection.cross_polarized(samples.cube("ladder"))
+    >>> image = imaging.range_image(target)
+    >>> surface = imaging.products.surface(image)
+    >>> surface.position.shape, surface.triangles.shape
+    ((4000, 3), (5581, 3))
     """
     image = cubes.checked(image, "range_image")
     if not 0 < steepest < np.pi / 2:

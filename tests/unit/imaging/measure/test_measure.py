@@ -151,6 +151,21 @@ def test_a_plane_is_covered(scan: shapes.Beams) -> None:
     coverage(small, exact, [-normal[0], -1.5, np.arccos(normal[2])], take)
 
 
+def test_a_plane_is_covered_where_noise_is_as_large_as_the_region() -> None:
+    # The plane that is nearest to such points lies along the beams: its offset would be
+    # 0 and not 1.5 m, its misfit ten to a thousand.
+    normal = unit(0.2, -0.1, 1.0)
+    scan = shapes.beams(rows=13, columns=15, half=1.5 * shapes.OWN)
+    exact = shapes.to_plane(scan, normal, 1.5)
+    assert np.ptp(exact * scan.azimuth) < 5 * shapes.OWN
+    coverage(
+        scan,
+        exact,
+        [-normal[0], -normal[1]],
+        picked(measure.plane, "normal_x", "normal_y"),
+    )
+
+
 @pytest.mark.slow
 def test_a_sphere_is_covered() -> None:
     scan = shapes.beams(rows=14, columns=18, half=0.1)
