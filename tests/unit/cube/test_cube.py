@@ -20,6 +20,20 @@ def samples(plate: Survey) -> xr.Dataset:
     return simulate(plate, rng=1)
 
 
+def test_flags_have_the_numbers_that_stand_in_files() -> None:
+    assert {flag.name: int(flag) for flag in cubes.QualityFlag} == {
+        "MISSING": 1,
+        "SATURATED": 2,
+        "NO_TARGET": 4,
+        "AMBIGUOUS": 8,
+        "WATER_RESIDUAL": 16,
+        "NO_OPEN_WATER": 32,
+        "MIXED": 64,
+        "OUTLIER": 128,
+        "RELATIVE": 256,
+    }
+
+
 def test_a_simulated_cube_keeps_the_schema(samples: xr.Dataset) -> None:
     cubes.check(samples, "samples")
     assert samples["in_phase"].dims == (

@@ -3,7 +3,6 @@
 from amulor.imaging.measure.checks import Check, Checked, compared, read_checks
 from amulor.imaging.measure.figures import (
     Measurement,
-    Pixel,
     angle,
     area,
     distance,
@@ -18,7 +17,6 @@ __all__ = [
     "Checked",
     "Fit",
     "Measurement",
-    "Pixel",
     "Points",
     "angle",
     "area",

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from pages import settled, until
 
-from amulor import imaging
+from amulor import imaging, rejection, samples
 from amulor.view import page
 from amulor.view.page.pictures import MemoryPicture
 
@@ -144,6 +144,23 @@ def test_relief_between_board_and_wall_is_60_mm_within_its_stated_error(
         text = shown.evaluate("import('./static/tools.js').then(m => m.asText(amulor))")
         assert "group index 1.36" in text
         assert "relief" in text
+
+
+def test_the_first_board_of_the_ladder_is_40_mm_before_its_wall(
+    tab: Callable[..., Any],
+) -> None:
+    target = rejection.open_water(samples.cube("ladder"))
+    with page.background(page.recording_of(target, name="ladder.nc")) as address:
+        shown = tab().open(address)
+        shown.select_option("#average", "2")
+        shown.click("#tools button[data-kind=depth]")
+        click(shown, (20, 8))
+        click(shown, (20, 30))
+        shown.wait_for_selector("#measurements li")
+        found = shown.evaluate("amulor.measurements[0].found.lines[0]")
+        # Means of 25 pixels of milky water, 5 to 7 mm each.
+        assert 0.0005 < found["uncertainty"] < 0.003
+        assert abs(found["value"] - 0.040) < 3 * found["uncertainty"]
 
 
 def test_a_saved_page_opens_alone_and_measures_as_the_library_does(
