@@ -187,6 +187,25 @@ def test_nothing_infinite_is_written(whole, folder) -> None:
         assert journal.count() == 0
 
 
+def test_rows_of_a_first_page_that_is_broken_are_named_from_the_first_one(
+    whole, folder
+) -> None:
+    place = copied(whole, folder / "scan")
+    connection = sqlite3.connect(place / FILE_NAME)
+    ((root,),) = connection.execute(
+        "SELECT rootpage FROM sqlite_master WHERE name = 'samples'"
+    )
+    ((size,),) = connection.execute("PRAGMA page_size")
+    connection.close()
+    raw = bytearray((place / FILE_NAME).read_bytes())
+    # The kind of the page, which is none that there is.
+    raw[(root - 1) * size] = 0xFF
+    (place / FILE_NAME).write_bytes(raw)
+    with Journal.read(place) as journal:
+        told = " ".join(journal.damage())
+    assert "row 1: cannot be read" in told
+
+
 def test_older_journals_say_that_they_have_no_checksums(whole, folder) -> None:
     place = copied(whole, folder / "scan")
     connection = sqlite3.connect(place / FILE_NAME, isolation_level=None)

@@ -10,9 +10,9 @@ from amulor.optics.water import milk
 pytest.importorskip("miepython")
 
 
-def suspension(wavelength=550e-9, *, fat, volume_fraction=1e-3):
+def suspension(wavelength=550e-9, *, fat, volume_fraction=1e-3, medium_index=1.337):
     return milk.milk_suspension(
-        wavelength, volume_fraction=volume_fraction, fat=fat, medium_index=1.337
+        wavelength, volume_fraction=volume_fraction, fat=fat, medium_index=medium_index
     )
 
 
@@ -55,3 +55,9 @@ def test_milk_that_nobody_measured_is_refused():
         milk.measured_milk(532e-9, kind="goat")
     with pytest.raises(ValueError, match="fat"):
         suspension(fat=0.5)
+    for index in (1.19, 1.51):
+        with pytest.raises(ValueError, match="medium_index"):
+            suspension(fat=0.035, medium_index=index)
+    # The ends count.
+    for index in (1.2, 1.5):
+        assert suspension(fat=0.035, medium_index=index).scattering > 0
