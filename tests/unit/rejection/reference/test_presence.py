@@ -1,0 +1,60 @@
+"""The misfit of empty water is that of normal errors with a departure of the water."""
+
+from __future__ import annotations
+
+import numpy as np
+from hypothesis import given
+from hypothesis import strategies as st
+from numpy.testing import assert_allclose
+
+from amulor.rejection.covariance import Covariance
+from amulor.rejection.reference.presence import DEPARTURE, _problem
+
+SAMPLES = 4
+
+
+def _drawn(seed: int) -> tuple[np.ndarray, np.ndarray, np.ndarray, Covariance]:
+    """Return what is left, water, 2 x 2 covariances of one pixel, and these again."""
+    rng = np.random.default_rng(seed)
+    left, water = (
+        rng.standard_normal((SAMPLES, 1)) + 1j * rng.standard_normal((SAMPLES, 1))
+        for _ in range(2)
+    )
+    root = rng.standard_normal((SAMPLES, 2, 2))
+    each = root @ root.transpose(0, 2, 1) + 0.1 * np.eye(2)
+    errors = Covariance(each[:, :1, 0], each[:, 1:, 1], each[:, :1, 1])
+    return left, water, each, errors
+
+
+def _stacked(values: np.ndarray) -> np.ndarray:
+    return np.stack([values[:, 0].real, values[:, 0].imag], axis=1).ravel()
+
+
+@given(seed=st.integers(0, 2**32 - 1), share=st.floats(0, 1))
+def test_a_departure_of_the_water_counts_as_an_error_that_samples_share(
+    seed: int, share: float
+) -> None:
+    left, water, each, errors = _drawn(seed)
+    problem = _problem(left, water, errors, np.arange(SAMPLES), None)
+    found = problem.misfit(np.array([share + 0j]))
+    rest, front = _stacked(left + share * water), _stacked((1 - share) * water)
+    whole = np.zeros((2 * SAMPLES, 2 * SAMPLES))
+    for k in range(SAMPLES):
+        whole[2 * k : 2 * k + 2, 2 * k : 2 * k + 2] = each[k]
+    whole += DEPARTURE**2 * np.outer(front, front)
+    assert_allclose(found, rest @ np.linalg.solve(whole, rest), rtol=1e-9)
+
+
+@given(seed=st.integers(0, 2**32 - 1), share=st.floats(0, 0.5))
+def test_what_no_cut_can_undercut_is_below_each_of_them(
+    seed: int, share: float
+) -> None:
+    left, water, _, errors = _drawn(seed)
+    problem = _problem(left, water, errors, np.arange(SAMPLES), None)
+    least = problem.surely_more_than(np.full(SAMPLES, share))
+    turned = share * np.exp(1j * np.random.default_rng(seed).uniform(0, 6.3, SAMPLES))
+    for part in (1.0, 0.5, 0.0):
+        assert least <= problem.misfit(part * turned[:, None]) + 25
+    # Without any share the bound is the misfit but for the departure.
+    alone = problem.surely_more_than(np.full(SAMPLES, -5 * DEPARTURE))
+    assert alone <= problem._product(left, left) * (1 + 1e-9)
