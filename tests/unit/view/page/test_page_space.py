@@ -191,6 +191,20 @@ def test_many_points_are_thinned_evenly_and_the_number_is_said(
     assert_array_equal(space.opened(path).position, shown.position)
 
 
+@pytest.mark.parametrize("some", [100_000, 300], ids=["all", "some"])
+def test_dots_are_as_large_as_their_spacing(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, some: int
+) -> None:
+    monkeypatch.setattr("amulor.view.page.space.shown._SOME", some)
+    row, column = np.divmod(np.arange(1000), 40)
+    scatter = np.random.default_rng(2).uniform(-0.2, 0.2, (2, 1000))
+    path = tmp_path / "grid.xyz"
+    table = np.stack([column + scatter[0], row + scatter[1], 0 * row], axis=1)
+    np.savetxt(path, 0.01 * table, fmt="%.6f")
+    spacing = space.opened(path).describe()["spacing"]
+    assert 0.005 < spacing < 0.012
+
+
 @pytest.mark.parametrize("ending", [".ply", ".laz", ".e57", ".csv", ".nc", ".stl"])
 def test_damage_gives_one_line(
     written: Callable[[str], Path],
