@@ -39,4 +39,9 @@ __all__ = [
 ]
 
 if not TYPE_CHECKING:
-    __getattr__, __dir__ = _lazy.attach(__name__, __all__)
+    __getattr__ = _lazy.attach(__name__, __all__)[0]
+
+
+def __dir__() -> list[str]:
+    """List the public names, not the modules that they come from."""
+    return sorted(__all__)
