@@ -178,7 +178,10 @@ _HALF = 0.6745
 
 
 def channels_disagree(
-    signal: NDArray[np.complex128], uncertainty: Covariance
+    signal: NDArray[np.complex128],
+    uncertainty: Covariance,
+    *,
+    shown: NDArray[np.bool_] | None = None,
 ) -> NDArray[np.bool_]:
     """Return samples whose phase differs from that of another channel.
 
@@ -188,6 +191,8 @@ def channels_disagree(
         Target signal [V].
     uncertainty : Covariance
         Its errors.
+    shown : ndarray of bool, shape (row, column), optional
+        Pixels that show a target; what is left of water has no phase of its own.
 
     Returns
     -------
@@ -206,6 +211,8 @@ def channels_disagree(
     seen = np.isfinite(signal) & (signal != 0)
     sigma = phase_error(signal, uncertainty, seen)
     seen &= sigma < LARGEST_PHASE_ERROR
+    if shown is not None:
+        seen &= shown
     for first in range(signal.shape[1]):
         for second in range(first):
             pair = [first, second]

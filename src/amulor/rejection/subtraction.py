@@ -158,7 +158,7 @@ def subtract_open_water(
         change=change,
         seen=seen,
         doubtful=doubtful,
-        outlying=quality.channels_disagree(target, errors + change),
+        outlying=quality.channels_disagree(target, errors + change, shown=seen),
         water=water,
         strength=strength,
     )

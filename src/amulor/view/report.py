@@ -267,6 +267,7 @@ table { border-collapse: collapse; font-size: .87rem; margin: 1rem 0;
   font-variant-numeric: tabular-nums; }
 th, td { text-align: right; padding: .3rem .7rem; border-bottom: 1px solid var(--line);
   white-space: nowrap; }
+th { white-space: normal; vertical-align: bottom; }
 th:first-child, td:first-child { text-align: left; }
 thead th { border-bottom: 2px solid var(--ink); font-weight: 600; }
 .interactive iframe { width: 100%; height: 30rem; border: 1px solid var(--line);
