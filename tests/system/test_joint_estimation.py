@@ -116,7 +116,7 @@ def errors(found: xr.Dataset, truth: xr.Dataset) -> tuple[np.ndarray, np.ndarray
 
 
 @pytest.mark.parametrize(
-    "fluctuation", [0.0, pytest.param(5.0, marks=pytest.mark.slow)]
+    "fluctuation", [pytest.param(0.0, marks=pytest.mark.study), 5.0]
 )
 @pytest.mark.parametrize("shots", [True, pytest.param(False, marks=pytest.mark.study)])
 @pytest.mark.slow
@@ -307,6 +307,7 @@ def missing_and_flagged(
 
 
 @pytest.mark.slow
+@pytest.mark.study
 def test_a_reference_of_other_water_is_seen_through_or_flagged() -> None:
     missing, flagged, count = missing_and_flagged(
         (0.5,), fluctuation=0.0, reflectance=0.1

@@ -31,6 +31,7 @@ def _failing(checks: list[Check]) -> set[str]:
 
 
 @pytest.mark.slow
+@pytest.mark.study
 def test_what_fails_is_what_the_gallery_discusses(study: Study) -> None:
     failing = {text for figure in FIGURES for text in _failing(figure.checks(study))}
     assert failing == {

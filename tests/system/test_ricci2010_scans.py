@@ -173,6 +173,7 @@ def test_another_ladder_does_not_pass_for_this_one(study: Study) -> None:
     )
 
 
+@pytest.mark.study
 def test_without_backscatter_polarizers_and_subtraction_gain_nothing(
     study: Study,
 ) -> None:

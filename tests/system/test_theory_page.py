@@ -35,6 +35,8 @@ outputs = _script("make_theory_outputs")
 def _marked(name: str) -> object:
     """Return the name of a page, marked where its examples take long."""
     marks = [pytest.mark.slow] if name in LONG else []
+    if name == "photon-transport":  # half a minute; all its numbers are photons
+        marks = [pytest.mark.slow, pytest.mark.study]
     return pytest.param(name, marks=marks)
 
 

@@ -98,7 +98,7 @@ def test_survey_check_says_the_reach_and_the_repetition_as_json(
     [
         pytest.param(1, marks=pytest.mark.slow),
         2,
-        pytest.param(4, marks=pytest.mark.slow),
+        pytest.param(4, marks=[pytest.mark.slow, pytest.mark.study]),
     ],
 )
 def test_empty_water_shows_no_target(count: int) -> None:
@@ -209,10 +209,10 @@ def test_a_spike_at_the_best_of_four_frequencies_is_told_by_the_other_channel() 
     [
         "flat",
         *(
-            pytest.param(name, marks=pytest.mark.slow)
-            for name in ("a, b halved", "coastal")
+            pytest.param(name, marks=[pytest.mark.slow, pytest.mark.study])
+            for name in ("a, b doubled", "coastal")
         ),
-        pytest.param("a, b doubled", marks=[pytest.mark.slow, pytest.mark.study]),
+        pytest.param("a, b halved", marks=pytest.mark.slow),
     ],
 )
 def test_open_water_by_default_is_trusted_and_holds_whatever_the_survey_says(
@@ -281,7 +281,7 @@ def test_surfaces_without_an_edge_have_no_mixed_pixels() -> None:
     "scene",
     [
         pytest.param("change 5 %", marks=pytest.mark.slow),
-        pytest.param("drift 3 %", marks=pytest.mark.slow),
+        pytest.param("drift 3 %", marks=[pytest.mark.slow, pytest.mark.study]),
         "drift 10 %",
     ],
 )
@@ -379,8 +379,9 @@ def test_water_of_the_papers_form_is_put_back_by_that_form() -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize(
     "scene",
-    ["photons c 0.25 1/m", pytest.param("photons c 1 1/m", marks=pytest.mark.study)],
+    ["photons c 0.25 1/m", "photons c 1 1/m"],
 )
+@pytest.mark.study
 def test_intervals_hold_from_half_to_three_attenuation_lengths(scene: str) -> None:
     for row in run([scene], ["open-water", "combined", "polarization"], [2, 4]):
         assert row.score.trusted > 0.95, row

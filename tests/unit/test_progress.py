@@ -70,7 +70,7 @@ def test_a_problem_ends_the_listening() -> None:
         "open_water",
         "combined",
         pytest.param("joint", marks=pytest.mark.slow),
-        pytest.param("auto", marks=pytest.mark.slow),
+        pytest.param("auto", marks=[pytest.mark.slow, pytest.mark.study]),
     ],
 )
 def test_the_steps_of_a_scan_rise(method: str, plate_text: str) -> None:

@@ -70,6 +70,7 @@ for name in sys.argv[1:]:
 
 
 @pytest.mark.slow
+@pytest.mark.study
 def test_attribute_access_alone_reaches_what_others_call() -> None:
     done = subprocess.run(
         [sys.executable, "-c", FRESH, *PINNED],

@@ -38,7 +38,9 @@ def _children(process: int) -> list[int]:
 
 @pytest.mark.slow
 @pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="reads /proc")
-@pytest.mark.parametrize("word", ["figure 1", "varied"])
+@pytest.mark.parametrize(
+    "word", ["figure 1", pytest.param("varied", marks=pytest.mark.study)]
+)
 def test_ctrl_c_ends_the_command_and_its_workers(tmp_path: Path, word: str) -> None:
     with _started(tmp_path / "out", "--figure", "1") as process:
         try:

@@ -159,7 +159,7 @@ def test_shots_of_stronger_or_weaker_water_are_seen_through(change: float) -> No
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("factor", [0.5, 1.25])
+@pytest.mark.parametrize("factor", [pytest.param(0.5, marks=pytest.mark.study), 1.25])
 def test_shots_of_clearer_or_more_turbid_water_widen_the_intervals(
     factor: float,
 ) -> None:
