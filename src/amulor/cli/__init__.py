@@ -8,7 +8,6 @@ import sys
 import threading
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from typing import Any
 
 #: Command, where it lives, and its line in the help. The functions are imported when
 #: they are called, so that `amulor --help` answers at once.
@@ -262,10 +261,10 @@ def _ended_in_order() -> Iterator[None]:
     program was started to ignore, as by nohup, stays ignored. Commands that drive
     devices have handlers of their own meanwhile.
     """
-    before: dict[int, Any] = {}
+    taken: list[int] = []
 
     def end(number: int, _: object) -> None:
-        for other in before:
+        for other in taken:
             signal.signal(other, signal.SIG_IGN)
         raise _Ended(number)
 
@@ -273,13 +272,13 @@ def _ended_in_order() -> Iterator[None]:
         for name in ("SIGTERM", "SIGHUP"):
             number = getattr(signal, name, None)
             if number is not None and signal.getsignal(number) is signal.SIG_DFL:
-                before[number] = signal.SIG_DFL
+                taken.append(number)
                 signal.signal(number, end)
     try:
         yield
     finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
+        for number in taken:
+            signal.signal(number, signal.SIG_DFL)
 
 
 def _complain(text: str) -> int:

@@ -204,7 +204,7 @@ def channels_disagree(
     -----
     Every analyser passes some fraction of the same echo: their phases are one, but for
     what most pixels have in common. They disagree where they differ by four standard
-    errors, and from 2.5 on where more do than chance makes: fewer than a third of them
+    errors, and from 2.5 on where more do than chance makes: a tenth of them at most
     are by chance. Where phases scatter more than stated, their scatter is the error.
     """
     marked = np.zeros(signal.shape, dtype=bool)
@@ -250,7 +250,7 @@ class _Disagreement:
                 usual[index] = np.median(there)
                 spread = np.median(np.abs(there - usual[index])) / _HALF
                 scatter[index] = max(spread, 1.0)
-        size = np.abs(away - usual) / scatter
+        size = _off(away, usual, scatter)
         far = size > _LEAST_DISAGREEMENT
         chance = largest_discovered(
             2 * ndtr(-size[far]), share=_BY_CHANCE, tests=int(np.isfinite(size).sum())
@@ -264,9 +264,17 @@ class _Disagreement:
 
     def where(self, away: NDArray[np.float64]) -> NDArray[np.bool_]:
         """Return which of these phases disagree."""
-        with np.errstate(invalid="ignore"):
-            size = np.abs(away - self.usual) / self.scatter
-            return np.asarray((size >= self.limit) & self.rare)
+        size = _off(away, self.usual, self.scatter)
+        return np.asarray((size >= self.limit) & self.rare)
+
+
+def _off(
+    away: NDArray[np.float64],
+    usual: NDArray[np.float64],
+    scatter: NDArray[np.float64],
+) -> NDArray[np.float64]:
+    """Return how far phases are off what is usual, in units of their scatter."""
+    return np.asarray(np.abs(away - usual) / scatter)
 
 
 #: What is explained leaves a rest that chance makes at least so often [1].

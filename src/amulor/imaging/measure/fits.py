@@ -94,10 +94,11 @@ def plane(image: xr.Dataset, region: ArrayLike) -> Fit:
     back /= np.linalg.norm(back)
     across = np.linalg.svd(back[None])[2][1:]
     away = points.position - middle
-    spread = np.linalg.svd(away @ across.T, compute_uv=False)
+    beside = away @ across.T
+    spread = np.linalg.svd(beside, compute_uv=False)
     if spread[1] < 1e-9 * spread[0]:
         raise CubeError("the pixels lie on a line, through which many planes go")
-    slopes = np.linalg.lstsq(away @ across.T, away @ back, rcond=None)[0]
+    slopes = np.linalg.lstsq(beside, away @ back, rcond=None)[0]
 
     def normal(values: Floats) -> Floats:
         vector = back - values[:2] @ across
@@ -148,8 +149,8 @@ def circle(image: xr.Dataset, region: ArrayLike) -> Fit:
     """
     points = _points(image, region, fewest=4, what="a circle")
     middle = points.position.mean(axis=0)
-    frame = _frame(points.position - middle)
-    axes = frame.axes if frame.axes[2, 2] <= 0 else frame.axes * [[1], [-1], [-1]]
+    axes = _principal(points.position - middle)
+    axes = axes if axes[2, 2] <= 0 else axes * [[1], [-1], [-1]]
     flat = (points.position - middle) @ axes[:2].T
     guess = _round(flat)
 
@@ -274,16 +275,10 @@ def cylinder(image: xr.Dataset, region: ArrayLike) -> Fit:
     return _fitted("cylinder", points, residuals, [start], derived)
 
 
-@dataclass(frozen=True)
-class _Frame:
-    axes: Floats
-    spread: Floats
-
-
-def _frame(away: Floats) -> _Frame:
+def _principal(away: Floats) -> Floats:
     """Return the principal axes of points, the shortest last, right-handed."""
-    _, spread, axes = np.linalg.svd(away, full_matrices=False)
-    return _Frame(axes * [[1], [1], [np.linalg.det(axes)]], spread)
+    axes = np.linalg.svd(away, full_matrices=False)[2]
+    return np.asarray(axes * [[1], [1], [np.linalg.det(axes)]])
 
 
 def _round(away: Floats) -> Floats:
@@ -303,7 +298,7 @@ def _hemisphere(away: Floats) -> Floats:
     rise, turn = number / _AXES, np.pi * (1 + 5**0.5) * number
     side = np.sqrt(1 - rise**2)
     spiral = np.stack([side * np.cos(turn), side * np.sin(turn), rise], axis=1)
-    return np.concatenate([_frame(away).axes, spiral])
+    return np.concatenate([_principal(away), spiral])
 
 
 def _named(name: str, vector: Floats) -> dict[str, float]:

@@ -6,6 +6,8 @@ import math
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 
+from amulor.studies.trust.table import COUNT_END, METHOD_END, SCENE_END
+
 #: Scenes about which no method can be right: surfaces that share a pixel, instruments
 #: that are off by what no data show, repetitions that nobody states.
 _APART = (
@@ -23,8 +25,6 @@ _GROUPS = (
 _TRUSTED, _INSIDE = 80.0, 93.0
 #: Largest share of them beyond 3.5 standard uncertainties [%].
 _FAR = 0.3
-#: Width of scene, of the count of frequencies and of the method, in a row of the table.
-_SCENE, _COUNT, _METHOD = 28, 31, 48
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -69,15 +69,15 @@ def written(text: str) -> Iterator[Written]:
     if not any(line.startswith("scene ") for line in lines):
         raise ValueError("there is no table of the study; it begins with 'scene'")
     for line in lines:
-        cells = line[_METHOD:].split()
+        cells = line[METHOD_END:].split()
         if len(cells) < 9:
             continue
         trusted, _, inside, _, _, far, _, _, phantom = (
             math.nan if cell == "-" else float(cell) for cell in cells[:9]
         )
         yield Written(
-            scene=line[:_SCENE].strip(),
-            method=line[_COUNT:_METHOD].strip(),
+            scene=line[:SCENE_END].strip(),
+            method=line[COUNT_END:METHOD_END].strip(),
             trusted=trusted,
             inside=inside,
             far=far,

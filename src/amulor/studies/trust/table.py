@@ -23,8 +23,17 @@ class Row:
     """Its figures."""
 
 
+#: Where in a row the name of its scene ends, its count of frequencies, its method.
+SCENE_END, COUNT_END, METHOD_END = 28, 31, 48
+
+
+def _begin(scene: str, count: int | str, method: str) -> str:
+    counted = f"{scene:<{SCENE_END}}{count:>{COUNT_END - SCENE_END}} "
+    return f"{counted + method:<{METHOD_END}}"
+
+
 _HEADER = (
-    f"{'scene':<28} {'f':>2} {'method':<16} {'trust':>6} {'68 %':>6} {'95 %':>6} "
+    f"{_begin('scene', 'f', 'method')} {'trust':>6} {'68 %':>6} {'95 %':>6} "
     f"{'echo':>6} {'worst':>7} {'>3.5':>6} {'rms mm':>9} {'stated':>8} {'phantom':>7}"
 )
 LEGEND = """\
@@ -55,7 +64,7 @@ def line(row: Row) -> str:
     """
     found = row.score
     cells = [
-        f"{row.scene:<28} {row.count:>2} {row.method:<16}",
+        _begin(row.scene, row.count, row.method),
         f"{_percent(found.trusted):>6}",
         f"{_percent(found.inside_68):>6}",
         f"{_percent(found.inside_95):>6}",
