@@ -41,8 +41,8 @@ __all__ = ["CubeRows", "RowWriter", "is_large", "open_rows", "row_writer"]
 #: Bytes of a file that are read at once for its digest.
 _PIECE = 2**24
 #: Files above this many bytes of samples are worked on by rows, unless somebody says
-#: otherwise; what a step holds beside the samples is a few times as much.
-LARGE = 2**27
+#: otherwise; a step that holds all of them at once takes up to 75 times as much.
+LARGE = 2**24
 
 
 class CubeRows:

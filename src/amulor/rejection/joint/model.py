@@ -127,7 +127,7 @@ def shape_changes(
     out = np.empty(shape, dtype=complex)
     spread(
         kernels.interpolate, len(pixels), depth, table.step,
-        coefficients(pixels, table), table.change, out,
+        coefficients(pixels, table), table.change.view(float), out.view(float),
     )  # fmt: skip
     turn = np.exp(1j * pixels.offset[:, None] * phase_per_path)
     out *= turn[:, None, :]

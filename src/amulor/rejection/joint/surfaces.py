@@ -195,12 +195,15 @@ def _descend(
 ) -> tuple[Floats, Floats]:
     """Return chi-square and both paths where it is smallest."""
     damping = np.full(len(ends), _DAMPING)
-    cost, step_of = _linearised(pixels, ends, inverse, shared, transfer, rate)
+    front = foreground(pixels, shared.table, rate)
+    cost, step_of = _linearised(pixels, ends, inverse, front, shared, transfer, rate)
     farthest = 0.5 / rate.max()
     for _ in range(_STEPS):
         move = np.clip(step_of(damping), -farthest, farthest)
         tried = np.clip(ends + move, pixels.shortest[:, None], pixels.longest[:, None])
-        new, new_step = _linearised(pixels, tried, inverse, shared, transfer, rate)
+        new, new_step = _linearised(
+            pixels, tried, inverse, front, shared, transfer, rate
+        )
         better = new < cost
         ends = np.where(better[:, None], tried, ends)
         damping = np.clip(np.where(better, damping / 10, damping * 10), _LEAST, _MOST)
@@ -239,6 +242,7 @@ def _linearised(
     pixels: Pixels,
     ends: Floats,
     inverse: Floats,
+    front: Complex,
     shared: Shared,
     transfer: Complex,
     rate: Floats,
@@ -247,7 +251,6 @@ def _linearised(
     count, channels, frequencies = pixels.signal.shape
     near = ends.argmin(axis=1)
     _, water, slope = water_at(pixels, ends.min(axis=1), shared.table, rate)
-    front = foreground(pixels, shared.table, rate)
     signal = np.where(
         pixels.usable, pixels.signal - shared.water_signal(water, front), 0
     )

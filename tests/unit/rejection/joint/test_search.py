@@ -10,8 +10,9 @@ from numpy.testing import assert_allclose
 from scipy.constants import speed_of_light
 
 from amulor.rejection.covariance import Covariance
+from amulor.rejection.joint._kernels.bundles import Echo
 from amulor.rejection.joint.overlap.table import Table
-from amulor.rejection.joint.pixels import Pixels, weight
+from amulor.rejection.joint.pixels import Pixels, phasors, weight
 from amulor.rejection.joint.search import Estimates, estimate
 
 FREQUENCIES = np.array([12e6, 31e6, 57e6, 83e6, 104e6, 139e6])
@@ -228,3 +229,21 @@ def test_samples_weigh_as_the_water_before_the_target_fluctuates(
         information += jacobian.T @ np.linalg.solve(covariance, jacobian)
     exact = 1 / np.linalg.inv(information)[1, 1]
     assert_allclose(found.information[0], exact, rtol=1e-3)
+
+
+@settings(deadline=None)
+@given(
+    path=st.floats(-50.0, 300.0),
+    frequency=st.lists(st.floats(1e3, 3e9), min_size=1, max_size=9),
+    transfer=st.complex_numbers(min_magnitude=0.1, max_magnitude=10),
+)
+def test_an_echo_turns_as_cosine_and_sine_say(
+    path: float, frequency: list[float], transfer: complex
+) -> None:
+    rate = 2 * np.pi * np.array(frequency) / speed_of_light
+    given = np.full(len(rate), transfer)
+    echo = Echo(rate, np.stack([given.real, given.imag]))
+    found = phasors(np.array([path]), echo).phasor[0]
+    expected = np.exp(1j * rate * path) * transfer
+    # One rounding of the phase itself is left to both.
+    assert_allclose(found[0] + 1j * found[1], expected, rtol=1e-15, atol=1e-14)

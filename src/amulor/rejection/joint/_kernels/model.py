@@ -20,6 +20,7 @@ from amulor.rejection.joint._kernels.bundles import (
     Workspace,
 )
 from amulor.rejection.joint._kernels.options import LANES, inner
+from amulor.rejection.joint._kernels.turns import fill_turn
 
 
 @inner(forceinline=True)
@@ -111,9 +112,10 @@ def nearest_node(depth: float, table: WaterTable) -> int:
 @inner(forceinline=True)
 def fill_phasor(path: float, echo: Echo, out: Array) -> None:
     """Fill in H(f) exp(i k p)."""
-    rate, transfer = echo.phase_per_path, echo.transfer
-    for f in range(rate.size):
-        c, s = math.cos(rate[f] * path), math.sin(rate[f] * path)
+    transfer = echo.transfer
+    fill_turn(path, echo.phase_per_path, out)
+    for f in range(transfer.shape[1]):
+        c, s = out[0, f], out[1, f]
         out[0, f] = c * transfer[0, f] - s * transfer[1, f]
         out[1, f] = s * transfer[0, f] + c * transfer[1, f]
 
@@ -123,14 +125,6 @@ def fill_phasors(path: Array, echo: Echo, out: Array) -> None:
     """Fill in H(f) exp(i k p) for many paths, (path, 2, frequency)."""
     for j in range(path.size):
         fill_phasor(path[j], echo, out[j])
-
-
-@inner(forceinline=True)
-def fill_turn(offset: float, phase_per_path: Array, turn: Array) -> None:
-    """Fill in exp(i k p_0) for the path p_0 before the water."""
-    for f in range(phase_per_path.size):
-        turn[0, f] = math.cos(phase_per_path[f] * offset)
-        turn[1, f] = math.sin(phase_per_path[f] * offset)
 
 
 @inner(forceinline=True)
@@ -304,8 +298,9 @@ def interpolate(
     """Fill in columns of water up to given depths, linear between the nodes.
 
     `table` runs over (parameter, component, node, frequency), `out` over (pixel,
-    parameter, frequency), both complex: the derivatives of W with respect to its shape.
-    Compiled because numpy would copy a node of the table for each pixel.
+    parameter, frequency): the derivatives of W with respect to its shape, (real,
+    imaginary) pairs along the last axis. Compiled because numpy would copy a node of
+    the table for each pixel.
     """
     last = table.shape[2] - 2
     for n in range(begin, end):
@@ -316,14 +311,13 @@ def interpolate(
             j = min(int(place), last - 1)
             t = place - j
         for m in range(table.shape[0]):
-            for f in range(table.shape[3]):
-                out[n, m, f] = 0
+            column = out[n, m]
+            column[:] = 0
             for r in range(table.shape[1]):
                 before, after = coefficient[n, r] * (1 - t), coefficient[n, r] * t
-                for f in range(table.shape[3]):
-                    out[n, m, f] += (
-                        before * table[m, r, j, f] + after * table[m, r, j + 1, f]
-                    )
+                near, far = table[m, r, j], table[m, r, j + 1]
+                for f in range(column.size):
+                    column[f] += before * near[f] + after * far[f]
 
 
 @numba.njit(cache=True, error_model="numpy")
