@@ -143,6 +143,25 @@ class TestDxf:
         texts = [t.dxf.text for t in document.modelspace().query("TEXT")]
         assert "standard uncertainty 0.5 mm" in texts
 
+    def test_notes_stand_below_the_drawing_line_under_line(self, drawing, tmp_path):
+        ezdxf = pytest.importorskip("ezdxf")
+        path = tmp_path / "section.dxf"
+        write_dxf(drawing, path)
+        texts = ezdxf.readfile(path).modelspace().query("TEXT")
+        # Letters of 2 mm: to be read beside lines of centimetres.
+        assert {text.dxf.height for text in texts} == {0.002}
+        notes = [text for text in texts if text.dxf.layer == "notes"]
+        assert [text.dxf.text for text in notes] == [
+            "A ladder <&> µm",
+            "standard uncertainty 0.5 mm",
+        ]
+        low = min(line.points[:, 1].min() for line in drawing.lines)
+        height = [text.dxf.insert.y for text in notes]
+        assert height[0] < low - 0.002
+        # Lines of text that neither touch nor fall apart.
+        assert 0.0025 < height[0] - height[1] < 0.005
+        assert {text.dxf.insert.x for text in notes} == {0.0}
+
     def test_the_file_is_plain_pairs_of_code_and_value(self, drawing, tmp_path):
         # The format as it is written down, without the library that wrote it.
         pytest.importorskip("ezdxf")
