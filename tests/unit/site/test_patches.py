@@ -13,7 +13,11 @@ def tangents(normal):
     return np.linalg.svd(normal[None])[2][1:]
 
 
-@pytest.fixture(params=[[0.0, 0, 1], [1.0, 0, 0], [0, 1.0, 0], [0.6, -0.48, 0.64]])
+HALF = np.sqrt(0.5)
+NORMALS = [[0.0, 0, 1], [1.0, 0, 0], [0, 1.0, 0], [0.6, -0.48, 0.64]]
+
+
+@pytest.fixture(params=[*NORMALS, [HALF, HALF, 0.0], [HALF, 0.0, HALF]])
 def patch(request):
     normal = np.array(request.param)
     rng = np.random.default_rng(5)
@@ -56,3 +60,14 @@ def test_a_point_far_off_does_not_move_it(patch) -> None:
     found = _patches(owner, along, off, normal[None], np.full(60, 1e8))
     np.testing.assert_allclose(found.height, 3e-3, rtol=0, atol=1e-9)
     assert found.share[7] == 0.0
+
+
+def test_points_far_off_are_found_behind_one_another(patch) -> None:
+    normal, place, off = patch
+    along = design(place) @ [3e-3, 0.17, -0.1, 8.0, 12.0, -5.0]
+    # The first hides the second in the scatter until it is left out.
+    along[[7, 30]] += [1.0, 5e-3]
+    owner = np.zeros(60, dtype=np.intp)
+    found = _patches(owner, along, off, normal[None], np.full(60, 1e8))
+    np.testing.assert_allclose(found.height, 3e-3, rtol=0, atol=1e-9)
+    assert found.share[7] == found.share[30] == 0.0
