@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -19,6 +20,7 @@ from amulor.cli._output import print_json, print_table, progress_bar
 
 if TYPE_CHECKING:
     from amulor.survey import Survey
+    from amulor.transport.monte_carlo import Spread
 
 
 def backscatter(
@@ -31,6 +33,8 @@ def backscatter(
     ] = "small-angle",
     error: str = "1%",
     seed: Annotated[int, Parameter(validator=SEED)] = 1,
+    scheduler: str | None = None,
+    batches: Path | None = None,
     plot: Path | None = None,
     overwrite: Annotated[bool, Parameter(negative="")] = False,
     json: Annotated[bool, Parameter(negative="")] = False,
@@ -51,6 +55,12 @@ def backscatter(
         Relative error of the unmodulated light at which the photons stop.
     seed
         Seed of the photons.
+    scheduler
+        Follow the photons on a cluster: address of a dask scheduler, such as
+        tcp://node1:8786, or "local" for processes on this machine. Needs --batches.
+    batches
+        Folder for the batches of photons of --scheduler, on a disk that all workers
+        share; what a run before has left in it is kept.
     plot
         Picture to draw (PNG or SVG).
     overwrite
@@ -68,13 +78,26 @@ def backscatter(
     goal = quantity_of("--error", error, "fraction")
     if not goal > 0:
         raise UsageError(f"--error: needed is a relative error above 0, found {error}")
+    followed = model in ("photons", "montecarlo")
+    if scheduler is not None and not followed:
+        raise UsageError("--scheduler goes with --model photons")
+    if (scheduler is None) != (batches is None):
+        raise UsageError("--scheduler and --batches go together")
     if plot is not None:
         check_ending("--plot", plot, [".png", ".svg"])
         io.check_output(plot, overwrite=overwrite, inputs=[survey])
     described = Survey.from_toml(survey)
     try:
-        if model in ("photons", "montecarlo"):
-            found = _followed(described, frequencies, error=goal, seed=seed, quiet=json)
+        if followed:
+            with _spread(scheduler, batches) as spread:
+                found = _followed(
+                    described,
+                    frequencies,
+                    error=goal,
+                    seed=seed,
+                    quiet=json,
+                    spread=spread,
+                )
         else:
             found = _formula(described, frequencies, model=model)
         if found["power_share_unmodulated"] == 0:
@@ -141,8 +164,25 @@ def _formula(survey: Survey, frequencies: Any, *, model: str) -> dict[str, Any]:
     return found
 
 
+def _spread(
+    scheduler: str | None, batches: Path | None
+) -> AbstractContextManager[Spread | None]:
+    """Return where photons are followed: None for here."""
+    if scheduler is None or batches is None:
+        return nullcontext()
+    from amulor.scale.batches import spread_batches
+
+    return spread_batches(batches, scheduler=scheduler)
+
+
 def _followed(
-    survey: Survey, frequencies: Any, *, error: float, seed: int, quiet: bool
+    survey: Survey,
+    frequencies: Any,
+    *,
+    error: float,
+    seed: int,
+    quiet: bool,
+    spread: Spread | None,
 ) -> dict[str, Any]:
     """Return what photons say, with errors."""
     import numpy as np
@@ -160,6 +200,7 @@ def _followed(
             rising,
             relative_error=error,
             seed=seed,
+            spread=spread,
             progress=lambda state: advance(
                 f"error {100 * state.relative_error:.2g} %, "
                 f"{_time_left(state, error)}{state.histories:,} photons",

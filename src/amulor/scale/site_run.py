@@ -11,7 +11,6 @@ import datetime
 import json
 import os
 from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
@@ -21,8 +20,9 @@ from amulor import io
 from amulor._extras import require
 from amulor._progress import tell
 from amulor.cube.provenance import dated
-from amulor.errors import AmulorError, FormatError
+from amulor.errors import AmulorError
 from amulor.io.files import atomic_output
+from amulor.scale.cluster import RETRIES, cluster_client, set_up_worker
 from amulor.scale.parts import (
     chain,
     forget_parts,
@@ -35,11 +35,6 @@ from amulor.scale.tasks import Done, Record, Task, tasks_of
 from amulor.site import Site
 
 __all__ = ["Done", "Task", "is_made", "run_site", "work", "work_on_rows"]
-
-#: How often a scan is begun again whose worker has died.
-RETRIES = 3
-#: Word for a cluster of processes on this machine.
-LOCAL = "local"
 
 
 def work(task: Task, until: str | None = None) -> Done:
@@ -57,7 +52,7 @@ def work(task: Task, until: str | None = None) -> Done:
     Done
         With the reason if a step refuses its data.
     """
-    _set_up_worker()
+    set_up_worker()
     record = Record(Path(task.folder))
     record.tidy()
     try:
@@ -107,7 +102,7 @@ def work_on_rows(task: Task, name: str, begin: int, end: int) -> str:
     str
         Why it stopped; empty if the rows are there.
     """
-    _set_up_worker()
+    set_up_worker()
     try:
         with dated(datetime.datetime.fromisoformat(task.started)):
             make_part(task, name, begin, end)
@@ -123,26 +118,6 @@ def _steps(task: Task, record: Record, until: str | None = None) -> None:
         if until in (None, step.name):
             record.made(step.name, of=step.of, how=step.how, make=partial(whole, step))
             forget_parts(step)
-
-
-def _set_up_worker() -> None:
-    """Give compiled loops the threads of the worker, and end its sampling profiler."""
-    try:
-        import distributed
-
-        dask: Any = distributed
-        worker = dask.get_worker()
-    except (ImportError, ValueError):
-        return
-    import numba
-
-    config: Any = numba.config
-    config.NUMBA_NUM_THREADS = max(int(worker.state.nthreads), 1)
-    # It holds the frames that it looks at, and so objects of HDF5 that were about to
-    # be closed: the same content then lies elsewhere in the file.
-    profiler = worker.periodic_callbacks.get("profile")
-    if profiler is not None:
-        worker.loop.add_callback(profiler.stop)
 
 
 def run_site(
@@ -204,7 +179,7 @@ def run_site(
             tell(f"scan {task.name}", number / len(tasks))
             found[task.name] = work(task)
     else:
-        with _client(scheduler, workers) as client:
+        with cluster_client(scheduler, workers) as client:
             for done in _spread_out(client, tasks):
                 found[done.name] = done
                 tell(f"scan {done.name} done", len(found) / len(tasks))
@@ -228,37 +203,6 @@ def _started(folder: Path) -> str:
     with atomic_output(path, overwrite=True) as temporary:
         temporary.write_text(json.dumps({"started": now.isoformat()}) + "\n", "utf-8")
     return now.isoformat()
-
-
-@contextmanager
-def _client(scheduler: str, workers: int | None) -> Iterator[Any]:
-    """Connect to a cluster, or start one on this machine."""
-    import distributed
-
-    # Its functions have no types.
-    dask: Any = distributed
-    if scheduler == LOCAL:
-        count = workers or os.cpu_count() or 1
-        with (
-            dask.LocalCluster(
-                n_workers=count,
-                threads_per_worker=1,
-                processes=True,
-                dashboard_address=None,
-            ) as cluster,
-            dask.Client(cluster) as client,
-        ):
-            yield client
-        return
-    try:
-        client = dask.Client(scheduler, timeout="15s")
-    except (OSError, TimeoutError, ValueError) as error:
-        raise FormatError(
-            f"no dask scheduler answers at {scheduler}: {error}; start one with "
-            "`dask scheduler`, and name its address, such as tcp://node1:8786"
-        ) from error
-    with client:
-        yield client
 
 
 def _spread_out(client: Any, tasks: tuple[Task, ...]) -> Iterator[Done]:

@@ -159,7 +159,7 @@ class Record:
             Of the file.
         """
         path = self._folder / name
-        made_of = _made_of(of if isinstance(of, str) else _digest_of(of), how)
+        made_of = _made_of(_identified(of), how)
         if self._is_whole(name, made_of):
             self._now[name] = self._steps[name]["digest"]
             return path
@@ -193,9 +193,9 @@ class Record:
             raise _unreadable(path, error) from error
         return f"{found.st_size} B, {found.st_mtime_ns} ns"
 
-    def is_made(self, name: str, *, of: Path, how: dict[str, Any]) -> bool:
+    def is_made(self, name: str, *, of: Path | str, how: dict[str, Any]) -> bool:
         """Return whether a file is there, whole, and made of the same."""
-        return self._is_whole(name, _made_of(_digest_of(of), how))
+        return self._is_whole(name, _made_of(_identified(of), how))
 
     def _is_whole(self, name: str, made_of: str) -> bool:
         path, before = self._folder / name, self._steps.get(name, {})
@@ -210,6 +210,10 @@ class Record:
         return Done(
             name=name, files=dict(self._now), made=tuple(self._new), error=error
         )
+
+
+def _identified(of: Path | str) -> str:
+    return of if isinstance(of, str) else _digest_of(of)
 
 
 def _digest_of(path: Path) -> str:

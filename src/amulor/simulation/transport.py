@@ -26,6 +26,7 @@ from amulor.transport import (
     Tally,
     simulate,
 )
+from amulor.transport.monte_carlo import Spread
 
 #: Most histories of a run that is to reach a relative error.
 MOST_HISTORIES = 50_000_000
@@ -38,6 +39,7 @@ def monte_carlo_response(
     relative_error: float = 0.01,
     seed: int = 1,
     progress: Callable[[Progress], None] | None = None,
+    spread: Spread | None = None,
 ) -> Tally:
     """Return the open-water signal at the middle of the scan by photon transport.
 
@@ -55,6 +57,8 @@ def monte_carlo_response(
         Seed of the random numbers.
     progress : callable, optional
         Called with the state of the run after each batch.
+    spread : callable, optional
+        Has batches worked on elsewhere, as for `amulor.transport.simulate`.
 
     Returns
     -------
@@ -87,7 +91,7 @@ def monte_carlo_response(
     )
     axis = rays.direction(receiver.azimuth, receiver.elevation)
     gap, acceptance = seen_from_water(survey, window)
-    spread = beam_arguments(survey, water)
+    width = beam_arguments(survey, water)
     frequency = np.asarray(modulation_frequency, dtype=np.float64)
     if abs(axis[2] - 1) > 1e-9 and (len(layers) > 1 or gap):
         through = "layers of water" if len(layers) > 1 else "the window"
@@ -129,8 +133,8 @@ def monte_carlo_response(
         Source(
             position=beam.entry,
             direction=beam.direction,
-            radius=spread.get("beam_radius", 0.0),
-            divergence=spread.get("beam_divergence", 0.0),
+            radius=width.get("beam_radius", 0.0),
+            divergence=width.get("beam_divergence", 0.0),
         ),
         (DiscReceiver if has_sharp_receiver(survey) else GaussianReceiver)(
             position=place,
@@ -144,6 +148,7 @@ def monte_carlo_response(
         target=target,
         relative_error=relative_error,
         progress=progress,
+        spread=spread,
     )
     return tally.delayed(-gap, group_index=water.group_index) if gap else tally
 

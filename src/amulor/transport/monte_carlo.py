@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -16,6 +17,7 @@ from amulor.transport._run.conduct import (
     ErrorGoal,
     Limits,
     Progress,
+    Spread,
     checked_seed,
     conduct,
     frequencies,
@@ -27,7 +29,7 @@ from amulor.transport.mesh import MeshTarget
 from amulor.transport.receiver import PlaneTarget, Receiver, Source
 from amulor.transport.tally import Tally
 
-__all__ = ["ErrorGoal", "Progress", "Technique", "simulate"]
+__all__ = ["ErrorGoal", "Progress", "Spread", "Technique", "simulate"]
 
 #: Acceptance up to which the last way to the receiver is a local estimate [rad].
 NARROW = 0.35
@@ -93,6 +95,7 @@ def simulate(
     threads: int | None = None,
     keep_record: bool = False,
     progress: Callable[[Progress], None] | None = None,
+    spread: Spread | None = None,
 ) -> Tally:
     r"""Return the light of a modulated beam that comes back to a receiver.
 
@@ -130,6 +133,11 @@ def simulate(
         Whether to keep the record of path lengths.
     progress : callable, optional
         Called with a `Progress` after each batch.
+    spread : callable, optional
+        Has batches worked on elsewhere, such as what
+        `amulor.scale.batches.spread_batches` gives; by default threads, here. Takes a
+        function and two numbers, and yields what the function makes of the numbers from
+        the first up to the second, in their order. The result is the same.
 
     Returns
     -------
@@ -180,6 +188,7 @@ def simulate(
         longest_time=longest_time,
         threads=threads,
         progress=progress,
+        spread=spread,
     )
     problem = Problem(medium=medium, source=source, receiver=receiver, target=target)
     size = _batch_size(histories, chosen) if resume is None else resume.batch_size
@@ -216,6 +225,18 @@ class _Run:
     seed: int
     size: int
     keep_record: bool
+
+    @property
+    def stated(self) -> dict[str, Any]:
+        """All that its batches follow from, as plain numbers and text."""
+        return {
+            "problem": self.problem.digest,
+            "technique": asdict(self.technique),
+            "modulation_frequency": self.frequency.tolist(),
+            "seed": self.seed,
+            "histories": self.size,
+            "record": self.keep_record,
+        }
 
     def frame(self) -> Tally:
         """Return a tally without batches."""

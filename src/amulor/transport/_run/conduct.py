@@ -9,6 +9,7 @@ from collections import deque
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -99,9 +100,13 @@ class ErrorGoal:
 CHECKS = frozenset(round(16 * 2 ** (k / 2)) for k in range(96))
 
 
+#: Yields what a function makes of the numbers from one up to another, in their order.
+Spread = Callable[[Callable[[int], Batch], int, int], Iterator[Batch]]
+
+
 @dataclass(frozen=True, kw_only=True)
 class Limits:
-    """When a run ends.
+    """When a run ends, and where its batches are worked on.
 
     Raises
     ------
@@ -114,6 +119,7 @@ class Limits:
     longest_time: float | None = None
     threads: int | None = None
     progress: Callable[[Progress], None] | None = None
+    spread: Spread | None = None
 
     def __post_init__(self) -> None:
         """Refuse what cannot be."""
@@ -166,11 +172,12 @@ def conduct(
     done = Accumulator.start(frame, resume)
     size = frame.batch_size
     goal = max(1, math.ceil(limits.histories / size))
-    workers = limits.threads or os.cpu_count() or 1
+    here = partial(_in_order, workers=limits.threads or os.cpu_count() or 1)
+    batches = (limits.spread or here)(batch_of, done.next_batch, goal)
     interrupted = False
     wanted = limits.error or ErrorGoal(relative_error=1.0)
     try:
-        for batch in _in_order(batch_of, done.next_batch, goal, workers):
+        for batch in batches:
             done = done.with_batch(batch)
             seconds = time.monotonic() - started
             if limits.progress is not None or done.next_batch in CHECKS:
