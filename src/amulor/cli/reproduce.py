@@ -25,6 +25,7 @@ def ricci2010(
     output: Annotated[Path, Parameter(alias="-o")] = Path("ricci2010"),
     quick: Annotated[bool, Parameter(negative="")] = False,
     sensitivity: bool = True,
+    scheduler: str | None = None,
     seed: Annotated[int, Parameter(validator=SEED)] = 1,
     overwrite: Annotated[bool, Parameter(negative="")] = False,
     json: Annotated[bool, Parameter(negative="")] = False,
@@ -42,6 +43,10 @@ def ricci2010(
     sensitivity
         Vary every number that is not printed over its range, to see which conclusions
         flip; left out of a quick run.
+    scheduler
+        Vary the numbers on a cluster: address of a dask scheduler, such as
+        tcp://node1:8786, or "local". Workers need the disk of the output; what a run
+        before has left there, in the folder "varied", is kept.
     seed
         Seed of all synthetic noise and photons.
     overwrite
@@ -49,7 +54,7 @@ def ricci2010(
     json
         Print the checks for other programs.
     """
-    from amulor import _extras
+    from amulor import _extras, io
     from amulor.studies.ricci2010 import reproduce, tables
 
     numbers = figure or reproduce.FIGURES
@@ -59,16 +64,26 @@ def ricci2010(
             f"--figure {wrong[0]}: figures 1 and 3 to 15 are redrawn; figure 2 is a "
             "drawing of the instrument"
         )
+    depend = sensitivity and not quick
+    if scheduler is not None and not depend:
+        raise UsageError(
+            "--scheduler varies numbers, which --quick and --no-sensitivity leave out"
+        )
     needed = [extra for extra, few in _EXTRAS.items() if few.intersection(numbers)]
     _extras.require(*needed, purpose="redrawing these figures")
     reproduce.check_outputs(output, numbers, overwrite=overwrite)
+    if scheduler is not None:
+        _extras.require("scale", purpose="a cluster")
+        io.make_folder(output)
     with progress_bar(quiet=json) as progress:
         results = _interruptible(
             lambda: reproduce.run(
                 numbers,
                 quick=quick,
-                depend=sensitivity and not quick,
+                depend=depend,
                 rng=seed,
+                scheduler=scheduler,
+                folder=output / "varied",
                 progress=progress,
             )
         )

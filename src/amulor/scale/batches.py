@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import os
-from collections import deque
 from collections.abc import Iterator
 from contextlib import contextmanager
-from functools import lru_cache, partial
+from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -14,17 +14,13 @@ import numpy as np
 
 from amulor import io
 from amulor._extras import require
-from amulor.errors import FormatError
 from amulor.io.files import atomic_output
-from amulor.scale.cluster import RETRIES, cluster_client, set_up_worker
-from amulor.scale.tasks import Record
+from amulor.scale.cluster import cluster_client
+from amulor.scale.pieces import in_order
 from amulor.transport._run.batches import Batch
 from amulor.transport.monte_carlo import Spread
 
 __all__ = ["spread_batches"]
-
-#: Name of the file of a batch, in a folder of its own.
-FILE = "batch.npz"
 
 
 class Run(Protocol):
@@ -89,97 +85,41 @@ def spread_batches(
     path = Path(folder).resolve()
     io.make_folder(path)
     with cluster_client(scheduler, workers) as client:
-        yield partial(_in_order, client, path)
+        yield partial(_batches, client, path)
 
 
-def _in_order(
+def _batches(
     client: Any, folder: Path, run: Run, first: int, end: int
 ) -> Iterator[Batch]:
-    """Yield batches in the order of their numbers, some at work at once."""
-    from concurrent.futures import CancelledError
-
-    import distributed.protocol
-
-    dask: Any = distributed
-    packed, stated = dask.protocol.pickle.dumps(run), run.stated
-    waiting: deque[tuple[int, Any]] = deque()
-    following = first
-    try:
-        while waiting or following < end:
-            most = max(2 * sum(client.nthreads().values()), 2)
-            while following < end and len(waiting) < most:
-                future = client.submit(
-                    _work_on, packed, following, str(folder), pure=False,
-                    retries=RETRIES,
-                )  # fmt: skip
-                waiting.append((following, future))
-                following += 1
-            number, future = waiting.popleft()
-            try:
-                future.result()
-            except CancelledError as error:
-                raise FormatError(
-                    f"the cluster was lost at batch {number}; run the same again, "
-                    f"and the batches in {folder} are kept"
-                ) from error
-            yield _kept(folder, number, stated)
-    finally:
-        for _, future in waiting:
-            future.cancel()
+    """Yield batches in the order of their numbers."""
+    paths = in_order(client, folder, _Batches(run=run), first, end)
+    for number, path in enumerate(paths, start=first):
+        with np.load(path, allow_pickle=False) as found:
+            yield Batch(
+                number=number,
+                histories=int(found["histories"]),
+                signal=found["signal"],
+                weight=found["weight"],
+                mass=found.get("mass"),
+                edge=found.get("edge"),
+                spacing=float(found["spacing"]),
+            )
 
 
-def _work_on(packed: bytes, number: int, folder: str) -> None:
-    """Make the file of a batch, unless it is there."""
-    set_up_worker()
-    run, own = _unpacked(packed), _own(Path(folder), number)
-    io.make_folder(own)
-    record = Record(own)
-    record.tidy()
-    record.made(
-        FILE,
-        **_made_of(run.stated, number),
-        make=lambda path: _write(run(number), path),
-    )
+@dataclass(frozen=True, kw_only=True)
+class _Batches:
+    """Batches as files."""
 
+    run: Run
+    file: str = "batch.npz"
 
-@lru_cache(maxsize=2)
-def _unpacked(packed: bytes) -> Run:
-    """Return a run; its tables serve all batches of a worker."""
-    import distributed.protocol
+    def made_of(self, number: int) -> dict[str, Any]:
+        """All that a batch follows from."""
+        return {**self.run.stated, "batch": number}
 
-    dask: Any = distributed
-    run: Run = dask.protocol.pickle.loads(packed)
-    return run
-
-
-def _kept(folder: Path, number: int, stated: dict[str, Any]) -> Batch:
-    """Return a batch from its file, which a worker has made."""
-    own = _own(folder, number)
-    if not Record(own).is_made(FILE, **_made_of(stated, number)):
-        raise FormatError(
-            f"{own / FILE} is not what a worker has made there; workers need the disk "
-            "of that folder, under the same name"
-        )
-    with np.load(own / FILE, allow_pickle=False) as found:
-        return Batch(
-            number=number,
-            histories=int(found["histories"]),
-            signal=found["signal"],
-            weight=found["weight"],
-            mass=found.get("mass"),
-            edge=found.get("edge"),
-            spacing=float(found["spacing"]),
-        )
-
-
-def _own(folder: Path, number: int) -> Path:
-    """Return the folder of a batch."""
-    return folder / f"batch-{number:06d}"
-
-
-def _made_of(stated: dict[str, Any], number: int) -> dict[str, Any]:
-    """Return what a batch is made of, for its record."""
-    return {"of": stated["problem"], "how": {**stated, "batch": number}}
+    def write(self, number: int, path: Path) -> None:
+        """Write a batch."""
+        _write(self.run(number), path)
 
 
 def _write(batch: Batch, path: Path) -> None:

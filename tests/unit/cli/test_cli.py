@@ -173,6 +173,8 @@ def test_info_tells_what_a_file_holds(folder: Path, capsys) -> None:
         ["backscatter", "a.toml", "--frequency", "39"],
         ["backscatter", "a.toml", "--plot", "x.jpg"],
         ["backscatter", "a.toml", "--scheduler", "local", "--batches", "b"],
+        ["reproduce", "ricci2010", "--quick", "--scheduler", "local"],
+        ["reproduce", "ricci2010", "--no-sensitivity", "--scheduler", "local"],
         ["backscatter", "a.toml", "--model", "photons", "--scheduler", "local"],
         ["backscatter", "a.toml", "--model", "photons", "--batches", "b"],
         ["import", "transients", "a.npz", "--frequency", "1 m", "-o", "b.nc"],

@@ -131,9 +131,9 @@ def test_a_killed_worker_changes_nothing(tmp_path: Path) -> None:
 def test_a_worker_without_the_disk_is_told(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from amulor.scale import batches
+    from amulor.scale import pieces
 
-    monkeypatch.setattr(batches, "_work_on", lambda *words: None)
+    monkeypatch.setattr(pieces, "_do", lambda *words: None)
     with (
         LocalCluster(n_workers=1, processes=False, **SIZE) as cluster,
         spread_batches(tmp_path, scheduler=cluster.scheduler_address) as spread,

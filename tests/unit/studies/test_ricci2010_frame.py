@@ -124,6 +124,34 @@ def _checks(study: Study) -> list[Check]:
     ]
 
 
+def test_a_cluster_varies_numbers_as_one_machine_does(tmp_path: Path) -> None:
+    from distributed import LocalCluster
+
+    study = Study(parameters.parse(ENTRY))
+    here = sensitivity(study, {3: _checks})
+    size = {"threads_per_worker": 1, "processes": False, "dashboard_address": None}
+    content = []
+    for count in (1, 2):
+        folder = tmp_path / str(count)
+        with LocalCluster(n_workers=count, **size) as cluster:
+            where = {"scheduler": cluster.scheduler_address, "folder": folder}
+            assert sensitivity(study, {3: _checks}, **where) == here
+            files = sorted(folder.rglob("end.json"))
+            whole = [path.read_bytes() for path in files]
+            times = [path.stat().st_mtime_ns for path in files]
+            files[1].write_bytes(whole[1].replace(b"true", b"false"))
+            assert sensitivity(study, {3: _checks}, **where) == here
+        assert [path.read_bytes() for path in files] == whole
+        # The damaged one is made again, the other is kept.
+        again = [path.stat().st_mtime_ns for path in files]
+        assert [new != old for new, old in zip(again, times, strict=True)] == [
+            False,
+            True,
+        ]
+        content.append(whole)
+    assert content[0] == content[1]
+
+
 def test_a_conclusion_that_flips_is_said_to_flip() -> None:
     study = Study(parameters.parse(ENTRY))
     narrow, not_narrow, always = sensitivity(study, {3: _checks})

@@ -30,6 +30,8 @@ def run(
     quick: bool = False,
     depend: bool = True,
     rng: int = 1,
+    scheduler: str | None = None,
+    folder: Path | None = None,
     progress: Progress = lambda step, done: None,
 ) -> Results:
     """Redraw figures of the paper and check what it says of them.
@@ -45,6 +47,9 @@ def run(
     rng : int
         Seed of all synthetic noise: figures draw theirs in any order, each by its own
         name, so no generator can be shared.
+    scheduler, folder : str and pathlib.Path, optional
+        Cluster that varies the numbers, and where it leaves its files, as for
+        `sensitivity`.
     progress : callable, optional
         Called with a step and the fraction of the work done before it.
 
@@ -78,6 +83,8 @@ def run(
             Study(quick=True, rng=rng),
             {number: module.checks for number, module in modules.items()},
             workers=os.cpu_count() or 1,
+            scheduler=scheduler,
+            folder=folder,
             progress=lambda step, done: progress(step, part + (1 - part) * done),
         )
     progress("done", 1.0)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import signal
 from collections.abc import Callable, Iterator, Mapping
@@ -11,10 +12,13 @@ from functools import cache
 from itertools import groupby
 from multiprocessing import active_children, get_context, parent_process
 from multiprocessing.process import BaseProcess
+from pathlib import Path
 from threading import Thread
 from typing import Any
 
+from amulor._extras import require
 from amulor.errors import AmulorError
+from amulor.io.files import atomic_output, make_folder
 from amulor.studies.ricci2010.checks import Check
 from amulor.studies.ricci2010.parameters import Parameter, varied
 from amulor.studies.ricci2010.study import Study
@@ -86,6 +90,8 @@ def sensitivity(
     figures: Mapping[int, Checks],
     *,
     workers: int = 1,
+    scheduler: str | None = None,
+    folder: Path | None = None,
     progress: Callable[[str, float], None] = lambda step, done: None,
 ) -> tuple[Dependence, ...]:
     """Vary every number that is not printed in the paper to both ends of its range.
@@ -98,7 +104,12 @@ def sensitivity(
         Number of each figure to its checks; with several workers, functions that
         other processes can import.
     workers : int
-        Processes at work at once.
+        Processes at work at once, here.
+    scheduler : str, optional
+        Address of a dask scheduler, or "local"; then workers of that cluster do it.
+    folder : pathlib.Path, optional
+        With a scheduler: where the outcomes go, a file with its digest for each end of
+        each number, on a disk that all workers share; what is whole there is kept.
     progress : callable, optional
         Called with a step and the fraction of the work done before it.
 
@@ -130,7 +141,11 @@ def sensitivity(
         if end.name in read[number]
     ]
     changes: dict[tuple[int, int], list[Change]] = {}
-    for done, (task, outcomes) in enumerate(_worked(study, figures, tasks, workers)):
+    if scheduler is None or folder is None:
+        worked = _worked(study, figures, tasks, workers)
+    else:
+        worked = _spread_out(study, figures, tasks, scheduler, folder)
+    for done, (task, outcomes) in enumerate(worked):
         end, number, _ = task
         progress(f"varied {end.name}, figure {number}", (done + 1) / len(tasks))
         for place, (result, text, passed) in enumerate(outcomes):
@@ -176,7 +191,7 @@ def _worked(
     study: Study, figures: Mapping[int, Checks], tasks: list[_Task], workers: int
 ) -> Iterator[tuple[_Task, list[_Outcome]]]:
     """Yield tasks with their outcomes; those of one end of one number stay together."""
-    together = [list(group) for _, group in groupby(tasks, key=lambda task: task[0])]
+    together = _together(tasks)
     if workers == 1:
         for group in together:
             for task in group:
@@ -203,6 +218,79 @@ def _worked(
             for process in set(active_children()) - others:
                 process.kill()
             raise
+
+
+def _together(tasks: list[_Task]) -> list[list[_Task]]:
+    """Return the tasks of each end of each number."""
+    return [list(group) for _, group in groupby(tasks, key=lambda task: task[0])]
+
+
+def _spread_out(
+    study: Study,
+    figures: Mapping[int, Checks],
+    tasks: list[_Task],
+    scheduler: str,
+    folder: Path,
+) -> Iterator[tuple[_Task, list[_Outcome]]]:
+    """Yield tasks with their outcomes, from files that workers of a cluster write."""
+    require("scale", purpose="a cluster")
+    from amulor.scale.cluster import cluster_client
+    from amulor.scale.pieces import in_order
+
+    together = _together(tasks)
+    work = _Ends(
+        parameters=tuple(study.parameters.values()),
+        quick=study.quick,
+        seed=study.seed,
+        figures=dict(figures),
+        together=together,
+    )
+    make_folder(folder)
+    with cluster_client(scheduler, None) as client:
+        paths = in_order(client, folder.resolve(), work, 0, len(together))
+        for group, path in zip(together, paths, strict=True):
+            outcomes = json.loads(path.read_text("utf-8"))
+            yield from zip(group, ([*map(tuple, o)] for o in outcomes), strict=True)
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Ends:
+    """What becomes of checks at each end of each number, as files."""
+
+    parameters: tuple[Parameter, ...]
+    quick: bool
+    seed: int
+    figures: dict[int, Checks]
+    together: list[list[_Task]]
+    file: str = "end.json"
+
+    def made_of(self, number: int) -> dict[str, Any]:
+        """All that the outcomes at an end follow from."""
+        return {
+            "parameters": {entry.name: entry.value for entry in self.parameters},
+            "quick": self.quick,
+            "seed": self.seed,
+            "end": [
+                [end.name, end.value, figure, _name(self.figures[figure]), count]
+                for end, figure, count in self.together[number]
+            ],
+        }
+
+    def write(self, number: int, path: Path) -> None:
+        """Write the outcomes at an end."""
+        group = self.together[number]
+        found = _elsewhere(self.parameters, self.quick, self.seed, self.figures, group)
+        plain = [
+            [(None if v is None else float(v), text, bool(ok)) for v, text, ok in one]
+            for one in found
+        ]
+        with atomic_output(path, overwrite=True) as temporary:
+            temporary.write_text(json.dumps(plain) + "\n", "utf-8")
+
+
+def _name(function: Any) -> str:
+    """Return the name of a function."""
+    return f"{function.__module__}.{function.__qualname__}"
 
 
 def _begin() -> None:
