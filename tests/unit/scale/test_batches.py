@@ -6,6 +6,7 @@ import hashlib
 import json
 import os
 import signal
+import sys
 import threading
 import time
 from pathlib import Path
@@ -15,7 +16,7 @@ import pytest
 from distributed import Client, LocalCluster
 
 from amulor.cli import main
-from amulor.errors import FormatError
+from amulor.errors import FormatError, MissingExtraError
 from amulor.optics.phase_functions.models import henyey_greenstein_function
 from amulor.scale.batches import spread_batches
 from amulor.transport import DiscReceiver, Medium, Source, Tally, simulate
@@ -140,6 +141,19 @@ def test_a_worker_without_the_disk_is_told(
         pytest.raises(FormatError, match="workers need the disk"),
     ):
         followed(spread)
+
+
+def test_without_dask_the_extra_is_named(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, "distributed", None)
+    folder = tmp_path / "batches"
+    with (
+        pytest.raises(MissingExtraError, match=r"amulor\[scale\]"),
+        spread_batches(folder, scheduler="local"),
+    ):
+        pass
+    assert not folder.exists()
 
 
 @pytest.mark.slow
