@@ -214,4 +214,6 @@ def test_photons_that_were_interrupted_are_printed_and_no_success(
     assert main([*words, "--error", "0.01%"]) == 130
     printed = capsys.readouterr()
     assert "Interrupted before the error was reached." in printed.out
-    assert printed.err == "amulor: interrupted\n"
+    # What is told after two seconds may stand before it: photons may have to compile.
+    assert printed.err.endswith("amulor: interrupted\n")
+    assert "Traceback" not in printed.err
