@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from pathlib import Path
 
 import numpy as np
@@ -210,10 +211,10 @@ def test_photons_that_were_interrupted_are_printed_and_no_success(
         return real(survey, frequencies, **{**options, "progress": progress})
 
     monkeypatch.setattr(transport, "monte_carlo_response", run)
+    # Loops that have to compile make it last; what is told meanwhile is not asked here.
+    monkeypatch.setattr("amulor.cli._output._SILENT", math.inf)
     words = ["backscatter", str(tank), "--model", "photons", "--frequency", "20MHz"]
     assert main([*words, "--error", "0.01%"]) == 130
     printed = capsys.readouterr()
     assert "Interrupted before the error was reached." in printed.out
-    # What is told after two seconds may stand before it: photons may have to compile.
-    assert printed.err.endswith("amulor: interrupted\n")
-    assert "Traceback" not in printed.err
+    assert printed.err == "amulor: interrupted\n"

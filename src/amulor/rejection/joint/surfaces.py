@@ -165,17 +165,19 @@ def _pair(
     pixels: Pixels, path: Floats, shared: Shared, transfer: Complex, rate: Floats
 ) -> Pair:
     """Return the best of all starts, for pixels that are looked at together."""
+    best = Pair(np.full(len(path), np.inf), path.copy(), path.copy())
+    if not len(pixels):
+        return best
+    front = foreground(pixels, shared.table, rate)
     deviation = None
-    if shared.fluctuation > 0 and len(pixels):
+    if shared.fluctuation > 0:
         _, water, _ = water_at(pixels, path, shared.table, rate)
-        front = foreground(pixels, shared.table, rate)
         deviation = shared.fluctuation * shared.water_signal(water, front)
     inverse = weight(pixels, deviation, shared.noise_scale)
-    best = Pair(np.full(len(path), np.inf), path.copy(), path.copy())
-    for apart in _APART if len(pixels) else ():
+    for apart in _APART:
         half = 0.5 * apart / rate.max()
         ends = np.stack([path - half, path + half], axis=1)
-        cost, ends = _descend(pixels, ends, inverse, shared, transfer, rate)
+        cost, ends = _descend(pixels, ends, inverse, front, shared, transfer, rate)
         better = cost < best.cost
         best = Pair(
             np.where(better, cost, best.cost),
@@ -189,13 +191,13 @@ def _descend(
     pixels: Pixels,
     ends: Floats,
     inverse: Floats,
+    front: Complex,
     shared: Shared,
     transfer: Complex,
     rate: Floats,
 ) -> tuple[Floats, Floats]:
     """Return chi-square and both paths where it is smallest."""
     damping = np.full(len(ends), _DAMPING)
-    front = foreground(pixels, shared.table, rate)
     cost, step_of = _linearised(pixels, ends, inverse, front, shared, transfer, rate)
     farthest = 0.5 / rate.max()
     for _ in range(_STEPS):
