@@ -24,6 +24,7 @@ from amulor.io.netcdf import (
     _LIBRARY_VERSION,
     _SEAL_LENGTH,
     _SEAL_START,
+    CHUNK_VALUES,
     _check_fits,
     _check_storable,
     _create,
@@ -410,6 +411,6 @@ def tile_rows(source: tiles.Source) -> int:
         As `amulor.cube.tiles.bands` takes by default, in whole blocks of the file.
     """
     first, end = next(tiles.bands(source))
-    block = max(1, 2**17 // max(source.columns, 1))
+    block = max(1, CHUNK_VALUES // max(source.columns, 1))
     rows = end - first
     return rows if rows < block else rows // block * block

@@ -231,12 +231,12 @@ def test_the_file_is_compressed_checked_and_plain_netcdf(make, rng, path):
         }
 
 
-def test_large_arrays_are_cut_into_chunks_of_a_mebibyte(make, rng, path):
+def test_large_arrays_are_cut_into_chunks_of_128_KiB(make, rng, path):
     cube = make.samples(rng, rows=300, columns=500)
     write_cube(cube, path)
     with netCDF4.Dataset(path) as file:
         chunks = file["in_phase"].chunking()
-    assert chunks == [1, 1, 262, 500]  # 262 rows of 500 are 1.05 MB
+    assert chunks == [1, 1, 32, 500]  # 32 rows of 500 are 128 kB
     xr.testing.assert_identical(read_cube(path), cube)
 
 

@@ -111,3 +111,27 @@ def test_the_digest_is_that_of_the_whole_writer(samples, path, monkeypatch):
     io.write_cube(samples, path)
     with netcdf_rows.open_rows(path) as source:
         assert np.isfinite(source.tile(0, 1)["azimuth"]).all()
+
+
+@pytest.mark.parametrize(
+    ("columns", "rows", "frequencies"), [(500, 300, 4), (7000, 20, 4), (100, 300, 16)]
+)
+def test_tiles_are_whole_blocks_of_the_file(
+    make, rng, path, columns, rows, frequencies
+):
+    # A block of which a tile is a part would be compressed once for each of them.
+    made = make.samples(
+        rng,
+        rows=rows,
+        columns=columns,
+        frequencies=tuple(1e7 * (1 + np.arange(frequencies))),
+        polarizations=("VV",),
+    )
+    io.write_cube(made, path)
+    with netcdf_rows.open_rows(path) as source:
+        tile = netcdf_rows.tile_rows(source)
+    with h5py.File(path) as file:
+        block = file["in_phase"].chunks
+    assert block[:2] == (1, 1)
+    assert tile < rows
+    assert tile % block[2] == 0
