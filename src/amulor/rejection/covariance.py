@@ -150,6 +150,10 @@ def along(signal: Complex, size: float) -> Covariance:
 
 #: Rows of a matrix that are multiplied at once.
 _TOGETHER = 64
+#: Largest number of multiplications that are one product. OpenBLAS spreads larger ones,
+#: from 2^18 on, over threads, which wait for each other longer than they work: in
+#: products of 10^7, where another program has a processor, fourteen times as long.
+_LARGEST = 2**17
 
 
 def times(rows: Floats, matrix: Floats) -> Floats:
@@ -173,11 +177,12 @@ def times(rows: Floats, matrix: Floats) -> Floats:
     are given; here that is always the same.
     """
     count = len(rows)
-    if count < _TOGETHER or count % _TOGETHER:
-        full = np.zeros((-(-count // _TOGETHER) * _TOGETHER, rows.shape[1]))
+    together = max(1, min(_TOGETHER, _LARGEST // max(matrix.size, 1)))
+    if count < together or count % together:
+        full = np.zeros((-(-count // together) * together, rows.shape[1]))
         full[:count] = rows
         rows = full
-    blocks = rows.reshape(-1, _TOGETHER, rows.shape[1])
+    blocks = rows.reshape(-1, together, rows.shape[1])
     product: Floats = np.matmul(blocks, matrix)
     return product.reshape(-1, matrix.shape[1])[:count]
 

@@ -6,12 +6,11 @@ from collections.abc import Callable
 from functools import partial
 
 import numpy as np
-from numpy.polynomial import chebyshev
 from numpy.typing import NDArray
 
+from amulor._chebyshev import BoxSeries
 from amulor._decisions import decided
 from amulor.optics import ranging
-from amulor.rejection.covariance import times
 from amulor.rejection.reference.model import water_signal
 from amulor.survey import Survey, water_properties
 
@@ -172,47 +171,27 @@ class _Table:
         low, high = places.min(axis=1), places.max(axis=1)
         self._low, self._high = low, high
         self._survey, self._frequency, self._paper = survey, frequency, paper
-        self._centre = (low + high) / 2
-        self._half = np.where(high > low, (high - low) / 2, 1.0)
-        self._count = [
-            n if extent > 0 else 1 for n, extent in zip(nodes, high - low, strict=True)
-        ]
         self._phase_per_range = ranging.phase_per_range(
             frequency, group_index=water_properties(survey).group_index
         )
-        self.size = int(np.prod(self._count))
-        self.width = self._count[2] * len(frequency)
+        self._series = BoxSeries(low, high, nodes)
+        self.size = self._series.size
 
     def fill(self) -> None:
         """Integrate at the nodes and find the coefficients."""
-        axes = [np.cos(np.pi * (np.arange(n) + 0.5) / n) for n in self._count]
-        inverse = [
-            np.linalg.inv(chebyshev.chebvander(axis, n - 1))
-            for axis, n in zip(axes, self._count, strict=True)
-        ]
-        grid = np.stack(np.meshgrid(*axes, indexing="ij")).reshape(3, -1)
-        places = self._centre[:, None] + self._half[:, None] * grid
-        # Rounding must not push a depth below zero.
-        places[2] = np.maximum(places[2], 0.0)
+        places = self._series.places()
         value = integrated(self._survey, places, self._frequency, paper=self._paper)
         value *= np.exp(-1j * np.outer(self._phase_per_range, places[2]))
-        value = value.reshape(len(self._frequency), *self._count)
-        coefficients = np.einsum("fijk,ai,bj,ck->abcf", value, *inverse, optimize=True)
-        # Contiguous even where an axis has one node: it is viewed as real numbers.
-        self._coefficients = np.ascontiguousarray(
-            coefficients.reshape(self._count[0] * self._count[1], self.width)
-        )
+        self._series.fill(value)
 
     def fractions(self, places: Floats) -> Complex:
         """Return the fractions at places, by integration beyond the box."""
         inside = (places >= self._low[:, None]) & (places <= self._high[:, None])
         within = inside.all(axis=0)
         if within.all():
-            return _in_parts(self.at, places, self._frequency, self.width)
+            return self.at(places)
         found = np.empty((len(self._frequency), places.shape[1]), dtype=complex)
-        found[:, within] = _in_parts(
-            self.at, places[:, within], self._frequency, self.width
-        )
+        found[:, within] = self.at(places[:, within])
         # A few at a time: so they do not depend on each other.
         outside = np.flatnonzero(~within)
         for first in range(0, outside.size, _ALONE):
@@ -221,21 +200,8 @@ class _Table:
         return found
 
     def at(self, places: Floats) -> Complex:
-        """Return the fractions at places, shape (frequencies, n)."""
-        scaled = (places - self._centre[:, None]) / self._half[:, None]
-        across, up, down = (
-            chebyshev.chebvander(axis, n - 1)
-            for axis, n in zip(scaled, self._count, strict=True)
-        )
-        directions = (across[:, :, None] * up[:, None, :]).reshape(len(across), -1)
-        # One product of real matrices: real and imaginary parts side by side.
-        real = self._coefficients.view(float)
-        series = (
-            times(directions, real)
-            .view(complex)
-            .reshape(len(across), down.shape[1], -1)
-        )
-        value: Complex = np.einsum("nk,nkf->fn", down, series)
+        """Return the fractions at places in the box, shape (frequencies, n)."""
+        value = self._series.at(places)
         value *= np.exp(1j * np.outer(self._phase_per_range, places[2]))
         return value
 

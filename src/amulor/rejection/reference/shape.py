@@ -8,13 +8,13 @@ from functools import partial
 
 import numpy as np
 import xarray as xr
-from numpy.polynomial import chebyshev
 from numpy.typing import NDArray
 from scipy.constants import speed_of_light
 
+from amulor._chebyshev import BoxSeries
 from amulor._decisions import decided
 from amulor.errors import AmulorError
-from amulor.rejection.covariance import Covariance, times
+from amulor.rejection.covariance import Covariance
 from amulor.rejection.reference.model import water_signal
 from amulor.rejection.reference.places import FEWEST_SHOTS, places_of
 from amulor.rejection.reference.surface import noise_of, noiseless, surface_of
@@ -39,8 +39,6 @@ _LARGEST_RATIO = 1e6
 _FACTORS = (1.0, 0.5, 0.7, 1.4, 2.0)
 #: Nodes along azimuth and elevation of the table that pixels look up.
 _NODES = 33
-#: Pixels worked on at once: this bounds the memory.
-_AT_ONCE = 16_384
 
 
 @dataclass(frozen=True)
@@ -299,34 +297,9 @@ class _Tabled:
     def __init__(
         self, model: Model, low: Floats, high: Floats, frequency: Floats
     ) -> None:
-        self._centre = (low + high) / 2
-        self._half = np.where(high > low, (high - low) / 2, 1.0)
-        self._count = [_NODES if extent > 0 else 1 for extent in high - low]
-        axes = [np.cos(np.pi * (np.arange(n) + 0.5) / n) for n in self._count]
-        inverse = [
-            np.linalg.inv(chebyshev.chebvander(axis, len(axis) - 1)) for axis in axes
-        ]
-        nodes = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 2)
-        value = model(self._centre + self._half * nodes, frequency)
-        value = value.reshape(len(frequency), *self._count)
-        table = np.einsum("fij,ai,bj->abf", value, *inverse, optimize=True)
-        # One product of real matrices: real and imaginary parts side by side.
-        flat = np.ascontiguousarray(table.reshape(self._count[0], -1))
-        self._real = flat.view(float)
+        self._series = BoxSeries(low, high, (_NODES, _NODES))
+        self._series.fill(model(self._series.places().T, frequency))
 
     def at(self, places: Floats, frequency: Floats) -> Complex:
         """Return the water signal at places, for the frequencies of the table."""
-        centre, half, count = self._centre, self._half, self._count
-        found = np.empty((len(frequency), len(places)), dtype=complex)
-        for begin in range(0, len(places), _AT_ONCE):
-            part = slice(begin, begin + _AT_ONCE)
-            across, up = (
-                chebyshev.chebvander(
-                    (places[part, k] - centre[k]) / half[k], count[k] - 1
-                )
-                for k in (0, 1)
-            )
-            product = times(across, self._real)
-            rows = product.view(complex).reshape(len(across), count[1], -1)
-            found[:, part] = np.einsum("nbf,nb->fn", rows, up)
-        return found
+        return self._series.at(places.T)
