@@ -4,6 +4,10 @@ Each step runs in a process of its own on a scan of so many million pixels, four
 frequencies and one channel; the figures are processor time, wall time, the most memory
 that the process had, and the size of the file. What a step makes is deleted when the
 next one has read it; `--keep` leaves the last file.
+
+`--sparse 100` simulates one row of a hundred and leaves the others missing, as in a
+scan that was stopped: a hundred million pixels are there in minutes, and all of them
+are read, worked on and written.
 """
 
 from __future__ import annotations
@@ -16,6 +20,13 @@ import sys
 import tempfile
 import time
 from pathlib import Path
+
+import numpy as np
+import xarray as xr
+
+from amulor.cube import without_groups
+from amulor.io import read_cube
+from amulor.io.netcdf_rows import row_writer
 
 SURVEY = """
 name = "Plate behind turbid water"
@@ -119,6 +130,25 @@ def measured(words: list[str]) -> dict[str, float]:
     }
 
 
+def spread(samples: Path, every: int) -> None:
+    """Put the rows of a file apart, and rows without a number between them."""
+    cube = without_groups(read_cube(samples), "truth")
+    rows = cube.sizes["row"]
+    elevation = cube["elevation"].values
+    apart = (elevation[-1] - elevation[0]) / max(rows - 1, 1) / every
+    steps = xr.DataArray(np.arange(every), dims="row")
+    with row_writer(samples, rows * every, overwrite=True) as writer:
+        for row in range(rows):
+            tile = cube.isel(row=[row] * every).copy(deep=True)
+            for variable in tile.data_vars.values():
+                if variable.dtype.kind == "f" and "row" in variable.dims:
+                    variable[{"row": slice(1, None)}] = np.nan
+            tile = tile.assign_coords(
+                elevation=tile["elevation"] + steps * xr.DataArray(apart, dims="column")
+            )
+            writer.put(tile, row * every)
+
+
 def main() -> None:
     """Measure the steps that are asked for, one line of JSON each."""
     parser = argparse.ArgumentParser(description=__doc__)
@@ -126,19 +156,23 @@ def main() -> None:
     parser.add_argument("--steps", nargs="+", default=["simulate", "reject", "image"])
     parser.add_argument("--tile-rows", type=int)
     parser.add_argument("--folder", type=Path, help="an existing one, which is kept")
+    parser.add_argument("--sparse", type=int, default=1, metavar="N")
     parser.add_argument("--keep", action="store_true")
     chosen = parser.parse_args()
     for millions in chosen.millions:
         with tempfile.TemporaryDirectory() as made:
             folder = chosen.folder or Path(made)
             side = round((millions * 1e6) ** 0.5)
-            text = SURVEY.replace("{columns}", str(side)).replace("{rows}", str(side))
+            text = SURVEY.replace("{columns}", str(side))
+            text = text.replace("{rows}", str(side // chosen.sparse))
             (folder / "survey.toml").write_text(text)
             for step in chosen.steps:
                 words = [*steps(folder)[step], "--overwrite"]
                 if step in TOLD and chosen.tile_rows:
                     words += ["--tile-rows", str(chosen.tile_rows)]
                 found = measured(words)
+                if step == "simulate" and chosen.sparse > 1:
+                    spread(folder / "samples.nc", chosen.sparse)
                 print(
                     json.dumps({"step": step, "pixels": side**2, **found}), flush=True
                 )
