@@ -18,6 +18,7 @@ __all__ = [
     "Source",
     "Whole",
     "bands",
+    "directions_of",
     "sample_of",
 ]
 
@@ -51,6 +52,10 @@ class Source(Protocol):
         """Return the rows from `begin` on, before `end`, with all of `head`."""
         ...
 
+    def directions(self, begin: int, end: int) -> xr.Dataset:
+        """Return azimuth and elevation of the same rows, and nothing else of them."""
+        ...
+
 
 @dataclass(frozen=True)
 class InMemory:
@@ -80,6 +85,10 @@ class InMemory:
         if begin == 0 and end >= self.rows:
             return self.cube
         return self.cube.isel(row=slice(begin, end))
+
+    def directions(self, begin: int, end: int) -> xr.Dataset:
+        """Return azimuth and elevation of some rows."""
+        return directions_of(self.cube.isel(row=slice(begin, end)))
 
 
 class Changed:
@@ -117,6 +126,27 @@ class Changed:
     def tile(self, begin: int, end: int) -> xr.Dataset:
         """Return some rows, changed."""
         return self._change(self._source.tile(begin, end))
+
+    def directions(self, begin: int, end: int) -> xr.Dataset:
+        """Return azimuth and elevation of some rows, which no change moves."""
+        return self._source.directions(begin, end)
+
+
+def directions_of(cube: xr.Dataset) -> xr.Dataset:
+    """Return azimuth and elevation of the rows of a cube.
+
+    Parameters
+    ----------
+    cube : xarray.Dataset
+        Any cube over rows and columns.
+
+    Returns
+    -------
+    xarray.Dataset
+        With these two coordinates only.
+    """
+    names = ("azimuth", "elevation")
+    return xr.Dataset(coords={name: cube.variables[name] for name in names})
 
 
 def bands(source: Source, rows: int | None = None) -> Iterator[tuple[int, int]]:

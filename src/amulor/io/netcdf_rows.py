@@ -89,8 +89,17 @@ class CubeRows:
         CubeError, FormatError
             If the rows do not keep the schema, or are damaged.
         """
+        part = self._read(self._cube, begin, end)
+        cubes.check(part, name=f"{self._path}, rows {begin} to {end - 1}")
+        return part
+
+    def directions(self, begin: int, end: int) -> xr.Dataset:
+        """Return azimuth and elevation of some rows."""
+        return self._read(tiles.directions_of(self._cube), begin, end)
+
+    def _read(self, cube: xr.Dataset, begin: int, end: int) -> xr.Dataset:
         try:
-            part = self._cube.isel(row=slice(begin, end)).load().drop_encoding()
+            return cube.isel(row=slice(begin, end)).load().drop_encoding()
         except AmulorError:
             raise
         except Exception as error:  # as in `read_cube`
@@ -99,8 +108,6 @@ class CubeRows:
                 f"{_reason(error)}; the file is damaged: copy it again, or make it "
                 "again"
             ) from error
-        cubes.check(part, name=f"{self._path}, rows {begin} to {end - 1}")
-        return part
 
 
 @contextmanager

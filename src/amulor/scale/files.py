@@ -14,15 +14,14 @@ import xarray as xr
 from amulor import cube as cubes
 from amulor import io, rejection
 from amulor.cube import tiles
-from amulor.io.netcdf_rows import is_large, open_rows, row_writer, tile_rows
+from amulor.io.netcdf_rows import is_large, open_rows, row_writer
 from amulor.scale.steps import (
-    TiledStep,
     auto_step,
     compared,
     image_step,
     reject_step,
-    run_step,
 )
+from amulor.scale.tiled import TiledStep, run_step
 
 __all__ = ["Summary", "image_file", "is_large", "reject_file", "run_file"]
 
@@ -80,15 +79,14 @@ def run_file(
         As the step, and if a file cannot be read or written.
     """
     with open_rows(Path(source)) as cube:
-        size = tile_rows(cube) if rows is None else rows
-        return _run(step, cube, output, size, overwrite=overwrite)
+        return _run(step, cube, output, rows, overwrite=overwrite)
 
 
 def _run(
     step: TiledStep,
     cube: tiles.Source,
     output: str | os.PathLike[str],
-    size: int,
+    rows: int | None,
     *,
     overwrite: bool,
 ) -> Summary:
@@ -97,7 +95,7 @@ def _run(
     count = usable = flagged = doubtful = 0
     head: xr.Dataset | None = None
     with row_writer(output, cube.rows, overwrite=overwrite) as writer:
-        for begin, tile in run_step(step, cube, rows=size):
+        for begin, tile in run_step(step, cube, rows=rows):
             writer.put(tile, begin)
             signal = "in_phase" if "in_phase" in tile else "slant_range"
             number = np.isfinite(tile[signal].values)
@@ -155,7 +153,6 @@ def reject_file(
     """
     step = None if method == "auto" else reject_step(method, **options)
     with open_rows(Path(source)) as samples:
-        size = tile_rows(samples) if rows is None else rows
         cube: tiles.Source = samples
         if open_water is not None:
             shots = io.read_cube(open_water)
@@ -163,10 +160,10 @@ def reject_file(
                 samples, lambda tile: rejection.with_open_water(tile, shots)
             )
         if step is not None:
-            return _run(step, cube, output, size, overwrite=overwrite)
+            return _run(step, cube, output, rows, overwrite=overwrite)
         comparison = compared(cube, **options)
         step = auto_step(comparison, **options)
-        made = _run(step, cube, output, size, overwrite=overwrite)
+        made = _run(step, cube, output, rows, overwrite=overwrite)
         return replace(made, comparison=comparison)
 
 

@@ -6,7 +6,7 @@ import shutil
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
-from functools import lru_cache, partial
+from functools import lru_cache
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, cast
@@ -17,8 +17,9 @@ from amulor.cube import schema, tiles
 from amulor.errors import CubeError
 from amulor.io.netcdf_rows import open_rows, row_writer, tile_rows
 from amulor.scale.clouds import cloud_file
-from amulor.scale.steps import WITH_INTERVAL, TiledStep, image_step, reject_step
+from amulor.scale.steps import WITH_INTERVAL, image_step, reject_step
 from amulor.scale.tasks import Record, Task
+from amulor.scale.tiled import Made, Prepared, TiledStep, window
 from amulor.simulation.by_rows import SimulatedRows
 from amulor.survey import Survey
 
@@ -126,10 +127,10 @@ class _Rows:
     """The rows of a file that is to be made, in tiles."""
 
     def __init__(
-        self, source: tiles.Source, task: Task, of: Callable[[int, int], xr.Dataset]
+        self, source: tiles.Source, step: Step, of: Callable[[int, int], xr.Dataset]
     ) -> None:
         self.rows, self.columns, self.of = source.rows, source.columns, of
-        self.size = task.tile_rows or tile_rows(source)
+        self.size = _size(step, source)
 
     def tiles(self, begin: int, end: int) -> Iterator[tuple[int, xr.Dataset]]:
         """Yield the tiles between two rows, the first of which begins one."""
@@ -142,22 +143,12 @@ def _opened(step: Step, *, check_digest: bool) -> Iterator[_Rows]:
     """Open what the rows of a file are made of."""
     if step.tiled is None:
         source = _simulated(step.of.read_text("utf-8"), step.of, step.task.seed)
-        yield _Rows(source, step.task, source.tile)
+        yield _Rows(source, step, source.tile)
         return
     identity = Record(Path(step.task.folder)).identity(step.of)
     with open_rows(step.of, check_digest=check_digest) as cube:
         made = _prepared(_Known(f"{step.how}, {step.of}, {identity}", step, cube))
-        yield _Rows(cube, step.task, partial(_made, step.tiled, made, cube))
-
-
-def _made(
-    step: TiledStep, of: Any, source: tiles.Source, begin: int, end: int
-) -> xr.Dataset:
-    """Return some rows of what a step makes."""
-    first = max(begin - step.halo, 0)
-    wide = source.tile(first, min(end + step.halo, source.rows))
-    found: xr.Dataset = of(wide, first)
-    return found.isel(row=slice(begin - first, end - first))
+        yield _Rows(cube, step, Made(made, cube).tile)
 
 
 @lru_cache(maxsize=1)
@@ -183,10 +174,11 @@ class _Known:
 
 
 @lru_cache(maxsize=1)
-def _prepared(known: _Known) -> Any:
+def _prepared(known: _Known) -> Prepared:
     """Return what treats rows; kept, as the simulation is."""
-    assert known.step.tiled is not None
-    return known.step.tiled.prepare(known.source)
+    step, source = known.step, known.source
+    assert step.tiled is not None
+    return Prepared(step.tiled, source, step.task.tile_rows or tile_rows(source))
 
 
 def splits(task: Task) -> tuple[str, ...]:
@@ -246,13 +238,21 @@ def parts_of(task: Task, name: str) -> list[tuple[int, int]]:
     list of tuple of int
         First row, and the one behind the last; whole tiles each.
     """
-    source = _sizes(_step(task, name))
-    size = task.tile_rows or tile_rows(source)
+    step = _step(task, name)
+    source = _sizes(step)
+    size = _size(step, source)
     few = 1 if task.tile_rows else max(1, round(PART / (size * source.columns)))
-    step = size * few
+    rows = size * few
     return [
-        (begin, min(begin + step, source.rows)) for begin in range(0, source.rows, step)
+        (begin, min(begin + rows, source.rows)) for begin in range(0, source.rows, rows)
     ]
+
+
+def _size(step: Step, source: tiles.Source) -> int:
+    """Return how many rows of a file are made at once."""
+    if step.tiled is None:
+        return step.task.tile_rows or tile_rows(source)
+    return window(step.tiled, source, step.task.tile_rows)
 
 
 def _step(task: Task, name: str) -> Step:

@@ -112,6 +112,18 @@ class SimulatedRows:
             samples, truth = measurement.measured(setting, directions, noise=noise)
         return measurement.joined(samples, self._shots, truth)
 
+    def directions(self, begin: int, end: int) -> xr.Dataset:
+        """Return azimuth and elevation of some rows."""
+        rows = slice(begin, end)
+        azimuth, elevation, _ = scan_directions(self._setting.survey, rows=rows)
+        dimensions = ("row", "column")
+        return xr.Dataset(
+            coords={
+                "azimuth": (dimensions, azimuth),
+                "elevation": (dimensions, elevation),
+            }
+        )
+
 
 def _nobody(step: str, share: float) -> None:
     """Take what a tile says it does; the file that it is for has a bar of its own."""

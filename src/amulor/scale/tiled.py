@@ -1,0 +1,254 @@
+"""Steps over the rows of a scan: what all pixels share is decided once, then tiles."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+
+import numpy as np
+import xarray as xr
+
+from amulor import cube as cubes
+from amulor._decisions import Decisions, deciding, told
+from amulor._progress import tell
+from amulor.cube import tiles
+from amulor.io.netcdf_rows import tile_rows
+
+__all__ = ["Made", "Prepared", "TiledStep", "decided_once", "run_step", "window"]
+
+Step = Callable[[xr.Dataset], xr.Dataset]
+#: From a tile with its halo, and the row of the scan at which it begins.
+OfRows = Callable[[xr.Dataset, int], xr.Dataset]
+
+#: Rows of a tile, in halos at least: so those that are worked on twice are few.
+_HALOS = 4
+
+
+@dataclass(frozen=True, kw_only=True)
+class TiledStep:
+    """A step that works on any rows of a scan once it knows what all of them share."""
+
+    prepare: Callable[[tiles.Source], OfRows]
+    """From the scan to what treats rows of it."""
+    halo: int = 0
+    """Rows above and below a tile that its pixels look at."""
+    of: TiledStep | None = None
+    """The step on whose result it works; None if on the scan itself."""
+
+
+class Prepared:
+    """A step that knows what all rows of a scan share.
+
+    Parameters
+    ----------
+    step : TiledStep
+        What is done.
+    source : Source
+        The scan; only looked at, so rows may come from another opening of its file.
+    rows : int
+        Rows of a tile.
+    """
+
+    def __init__(self, step: TiledStep, source: tiles.Source, rows: int) -> None:
+        self.rows, self.halo = rows, step.halo
+        self._before = None if step.of is None else Prepared(step.of, source, rows)
+        self.treat = step.prepare(self.input(source))
+
+    def input(self, source: tiles.Source) -> tiles.Source:
+        """Return the rows that are treated: of the scan, or of the step before."""
+        if self._before is None:
+            return source
+        return _Kept(Made(self._before, source), self.rows)
+
+
+class Made:
+    """The rows that a step makes of a scan.
+
+    Parameters
+    ----------
+    prepared : Prepared
+        The step.
+    source : Source
+        The scan.
+    """
+
+    def __init__(self, prepared: Prepared, source: tiles.Source) -> None:
+        self._prepared, self._source = prepared, prepared.input(source)
+        self._head: xr.Dataset | None = None
+
+    @property
+    def head(self) -> xr.Dataset:
+        """All that does not run over the rows."""
+        if self._head is None:
+            self._head = tiles.InMemory(self.tile(0, 1)).head
+        return self._head
+
+    @property
+    def rows(self) -> int:
+        """Number of rows."""
+        return self._source.rows
+
+    @property
+    def columns(self) -> int:
+        """Number of columns."""
+        return self._source.columns
+
+    def tile(self, begin: int, end: int) -> xr.Dataset:
+        """Return some rows; the same for whatever tiles."""
+        halo = self._prepared.halo
+        first = max(begin - halo, 0)
+        wide = self._source.tile(first, min(end + halo, self.rows))
+        made = self._prepared.treat(wide, first)
+        return made.isel(row=slice(begin - first, end - first))
+
+    def directions(self, begin: int, end: int) -> xr.Dataset:
+        """Return azimuth and elevation of some rows."""
+        return self._source.directions(begin, end)
+
+
+class _Kept:
+    """Rows of which the last tile is kept: its end is the halo of the next one.
+
+    Parameters
+    ----------
+    source : Source
+        Where rows come from that are not kept.
+    rows : int
+        As many of them at once.
+    """
+
+    def __init__(self, source: tiles.Source, rows: int) -> None:
+        self._source, self._rows = source, rows
+        self._begin, self._end = 0, 0
+        self._last: xr.Dataset | None = None
+
+    @property
+    def head(self) -> xr.Dataset:
+        """All that does not run over the rows."""
+        return self._source.head
+
+    @property
+    def rows(self) -> int:
+        """Number of rows."""
+        return self._source.rows
+
+    @property
+    def columns(self) -> int:
+        """Number of columns."""
+        return self._source.columns
+
+    def tile(self, begin: int, end: int) -> xr.Dataset:
+        """Return some rows; quickest in their order."""
+        joined = tiles.Whole(end - begin, self.columns)
+        new = begin
+        if self._last is not None and self._begin <= begin < self._end:
+            new = min(self._end, end)
+            part = slice(begin - self._begin, new - self._begin)
+            joined.put(self._last.isel(row=part), 0)
+        for first in range(new, end, self._rows):
+            last = min(first + self._rows, end)
+            joined.put(self._source.tile(first, last), first - begin)
+        self._begin, self._end, self._last = begin, end, joined.made()
+        return self._last
+
+    def directions(self, begin: int, end: int) -> xr.Dataset:
+        """Return azimuth and elevation of some rows."""
+        return self._source.directions(begin, end)
+
+
+def window(step: TiledStep, source: tiles.Source, rows: int | None = None) -> int:
+    """Return how many rows a step makes at once.
+
+    Parameters
+    ----------
+    step : TiledStep
+        What is done.
+    source : Source
+        Where the rows come from.
+    rows : int, optional
+        Rows of a tile, as somebody wants them.
+
+    Returns
+    -------
+    int
+        That; by default those of `tile_rows`, or as many times that as a halo needs.
+    """
+    if rows is not None:
+        return rows
+    few = tile_rows(source)
+    return few * max(1, -(-_HALOS * step.halo // few))
+
+
+def run_step(
+    step: TiledStep, source: tiles.Source, *, rows: int | None = None
+) -> Iterator[tuple[int, xr.Dataset]]:
+    """Run a step tile by tile.
+
+    Parameters
+    ----------
+    step : TiledStep
+        What is done.
+    source : Source
+        Where the rows come from.
+    rows : int, optional
+        Rows of a tile; by default a quarter of a million samples of each variable, in
+        whole blocks of a file.
+
+    Yields
+    ------
+    tuple of int and xarray.Dataset
+        The first row of a tile, and the tile; the same rows for whatever tiles.
+
+    Raises
+    ------
+    AmulorError, ValueError
+        As the step.
+    """
+    if rows is not None and rows < 1:
+        raise ValueError(f"a tile has 1 row at least, got {rows}")
+    tell("what all pixels share", 0.0)
+    prepared = Prepared(step, source, tile_rows(source) if rows is None else rows)
+    made = Made(prepared, source)
+    for begin, end in tiles.bands(source, window(step, source, rows)):
+        tell(f"row {begin:,} of {source.rows:,}", begin / source.rows)
+        yield begin, made.tile(begin, end)
+
+
+def decided_once(function: Step) -> TiledStep:
+    """Return a step whose looks at all pixels are looks at a sample of the scan.
+
+    Parameters
+    ----------
+    function : callable
+        From a cube to another one; what it decides from all pixels it asks
+        `amulor._decisions.decided` for.
+
+    Returns
+    -------
+    TiledStep
+        The same for whatever rows come together.
+    """
+
+    def prepare(source: tiles.Source) -> OfRows:
+        decisions = Decisions(**_spans(source))
+        with deciding(decisions):
+            function(cubes.without_groups(tiles.sample_of(source), "truth"))
+
+        def of(tile: xr.Dataset, first: int) -> xr.Dataset:
+            with told(decisions):
+                return function(tile)
+
+        return of
+
+    return TiledStep(prepare=prepare)
+
+
+def _spans(source: tiles.Source) -> dict[str, tuple[float, float]]:
+    """Return the ends of the directions of a scan, under the names of decisions."""
+    ends: dict[str, list[float]] = {"azimuth": [], "elevation": []}
+    for begin, end in tiles.bands(source):
+        tile = source.directions(begin, end)
+        for name, values in ends.items():
+            angle = tile[name].values
+            values += [float(np.min(angle)), float(np.max(angle))]
+    return {f"span_of_{name}": (min(v), max(v)) for name, v in ends.items()}
