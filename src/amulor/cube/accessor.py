@@ -136,7 +136,6 @@ def flag_counts(cube: xr.Dataset) -> dict[str, int]:
     return {meaning: count for meaning, count in counts.items() if count}
 
 
-@xr.register_dataset_accessor("amulor")  # type: ignore[no-untyped-call]
 class CubeAccessor:
     """`cube.amulor`: what every step asks of a cube, in one word.
 
@@ -224,3 +223,18 @@ class CubeAccessor:
     def geometry(self) -> dict[str, Any]:
         """Positions and indices that turn a phase into a point in space."""
         return dict(self._cube["geometry"].attrs)
+
+
+class _Accessor:
+    """Gives `cube.amulor`, made anew at each use.
+
+    As xarray registers accessors, it keeps one with each cube, and the two refer to
+    each other: cubes then stay in memory until the garbage collector comes by, which
+    counts objects, not bytes.
+    """
+
+    def __get__(self, cube: xr.Dataset | None, owner: type) -> Any:
+        return CubeAccessor if cube is None else CubeAccessor(cube)
+
+
+xr.Dataset.amulor = _Accessor()  # type: ignore[attr-defined]

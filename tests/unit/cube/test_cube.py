@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import gc
+import weakref
 from collections.abc import Callable
 
 import numpy as np
@@ -191,3 +193,17 @@ def test_each_step_adds_a_line_to_the_history(samples: xr.Dataset) -> None:
     assert lines[-1].endswith(": two")
     assert lines[-2].endswith(": one")
     assert len(lines) == len(samples.attrs["history"].splitlines()) + 2
+
+
+def test_a_cube_leaves_memory_with_its_last_user(samples: xr.Dataset) -> None:
+    cube = samples.copy()
+    signal = cube.amulor.signal
+    seen = weakref.ref(cube)
+    gc.disable()
+    try:
+        del cube
+        # Without a collection: of cubes with gigabytes there may be none in time.
+        assert seen() is None
+    finally:
+        gc.enable()
+    assert signal.shape == samples["in_phase"].shape

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -213,3 +214,25 @@ def test_what_was_not_decided_in_the_sample_is_an_error() -> None:
         with pytest.raises(RuntimeError, match="'inner' is asked for"):
             decided("inner", lambda: 0)
     assert decided("size", lambda: 5) == 5
+
+
+@pytest.mark.parametrize("level", ["samples", "target_signal"])
+def test_no_tile_stays_in_memory(level: str, samples: xr.Dataset) -> None:
+    cube, step = samples, reject_step("open-water", interval=INTERVAL)
+    if level == "target_signal":
+        cube = rejection.open_water(samples, interval=INTERVAL)
+        step = steps.image_step(interval=INTERVAL, polarization="VV")
+    counts = []
+    gc.collect()
+    gc.disable()
+    try:
+        for _, tile in run_step(step, tiles.InMemory(cube), rows=2):
+            del tile
+            found = [each for each in gc.get_objects() if isinstance(each, xr.Dataset)]
+            counts.append(len(found))
+            del found
+    finally:
+        gc.enable()
+    # The first has nothing before it; from the second on none is added.
+    assert len(counts) == 6
+    assert max(counts[2:]) <= counts[1]
