@@ -49,8 +49,14 @@ LARGE = 2**24
 class CubeRows:
     """The rows of a cube in a file; made by `open_rows`."""
 
-    def __init__(self, cube: xr.Dataset, path: Path) -> None:
+    def __init__(self, cube: xr.Dataset, path: Path, storage: Any) -> None:
         self._cube, self._path = cube, path
+        self._storage = storage
+        self._stored = {
+            name
+            for name, variable in cube.variables.items()
+            if name in storage and _is_as_stored(variable, storage[name])
+        }
         self._rows = int(cube.sizes["row"])
         self._columns = int(cube.sizes["column"])
         names = [name for name, v in cube.variables.items() if "row" in v.dims]
@@ -98,8 +104,26 @@ class CubeRows:
         return self._read(tiles.directions_of(self._cube), begin, end)
 
     def _read(self, cube: xr.Dataset, begin: int, end: int) -> xr.Dataset:
+        def rows(name: Any) -> xr.Variable:
+            variable = cube.variables[name]
+            if "row" not in variable.dims:
+                return variable
+            place = {"row": slice(begin, end)}
+            if name not in self._stored:
+                return variable.isel(place)
+            index = tuple(place.get(str(key), slice(None)) for key in variable.dims)
+            # Of the file itself, as the layers above take as long again; closed at
+            # once, as each that is open keeps blocks.
+            values = self._storage[name][index]
+            return xr.Variable(variable.dims, values, variable.attrs)
+
         try:
-            return cube.isel(row=slice(begin, end)).load().drop_encoding()
+            part = xr.Dataset(
+                {name: rows(name) for name in cube.data_vars},
+                {name: rows(name) for name in cube.coords},
+                cube.attrs,
+            )
+            return part.load().drop_encoding()
         except AmulorError:
             raise
         except Exception as error:  # as in `read_cube`
@@ -108,6 +132,18 @@ class CubeRows:
                 f"{_reason(error)}; the file is damaged: copy it again, or make it "
                 "again"
             ) from error
+
+
+def _is_as_stored(variable: xr.Variable, stored: Any) -> bool:
+    """Return whether a variable over the rows has the values that the file has."""
+    coded = {"scale_factor", "add_offset", "missing_value"} & set(variable.encoding)
+    return bool(
+        "row" in variable.dims
+        and not coded
+        and stored.shape == variable.shape
+        and stored.dtype == variable.dtype
+        and stored.dtype.kind in "fi"
+    )
 
 
 @contextmanager
@@ -172,7 +208,7 @@ def open_rows(
                 f"{path} has the dimensions {', '.join(map(str, cube.sizes))}; rows "
                 "and columns are needed to work row by row: read it whole"
             )
-        yield CubeRows(cube, path)
+        yield CubeRows(cube, path, storage)
 
 
 def is_large(path: str | os.PathLike[str], *, most: int | None = None) -> bool:
