@@ -34,8 +34,8 @@ def recordings(
     temperature
         Which temperature, in degC, where the recording holds several.
     tile_rows
-        Work on so many rows at a time, in bounded memory; scans of more than 1e7
-        samples are imported by rows without being asked.
+        Work on so many rows at a time, in bounded memory; scans of more than 2
+        million samples are imported by rows without being asked.
     overwrite
         Replace a file that is there.
     """
@@ -44,14 +44,14 @@ def recordings(
     from amulor.io.recording_map import RecordingMap
     from amulor.io.recordings import marked, read_recordings
     from amulor.survey import Survey
-    from amulor.survey.checks.memory import MOST_SAMPLES, samples_of
+    from amulor.survey.checks.memory import BY_ROWS, samples_of
 
     check_cube_output(output, overwrite=overwrite, inputs=[file, survey, columns])
     if tile_rows is not None and tile_rows < 1:
         raise UsageError(f"--tile-rows must be 1 or more, got {tile_rows}")
     described = RecordingMap.from_toml(columns)
     planned = Survey.from_toml(survey)
-    if tile_rows is not None or samples_of(planned) > MOST_SAMPLES:
+    if tile_rows is not None or samples_of(planned) > BY_ROWS:
         # Loads what works by rows, which other imports do without.
         from amulor.scale.recorded import import_file
 

@@ -45,8 +45,9 @@ def simulate(
     seed
         Seed of the simulated noise, and of photons.
     tile_rows
-        Work on so many rows at a time, in bounded memory; scans of more than 1e7
-        samples are simulated by rows without being asked. Photons take a scan whole.
+        Work on so many rows at a time, in bounded memory; scans of more than 2
+        million samples are simulated by rows without being asked. Photons take a scan
+        whole.
     overwrite
         Replace a file that is there.
     """
@@ -60,7 +61,7 @@ def simulate(
     )
     from amulor.simulation import simulate as simulate_survey
     from amulor.survey import Survey
-    from amulor.survey.checks.memory import MOST_SAMPLES, samples_of
+    from amulor.survey.checks.memory import BY_ROWS, MOST_SAMPLES, samples_of
     from amulor.survey.reach import unsettled_interval
 
     goal = quantity_of("--error", error, "fraction")
@@ -72,7 +73,8 @@ def simulate(
     if tile_rows is not None and tile_rows < 1:
         raise UsageError(f"--tile-rows must be 1 or more, got {tile_rows}")
     described = Survey.from_toml(survey)
-    by_rows = tile_rows is not None or samples_of(described) > MOST_SAMPLES
+    most = MOST_SAMPLES if model == "photons" else BY_ROWS
+    by_rows = tile_rows is not None or samples_of(described) > most
     try:
         with progress_bar() as advance, _progress.part(0.0, 0.9):
             chosen: SignalModel
