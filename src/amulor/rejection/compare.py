@@ -237,6 +237,11 @@ def compare(cube: xr.Dataset, *, interval: Interval = None) -> Comparison:
             for name in target.amulor.polarizations
         ]
     best = _best(rows)
+    if best is None and any(row.caution is Caution.NO_PIXEL for row in rows):
+        raise CubeError(
+            "no method has a pixel that it can use: none shows a target, all is open "
+            "water as the shots have it; aim at the target, or raise power or dwell"
+        )
     if best is None:
         listed = "; ".join(f"{row.method}: {row.note or 'no pixel'}" for row in rows)
         raise CubeError(f"no method has a pixel that it can use ({listed})")

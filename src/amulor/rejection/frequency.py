@@ -10,13 +10,16 @@ from numpy.typing import NDArray
 
 from amulor import cube as cubes
 from amulor._decisions import decided
+from amulor.cube import QualityFlag
 from amulor.errors import CubeError
 from amulor.optics import extrema, low_pass, ranging
+from amulor.rejection import quality
 from amulor.rejection.build import target_cube
 from amulor.rejection.covariance import covariance_of
 from amulor.rejection.merit import Merit, merit
 from amulor.rejection.quality import LARGEST_PHASE_ERROR
 from amulor.rejection.reference.before_target import water_before_target
+from amulor.rejection.reference.presence import shows_target
 from amulor.rejection.reference.shots import shots_of
 
 Floats = NDArray[np.float64]
@@ -182,7 +185,8 @@ def frequency(
         the shift of the range follows, and the uncertainty holds the fluctuation of
         that water and the error of the shots. Flagged `WATER_RESIDUAL` where the shift
         exceeds the uncertainty, `NO_TARGET` where the signal is not five times the
-        water in it. The attributes `frequency_choice` and `frequency_warnings` say why.
+        water in it, or open water explains all frequencies. The attributes
+        `frequency_choice` and `frequency_warnings` say why.
 
     Raises
     ------
@@ -224,7 +228,7 @@ def frequency(
         residual = np.where(np.isfinite(water.hidden_fraction), residual, np.nan)
     errors = covariance_of(cube) + water.fluctuation + water.common
     signal = one.amulor.signal.values
-    return target_cube(
+    result = target_cube(
         one,
         signal,
         errors.part(which),
@@ -241,6 +245,9 @@ def frequency(
         frequency_choice=reason,
         frequency_warnings="; ".join(warnings),
     )
+    # By all frequencies: one alone takes water that is cut off close by for a target.
+    seen = shows_target(cube, water, interval=interval)
+    return quality.add(result, QualityFlag.NO_TARGET, ~seen)
 
 
 def _channel(cube: xr.Dataset, figures: Merit, polarization: str | None) -> int:

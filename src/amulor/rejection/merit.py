@@ -13,6 +13,7 @@ from amulor.optics import interference, ranging
 from amulor.rejection import quality
 from amulor.rejection.covariance import covariance_of
 from amulor.rejection.reference.before_target import water_before_target
+from amulor.rejection.reference.presence import shows_target
 
 Floats = NDArray[np.float64]
 
@@ -71,6 +72,7 @@ def merit(cube: xr.Dataset, *, interval: tuple[float, float] | None) -> Merit:
     errors = covariance_of(cube) + water.fluctuation
     flag = quality.flags(cube, target, errors + water.common)
     usable = ((flag & UNUSABLE) == 0) & (target != 0) & (signal != 0)
+    usable &= shows_target(cube, water, interval=interval)
     phase = quality.phase_error(signal, errors, usable)
     turned = interference.phase_error(
         np.where(usable, target, 1.0), np.where(usable, water.signal, 0.0)

@@ -14,6 +14,7 @@ from amulor import cube as cubes
 from amulor import imaging, rejection
 from amulor.cube import QualityFlag
 from amulor.errors import CubeError
+from amulor.studies.trust.scenes.catalogue import BY_NAME
 
 Make = Callable[..., xr.Dataset]
 ONE = {"VV": (1.0, 1.0)}
@@ -151,3 +152,23 @@ def test_the_end_of_the_sweep_is_told_unless_the_interval_made_it(
     blocked = rejection.choose_frequency(two, interval=(0.5, 20.0))
     assert blocked.modulation_frequency == SWEEP[0]
     assert not any(end in w for w in blocked.warnings)
+
+
+@pytest.mark.parametrize("scene", ["empty", "small-angle empty"])
+def test_one_frequency_finds_no_target_in_open_water(scene: str) -> None:
+    # At 35 MHz, water that something a decimetre away cuts off passes for a target.
+    case = BY_NAME[scene].make(4, 1)
+    target = rejection.frequency(
+        case.samples, modulation_frequency=35e6, interval=case.interval
+    )
+    assert np.all(target["quality_flag"].values & QualityFlag.NO_TARGET)
+    with pytest.raises(CubeError, match="no pixel shows a target"):
+        rejection.choose_frequency(case.samples, interval=case.interval)
+
+
+@pytest.mark.slow
+def test_auto_says_in_a_word_that_all_is_open_water() -> None:
+    case = BY_NAME["empty"].make(4, 1)
+    with pytest.raises(CubeError, match="all is open water") as found:
+        rejection.auto(case.samples, interval=case.interval)
+    assert len(str(found.value)) < 200
