@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from amulor._decisions import decided
 from amulor.cube import UNUSABLE, QualityFlag
+from amulor.cube.pixels import JOINT_OUTLIERS, flags_of_pixels
 from amulor.cube.terms import PHASE_PREFIX, SHARED_TERMS, SIGNAL_TERMS
 from amulor.imaging.geometry import beams_of, medium_of, receivers_of
 from amulor.optics import ambiguity, detection, ranging, rays
@@ -18,8 +19,6 @@ Floats = NDArray[np.float64]
 
 #: Step of the optical path for the derivative of the slant range [m].
 _DIFFERENCE = 1e-5
-#: Fraction of the frequencies of a pixel that may show no target [1].
-_HALF = 0.5
 #: A range may lie this many standard errors outside the interval: it was measured.
 _SLACK = 4.0
 
@@ -141,10 +140,7 @@ def ranges_of_joint(one: xr.Dataset, *, interval: tuple[float, float] | None) ->
     }
     distance, total = found["slant_range"], found["slant_range_uncertainty"]
     common = found["slant_range_common_uncertainty"]
-    flag, sigma, _ = phase_errors(one)
-    outlying = (one["quality_flag"].values & QualityFlag.OUTLIER) != 0
-    # Single samples that disagree are left out of these ranges, and no doubt of theirs.
-    flag[~outlying.all(axis=0)] &= ~QualityFlag.OUTLIER
+    flag, sigma, _ = phase_errors(one, most_outliers=JOINT_OUTLIERS)
     usable = (flag & UNUSABLE) == 0
     settled = np.isfinite(distance) & np.isfinite(total)
     if interval is not None:
@@ -273,7 +269,7 @@ def _terms(
 
 
 def phase_errors(
-    one: xr.Dataset,
+    one: xr.Dataset, *, most_outliers: float = ambiguity.BREAKDOWN
 ) -> tuple[NDArray[np.int16], Floats, Floats]:
     """Return flags, phase errors and phase shifts by water of one channel.
 
@@ -281,6 +277,8 @@ def phase_errors(
     ----------
     one : xarray.Dataset
         Level `target_signal` without the dimension polarization.
+    most_outliers : float
+        As for `amulor.cube.pixels.flags_of_pixels`.
 
     Returns
     -------
@@ -290,17 +288,9 @@ def phase_errors(
     """
     signal = one.amulor.signal.values
     each = one["quality_flag"].values
-    unseen = (each & QualityFlag.NO_TARGET) != 0
-    # A target that half of the frequencies show is there: the others are left out.
-    unseen &= unseen.mean(axis=0) <= _HALF
-    outlying = (each & QualityFlag.OUTLIER) != 0
-    # The rest of the frequencies tells the range without a few that disagree.
-    outlying &= outlying.mean(axis=0) <= ambiguity.BREAKDOWN
-    each = np.where(unseen, each & ~QualityFlag.NO_TARGET, each)
-    each = np.where(outlying, each & ~QualityFlag.OUTLIER, each)
-    flag = np.bitwise_or.reduce(each, axis=0).astype(np.int16)
+    flag, left_out = flags_of_pixels(each, most_outliers=most_outliers)
     sigma = _phase_uncertainty(one, signal, (flag & UNUSABLE) == 0, "")
-    sigma = np.where(unseen | outlying, np.inf, sigma)
+    sigma = np.where(left_out, np.inf, sigma)
     return flag, sigma, _phase_left_in(one, signal)
 
 

@@ -15,6 +15,7 @@ from scipy.stats import chi2
 from amulor import cube as cubes
 from amulor._progress import part, tell
 from amulor.cube import UNUSABLE, QualityFlag
+from amulor.cube.pixels import JOINT_OUTLIERS, flags_of_pixels
 from amulor.errors import AmulorError, CubeError
 from amulor.optics import ambiguity, detection, ranging
 from amulor.rejection.combined import combined
@@ -330,13 +331,17 @@ def _not_run(name: str, reason: str) -> Row:
 
 def _row(method: _Method, target: xr.Dataset, interval: Interval) -> Row:
     """Return what a method made of one channel."""
-    flag = np.bitwise_or.reduce(target["quality_flag"].values[:, 0], axis=0)
+    is_joint = "joint_slant_range_uncertainty" in target
+    flag, left_out = flags_of_pixels(
+        target["quality_flag"].values[:, 0],
+        most_outliers=JOINT_OUTLIERS if is_joint else ambiguity.BREAKDOWN,
+    )
     usable = (flag & UNUSABLE) == 0
     caution, note = Caution.NONE, ""
     bias, noise = float("nan"), float("nan")
     agree = np.zeros(usable.shape, dtype=bool)
     if usable.any():
-        noises, biases, agree[usable] = _errors(target, usable)
+        noises, biases, agree[usable] = _errors(target, usable, left_out)
         water_is_in = bool((flag[usable] & QualityFlag.NO_OPEN_WATER).any())
         bias = float(np.sqrt(np.mean(biases**2)))
         noise = float(np.median(noises)) if noises.size else float("nan")
@@ -364,9 +369,9 @@ def _row(method: _Method, target: xr.Dataset, interval: Interval) -> Row:
 
 
 def _errors(
-    target: xr.Dataset, usable: NDArray[np.bool_]
+    target: xr.Dataset, usable: NDArray[np.bool_], left_out: NDArray[np.bool_]
 ) -> tuple[Floats, Floats, NDArray[np.bool_]]:
-    """Return what usable pixels say of themselves.
+    """Return what usable pixels say of themselves, without samples that are left out.
 
     Uncertainty and estimated bias of the slant range [m], and whether the frequencies
     agree.
@@ -390,6 +395,7 @@ def _errors(
         quadrature_variance=errors.quadrature[:, usable],
         covariance=errors.cross[:, usable],
     )
+    sigma = np.where(left_out[:, usable], np.inf, sigma)
     weight, noise = ranging.weights_and_uncertainty(sigma)
     bias = np.zeros(noise.shape)
     if "residual_in_phase" in target:
@@ -410,7 +416,7 @@ def _errors(
         longest=np.full(noise.shape, 0.999 * _repeated_path(frequency)),
     )
     # Only whether they agree: which interval is right is a matter of its limits.
-    few = len(frequency) - path.left_out.sum(axis=0) - 1
+    few = (np.isfinite(sigma) & ~path.left_out).sum(axis=0) - 1
     agree = path.strain <= chi2.isf(_DISAGREEMENT, np.maximum(few, 1))
     return noise, bias, np.asarray(agree | (few < 1))
 
