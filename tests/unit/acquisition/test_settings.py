@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 
+from amulor.acquisition import settings
 from amulor.acquisition.clock import RealClock
 from amulor.acquisition.devices import digest
 from amulor.acquisition.settings import Settings
@@ -198,3 +199,8 @@ def test_a_clock_that_seems_to_stand_is_refused() -> None:
     for speed in (0.0, 1e-12, -1.0, float("nan"), 1e7):
         with pytest.raises(ValueError, match="speed must be above 0"):
             RealClock(speed)
+
+
+def test_the_package_lists_its_public_names_only() -> None:
+    assert dir(settings) == sorted(settings.__all__)
+    assert "Settings" in dir(settings)

@@ -323,3 +323,19 @@ def test_the_library_refuses_a_wrong_ending_itself(ladder, tmp_path) -> None:
 
     with pytest.raises(FormatError, match=r"mesh is written to \.ply"):
         hand_over(ladder, tmp_path / "x.obj", Order(product="mesh"))
+
+
+@pytest.mark.parametrize(
+    ("stated", "title", "written"),
+    [("Deck", "Hull", "Deck"), ("", "Hull", "Hull"), ("", "", "scan")],
+)
+def test_a_picture_has_the_stated_title_or_that_of_the_image(
+    ladder, tmp_path, stated: str, title: str, written: str
+) -> None:
+    from PIL import Image
+
+    path = tmp_path / "x.png"
+    order = Order(product="orthoimage", title=stated, dots_per_inch=30)
+    hand_over(ladder.assign_attrs(title=title), path, order)
+    with Image.open(path) as picture:
+        assert picture.text["Title"] == f"{written}, 1:10"
