@@ -159,9 +159,8 @@ def _tile(
     steps = np.round((cloud.position[at] + (world - offset)) / SCALE).astype(np.int32)
     for number, axis in enumerate("XYZ"):
         points[axis] = steps[:, number]
-    points["intensity"] = np.round(
-        np.clip(cloud.intensity[at] / brightest, 0, 1) * _BRIGHTEST
-    ).astype(np.uint16)
+    level = cloud.intensity[at] / brightest * _BRIGHTEST
+    points["intensity"] = np.round(level).astype(np.uint16)
     points["point_source_id"] = (cloud.scan[at] + 1).astype(np.uint16)
     ones = np.ones(len(at), dtype=np.uint8)
     points["return_number"] = points["number_of_returns"] = ones
