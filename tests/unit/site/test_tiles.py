@@ -26,8 +26,7 @@ def _cloud(**changed: Any) -> Merged:
     count = 4
     apart = np.arange(count)[:, None] / 8
     fields: dict[str, Any] = {
-        "position": np.array([[0.1, 0.2, -5.0]] * count)
-        + np.arange(count)[:, None] / 8,
+        "position": np.array([[0.1, 0.2, -5.0]] * count) + apart,
         "covariance": np.tile(np.eye(3) * 1e-6, (count, 1, 1)),
         "own": np.full(count, 1e-3),
         "beam": np.tile([0.0, 0.0, -1.0], (count, 1)),
