@@ -101,6 +101,19 @@ def steps(folder: Path) -> dict[str, list[str]]:
     }  # fmt: skip
 
 
+#: What reading samples and writing a target signal takes, without all else.
+COPY = """
+import sys, time
+from amulor.io import read_cube, write_cube
+samples, target, output = sys.argv[1:]
+result = read_cube(target)
+begin = time.perf_counter()
+read_cube(samples)
+write_cube(result, output, overwrite=True)
+print(time.perf_counter() - begin)
+"""
+
+
 #: Steps that work by rows where they are told to; the others find out by the size.
 TOLD = (
     "simulate",
@@ -130,6 +143,17 @@ def measured(words: list[str]) -> dict[str, float]:
     }
 
 
+def read_and_write(folder: Path) -> float:
+    """Return the time to read the samples and write the target signal [s]."""
+    names = [str(folder / f"{name}.nc") for name in ("samples", "target", "again")]
+    done = subprocess.run(
+        [sys.executable, "-c", COPY, *names],
+        stdout=subprocess.PIPE, text=True, check=True,
+    )  # fmt: skip
+    Path(names[-1]).unlink()
+    return float(done.stdout)
+
+
 def spread(samples: Path, every: int) -> None:
     """Put the rows of a file apart, and rows without a number between them."""
     cube = without_groups(read_cube(samples), "truth")
@@ -157,6 +181,7 @@ def main() -> None:
     parser.add_argument("--tile-rows", type=int)
     parser.add_argument("--folder", type=Path, help="an existing one, which is kept")
     parser.add_argument("--sparse", type=int, default=1, metavar="N")
+    parser.add_argument("--read-and-write", action="store_true", help="beside reject")
     parser.add_argument("--keep", action="store_true")
     chosen = parser.parse_args()
     for millions in chosen.millions:
@@ -171,6 +196,8 @@ def main() -> None:
                 if step in TOLD and chosen.tile_rows:
                     words += ["--tile-rows", str(chosen.tile_rows)]
                 found = measured(words)
+                if step == "reject" and chosen.read_and_write:
+                    found["read_and_write_s"] = round(read_and_write(folder), 1)
                 if step == "simulate" and chosen.sparse > 1:
                     spread(folder / "samples.nc", chosen.sparse)
                 print(
