@@ -19,6 +19,7 @@ import subprocess
 import sys
 import tempfile
 import time
+from multiprocessing import get_context
 from pathlib import Path
 
 import numpy as np
@@ -167,6 +168,8 @@ def spread(samples: Path, every: int) -> None:
             for variable in tile.data_vars.values():
                 if variable.dtype.kind == "f" and "row" in variable.dims:
                     variable[{"row": slice(1, None)}] = np.nan
+            if row == rows - 1:  # not beyond the shots
+                apart = np.zeros_like(apart)
             tile = tile.assign_coords(
                 elevation=tile["elevation"] + steps * xr.DataArray(apart, dims="column")
             )
@@ -199,7 +202,11 @@ def main() -> None:
                 if step == "reject" and chosen.read_and_write:
                     found["read_and_write_s"] = round(read_and_write(folder), 1)
                 if step == "simulate" and chosen.sparse > 1:
-                    spread(folder / "samples.nc", chosen.sparse)
+                    # In a process of its own: a child begins with its parent's peak.
+                    samples = (folder / "samples.nc", chosen.sparse)
+                    child = get_context("spawn").Process(target=spread, args=samples)
+                    child.start()
+                    child.join()
                 print(
                     json.dumps({"step": step, "pixels": side**2, **found}), flush=True
                 )
