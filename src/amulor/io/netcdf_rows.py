@@ -137,9 +137,11 @@ class CubeRows:
 def _is_as_stored(variable: xr.Variable, stored: Any) -> bool:
     """Return whether a variable over the rows has the values that the file has."""
     coded = {"scale_factor", "add_offset", "missing_value"} & set(variable.encoding)
+    missing = variable.encoding.get("_FillValue", np.nan)
     return bool(
         "row" in variable.dims
         and not coded
+        and np.all(np.isnan(missing))
         and stored.shape == variable.shape
         and stored.dtype == variable.dtype
         and stored.dtype.kind in "fi"

@@ -135,3 +135,27 @@ def test_tiles_are_whole_blocks_of_the_file(
     assert block[:2] == (1, 1)
     assert tile < rows
     assert tile % block[2] == 0
+
+
+@pytest.mark.parametrize(
+    "coding",
+    [
+        {"_FillValue": -999.0},
+        {"missing_value": -999.0, "_FillValue": None},
+        {"scale_factor": 2.0, "add_offset": 1.0, "_FillValue": np.nan},
+        {"dtype": "float32", "_FillValue": np.nan},
+    ],
+)
+def test_rows_of_another_program_are_decoded(samples, path, coding):
+    # As xarray and others code numbers; amulor writes them as they are.
+    cube = samples.copy(deep=True)
+    cube["in_phase"].values[0, 0, 1, 2] = np.nan
+    cube.to_netcdf(path, engine="h5netcdf", encoding={"in_phase": coding})
+    with h5py.File(path) as file:
+        stored = file["in_phase"][...]
+    whole = io.read_cube(path)["in_phase"].values
+    assert not np.array_equal(stored, whole, equal_nan=True) or "dtype" in coding
+    with netcdf_rows.open_rows(path) as source:
+        found = source.tile(0, 3)["in_phase"].values
+    np.testing.assert_array_equal(found, whole)
+    assert np.isnan(found[0, 0, 1, 2])
