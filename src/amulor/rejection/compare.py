@@ -343,7 +343,10 @@ def _row(method: _Method, target: xr.Dataset, interval: Interval) -> Row:
     if usable.any():
         noises, biases, agree[usable] = _errors(target, usable, left_out)
         water_is_in = bool((flag[usable] & QualityFlag.NO_OPEN_WATER).any())
-        bias = float(np.sqrt(np.mean(biases**2)))
+        # A few pixels of which it is not known say so by a flag, and count there.
+        sound = flag[usable] == 0
+        told = biases[sound] if sound.any() else biases
+        bias = float(np.sqrt(np.mean(told**2)))
         noise = float(np.median(noises)) if noises.size else float("nan")
         if water_is_in or not np.isfinite(bias):
             bias = float("inf")
@@ -382,7 +385,7 @@ def _errors(
         # What is not known of the instrument is in no other method's error.
         known = target.attrs["joint_instrument_uncertainty_m"]
         rest = np.sqrt(np.maximum(own[settled] ** 2 - known**2, 0.0))
-        return rest, np.zeros(1), settled
+        return rest, np.zeros(settled.shape), settled
     signal = target.amulor.signal.values[:, 0][:, usable]
     errors = covariance_of(target).part((slice(None), 0))
     to_range = ranging.range_per_phase(
