@@ -47,6 +47,7 @@ class BoxSeries:
         self._count = [
             n if extent > 0 else 1 for n, extent in zip(nodes, high - low, strict=True)
         ]
+        self._axes = [np.cos(np.pi * (np.arange(n) + 0.5) / n) for n in self._count]
         self.size = int(np.prod(self._count))
         """Number of nodes."""
         self._orders = np.zeros((0, 3), dtype=np.int64)
@@ -54,8 +55,8 @@ class BoxSeries:
 
     def places(self) -> Floats:
         """Return the nodes, shape (d, size)."""
-        axes = [np.cos(np.pi * (np.arange(n) + 0.5) / n) for n in self._count]
-        mesh = np.stack(np.meshgrid(*axes, indexing="ij")).reshape(len(axes), -1)
+        mesh = np.stack(np.meshgrid(*self._axes, indexing="ij"))
+        mesh = mesh.reshape(len(self._axes), -1)
         nodes = self._centre[:, None] + self._half[:, None] * mesh
         # Rounding must not push one out of the box.
         inside: Floats = np.clip(nodes, self._low[:, None], self._high[:, None])
@@ -70,9 +71,8 @@ class BoxSeries:
             The functions at the nodes.
         """
         table = values.reshape(-1, *self._count)
-        for axis, n in enumerate(self._count, start=1):
-            place = np.cos(np.pi * (np.arange(n) + 0.5) / n)
-            inverse = np.linalg.inv(chebyshev.chebvander(place, n - 1))
+        for axis, node in enumerate(self._axes, start=1):
+            inverse = np.linalg.inv(chebyshev.chebvander(node, len(node) - 1))
             table = np.moveaxis(np.tensordot(table, inverse, (axis, 1)), -1, axis)
         coefficients = table.reshape(len(values), -1)
         height = np.abs(coefficients).max(axis=0)

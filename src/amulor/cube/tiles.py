@@ -14,6 +14,7 @@ from amulor.cube.schema import QualityFlag
 
 __all__ = [
     "Changed",
+    "Derived",
     "InMemory",
     "Source",
     "Whole",
@@ -91,26 +92,24 @@ class InMemory:
         return directions_of(self.cube.isel(row=slice(begin, end)))
 
 
-class Changed:
-    """The rows of a cube after a change that is the same for each of them.
+class Derived:
+    """Rows that are made of as many rows of another source; the base of such sources.
 
     Parameters
     ----------
     source : Source
         Where the rows come from.
-    change : callable
-        From a cube to another one of as many rows and columns; looks at no other rows.
     """
 
-    def __init__(
-        self, source: Source, change: Callable[[xr.Dataset], xr.Dataset]
-    ) -> None:
-        self._source, self._change = source, change
-        self._head = InMemory(change(source.tile(0, 1))).head
+    def __init__(self, source: Source) -> None:
+        self._source = source
+        self._head: xr.Dataset | None = None
 
     @property
     def head(self) -> xr.Dataset:
-        """All that does not run over the rows, changed."""
+        """All that does not run over the rows."""
+        if self._head is None:
+            self._head = InMemory(self.tile(0, 1)).head
         return self._head
 
     @property
@@ -124,12 +123,34 @@ class Changed:
         return self._source.columns
 
     def tile(self, begin: int, end: int) -> xr.Dataset:
-        """Return some rows, changed."""
-        return self._change(self._source.tile(begin, end))
+        """Return some rows; what they are made of is up to the source."""
+        raise NotImplementedError
 
     def directions(self, begin: int, end: int) -> xr.Dataset:
-        """Return azimuth and elevation of some rows, which no change moves."""
+        """Return azimuth and elevation of some rows, which nothing moves."""
         return self._source.directions(begin, end)
+
+
+class Changed(Derived):
+    """The rows of a cube after a change that is the same for each of them.
+
+    Parameters
+    ----------
+    source : Source
+        Where the rows come from.
+    change : callable
+        From a cube to another one of as many rows and columns; looks at no other rows.
+    """
+
+    def __init__(
+        self, source: Source, change: Callable[[xr.Dataset], xr.Dataset]
+    ) -> None:
+        super().__init__(source)
+        self._change = change
+
+    def tile(self, begin: int, end: int) -> xr.Dataset:
+        """Return some rows, changed."""
+        return self._change(self._source.tile(begin, end))
 
 
 def directions_of(cube: xr.Dataset) -> xr.Dataset:

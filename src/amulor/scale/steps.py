@@ -169,5 +169,7 @@ def image_step(**options: Any) -> TiledStep:
         From the target signal to the range image.
     """
     ranges = decided_once(partial(imaging.range_image, **options))
-    flags = decided_once(lambda image: imaging.flag_outliers(imaging.flag_mixed(image)))
+    flags = decided_once(
+        lambda image: imaging.flag_outliers(imaging.flag_mixed(image)), spans=False
+    )
     return replace(flags, of=ranges, halo=HALO)

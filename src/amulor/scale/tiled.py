@@ -61,7 +61,7 @@ class Prepared:
         return _Kept(Made(self._before, source), self.rows)
 
 
-class Made:
+class Made(tiles.Derived):
     """The rows that a step makes of a scan.
 
     Parameters
@@ -73,25 +73,8 @@ class Made:
     """
 
     def __init__(self, prepared: Prepared, source: tiles.Source) -> None:
-        self._prepared, self._source = prepared, prepared.input(source)
-        self._head: xr.Dataset | None = None
-
-    @property
-    def head(self) -> xr.Dataset:
-        """All that does not run over the rows."""
-        if self._head is None:
-            self._head = tiles.InMemory(self.tile(0, 1)).head
-        return self._head
-
-    @property
-    def rows(self) -> int:
-        """Number of rows."""
-        return self._source.rows
-
-    @property
-    def columns(self) -> int:
-        """Number of columns."""
-        return self._source.columns
+        super().__init__(prepared.input(source))
+        self._prepared = prepared
 
     def tile(self, begin: int, end: int) -> xr.Dataset:
         """Return some rows; the same for whatever tiles."""
@@ -101,12 +84,8 @@ class Made:
         made = self._prepared.treat(wide, first)
         return made.isel(row=slice(begin - first, end - first))
 
-    def directions(self, begin: int, end: int) -> xr.Dataset:
-        """Return azimuth and elevation of some rows."""
-        return self._source.directions(begin, end)
 
-
-class _Kept:
+class _Kept(tiles.Derived):
     """Rows of which the last tile is kept: its end is the halo of the next one.
 
     Parameters
@@ -118,7 +97,8 @@ class _Kept:
     """
 
     def __init__(self, source: tiles.Source, rows: int) -> None:
-        self._source, self._rows = source, rows
+        super().__init__(source)
+        self._at_once = rows
         self._begin, self._end = 0, 0
         self._last: xr.Dataset | None = None
 
@@ -126,16 +106,6 @@ class _Kept:
     def head(self) -> xr.Dataset:
         """All that does not run over the rows."""
         return self._source.head
-
-    @property
-    def rows(self) -> int:
-        """Number of rows."""
-        return self._source.rows
-
-    @property
-    def columns(self) -> int:
-        """Number of columns."""
-        return self._source.columns
 
     def tile(self, begin: int, end: int) -> xr.Dataset:
         """Return some rows; quickest in their order."""
@@ -145,15 +115,11 @@ class _Kept:
             new = min(self._end, end)
             part = slice(begin - self._begin, new - self._begin)
             joined.put(self._last.isel(row=part), 0)
-        for first in range(new, end, self._rows):
-            last = min(first + self._rows, end)
+        for first in range(new, end, self._at_once):
+            last = min(first + self._at_once, end)
             joined.put(self._source.tile(first, last), first - begin)
         self._begin, self._end, self._last = begin, end, joined.made()
         return self._last
-
-    def directions(self, begin: int, end: int) -> xr.Dataset:
-        """Return azimuth and elevation of some rows."""
-        return self._source.directions(begin, end)
 
 
 def window(step: TiledStep, source: tiles.Source, rows: int | None = None) -> int:
@@ -214,7 +180,7 @@ def run_step(
         yield begin, made.tile(begin, end)
 
 
-def decided_once(function: Step) -> TiledStep:
+def decided_once(function: Step, *, spans: bool = True) -> TiledStep:
     """Return a step whose looks at all pixels are looks at a sample of the scan.
 
     Parameters
@@ -222,6 +188,8 @@ def decided_once(function: Step) -> TiledStep:
     function : callable
         From a cube to another one; what it decides from all pixels it asks
         `amulor._decisions.decided` for.
+    spans : bool
+        Whether it asks for the ends of the directions, which all rows are read for.
 
     Returns
     -------
@@ -230,7 +198,7 @@ def decided_once(function: Step) -> TiledStep:
     """
 
     def prepare(source: tiles.Source) -> OfRows:
-        decisions = Decisions(**_spans(source))
+        decisions = Decisions(**(_spans(source) if spans else {}))
         with deciding(decisions):
             function(cubes.without_groups(tiles.sample_of(source), "truth"))
 

@@ -138,7 +138,6 @@ class _Listed:
             ),
             places,
             self._frequency,
-            len(self._frequency),
         )
 
 
@@ -214,13 +213,11 @@ def _spread(places: Floats) -> NDArray[np.intp]:
     return np.unique(np.concatenate([even, extremes]))
 
 
-def _in_parts(
-    function: _Function, places: Floats, frequency: Floats, width: int
-) -> Complex:
+def _in_parts(function: _Function, places: Floats, frequency: Floats) -> Complex:
     """Evaluate a function of places part by part, so that memory stays bounded."""
     count = places.shape[1]
     out = np.empty((len(frequency), count), dtype=complex)
-    step = max(1, _AT_ONCE // width)
+    step = max(1, _AT_ONCE // len(frequency))
     for first in range(0, count, step):
         part = slice(first, first + step)
         out[:, part] = function(places[:, part])
