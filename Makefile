@@ -82,8 +82,10 @@ docs: .venv/installed-docs
 linkcheck: .venv/installed-docs
 	$(BIN)/python -m sphinx -q -b linkcheck docs docs/_build/linkcheck
 
+# Which test runs which line, then changes of lines: hours.
 mutate: .venv/installed-test
-	$(BIN)/python tools/mutate.py --sample 60 --seed 1
+	COVERAGE_FILE=.coverage-contexts $(PYTEST) $(TOGETHER) --cov --cov-context=test --cov-report=
+	$(BIN)/python tools/mutate.py --sample 60 --seed 1 --contexts .coverage-contexts
 
 coverage: .venv/installed-test
 	$(PYTEST) $(TOGETHER) --cov --cov-report=term
@@ -102,7 +104,7 @@ surface: .venv/installed-test
 	$(BIN)/python tools/public_surface.py
 
 clean:
-	rm -rf .venv .venv-oldest dist amulor-demo foam-transients .coverage .coverage.*
+	rm -rf .venv .venv-oldest dist amulor-demo foam-transients .coverage*
 	rm -rf docs/_build docs/api docs/gallery/examples docs/gallery/backreferences
 
 .PHONY: help demo style types contracts lint test check study soak docs coverage bench package oldest surface clean linkcheck mutate

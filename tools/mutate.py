@@ -6,7 +6,9 @@ copied, the copy is changed; what is in the repository stays as it is. It prints
 share that was caught, with its binomial interval of 95 %, and each change that no test
 noticed: close it by a test of behaviour, or see that it changes nothing that can be
 observed and write it, with the reason, into `tools/equivalent_mutants.toml`. Changes
-that stand there are drawn and counted, but not tried.
+that stand there are drawn and counted, but not tried. With `--contexts`, data of
+coverage.py with a context for each test, what the tests of its room let pass is shown
+to every other test that runs the changed line.
 """
 
 from __future__ import annotations
@@ -26,6 +28,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
+from covering import Covering
 from scipy.stats import binomtest
 
 ROOT = Path(__file__).parents[1]
@@ -277,7 +280,9 @@ def summary(tried: int, noticed: int, equivalent: int) -> str:
     )
 
 
-def caught(mutant: Mutant, copy: Path, *, longest: float) -> bool:
+def caught(
+    mutant: Mutant, copy: Path, *, longest: float, covering: Covering | None = None
+) -> bool:
     """Return whether a test fails, or does not end, with a change.
 
     Parameters
@@ -288,6 +293,9 @@ def caught(mutant: Mutant, copy: Path, *, longest: float) -> bool:
         A copy of the sources.
     longest : float
         Time after which the tests count as hanging [s].
+    covering : Covering, optional
+        Who runs which line. Tests that take longer together than `longest` do not
+        count as hanging then: they are told apart from the nearest ones.
 
     Returns
     -------
@@ -299,24 +307,45 @@ def caught(mutant: Mutant, copy: Path, *, longest: float) -> bool:
     place.write_text(mutant.source, "utf-8")
     try:
         stages = tests_of(mutant.file)
-        return any(_fails(stage, copy, longest=longest) for stage in stages)
+        if ">>>" in kept:
+            stages = [[str(place)], *stages]
+        if covering is None:
+            return any(_fails(stage, copy, longest=longest) for stage in stages)
+        near = {file for stage in stages for file in stage}
+        far = [
+            one
+            for one in covering.tests(mutant.file, mutant.line)
+            if one.partition("::")[0] not in near
+        ]
+        return any(_fails(stage, copy, longest=longest) for stage in stages) or (
+            bool(far) and _fails(far, copy, longest=longest, hangs=False)
+        )
     finally:
         place.write_text(kept, "utf-8")
 
 
-def _fails(tests: list[str], copy: Path, *, longest: float) -> bool:
-    words = [sys.executable, "-m", "pytest", "-x", "-q", "-p", "no:cacheprovider"]
+def _fails(tests: list[str], copy: Path, *, longest: float, hangs: bool = True) -> bool:
+    words = [
+        *(sys.executable, "-m", "pytest", "-c", str(ROOT / "pyproject.toml")),
+        *("-x", "-q", "-p", "no:cacheprovider"),
+    ]
     threads = {"NUMBA_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
     environment = {**os.environ, **threads, "PYTHONPATH": str(copy)}
-    try:
-        done = subprocess.run(
-            [*words, *tests], cwd=ROOT, env=environment, timeout=longest, check=False,
-            stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
-        )  # fmt: skip
-    except subprocess.TimeoutExpired:
-        return True
-    # 5: no test at all, which is no catch.
-    return done.returncode not in (0, 5)
+    with tempfile.NamedTemporaryFile("w", suffix=".txt") as listed:
+        # More tests than a command line holds.
+        listed.write("\n".join(tests))
+        listed.flush()
+        try:
+            done = subprocess.run(
+                [*words, f"@{listed.name}"], cwd=ROOT, env=environment,
+                timeout=longest, check=False,
+                stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
+            )  # fmt: skip
+        except subprocess.TimeoutExpired:
+            return hangs
+    # 5: no test at all, which is no catch; 4: nor is a test that is gone, but a change
+    # with which the set-up of all tests fails is one.
+    return done.returncode not in ((0, 5) if hangs else (0, 4, 5))
 
 
 def _chosen(names: list[str]) -> list[Path]:
@@ -341,7 +370,9 @@ def main() -> int:
     parser.add_argument("--seed", type=int, default=1, help="which ones")
     parser.add_argument("--longest", type=float, default=600.0, help="of a change [s]")
     parser.add_argument("--least", type=float, default=0.0, help="share to be caught")
+    parser.add_argument("--contexts", type=Path, help="data of coverage.py")
     words = parser.parse_args()
+    covering = Covering(words.contexts, PACKAGE) if words.contexts else None
     rng = random.Random(words.seed)
     # A file first, then a place in it: large files do not have all of the changes.
     by_file = {file: mutants_of(file) for file in _chosen(words.places)}
@@ -368,7 +399,7 @@ def main() -> int:
                 equivalent += 1
                 print(f"{number}/{len(tried)} equivalent {where[:150]}", flush=True)
                 continue
-            noticed = caught(mutant, copy, longest=words.longest)
+            noticed = caught(mutant, copy, longest=words.longest, covering=covering)
             print(
                 f"{number}/{len(tried)} {'caught' if noticed else 'NOT CAUGHT'} "
                 f"{time.monotonic() - begun:.0f} s {where[:150]}",

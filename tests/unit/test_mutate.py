@@ -14,7 +14,8 @@ TOOL = Path(__file__).parents[2] / "tools" / "mutate.py"
 
 
 @pytest.fixture
-def tool() -> Iterator[ModuleType]:
+def tool(monkeypatch: pytest.MonkeyPatch) -> Iterator[ModuleType]:
+    monkeypatch.syspath_prepend(TOOL.parent)
     spec = importlib.util.spec_from_file_location("mutate_tool", TOOL)
     assert spec is not None
     assert spec.loader is not None
