@@ -36,6 +36,7 @@ PACKAGE = ROOT / "src" / "amulor"
 EQUIVALENT = Path(__file__).with_name("equivalent_mutants.toml")
 #: Rooms whose tests take minutes, or need devices; kernels are compiled each time.
 _LEFT_OUT = ("_kernels", "studies", "acquisition/drivers", "view/page/files")
+_LONGER = "slow and not study"
 _ARITHMETIC: dict[type, type] = {
     ast.Add: ast.Sub, ast.Sub: ast.Add, ast.Mult: ast.Div, ast.Div: ast.Mult,
     ast.FloorDiv: ast.Mult, ast.Mod: ast.Mult, ast.Pow: ast.Mult,
@@ -294,8 +295,8 @@ def caught(
     longest : float
         Time after which the tests count as hanging [s].
     covering : Covering, optional
-        Who runs which line. Tests that take longer together than `longest` do not
-        count as hanging then: they are told apart from the nearest ones.
+        Who runs which line. Its tests, and the longer ones of `make check`, do not
+        count as hanging if they take more time than that together.
 
     Returns
     -------
@@ -309,25 +310,29 @@ def caught(
         stages = tests_of(mutant.file)
         if ">>>" in kept:
             stages = [[str(place)], *stages]
-        if covering is None:
-            return any(_fails(stage, copy, longest=longest) for stage in stages)
-        near = {file for stage in stages for file in stage}
-        far = [
-            one
-            for one in covering.tests(mutant.file, mutant.line)
-            if one.partition("::")[0] not in near
-        ]
-        return any(_fails(stage, copy, longest=longest) for stage in stages) or (
-            bool(far) and _fails(far, copy, longest=longest, hangs=False)
-        )
+        if any(_fails(stage, copy, longest=longest) for stage in stages):
+            return True
+        near = [file for stage in stages for file in stage]
+        if _fails(near, copy, longest=longest, hangs=False, marks=_LONGER):
+            return True
+        running = covering.tests(mutant.file, mutant.line) if covering else []
+        far = [one for one in running if one.partition("::")[0] not in near]
+        return bool(far) and _fails(far, copy, longest=longest, hangs=False)
     finally:
         place.write_text(kept, "utf-8")
 
 
-def _fails(tests: list[str], copy: Path, *, longest: float, hangs: bool = True) -> bool:
+def _fails(
+    tests: list[str],
+    copy: Path,
+    *,
+    longest: float,
+    hangs: bool = True,
+    marks: str = "not slow and not study",
+) -> bool:
     words = [
         *(sys.executable, "-m", "pytest", "-c", str(ROOT / "pyproject.toml")),
-        *("-x", "-q", "-p", "no:cacheprovider"),
+        *("-x", "-q", "-p", "no:cacheprovider", "-m", marks),
     ]
     threads = {"NUMBA_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
     environment = {**os.environ, **threads, "PYTHONPATH": str(copy)}
