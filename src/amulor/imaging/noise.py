@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
@@ -23,7 +25,11 @@ _OWN_TERMS = ("counting", "fluctuation")
 
 
 def noise_scale(
-    path: ambiguity.Path, own: Floats, *, modulation_frequency: Floats
+    path: ambiguity.Path,
+    own: Floats,
+    *,
+    modulation_frequency: Floats,
+    refit: Callable[[float], ambiguity.Path],
 ) -> float:
     r"""Return by which factor the noise of the phases exceeds what is stated.
 
@@ -35,6 +41,8 @@ def noise_scale(
         Stated phase error of each sample by itself, without what pixels share [rad].
     modulation_frequency : ndarray, shape (frequencies,)
         Modulation frequencies [Hz].
+    refit : callable
+        Returns the optical paths with errors of samples larger by a factor.
 
     Returns
     -------
@@ -48,7 +56,23 @@ def noise_scale(
     In the difference of two neighbours everything cancels that they share: water of
     another shape, late light, errors of the reference. What is left is noise, and the
     median of its chi-square over that of chance is the square of the factor (Birge
-    ratio). Edges, outliers and mixed pixels do not move a median.
+    ratio). Edges, outliers and mixed pixels do not move a median. With errors that are
+    stated too small the tails of the noise are left out as outliers, so that what stays
+    scatters less; the factor is looked at once more with errors that are about right.
+    """
+    factor, chance = _factor(path, own, modulation_frequency)
+    if not factor**2 > 1 + _SURE * chance:
+        return 1.0
+    again, _ = _factor(refit(factor), factor * own, modulation_frequency)
+    return max(factor * again, 1.0)
+
+
+def _factor(
+    path: ambiguity.Path, own: Floats, modulation_frequency: Floats
+) -> tuple[float, float]:
+    """Return the factor of the noise, and the standard error of its square by chance.
+
+    The factor is 1 where there is too little to tell it.
     """
     to_range = ranging.range_per_phase(
         modulation_frequency[:, None, None], group_index=1.0
@@ -58,7 +82,7 @@ def noise_scale(
     there &= np.isfinite(error).all(axis=0) & (error > 0).all(axis=0)
     freedom = len(modulation_frequency) - 1
     if freedom < 1:
-        return 1.0
+        return 1.0, 0.0
     scores = []
     for axis in (0, 1):
         one, other = _pairs(axis)
@@ -69,16 +93,13 @@ def noise_scale(
         left_out = (path.left_out[every[0]] | path.left_out[every[1]])[:, both]
         scores.append(np.where(left_out, np.nan, square / (first + second)))
     score = np.concatenate(scores, axis=1)
-    if score.shape[1] < _FEWEST:
-        return 1.0
     known = np.isfinite(score).sum(axis=1) >= _FEWEST
     if not known.any():
-        return 1.0
+        return 1.0, 0.0
     each = np.nanmedian(score[known], axis=1) / _MEDIAN
     # That of n - 1 residuals is known beside the others; pairs overlap two by two.
     chance = _OF_MEDIAN * np.sqrt(2 / score.shape[1] / freedom)
-    factor = float(np.mean(each))
-    return float(np.sqrt(factor)) if factor > 1 + _SURE * chance else 1.0
+    return float(np.sqrt(np.mean(each))), float(chance)
 
 
 def with_noise_scaled(one: xr.Dataset, factor: float) -> xr.Dataset:

@@ -109,6 +109,9 @@ def range_image(
                 path,
                 own_phase_errors(one),
                 modulation_frequency=one["modulation_frequency"].values,
+                refit=lambda factor: _settled_path(
+                    with_noise_scaled(one, factor), interval
+                ),
             ),
         )
         if factor > 1:
