@@ -317,7 +317,9 @@ def caught(
             return True
         running = covering.tests(mutant.file, mutant.line) if covering else []
         far = [one for one in running if one.partition("::")[0] not in near]
-        return bool(far) and _fails(far, copy, longest=longest, hangs=False)
+        return bool(far) and _fails(
+            far, copy, longest=longest, hangs=False, marks="not study"
+        )
     finally:
         place.write_text(kept, "utf-8")
 
