@@ -139,6 +139,11 @@ def test_points_and_change_of_a_still_site_have_the_errors_stated() -> None:
         assert cloud.moving.mean() < 1e-3
         result = change(described, found, surfaces, cloud)
         known = np.isfinite(result.value)
+        # What pixels have by themselves, and what they share, is all there is.
+        assert_allclose(
+            result.uncertainty[known],
+            np.linalg.norm(np.column_stack([result.own, result.shared]), axis=1)[known],
+        )
         scores.append((result.value / result.uncertainty)[known])
         alarms += int(result.significant.any())
         compared += int(known.sum())

@@ -156,6 +156,26 @@ def test_two_surfaces_in_one_pixel_are_flagged(samples: xr.Dataset) -> None:
     assert (flag != 0).sum() <= 3
 
 
+def test_an_echo_that_is_late_is_flagged_where_each_pixel_agrees(
+    samples: xr.Dataset,
+) -> None:
+    frequency = samples["modulation_frequency"].values
+    truth = samples.amulor.truth
+    # Light that arrives 4 cm late on average, some of it later than the rest.
+    late = 2 * np.pi * frequency / speed_of_light * 0.04
+    change = np.exp(1j * late) / (1 - 0.5j * late) - 1
+    echo = truth["target_in_phase"].values + 1j * truth["target_quadrature"].values
+    cube = samples.copy(deep=True)
+    for part, of in (("in_phase", np.real), ("quadrature", np.imag)):
+        cube[part].values[...] += of(change[:, None, None, None] * echo)
+    found = joint(cube, interval=INTERVAL)
+    error = found["joint_slant_range"] - truth["slant_range"]
+    missed = np.abs(error / found["joint_slant_range_uncertainty"]) > 1.96
+    assert missed.mean() > 0.9
+    flag = found["quality_flag"].values[0, 0] & QualityFlag.WATER_RESIDUAL
+    assert (flag != 0).mean() > 0.9
+
+
 def test_frequencies_close_together_leave_the_interval_open(plate_text: str) -> None:
     text = plate_text.replace('["39 MHz"]', '["100 MHz", "100.2 MHz"]')
     text = text.replace('["VV", "VH"]', '["VV"]')
