@@ -15,6 +15,7 @@ import xarray as xr
 from amulor.design import Goal, Recommendation, evaluate, recommend
 from amulor.design.candidates import first_choice, scan_time, survey_of
 from amulor.design.draws import drawn
+from amulor.design.exchange import candidate_of, cheaper
 from amulor.design.scores import Judge, draws_at
 from amulor.survey import water_properties
 
@@ -202,6 +203,32 @@ def test_a_scan_that_cannot_be_in_time_says_so(goal_text: str) -> None:
     # One frequency, one channel, the shortest dwell: 1200 pixels of 30 ms.
     assert one.value == pytest.approx(36.0)
     assert "36" in one.text or "0.6 min" in one.text
+
+
+def test_parts_that_are_not_needed_are_given_up_one_after_the_other(
+    goal_text: str,
+) -> None:
+    priced = goal_text.replace(
+        'values = ["1 cm", "2 cm"]', 'values = ["1 cm", "2 cm"]\nprices = [10, 500]'
+    ).replace("most = 2", "most = 2\nprice_each = 50")
+    goal = Goal.from_text(priced)
+    judge = Judge(goal, "green")
+    dear = candidate_of(
+        judge,
+        replace(judge.start, power=0.03, radius=0.02, frequencies=(34e6, 120e6)),
+    )
+    assert dear.merit < 0
+    # 10 for the small aperture, 500 for the large one, 50 for a second frequency.
+    assert dear.score.cost[0] == 550
+    found, count = cheaper(goal, judge, dear)
+    assert found.score.cost[0] == 10
+    assert (found.parameters.radius, len(found.parameters.frequencies)) == (0.01, 1)
+    again = candidate_of(judge, found.parameters)
+    assert again.merit == pytest.approx(found.merit)
+    assert again.merit <= 0
+    assert count > 1
+    # Nothing is cheaper than that.
+    assert cheaper(goal, judge, found)[0] is found
 
 
 @pytest.mark.slow
