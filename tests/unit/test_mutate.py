@@ -54,6 +54,19 @@ def test_a_change_replaces_what_it_says(tool: ModuleType, source: Path) -> None:
     assert texts["2 -> 3"] == "def doubled(x):\n    return x * 3\n"
 
 
+def test_declarations_are_left_to_the_type_checker(
+    tool: ModuleType, source: Path
+) -> None:
+    source.write_text(
+        "@dataclass(frozen=True)\nclass Part:\n    size: int = 1\n\n"
+        "    @cached(True)\n    def doubled(self: Part[2]) -> Literal[3]:\n"
+        "        raise ValueError(f'{4}')\n"
+    )
+    assert {one.said for one in tool.mutants_of(source)} == {
+        "1 -> 2", "True -> False", "without raise ValueError(f'{4}')"
+    }  # fmt: skip
+
+
 def test_each_equivalent_change_is_one_that_the_tool_makes(tool: ModuleType) -> None:
     for (name, code, change), reason in tool.equivalents().items():
         found = {one.key for one in tool.mutants_of(tool.PACKAGE / name)}
