@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -190,6 +192,20 @@ def test_a_saved_page_holds_all_it_needs(
     )
     with pytest.raises(Exception, match="exists"):
         page.save_page(recording, path)
+
+
+@pytest.mark.parametrize("kept", [[{"kind": "distance"}] * 501, {"kind": "distance"}])
+def test_a_page_is_saved_with_at_most_500_measurements(
+    client: TestClient, kept: Any
+) -> None:
+    refused = client.post(f"/{TOKEN}/save", json={"measurements": kept})
+    assert refused.status_code == 422
+    assert "500 measurements" in refused.json()["error"]
+    taken = client.post(
+        f"/{TOKEN}/save", json={"measurements": [{"kind": "own"}] * 500}
+    )
+    assert taken.status_code == 200
+    assert len(re.findall(r'"kind": ?"own"', taken.text)) == 500
 
 
 def test_a_title_cannot_become_a_script(target: xr.Dataset) -> None:
