@@ -53,9 +53,9 @@ def watch(
     if not pause > 0:
         raise UsageError(f"--every: needed is a time above 0, found {every}")
     live = Live(folder)
-    live.look()
-    channel = _channel(live, polarization)
     try:
+        live.look()
+        channel = _channel(live, polarization)
         if sys.stdout.isatty():
             _on_screen(live, channel, show, once=once)
         else:

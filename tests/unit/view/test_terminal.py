@@ -93,6 +93,7 @@ def folder(plate: Survey, tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_the_screen_fits_and_shows_the_scan(folder: Path, plain: bool) -> None:
     live = Live(folder)
     live.look()
+    live.stop()
     console = Console(file=io.StringIO(), width=60, height=24, force_terminal=True)
     shown = terminal.screen(
         live, channel="VH", wanted="range", size=(60, 24), plain=plain, now=NOW
@@ -146,7 +147,9 @@ def test_the_command_in_a_pipe(
 def test_wrong_words_get_one_line(
     words: list[str], said: str, folder: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
+    before = sorted(path.name for path in folder.iterdir())
     assert main(["watch", str(folder), *words]) == 2
+    assert sorted(path.name for path in folder.iterdir()) == before
     captured = capsys.readouterr()
     assert said in captured.err
     assert captured.err.count("\n") == 1

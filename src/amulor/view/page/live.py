@@ -99,9 +99,12 @@ class Live:
             self._thread.start()
 
     def stop(self) -> None:
-        """End following."""
+        """End following, and leave the journal to others."""
         self._stop.set()
-        if self._thread is not None:
+        if self._thread is None:
+            self._close()
+        else:
+            # It closes the journal that it opened.
             self._thread.join(10)
 
     def _run(self) -> None:

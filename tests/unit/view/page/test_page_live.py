@@ -206,6 +206,7 @@ def test_a_journal_that_breaks_gives_words_and_comes_back(
     assert "holds no journal" in live.status["error"]
     moved.rename(path)
     live.look()
+    live.stop()
     assert "error" not in live.status
     assert live.status["state"] == "finished"
     with pytest.raises(FormatError, match="holds no journal"):
