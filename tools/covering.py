@@ -46,7 +46,7 @@ class Covering:
         }
 
     def tests(self, file: Path, line: int) -> list[str]:
-        """Return the tests that run a line, in an order that puts few cases first.
+        """Return the tests that run a line.
 
         Parameters
         ----------
@@ -59,12 +59,12 @@ class Covering:
         Returns
         -------
         list of str
-            Files of tests, and single tests, as pytest calls them, one case of each.
+            Tests, one case of each, and files, as pytest calls them.
         """
         tree = ast.parse(file.read_bytes())
         constant = _constant_at(tree, line)
         if constant is None:
-            return self._running(file, statement_lines(tree, line))
+            return self._running(file, set(statement_lines(tree, line)))
         word = re.compile(rf"\b{constant}\b")
         found: list[str] = []
         private = constant.startswith("_")
@@ -73,12 +73,14 @@ class Covering:
             if not word.search(text):
                 continue
             users = ast.parse(text)
+            lines: set[int] = set()
             for number, row in enumerate(text.splitlines(), start=1):
                 if word.search(row):
-                    found += self._running(place, statement_lines(users, number))
+                    lines.update(statement_lines(users, number))
+            found += self._running(place, lines)
         return list(dict.fromkeys(found))
 
-    def _running(self, file: Path, lines: range) -> list[str]:
+    def _running(self, file: Path, lines: set[int]) -> list[str]:
         measured = self._measured.get(file.relative_to(self._package).as_posix())
         if measured is None:
             return []

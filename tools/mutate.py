@@ -36,6 +36,7 @@ PACKAGE = ROOT / "src" / "amulor"
 EQUIVALENT = Path(__file__).with_name("equivalent_mutants.toml")
 #: Rooms whose tests take minutes, or need devices; kernels are compiled each time.
 _LEFT_OUT = ("_kernels", "studies", "acquisition/drivers", "view/page/files")
+#: Tests of `make check` that are not of `make test`.
 _LONGER = "slow and not study"
 _ARITHMETIC: dict[type, type] = {
     ast.Add: ast.Sub, ast.Sub: ast.Add, ast.Mult: ast.Div, ast.Div: ast.Mult,
@@ -320,9 +321,7 @@ def caught(
             return True
         running = covering.tests(mutant.file, mutant.line) if covering else []
         far = [one for one in running if one.partition("::")[0] not in near]
-        return bool(far) and _fails(
-            far, copy, longest=longest, hangs=False, marks="not study"
-        )
+        return _fails(far, copy, longest=longest, hangs=False, marks="not study")
     finally:
         place.write_text(kept, "utf-8")
 
@@ -333,11 +332,15 @@ def _fails(
     *,
     longest: float,
     hangs: bool = True,
-    marks: str = "not slow and not study",
+    marks: str | None = None,
 ) -> bool:
+    if not tests:
+        # Told no test, pytest would run all of them.
+        return False
     words = [
         *(sys.executable, "-m", "pytest", "-c", str(ROOT / "pyproject.toml")),
-        *("-x", "-q", "-p", "no:cacheprovider", "-m", marks),
+        *("-x", "-q", "-p", "no:cacheprovider"),
+        *(() if marks is None else ("-m", marks)),
     ]
     threads = {"NUMBA_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
     environment = {**os.environ, **threads, "PYTHONPATH": str(copy)}

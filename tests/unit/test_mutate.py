@@ -67,6 +67,14 @@ def test_declarations_are_left_to_the_type_checker(
     }  # fmt: skip
 
 
+def test_where_there_is_no_test_not_all_of_them_are_run(
+    tool: ModuleType, tmp_path: Path
+) -> None:
+    # Any run of tests ends after this time, and would count as hanging.
+    assert not tool._fails([], tmp_path, longest=0.01)
+    assert tool._fails(["tests/unit/test_mutate.py"], tmp_path, longest=0.01)
+
+
 def test_each_equivalent_change_is_one_that_the_tool_makes(tool: ModuleType) -> None:
     for (name, code, change), reason in tool.equivalents().items():
         found = {one.key for one in tool.mutants_of(tool.PACKAGE / name)}
