@@ -7,8 +7,8 @@ import functools
 import numpy as np
 import pytest
 import xarray as xr
+from late_echo import late_transfer, with_echo
 from numpy.testing import assert_allclose
-from scipy.constants import speed_of_light
 
 from amulor import rejection, simulate
 from amulor.cube import QualityFlag
@@ -147,19 +147,12 @@ def test_a_scan_that_moves_towards_its_window_is_refused(plate_text: str) -> Non
 
 @pytest.mark.slow
 def test_a_known_spread_of_the_echo_is_taken_into_account(single: xr.Dataset) -> None:
-    # Light that arrives 4 cm late on average, some of it later than the rest.
-    late = 2 * np.pi * FREQUENCIES / speed_of_light * 0.04
-    transfer = np.exp(1j * late) / (1 - 0.5j * late)
-    truth = single.amulor.truth
-    cube = single.copy(deep=True)
-    for part, other in (("in_phase", np.real), ("quadrature", np.imag)):
-        echo = truth["target_in_phase"].values + 1j * truth["target_quadrature"].values
-        change = (transfer[:, None, None, None] - 1) * echo
-        cube[part].values[...] += other(change)
+    transfer = late_transfer(FREQUENCIES, length=0.04)
+    cube = with_echo(single, transfer)
     known = joint(cube, interval=INTERVAL, echo_transfer=transfer)
     assert are_fair(scores(known))
     unknown = joint(cube, interval=INTERVAL)
-    error = unknown["joint_slant_range"] - truth["slant_range"]
+    error = unknown["joint_slant_range"] - single.amulor.truth["slant_range"]
     # 4 cm and half as much, out and back, over the group index: 2.2 cm.
     assert float(error.mean()) == pytest.approx(0.06 / 2.76, rel=0.2)
     missing = np.abs(scores(unknown)) > 1.96

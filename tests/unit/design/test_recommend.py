@@ -205,13 +205,17 @@ def test_a_scan_that_cannot_be_in_time_says_so(goal_text: str) -> None:
     assert "36" in one.text or "0.6 min" in one.text
 
 
+def priced(goal_text: str) -> str:
+    """Return a goal whose large aperture and second frequency cost something."""
+    return goal_text.replace(
+        'values = ["1 cm", "2 cm"]', 'values = ["1 cm", "2 cm"]\nprices = [10, 500]'
+    ).replace("most = 2", "most = 2\nprice_each = 50")
+
+
 def test_parts_that_are_not_needed_are_given_up_one_after_the_other(
     goal_text: str,
 ) -> None:
-    priced = goal_text.replace(
-        'values = ["1 cm", "2 cm"]', 'values = ["1 cm", "2 cm"]\nprices = [10, 500]'
-    ).replace("most = 2", "most = 2\nprice_each = 50")
-    goal = Goal.from_text(priced)
+    goal = Goal.from_text(priced(goal_text))
     judge = Judge(goal, "green")
     dear = candidate_of(
         judge,
@@ -233,14 +237,12 @@ def test_parts_that_are_not_needed_are_given_up_one_after_the_other(
 
 @pytest.mark.slow
 def test_prices_make_the_cheapest_that_does_the_best(goal_text: str) -> None:
-    priced = goal_text.replace(
-        'values = ["1 cm", "2 cm"]', 'values = ["1 cm", "2 cm"]\nprices = [10, 500]'
-    ).replace("most = 2", "most = 2\nprice_each = 50")
-    cheap = recommend(Goal.from_text(priced))
+    text = priced(goal_text)
+    cheap = recommend(Goal.from_text(text))
     assert cheap.best.met
     assert cheap.best.parameters.radius == 0.01
     assert cheap.best.cost == 10
-    poor = priced.replace("[components]\n", "[components]\nbudget = 5\n")
+    poor = text.replace("[components]\n", "[components]\nbudget = 5\n")
     found = recommend(Goal.from_text(poor))
     assert "budget" in {one.requirement for one in found.impossible}
 

@@ -8,6 +8,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 import xarray as xr
+from late_echo import late_transfer, with_echo
 from numpy.testing import assert_allclose
 from scipy.constants import speed_of_light
 
@@ -159,17 +160,9 @@ def test_two_surfaces_in_one_pixel_are_flagged(samples: xr.Dataset) -> None:
 def test_an_echo_that_is_late_is_flagged_where_each_pixel_agrees(
     samples: xr.Dataset,
 ) -> None:
-    frequency = samples["modulation_frequency"].values
-    truth = samples.amulor.truth
-    # Light that arrives 4 cm late on average, some of it later than the rest.
-    late = 2 * np.pi * frequency / speed_of_light * 0.04
-    change = np.exp(1j * late) / (1 - 0.5j * late) - 1
-    echo = truth["target_in_phase"].values + 1j * truth["target_quadrature"].values
-    cube = samples.copy(deep=True)
-    for part, of in (("in_phase", np.real), ("quadrature", np.imag)):
-        cube[part].values[...] += of(change[:, None, None, None] * echo)
-    found = joint(cube, interval=INTERVAL)
-    error = found["joint_slant_range"] - truth["slant_range"]
+    transfer = late_transfer(samples["modulation_frequency"].values, length=0.04)
+    found = joint(with_echo(samples, transfer), interval=INTERVAL)
+    error = found["joint_slant_range"] - samples.amulor.truth["slant_range"]
     missed = np.abs(error / found["joint_slant_range_uncertainty"]) > 1.96
     assert missed.mean() > 0.9
     flag = found["quality_flag"].values[0, 0] & QualityFlag.WATER_RESIDUAL
