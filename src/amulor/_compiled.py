@@ -6,13 +6,21 @@ or constants, were compiled into it. Here the name under which a function is sto
 holds a digest of its file and of all that the file imports from the package::
 
     from amulor._compiled import numba
+
+Where numba finds no folder for its files they go into a temporary one of the user.
 """
 
 from __future__ import annotations
 
+import atexit
 import hashlib
+import logging
+import os
 import re
+import shutil
+import stat
 import sys
+import tempfile
 from contextlib import suppress
 from functools import cache
 from pathlib import Path
@@ -23,6 +31,16 @@ from numba.core import caching
 
 __all__ = ["keep_fresh", "numba"]
 
+#: Without a handler Python writes warnings to standard error, one line each.
+_LOG = logging.getLogger("amulor")
+_KEPT = (
+    "amulor: %s: compiled code is kept in %s until that is emptied; set "
+    "NUMBA_CACHE_DIR to a folder that lasts"
+)
+_NOT_KEPT = (
+    "amulor: %s: compiled code is not kept, each command compiles anew; set "
+    "NUMBA_CACHE_DIR to a folder that lasts"
+)
 _FORM = rb"(?:from ([\w.]+) import (\([^)]*\)|[^\n]*)|import ([\w.]+))"
 _IMPORT = re.compile(rb"^" + _FORM, re.MULTILINE)
 #: Those that a package makes for types, too, and when it is asked for a name.
@@ -50,7 +68,11 @@ def keep_fresh(package: Path) -> None:
     kept: Any = getattr(caching, "CacheImpl", getattr(caching, "_CacheImpl", None))
     places = getattr(kept, "_locator_classes", None)
     if places:
-        kept._locator_classes = [*(_fresh(place, package) for place in places), *places]
+        # One that goes by files on disk, whatever a version of numba calls it.
+        by_file = [place for place in places if "UserWide" in place.__name__]
+        last = [_last_resort(place) for place in by_file]
+        fresh = (_fresh(place, package) for place in [*places, *last])
+        kept._locator_classes = [*fresh, *places]
 
 
 def _fresh(place: Any, package: Path) -> Any:
@@ -85,6 +107,59 @@ def _fresh(place: Any, package: Path) -> Any:
                             path.unlink()
 
     return Fresh
+
+
+def _last_resort(place: Any) -> Any:
+    """Return a locator of numba whose files are in a temporary folder of the user."""
+
+    class LastResort(place):  # type: ignore[misc]
+        def __init__(self, py_func: Any, py_file: str) -> None:
+            super().__init__(py_func, py_file)
+            folder = self.get_suitable_cache_subpath(py_file)
+            self._cache_path = str(_temporary_folder() / folder)
+
+    return LastResort
+
+
+@cache
+def _temporary_folder() -> Path:
+    """Return the user's temporary folder for compiled code, and say so when it is new.
+
+    What lies in it is run, so no other user may be able to write there. If somebody
+    can, or it cannot be told, a folder of this process alone takes its place.
+    """
+    user = getattr(os, "getuid", lambda: None)()
+    above = Path(tempfile.gettempdir())
+    if above == Path.cwd() and os.access("/dev/shm", os.W_OK):
+        above = Path("/dev/shm")  # rather than among somebody's data
+    kept = above / f"amulor-compiled-{user}"
+    why = "neither the package's folder nor one of the user can be written"
+    with suppress(OSError):
+        if user is not None:
+            new = not os.path.lexists(kept)
+            kept.mkdir(mode=0o700, exist_ok=True)
+            if _only_written_by(user, kept):
+                if new:
+                    _LOG.warning(_KEPT, why, kept)
+                return kept
+            why += f", and others can write in {kept}"
+    alone = Path(tempfile.mkdtemp(prefix="amulor-compiled-", dir=above))
+    atexit.register(shutil.rmtree, alone, ignore_errors=True)
+    _LOG.warning(_NOT_KEPT, why)
+    return alone
+
+
+def _only_written_by(user: int, folder: Path) -> bool:
+    """Return whether nobody else but root can write into a folder or replace it."""
+    own, above = folder.lstat(), folder.parent.stat()
+    sticky = bool(above.st_mode & stat.S_ISVTX)
+    return (
+        stat.S_ISDIR(own.st_mode)
+        and own.st_uid == user
+        and stat.S_IMODE(own.st_mode) == 0o700
+        and above.st_uid in (0, user)
+        and (sticky or not above.st_mode & 0o022)
+    )
 
 
 def digest_of(path: Path, package: Path) -> str:

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import ast
+import ctypes
 import importlib
 import os
+import stat
 import subprocess
 import sys
 from concurrent.futures import ThreadPoolExecutor
@@ -124,6 +126,84 @@ def test_loops_are_stored_elsewhere_where_their_folder_cannot_be_written(
     assert called(loops) == [8.0, 2.0, 1, 1]
     change(loops / "numbers.py", "1.0", "2.0")
     assert called(loops) == [10.0, 2.0, 0, 1]
+
+
+def _called_without_a_home(folder: Path, above: Path) -> tuple[list[float], str]:
+    """Return what `called` does, and messages, where only one folder can be written."""
+    folder.chmod(0o555)
+    done = subprocess.run(
+        [sys.executable, "-c", CALL],
+        cwd=folder.parent,
+        env={
+            **{key: os.environ[key] for key in ("PATH",) if key in os.environ},
+            "HOME": str(folder),
+            "TMPDIR": str(above),
+            "PYTHONDONTWRITEBYTECODE": "1",
+        },
+        capture_output=True,
+        text=True,
+        check=True,
+        preexec_fn=_without_rights_of_root,
+    )
+    return [float(number) for number in done.stdout.split()], done.stderr
+
+
+def _without_rights_of_root() -> None:
+    """Let root write only where modes of folders allow it: drop CAP_DAC_OVERRIDE."""
+    if os.getuid() == 0 and ctypes.CDLL(None).prctl(24, 1, 0, 0, 0) != 0:
+        raise OSError("the capability cannot be dropped")
+
+
+@pytest.mark.slow
+def test_loops_are_stored_in_a_temporary_folder_where_nothing_else_can_be_written(
+    loops: Path, tmp_path: Path
+) -> None:
+    above = tmp_path / "temporary"
+    above.mkdir()
+    result, message = _called_without_a_home(loops, above)
+    assert result == [8.0, 2.0, 0, 0]
+    stored = above / f"amulor-compiled-{os.getuid()}"
+    assert message.count("\n") == 1
+    assert f"compiled code is kept in {stored}" in message
+    assert stat.S_IMODE(stored.stat().st_mode) == 0o700
+    assert _called_without_a_home(loops, above) == ([8.0, 2.0, 1, 1], "")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", ["open", "link", "file"])
+def test_compiled_code_is_not_taken_from_a_place_where_others_can_write(
+    loops: Path, tmp_path: Path, kind: str
+) -> None:
+    above = tmp_path / "temporary"
+    above.mkdir()
+    _called_without_a_home(loops, above)  # code that could be loaded
+    stored = above / f"amulor-compiled-{os.getuid()}"
+    if kind == "open":
+        stored.chmod(0o777)
+    else:
+        stored.rename(tmp_path / "elsewhere")
+        if kind == "link":
+            stored.symlink_to(tmp_path / "elsewhere")
+        else:
+            stored.touch()
+    result, message = _called_without_a_home(loops, above)
+    assert result == [8.0, 2.0, 0, 0]
+    assert "each command compiles anew" in message
+    assert message.count("\n") == 1
+    assert [path.name for path in above.iterdir()] == [stored.name]
+
+
+def test_a_folder_of_another_user_or_below_an_open_one_is_not_trusted(
+    tmp_path: Path,
+) -> None:
+    user, stored = os.getuid(), tmp_path / "above" / "stored"
+    stored.mkdir(parents=True, mode=0o700)
+    assert _compiled._only_written_by(user, stored)
+    assert not _compiled._only_written_by(user + 1, stored)
+    stored.parent.chmod(0o777)  # whoever can write there can put another in its place
+    assert not _compiled._only_written_by(user, stored)
+    stored.parent.chmod(0o1777)
+    assert _compiled._only_written_by(user, stored)
 
 
 def test_a_digest_is_of_the_sources_that_were_imported(
