@@ -158,7 +158,10 @@ def reader(path: Path) -> sqlite3.Connection:
         If it cannot be opened.
     """
     with explained(path):
-        connection = sqlite3.connect(path, isolation_level=None, timeout=_PATIENCE)
+        # One thread at a time reads: a page goes on with what its command began.
+        connection = sqlite3.connect(
+            path, isolation_level=None, timeout=_PATIENCE, check_same_thread=False
+        )
         connection.text_factory = text_of
         connection.execute("PRAGMA query_only = ON")
         return connection
@@ -194,6 +197,8 @@ def explained(path: Path) -> Iterator[None]:
 
 
 def _advice(error: Exception) -> str:
+    if isinstance(error, sqlite3.ProgrammingError | sqlite3.InterfaceError):
+        return "this is a mistake of amulor, the journal is not affected; report it"
     code = getattr(error, "sqlite_errorcode", 0) & 0xFF
     damaged = isinstance(error, UnicodeDecodeError)
     if damaged or code in (sqlite3.SQLITE_CORRUPT, sqlite3.SQLITE_NOTADB):

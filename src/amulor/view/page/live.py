@@ -74,6 +74,8 @@ class Live:
         self._progress = Progress(self._survey, meta, clock=clock)
         self._clock = clock
         self._lock = threading.Lock()
+        #: The journal is read by one thread at a time.
+        self._reading = threading.Lock()
         self._changed: set[tuple[str, int]] = set()
         self._rows: dict[tuple[str, int], Rows] = {}
         self._version = self.pictures = 0
@@ -101,27 +103,26 @@ class Live:
     def stop(self) -> None:
         """End following, and leave the journal to others."""
         self._stop.set()
-        if self._thread is None:
-            self._close()
-        else:
-            # It closes the journal that it opened.
+        if self._thread is not None:
             self._thread.join(10)
+        with self._reading:
+            self._close()
 
     def _run(self) -> None:
         while not self._stop.is_set():
             self.look()
             self._stop.wait(POLL)
-        self._close()
 
     def look(self) -> None:
         """Read what is new, once; what stands in the way is said in the status."""
-        try:
-            self._look()
-        except (AmulorError, ValueError, LookupError, OSError) as error:
-            # Whatever it is, the page says so, and it is tried again.
-            self._close()
-            with self._lock:
-                self.status = {**self.status, "error": str(error)}
+        with self._reading:
+            try:
+                self._look()
+            except (AmulorError, ValueError, LookupError, OSError) as error:
+                # Whatever it is, the page says so, and it is tried again.
+                self._close()
+                with self._lock:
+                    self.status = {**self.status, "error": str(error)}
 
     def _close(self) -> None:
         if self._journal is not None:

@@ -34,6 +34,25 @@ CLOSED = """() => {
 }"""
 
 
+#: Draws the drift of the water, and returns its labels with the pixel that each begins
+#: at.
+LABELS = """(change) => {
+  const { fillText } = CanvasRenderingContext2D.prototype;
+  const found = [];
+  CanvasRenderingContext2D.prototype.fillText = function (text, x, y) {
+    const width = this.measureText(text).width;
+    found.push([text, this.textAlign === "right" ? x - width : x]);
+    return fillText.call(this, text, x, y);
+  };
+  const { live } = amulor;
+  const drift = { elapsed: [0, 60], change, error: [0.01, 0.01] };
+  live.status = { ...live.status, drift: { ...live.status.drift, ...drift } };
+  live.draw();
+  CanvasRenderingContext2D.prototype.fillText = fillText;
+  return found.filter(([text]) => text.endsWith("%"));
+}"""
+
+
 @pytest.fixture
 def folder() -> Iterator[Path]:
     memory = Path("/dev/shm")
@@ -118,3 +137,41 @@ def test_a_scan_grows_while_the_page_is_open(
             event.set()
         thread.join(120)
         live.stop()
+
+
+def test_messages_go_with_their_cause_and_labels_of_the_drift_are_whole(
+    tab: Callable[..., Any], plate: Survey, folder: Path
+) -> None:
+    survey = plate.with_(
+        {
+            "scan.columns": 4,
+            "scan.rows": 2,
+            "scan.dwell": "50 ms",
+            "scan.open_water": {"columns": 3, "rows": 2, "repeats": 3},
+        }
+    )
+    acquisition.acquire(survey, folder, scene=simulation.scene_light)
+    live = page.Live(folder)
+    # As the command does, in its own thread, before the server runs.
+    live.look()
+    with page.background(live) as address:
+        one = tab()
+        shown = one.open(address)
+        until(shown, "document.documentElement.dataset.state === 'finished'")
+        assert shown.is_hidden("#message")
+        elsewhere = folder.with_name("elsewhere")
+        folder.rename(elsewhere)
+        # A folder that is gone is noticed when the journal is opened again.
+        with live._reading:
+            live._close()
+        message = "document.getElementById('message')"
+        until(shown, f"{message}.textContent.includes('holds no journal')")
+        assert shown.is_visible("#message")
+        elsewhere.rename(folder)
+        until(shown, f"{message}.hidden")
+        for change in ([0, 0.05], [0, -0.13], [0, 0.004], [0.07, -0.7], [0, -1e-4]):
+            labels = shown.evaluate(LABELS, change)
+            assert all(left >= 0 for _, left in labels), labels
+            signs = {text[0] for text, _ in labels}
+            assert {"0", "+", "\N{MINUS SIGN}"} <= signs, labels
+    live.stop()

@@ -257,6 +257,16 @@ def test_a_full_journal_says_so_and_keeps_what_it_has(folder: Path) -> None:
         assert journal.keys() == {key(number) for number in range(acknowledged)}
 
 
+def test_a_wrong_use_of_the_journal_is_no_matter_of_the_disk(folder: Path) -> None:
+    journal = Journal.create(folder, meta=META)
+    journal.close()
+    with pytest.raises(FormatError, match="closed") as found:
+        journal.count()
+    assert "report it" in str(found.value)
+    for word in ("space", "permissions", "disk"):
+        assert word not in str(found.value)
+
+
 def test_a_reader_can_write_nothing(folder: Path) -> None:
     Journal.create(folder, meta=META).close()
     with Journal.read(folder) as journal:

@@ -7,6 +7,7 @@ import shutil
 import struct
 import tempfile
 from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import numpy as np
@@ -211,6 +212,22 @@ def test_a_journal_that_breaks_gives_words_and_comes_back(
     assert live.status["state"] == "finished"
     with pytest.raises(FormatError, match="holds no journal"):
         Live(folder.parent)
+
+
+def test_a_scan_that_was_looked_at_before_is_followed_by_another_thread(
+    survey: Survey, folder: Path
+) -> None:
+    """`amulor view` looks once before its server runs, and that one follows."""
+    scan(survey, folder)
+    live = Live(folder)
+    live.look()
+    first = live._journal
+    with ThreadPoolExecutor(1) as other:
+        other.submit(live.look).result()
+    assert "error" not in live.status
+    # By the same connection: none is left open in a thread that is gone.
+    assert live._journal is first
+    live.stop()
 
 
 def test_newer_samples_are_those_after_a_number(survey: Survey, folder: Path) -> None:

@@ -4,7 +4,7 @@ import { CloudView } from "./cloud.js";
 import { flagColour, MAP_OF, table } from "./colour.js";
 import { Live } from "./live.js";
 import { colourBar, fitted, MapView } from "./map.js";
-import { failed, listMeasurements, say, showLegend, showReadout } from "./panel.js";
+import { failed, listMeasurements, say, showLegend, showReadout, unsay } from "./panel.js";
 import { download, pictureOf, png, themed as themedColours } from "./picture.js";
 import { along, drawHistogram, drawProfile, drawSpectrum, profileOf } from "./plots.js";
 import { Products } from "./products.js";
@@ -616,6 +616,7 @@ let reloading = Promise.resolve();
 const page = {
   state,
   say,
+  unsay,
   redraw,
   thumbnails: thumbnailsLater,
   colours: () => colours,

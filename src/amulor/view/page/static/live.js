@@ -112,6 +112,8 @@ export class Live {
   draw() {
     const { status } = this;
     if (status?.error) this.page.say(status.error);
+    else if (this.error) this.page.unsay(this.error);
+    this.error = status?.error;
     if (status?.state === undefined) return;
     const colours = this.page.colours();
     this.state.textContent = status.state === "running" ? `taking ${status.kind || "the first sample"}` : status.state;
@@ -143,20 +145,23 @@ export class Live {
     const [width, height] = [this.drift.clientWidth, this.drift.clientHeight];
     ctx.clearRect(0, 0, width, height);
     const size = Math.max(0.01, ...change.map((value, k) => Math.abs(value) + Math.min(error[k] ?? 0, 0.2))) * 1.15;
-    const span = Math.max(elapsed.at(-1) - elapsed[0], 1e-9);
-    const x = (time) => 40 + ((time - elapsed[0]) / span) * (width - 50);
-    const y = (value) => (height + 12) / 2 - (value / size) * ((height - 18) / 2);
     ctx.font = `11px ${colours.font}`;
+    // Five parts of a range about zero leave at least one mark on either side.
+    const marks = ticks(-size, size, 5).values.map((value) => [value, `${value > 0 ? "+" : ""}${short(100 * value, 2)} %`]);
+    const margin = Math.max(...marks.map(([, text]) => ctx.measureText(text).width)) + 8;
+    const span = Math.max(elapsed.at(-1) - elapsed[0], 1e-9);
+    const x = (time) => margin + 4 + ((time - elapsed[0]) / span) * (width - margin - 10);
+    const y = (value) => (height + 12) / 2 - (value / size) * ((height - 24) / 2);
     ctx.textBaseline = "middle";
     ctx.fillStyle = colours.soft;
     ctx.textAlign = "left";
     ctx.fillText("open water against its first shots", 0, 6);
     ctx.textAlign = "right";
     ctx.strokeStyle = colours.line;
-    for (const value of ticks(-size, size, 3).values) {
-      ctx.fillText(`${value > 0 ? "+" : ""}${short(100 * value, 2)} %`, 35, y(value));
+    for (const [value, text] of marks) {
+      ctx.fillText(text, margin - 4, y(value));
       ctx.beginPath();
-      ctx.moveTo(40, y(value));
+      ctx.moveTo(margin, y(value));
       ctx.lineTo(width, y(value));
       ctx.stroke();
     }

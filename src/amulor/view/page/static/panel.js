@@ -10,6 +10,11 @@ export function say(text) {
   $("message").hidden = !text;
 }
 
+/** Hide a message, unless another one stands in its place. */
+export function unsay(text) {
+  if ($("message").textContent === text) say("");
+}
+
 /** Show what went wrong, and mark the page as failed. */
 export function failed(error) {
   say(error.message ?? String(error));
