@@ -44,7 +44,8 @@ def combined(
         Nearest and farthest slant range that are possible [m].
     target_ratio : float, optional
         Cross-polarized over co-polarized signal of the target, between 0 and 1 [1];
-        estimated, with its uncertainty, if left out.
+        estimated, with its uncertainty, if left out; an estimate within its error of 0
+        or 1 is that.
     target_ratio_uncertainty : float
         Standard uncertainty of what is stated [1].
     water_change : float
@@ -63,7 +64,7 @@ def combined(
     ------
     CubeError
         If the two channels or the open-water shots are not there, or the ratio cannot
-        be estimated.
+        be estimated or is beyond 0 or 1 by more than its error.
     ValueError
         If the ratio is out of range, or an uncertainty is.
 
@@ -92,7 +93,7 @@ def combined(
                 else ratios.target_ratio(cube, interval=interval)
             ),
         )
-        target_ratio = estimate.value
+        target_ratio = ratios.possible(estimate, name="target_ratio")
         target_ratio_uncertainty = estimate.uncertainty
     present = list(cube["polarization"].values)
     channel = [(slice(None), present.index(name)) for name in (co, cross)]

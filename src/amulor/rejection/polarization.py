@@ -216,7 +216,8 @@ def unmix(
         Cross-polarized over co-polarized signal of target and water, between 0 and 1
         and different from each other; :math:`(1 - m_{22}) / (1 + m_{22})` for linear
         light on a diagonal Mueller matrix [1]. What is left out is estimated, with its
-        uncertainty, by `ratios.target_ratio` and `ratios.water_ratio`.
+        uncertainty, by `target_ratio` and `water_ratio`; an estimate within its error
+        of 0 or 1 is that.
     target_ratio_uncertainty, water_ratio_uncertainty : float
         Standard uncertainties of what is stated; what they add to the error is common
         to all pixels [1].
@@ -234,9 +235,10 @@ def unmix(
     ------
     CubeError
         If the two channels are not there, nothing tells how the water fluctuates, or
-        a ratio that is left out cannot be estimated.
+        a ratio that is left out cannot be estimated or is beyond 0 or 1 by more than
+        its error.
     ValueError
-        If the ratios are equal or out of range: then no unmixing is possible.
+        If the stated ratios are equal or out of range: then no unmixing is possible.
 
     Notes
     -----
@@ -257,11 +259,12 @@ def unmix(
     co, cross = pair_of(cube)
     if target_ratio is None:
         of_target = decided("ratio of the target", lambda: ratios.target_ratio(cube))
-        target_ratio = of_target.value
+        target_ratio = ratios.possible(of_target, name="target_ratio")
         target_ratio_uncertainty = of_target.uncertainty
     if water_ratio is None:
         of_water = decided("ratio of the water", lambda: ratios.water_ratio(cube))
-        water_ratio, water_ratio_uncertainty = of_water.value, of_water.uncertainty
+        water_ratio = ratios.possible(of_water, name="water_ratio")
+        water_ratio_uncertainty = of_water.uncertainty
     for name, ratio in (("target_ratio", target_ratio), ("water_ratio", water_ratio)):
         if not 0 <= ratio <= 1:
             raise ValueError(f"{name} must lie between 0 and 1, got {ratio:g}")

@@ -40,6 +40,43 @@ class Ratio:
     """What it was estimated from."""
 
 
+def possible(ratio: Ratio, *, name: str) -> float:
+    """Return a ratio, or the end of 0 to 1 that it is within its error of.
+
+    Parameters
+    ----------
+    ratio : Ratio
+        An estimate; noise carries it beyond 0 or 1 where the truth is there.
+    name : str
+        Of the argument that states it instead.
+
+    Returns
+    -------
+    float
+        Between 0 and 1 [1].
+
+    Raises
+    ------
+    CubeError
+        If it is beyond 0 or 1 by more than chance.
+    """
+    nearest = min(max(ratio.value, 0.0), 1.0)
+    # An estimate that is not a number is not possible either.
+    if not abs(ratio.value - nearest) <= _BY_CHANCE * ratio.uncertainty:
+        raise CubeError(
+            f"{name} must lie between 0 and 1, but {ratio.source} give "
+            f"{ratio.value:.4g} +- {ratio.uncertainty:.2g}, more than "
+            f"{_BY_CHANCE:g} standard uncertainties beyond; look whether the channels "
+            f"have the right names and gains, or state {name} (command line: "
+            f"--{name.replace('_', '-')})"
+        )
+    return nearest
+
+
+#: Standard uncertainties by which noise may carry a ratio beyond 0 or 1 [1].
+_BY_CHANCE = 4.0
+
+
 def water_ratio(cube: xr.Dataset, *, water_only: ArrayLike | None = None) -> Ratio:
     r"""Estimate the depolarization ratio of the water.
 
