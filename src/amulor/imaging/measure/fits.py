@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.optimize import least_squares
 
 from amulor.errors import CubeError
+from amulor.imaging.measure.checks import COVERAGE_FACTOR
 from amulor.imaging.measure.points import Points, points_of
 
 Floats = NDArray[np.float64]
@@ -21,8 +22,12 @@ _Residuals = Callable[[Floats, Floats], Floats]
 MOST_PIXELS = 1500
 #: The scatter must stand out of chance by this many standard errors [1].
 _SURE = 4.0
-#: Directions in which the axis of a cylinder is looked for [1].
-_AXES = 64
+#: Errors stated up to a fifth too small give so much per degree of freedom [1].
+_MISFIT = 1.5
+#: Directions in which the axis of a cylinder is looked for, and of them tried [1].
+_AXES, _TRIED = 24, 3
+#: Below this cosine of the incidence, distances along beams are cut short [1].
+_GRAZING = 0.2
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -38,11 +43,14 @@ class Fit:
     residual: float
     """Root mean square of what is left between the points and the shape [m]."""
     misfit: float
-    """Its square over what the stated errors leave; about 1 if the shape is right.
-    Where it is larger than chance makes it, the noise in the uncertainties is enlarged
-    by it [1]."""
+    """Chi-square per degree of freedom, about 1 if the shape is right. Where it is
+    larger than chance makes it, the noise in the uncertainties is enlarged by it
+    [1]."""
     pixels: int
     """How many pixels it was fitted to [1]."""
+    doubt: str = ""
+    """Reason why the values must not be used, empty if they may: residuals exceed
+    their errors, or the pixels do not constrain the radius."""
 
 
 def plane(image: xr.Dataset, region: ArrayLike) -> Fit:
@@ -89,16 +97,7 @@ def plane(image: xr.Dataset, region: ArrayLike) -> Fit:
     chi-square per degree of freedom 29: water is left in
     """
     points = _points(image, region, fewest=4, what="a plane")
-    middle = points.position.mean(axis=0)
-    back = -points.direction.mean(axis=0)
-    back /= np.linalg.norm(back)
-    across = np.linalg.svd(back[None])[2][1:]
-    away = points.position - middle
-    beside = away @ across.T
-    spread = np.linalg.svd(beside, compute_uv=False)
-    if spread[1] < 1e-9 * spread[0]:
-        raise CubeError("the pixels lie on a line, through which many planes go")
-    slopes = np.linalg.lstsq(beside, away @ back, rcond=None)[0]
+    middle, back, across, slopes = _flat(points)
 
     def normal(values: Floats) -> Floats:
         vector = back - values[:2] @ across
@@ -194,27 +193,26 @@ def sphere(image: xr.Dataset, region: ArrayLike) -> Fit:
     Raises
     ------
     CubeError
-        If there are fewer than five usable pixels, or they lie in a plane.
+        If there are fewer than five usable pixels, or they lie on a line.
 
     Notes
     -----
-    Least squares of distances from the surface, not of ranges, so that pixels near the
-    outline count no more than others; this adds less than the noise squared over the
-    diameter to the radius.
+    Least squares of ranges, where all of the error is, on the side that beams reach;
+    near the outline of distances from the surface, which noise does not throw about.
+    Curvature is fitted instead of radius: that of a flat patch is zero within its
+    error, and `doubt` says where the radius is below four standard errors.
     """
     points = _points(image, region, fewest=5, what="a sphere")
-    middle = points.position.mean(axis=0)
-    away = points.position - middle
-    guess = _round(away)
-
-    def residuals(values: Floats, position: Floats) -> Floats:
-        reach = np.linalg.norm(position - middle - values[:3], axis=1)
-        return np.asarray(reach - values[3])[None]
+    bent = _Bent(points)
 
     def derived(values: Floats) -> dict[str, float]:
-        return {"radius": float(values[3]), **_named("centre", middle + values[:3])}
+        at, normal = bent.placed(values)
+        centre = at - normal / values[3]
+        return {"radius": float(1 / abs(values[3])), **_named("centre", centre)}
 
-    return _fitted("sphere", points, residuals, [guess], derived)
+    return _fitted(
+        "sphere", points, bent.ranges, [bent.start()], derived, shown=bent.apart
+    )
 
 
 def cylinder(image: xr.Dataset, region: ArrayLike) -> Fit:
@@ -236,43 +234,134 @@ def cylinder(image: xr.Dataset, region: ArrayLike) -> Fit:
     Raises
     ------
     CubeError
-        If there are fewer than six usable pixels, or they lie in a plane.
+        If there are fewer than six usable pixels, or they lie on a line.
+
+    Notes
+    -----
+    As `sphere`. Distances from the surface alone would have a false minimum, a narrow
+    cylinder along the beams, from which no range error moves a point.
+
+    Examples
+    --------
+    A flat board has no radius:
+
+    >>> import numpy as np
+    >>> from amulor import imaging, rejection, samples
+    >>> target = rejection.open_water(samples.cube("ladder"))
+    >>> image = imaging.range_image(target, polarization="VH")
+    >>> region = np.zeros(image["slant_range"].shape, dtype=bool)
+    >>> region[4:36, 44:56] = True
+    >>> board = imaging.measure.cylinder(image, region)
+    >>> print(board.doubt.partition(",")[0])
+    radius not constrained by these pixels
     """
     points = _points(image, region, fewest=6, what="a cylinder")
-    middle = points.position.mean(axis=0)
-    away = points.position - middle
-    starts: list[tuple[float, int, Floats]] = []
-    frames: list[tuple[Floats, Floats]] = []
-    for axis in _hemisphere(away):
-        across = np.linalg.svd(axis[None])[2][1:]
-        found = _round(away @ across.T)
-        left = np.linalg.norm(away @ across.T - found[:2], axis=1) - found[2]
-        starts.append((float(left @ left), len(frames), found))
-        frames.append((axis, across))
-    best = min(starts, key=lambda one: one[0])
-    axis, across = frames[best[1]]
-
-    def placed(values: Floats) -> tuple[Floats, Floats]:
-        vector = axis + values[:2] @ across
-        vector = vector / np.linalg.norm(vector)
-        point = values[2:4] @ across
-        return middle + point - (point @ vector) * vector, vector
-
-    def residuals(values: Floats, position: Floats) -> Floats:
-        point, vector = placed(values)
-        reach = np.linalg.norm(np.cross(position - point, vector), axis=1)
-        return np.asarray(reach - values[4])[None]
+    bent = _Bent(points)
+    turns = np.arange(_AXES) * np.pi / _AXES
+    starts = sorted(
+        (bent.start(turn) for turn in turns),
+        key=lambda values: float((bent.ranges(values, points.position) ** 2).sum()),
+    )
 
     def derived(values: Floats) -> dict[str, float]:
-        point, vector = placed(values)
+        at, normal = bent.placed(values)
+        axis = bent.axis(values, normal)
+        centre = at - normal / values[3]
+        point = centre + ((bent.middle - centre) @ axis) * axis
         return {
-            "radius": float(values[4]),
-            **_named("axis", vector * np.sign(vector[np.abs(vector).argmax()])),
+            "radius": float(1 / abs(values[3])),
+            **_named("axis", axis * np.sign(axis[np.abs(axis).argmax()])),
             **_named("point", point),
         }
 
-    start = np.concatenate([np.zeros(2), best[2]])
-    return _fitted("cylinder", points, residuals, [start], derived)
+    return _fitted(
+        "cylinder", points, bent.ranges, starts[:_TRIED], derived, shown=bent.apart
+    )
+
+
+class _Bent:
+    """A sphere or cylinder by its normal and curvature where the points are.
+
+    Parameters are two slopes and an offset of the tangent plane, the curvature, of a
+    cylinder also the turn of its axis in that plane. A flat patch has curvature zero,
+    where a radius has no limit.
+    """
+
+    def __init__(self, points: Points) -> None:
+        self.points = points
+        self.middle, self.back, self.across, self.slopes = _flat(points)
+
+    def placed(self, values: Floats) -> tuple[Floats, Floats]:
+        """Return a point of the surface, and the normal there."""
+        vector = self.back - values[:2] @ self.across
+        normal = vector / np.linalg.norm(vector)
+        return self.middle + values[2] * normal, normal
+
+    def axis(self, values: Floats, normal: Floats) -> Floats:
+        """Return the axis of a cylinder, a unit vector."""
+        one = self.across[0] - (self.across[0] @ normal) * normal
+        one = one / np.linalg.norm(one)
+        other = np.cross(normal, one)
+        return np.asarray(np.cos(values[4]) * one + np.sin(values[4]) * other)
+
+    def _gradient(
+        self, values: Floats, position: Floats
+    ) -> tuple[Floats, Floats, Floats]:
+        """Return positions and normals that the distance and its gradient follow."""
+        at, normal = self.placed(values)
+        away = position - at
+        if len(values) > 4:
+            axis = self.axis(values, normal)
+            away = away - (away @ axis)[:, None] * axis
+        outward = normal + values[3] * away
+        return away, normal, outward
+
+    def apart(self, values: Floats, position: Floats) -> Floats:
+        """Return distances from the surface [m]."""
+        away, normal, outward = self._gradient(values, position)
+        square = values[3] * (away**2).sum(axis=1) + 2 * away @ normal
+        return np.asarray(square / (np.linalg.norm(outward, axis=1) + 1))[None]
+
+    def ranges(self, values: Floats, position: Floats) -> Floats:
+        """Return distances along the beams, cut short where these graze the surface.
+
+        On the far side they count more, since no beam gets there: otherwise a surface
+        along the beams would explain any noise.
+        """
+        outward = self._gradient(values, position)[2]
+        facing = -np.einsum("ij,ij->i", outward, self.points.direction)
+        facing /= np.maximum(np.linalg.norm(outward, axis=1), 1e-12)
+        cosine = (facing + np.hypot(facing, 2 * _GRAZING)) / 2
+        return np.asarray(self.apart(values, position) / cosine)
+
+    def start(self, turn: float | None = None) -> Floats:
+        """Return the flat surface through the points, bent by least squares."""
+        slopes = self.slopes
+        flat = np.array(
+            [slopes[0], slopes[1], 0.0, 0.0, *([] if turn is None else [turn])]
+        )
+        away, normal, _ = self._gradient(flat, self.points.position)
+        height = away @ normal
+        square = (away**2).sum(axis=1) - height**2
+        columns = np.stack([np.ones_like(square), -square / 2], axis=1)
+        offset, curvature = np.linalg.lstsq(columns, height, rcond=None)[0]
+        flat[2:4] = offset, curvature
+        return flat
+
+
+def _flat(points: Points) -> tuple[Floats, Floats, Floats, Floats]:
+    """Return middle, direction back, two across it, and slopes of the plane there."""
+    middle = points.position.mean(axis=0)
+    back = -points.direction.mean(axis=0)
+    back /= np.linalg.norm(back)
+    across = np.linalg.svd(back[None])[2][1:]
+    away = points.position - middle
+    beside = away @ across.T
+    spread = np.linalg.svd(beside, compute_uv=False)
+    if spread[1] < 1e-9 * spread[0]:
+        raise CubeError("the pixels lie on a line, through which many planes go")
+    slopes = np.linalg.lstsq(beside, away @ back, rcond=None)[0]
+    return middle, back, across, slopes
 
 
 def _principal(away: Floats) -> Floats:
@@ -290,15 +379,6 @@ def _round(away: Floats) -> Floats:
     centre = found[:-1]
     radius = np.sqrt(max(found[-1] + centre @ centre, 0.0))
     return np.append(centre, radius)
-
-
-def _hemisphere(away: Floats) -> Floats:
-    """Return directions all around, and the principal ones of the points."""
-    number = np.arange(_AXES) + 0.5
-    rise, turn = number / _AXES, np.pi * (1 + 5**0.5) * number
-    side = np.sqrt(1 - rise**2)
-    spiral = np.stack([side * np.cos(turn), side * np.sin(turn), rise], axis=1)
-    return np.concatenate([_principal(away), spiral])
 
 
 def _named(name: str, vector: Floats) -> dict[str, float]:
@@ -368,24 +448,50 @@ def _fitted(
     squares = float(2 * found.cost)
     freedom = max(kinds * count - len(found.x), 1)
     misfit = squares / expected if expected > 0 else 1.0
-    excess = misfit - 1 if misfit > 1 + _SURE * np.sqrt(2 / freedom) else 0.0
+    chance = 1 + _SURE * float(np.sqrt(2 / freedom))
+    excess = misfit - 1 if misfit > chance else 0.0
     matrix = points.covariance + np.diag(excess * points.noise)
     covariance = gain @ matrix @ gain.T
     values = derived(found.x)
     names = list(values)
     to_values = _slope(lambda at: np.array([*derived(at).values()]), found.x, step=1e-6)
     of_values = np.einsum("ij,jk,ik->i", to_values, covariance, to_values)
+    errors = np.sqrt(np.maximum(of_values, 0.0)).tolist()
+    uncertainties: dict[str, float] = dict(zip(names, errors, strict=True))
     plain = (shown or residuals)(found.x, points.position)
     return Fit(
         kind=kind,
         values=values,
-        uncertainties=dict(
-            zip(names, np.sqrt(np.maximum(of_values, 0.0)).tolist(), strict=True)
-        ),
+        uncertainties=uncertainties,
         residual=float(np.sqrt(np.mean((plain**2).sum(axis=0)))),
         misfit=misfit,
         pixels=count,
+        doubt=_doubt(kind, misfit, chance, values, uncertainties),
     )
+
+
+def _doubt(
+    kind: str,
+    misfit: float,
+    chance: float,
+    values: dict[str, float],
+    uncertainties: dict[str, float],
+) -> str:
+    """Return why a fit must not be used, empty if it may."""
+    # Pixels of a rim are picked by hand: their scatter is in the uncertainty.
+    if kind != "circle" and misfit > max(chance, _MISFIT):
+        return (
+            f"does not fit this shape (chi-square {misfit:.3g} per degree of freedom)"
+        )
+    radius, error = values.get("radius", 0.0), uncertainties.get("radius", 0.0)
+    if _SURE * error > radius > 0:
+        # Errors of the curvature are normal where those of the radius are not.
+        least = radius / (1 + COVERAGE_FACTOR * error / radius)
+        return (
+            f"radius not constrained by these pixels, above {least * 1e3:.3g} mm; "
+            "take a larger part of the shape, or a plane"
+        )
+    return ""
 
 
 def _slope(

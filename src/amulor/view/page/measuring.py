@@ -47,6 +47,7 @@ def measured(recording: Recording, request: dict[str, Any]) -> dict[str, Any]:
     dict
         `kind`; `lines`, each with `label`, `value`, `uncertainty` and `unit`; what the
         numbers rest on: `pixels`, `random` or `residual` and `misfit`, `group_index`.
+        A fit in `doubt` has no lines.
 
     Raises
     ------
@@ -129,7 +130,9 @@ def _fit(picture: Picture, kind: str, pixels: list[tuple[int, int]]) -> dict[str
         }
         for name, value in fit.values.items()
     ]
-    if kind != "plane":  # people state diameters
+    if kind == "plane":  # people state how much it leans before where it is
+        lines.sort(key=lambda line: line["label"] != "tilt")
+    else:  # and diameters
         radius = lines[0] if lines[0]["label"] == "radius" else None
         if radius is not None:
             double = {
@@ -140,7 +143,8 @@ def _fit(picture: Picture, kind: str, pixels: list[tuple[int, int]]) -> dict[str
             }
             lines.insert(0, double)
     return {
-        "lines": lines,
+        "lines": [] if fit.doubt else lines,
+        "doubt": fit.doubt,
         "residual": fit.residual,
         "misfit": fit.misfit if math.isfinite(fit.misfit) else None,
         "pixels": fit.pixels,

@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-import base64
-import io
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-import matplotlib.image
 import numpy as np
 import pytest
-from pages import settled, until
+from pages import click, drag, drawn, place, settled, until
 
 from amulor import imaging, rejection, samples
 from amulor.view import page
@@ -19,35 +16,11 @@ from amulor.view.page.pictures import MemoryPicture
 
 pytestmark = pytest.mark.slow
 
-PICTURE = "(name) => document.getElementById(name).toDataURL('image/png')"
-
-
-def drawn(tab_page: Any, name: str) -> np.ndarray:
-    """Return what a canvas shows, rows of red, green, blue, cover."""
-    data = tab_page.evaluate(PICTURE, name).partition(",")[2]
-    picture = matplotlib.image.imread(io.BytesIO(base64.b64decode(data)))
-    return np.round(picture * 255).astype(int)
-
 
 def image_of(recording: page.Recording) -> Any:
     picture = recording.channel().shown
     assert isinstance(picture, MemoryPicture)
     return picture.image
-
-
-def place(tab_page: Any, pixel: tuple[int, int]) -> dict[str, float]:
-    """Return where the middle of a pixel is on the screen."""
-    spot = tab_page.evaluate(
-        "(pixel) => amulor.views.map.spot(amulor.scene, pixel)", list(pixel)
-    )
-    box = tab_page.locator("#map").bounding_box()
-    ratio = tab_page.evaluate("document.getElementById('map').width") / box["width"]
-    return {"x": box["x"] + spot[0] / ratio, "y": box["y"] + spot[1] / ratio}
-
-
-def click(tab_page: Any, pixel: tuple[int, int]) -> None:
-    spot = place(tab_page, pixel)
-    tab_page.mouse.click(spot["x"], spot["y"])
 
 
 def relief(
@@ -140,11 +113,7 @@ def test_relief_between_board_and_wall_is_60_mm_within_its_stated_error(
         assert found["value"] == expected.value
         # A region for a plane is dragged.
         shown.click("#tools button[data-kind=plane]")
-        start, end = place(shown, (2, 25)), place(shown, (20, 37))
-        shown.mouse.move(start["x"], start["y"])
-        shown.mouse.down()
-        shown.mouse.move(end["x"], end["y"], steps=4)
-        shown.mouse.up()
+        drag(shown, (2, 25), (20, 37))
         shown.wait_for_selector("#measurements li:nth-child(2)")
         lines = shown.evaluate("amulor.measurements[1].found.lines")
         offset = next(line for line in lines if line["label"] == "offset")

@@ -135,6 +135,7 @@ def picked(
     def take(image: xr.Dataset) -> tuple[object, object]:
         found = fit(image, every(image))
         assert 0.4 < found.misfit < 1.8
+        assert found.doubt == ""
         return (
             [found.values[name] for name in names],
             [found.uncertainties[name] for name in names],
@@ -255,6 +256,42 @@ def test_a_bent_surface_enlarges_the_error_of_a_plane(scan: shapes.Beams) -> Non
     one, other = (measure.plane(image, every(image)) for image in (exact, wrong))
     assert other.misfit > 3
     assert other.uncertainties["normal_x"] > 1.5 * one.uncertainties["normal_x"]
+
+
+@pytest.mark.parametrize("noise", [1e-3, 6e-3])
+@pytest.mark.parametrize("fit", [measure.sphere, measure.cylinder])
+def test_a_flat_patch_gives_no_radius(
+    fit: Callable[[xr.Dataset, np.ndarray], measure.Fit], noise: float
+) -> None:
+    # 45 mm wide at 1.5 m; with 6 mm of noise, points are as deep as the patch is high.
+    scan = shapes.beams(rows=10, columns=18, half=0.015)
+    exact = shapes.to_plane(scan, unit(0.1, -0.1, 1.0), 1.5)
+    for seed in range(20):
+        rng = np.random.default_rng(seed)
+        scatter = rng.normal(size=exact.shape)
+        image = shapes.image(scan, exact + noise * scatter)
+        own = image["slant_range_uncertainty_counting"] * 0 + noise
+        common = image["slant_range_common_uncertainty"]
+        image["slant_range_uncertainty"] = np.hypot(common, own)
+        found = fit(image, every(image))
+        assert "radius not constrained by these pixels, above " in found.doubt
+        # The plane and two or one parameters more leave as much of chi-square.
+        flat = measure.plane(image, every(image))
+        assert found.misfit == pytest.approx(flat.misfit, abs=0.15)
+
+
+@pytest.mark.parametrize("fit", [measure.plane, measure.sphere, measure.cylinder])
+def test_steps_fit_no_shape_and_the_fit_says_so(
+    scan: shapes.Beams, fit: Callable[[xr.Dataset, np.ndarray], measure.Fit]
+) -> None:
+    treads = 1.5 - 0.04 * np.floor((scan.azimuth + 0.16) / 0.064)
+    exact = treads / np.cos(scan.azimuth) / np.cos(scan.elevation)
+    ranges = exact + shapes.errors(exact, np.random.default_rng(1))
+    image = shapes.image(scan, ranges)
+    found = fit(image, every(image))
+    assert found.misfit > 5
+    said = f"does not fit this shape (chi-square {found.misfit:.3g} per degree"
+    assert found.doubt.startswith(said)
 
 
 def test_what_cannot_be_measured_is_explained(

@@ -128,6 +128,10 @@ def test_the_server_measures_what_the_library_measures(
     found = client.post(f"/{TOKEN}/measure", json=request).json()
     offset = next(line for line in found["lines"] if line["label"] == "offset")
     assert abs(abs(offset["value"]) - 1.5) < 4 * offset["uncertainty"] + 0.005
+    # A flat plate has no radius, and none is stated.
+    found = client.post(f"/{TOKEN}/measure", json={**request, "kind": "sphere"}).json()
+    assert "radius not constrained" in found["doubt"]
+    assert found["lines"] == []
 
 
 @pytest.mark.parametrize(

@@ -373,7 +373,7 @@ async function finish() {
 function listed() {
   const said = (kept) => {
     const { main, rests } = worded(kept.found);
-    return { main: main[0], words: [toolOf(kept.kind).name, ...main.slice(1), rests].join(" · ") };
+    return { main: main[0], doubt: kept.found.doubt, words: [toolOf(kept.kind).name, ...main.slice(1), rests].join(" · ") };
   };
   listMeasurements(state, said, redraw);
 }

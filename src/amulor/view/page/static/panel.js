@@ -51,7 +51,7 @@ export function showReadout(rows, flags) {
   );
 }
 
-/** List measurements; `said` gives the number and the words of one, `changed` redraws. */
+/** List measurements; `said` gives number, words and doubt of one, `changed` redraws. */
 export function listMeasurements(state, said, changed) {
   const again = () => {
     listMeasurements(state, said, changed);
@@ -60,7 +60,7 @@ export function listMeasurements(state, said, changed) {
   $("kept").hidden = !state.measurements.length;
   $("measurements").replaceChildren(
     ...state.measurements.map((kept) => {
-      const { main, words } = said(kept);
+      const { main, words, doubt } = said(kept);
       const remove = made("button", { type: "button", className: "remove", textContent: "×", ariaLabel: `Remove measurement ${kept.number}` });
       remove.addEventListener("click", (event) => {
         event.stopPropagation();
@@ -70,7 +70,7 @@ export function listMeasurements(state, said, changed) {
       const li = made(
         "li",
         { className: kept === state.chosen ? "chosen" : "" },
-        made("div", { className: "value" }, made("span", { className: "number", textContent: kept.number }), main),
+        made("div", { className: doubt ? "value doubt" : "value" }, made("span", { className: "number", textContent: kept.number }), main),
         made("div", { className: "of", textContent: words }),
         remove,
       );

@@ -39,7 +39,7 @@ const ANGLE = { "normal x": true, "normal y": true, "normal z": true };
 /** Return a measurement as lines of text: the first one is the main one. */
 export function worded(found) {
   const kept = found.lines.filter((line) => !ANGLE[line.label] && !/^(axis|point|centre) /.test(line.label));
-  const main = kept.map((line) => `${line.label === found.kind ? "" : `${line.label} `}${withError(line.value, line.uncertainty, line.unit)}`);
+  const main = found.doubt ? [found.doubt] : kept.map((line) => `${line.label === found.kind ? "" : `${line.label} `}${withError(line.value, line.uncertainty, line.unit)}`);
   const rests = [];
   if (found.random !== undefined) rests.push(`noise ${withUnit(found.random, found.lines[0].unit, 2)}`);
   if (found.residual !== undefined) rests.push(`residual ${withUnit(found.residual, "m", 2)}`);
@@ -59,6 +59,7 @@ export function asText(state) {
   for (const kept of state.measurements) {
     const name = toolOf(kept.kind).name;
     lines.push("", `${kept.number}. ${name}`);
+    if (kept.found.doubt) lines.push(`   ${kept.found.doubt}`);
     for (const line of kept.found.lines) lines.push(`   ${line.label}: ${withError(line.value, line.uncertainty, line.unit)}`);
     lines.push(`   ${worded(kept.found).rests}`);
     const where = kept.region ? `rows ${kept.region[0]} to ${kept.region[2]}, columns ${kept.region[1]} to ${kept.region[3]}` : kept.picks.map(([row, column]) => `(${row}, ${column})`).join(" ");
