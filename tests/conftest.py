@@ -16,6 +16,7 @@ os.environ.update(
 
 import compile_cache
 import pytest
+import skips
 from hypothesis import settings
 
 from amulor.survey import Survey
@@ -27,7 +28,7 @@ settings.load_profile("quick")
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    """Let tests hear signals, and compile each function once."""
+    """Let tests hear signals, watch skips, and compile each function once."""
     # A shell that starts a program in the background has it ignore some signals, and so
     # do the programs that it starts in turn; tests that send them would wait for ever.
     for name in ("SIGINT", "SIGHUP", "SIGQUIT"):
@@ -35,8 +36,42 @@ def pytest_configure(config: pytest.Config) -> None:
         if number is not None and signal.getsignal(number) is signal.SIG_IGN:
             heard = signal.default_int_handler if name == "SIGINT" else signal.SIG_DFL
             signal.signal(number, heard)
-    if "PYTEST_XDIST_WORKER" in os.environ:
+    if "PYTEST_XDIST_WORKER" not in os.environ:
+        config.pluginmanager.register(Skips(), "skips")
+    else:
         compile_cache.compile_one_at_a_time()
+
+
+class Skips:
+    """Fails a run in which a test was skipped without a reason that is listed."""
+
+    def __init__(self) -> None:
+        self._reports: list[pytest.TestReport | pytest.CollectReport] = []
+
+    def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
+        """Keep what was skipped in any process."""
+        if report.skipped:
+            self._reports.append(report)
+
+    def pytest_collectreport(self, report: pytest.CollectReport) -> None:
+        """Keep the files that were skipped as a whole."""
+        if report.skipped:
+            self._reports.append(report)
+
+    def pytest_sessionfinish(self, session: pytest.Session) -> None:
+        """Fail a run that would have passed."""
+        if skips.unlisted(self._reports) and session.exitstatus == pytest.ExitCode.OK:
+            session.exitstatus = pytest.ExitCode.TESTS_FAILED
+
+    def pytest_terminal_summary(
+        self, terminalreporter: pytest.TerminalReporter
+    ) -> None:
+        """Name the tests that should not have been skipped."""
+        found = skips.unlisted(self._reports)
+        if found:
+            terminalreporter.section("skips that tests/support/skips.py does not list")
+            for test, reason in found.items():
+                terminalreporter.line(f"{test}: {reason}")
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:

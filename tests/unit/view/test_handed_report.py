@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import re
-import shutil
 import subprocess
 from itertools import pairwise
 
 import exact_scenes as scenes
 import numpy as np
 import pytest
+import skips
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 
 from amulor.cli import main
@@ -163,12 +163,12 @@ def test_the_report_states_instrument_water_registration_and_accuracy(page) -> N
 
 
 @pytest.mark.slow
-@pytest.mark.skipif(shutil.which("chromium") is None, reason="no browser")
 def test_a_browser_prints_it_on_a4(page) -> None:
+    browser = skips.need_browser()
     pdf = page.with_suffix(".pdf")
     subprocess.run(
         [
-            *("chromium", "--headless", "--no-sandbox", "--no-pdf-header-footer"),
+            *(browser, "--headless", "--no-sandbox", "--no-pdf-header-footer"),
             f"--print-to-pdf={pdf}",
             page.as_uri(),
         ],

@@ -1,12 +1,12 @@
-"""A browser, and pages that it may look at; both skip where there is no Chromium."""
+"""A browser, and pages that it may look at; both skip where there is none."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from pathlib import Path
 from typing import Any
 
 import pytest
+import skips
 from pages import settled
 
 from amulor import rejection
@@ -14,7 +14,6 @@ from amulor.simulation import simulate
 from amulor.survey import Survey
 from amulor.view import page
 
-CHROMIUM = Path("/usr/bin/chromium")
 #: Since Chromium 138 a page without a graphics unit draws only with the first two.
 FLAGS = (
     "--use-angle=swiftshader",
@@ -28,11 +27,10 @@ FLAGS = (
 @pytest.fixture(scope="session")
 def browser() -> Iterator[Any]:
     """Return a Chromium with software graphics."""
-    if not CHROMIUM.exists():
-        pytest.skip(f"the page is tried in a browser, and there is no {CHROMIUM}")
+    path = skips.need_browser()
     playwright = pytest.importorskip("playwright.sync_api")
     with playwright.sync_playwright() as driver:
-        found = driver.chromium.launch(executable_path=str(CHROMIUM), args=[*FLAGS])
+        found = driver.chromium.launch(executable_path=path, args=[*FLAGS])
         yield found
         found.close()
 
