@@ -23,18 +23,24 @@ help:
 	@echo "make soak      hours of a scan in simulated time, with faults, pages, commands"
 	@echo "make bench     speed against peers and limits, measured in one run"
 	@echo "make package   build wheel and sdist, and use the wheel alone"
-	@echo "make oldest    the tests with the oldest dependencies that are allowed"
+	@echo "make oldest    tests with the oldest dependencies that are allowed"
+	@echo "make constraints  write constraints.txt anew, with the newest dependencies"
 	@echo "make surface   list the public names anew"
 	@echo "make clean     remove what the others made"
 
-.venv/installed-all: pyproject.toml
+# Versions that are known to go together.
+INSTALL = $(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt
+EXTRAS = all,zi,bluesky
+
+.venv/installed-all: pyproject.toml constraints.txt
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "amulor needs Python 3.11 or newer, found " + sys.version.split()[0] + "; call make PYTHON=...")'
 	$(PYTHON) -m venv .venv
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[all]'
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check 'pip>=25.1' # knows groups
+	$(INSTALL) --editable '.[all]'
 	@touch $@
 
 .venv/installed-test: .venv/installed-all
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[all,test,clients]'
+	$(INSTALL) --editable '.[$(EXTRAS)]' --group dev
 	@touch $@
 
 demo: .venv/installed-all
@@ -68,7 +74,7 @@ soak: .venv/installed-test
 	AMULOR_SOAK_MINUTES=18 $(PYTEST) -s -m study tests/system/soak -o faulthandler_timeout=3600
 
 .venv/installed-docs: .venv/installed-test
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[docs]'
+	$(INSTALL) --group docs
 	@touch $@
 
 # Each example of the gallery runs; a warning is an error.
@@ -97,8 +103,21 @@ package: .venv/installed-test
 	$(BIN)/python tools/package.py
 
 # On Python 3.11, whose oldest versions the bounds are; in a virtual environment of its own.
-oldest:
-	$(PYTHON) tools/oldest.py .venv-oldest --hypothesis-profile=$(EXAMPLES) $(TOGETHER)
+# TESTS=tests runs all of them.
+TESTS = $(addprefix tests/unit/,cli cube handover imaging io rejection samples simulation survey)
+oldest: .venv/installed-test
+	$(BIN)/uv venv --quiet --clear --python 3.11 .venv-oldest
+	VIRTUAL_ENV=.venv-oldest $(BIN)/uv pip install --quiet --resolution lowest-direct --editable '.[$(EXTRAS)]' --group test
+	NUMBA_CACHE_DIR=.venv-oldest/numba .venv-oldest/bin/python -m pytest $(OLD) $(TOGETHER) $(TESTS)
+
+# Old packages warn of what newer ones, which they were not made for, leave behind.
+OLD = -Wignore::DeprecationWarning -Wignore::PendingDeprecationWarning -Wignore::FutureWarning \
+	'-Wignore:numpy.ndarray size changed:RuntimeWarning' \
+	'-Wignore:Converting non-nanosecond precision datetime:UserWarning'
+
+constraints: .venv/installed-test
+	$(BIN)/uv pip compile --quiet --universal --upgrade --python-version 3.11 --all-extras --group dev --group docs \
+		--no-header --no-annotate --no-emit-index-url --no-emit-find-links --output-file constraints.txt pyproject.toml
 
 surface: .venv/installed-test
 	$(BIN)/python tools/public_surface.py
@@ -107,4 +126,4 @@ clean:
 	rm -rf .venv .venv-oldest dist amulor-demo foam-transients .coverage*
 	rm -rf docs/_build docs/api docs/gallery/examples docs/gallery/backreferences
 
-.PHONY: help demo style types contracts lint test check study soak docs coverage bench package oldest surface clean linkcheck mutate
+.PHONY: help demo style types contracts lint test check study soak docs coverage bench package oldest surface clean linkcheck mutate constraints

@@ -41,7 +41,7 @@ if TYPE_CHECKING:
     from amulor.simulation import simulate
     from amulor.survey import Survey
 
-__version__ = "0.1.0"
+__version__ = "0.2.0.dev0"
 
 __all__ = [
     "Survey",

@@ -10,11 +10,11 @@ from amulor.errors import MissingExtraError
 MODULES = {
     "scene": {"trimesh": "trimesh", "embreex": "embreex"},
     "export": {
-        "pye57": "pye57",
         "laspy[lazrs]": "lazrs",
         "ezdxf": "ezdxf",
         "tifffile": "tifffile",
     },
+    "e57": {"pye57": "pye57"},
     "mie": {"miepython": "miepython"},
     "unwrap": {"scikit-image": "skimage"},
     "view": {

@@ -89,7 +89,7 @@ def test_a_link_that_leads_nowhere_is_found(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_the_site_builds_without_a_warning_or_a_broken_link(tmp_path: Path) -> None:
-    pytest.importorskip("sphinx", reason="pip install 'amulor[docs]'")
+    pytest.importorskip("sphinx", reason="pip install --group docs")
     built = tmp_path / "html"
     # The examples of the gallery run in studies and in make docs.
     done = subprocess.run(

@@ -50,7 +50,7 @@ def test_only_what_is_missing_is_named(monkeypatch):
 @pytest.mark.parametrize(
     ("words", "extras"),
     [
-        ("demo -o out", "scene,export"),
+        ("demo -o out", "scene,export,e57"),
         ("reproduce ricci2010 --quick -o out", "scene,mie"),
         ("reproduce ricci2010 --quick --figure 11 -o out", "scene,mie"),
         ("reproduce ricci2010 --quick --figure 15 -o out", "scene"),

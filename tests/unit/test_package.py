@@ -1,11 +1,15 @@
 """Wheel and sdist hold every file that the program reads, and no other."""
 
+import tomllib
 from pathlib import Path
 
 from hatchling.builders.sdist import SdistBuilder
 from hatchling.builders.wheel import WheelBuilder
+from packaging.requirements import Requirement
+from packaging.utils import canonicalize_name
 
 ROOT = Path(__file__).parents[2]
+_METADATA = WheelBuilder(str(ROOT)).metadata.core
 
 
 #: What `make docs` makes.
@@ -45,4 +49,56 @@ def test_the_sdist_holds_what_builds_tests_and_documents() -> None:
         "Makefile",
         "NOTICE",
         "README.md",
+        "SECURITY.md",
+        "constraints.txt",
     }
+
+
+def test_the_notice_names_each_table_of_others() -> None:
+    notice = (ROOT / "NOTICE").read_text()
+    folders = ("src/amulor/optics/data", "src/amulor/samples/data/foam")
+    tables = {
+        name for name in _there(*folders) if Path(name).suffix in {".csv", ".npz"}
+    }
+    assert len(tables) == 16
+    assert {name for name in tables if Path(name).name not in notice} == set()
+    assert "designs developed\n  by Cynthia Brewer (http://colorbrewer.org/)" in notice
+
+
+def test_licences_of_others_go_with_the_wheel() -> None:
+    licences = {path.as_posix() for path in map(Path, _METADATA.license_files)}
+    wanted = {
+        name
+        for name in _there("src")
+        if Path(name).suffix == ".txt" and ("LICENSE" in name or "NOTICE" in name)
+    }
+    assert licences == {"LICENSE", "NOTICE"} | wanted
+    assert len(wanted) == 4
+    assert {"Apache-2.0", "MIT", "OGL-UK-3.0", "LicenseRef-ColorBrewer"} == set(
+        str(_METADATA.license_expression).split(" AND ")
+    )
+
+
+def test_what_developers_need_is_no_extra() -> None:
+    assert not {"test", "lint", "docs", "dev", "clients"} & set(
+        _METADATA.optional_dependencies
+    )
+
+
+def test_constraints_have_a_version_for_each_package_and_no_address() -> None:
+    text = (ROOT / "constraints.txt").read_text()
+    versions: dict[str, list[str]] = {}
+    for line in text.splitlines():
+        name, _, version = line.partition(" ;")[0].partition("==")
+        versions.setdefault(name, []).append(version)
+    groups = tomllib.loads((ROOT / "pyproject.toml").read_text())["dependency-groups"]
+    stated = [
+        *_METADATA.dependencies,
+        *(text for extra in _METADATA.optional_dependencies.values() for text in extra),
+        *(text for group in groups.values() for text in group if isinstance(text, str)),
+    ]
+    for requirement in map(Requirement, stated):
+        if requirement.name != "amulor":
+            name = canonicalize_name(requirement.name)
+            assert all(requirement.specifier.contains(v) for v in versions[name]), name
+    assert "://" not in text

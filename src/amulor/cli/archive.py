@@ -51,7 +51,7 @@ def archive(
     if output.exists():
         raise FormatError(f"{output} exists already; choose another name")
     described = read_project(project)
-    _extras.require("export", purpose="the archive")
+    _extras.require("export", "e57", purpose="the archive")
     with progress_bar(quiet=json):
         counts = write_archive(described, output)
     if json:

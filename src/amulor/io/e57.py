@@ -194,7 +194,7 @@ def _libe57() -> Any:
         from pye57 import libe57
     except ImportError as error:
         raise MissingExtraError(
-            "pye57", extra="export", purpose="writing E57 files"
+            "pye57", extra="e57", purpose="writing E57 files"
         ) from error
     return libe57
 

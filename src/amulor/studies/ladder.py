@@ -92,7 +92,7 @@ def run(
     MissingExtraError
         If the packages of the extras `scene` and `export` are not installed.
     """
-    _extras.require("scene", "export", purpose="the ladder")
+    _extras.require("scene", "export", "e57", purpose="the ladder")
     io.make_folder(folder)
     for name in output_names():
         io.check_output(folder / name, overwrite=overwrite)

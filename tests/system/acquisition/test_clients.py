@@ -27,7 +27,7 @@ pytestmark = pytest.mark.filterwarnings("ignore")
 
 def client(name: str) -> ModuleType:
     """Return a package of others, or skip the test that needs it."""
-    return pytest.importorskip(name, reason=f"pip install 'amulor[clients]': {name}")
+    return pytest.importorskip(name, reason=f"pip install --group clients: {name}")
 
 
 @contextlib.contextmanager

@@ -11,12 +11,13 @@ from pathlib import Path
 import exact_scenes as scenes
 import laspy
 import numpy as np
-import pye57
 import pytest
 
 from amulor import io
 from amulor.cli import main
 from amulor.handover.archive import missing_of
+
+pye57 = pytest.importorskip("pye57")
 
 PROJECT = """
 [project]

@@ -10,7 +10,6 @@ from pathlib import Path
 import exact_scenes as scenes
 import laspy
 import numpy as np
-import pye57
 import pytest
 import trimesh
 from PIL import Image
@@ -18,6 +17,8 @@ from PIL import Image
 from amulor import io
 from amulor.cli import main
 from amulor.handover import ENDINGS, Order, hand_over, product_of
+
+pye57 = pytest.importorskip("pye57")
 
 #: Depths of the treads, by the survey of the demo [m].
 DEPTHS = np.array([1.5, 1.46, 1.45, 1.44, 1.43])

@@ -3,11 +3,12 @@
 import sys
 
 import numpy as np
-import pye57
 import pytest
 
 from amulor.errors import CubeError, FormatError, MissingExtraError
 from amulor.io import write_e57
+
+pye57 = pytest.importorskip("pye57")
 
 ROWS, COLUMNS = SHAPE = (7, 9)
 

@@ -43,9 +43,9 @@ def merge(
     from amulor.site.merging.clouds import scan_clouds
     from amulor.site.merging.tiles import write_tiles
 
-    require("export", purpose="merging")
-    size = quantity_of("--tile", tile, "length")
     as_e57 = output.suffix.lower() == ".e57"
+    require("e57" if as_e57 else "export", purpose="merging")
+    size = quantity_of("--tile", tile, "length")
     if as_e57:
         io.check_output(output, overwrite=overwrite, inputs=[site, poses])
     with progress_bar(quiet=json) as advance:

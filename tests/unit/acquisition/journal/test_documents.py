@@ -59,7 +59,7 @@ def test_each_sample_is_one_event(scan) -> None:
 
 
 def test_the_documents_are_those_of_the_event_model(scan) -> None:
-    model = pytest.importorskip("event_model", reason="pip install 'amulor[clients]'")
+    model = pytest.importorskip("event_model", reason="pip install --group clients")
     checked = 0
     for name, document in documents(scan):
         validator = model.schema_validators[model.DocumentNames[name]]
@@ -69,7 +69,7 @@ def test_the_documents_are_those_of_the_event_model(scan) -> None:
 
 
 def test_a_callback_of_others_takes_them(scan) -> None:
-    model = pytest.importorskip("event_model", reason="pip install 'amulor[clients]'")
+    model = pytest.importorskip("event_model", reason="pip install --group clients")
 
     class Counting(model.SingleRunDocumentRouter):
         events = 0

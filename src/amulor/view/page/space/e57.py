@@ -43,7 +43,7 @@ def read_e57(path: Path) -> Shape:
         import pye57
     except ImportError as error:
         raise MissingExtraError(
-            "pye57", extra="export", purpose="reading E57 files"
+            "pye57", extra="e57", purpose="reading E57 files"
         ) from error
     try:
         file = pye57.E57(str(path))
