@@ -218,11 +218,9 @@ def going(status: Mapping[str, Any], *, ratio: float | None, now: datetime) -> s
     if ratio is not None:
         words.append(f"signal/noise {ratio:.3g}")
     drift = status.get("drift") or {}
-    if drift.get("change"):
-        change, error = drift["change"][-1], drift["error"][-1]
-        if change is not None:
-            doubt = "?" if error is None else f"{error * 100:.1f}"
-            words.append(f"open water {change * 100:+.1f} ± {doubt} %")
+    if drift.get("elapsed"):
+        change, error = drift["total"]["size"], drift["total"]["error"]
+        words.append(f"open water {change * 100:+.1f} ± {error * 100:.1f} %")
     return ", ".join(words)
 
 

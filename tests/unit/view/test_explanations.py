@@ -15,7 +15,8 @@ from amulor.cube.terms import TERMS
 from amulor.errors import FormatError
 from amulor.rejection import quality
 from amulor.view import explanations
-from amulor.view.page.advice import Drift, Going, advice
+from amulor.view.page.advice import Going, advice
+from amulor.view.page.drift import Change, Drift
 from amulor.view.page.layers import WORDS
 
 
@@ -62,7 +63,11 @@ def test_limits_and_chances_are_those_of_the_code(
         ("water residual", "WATER_RESIDUAL"),
         ("Water-Residual", "WATER_RESIDUAL"),
         ("12 mixed; 3 outlier", "MIXED"),
-        ("open water drifted +4 % (± 1 %): take a reference", "OPEN_WATER_DRIFTED"),
+        ("open water drifted +4.1 % (± 0.8 %): take a reference", "OPEN_WATER_DRIFTED"),
+        (
+            "the newest shots of open water jumped -9.0 % (± 1 %): take a reference",
+            "OPEN_WATER_DRIFTED",
+        ),
         ("no open water", "NO_OPEN_WATER"),
         ("NO_OPEN_WATR", "NO_OPEN_WATER"),
         *((words, str(flag.name)) for flag, words in WORDS.items()),
@@ -75,8 +80,7 @@ def test_names_and_messages_find_their_explanation(words: str, name: str) -> Non
 def test_everything_that_a_scan_is_told_is_explained() -> None:
     going = Going(
         running=True, done=100, scanned=50, open_water=0, dark=0, rate=10.0,
-        silent=1000.0, drift=Drift(elapsed=[0.0, 1.0], change=[0.0, 0.2],
-                                   error=[0.01, 0.01]),
+        silent=1000.0, drift=Drift(total=Change(size=0.2, error=0.01, chance=1e-9)),
     )  # fmt: skip
     said = advice(going)
     assert len(said) == 4

@@ -60,7 +60,7 @@ def test_a_line_says_what_an_operator_wants_to_know() -> None:
         "rate": 10.2,
         "left": 3600,
         "flagged": {"overload": 12},
-        "drift": {"change": [0.0, 0.043], "error": [None, 0.004]},
+        "drift": {"elapsed": [0.0, 9.0], "total": {"size": 0.043, "error": 0.004}},
     }
     line = terminal.going(status, ratio=812.4, now=NOW)
     assert line == (

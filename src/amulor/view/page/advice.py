@@ -3,30 +3,19 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass, field
+
+from amulor.view.page.drift import Drift
 
 #: Water that changed by this part is worth a reference, if chance did not do it [1].
 WORTH_A_REFERENCE = 0.02
-#: The change must stand out of its standard error by this factor [1].
-SURE = 3.0
+#: Chance does it if more than this share of scans in steady water show as much [1].
+CHANCE = 1e-3
 #: Share of samples with a flag that is worth a word [1].
 WORTH_A_WORD = 0.01
 #: Without a sample for so many times as long as one takes, something may be wrong.
 _PATIENCE = 20.0
 _SHORTEST = 15.0
-
-
-@dataclass(frozen=True, kw_only=True)
-class Drift:
-    """How the open water changed from the first round of shots to a later one."""
-
-    elapsed: Sequence[float] = ()
-    """Time of each round, of the scan's clock [s]."""
-    change: Sequence[float] = ()
-    """Relative to the first round [1]."""
-    error: Sequence[float] = ()
-    """Standard error of each [1]."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -83,14 +72,16 @@ def advice(going: Going) -> list[str]:
         said.append(
             f"no sample for {going.silent:.0f} s: see whether the instrument still runs"
         )
-    if going.drift.change:
-        last, error = going.drift.change[-1], going.drift.error[-1]
-        sure = math.isfinite(error) and abs(last) > SURE * error
-        if abs(last) >= WORTH_A_REFERENCE and sure:
+    for change, words in (
+        (going.drift.total, "open water drifted"),
+        (going.drift.newest, "the newest shots of open water jumped"),
+    ):
+        if abs(change.size) >= WORTH_A_REFERENCE and change.chance < CHANCE:
             said.append(
-                f"open water drifted {last * 100:+.0f} % (± {error * 100:.0f} %): "
+                f"{words} {change.size * 100:+.1f} % (± {change.error * 100:.2g} %): "
                 "take a reference"
             )
+            break
     for name, words in _FLAGS.items():
         share = going.flagged.get(name, 0) / max(going.done, 1)
         if share >= WORTH_A_WORD:

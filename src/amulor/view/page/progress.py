@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import tomllib
 from collections import Counter, deque
 from collections.abc import Callable, Mapping
@@ -14,11 +15,14 @@ from numpy.typing import NDArray
 from amulor.acquisition import plan
 from amulor.acquisition.journal.record import Record
 from amulor.acquisition.plan import Key
-from amulor.acquisition.sampler import SampleFlag
+from amulor.acquisition.sampler import SPOILED, SampleFlag
 from amulor.acquisition.settings import Procedure
 from amulor.survey import Survey
-from amulor.view.page.advice import Drift, Going, advice
+from amulor.view.page.advice import Going, advice
+from amulor.view.page.drift import Drift, drift_of
 
+#: Frequency, channel, row and column of shots in one direction.
+Series = tuple[float, str, int, int]
 #: The rate is that of the last samples, by the wall clock [1].
 _RECENT = 400
 
@@ -56,7 +60,13 @@ class Progress:
         )
         self._signal = np.full(shape, complex(np.nan, np.nan))
         self._dark: dict[tuple[float, str], list[complex]] = {}
-        self._shots: dict[tuple[Any, ...], dict[int, tuple[complex, float]]] = {}
+        #: Signal and time of each shot, by frequency, channel and direction.
+        self._shots: dict[Series, dict[int, tuple[complex, float]]] = {}
+        self._spoiled: set[Series] = set()
+        self._rounds: Counter[int] = Counter()
+        directions = len(plan.open_water_grid(survey))
+        self._round_size = directions * len(plan.channels(survey))
+        self._drift: tuple[tuple[int, ...], Drift] = ((), Drift())
         self._counts: Counter[str] = Counter()
         self._flags: Counter[str] = Counter()
         self._recent: deque[tuple[float, int]] = deque(maxlen=_RECENT)
@@ -87,6 +97,9 @@ class Progress:
         elif key.kind == plan.OPEN_WATER:
             place = (*channel, key.row, key.column)
             self._shots.setdefault(place, {})[key.repeat] = (signal, record.elapsed)
+            self._rounds[key.repeat] += 1
+            if record.flags & SPOILED:
+                self._spoiled.add(place)
         else:
             at = self._frequency[key.frequency], self._channel[key.polarization]
             self._signal[(*at, key.row, key.column)] = signal
@@ -108,36 +121,26 @@ class Progress:
         return part
 
     def drift(self) -> Drift:
-        """Return how the open water changed, each direction against its own first.
-
-        All directions and channels together by least squares, so that a channel that
-        hardly sees the water says little; the error comes from how they disagree.
-        """
-        rounds: dict[int, list[tuple[float, float, float]]] = {}
-        for (frequency, name, *_), shots in self._shots.items():
-            dark = np.mean(self._dark.get((frequency, name), [0.0]))
-            base = min(shots.values(), key=lambda shot: shot[1])[0] - dark
-            if base == 0:
-                continue
-            size = float(abs(base))
-            for number, (signal, elapsed) in shots.items():
-                more = float(((signal - dark) * np.conj(base)).real) / size - size
-                rounds.setdefault(number, []).append((more, size, elapsed))
-        found: list[tuple[float, float, float]] = []
-        for number in sorted(rounds):
-            more, size, times = np.array(rounds[number]).T
-            power = np.sum(size**2)
-            change = float(np.sum(more * size) / power)
-            error = float("inf")
-            if size.size > 2:
-                apart = (more - change * size) * size
-                spread = np.sum(apart**2) * size.size / (size.size - 1)
-                error = float(np.sqrt(spread) / power)
-            found.append((float(np.mean(times)), change, error))
-        if len(found) < 2:
+        """Return the change of the open water over its complete rounds of shots."""
+        rounds = [r for r, taken in self._rounds.items() if taken >= self._round_size]
+        series = [one for one in self._shots if one not in self._spoiled]
+        if not (rounds and series):
             return Drift()
-        times, changes, errors = zip(*sorted(found), strict=True)
-        return Drift(elapsed=times, change=changes, error=errors)
+        known = len(rounds), len(series), self._counts[plan.DARK]
+        if self._drift[0] != known:
+            shots = np.array([[self._shots[one][r] for r in rounds] for one in series])
+            dark = [np.mean(self._dark.get(one[:2], [0.0])) for one in series]
+            elapsed = shots[..., 1].real.mean(axis=0)
+            order = np.argsort(elapsed)
+            water = self._survey.scan.open_water
+            found = drift_of(
+                (shots[..., 0] - np.array(dark)[:, np.newaxis])[:, order],
+                cluster=[f"{name} {row} {column}" for _, name, row, column in series],
+                elapsed=elapsed[order],
+                rounds=0 if water is None else water.repeats,
+            )
+            self._drift = known, found
+        return self._drift[1]
 
     def status(self, segments: list[dict[str, Any]]) -> dict[str, Any]:
         """Return how the scan goes, for the page.
@@ -188,10 +191,7 @@ class Progress:
             "left": None if left is None else round(left),
             "elapsed": self._elapsed,
             "flagged": dict(self._flags),
-            "drift": {
-                name: [value if np.isfinite(value) else None for value in values]
-                for name, values in asdict(drift).items()
-            },
+            "drift": _plain(asdict(drift)),
             "advice": advice(going),
         }
 
@@ -202,3 +202,12 @@ class Progress:
             return float("nan")
         span = now - recent[0][0]
         return (self.seen - recent[0][1]) / span if span > 0 else float("nan")
+
+
+def _plain(value: Any) -> Any:
+    """Return the same with None for numbers that JSON does not have."""
+    if isinstance(value, dict):
+        return {name: _plain(part) for name, part in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(part) for part in value]
+    return value if math.isfinite(value) else None

@@ -8,6 +8,7 @@ import struct
 import tempfile
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -20,11 +21,13 @@ from amulor.acquisition.journal.file import FILE_NAME
 from amulor.acquisition.journal.journal import Journal
 from amulor.acquisition.journal.record import Record
 from amulor.acquisition.plan import Key
+from amulor.acquisition.sampler import SampleFlag
 from amulor.acquisition.settings import Settings
 from amulor.errors import FormatError
 from amulor.survey import Survey
 from amulor.view import page
-from amulor.view.page.advice import Drift, Going, advice
+from amulor.view.page.advice import Going, advice
+from amulor.view.page.drift import Change, Drift
 from amulor.view.page.live import Live
 from amulor.view.page.progress import Progress
 
@@ -268,40 +271,70 @@ def test_drift_is_found_within_its_error_where_a_channel_sees_no_water(
                     )
                     progress.take(key, record)
         drift = progress.drift()
-        assert abs(drift.change[0]) < 1e-15
-        found.append((drift.change[2] - 0.04) / drift.error[2])
-        errors.append(drift.error[2])
+        found.append((drift.total.size - 0.04 / 1.02) / drift.total.error)
+        errors.append(drift.total.error)
     z = np.array(found)
     # 0.003 of noise twice, in six directions; VH adds nothing to it.
     assert_allclose(np.median(errors), 0.003 * (2 / 6) ** 0.5, rtol=0.25)
-    # Six directions that count: Student's t of 5 degrees, and 300 draws.
+    # Six directions that count, three rounds: Student's t, and 300 draws.
     assert abs(z.mean()) < 4 / 300**0.5 * z.std()
     assert 0.8 < np.quantile(abs(z), 0.68) < 1.4
+
+
+def test_spoiled_shots_and_rounds_that_are_not_whole_tell_nothing_of_the_water(
+    survey: Survey,
+) -> None:
+    (frequency,) = survey.instrument.modulation_frequencies
+    progress = Progress(survey, {"devices": ""}, clock=Clock())
+    rng = np.random.default_rng(3)
+    grid = [(row, column) for row in range(2) for column in range(3)]
+    seen = []
+    for repeat in range(3):
+        for channel in ("VV", "VH"):
+            for row, column in grid:
+                signal = 1 + 0.01 * rng.normal() + repeat * 0.001j
+                record = sample(signal, elapsed=10.0 * repeat)
+                if (repeat, row, column) == (1, 0, 2):
+                    dark = int(SampleFlag.NO_LIGHT)
+                    record = replace(record, in_phase=0.0, flags=dark)
+                key = Key("open_water", row, column, frequency, channel, repeat)
+                progress.take(key, record)
+                seen.append(len(progress.drift().elapsed))
+    # Nothing before the second round is whole, then two rounds, then three.
+    assert seen == [0] * 23 + [2] * 12 + [3]
+    # Without the direction that was dark once, in which the water changed by a third.
+    assert np.abs(progress.drift().change).max() < 0.015
 
 
 GOOD = {"running": True, "done": 500, "scanned": 400, "open_water": 80, "dark": 20}
 
 
 def test_a_scan_that_goes_well_needs_no_advice() -> None:
-    steady = Drift(elapsed=(0, 9), change=(0.0, 0.004), error=(0.0, 0.01))
+    steady = Drift(total=Change(size=0.004, error=0.01, chance=0.7))
     assert advice(Going(**GOOD, rate=8.0, silent=0.2, drift=steady)) == []
 
 
 @pytest.mark.parametrize(
-    ("change", "error", "said"),
+    ("size", "error", "chance", "said"),
     [
-        (0.04, 0.005, ["open water drifted +4 % (± 0 %): take a reference"]),
-        (-0.04, 0.012, ["open water drifted -4 % (± 1 %): take a reference"]),
-        (0.04, 0.02, []),
-        (0.015, 0.001, []),
-        (0.5, float("inf"), []),
+        (0.04, 0.005, 1e-6, ["+4.0 % (± 0.5 %): take a reference"]),
+        (-0.134, 0.021, 1e-4, ["-13.4 % (± 2.1 %): take a reference"]),
+        (0.04, 0.02, 0.2, []),
+        (0.015, 0.001, 1e-9, []),
+        (0.5, float("inf"), 1.0, []),
     ],
 )
 def test_drift_is_worth_a_reference_if_it_is_sure(
-    change: float, error: float, said: list[str]
+    size: float, error: float, chance: float, said: list[str]
 ) -> None:
-    drift = Drift(elapsed=(0, 9), change=(0.0, change), error=(0.0, error))
-    assert advice(Going(**GOOD, drift=drift)) == said
+    change = Change(size=size, error=error, chance=chance)
+    for drift, words in (
+        (Drift(total=change), "open water drifted"),
+        (Drift(newest=change), "the newest shots of open water jumped"),
+        (Drift(total=change, newest=change), "open water drifted"),
+    ):
+        found = advice(Going(**GOOD, drift=drift))
+        assert found == [f"{words} {one}" for one in said]
 
 
 def test_flags_silence_and_missing_references_are_told() -> None:

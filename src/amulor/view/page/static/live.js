@@ -135,7 +135,7 @@ export class Live {
     document.documentElement.dataset.state = status.state;
   }
 
-  #drift({ elapsed, change, error }, colours) {
+  #drift({ elapsed, change, error, total }, colours) {
     this.drift.hidden = change.length < 2;
     if (this.drift.hidden) return;
     fitted(this.drift);
@@ -144,18 +144,19 @@ export class Live {
     ctx.setTransform(ratio, 0, 0, ratio, 0, 0);
     const [width, height] = [this.drift.clientWidth, this.drift.clientHeight];
     ctx.clearRect(0, 0, width, height);
-    const size = Math.max(0.01, ...change.map((value, k) => Math.abs(value) + Math.min(error[k] ?? 0, 0.2))) * 1.15;
+    const most = Math.max(0.01, ...change.map((value, k) => Math.abs(value) + Math.min(error[k] ?? 0, 0.2))) * 1.15;
     ctx.font = `11px ${colours.font}`;
     // Five parts of a range about zero leave at least one mark on either side.
-    const marks = ticks(-size, size, 5).values.map((value) => [value, `${value > 0 ? "+" : ""}${short(100 * value, 2)} %`]);
+    const marks = ticks(-most, most, 5).values.map((value) => [value, `${value > 0 ? "+" : ""}${short(100 * value, 2)} %`]);
     const margin = Math.max(...marks.map(([, text]) => ctx.measureText(text).width)) + 8;
     const span = Math.max(elapsed.at(-1) - elapsed[0], 1e-9);
     const x = (time) => margin + 4 + ((time - elapsed[0]) / span) * (width - margin - 10);
-    const y = (value) => (height + 12) / 2 - (value / size) * ((height - 24) / 2);
+    const y = (value) => (height + 12) / 2 - (value / most) * ((height - 24) / 2);
     ctx.textBaseline = "middle";
     ctx.fillStyle = colours.soft;
     ctx.textAlign = "left";
-    ctx.fillText("open water against its first shots", 0, 6);
+    const size = `${total.size > 0 ? "+" : ""}${(100 * total.size).toFixed(1).replace("-", "−")}`;
+    ctx.fillText(`open water by rounds, in all ${size} ± ${short(100 * total.error, 2)} %`, 0, 6);
     ctx.textAlign = "right";
     ctx.strokeStyle = colours.line;
     for (const [value, text] of marks) {
@@ -176,7 +177,7 @@ export class Live {
       ctx.lineTo(x(elapsed[k]), y(value + error[k]));
       ctx.stroke();
     });
-    this.drift.setAttribute("aria-label", `Open water changed by ${short(100 * change.at(-1), 2)} percent since the first shots`);
+    this.drift.setAttribute("aria-label", `Open water changed by ${size} percent from the first shots to the last`);
   }
 
   /** A finished scan once more, from its first pixel to its last. */
