@@ -169,7 +169,7 @@ def test_two_points_in_one_pixel_are_refused(point_cloud, path):
 
 def test_without_the_package_the_remedy_is_named(point_cloud, path, monkeypatch):
     monkeypatch.setitem(sys.modules, "pye57", None)
-    with pytest.raises(MissingExtraError, match=r"pip install 'amulor\[export\]'"):
+    with pytest.raises(MissingExtraError, match=r"pip install 'amulor\[e57\]'"):
         write_e57(point_cloud, path, shape=SHAPE)
 
 
