@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import csv
+import json
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import pytest
-from pages import drag
+from pages import click, drag, settled, until
 
+from amulor import rejection, samples
 from amulor.view import page
 
 pytestmark = pytest.mark.slow
@@ -47,3 +51,135 @@ def test_a_shape_that_does_not_fit_is_amber_and_has_no_number(
         assert text.count("diameter") == 0
         assert text.count("does not fit this shape") == 1
         assert one.errors == []
+
+
+def distance(shown: Any, first: tuple[int, int], second: tuple[int, int]) -> None:
+    """Measure a distance and wait until it is in the list."""
+    count = shown.evaluate("amulor.measurements.length")
+    if shown.evaluate("amulor.tool") != "distance":
+        shown.click("#tools button[data-kind=distance]")
+    click(shown, first)
+    click(shown, second)
+    shown.wait_for_selector(f"#measurements li:nth-child({count + 1})")
+
+
+def as_text(shown: Any) -> str:
+    text: str = shown.evaluate(
+        "import('./static/tools.js').then(m => m.asText(amulor))"
+    )
+    return text
+
+
+def kept(shown: Any, button: str) -> str:
+    """Return the file that a button gives."""
+    with shown.expect_download() as download:
+        shown.click(button)
+    return Path(download.value.path()).read_text(encoding="utf-8")
+
+
+@pytest.fixture(scope="module")
+def ladder() -> page.Recording:
+    target = rejection.open_water(samples.cube("ladder"))
+    return page.recording_of(target, name="ladder.nc")
+
+
+def test_a_measurement_keeps_what_it_was_made_in(
+    tab: Callable[..., Any], ladder: page.Recording
+) -> None:
+    one = tab()
+    with page.background(ladder) as address:
+        shown = one.open(address)
+        shown.select_option("#average", label="3 × 3")
+        distance(shown, (20, 8), (20, 60))
+        first = shown.evaluate("amulor.measurements[0].found.lines[0].value")
+        shown.select_option("#channel", "VH")
+        until(shown, "amulor.scene.channel === 'VH' && amulor.scene.maps.has('flags')")
+        settled(shown)
+        text = as_text(shown)
+        assert text.count("channel VV, water taken out, map range, means of 3 × 3") == 1
+        assert "VH" not in text
+        shown.keyboard.press("2")
+        until(shown, "amulor.layerName === 'amplitude'")
+        shown.select_option("#average", label="1")
+        distance(shown, (20, 8), (20, 60))
+        rows = list(csv.DictReader(kept(shown, "#measured-csv").splitlines()))
+        said = [(r["channel"], r["map"], r["averaged"], r["water"]) for r in rows]
+        assert said == [
+            ("VV", "Range", "3 × 3", "taken out"),
+            ("VH", "Amplitude", "1 × 1", "taken out"),
+        ]
+        assert {row["file"] for row in rows} == {"ladder.nc"}
+        assert float(rows[0]["value"]) == first
+        found = json.loads(kept(shown, "#measured-json"))
+        assert [m["channel"] for m in found["measurements"]] == ["VV", "VH"]
+        assert found["measurements"][0]["found"]["lines"][0]["value"] == first
+        captions = shown.evaluate("""import('./static/tools.js').then(
+            m => amulor.measurements.map(m.captioned))""")
+        assert [text.rpartition("(")[2] for text in captions] == [
+            "channel VV)",
+            "channel VH)",
+        ]
+        assert one.errors == []
+
+
+def test_the_record_outlives_a_reload_and_removing_is_undone(
+    tab: Callable[..., Any], ladder: page.Recording
+) -> None:
+    one = tab()
+    with page.background(ladder) as address:
+        shown = one.open(address)
+        for column in (60, 70):
+            distance(shown, (20, 8), (20, column))
+        before = as_text(shown)
+        shown.reload()
+        shown.wait_for_selector("html[data-complete=yes]")
+        assert as_text(shown) == before
+        shown.click("#measurements li:first-child .remove")
+        assert shown.locator("#measurements li").count() == 1
+        shown.click("#clear")
+        assert shown.locator("#measurements li").count() == 0
+        shown.click("#undo")
+        shown.keyboard.press("Control+z")
+        assert as_text(shown) == before
+        # A number is never given twice.
+        distance(shown, (20, 8), (20, 75))
+        assert shown.evaluate("amulor.measurements.map((one) => one.number)") == [
+            1,
+            2,
+            3,
+        ]
+        assert one.errors == []
+
+
+def test_a_saved_page_keeps_its_record_over_a_reload(
+    tab: Callable[..., Any], ladder: page.Recording, tmp_path: Path
+) -> None:
+    path = tmp_path / "page.html"
+    page.save_page(ladder, path)
+    one = tab()
+    shown = one.open(path.as_uri())
+    distance(shown, (20, 8), (20, 60))
+    shown.reload()
+    shown.wait_for_selector("html[data-complete=yes]")
+    assert shown.locator("#measurements li").count() == 1
+    assert one.errors == []
+
+
+def test_a_late_answer_leaves_the_newer_hint(
+    tab: Callable[..., Any], steps: page.Recording
+) -> None:
+    with page.background(steps) as address:
+        shown = tab().open(address)
+        held: list[Any] = []
+        shown.route("**/measure", lambda route: held.append(route))
+        shown.click("#tools button[data-kind=sphere]")
+        drag(shown, (2, 25), (20, 37))
+        until(shown, "document.getElementById('hint').textContent === 'Measuring…'")
+        shown.click("#tools button[data-kind=cylinder]")
+        for _ in range(100):
+            if held:
+                break
+            shown.wait_for_timeout(60)
+        held[0].continue_()
+        shown.wait_for_selector("#measurements li")
+        assert "over the pipe" in shown.inner_text("#hint")

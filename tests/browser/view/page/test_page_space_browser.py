@@ -56,6 +56,10 @@ def test_picks_give_the_point_of_the_file_and_lengths_their_bound(
     with page.background(space.opened(file)) as address:
         tabbed = tab()
         shown = tabbed.open(address)
+        # Of nothing, too, a list of terms begins with one (axe: definition-list).
+        assert "Point at a point" in shown.inner_text("#readout")
+        names = "[...document.getElementById('readout').children].map((e) => e.tagName)"
+        assert shown.evaluate(names) == ["DT", "DD"]
         # Along the beams no point hides another one.
         shown.keyboard.press("f")
         settled(shown)
@@ -85,6 +89,15 @@ def test_picks_give_the_point_of_the_file_and_lengths_their_bound(
         assert found["bound"] == pytest.approx(expected, rel=1e-3)
         text = shown.inner_text("#measurements")
         assert "± at most" in text
+        shown.click("#clear")
+        shown.click("#undo")
+        shown.reload()
+        shown.wait_for_selector("html[data-complete=yes]")
+        assert shown.inner_text("#measurements") == text
+        shown.mouse.move(*spot(shown, points[picked[1]]))
+        shown.keyboard.press("f")
+        settled(shown)
+        shown.mouse.click(*spot(shown, points[picked[1]]))
         place = shown.inner_text("#readout")
         assert f"{other[2]:.5f} m" in place
         assert tabbed.errors == []

@@ -8,11 +8,12 @@ import { failed, listMeasurements, say, showLegend, showReadout, unsay } from ".
 import { download, pictureOf, png, themed as themedColours } from "./picture.js";
 import { along, drawHistogram, drawProfile, drawSpectrum, profileOf } from "./plots.js";
 import { Products } from "./products.js";
+import { MeasurementRecord, wireRecord } from "./record.js";
 import { Renderer } from "./renderer.js";
 import { sampled, Scene } from "./scene.js";
 import { source } from "./source.js";
 import { scaled, short, withError, withUnit } from "./text.js";
-import { asText, measured, toolOf, TOOLS, worded } from "./tools.js";
+import { asObject, asRows, asText, captioned, circumstances, measured, toolOf, TOOLS, worded } from "./tools.js";
 
 const $ = (id) => document.getElementById(id);
 const state = {
@@ -322,7 +323,10 @@ function signed(value) {
   return value > 0 ? `+${text}` : text;
 }
 
+let hinted = 0;
+
 function hint(text, wrong = false) {
+  hinted += 1;
   $("hint").textContent = text;
   $("hint").classList.toggle("wrong", wrong);
 }
@@ -354,26 +358,31 @@ async function finish() {
   const tool = toolOf(state.tool);
   const { picks, region } = state;
   if (!region && picks.length < (tool.least ?? tool.points)) return hint(tool.hint, true);
+  const made = circumstances(state);
+  const answer = measured(state, tool, picks, region);
   state.picks = [];
   state.region = null;
+  hint("Measuring…");
+  const own = hinted;
+  let said = [tool.hint];
   try {
-    const found = await measured(state, tool, picks, region);
+    const found = await answer;
     state.number += 1;
-    const kept = { kind: tool.kind, picks: region ? [] : picks, region, found, number: state.number };
-    state.measurements.push(kept);
+    const kept = { kind: tool.kind, picks: region ? [] : picks, region, found, number: state.number, ...made };
     state.chosen = kept;
-    hint(tool.hint);
-    listed();
+    state.record.change([...state.measurements, kept]);
   } catch (error) {
-    hint(error.message, true);
+    said = [error.message, true];
   }
+  // What the user did meanwhile has said something newer.
+  if (own === hinted) hint(...said);
   redraw();
 }
 
 function listed() {
   const said = (kept) => {
     const { main, rests } = worded(kept.found);
-    return { main: main[0], doubt: kept.found.doubt, words: [toolOf(kept.kind).name, ...main.slice(1), rests].join(" · ") };
+    return { main: main[0], doubt: kept.found.doubt, words: [toolOf(kept.kind).name, state.scene.channels.length > 1 && kept.channel, ...main.slice(1), rests].filter(Boolean).join(" · ") };
   };
   listMeasurements(state, said, redraw);
 }
@@ -418,7 +427,7 @@ async function picture(view) {
   if (view.id === "cloud" && !views.cloud.camera.orthographic) words.push("In perspective: no scale.");
   if (flags) words.push([...$("legend").children].map((one) => one.textContent).join("; "));
   else if ($("light").checked) words.push($("light-note").textContent);
-  for (const kept of state.measurements) words.push(`${kept.number}: ${toolOf(kept.kind).name} ${worded(kept.found).main.join(", ")}`);
+  words.push(...state.measurements.map(captioned));
   // A picture to hand over has no pointer in it.
   const { cursor } = state;
   state.cursor = null;
@@ -554,11 +563,6 @@ function wired() {
     front: KEYS.f,
     home: KEYS.r,
     "profile-csv": csv,
-    copy: () => navigator.clipboard.writeText(asText(state)).then(() => hint("Copied."), () => download("measurements.txt", new Blob([asText(state)], { type: "text/plain" }))),
-    clear: () => {
-      state.measurements = [];
-      listed();
-    },
   };
   for (const [id, act] of Object.entries(clicks)) {
     $(id).addEventListener("click", () => {
@@ -566,6 +570,7 @@ function wired() {
       redraw();
     });
   }
+  wireRecord(state, { download, hint, stem, text: () => asText(state), rows: () => asRows(state), content: () => asObject(state) });
   for (const button of $("water").querySelectorAll("button")) button.addEventListener("click", () => water(button.dataset.raw === "yes").catch(failed));
   for (const button of $("profile-kind").children) button.addEventListener("click", () => profileAlong(button.dataset.kind));
   for (const id of ["light", "light-turn", "light-rise", "contour", "averaged"]) $(id).addEventListener("input", redraw);
@@ -650,11 +655,13 @@ async function main() {
   views.map = new MapView($("map"), { hover, pick: picked, drag: dragged });
   views.cloud = new CloudView($("cloud"), { hover: (pixel) => pixel && point(pixel), pick: picked, changed: redraw });
   state.views = views;
+  state.record = new MeasurementRecord(state, () => {
+    listed();
+    redraw();
+  });
   wired();
   await opened();
-  for (const kept of state.source.measurements ?? []) state.measurements.push(kept);
-  state.number = state.measurements.length;
-  listed();
+  state.record.open(state.scene.name);
   if (state.scene.live) state.live = new Live($("scan-card"), page);
   const products = new Products($("order"), { source: state.source, channel: () => state.scene.channel, section: () => (state.profileKind === "section" ? state.section : null) });
   if (await products.offered()) {

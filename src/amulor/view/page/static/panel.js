@@ -57,15 +57,17 @@ export function listMeasurements(state, said, changed) {
     listMeasurements(state, said, changed);
     changed();
   };
-  $("kept").hidden = !state.measurements.length;
+  const none = !state.measurements.length;
+  $("kept").hidden = none && !state.record.undoable;
+  for (const id of ["copy", "measured-csv", "measured-json", "clear"]) $(id).hidden = none;
+  $("undo").hidden = !state.record.undoable;
   $("measurements").replaceChildren(
     ...state.measurements.map((kept) => {
       const { main, words, doubt } = said(kept);
       const remove = made("button", { type: "button", className: "remove", textContent: "×", ariaLabel: `Remove measurement ${kept.number}` });
       remove.addEventListener("click", (event) => {
         event.stopPropagation();
-        state.measurements = state.measurements.filter((one) => one !== kept);
-        again();
+        state.record.change(state.measurements.filter((one) => one !== kept));
       });
       const li = made(
         "li",

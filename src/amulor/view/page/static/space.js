@@ -8,6 +8,7 @@ import { failed, listMeasurements, say, showLegend, showReadout } from "./panel.
 import { download, pictureOf, png, themed } from "./picture.js";
 import { drawHistogram } from "./plots.js";
 import { PointRenderer } from "./points.js";
+import { MeasurementRecord, wireRecord } from "./record.js";
 import { sampled } from "./scene.js";
 import { SpaceSource } from "./source.js";
 import { short, ticks, withUnit } from "./text.js";
@@ -301,7 +302,7 @@ function readout() {
   }
   if (!cursor) {
     const words = matchMedia("(pointer: coarse)").matches ? "Tap a point." : "Point at a point, or press Enter for what is in the middle of the view.";
-    $("readout").replaceChildren(Object.assign(document.createElement("dd"), { textContent: words, className: "words" }));
+    showReadout([["none yet", words, "words"]], []);
     return;
   }
   const flags = cursor && scene.numbers.flags ? scene.flags.filter((flag) => scene.numbers.flags[cursor.corners[0]] & flag.mask) : [];
@@ -338,11 +339,10 @@ function picked(pick) {
     state.picks.push(pick);
     if (state.picks.length === 2) {
       state.number += 1;
-      const kept = { kind: state.tool, picks: state.picks, found: measured(state.tool, state.picks), number: state.number };
-      state.measurements.push(kept);
+      const kept = { kind: state.tool, picks: state.picks, found: measured(state.tool, state.picks), number: state.number, file: state.scene.name };
       state.chosen = kept;
       state.picks = [];
-      listed();
+      state.record.change([...state.measurements, kept]);
       hint(TOOLS.find((tool) => tool.kind === state.tool).hint);
     } else hint("1 of 2 picked.");
   }
@@ -352,6 +352,10 @@ function picked(pick) {
 function listed() {
   const said = (kept) => ({ main: bounded(kept.found.value, kept.found.bound ?? NaN), words: [kept.kind, kept.found.rests].filter(Boolean).join(" · ") });
   listMeasurements(state, said, redraw);
+}
+
+function asRows() {
+  return state.measurements.map(({ number, kind, file, found }) => ({ number, kind, value: found.value, standard_uncertainty_at_most: found.bound, unit: "m", file, where_m: found.where }));
 }
 
 function asText() {
@@ -499,11 +503,6 @@ function wired() {
   pointed($("space"));
   const clicks = {
     save: KEYS.s, theme: KEYS.d, help: KEYS["?"], ortho: KEYS.o, front: KEYS.f, top: KEYS.t, home: KEYS.r, picture: KEYS.p,
-    copy: () => navigator.clipboard.writeText(asText()).then(() => hint("Copied."), () => download("measurements.txt", new Blob([asText()], { type: "text/plain" }))),
-    clear: () => {
-      state.measurements = [];
-      listed();
-    },
   };
   for (const [id, act] of Object.entries(clicks)) {
     $(id).addEventListener("click", () => {
@@ -511,6 +510,7 @@ function wired() {
       redraw();
     });
   }
+  wireRecord(state, { download, hint, stem, text: asText, rows: asRows, content: () => ({ file: state.scene.name, title: state.scene.title, measurements: state.measurements }) });
   for (const id of ["dot", "edges"]) $(id).addEventListener("input", redraw);
   $("up").addEventListener("input", (event) => {
     state.up = event.target.value;
@@ -581,11 +581,13 @@ async function main() {
   for (const [kind, name] of Object.entries(MAP_OF)) state.tables[kind] = table(name);
   state.tables.hidden = state.tables.range;
   colours = themed(matchMedia("(prefers-color-scheme: dark)").matches ? "dark" : "light");
+  state.record = new MeasurementRecord(state, () => {
+    listed();
+    redraw();
+  });
   wired();
   await opened();
-  for (const kept of state.source.measurements) state.measurements.push(kept);
-  state.number = state.measurements.length;
-  listed();
+  state.record.open(state.scene.name);
   document.documentElement.dataset.complete = "yes";
 }
 

@@ -48,11 +48,73 @@ export function worded(found) {
   return { main, rests: rests.join(" · ") };
 }
 
+/** Return what a measurement was made in, beside its pixels. */
+export function circumstances(state) {
+  const { scene } = state;
+  const [row, column] = state.region ?? state.picks[0];
+  const flags = scene.reasons(row, column, scene.main === "range" ? "flags" : "flags_before");
+  const wide = 2 * state.average + 1;
+  return {
+    file: scene.name,
+    channel: scene.channel,
+    map: scene.byName.get(state.layerName).label,
+    water: flags.some((flag) => flag.name === "no open water") ? "in" : "taken out",
+    averaged: state.region ? "1 × 1" : `${wide} × ${wide}`,
+  };
+}
+
+const channelOf = (kept) => kept.found.channel ?? kept.channel ?? "";
+
+/** Return name and main numbers of a measurement with its channel, for one line. */
+export function captioned(kept) {
+  return `${kept.number}: ${toolOf(kept.kind).name} ${worded(kept.found).main.join(", ")}${channelOf(kept) && ` (channel ${channelOf(kept)})`}`;
+}
+
+function where(kept) {
+  if (kept.region) return `rows ${kept.region[0]} to ${kept.region[2]}, columns ${kept.region[1]} to ${kept.region[3]}`;
+  return kept.picks.map(([row, column]) => `(${row}, ${column})`).join(" ");
+}
+
+/** Return all measurements as rows of a table, one for each number, in SI units. */
+export function asRows(state) {
+  return state.measurements.flatMap((kept) => {
+    const { found } = kept;
+    const lines = found.lines.length ? found.lines : [{}];
+    return lines.map(({ label, value, uncertainty, unit }) => ({
+      number: kept.number,
+      kind: toolOf(kept.kind).name,
+      quantity: label,
+      value,
+      standard_uncertainty: uncertainty,
+      unit,
+      doubt: found.doubt,
+      noise: found.random,
+      residual_m: found.residual,
+      chi_square_per_degree_of_freedom: found.misfit,
+      pixels: found.pixels,
+      file: kept.file,
+      channel: channelOf(kept),
+      water: kept.water,
+      map: kept.map,
+      averaged: kept.averaged,
+      group_index: found.group_index,
+      where_row_column: where(kept),
+    }));
+  });
+}
+
+/** Return all measurements as an object for programs, in SI units. */
+export function asObject(state) {
+  const { scene } = state;
+  const measurements = state.measurements.map(({ kind, ...kept }) => ({ ...kept, kind: toolOf(kind).name, channel: channelOf(kept) }));
+  return { file: scene.name, title: scene.title, notes: scene.notes, uncertainties: "standard, errors that pixels share included", measurements };
+}
+
 /** Return all measurements as a text that says what they rest on. */
 export function asText(state) {
   const { scene } = state;
   const lines = [
-    `${scene.title} (${scene.name}), channel ${scene.channel}`,
+    `${scene.title} (${scene.name})`,
     `Metres in water of group index ${scene.group_index}; ± is one standard uncertainty, errors that pixels share included.`,
   ];
   if (scene.notes.some((note) => note.startsWith("Not in"))) lines.push(scene.notes.find((note) => note.startsWith("Not in")));
@@ -62,8 +124,9 @@ export function asText(state) {
     if (kept.found.doubt) lines.push(`   ${kept.found.doubt}`);
     for (const line of kept.found.lines) lines.push(`   ${line.label}: ${withError(line.value, line.uncertainty, line.unit)}`);
     lines.push(`   ${worded(kept.found).rests}`);
-    const where = kept.region ? `rows ${kept.region[0]} to ${kept.region[2]}, columns ${kept.region[1]} to ${kept.region[3]}` : kept.picks.map(([row, column]) => `(${row}, ${column})`).join(" ");
-    lines.push(`   ${kept.region ? where : `pixels (row, column) ${where}`}`);
+    lines.push(`   ${kept.region ? "" : "pixels (row, column) "}${where(kept)}`);
+    const around = [`channel ${channelOf(kept)}`, kept.water && `water ${kept.water}`, kept.map && `map ${kept.map.toLowerCase()}`, kept.averaged && `means of ${kept.averaged} pixels`];
+    lines.push(`   ${around.filter(Boolean).join(", ")}`);
   }
   return `${lines.join("\n")}\n`;
 }
