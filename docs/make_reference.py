@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 import typing
 from pathlib import Path
 
@@ -152,16 +153,27 @@ def flags_page() -> str:
         if one.kind != kind:
             kind = one.kind
             parts += [f"## {kind[0].upper()}{kind[1:]}s", ""]
-        parts += [f"### {one.name}", "", one.meaning, ""]
+        parts += [f"### {one.name}", "", _with_code(one.meaning), ""]
         rows = (
             ("Compared", one.compared),
             ("By chance", one.chance),
             ("So", one.consequence),
             ("What to do", one.remedy),
         )
-        parts += [f"- *{label}:* {text}" for label, text in rows if text]
+        parts += [f"- *{label}:* {_with_code(text)}" for label, text in rows if text]
         parts.append("")
     return "\n".join(parts)
+
+
+#: Options, with the command before them. Outside of code, two hyphens become a dash.
+_OPTIONS = re.compile(
+    r"(?:amulor(?: [a-z]+)+ )?--[a-z-]+(?:(?<=--method) [a-z-]+)?(?: --[a-z-]+)*"
+)
+
+
+def _with_code(text: str) -> str:
+    """Set commands and options of a text in code."""
+    return _OPTIONS.sub(r"`\g<0>`", text)
 
 
 def samples_page() -> str:

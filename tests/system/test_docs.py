@@ -21,6 +21,7 @@ def _generator() -> ModuleType:
     [
         "survey-file.md",
         "cube.md",
+        "flags.md",
         "samples.md",
         pytest.param("presets-where.md", marks=pytest.mark.slow),
     ],
@@ -38,6 +39,22 @@ PAGES = [*ROOT.glob("*.md"), *ROOT.glob("docs/**/*.md")]
 def test_links_lead_somewhere(page: Path) -> None:
     for target in re.findall(r"\]\((?!https?:)([^)#]+)", page.read_text("utf-8")):
         assert (page.parent / target).exists(), target
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda p: str(p.relative_to(ROOT)))
+def test_options_stand_in_code(page: Path) -> None:
+    # Sphinx makes a dash of two hyphens outside of code, and the option is lost.
+    text = page.read_text("utf-8")
+    blocks = re.compile(r"^(```+|~~~+).*?^\1", flags=re.DOTALL | re.MULTILINE)
+    prose = re.sub(r"`[^`]*`", "", blocks.sub("", text))
+    assert re.findall(r"(?<=[\s(])--[a-z][a-z-]*", prose) == []
+
+
+def test_a_root_below_a_slash_is_in_brackets() -> None:
+    # "a / m \sqrt N" reads as a product: (a / m) \sqrt N.
+    for page in PAGES:
+        found = re.findall(r"/ *\w+ *\\sqrt", page.read_text("utf-8"))
+        assert found == [], page
 
 
 @pytest.mark.slow
