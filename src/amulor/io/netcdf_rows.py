@@ -30,6 +30,7 @@ from amulor.io.netcdf import (
     _create,
     _group,
     _listing,
+    _load_libraries,
     _reason,
     _root,
     _set_attributes,
@@ -174,6 +175,7 @@ def open_rows(
     CubeError
         If it has no rows and columns.
     """
+    _load_libraries()
     import h5netcdf
     import h5py
 
@@ -229,6 +231,7 @@ def is_large(path: str | os.PathLike[str], *, most: int | None = None) -> bool:
     bool
         True above these.
     """
+    _load_libraries()
     import h5py
 
     limit = LARGE if most is None else most
@@ -429,6 +432,7 @@ def row_writer(
     CubeError
         If rows are missing at the end.
     """
+    _load_libraries()
     import h5netcdf
 
     with atomic_output(path, overwrite=overwrite) as temporary:

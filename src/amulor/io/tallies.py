@@ -17,6 +17,7 @@ from amulor.io.netcdf import (
     _HDF5_SIGNATURE,
     _check_seal,
     _encoded,
+    _load_libraries,
     _opened,
     _reason,
 )
@@ -183,6 +184,7 @@ def read_tally(path: str | os.PathLike[str]) -> Tally:
             "that amulor wrote"
         )
     _check_seal(content, path)
+    _load_libraries()
     try:
         return _tally(_loaded(content, path), path)
     except AmulorError:

@@ -1,7 +1,9 @@
 """A cube comes back from its file as it was, or the file is refused in one line."""
 
+import importlib.abc
 import io
 import os
+import sys
 
 import h5py
 import netCDF4
@@ -15,7 +17,7 @@ from hypothesis.extra import numpy as drawn
 from amulor import cube as cubes
 from amulor.cube.schema import FORMER_NAMES
 from amulor.errors import AmulorError, CubeError, FormatError
-from amulor.io import read_cube, write_cube
+from amulor.io import netcdf_rows, read_cube, write_cube
 
 LEVELS = ["samples", "target_signal", "range_image", "point_cloud"]
 ENGINES = ["netcdf4", "h5netcdf"]
@@ -366,6 +368,37 @@ def test_a_foreign_file_is_refused_with_what_it_is(path, words, capfd):
     foreign[words](path)
     assert words in refused(path)
     assert capfd.readouterr() == ("", "")  # HDF5 does not print its own errors
+
+
+MISMATCH = "numpy.dtype size changed, may indicate binary incompatibility"
+
+
+@pytest.mark.parametrize("kind", [ImportError, ValueError, AttributeError])
+def test_a_library_that_does_not_run_is_no_damaged_file(
+    samples, path, monkeypatch, kind
+):
+    write_cube(samples, path)
+
+    class Broken(importlib.abc.MetaPathFinder):
+        def find_spec(self, name, *_):
+            if name == "h5py":
+                raise kind(MISMATCH)
+
+    monkeypatch.delitem(sys.modules, "h5py")
+    monkeypatch.setattr(sys, "meta_path", [Broken(), *sys.meta_path])
+    for use in (
+        lambda: read_cube(path),
+        lambda: write_cube(samples, path, overwrite=True),
+        lambda: netcdf_rows.is_large(path),
+    ):
+        with pytest.raises(FormatError) as error:
+            use()
+        said = str(error.value)
+        assert MISMATCH in said
+        assert np.__version__ in said
+        assert "pip install" in said
+        assert "damaged" not in said
+        assert "copy it" not in said
 
 
 @pytest.mark.parametrize("part", [0.001, 0.1, 0.3, 0.5, 0.7, 0.9, 0.99, 1.0])
