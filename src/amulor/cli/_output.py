@@ -43,15 +43,18 @@ def print_table(
     rows : sequence of sequences of str
         Cells.
     """
-    from rich.console import Console
+    from rich.console import Console, JustifyMethod
     from rich.table import Table
 
     table = Table(title=title, title_justify="left")
     for number, cell in enumerate(header):
-        table.add_column(cell, justify="right" if number else "left")
+        justify: JustifyMethod = "right" if number else "left"
+        table.add_column(cell, justify=justify, overflow="fold")
     for row in rows:
         table.add_row(*row)
-    Console().print(table)
+    # Without markup, "[mm]" is a unit; in a pipe, a table is as wide as it has to be.
+    width = None if sys.stdout.isatty() else 1000
+    Console(markup=False, emoji=False, width=width).print(table)
 
 
 def announcing(name: str = "", *, browser: bool) -> Callable[[str], None]:
@@ -159,7 +162,7 @@ def _bar() -> Iterator[_progress.Listener]:
         BarColumn(bar_width=24),
         TaskProgressColumn(),
         TimeElapsedColumn(),
-        TextColumn("{task.description}"),
+        TextColumn("{task.description}", markup=False),
     )
     with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
         task = bar.add_task("starting", total=1.0)

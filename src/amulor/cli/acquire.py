@@ -321,7 +321,7 @@ def _live(*, quiet: bool) -> Iterator[_Screen]:
 
     columns = (
         BarColumn(bar_width=24),
-        TextColumn("{task.completed}/{task.total} {task.description}"),
+        TextColumn("{task.completed}/{task.total} {task.description}", markup=False),
     )
     with Bar(*columns, console=Console(stderr=True), transient=True) as bar:
         yield _Screen(bar)

@@ -34,8 +34,8 @@ def image(
     farthest
         Farthest possible slant range, such as "3 m"; with --nearest.
     tile_rows
-        Work on so many rows at a time, in bounded memory; files of more than 16 million
-        samples are worked on by rows without being asked.
+        Work on so many rows at a time, in bounded memory; files of more than
+        2.1 million samples are worked on by rows without being asked.
     overwrite
         Replace a file that is there.
     """

@@ -34,7 +34,7 @@ def recordings(
     temperature
         Which temperature, in degC, where the recording holds several.
     tile_rows
-        Work on so many rows at a time, in bounded memory; scans of more than 2
+        Work on so many rows at a time, in bounded memory; scans of more than 2.1
         million samples are imported by rows without being asked.
     overwrite
         Replace a file that is there.

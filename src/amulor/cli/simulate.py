@@ -45,7 +45,7 @@ def simulate(
     seed
         Seed of the simulated noise, and of photons.
     tile_rows
-        Work on so many rows at a time, in bounded memory; scans of more than 2
+        Work on so many rows at a time, in bounded memory; scans of more than 2.1
         million samples are simulated by rows without being asked. Photons take a scan
         whole.
     overwrite

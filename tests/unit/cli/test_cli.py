@@ -15,7 +15,10 @@ import xarray as xr
 
 from amulor import io
 from amulor.cli import COMMANDS, main
+from amulor.cli._output import print_table, progress_bar
+from amulor.io import netcdf_rows
 from amulor.studies.ladder import survey_text
+from amulor.survey.checks import memory
 
 RECORDINGS = ["import", "recordings", "none.csv"]
 TRANSIENTS = ["import", "transients", "none.npz", "--frequency", "9MHz", "-o", "b.nc"]
@@ -111,6 +114,35 @@ def test_the_help_describes_every_parameter(name: str, capsys) -> None:
     for parameter in inspect.signature(found).parameters:
         described = lines[lines.index(parameter) + 1].split()
         assert " ".join(described[:2]) in page, parameter
+
+
+@pytest.mark.parametrize("name", ["simulate", "reject", "image", "import recordings"])
+def test_the_help_states_the_size_above_which_work_goes_by_rows(name: str) -> None:
+    module, function = COMMANDS[name][0].split(":")
+    found = getattr(importlib.import_module(f"amulor.cli.{module}"), function)
+    text = " ".join((inspect.getdoc(found) or "").split())
+    # Files are measured in bytes of float64.
+    assert memory.BY_ROWS * 8 == netcdf_rows.LARGE
+    assert f"more than {memory.BY_ROWS / 1e6:.1f} million samples" in text
+
+
+def test_a_table_keeps_brackets_and_whole_words(capsys) -> None:
+    path = "/data/[2026]/" + 90 * "x"
+    print_table("Error [mm]", ["case [deg]", "n"], [["[/red]", ":smile:"], [path, "1"]])
+    out = capsys.readouterr().out
+    for text in ("Error [mm]", "case [deg]", "[/red]", ":smile:", path):
+        assert text in out
+
+
+def test_a_bar_keeps_brackets(monkeypatch, capsys) -> None:
+    monkeypatch.setenv("FORCE_COLOR", "1")
+    monkeypatch.setenv("COLUMNS", "120")
+    monkeypatch.setattr(sys.stderr, "isatty", lambda: True, raising=False)
+    with progress_bar() as advance:
+        advance("reading /data/[2026]/[/x].nc", 0.5)
+    assert "/data/[2026]/[/x].nc" in re.sub(
+        r"\x1b\[[\d;?]*\w", "", capsys.readouterr().err
+    )
 
 
 def test_the_program_starts_as_a_module() -> None:
@@ -335,6 +367,27 @@ def test_unmixing_needs_both_ratios(folder: Path, capsys) -> None:
     both = [*one, "--water-ratio", "0.2"]
     assert "cannot tell them apart" in _fails(both, capsys, code=2)
     assert main([*words, "--target-ratio", "0.242", "--water-ratio", "0.105"]) == 0
+
+
+def test_without_open_water_only_methods_that_need_none_are_named(
+    tmp_path: Path, plate_text: str, capsys
+) -> None:
+    dry = tmp_path / "dry.toml"
+    dry.write_text(plate_text.partition("[scan.open_water]")[0])
+    cube = str(tmp_path / "dry.nc")
+    assert main(["simulate", str(dry), "-o", cube]) == 0
+    capsys.readouterr()
+    target = str(tmp_path / "target.nc")
+    err = _fails(["reject", cube, "--method", "polarization", "-o", target], capsys)
+    assert "polari" not in err.replace("cross-polarized", "").replace(cube, "")
+    # One of those that are named, and it runs.
+    assert "cross-polarized" in err
+    words = ["reject", cube, "--method", "cross-polarized", "-o", target]
+    assert main(words) == 0
+    capsys.readouterr()
+    assert main(["reject", cube, "--method", "auto", "-o", f"{target}.nc"]) == 0
+    notes = re.findall(r"^[a-z][a-z -]*.*?: (.*)$", capsys.readouterr().out, re.M)
+    assert len(notes) == len(set(notes))
 
 
 def test_a_survey_with_two_mistakes_prints_two_lines(folder: Path, capsys) -> None:
