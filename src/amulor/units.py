@@ -17,6 +17,7 @@ _NUMBER_AND_UNIT = re.compile(
 #: The units of amulor's own numbers, by what they measure, as pint reads them.
 SI_UNITS = {
     "length": "m",
+    "wavelength": "m",
     "angle": "rad",
     "frequency": "Hz",
     "time": "s",
@@ -33,6 +34,7 @@ SI_UNITS = {
 
 _EXAMPLES = {
     "length": "20 cm",
+    "wavelength": "405 nm",
     "angle": "4.6 deg",
     "frequency": "39 MHz",
     "time": "125 ms",
@@ -248,3 +250,38 @@ def write(value: float, quantity: str) -> str:
     """
     unit = SI_UNITS[quantity]
     return repr(float(value)) if unit == "1" else f"{float(value)!r} {unit}"
+
+
+def write_like(value: float, text: str) -> str:
+    """Write an SI float in the unit that a text states, for messages.
+
+    Parameters
+    ----------
+    value : float
+        Value in the unit of `SI_UNITS`.
+    text : str
+        Number and unit, as `parse` takes it for some quantity.
+
+    Returns
+    -------
+    str
+        Number and that unit; the number alone where the text has no unit.
+
+    Examples
+    --------
+    >>> write_like(7e-07, "405 um")
+    '0.7 um'
+    >>> write_like(1.0, "150 %")
+    '100 %'
+    """
+    match = _NUMBER_AND_UNIT.fullmatch(text)
+    unit = (match["unit"] or "").strip() if match else ""
+    for quantity, target in SI_UNITS.items():
+        try:
+            parse(text, quantity)
+        except ValueError:
+            continue
+        typed = _registry().Unit(f"1{unit}" if unit.startswith("/") else unit)
+        number = _registry().Quantity(value, _registry().Unit(target)).to(typed)
+        return f"{float(number.magnitude):.6g} {unit}".strip()
+    return f"{value:g}"

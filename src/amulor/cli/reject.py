@@ -83,9 +83,9 @@ def reject(
     farthest
         Farthest possible slant range, such as "3 m"; with --nearest.
     tile_rows
-        Work on so many rows at a time, in bounded memory; files of more than 16 million
-        samples are worked on by rows without being asked. The file of --open-water is
-        read whole.
+        Work on so many rows at a time, in bounded memory; files of more than
+        2.1 million samples are worked on by rows without being asked. The file of
+        --open-water is read whole.
     json
         Print the figures as JSON.
     overwrite
@@ -302,9 +302,13 @@ def _print_comparison(comparison: Comparison) -> None:
         )
     header = ["method", "channel", "bias", "noise", "usable", "flagged", "trusted"]
     print_table("Rejection methods", header, rows)
+    notes: dict[str, list[str]] = {}
     for row in comparison.rows:
         if row.note and not row.recommended:
-            print(f"{' '.join([row.method, row.polarization]).strip()}: {row.note}")
+            name = f"{row.method} {row.polarization}".strip()
+            notes.setdefault(row.note, []).append(name)
+    for note, names in notes.items():
+        print(f"{', '.join(names)}: {note}")
     print(f"recommended: {comparison.reason}")
 
 

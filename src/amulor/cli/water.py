@@ -33,12 +33,16 @@ def water(
     json
         Print it for other programs, in SI units.
     """
-    from amulor.cli._arguments import quantity_of, refusing
+    from amulor.cli._arguments import UsageError, quantity_of, refusing
     from amulor.optics import ranging
     from amulor.optics.water import seawater
 
     state = {"temperature": temperature, "salinity": salinity}
-    length = quantity_of("--wavelength", wavelength, "length")
+    length = quantity_of("--wavelength", wavelength, "wavelength")
+    if not 399.9e-9 < length < 700.1e-9:
+        raise UsageError(
+            f"--wavelength {wavelength}: the constants are known from 400 nm to 700 nm"
+        )
     modulation = quantity_of("--frequency", frequency, "frequency")
     with refusing():
         group_index = float(seawater.group_index(length, **state))

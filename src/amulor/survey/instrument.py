@@ -20,6 +20,7 @@ from amulor.survey.quantity import (
     Power,
     Time,
     Voltage,
+    Wavelength,
 )
 
 #: Launched and analysed state: vertical, horizontal, +45 and -45 degrees, right, left.
@@ -166,7 +167,7 @@ class Instrument(Description):
     (80000000.0,)
     """
 
-    wavelength: Annotated[Length, Field(ge=400e-9, le=700e-9)]
+    wavelength: Annotated[Wavelength, Field(ge=400e-9, le=700e-9)]
     """Wavelength of the laser in vacuum [m]."""
     power: Annotated[Power, Field(gt=0)]
     """Mean launched power [W]."""

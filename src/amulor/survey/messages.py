@@ -9,6 +9,8 @@ from typing import Any, get_args
 
 from pydantic import BaseModel, ValidationError
 
+from amulor import units
+
 
 def lines(
     error: ValidationError,
@@ -72,9 +74,10 @@ def _line(
         return f"{name}: {field}: is missing; {_needed(location, content, model)}"
     if kind == "value_error":
         return f"{name}: {field}: {bounds['error']}"
-    limit = next(iter(bounds.values()), None)
+    limit: Any = next(iter(bounds.values()), None)
     if kind in _LIMITS:
-        return f"{name}: {field}: found {result}, but it must {_LIMITS[kind]} {limit:g}"
+        bound = f"{_LIMITS[kind]} {_bound(_at(location, content), limit)}"
+        return f"{name}: {field}: found {result}, but it must be {bound}"
     if kind == "literal_error":
         return f"{name}: {field}: found {result}, but it must be {limit}"
     if kind == "string_pattern_mismatch" and "polarizations" not in location:
@@ -90,10 +93,10 @@ def _line(
 
 
 _LIMITS = {
-    "greater_than": "be, in SI units, above",
-    "greater_than_equal": "be, in SI units, at least",
-    "less_than": "be, in SI units, below",
-    "less_than_equal": "be, in SI units, at most",
+    "greater_than": "above",
+    "greater_than_equal": "at least",
+    "less_than": "below",
+    "less_than_equal": "at most",
 }
 _NEEDED = {
     "finite_number": "it must be finite",
@@ -126,13 +129,28 @@ def _location(loc: tuple[Any, ...], content: Any) -> list[Any]:
     return kept
 
 
-def _found(location: list[Any], content: Any) -> str:
+def _at(location: list[Any], content: Any) -> Any:
+    """Return what the file has at a place; nothing is None."""
     here = content
     for part in location:
         try:
             here = here[part]
         except (KeyError, IndexError, TypeError):
-            return "nothing"
+            return None
+    return here
+
+
+def _bound(found: Any, limit: float) -> str:
+    """Return a limit in the unit of what was found."""
+    if isinstance(found, str):
+        return units.write_like(limit, found)
+    return f"{limit:g} in SI units" if isinstance(found, float) else f"{limit:g}"
+
+
+def _found(location: list[Any], content: Any) -> str:
+    here = _at(location, content)
+    if here is None:
+        return "nothing"
     text = json.dumps(here, default=str)
     return text if len(text) <= 60 else text[:57] + "..."
 

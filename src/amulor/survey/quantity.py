@@ -127,6 +127,9 @@ def _write(quantity: str) -> PlainSerializer:
 _finite = Field(allow_inf_nan=False)
 
 Length = Annotated[float, _read("length"), _finite, _write("length"), _schema("length")]
+Wavelength = Annotated[
+    float, _read("wavelength"), _finite, _write("wavelength"), _schema("wavelength")
+]
 Angle = Annotated[float, _read("angle"), _finite, _write("angle"), _schema("angle")]
 Frequency = Annotated[
     float, _read("frequency"), _finite, _write("frequency"), _schema("frequency")

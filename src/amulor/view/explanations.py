@@ -188,7 +188,7 @@ def _pixel_flags() -> list[Explanation]:
             "is of the whole scan.",
             "",
             "Record open water ([scan.open_water] in the survey), or use a method that "
-            "needs none (amulor reject --method polarization, frequency or joint).",
+            "needs none: amulor reject --method joint with two or more frequencies.",
         ),
         QualityFlag.MIXED: (
             "The beam meets two surfaces at once: the range lies between them, where "

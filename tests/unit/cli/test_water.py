@@ -83,9 +83,13 @@ def test_the_state_that_is_asked_for_is_the_one_that_is_used(capsys) -> None:
 @pytest.mark.parametrize(
     ("name", "value", "text"),
     [
-        ("--wavelength", "399nm", "wavelength must be from 4e-07 to 7e-07 [m]"),
-        ("--wavelength", "405", "a number without a unit"),
-        ("--wavelength", "405MHz", "not one of length"),
+        (
+            "--wavelength",
+            "399nm",
+            "known from 400 nm to 700 nm",
+        ),
+        ("--wavelength", "405", 'the wavelength as text such as "405 nm"'),
+        ("--wavelength", "405MHz", "not one of wavelength"),
         ("--temperature", "31", "temperature must be from 0 to 30 [degC]"),
         ("--salinity", "50", "salinity must be from 0 to 43"),
         ("--frequency", "0Hz", "modulation_frequency must be finite and above 0 [Hz]"),

@@ -21,6 +21,7 @@ from amulor.survey.quantity import (
     Length,
     Power,
     Time,
+    Wavelength,
 )
 from amulor.survey.target import PAINTED_METAL
 from amulor.survey.waters.named import WaterStated
@@ -154,7 +155,7 @@ class Laser(Description):
 
     name: Annotated[str, Field(min_length=1, max_length=80)]
     """What it is called."""
-    wavelength: Annotated[Length, Field(ge=400e-9, le=700e-9)]
+    wavelength: Annotated[Wavelength, Field(ge=400e-9, le=700e-9)]
     """Wavelength in vacuum [m]."""
     powers: Annotated[
         tuple[Annotated[Power, Field(gt=0)], ...], Field(min_length=1, max_length=20)

@@ -167,7 +167,7 @@ def refuse_what_cannot_be_told_apart(cube: xr.Dataset) -> None:
         raise CubeError(
             f"the cube has one modulation frequency, {frequency:g} MHz; joint "
             "estimation needs two or more to tell target from water: record a sweep, "
-            "or use the open-water or a polarimetric method"
+            "or use open-water, polarization or cross-polarized"
         )
 
 
