@@ -7,6 +7,7 @@ import os
 import secrets
 import shutil
 from collections.abc import Iterator, Sequence
+from importlib.metadata import version
 from pathlib import Path
 
 from amulor.errors import FormatError
@@ -233,3 +234,17 @@ def synchronise_folder(folder: Path) -> None:
 
 def _reason(error: OSError) -> str:
     return error.strerror or " ".join(str(error).split()) or type(error).__name__
+
+
+def load_hdf5() -> None:
+    """Load what reads and writes netCDF; a `FormatError` says that it does not run."""
+    try:
+        import h5netcdf  # noqa: F401
+        import h5py  # noqa: F401
+    except Exception as error:  # compiled parts that do not fit raise many kinds
+        reason = " ".join(str(error).split()) or type(error).__name__
+        raise FormatError(
+            "h5py, which reads and writes netCDF, does not run in this Python with "
+            f"numpy {version('numpy')}: {reason}; the file is not to blame: install "
+            "both again, pip install --upgrade --force-reinstall numpy h5py h5netcdf"
+        ) from error

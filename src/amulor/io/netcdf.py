@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from amulor import cube as cubes
 from amulor.cube import schema
 from amulor.errors import AmulorError, CubeError, FormatError
-from amulor.io.files import atomic_output, read_bytes
+from amulor.io.files import atomic_output, load_hdf5, read_bytes
 
 _HDF5_SIGNATURE = b"\x89HDF\r\n\x1a\n"
 _CLASSIC_SIGNATURE = b"CDF"
@@ -81,7 +81,7 @@ def read_cube(path: str | os.PathLike[str]) -> xr.Dataset:
     """
     path = Path(path)
     content = read_bytes(path)
-    _load_libraries()
+    load_hdf5()
     if content.startswith(_CLASSIC_SIGNATURE):
         raise FormatError(
             f"{path} is a netCDF-3 file, needed is netCDF-4; convert it with "
@@ -254,22 +254,8 @@ def _is_storable_text(value: Any) -> bool:
     )
 
 
-def _load_libraries() -> None:
-    """Load what reads and writes netCDF; a `FormatError` says that it does not run."""
-    try:
-        import h5netcdf  # noqa: F401
-        import h5py  # noqa: F401
-    except Exception as error:  # compiled parts that do not fit raise many kinds
-        reason = " ".join(str(error).split()) or type(error).__name__
-        raise FormatError(
-            f"h5py, which reads and writes netCDF, does not run in this Python with "
-            f"numpy {np.__version__}: {reason}; the file is not to blame: install both "
-            "again with pip install --upgrade --force-reinstall numpy h5py h5netcdf"
-        ) from error
-
-
 def _encoded(parts: Mapping[str, xr.Dataset]) -> bytes:
-    _load_libraries()
+    load_hdf5()
     import h5netcdf
 
     # In memory first: on a full disk it is then one write that fails, and not the

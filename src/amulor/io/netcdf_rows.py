@@ -18,7 +18,7 @@ import xarray as xr
 from amulor import cube as cubes
 from amulor.cube import schema, tiles
 from amulor.errors import AmulorError, CubeError, FormatError
-from amulor.io.files import atomic_output
+from amulor.io.files import atomic_output, load_hdf5
 from amulor.io.netcdf import (
     _HDF5_SIGNATURE,
     _LIBRARY_VERSION,
@@ -30,7 +30,6 @@ from amulor.io.netcdf import (
     _create,
     _group,
     _listing,
-    _load_libraries,
     _reason,
     _root,
     _set_attributes,
@@ -175,7 +174,7 @@ def open_rows(
     CubeError
         If it has no rows and columns.
     """
-    _load_libraries()
+    load_hdf5()
     import h5netcdf
     import h5py
 
@@ -231,7 +230,7 @@ def is_large(path: str | os.PathLike[str], *, most: int | None = None) -> bool:
     bool
         True above these.
     """
-    _load_libraries()
+    load_hdf5()
     import h5py
 
     limit = LARGE if most is None else most
@@ -432,7 +431,7 @@ def row_writer(
     CubeError
         If rows are missing at the end.
     """
-    _load_libraries()
+    load_hdf5()
     import h5netcdf
 
     with atomic_output(path, overwrite=overwrite) as temporary:

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from amulor.errors import FormatError
-from amulor.io.netcdf import _load_libraries
+from amulor.io.files import load_hdf5
 from amulor.io.recording_map import RecordingMap, TableSettings
 
 Texts = NDArray[np.str_]
@@ -222,7 +222,7 @@ def _is_number(text: str, decimal: str) -> bool:
 
 
 def _whole_hdf5(path: Path, wanted: list[str], count: int | None) -> Iterator[Table]:
-    _load_libraries()
+    load_hdf5()
     try:
         yield from _hdf5(path, wanted, count)
     except (FormatError, OSError):

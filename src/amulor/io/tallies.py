@@ -12,12 +12,11 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from amulor.errors import AmulorError, FormatError
-from amulor.io.files import atomic_output, read_bytes
+from amulor.io.files import atomic_output, load_hdf5, read_bytes
 from amulor.io.netcdf import (
     _HDF5_SIGNATURE,
     _check_seal,
     _encoded,
-    _load_libraries,
     _opened,
     _reason,
 )
@@ -184,7 +183,7 @@ def read_tally(path: str | os.PathLike[str]) -> Tally:
             "that amulor wrote"
         )
     _check_seal(content, path)
-    _load_libraries()
+    load_hdf5()
     try:
         return _tally(_loaded(content, path), path)
     except AmulorError:
