@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from importlib.util import find_spec
 
 from amulor.errors import MissingExtraError
 
 #: Modules that an extra of pyproject.toml installs, by the name of their package.
 MODULES = {
-    "scene": {"trimesh": "trimesh", "embreex": "embreex"},
+    "scene": {"trimesh": "trimesh"},
     "export": {
         "laspy[lazrs]": "lazrs",
         "ezdxf": "ezdxf",
@@ -57,3 +58,25 @@ def require(*extras: str, purpose: str) -> None:
             extra=",".join(lacking),
             purpose=purpose,
         )
+
+
+def left_out(modules: Mapping[str, str]) -> dict[str, str]:
+    """Return what cannot be done here, and the extra that each of it needs.
+
+    Parameters
+    ----------
+    modules : mapping of str to str
+        Module that each thing is done with, one of `MODULES`.
+
+    Returns
+    -------
+    dict of str to str
+        Name of the extra by the name of the thing.
+    """
+    return {
+        thing: next(
+            extra for extra, brought in MODULES.items() if name in brought.values()
+        )
+        for thing, name in modules.items()
+        if find_spec(name) is None
+    }

@@ -8,6 +8,7 @@ import pytest
 from amulor import _extras
 from amulor.cli import main
 from amulor.errors import MissingExtraError
+from amulor.studies import ladder
 
 PROJECT = Path(__file__).parents[2] / "pyproject.toml"
 
@@ -35,7 +36,7 @@ def test_what_is_installed_is_not_asked_for():
 def test_all_that_is_missing_is_named_with_one_line_that_installs_it(bare):
     with pytest.raises(MissingExtraError) as caught:
         _extras.require("scene", "mie", purpose="drawing")
-    assert str(caught.value).startswith("drawing needs trimesh, embreex, miepython")
+    assert str(caught.value).startswith("drawing needs trimesh, miepython")
     assert "pip install 'amulor[scene,mie]'" in str(caught.value)
 
 
@@ -47,13 +48,28 @@ def test_only_what_is_missing_is_named(monkeypatch):
         _extras.require("scene", "export", purpose="the demo")
 
 
+def test_the_demo_writes_what_it_can_and_says_what_it_leaves_out(
+    bare, tmp_path, monkeypatch, capsys
+):
+    bare_names = {Path(name).suffix for name in ladder.output_names()}
+    assert ".ply" in bare_names
+    with monkeypatch.context() as whole:
+        whole.setattr(_extras, "find_spec", find_spec)
+        assert ladder.left_out() == {}
+        names = {Path(name).suffix for name in ladder.output_names()}
+    assert names - bare_names == {".laz", ".e57"}
+    monkeypatch.setattr(ladder, "run", lambda *_, **__: [])
+    assert main(["demo", "-o", str(tmp_path)]) == 0
+    said = capsys.readouterr().out
+    assert "No LAZ files: pip install 'amulor[export]'" in said
+    assert "No E57 files: pip install 'amulor[" in said
+
+
 @pytest.mark.parametrize(
     ("words", "extras"),
     [
-        ("demo -o out", "scene,export,e57"),
-        ("reproduce ricci2010 --quick -o out", "scene,mie"),
-        ("reproduce ricci2010 --quick --figure 11 -o out", "scene,mie"),
-        ("reproduce ricci2010 --quick --figure 15 -o out", "scene"),
+        ("reproduce ricci2010 --quick -o out", "mie"),
+        ("reproduce ricci2010 --quick --figure 11 -o out", "mie"),
     ],
 )
 def test_a_command_says_so_before_it_makes_a_folder(

@@ -53,3 +53,7 @@ def demo(
         ],
     )
     print(f"Report: {output / 'report.html'}")
+    for name, extra in ladder.left_out().items():
+        print(
+            f"No {name.upper()} files: pip install 'amulor[{extra}]' lets it write them"
+        )

@@ -15,8 +15,8 @@ from amulor.cli._output import print_json, progress_bar
 Result = TypeVar("Result")
 #: How often Ctrl-C is looked for [s].
 _LOOK = 0.1
-#: Which figures need an extra: targets are seen by ray casting, milk is spheres.
-_EXTRAS = {"scene": {*range(5, 16)}, "mie": {7, 10, 11, 12}}
+#: Figures that need an extra: milk is spheres.
+_EXTRAS = {"mie": {7, 10, 11, 12}}
 
 
 def ricci2010(

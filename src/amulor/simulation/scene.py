@@ -9,13 +9,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from amulor.errors import MissingExtraError, SurveyError
-from amulor.simulation.texture import Texture, barycentric, load, solid, trimesh_module
+from amulor.errors import SurveyError
+from amulor.simulation.texture import Texture, barycentric, load, solid
 from amulor.survey import Disc, Mesh, Plate, Staircase
 from amulor.survey.target import METRES
+from amulor.transport.ray_caster import RayCaster
 
-#: The ray caster works in single precision; a shadow ray starts this far off [m].
-_LIFT = 2e-5
 _RAYS_AT_ONCE = 500_000
 #: A mesh of more metres across whose unit nobody stated is one of millimetres [m].
 _ACROSS = 50.0
@@ -55,7 +54,7 @@ class Scene:
             np.concatenate(pieces) if pieces else np.empty((0, 3, 3), dtype=float)
         )
         self._owner = np.repeat(np.arange(len(pieces)), [len(p) for p in pieces])
-        self._caster = _ray_caster(self._corners) if pieces else None
+        self._caster = RayCaster(self._corners)
 
     def cast(self, start: NDArray[Any], direction: NDArray[Any]) -> Hits:
         """Find the first surface that each ray meets.
@@ -78,15 +77,14 @@ class Scene:
         normal = np.full((count, 3), np.nan)
         for first in range(0, count, _RAYS_AT_ONCE):
             part = slice(first, first + _RAYS_AT_ONCE)
-            triangle = self._first_triangles(start[part], direction[part])
+            triangle = self._caster.first(start[part], direction[part])
             hit = np.flatnonzero(triangle >= 0)
             where = first + hit
             corner = self._corners[triangle[hit]]
             across = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
             across /= np.linalg.norm(across, axis=1, keepdims=True)
             ray = direction[where]
-            # The caster names the triangle; its plane gives the point to full
-            # precision.
+            # The caster names the triangle; its plane gives the point.
             slope = np.einsum("ij,ij->i", across, ray)
             gap = np.einsum("ij,ij->i", across, corner[:, 0] - start[where])
             distance[where] = gap / slope
@@ -154,23 +152,12 @@ class Scene:
         """
         fraction = np.zeros(len(hits.target))
         met = np.flatnonzero(hits.target >= 0)
-        start = hits.point[met] + _LIFT * hits.normal[met]
+        start, triangle = hits.point[met], hits.triangle[met]
         for spot, part in zip(aperture, weight, strict=True):
-            way = spot - start
-            length = np.linalg.norm(way, axis=1)
-            ray = way / length[:, None]
-            faces = np.einsum("ij,ij->i", hits.normal[met], ray) > 0
-            free = self.cast(start, ray).distance >= length
-            fraction[met] += part * (faces & free)
+            faces = np.einsum("ij,ij->i", hits.normal[met], spot - start) > 0
+            end = np.broadcast_to(spot, start.shape)
+            fraction[met] += part * (faces & self._caster.free(start, end, triangle))
         return fraction
-
-    def _first_triangles(
-        self, start: NDArray[Any], direction: NDArray[Any]
-    ) -> NDArray[np.intp]:
-        if self._caster is None:
-            return np.full(len(start), -1)
-        result: NDArray[np.intp] = self._caster.intersects_first(start, direction)
-        return result
 
 
 def aperture_points(
@@ -328,19 +315,3 @@ def _mesh(target: Mesh) -> NDArray[np.float64]:
             '"m"'
         )
     return kept
-
-
-def _ray_caster(corners: NDArray[np.float64]) -> Any:
-    trimesh = trimesh_module()
-    try:
-        from trimesh.ray.ray_pyembree import RayMeshIntersector
-    except ImportError:
-        raise MissingExtraError(
-            "embreex", extra="scene", purpose="ray casting"
-        ) from None
-    mesh = trimesh.Trimesh(
-        vertices=corners.reshape(-1, 3),
-        faces=np.arange(3 * len(corners)).reshape(-1, 3),
-        process=False,
-    )
-    return RayMeshIntersector(mesh, scale_to_box=False)

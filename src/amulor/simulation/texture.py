@@ -34,16 +34,21 @@ def load(target: Mesh) -> Any:
     MissingExtraError
         If the extra `scene` is not installed.
     """
-    trimesh = trimesh_module()
+    try:
+        import trimesh
+    except ImportError:
+        raise MissingExtraError(
+            "trimesh", extra="scene", purpose=f"{target.file.name}, a mesh,"
+        ) from None
     # Merging vertices of one place would merge their colours, too.
-    options = {} if target.texture is None else {"process": False}
+    options: dict[str, Any] = {} if target.texture is None else {"process": False}
     if not target.file.is_file():
         raise SurveyError(
             f"{target.file}: there is no such file; a mesh is needed to simulate what "
             "stands in the water"
         )
     try:
-        loaded = trimesh.load(target.file, force="mesh", **options)
+        loaded: Any = trimesh.load(target.file, force="mesh", **options)
         corners = np.asarray(loaded.triangles, dtype=float)
     # Readers of four formats raise errors of many kinds on a damaged file.
     except Exception:
@@ -175,25 +180,3 @@ class Texture:
             )
         bright: Floats = value[:, self._channel].mean(axis=1) / 255
         return bright
-
-
-def trimesh_module() -> Any:
-    """Return the package that reads meshes.
-
-    Returns
-    -------
-    module
-        trimesh.
-
-    Raises
-    ------
-    MissingExtraError
-        If it is not installed.
-    """
-    try:
-        import trimesh
-    except ImportError:
-        raise MissingExtraError(
-            "trimesh", extra="scene", purpose="a scene with targets"
-        ) from None
-    return trimesh

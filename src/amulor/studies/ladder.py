@@ -29,6 +29,7 @@ __all__ = [
     "STAGES",
     "WATERS",
     "Case",
+    "left_out",
     "output_names",
     "run",
     "summary",
@@ -38,7 +39,8 @@ __all__ = [
 #: Called with what is done now and the fraction of the work done before it.
 Progress = Callable[[str, float], None]
 
-_CLOUDS = ("ply", "laz", "e57")
+#: Packages that write point clouds of some formats.
+_WRITERS = {"laz": "lazrs", "e57": "pye57"}
 
 
 def survey_text(water: str) -> str:
@@ -67,6 +69,8 @@ def run(
 ) -> list[Case]:
     """Scan the ladder in both waters and write all that comes of it.
 
+    Point clouds are in PLY, and in LAZ and E57 where there is a package for these.
+
     Parameters
     ----------
     folder : pathlib.Path
@@ -89,10 +93,7 @@ def run(
     ------
     FormatError
         If a file exists, or the folder cannot be written.
-    MissingExtraError
-        If the packages of the extras `scene` and `export` are not installed.
     """
-    _extras.require("scene", "export", "e57", purpose="the ladder")
     io.make_folder(folder)
     for name in output_names():
         io.check_output(folder / name, overwrite=overwrite)
@@ -164,13 +165,28 @@ def output_names() -> list[str]:
         names += [f"{stem}.toml", f"{stem}_samples.nc", f"{stem}_target_signal.nc"]
         for channel in CHANNELS:
             names.append(f"{stem}_{channel}_range.nc")
-            names += [f"{stem}_{channel}.{suffix}" for suffix in _CLOUDS]
+            names += [f"{stem}_{channel}.{suffix}" for suffix in _clouds()]
     return names
+
+
+def left_out() -> dict[str, str]:
+    """Return the formats of point clouds that cannot be written here.
+
+    Returns
+    -------
+    dict of str to str
+        Extra of the package that each format needs.
+    """
+    return _extras.left_out(_WRITERS)
+
+
+def _clouds() -> list[str]:
+    return [suffix for suffix in ("ply", *_WRITERS) if suffix not in left_out()]
 
 
 def _write_images(folder: Path, case: Case, *, overwrite: bool) -> None:
     stem = f"ladder_{case.water}_{case.channel}"
     io.write_cube(case.image, folder / f"{stem}_range.nc", overwrite=overwrite)
     cloud = imaging.point_cloud(case.image)
-    for suffix in _CLOUDS:
+    for suffix in _clouds():
         io.write_cloud(cloud, folder / f"{stem}.{suffix}", overwrite=overwrite)

@@ -1,30 +1,21 @@
-"""Targets that are triangle meshes, and the hierarchy of boxes that rays walk."""
+"""Targets that are triangle meshes."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-from amulor.transport._kernels.mesh import EDGE_ONE, EDGE_TWO, ESCAPE, NORMAL, TRIANGLES
-from amulor.transport._kernels.types import Mesh
 from amulor.transport.receiver import reflection_matrix
 
-__all__ = ["MeshTarget", "hierarchy"]
+__all__ = ["MeshTarget"]
 
 Array = NDArray[np.float64]
-Integers = NDArray[np.int64]
 
-#: Triangles in a box without boxes, at most.
-LEAF = 4
-#: Padding of boxes, and least distance of a hit to a ray that starts on a triangle,
-#: over the largest coordinate: far above rounding (1e-16), far below what matters.
-RELATIVE_GAP = 1e-9
 #: Least area of a triangle over the square of its longest edge.
 _FLATTEST = 1e-9
 # Rays that tell whether a point is inside: no simple ratio of their components.
@@ -253,66 +244,3 @@ def distance_to_triangles(point: Array, corner: Array) -> float:
         axis=0,
     )
     return float(np.min(np.where(over, height, rim)))
-
-
-def hierarchy(corner: Array) -> Mesh:
-    """Return boxes, links, triangles and least distance for the kernels.
-
-    Parameters
-    ----------
-    corner : ndarray
-        Corners of the triangles, shape (faces, 3, 3) [m].
-
-    Returns
-    -------
-    Mesh
-        Lower and upper corners of the boxes, shape (boxes, 6) [m]; for each, the box
-        that follows if it is missed, its first triangle and how many it has itself,
-        shape (boxes, 3); corner, two edges and unit normal of the triangles in the
-        order of the boxes, shape (faces, 12) [m]; and the least distance of a hit to
-        a ray that starts on a triangle [m].
-
-    Notes
-    -----
-    A box is split at the median of the triangles' centres along the axis on which
-    those spread the most.
-    """
-    low, high = corner.min(axis=1), corner.max(axis=1)
-    centre = 0.5 * (low + high)
-    least = RELATIVE_GAP * float(np.abs(corner).max())
-    boxes: list[Any] = []
-    links: list[list[int]] = []
-    order: list[Integers] = []
-    placed = 0
-
-    def grow(chosen: Integers) -> None:
-        """Add a box with some triangles, and the boxes in it."""
-        nonlocal placed
-        number = len(boxes)
-        boxes.append(
-            [*(low[chosen].min(axis=0) - least), *(high[chosen].max(axis=0) + least)]
-        )
-        links.append([0, placed, 0])
-        if chosen.size <= LEAF:
-            links[number][TRIANGLES] = chosen.size
-            order.append(chosen)
-            placed += chosen.size
-        else:
-            axis = int(np.argmax(np.ptp(centre[chosen], axis=0)))
-            half = chosen.size // 2
-            ranked = chosen[np.argpartition(centre[chosen, axis], half)]
-            grow(ranked[:half])
-            grow(ranked[half:])
-        links[number][ESCAPE] = len(boxes)
-
-    grow(np.arange(len(corner)))
-    sorted_corner = corner[np.concatenate(order)]
-    triangle = np.empty((len(corner), 12))
-    one = sorted_corner[:, 1] - sorted_corner[:, 0]
-    two = sorted_corner[:, 2] - sorted_corner[:, 0]
-    normal = np.cross(one, two)
-    triangle[:, :EDGE_ONE] = sorted_corner[:, 0]
-    triangle[:, EDGE_ONE:EDGE_TWO] = one
-    triangle[:, EDGE_TWO:NORMAL] = two
-    triangle[:, NORMAL:] = normal / np.linalg.norm(normal, axis=1, keepdims=True)
-    return Mesh(np.array(boxes), np.array(links, dtype=np.int64), triangle, least)

@@ -16,8 +16,10 @@ from amulor.transport import (
     Source,
     simulate,
 )
+from amulor.transport._kernels import hierarchy as _hierarchy_kernels
 from amulor.transport._kernels import mesh as _mesh_kernels
-from amulor.transport.mesh import distance_to_triangles, hierarchy
+from amulor.transport.mesh import distance_to_triangles
+from amulor.transport.ray_caster import RayCaster, hierarchy
 
 CUBE = np.array(
     [[x, y, z] for x in (-1.0, 1.0) for y in (-1.0, 1.0) for z in (-1.0, 1.0)]
@@ -58,7 +60,7 @@ def soup(rng, count):
 def test_the_hierarchy_finds_what_all_triangles_give(seed, count):
     rng = np.random.default_rng(seed)
     corner = soup(rng, count)
-    mesh = hierarchy(corner)
+    mesh, _ = hierarchy(corner)
     for _ in range(8):
         origin, direction = rng.uniform(-3, 3, size=(2, 3))
         if rng.uniform() < 0.3:  # along an axis, where one component is zero
@@ -95,9 +97,77 @@ def test_the_hierarchy_finds_what_all_triangles_give(seed, count):
         )
 
 
+@given(st.integers(0, 2**32 - 1), st.sampled_from([0, 1, 4, 5, 300]))
+def test_the_caster_names_the_triangle_that_all_triangles_give(seed, count):
+    rng = np.random.default_rng(seed)
+    corner = soup(rng, count)
+    caster = RayCaster(corner)
+    start, direction = rng.uniform(-3, 3, size=(2, 8, 3))
+    direction /= np.linalg.norm(direction, axis=1, keepdims=True)
+    distance = np.array(
+        [hit_by_volumes(corner, *ray) for ray in zip(start, direction, strict=True)]
+    ).reshape(8, count)
+    met = caster.first(start, direction)
+    none = np.all(np.isinf(distance), axis=1)
+    assert np.array_equal(met < 0, none)
+    nearest = [int(np.argmin(each)) for each in distance[~none]]
+    assert met[~none].tolist() == nearest
+    # From that triangle on, seen from points on both sides of the next one.
+    for ray, number in zip(np.flatnonzero(~none), met[~none], strict=True):
+        point = start[ray] + distance[ray, number] * direction[ray]
+        others = np.delete(corner, number, axis=0)
+        following = hit_by_volumes(others, point, direction[ray]).min(initial=np.inf)
+        for length in (0.5 * min(following, 9.0), 1.5 * min(following, 9.0)):
+            free = caster.free(
+                point[None], (point + length * direction[ray])[None], met[ray : ray + 1]
+            )
+            assert free[0] == (length < following)
+
+
+def test_a_triangle_without_an_area_is_not_met_and_disturbs_no_other():
+    corner = np.array(
+        [[[0, 0, 2], [1, 1, 2], [2, 2, 2]], [[0, 0, 3], [1, 0, 3], [0, 1, 3]]]
+    )
+    start = np.array([[0.3, 0.3, 0.0]])
+    assert RayCaster(corner).first(start, np.array([[0.0, 0.0, 1.0]])).tolist() == [1]
+
+
+def test_each_triangle_is_in_one_box_and_each_box_around_what_is_in_it():
+    rng = np.random.default_rng(7)
+    # Many centers at the same place along each axis, which no split can separate.
+    corner = soup(rng, 500).round(0)
+    mesh, number = hierarchy(corner)
+    assert sorted(number) == list(range(500))
+    first, count = mesh.link[:, 1], mesh.link[:, 2]
+    assert np.array_equal(
+        np.concatenate(
+            [np.arange(f, f + n) for f, n in zip(first, count, strict=True)]
+        ),
+        np.arange(500),
+    )
+    assert count.max() <= 4
+    for box, (after, *_) in enumerate(mesh.link):
+        held = [k for f, n in mesh.link[box:after, 1:] for k in range(f, f + n)]
+        inside = corner[number[held]].reshape(-1, 3)
+        assert np.all(mesh.box[box, :3] <= inside.min(axis=0))
+        assert np.all(mesh.box[box, 3:] >= inside.max(axis=0))
+
+
+def test_compiled_and_plain_builds_are_the_same():
+    centre = np.random.default_rng(5).normal(size=(90, 3))
+    results = []
+    for split in (_hierarchy_kernels.split, _hierarchy_kernels.split.py_func):
+        number, link = np.arange(90), np.zeros((91, 3), dtype=np.int64)
+        sibling = np.zeros(91, dtype=np.int64)
+        count = split(centre, number, link, sibling)
+        results.append([number, link[:count], sibling[:count]])
+    for compiled, plain in zip(*results, strict=True):
+        assert np.array_equal(compiled, plain)
+
+
 def test_compiled_and_plain_walks_are_the_same():
     rng = np.random.default_rng(3)
-    mesh = hierarchy(soup(rng, 60))
+    mesh, _ = hierarchy(soup(rng, 60))
     for _ in range(50):
         ray = (tuple(rng.uniform(-3, 3, size=3)), tuple(rng.normal(size=3)))
         compiled = _mesh_kernels.first_hit(*ray, np.inf, 0.0, -1.0, mesh)
@@ -110,7 +180,7 @@ def test_no_ray_leaves_a_closed_box_through_an_edge(seed):
     rng = np.random.default_rng(seed)
     turn = np.linalg.qr(rng.normal(size=(3, 3)))[0]
     corner = ((CUBE * rng.uniform(0.1, 3, size=3)) @ turn + rng.normal(size=3))[SIDES]
-    mesh = hierarchy(corner)
+    mesh, _ = hierarchy(corner)
     centre = corner.mean(axis=(0, 1))
     origin = centre + 0.5 * (corner[rng.integers(12), 0] - centre)
     for first, second in rng.permutation(np.indices((12, 3)).reshape(2, -1).T)[:12]:

@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import norm
+from scipy.special import ndtr
 
 from amulor._discoveries import largest_discovered
-from amulor.errors import CubeError, MissingExtraError
+from amulor.errors import CubeError
 from amulor.imaging.frame import Frame
 from amulor.imaging.products.surface import Surface
+from amulor.transport.ray_caster import RayCaster
 
 Floats = NDArray[np.float64]
 
@@ -88,8 +88,6 @@ def deviation(
     ------
     CubeError
         If no beam meets the reference.
-    MissingExtraError
-        If trimesh or embreex is not installed.
 
     Notes
     -----
@@ -151,33 +149,25 @@ def _met(
     surface: Surface, vertices: Floats, faces: NDArray[np.intp]
 ) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
     """Return which vertices' beams meet the reference, and in which triangle."""
-    try:
-        import embreex  # noqa: F401  trimesh looks for rays with it
-        import trimesh
-    except ImportError as error:
-        raise MissingExtraError(
-            "trimesh, embreex", extra="scene", purpose="comparing with a reference"
-        ) from error
-    mesh: Any = trimesh.Trimesh(vertices, faces, process=False)
-    # From well before the scan's point, so that a reference nearer than it is met too.
-    origin = surface.position - surface.direction * _before(surface)[:, None]
-    met, number = mesh.ray.intersects_id(
-        origin, surface.direction, multiple_hits=True, max_hits=20
-    )
-    met, number = np.asarray(met, dtype=np.intp), np.asarray(number, dtype=np.intp)
-    if not len(met):
-        return met, number
-    corner = vertices[faces[met]]
-    normal = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
-    with np.errstate(divide="ignore", invalid="ignore"):
-        off = np.einsum(
-            "ij,ij->i", corner[:, 0] - surface.position[number], normal
-        ) / np.einsum("ij,ij->i", surface.direction[number], normal)
-    # Of several surfaces that a beam meets, the one next to the measured point.
-    order = np.lexsort((np.abs(off), number))
-    number, met = number[order], met[order]
-    first = np.r_[True, number[1:] != number[:-1]]
-    return number[first], met[first]
+    caster = RayCaster(vertices[faces])
+    place, ahead = surface.position, surface.direction
+    # Of surfaces before and behind the measured point the one that is next to it.
+    met = np.full(len(place), -1)
+    nearest = np.full(len(place), np.inf)
+    for way in (ahead, -ahead):
+        triangle = caster.first(place - caster.gap * way, way)
+        ray = np.flatnonzero(triangle >= 0)
+        corner = vertices[faces[triangle[ray]]]
+        normal = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
+        off = np.einsum("ij,ij->i", corner[:, 0] - place[ray], normal) / np.einsum(
+            "ij,ij->i", ahead[ray], normal
+        )
+        # Nothing behind the instrument is meant.
+        near = (np.abs(off) < nearest[ray]) & (off > -_before(surface)[ray])
+        met[ray[near]] = triangle[ray[near]]
+        nearest[ray[near]] = np.abs(off[near])
+    number = np.flatnonzero(met >= 0)
+    return number, met[number]
 
 
 def _poses(frame: Frame, reference: Frame | None) -> tuple[Frame, ...]:
@@ -240,6 +230,6 @@ def _result(
 def _significant(value: Floats, sigma: Floats) -> NDArray[np.bool_]:
     """Return which values are not zero, with few false ones among them."""
     with np.errstate(divide="ignore", invalid="ignore"):
-        chance = 2 * norm.sf(np.abs(value) / sigma)
+        chance = 2 * ndtr(-np.abs(value) / sigma)
     chance = np.where(np.isfinite(chance), chance, 1.0)
     return np.asarray(chance <= largest_discovered(chance, share=FALSE_SHARE))

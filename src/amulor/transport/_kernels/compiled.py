@@ -48,3 +48,6 @@ allocating: Compiler = _njit(**_INTERNAL)
 
 #: Loops that Python calls, on several threads at once.
 entry: Compiler = _njit(nogil=True, **_COMMON)
+
+#: The same for those that make arrays.
+allocating_entry: Compiler = _njit(nogil=True, **_COMMON)

@@ -10,8 +10,11 @@ from __future__ import annotations
 
 import math
 
-from amulor.transport._kernels.compiled import kernel
-from amulor.transport._kernels.types import Array, Mesh, Vector
+import numpy as np
+from numpy.typing import NDArray
+
+from amulor.transport._kernels.compiled import entry, kernel
+from amulor.transport._kernels.types import Array, Integers, Mesh, Vector
 
 # Columns of a box (its corners), of its link and of a triangle.
 LOW_X, LOW_Y, LOW_Z, HIGH_X, HIGH_Y, HIGH_Z = range(6)
@@ -119,3 +122,24 @@ def blocked(place: Vector, end: Vector, start: float, mesh: Mesh) -> bool:
     way = (end[0] - place[0], end[1] - place[1], end[2] - place[2])
     distance, _ = first_hit(place, way, 1.0, 1.0, start, mesh)
     return distance < 1.0
+
+
+@entry
+def first_triangles(start: Array, way: Array, mesh: Mesh, met: Integers) -> None:
+    """Fill the number of the nearest triangle that each ray meets, -1 for none."""
+    for i in range(start.shape[0]):
+        place = (start[i, 0], start[i, 1], start[i, 2])
+        ahead = (way[i, 0], way[i, 1], way[i, 2])
+        _, number = first_hit(place, ahead, math.inf, 0.0, -1.0, mesh)
+        met[i] = int(number)
+
+
+@entry
+def free_ways(
+    start: Array, end: Array, own: Integers, mesh: Mesh, free: NDArray[np.bool_]
+) -> None:
+    """Fill whether nothing lies between points; own are the triangles at the first."""
+    for i in range(start.shape[0]):
+        place = (start[i, 0], start[i, 1], start[i, 2])
+        other = (end[i, 0], end[i, 1], end[i, 2])
+        free[i] = not blocked(place, other, float(own[i]), mesh)

@@ -13,15 +13,11 @@ from numpy.typing import NDArray
 
 from amulor.transport._checks import axes_of, place, unit_vector
 from amulor.transport._kernels import angle as _cells
-from amulor.transport._kernels.types import Beam, Face, Mesh, Scene, Water
+from amulor.transport._kernels.types import Beam, Face, Scene, Water
 from amulor.transport._kernels.types import Target as Surface
 from amulor.transport.medium import Layer, Medium
-from amulor.transport.mesh import (
-    RELATIVE_GAP,
-    MeshTarget,
-    distance_to_triangles,
-    hierarchy,
-)
+from amulor.transport.mesh import MeshTarget, distance_to_triangles
+from amulor.transport.ray_caster import RELATIVE_GAP, hierarchy
 from amulor.transport.receiver import (
     GaussianReceiver,
     PlaneTarget,
@@ -215,9 +211,7 @@ class Problem:
         plane = isinstance(target, PlaneTarget)
         right = [float(component) for component in self.axes[:, 0]]
         normal, height = np.array([0.0, 0.0, -1.0]), 0.0
-        mesh = Mesh(
-            np.empty((0, 6)), np.empty((0, 3), np.int64), np.empty((0, 12)), 0.0
-        )
+        corners = np.empty((0, 3, 3))
         if isinstance(target, PlaneTarget):
             normal = np.ascontiguousarray(
                 self.axes @ unit_vector(target.normal, name="normal")
@@ -225,7 +219,7 @@ class Problem:
             point = self._turned(place(target.position, name="position"))
             height = float(normal @ point)
         elif target is not None:
-            mesh = hierarchy(self._turned(target.corners))
+            corners = self._turned(target.corners)
         return Surface(
             has_plane=plane,
             normal=normal,
@@ -233,7 +227,7 @@ class Problem:
             reflectance=0.0 if target is None else float(target.reflectance),
             mueller=np.zeros((4, 4)) if target is None else target.matrix,
             right=(right[0], right[1], right[2]),
-            mesh=mesh,
+            mesh=hierarchy(corners)[0],
         )
 
     @property
