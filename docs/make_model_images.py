@@ -167,17 +167,19 @@ def models(function: PhaseFunction, attenuation: float) -> dict[str, tuple[Any, 
     absorption = ABSORBED * attenuation
     scattering = (1 - ABSORBED) * attenuation
     # The receiver looks at the spot; the offset across its own axis is shorter.
+    back = np.hypot(DISTANCE, BASELINE)
     view = {
         **RECEIVER,
-        "baseline": BASELINE * DISTANCE / np.hypot(DISTANCE, BASELINE),
-        "tilt": BASELINE / DISTANCE,
+        "baseline": BASELINE * DISTANCE / back,
+        "tilt": BASELINE / back,
     }
     plate = {
         "depth": DISTANCE,
         # The models count the way of the water straight, as here.
         "optical_path": 2 * DISTANCE * INDEX,
         "reflectance": REFLECTANCE,
-        "cosine": DISTANCE / np.hypot(DISTANCE, BASELINE),
+        "return_path": back,
+        "cosine": DISTANCE / back,
     }
     whole = {
         "absorption": absorption,

@@ -12,13 +12,13 @@ from scipy.constants import speed_of_light
 from scipy.interpolate import CubicSpline, PchipInterpolator
 
 from amulor.design._kernels import columns as kernel
-from amulor.optics import small_angle
+from amulor.optics import small_angle, target_echo
 from amulor.optics.small_angle import sharp_receiver
 from amulor.survey import Survey, WaterProperties
 from amulor.survey.view import beam_arguments, has_sharp_receiver
 from amulor.survey.waters.whole_function import whole_phase_function
 
-__all__ = ["Columns", "Looks", "columns"]
+__all__ = ["Columns", "Looks", "columns", "overlaps"]
 
 Floats = NDArray[np.float64]
 
@@ -58,14 +58,14 @@ class Looks:
     """1/e half-width of the aperture [m]."""
     acceptance: Floats
     """1/e half-width of the field of view in the water [rad]."""
+    back: Floats
+    """Water on the way back from each depth, shape (look, depth) [m]."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Columns:
     """Received per launched power before polarizers, arrays over (look, ...)."""
 
-    overlap: Floats
-    """F(d), times reflectance over pi the echo, shape (look, depth) [sr]."""
     mean: Floats
     """Light of the water in front of each depth, the last one to its end, shape
     (look, depth + 1) [1]."""
@@ -81,7 +81,7 @@ def columns(
     depth: Floats,
     frequency: Floats,
 ) -> Columns:
-    r"""Return echo and water light by the small-angle model, all depths at once.
+    r"""Return the water light by the small-angle model, in front of all depths at once.
 
     Parameters
     ----------
@@ -136,9 +136,7 @@ def columns(
         water.backscatter_vsf / water.scattering if water.scattering > 0 else 0.0
     )
     vsf = per_scattering * looks.scattering
-    within = np.clip(np.log(np.maximum(depth, _NEAREST)), place[0], place[-1])
     return Columns(
-        overlap=np.exp(spline(within)),
         mean=vsf[:, None] * mean,
         water=np.asarray(vsf[:, None, None] * summed),
     )
@@ -148,6 +146,46 @@ def _log_overlap(
     survey: Survey, water: WaterProperties, looks: Looks, knots: Floats
 ) -> Floats:
     """Return the logarithm of F at all knots, shape (look, knot)."""
+    overlap = (
+        sharp_receiver.overlap if has_sharp_receiver(survey) else small_angle.overlap
+    )
+    value = overlap(knots, **_arguments(survey, water, looks))
+    return np.asarray(np.log(np.maximum(value, math.exp(_DARK))))
+
+
+def overlaps(
+    survey: Survey, water: WaterProperties, looks: Looks, *, depth: Floats
+) -> Floats:
+    """Return F of the ways out and back, by the small-angle model.
+
+    Parameters
+    ----------
+    survey, water, looks, depth
+        As in `columns`.
+
+    Returns
+    -------
+    ndarray, shape (look, depth)
+        Times reflectance over pi the echo of a plane across the way back [sr].
+    """
+    echo = (
+        target_echo.sharp_receiver_target_response
+        if has_sharp_receiver(survey)
+        else target_echo.small_angle_target_response
+    )
+    value = echo(
+        0.0,
+        depth=depth,
+        optical_path=0.0,
+        reflectance=1.0,
+        return_path=looks.back,
+        **_arguments(survey, water, looks),
+    )
+    return np.asarray(np.pi * value.real)
+
+
+def _arguments(survey: Survey, water: WaterProperties, looks: Looks) -> dict[str, Any]:
+    """Return waters and receivers as the optics take them, shape (look, 1)."""
     absorption, scattering = looks.absorption, looks.scattering
     forward = water.forward_scattering * water.second_moment
     arguments: dict[str, Any] = beam_arguments(survey, water)
@@ -156,24 +194,19 @@ def _log_overlap(
         share = water.diffuse_scattering / water.scattering if water.scattering else 0.0
         absorption = absorption + share * scattering
         scattering = np.zeros_like(scattering)
-    overlap = (
-        sharp_receiver.overlap if has_sharp_receiver(survey) else small_angle.overlap
-    )
-    value = overlap(
-        knots,
-        absorption=absorption[:, None],
-        scattering=scattering[:, None],
-        phase_function=whole_phase_function(water),
-        split_angle=water.split_angle,
-        baseline=looks.baseline[:, None],
-        receiver_radius=looks.radius[:, None],
-        acceptance_angle=looks.acceptance[:, None],
-        tilt=looks.tilt[:, None],
-        cross_tilt=looks.cross_tilt[:, None],
-        standoff=looks.standoff[:, None],
+    return {
+        "absorption": absorption[:, None],
+        "scattering": scattering[:, None],
+        "phase_function": whole_phase_function(water),
+        "split_angle": water.split_angle,
+        "baseline": looks.baseline[:, None],
+        "receiver_radius": looks.radius[:, None],
+        "acceptance_angle": looks.acceptance[:, None],
+        "tilt": looks.tilt[:, None],
+        "cross_tilt": looks.cross_tilt[:, None],
+        "standoff": looks.standoff[:, None],
         **arguments,
-    )
-    return np.asarray(np.log(np.maximum(value, math.exp(_DARK))))
+    }
 
 
 def _farthest(survey: Survey, looks: Looks, depth: Floats) -> float:

@@ -30,6 +30,8 @@ class Place:
     """Part of each slant range that lies in water, shape (distance,) [m]."""
     path: Floats
     """Group index times length, out and back, shape (distance,) [m]."""
+    back: Floats
+    """Water on the way back to the receiver, shape (distance,) [m]."""
     slope: Floats
     """Derivative of the slant range by the path, shape (distance,) [1]."""
     cosine: Floats
@@ -79,6 +81,7 @@ def place_of(survey: Survey, water: WaterProperties, distance: Floats) -> Place:
         view=seen,
         depth=distance - float(beam.length_before),
         path=path,
+        back=rays.return_distance(point, receiver, medium=crossed),
         slope=_STEP / (further - path),
         cosine=-(way @ beam.direction) / length,
         per_acceptance=seen.acceptance / instrument.receiver.acceptance,

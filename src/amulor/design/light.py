@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from amulor.design import geometry
 from amulor.design._kernels import points as kernel
-from amulor.design.column import Columns, Looks, columns
+from amulor.design.column import Columns, Looks, columns, overlaps
 from amulor.design.late import late_uncertainty
 from amulor.errors import SurveyError
 from amulor.survey import Survey, WaterProperties
@@ -222,6 +222,7 @@ def _looks(
         scattering=each[1],
         radius=each[2],
         acceptance=each[3] * narrower,
+        back=np.stack([one.back for one in places])[where],
         **{n: seen(n) for n in ("baseline", "tilt", "cross_tilt", "standoff")},
     )
     return looks, number.reshape(parts[0].shape).astype(np.intp)
@@ -252,6 +253,7 @@ def _light(
         )
 
     first = light()
+    overlap = overlaps(case.survey, case.water, looks, depth=depth)
     versions = [first.water]
     if joint:
         factor = 1 + _STEP
@@ -261,7 +263,7 @@ def _light(
     bent = case.water.second_moment * np.outer(looks.scattering, depth)
     return (
         kernel.Light(
-            overlap=np.ascontiguousarray(first.overlap),
+            overlap=np.ascontiguousarray(overlap),
             mean=first.mean,
             water=np.stack(versions),
             step=_STEP,

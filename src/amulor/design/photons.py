@@ -160,6 +160,7 @@ def _model(
         "depth": traced.depth,
         # Photons are counted from where the water begins.
         "optical_path": np.full_like(traced.depth, water.group_index * way(place)),
+        "return_path": np.full_like(traced.depth, way(place) - place.depth),
         "reflectance": np.full_like(traced.depth, place.reflectance),
         "cosine": traced.cosine,
     }

@@ -12,7 +12,7 @@ from scipy.constants import speed_of_light
 
 from amulor.optics import _bounds
 
-__all__ = ["Receiver", "checked", "phase_per_depth"]
+__all__ = ["Receiver", "checked", "phase_per_depth", "refuse_behind_receiver"]
 
 _Check = Callable[..., NDArray[np.float64]]
 
@@ -44,7 +44,6 @@ _RULES: dict[str, tuple[_Check, str, float, float]] = {
                 "baseline": "m",
                 "beam_radius": "m",
                 "beam_divergence": "rad",
-                "standoff": "m",
             },
         ),
         (
@@ -53,7 +52,13 @@ _RULES: dict[str, tuple[_Check, str, float, float]] = {
             _MOST,
             {"receiver_radius": "m", "acceptance_angle": "rad"},
         ),
-        (_bounds.finite, -np.inf, _MOST, {"tilt": "rad", "cross_tilt": "rad"}),
+        (
+            _bounds.finite,
+            -np.inf,
+            _MOST,
+            # Of a surface, depth and standoff together must not be negative.
+            {"tilt": "rad", "cross_tilt": "rad", "standoff": "m"},
+        ),
         (_at_least_one, _BELOW_ONE, _MOST, {"group_index": ""}),
         (_bounds.reach, _LEAST, np.inf, {"end": "m"}),
     )
@@ -73,6 +78,16 @@ def checked(name: str, value: ArrayLike) -> Any:
             return value
     array = check(value, name=name, unit=unit)
     return float(array) if array.ndim == 0 else array
+
+
+def refuse_behind_receiver(standoff: Any, depth: Any = None) -> None:
+    """Refuse a column that begins, or a surface that stands, behind the receiver."""
+    if depth is None:
+        path, name = standoff, "standoff"
+    else:
+        path, name = depth + standoff, "depth + standoff"
+    if np.any(path < 0):
+        _bounds.not_negative(path, name=name, unit="m")
 
 
 def phase_per_depth(

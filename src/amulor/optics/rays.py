@@ -225,12 +225,46 @@ def return_length(
     >>> print(f"{return_length([0, 0, 4], [3, 0, 0], medium=water):.2f} m")
     6.90 m
     """
+    water, before = _ways_back(point, receiver, medium)
+    total: NDArray[np.float64] = medium.group_index * water + before
+    return total
+
+
+def return_distance(
+    point: ArrayLike, receiver: ArrayLike, *, medium: Medium
+) -> NDArray[np.float64]:
+    """Return the water on the light's way from a point to the receiver.
+
+    Parameters
+    ----------
+    point, receiver : array_like, last axis (3,)
+        As in `return_length` [m].
+    medium : Medium
+        Indices and window.
+
+    Returns
+    -------
+    ndarray
+        Length of the part of the bent way that lies in water [m].
+
+    Examples
+    --------
+    >>> water = Medium(refractive_index=1.34, group_index=1.38)
+    >>> print(f"{return_distance([0, 0, 4], [3, 0, 0], medium=water):.2f} m")
+    5.00 m
+    """
+    return _ways_back(point, receiver, medium)[0]
+
+
+def _ways_back(
+    point: ArrayLike, receiver: ArrayLike, medium: Medium
+) -> tuple[NDArray[np.float64], NDArray[np.float64] | float]:
+    """Return the way back in water, and the optical length of that before it."""
     source = last_axes(point, (3,), name="point", meaning="(x, y, z)")
     sink = last_axes(receiver, (3,), name="receiver", meaning="(x, y, z)")
     broadcast(point=source, receiver=sink)
     if medium.window_distance is None:
-        length: NDArray[np.float64] = np.linalg.norm(source - sink, axis=-1)
-        return medium.group_index * length
+        return np.linalg.norm(source - sink, axis=-1), 0.0
     sideways = np.linalg.norm(source[..., :2] - sink[..., :2], axis=-1)
     air = medium.window_distance - sink[..., 2]
     glass = medium.window_thickness
@@ -259,11 +293,13 @@ def return_length(
         tangent = tangent - (covered - sideways) / (slope * (1 - sine**2) ** 1.5)
         tangent = np.maximum(tangent, 0.0)
         sine = tangent / np.hypot(1.0, tangent)
-    total: NDArray[np.float64] = sum(
-        group * depth * index / np.sqrt(index**2 - sine**2)
-        for depth, index, group in layers
+    *before, wet = (
+        depth * index / np.sqrt(index**2 - sine**2) for depth, index, _ in layers
     )
-    return total
+    optical = sum(
+        length * group for length, (_, _, group) in zip(before, layers, strict=False)
+    )
+    return wet, optical
 
 
 _NEWTON_STEPS = 8

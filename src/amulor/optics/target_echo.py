@@ -1,7 +1,8 @@
 r"""The echo of a diffuse surface through the same water as the water signal.
 
 One function for each model of the water: a Lambertian plane returns
-:math:`(\varrho / \pi) F(d) \exp(2 i \omega d / v)` with the overlap F of that model.
+:math:`(\varrho / \pi) F(d) \exp(2 i \omega d / v)` with the overlap F of that model,
+or, where the way back is stated, F of the ways out and back.
 """
 
 from __future__ import annotations
@@ -11,7 +12,14 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.constants import speed_of_light
 
 from amulor.optics import small_angle, small_angle_closure, small_angle_diffusion
-from amulor.optics._bounds import broadcast, not_negative, within
+from amulor.optics._bounds import (
+    broadcast,
+    finite,
+    not_negative,
+    positive,
+    require,
+    within,
+)
 from amulor.optics.small_angle import sharp_receiver as small_angle_sharp_receiver
 from amulor.optics.small_angle._tables import PhaseFunction
 
@@ -40,6 +48,7 @@ def target_response(
     tilt: ArrayLike = 0.0,
     cross_tilt: ArrayLike = 0.0,
     standoff: ArrayLike = 0.0,
+    return_path: ArrayLike | None = None,
 ) -> NDArray[np.complex128]:
     r"""Return the echo of a diffuse surface in the small-angle diffusion model.
 
@@ -67,6 +76,9 @@ def target_response(
         As in `small_angle_diffusion.overlap` [rad].
     standoff : array_like
         As in `small_angle_diffusion.overlap` [m].
+    return_path : array_like, optional
+        Water between surface and receiver, on the way back [m]. If not given, small
+        angles: the way back is as long as `depth`, whatever the baseline.
 
     Returns
     -------
@@ -89,6 +101,18 @@ def target_response(
     rebuilt. The small-angle model holds for surfaces that face the instrument within
     about half a radian.
 
+    Where the way back r is given, the aperture appears under the solid angle
+    :math:`\Sigma_r \cos\alpha / r^2`, with the angle :math:`\alpha` between that way
+    and the receiver's axis. So the echo has :math:`\cos\alpha_*\, F`, with the depth
+    :math:`(d + r) / 2` for what the water takes and spreads,
+    :math:`\zeta = r +` standoff, and the offset :math:`\zeta \alpha`, where
+    :math:`\zeta \sin\alpha` is the distance of the spot from the axis. The angle
+    :math:`\alpha_* = \alpha \gamma^2 \zeta^2 / (R^2 + \gamma^2 \zeta^2)` is that at the
+    part of the aperture that receives most. In clear water this is exact for an
+    aperture that is small against the width of the view. Without r, the echo of a
+    receiver aside falls with the depth instead of the way back: 1.0 % too bright at
+    2 m and a baseline of 0.2 m, 16 % at 1 m and 0.4 m.
+
     The diffusion form spreads the unscattered light with the rest. For
     Henyey-Greenstein scattering with g = 0.95, split at 90 degrees, and a = 0.15 1/m,
     b = 0.35 1/m, 3.9 m are left with 0.22 to 0.28 of the echo of traced rays; split
@@ -110,21 +134,27 @@ def target_response(
     >>> print(f"{abs(echo):.1e}")
     2.8e-06
     """
-    overlap = small_angle_diffusion.overlap(
+    place, obliquity = _place(
         depth,
+        return_path=return_path,
+        baseline=baseline,
+        tilt=tilt,
+        cross_tilt=cross_tilt,
+        standoff=standoff,
+        receiver_radius=receiver_radius,
+        acceptance_angle=acceptance_angle,
+    )
+    overlap = small_angle_diffusion.overlap(
         absorption=absorption,
         forward_scattering=forward_scattering,
         diffuse_scattering=diffuse_scattering,
         second_moment=second_moment,
-        baseline=baseline,
         receiver_radius=receiver_radius,
         acceptance_angle=acceptance_angle,
-        tilt=tilt,
-        cross_tilt=cross_tilt,
-        standoff=standoff,
+        **place,
     )
     return _echo(
-        overlap,
+        obliquity * overlap,
         modulation_frequency=modulation_frequency,
         optical_path=optical_path,
         reflectance=reflectance,
@@ -151,6 +181,7 @@ def small_angle_target_response(
     tilt: ArrayLike = 0.0,
     cross_tilt: ArrayLike = 0.0,
     standoff: ArrayLike = 0.0,
+    return_path: ArrayLike | None = None,
 ) -> NDArray[np.complex128]:
     r"""Return the echo of a diffuse surface in the small-angle model.
 
@@ -170,6 +201,8 @@ def small_angle_target_response(
         1/e semi-angle of the receiver, in water [rad].
     beam_radius, beam_divergence, tilt, cross_tilt, standoff : array_like
         As in `small_angle.water_response` [m, rad, rad, rad, m].
+    return_path : array_like, optional
+        As in `target_response` [m].
 
     Returns
     -------
@@ -213,23 +246,29 @@ def small_angle_target_response(
     >>> print(f"{abs(echo):.2e}")
     2.53e-06
     """
-    overlap = small_angle.overlap(
+    place, obliquity = _place(
         depth,
+        return_path=return_path,
+        baseline=baseline,
+        tilt=tilt,
+        cross_tilt=cross_tilt,
+        standoff=standoff,
+        receiver_radius=receiver_radius,
+        acceptance_angle=acceptance_angle,
+    )
+    overlap = small_angle.overlap(
         absorption=absorption,
         scattering=scattering,
         phase_function=phase_function,
         split_angle=split_angle,
-        baseline=baseline,
         receiver_radius=receiver_radius,
         acceptance_angle=acceptance_angle,
         beam_radius=beam_radius,
         beam_divergence=beam_divergence,
-        tilt=tilt,
-        cross_tilt=cross_tilt,
-        standoff=standoff,
+        **place,
     )
     return _echo(
-        overlap,
+        obliquity * overlap,
         modulation_frequency=modulation_frequency,
         optical_path=optical_path,
         reflectance=reflectance,
@@ -256,6 +295,7 @@ def closure_target_response(
     tilt: ArrayLike = 0.0,
     cross_tilt: ArrayLike = 0.0,
     standoff: ArrayLike = 0.0,
+    return_path: ArrayLike | None = None,
 ) -> NDArray[np.complex128]:
     r"""Return the echo of a diffuse surface by the closure of the small-angle model.
 
@@ -275,6 +315,8 @@ def closure_target_response(
         1/e semi-angle of the receiver, in water [rad].
     beam_radius, beam_divergence, tilt, cross_tilt, standoff : array_like
         As in `small_angle.water_response` [m, rad, rad, rad, m].
+    return_path : array_like, optional
+        As in `target_response` [m].
 
     Returns
     -------
@@ -315,23 +357,29 @@ def closure_target_response(
     >>> print(f"{abs(echo):.2e}")
     2.17e-06
     """
-    overlap = small_angle_closure.overlap(
+    place, obliquity = _place(
         depth,
+        return_path=return_path,
+        baseline=baseline,
+        tilt=tilt,
+        cross_tilt=cross_tilt,
+        standoff=standoff,
+        receiver_radius=receiver_radius,
+        acceptance_angle=acceptance_angle,
+    )
+    overlap = small_angle_closure.overlap(
         absorption=absorption,
         scattering=scattering,
         phase_function=phase_function,
         split_angle=split_angle,
-        baseline=baseline,
         receiver_radius=receiver_radius,
         acceptance_angle=acceptance_angle,
         beam_radius=beam_radius,
         beam_divergence=beam_divergence,
-        tilt=tilt,
-        cross_tilt=cross_tilt,
-        standoff=standoff,
+        **place,
     )
     return _echo(
-        overlap,
+        obliquity * overlap,
         modulation_frequency=modulation_frequency,
         optical_path=optical_path,
         reflectance=reflectance,
@@ -358,6 +406,7 @@ def sharp_receiver_target_response(
     tilt: ArrayLike = 0.0,
     cross_tilt: ArrayLike = 0.0,
     standoff: ArrayLike = 0.0,
+    return_path: ArrayLike | None = None,
 ) -> NDArray[np.complex128]:
     r"""Return the echo of a diffuse surface to a receiver with sharp edges.
 
@@ -377,6 +426,8 @@ def sharp_receiver_target_response(
         Semi-angle of the cone that the receiver takes in, in water [rad].
     beam_radius, beam_divergence, tilt, cross_tilt, standoff : array_like
         As in `small_angle_sharp_receiver.water_response` [m, rad, rad, rad, m].
+    return_path : array_like, optional
+        As in `target_response` [m].
 
     Returns
     -------
@@ -418,28 +469,84 @@ def sharp_receiver_target_response(
     >>> print(f"{abs(echo):.2e}")
     2.96e-06
     """
-    overlap = small_angle_sharp_receiver.overlap(
+    place, obliquity = _place(
         depth,
+        return_path=return_path,
+        baseline=baseline,
+        tilt=tilt,
+        cross_tilt=cross_tilt,
+        standoff=standoff,
+        receiver_radius=receiver_radius,
+        acceptance_angle=acceptance_angle,
+    )
+    overlap = small_angle_sharp_receiver.overlap(
         absorption=absorption,
         scattering=scattering,
         phase_function=phase_function,
         split_angle=split_angle,
-        baseline=baseline,
         receiver_radius=receiver_radius,
         acceptance_angle=acceptance_angle,
         beam_radius=beam_radius,
         beam_divergence=beam_divergence,
-        tilt=tilt,
-        cross_tilt=cross_tilt,
-        standoff=standoff,
+        **place,
     )
     return _echo(
-        overlap,
+        obliquity * overlap,
         modulation_frequency=modulation_frequency,
         optical_path=optical_path,
         reflectance=reflectance,
         cosine=cosine,
     )
+
+
+def _place(
+    depth: ArrayLike,
+    *,
+    return_path: ArrayLike | None,
+    baseline: ArrayLike,
+    tilt: ArrayLike,
+    cross_tilt: ArrayLike,
+    standoff: ArrayLike,
+    receiver_radius: ArrayLike,
+    acceptance_angle: ArrayLike,
+) -> tuple[dict[str, ArrayLike], NDArray[np.float64] | float]:
+    """Return the arguments of an overlap for where a surface stands, and a cosine."""
+    place: dict[str, ArrayLike] = {
+        "depth": depth,
+        "baseline": baseline,
+        "tilt": tilt,
+        "cross_tilt": cross_tilt,
+        "standoff": standoff,
+    }
+    gap = not_negative(standoff, name="standoff", unit="m")
+    if return_path is None:
+        return place, 1.0
+    back = not_negative(return_path, name="return_path", unit="m")
+    out = not_negative(depth, name="depth", unit="m")
+    broadcast(return_path=back, **place)
+    aside = not_negative(baseline, name="baseline", unit="m") - finite(
+        tilt, name="tilt", unit="rad"
+    ) * (out + gap)
+    across = finite(cross_tilt, name="cross_tilt", unit="rad") * (out + gap)
+    offset, way = np.hypot(aside, across), back + gap
+    require(
+        back,
+        offset <= way,
+        name="return_path",
+        rule="at least the distance of the spot from the receiver axis",
+        unit="m",
+    )
+    angle = np.arcsin(offset / np.where(way > 0, way, 1.0))
+    middle = (out + back) / 2
+    seen: dict[str, ArrayLike] = {
+        "depth": middle,
+        "baseline": way * angle,
+        "standoff": way - middle,
+    }
+    # Off the axis by less where the aperture is as wide as the view.
+    aperture = positive(receiver_radius, name="receiver_radius", unit="m")
+    width = positive(acceptance_angle, name="acceptance_angle", unit="rad") * way
+    return seen, np.cos(angle * width**2 / (aperture**2 + width**2))
 
 
 def _echo(

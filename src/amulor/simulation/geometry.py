@@ -35,6 +35,8 @@ class Geometry:
     """The part of it that lies in water, infinite without a target [m]."""
     optical_path: Floats
     """Group index times length, out and back; 0 without a target [m]."""
+    return_path: Floats
+    """Water on the way back to the receiver, infinite without a target [m]."""
     cosine: Floats
     """Cosine of the surface's normal to the receiver, times the part of the aperture
     that sees it [1]."""
@@ -105,6 +107,8 @@ def trace(
         + surroundings.group_index * hits.distance[met]
         + rays.return_length(hits.point[met], receiver, medium=surroundings)
     )
+    back = np.full(met.size, np.inf)
+    back[met] = rays.return_distance(hits.point[met], receiver, medium=surroundings)
     shape = azimuth.shape
     return Geometry(
         azimuth=azimuth,
@@ -115,6 +119,7 @@ def trace(
         slant_range=hits.distance.reshape(shape) + beam.length_before,
         depth=hits.distance.reshape(shape),
         optical_path=path.reshape(shape),
+        return_path=back.reshape(shape),
         cosine=(cosine * fraction).reshape(shape),
         brightness=_brightness(survey, scene, hits, beam, receiver).reshape(shape),
     )

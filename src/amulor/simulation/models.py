@@ -87,7 +87,7 @@ class SignalModel(Protocol):
         view : View
             How the receiver looks at each beam.
         surface : dict
-            `depth`, `optical_path`, `reflectance`, `cosine` of
+            `depth`, `optical_path`, `return_path`, `reflectance`, `cosine` of
             `amulor.optics.target_echo.target_response`, over the beams.
 
         Returns

@@ -179,13 +179,11 @@ def run(
         medium = Medium.layered([clear, layer], group_index=setting.group_index)
     else:
         medium = Medium(layers=(layer,), group_index=setting.group_index)
-    slope = np.array([place.tilt, place.cross_tilt, 1.0])
-    direction = slope / np.linalg.norm(slope)
-    start = gap * slope
+    start, direction, point = ends(place)
     target = None
     if np.isfinite(place.depth):
         target = PlaneTarget(
-            position=start + place.depth * direction,
+            position=point,
             normal=-direction,
             reflectance=place.reflectance,
         )
@@ -214,6 +212,26 @@ def run(
     return tally.delayed(-gap, group_index=setting.group_index) if gap else tally
 
 
+def ends(place: Place) -> tuple[Floats, Floats, Floats]:
+    """Return where a beam enters the water, its direction, and where it ends.
+
+    Parameters
+    ----------
+    place : Place
+        In front of a receiver that looks forwards.
+
+    Returns
+    -------
+    tuple of three ndarrays, shape (3,)
+        Start [m], unit vector, end [m]; without a surface the end is the start.
+    """
+    across = np.array([place.tilt, place.cross_tilt])
+    direction = np.append(across, np.sqrt(1.0 - across @ across))
+    start = place.standoff * np.append(across, 1.0)
+    depth = place.depth if np.isfinite(place.depth) else 0.0
+    return start, direction, start + depth * direction
+
+
 def way(place: Place) -> float:
     """Return the way to the surface and back to the middle of the aperture [m].
 
@@ -227,8 +245,7 @@ def way(place: Place) -> float:
     float
         Less the gap between receiver and water.
     """
-    slope = np.array([place.tilt, place.cross_tilt, 1.0])
-    point = place.standoff * slope + place.depth * slope / np.linalg.norm(slope)
+    _, _, point = ends(place)
     back = np.linalg.norm(point - np.array([place.baseline, 0.0, 0.0]))
     return place.depth + float(back) - place.standoff
 

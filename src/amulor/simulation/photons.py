@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from amulor import _progress
 from amulor.simulation.models import Error, SmallAngleModel
 from amulor.simulation.photon_grid import Grid, grid_of
-from amulor.simulation.photon_runs import Light, Place, Setting, follow, way
+from amulor.simulation.photon_runs import Light, Place, Setting, ends, follow, way
 from amulor.survey import Survey, WaterProperties
 from amulor.survey.view import View, refuse_beam_and_edges, refuse_layers
 from amulor.survey.waters.whole_function import whole_phase_function
@@ -343,13 +343,12 @@ def _small_angle(
         return model.column(f, end=np.array([place.depth]), **common)[:, 0]
     length = way(place)
     # The cosine is that of the way back and the plane across the beam.
-    slope = np.array([place.tilt, place.cross_tilt, 1.0])
-    direction = slope / np.linalg.norm(slope)
-    point = place.standoff * slope + place.depth * direction
+    _, direction, point = ends(place)
     back = np.array([place.baseline, 0.0, 0.0]) - point
     surface = {
         "depth": np.array([place.depth]),
         "optical_path": np.array([water.group_index * length]),
+        "return_path": np.array([length - place.depth]),
         "reflectance": np.array([place.reflectance]),
         "cosine": np.array([float(-direction @ back / np.linalg.norm(back))]),
     }

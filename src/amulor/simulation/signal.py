@@ -75,6 +75,8 @@ def target_light(
     surface = {
         "depth": depth,
         "optical_path": geometry.optical_path,
+        # Without a target anything that can be.
+        "return_path": np.where(met, geometry.return_path, geometry.view.baseline),
         "reflectance": reflectance,
         "cosine": geometry.cosine,
     }

@@ -25,7 +25,8 @@ class View:
     baseline: Floats
     """Distance of receiver and beam where the depth is zero [m]."""
     tilt: Floats
-    """Inclination of the beam against the receiver's axis, along the baseline [rad]."""
+    """Inclination of the beam against the receiver's axis, along the baseline: the
+    distance by which they near each other over a way along the beam [rad]."""
     cross_tilt: Floats
     """The inclination across the baseline [rad]."""
     standoff: Floats
@@ -127,6 +128,8 @@ def view(
     The signal models are small-angle models. They also count the delay of the water
     along the beam, twice the depth, where the way back to a receiver aside is longer:
     by 0.3 degrees of phase at 39 MHz for a baseline of 7 cm, 1.2 degrees for 20 cm.
+    Water light falls with the depth, too: its amplitude at 2 m is 1 % too large for a
+    baseline of 20 cm. The echo of a target falls with its way back.
     """
     instrument, scan = survey.instrument, survey.scan
     receiver = instrument.receiver
@@ -147,7 +150,8 @@ def view(
             "the scan, but the signal models hold for small angles only; aim the "
             "receiver at the scan (azimuth, elevation)"
         )
-    inclination = beam.direction / along[..., None] - sight.direction
+    # What a way along the beam leads across the axis: the sine of their angle.
+    inclination = beam.direction - along[..., None] * sight.direction
     # Where the water begins, across the receiver's axis.
     offset = sight.entry - beam.entry
     before = (

@@ -94,6 +94,7 @@ def test_light_and_noise_are_those_of_the_simulation(tank: Survey) -> None:
     surface = {
         "depth": np.full(1, 2.0),
         "optical_path": np.full(1, 1.38 * (2.0 + np.hypot(2.0, 0.1))),
+        "return_path": np.full(1, np.hypot(2.0, 0.1)),
         "reflectance": 0.2,
         "cosine": 2.0 / np.hypot(2.0, 0.1),
     }

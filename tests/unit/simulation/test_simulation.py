@@ -56,9 +56,12 @@ def test_the_received_power_is_the_lidar_equation_in_volts(plate: Survey) -> Non
         truth["target_in_phase"].values + 1j * truth["target_quadrature"].values
     )[0, :, 3, 6]
     d = float(truth["slant_range"][3, 6])
-    s = 0.02**2 + 0.08**2 * d**2 + 2 / 3 * 0.595 * 0.06 * d**3
+    # The receiver stands 7 cm aside: the way back, half of the sum of both ways.
+    back = np.hypot(d, 0.07)
+    mean = (d + back) / 2
+    s = 0.02**2 + 0.08**2 * back**2 + 2 / 3 * 0.595 * 0.06 * mean**3
     # Aimed at the plate's middle: what offset is left is that of half a pixel.
-    share = np.pi * 0.02**2 * 0.08**2 / s * np.exp(-2 * 0.255 * d) * 0.1 / np.pi
+    share = np.pi * 0.02**2 * 0.08**2 / s * np.exp(-2 * 0.255 * mean) * 0.1 / np.pi
     rate = 0.02 * 0.1 * 0.25 * 405e-9 / (Planck * speed_of_light)
     expected = 0.8 * 8e-12 * rate * share * np.array([0.805, 0.195])
     assert_allclose(echo, expected * np.cos(0.0466), rtol=2e-3)

@@ -123,10 +123,12 @@ def test_a_wide_beam_in_clear_water_widens_as_gaussians_do(
             "instrument.emitter.beam_divergence": None,
         }
     )
-    # Eq. (41) without scattering: S = R^2 + gamma^2 z^2, plus that of the beam.
-    near, far = 0.02**2 + (0.08 * 1.5) ** 2, radius**2 + (divergence * 1.5) ** 2
+    # Eq. (41) without scattering: S = R^2 + gamma^2 r^2, plus that of the beam, over
+    # the way back r; the spot lies off the axis by the angle whose sine is 7 cm / r.
+    back = np.hypot(1.5, 0.07)
+    near, far = 0.02**2 + (0.08 * back) ** 2, radius**2 + (divergence * back) ** 2
     wide = near + far
-    baseline = 0.07**2
+    baseline = (back * np.arcsin(0.07 / back)) ** 2
     expected = near / wide * np.exp(baseline / near - baseline / wide)
     assert_allclose(np.abs(echo(survey) / echo(thin)), expected, rtol=1e-5)
 
@@ -145,9 +147,11 @@ def test_a_wide_beam_is_one_in_water_without_forward_scattering(plate):
         scan__columns=1,
     )
     thin = survey.with_({"instrument.emitter.beam_radius": None})
-    near = 0.02**2 + (0.08 * 1.5) ** 2
+    back = np.hypot(1.5, 0.07)
+    near = 0.02**2 + (0.08 * back) ** 2
     wide = near + 0.05**2
-    expected = near / wide * np.exp(0.07**2 / near - 0.07**2 / wide)
+    offset = back * np.arcsin(0.07 / back)
+    expected = near / wide * np.exp(offset**2 / near - offset**2 / wide)
     assert_allclose(np.abs(echo(survey) / echo(thin)), expected, rtol=1e-5)
 
 
@@ -167,10 +171,11 @@ def test_a_sharp_receiver_sees_a_plate_in_clear_water_as_the_lidar_equation(plat
         / (6.62607015e-34 * 299792458)
     )
     full = 0.8 * detector.volt_per_photoelectron_rate * rate
-    # Reflectance over pi, aperture over distance squared, both ways through the water;
-    # the receiver stands 7 cm aside, which leaves a cosine of 0.9989.
-    expected = full * 0.1 * 0.02**2 / 1.5**2 * np.exp(-2 * 0.1 * 1.5)
-    assert_allclose(np.abs(echo(survey)), expected, rtol=2e-3)
+    # Reflectance over pi, aperture over the way back squared, both ways through the
+    # water; the receiver stands 7 cm aside, which leaves a cosine of 0.9989.
+    back = np.hypot(1.5, 0.07)
+    expected = full * 0.1 * 0.02**2 / back**2 * np.exp(-0.1 * (1.5 + back))
+    assert_allclose(np.abs(echo(survey)), expected * 1.5 / back, rtol=1e-3)
 
 
 AHEAD = {"instrument__receiver__azimuth": 0.0}

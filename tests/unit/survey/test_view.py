@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from amulor.errors import SurveyError
 from amulor.survey import Survey, water_properties
@@ -26,3 +28,36 @@ def test_a_receiver_that_looks_past_its_beam_is_told_by_its_angle(
     for angle in (61, 75, 89):
         with pytest.raises(SurveyError, match=f"stands {angle} degrees off a beam"):
             _look(plate_text, angle)
+
+
+@settings(max_examples=30)
+@given(
+    aside=st.floats(0.05, 0.6),
+    ahead=st.floats(-0.1, 0.1),
+    aim=st.floats(0.8, 4.0),
+    depth=st.floats(0.2, 6.0),
+    azimuth=st.floats(-0.2, 0.2),
+)
+def test_the_beam_is_as_far_from_the_axis_as_two_lines_in_space(
+    plate: Survey, aside: float, ahead: float, aim: float, depth: float, azimuth: float
+) -> None:
+    receiver = np.array([aside, 0.0, ahead])
+    spot = np.array([0.0, 0.0, aim])
+    axis = (spot - receiver) / np.linalg.norm(spot - receiver)
+    survey = plate.with_(
+        {
+            "instrument.emitter.position": [0.0, 0.0, 0.0],
+            "instrument.receiver.position": receiver.tolist(),
+            "instrument.receiver.azimuth": float(np.arctan2(axis[0], axis[2])),
+            "instrument.receiver.elevation": 0.0,
+            "scan.moves": "beam",
+        }
+    )
+    where = medium(survey, water_properties(survey))
+    seen = view(survey, np.array(azimuth), np.array(0.0), medium=where)
+    point = depth * np.array([np.sin(azimuth), 0.0, np.cos(azimuth)])
+    way = point - receiver
+    expected = np.linalg.norm(way - (way @ axis) * axis)
+    found = np.hypot(seen.baseline - seen.tilt * depth, seen.cross_tilt * depth)
+    # The cross tilt is the root of a difference, so zero comes out as 1e-8.
+    assert found == pytest.approx(expected, abs=1e-7)

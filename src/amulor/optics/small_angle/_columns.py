@@ -11,7 +11,12 @@ from numpy.typing import ArrayLike, NDArray
 
 from amulor._decisions import FARTHEST, is_known
 from amulor.optics import _bounds
-from amulor.optics._water_column import Receiver, checked, phase_per_depth
+from amulor.optics._water_column import (
+    Receiver,
+    checked,
+    phase_per_depth,
+    refuse_behind_receiver,
+)
 from amulor.optics.small_angle._tables import PhaseFunction, Table, table
 
 __all__ = ["Arguments", "Column", "looks", "overlap_of", "response_of"]
@@ -85,6 +90,7 @@ def overlap_of(
     z = np.asarray(checked("depth", depth))
     spread = table(phase_function, split_angle)
     columns = _columns(arguments, depth=z)
+    refuse_behind_receiver(columns["standoff"], z)
     names, values = list(columns), list(columns.values())
     z, *values = np.broadcast_arrays(z, *values)
     out = np.empty(z.shape)
@@ -125,6 +131,7 @@ def response_of(
 
     many gives it for many columns that differ in where beam and receiver look only.
     """
+    refuse_behind_receiver(arguments.standoff)
     phases = phase_per_depth(modulation_frequency, group_index=group_index)
     spread = table(phase_function, split_angle)
     if backscatter_vsf is None:

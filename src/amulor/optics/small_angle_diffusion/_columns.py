@@ -10,7 +10,12 @@ from numpy.typing import ArrayLike, NDArray
 
 from amulor.optics import _bounds
 from amulor.optics._quadrature.rule import RULE
-from amulor.optics._water_column import Receiver, checked, phase_per_depth
+from amulor.optics._water_column import (
+    Receiver,
+    checked,
+    phase_per_depth,
+    refuse_behind_receiver,
+)
 from amulor.optics.small_angle_diffusion import _kernels
 
 __all__ = ["Column", "integral"]
@@ -49,6 +54,7 @@ def integral(
     end: ArrayLike,
 ) -> NDArray[np.complex128]:
     """Return beta_pi times the integral of eq. (46) between start and end."""
+    refuse_behind_receiver(column.standoff)
     phases = phase_per_depth(modulation_frequency, group_index=group_index)
     vsf = checked("backscatter_vsf", backscatter_vsf)
     # Both limits are what the caller knows as the end of the water.

@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.constants import speed_of_light
 
 from amulor.optics._bounds import broadcast, require
-from amulor.optics._water_column import checked
+from amulor.optics._water_column import checked, refuse_behind_receiver
 from amulor.optics.small_angle_diffusion._columns import Column, integral
 
 __all__ = ["narrow_receiver_response", "overlap", "water_response", "water_tail"]
@@ -235,6 +235,7 @@ def overlap(
 def _overlap(z: Any, column: Column) -> NDArray[np.float64]:
     """Return F(z) of eq. (43)."""
     path = z + column.standoff
+    refuse_behind_receiver(column.standoff, z)
     area = column.receiver_radius**2 + (column.acceptance_angle * path) ** 2
     area = area + column.spreading * z**3
     offset = (column.baseline - column.tilt * path) ** 2
