@@ -89,6 +89,7 @@ def find(words: str) -> list[Explanation]:
 
 #: Parts of messages and the name of what they say, letters and underscores only.
 _SAID = {
+    "SCAN_STOPPED": r"resume_with",
     "OPEN_WATER_DRIFTED": r"open_water_drifted|take_a_reference",
     "NO_SAMPLE": r"no_sample_for|instrument_still_runs",
     "NO_OPEN_WATER_SHOTS": r"no_open_water_shots",
@@ -322,6 +323,13 @@ def _warnings() -> list[Explanation]:
             "many rounds of shots they have.",
             "Ranges between the shots are interpolated; their uncertainty grows.",
             "Take a reference now, and look for what changes: sediment, lamp, laser.",
+        ),
+        "SCAN_STOPPED": (
+            "The scan is not complete, and no program writes to its journal.",
+            "Lock of the folder, which a program has as long as it runs.",
+            "",
+            "None on what is there: samples that were acknowledged are on the disk.",
+            "See why it ended, then go on with the command in the message.",
         ),
         "NO_SAMPLE": (
             "No sample has come for longer than the rate of the scan lets expect.",

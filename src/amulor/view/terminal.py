@@ -265,7 +265,7 @@ def screen(
     said = [Text(str(line), style="bold yellow") for line in status.get("advice", [])]
     if "error" in status:
         said.append(Text(str(status["error"]), style="bold red"))
-    room = max(2, high - 5 - len(said))
+    room = max(2, high - 5 - sum(-(-len(line.plain) // wide) for line in said))
     small = shrunk(values, room if plain else 2 * room, max(2, wide - 1))
     low, top = limits(small)
     unit = _UNITS.get(wanted, "")

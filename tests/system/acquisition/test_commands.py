@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import builtins
 import json
+import shlex
 import shutil
 import signal
 import sqlite3
@@ -29,6 +30,7 @@ from amulor.acquisition.settings import Settings
 from amulor.cli import acquire, main
 from amulor.simulation import scene_light
 from amulor.survey import Survey
+from amulor.view.page.live import Live
 
 #: Embedded devices that take their time, so that a scan can be caught in the middle.
 PACED = "[procedure]\ndark_readings = 2\n[simulation]\nspeed = 10\n"
@@ -348,6 +350,47 @@ def test_a_termination_leaves_the_laser_off_and_a_folder_that_resumes(
             assert found.segments()[-1]["reason"] == "interrupted by KeyboardInterrupt"
             assert found.count() >= 80
         assert main(["acquire", "scan/survey.toml", "-o", "scan", "--resume"]) == 0
+
+
+@pytest.mark.slow
+def test_who_watches_a_scan_that_was_killed_is_given_the_command_that_resumes_it(
+    here, sized, capsys
+) -> None:
+    Path("tank.toml").write_text(sized(columns=12, rows=6).to_toml())
+    Path("paced.toml").write_text(PACED)
+    words = ["acquire", "tank.toml", "-o", "scan", "--devices", "paced.toml"]
+    running = subprocess.Popen([sys.executable, "-m", "amulor", *words, "--json"])
+    deadline = time.monotonic() + 240
+    try:
+        reached = begun(here / "scan", samples=80)
+        while not reached():
+            assert running.poll() is None
+            assert time.monotonic() < deadline
+            time.sleep(0.05)
+        live = Live(Path("scan"))
+        live.look()
+        assert live.status["state"] == "running"
+    finally:
+        running.kill()
+        running.wait()
+    live.look()
+    command = live.status["resume"]
+    assert live.status["state"] == "stopped"
+    assert live.status["left"] is live.status["rate"] is None
+    assert command == "amulor acquire scan/survey.toml -o scan --resume"
+    assert main(["watch", "scan", "--once"]) == 0
+    out = capsys.readouterr().out
+    assert "stopped, " in out
+    assert f"note: stopped (without notice) at {live.status['done']} of " in out
+    assert f"; resume with: {command}\n" in out
+    # Word for word as in a shell.
+    assert main(shlex.split(command)[1:]) == 0
+    live.look()
+    live.stop()
+    assert live.status["state"] == "finished"
+    assert live.status["resume"] is None
+    assert live.status["done"] == live.status["total"]
+    assert not any("stopped" in one for one in live.status["advice"])
 
 
 @pytest.mark.slow

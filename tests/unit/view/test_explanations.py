@@ -80,13 +80,15 @@ def test_names_and_messages_find_their_explanation(words: str, name: str) -> Non
 def test_everything_that_a_scan_is_told_is_explained() -> None:
     going = Going(
         running=True, done=100, scanned=50, open_water=0, dark=0, rate=10.0,
-        silent=1000.0, drift=Drift(total=Change(size=0.2, error=0.01, chance=1e-9)),
+        silent=1000.0, total=200, resume="amulor acquire", reason="paused",
+        drift=Drift(total=Change(size=0.2, error=0.01, chance=1e-9)),
     )  # fmt: skip
     said = advice(going)
-    assert len(said) == 4
+    assert len(said) == 5
     found = [explanations.find(line)[0].name for line in said]
     assert found == [
-        "NO_SAMPLE", "OPEN_WATER_DRIFTED", "NO_OPEN_WATER_SHOTS", "NO_DARK_READINGS",
+        "SCAN_STOPPED", "NO_SAMPLE", "OPEN_WATER_DRIFTED", "NO_OPEN_WATER_SHOTS",
+        "NO_DARK_READINGS",
     ]  # fmt: skip
 
 

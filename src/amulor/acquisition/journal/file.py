@@ -58,6 +58,32 @@ def claimed(folder: Path) -> sqlite3.Connection:
     return lock
 
 
+def in_use(folder: Path) -> bool:
+    """Return whether a program has the right to write to the journal of a folder.
+
+    Parameters
+    ----------
+    folder : pathlib.Path
+        Folder of a scan; nothing is written to it.
+
+    Returns
+    -------
+    bool
+        True also where the lock cannot be read.
+    """
+    path = folder / _LOCK_NAME
+    if not path.exists():
+        return False
+    address = f"{path.resolve().as_uri()}?mode=ro"
+    try:
+        with contextlib.closing(sqlite3.connect(address, uri=True, timeout=0)) as lock:
+            # An exclusive lock keeps readers out, too.
+            lock.execute("SELECT 1 FROM sqlite_master").fetchall()
+    except sqlite3.Error:
+        return True
+    return False
+
+
 def make(path: Path, *, tables: Sequence[str], meta: Mapping[str, str]) -> None:
     """Make the file, so that one that exists under its name is whole.
 

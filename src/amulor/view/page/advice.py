@@ -40,6 +40,12 @@ class Going:
     """Time since the last sample [s]."""
     drift: Drift = field(default_factory=Drift)
     """Of the open water."""
+    total: int = 0
+    """Samples that a finished scan has [1]."""
+    resume: str | None = None
+    """Command that goes on with a scan to which no program writes."""
+    reason: str = ""
+    """How its last part ended."""
 
 
 _FLAGS = {
@@ -65,6 +71,11 @@ def advice(going: Going) -> list[str]:
         One sentence each; empty if all is well.
     """
     said = []
+    if going.resume is not None:
+        said.append(
+            f"stopped ({going.reason}) at {going.done:,} of {going.total:,} samples; "
+            f"resume with: {going.resume}"
+        )
     patience = _SHORTEST
     if going.rate > 0:
         patience = max(_SHORTEST, _PATIENCE / going.rate)

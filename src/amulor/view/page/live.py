@@ -16,7 +16,9 @@ from numpy.typing import NDArray
 
 from amulor import acquisition
 from amulor import cube as cubes
+from amulor.acquisition.journal.file import in_use
 from amulor.acquisition.journal.journal import Journal
+from amulor.acquisition.run import resume_command
 from amulor.cube import QualityFlag
 from amulor.errors import AmulorError
 from amulor.survey import Survey, water_properties
@@ -142,9 +144,12 @@ class Live:
         rows = self._patched()
         if rows:
             self.row_time = (time.perf_counter() - begun) / len(rows)
+        # Asked for before the segments: a writer ends its segment, then lets go.
+        resume = None if in_use(self.folder) else resume_command(self.folder)
+        segments = self._journal.segments()
         with self._lock:
             self._rows.update({(one.channel, one.row): one for one in rows})
-            self.status = self._progress.status(self._journal.segments())
+            self.status = self._progress.status(segments, resume=resume)
         self._maybe_all()
 
     def _patched(self) -> list[Rows]:

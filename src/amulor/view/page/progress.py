@@ -47,6 +47,13 @@ class Progress:
         content = tomllib.loads(meta["devices"]).get("procedure", {})
         procedure = Procedure.model_validate(content, context={"from_text": True})
         self.total = plan.count(survey, procedure)
+        water = survey.scan.open_water
+        #: Samples of the plan have smaller repeat numbers.
+        self._planned = {
+            plan.SCAN: 1,
+            plan.OPEN_WATER: 0 if water is None else water.repeats,
+            plan.DARK: procedure.references * procedure.dark_readings,
+        }
         instrument = survey.instrument
         self._frequency = {
             value: at for at, value in enumerate(instrument.modulation_frequencies)
@@ -71,7 +78,10 @@ class Progress:
         self._flags: Counter[str] = Counter()
         self._recent: deque[tuple[float, int]] = deque(maxlen=_RECENT)
         self._kind = ""
+        self._filled: Counter[tuple[str, int]] = Counter()
+        self._row: int | None = None
         self._last_at = clock()
+        self._running = False
         self._elapsed = 0.0
         self.seen = 0
 
@@ -84,6 +94,8 @@ class Progress:
         """Take over a sample; returns channel and row of one that is of the scan."""
         self.seen += 1
         self._counts[key.kind] += 1
+        # References after a break, and retakes.
+        self.total += key.repeat >= self._planned[key.kind]
         self._kind = key.kind
         self._last_at = self._clock()
         self._elapsed = max(self._elapsed, record.elapsed)
@@ -103,7 +115,11 @@ class Progress:
         else:
             at = self._frequency[key.frequency], self._channel[key.polarization]
             self._signal[(*at, key.row, key.column)] = signal
-            return key.polarization, key.row
+            where = key.polarization, key.row
+            self._filled[where] += key.repeat == 0
+            if self._filled[where] == self._signal[:, 0, 0].size:
+                self._row = key.row
+            return where
         return None
 
     def whole(self, channel: str, row: int) -> bool:
@@ -132,23 +148,26 @@ class Progress:
             dark = [np.mean(self._dark.get(one[:2], [0.0])) for one in series]
             elapsed = shots[..., 1].real.mean(axis=0)
             order = np.argsort(elapsed)
-            water = self._survey.scan.open_water
             found = drift_of(
                 (shots[..., 0] - np.array(dark)[:, np.newaxis])[:, order],
                 cluster=[f"{name} {row} {column}" for _, name, row, column in series],
                 elapsed=elapsed[order],
-                rounds=0 if water is None else water.repeats,
+                rounds=self._planned[plan.OPEN_WATER],
             )
             self._drift = known, found
         return self._drift[1]
 
-    def status(self, segments: list[dict[str, Any]]) -> dict[str, Any]:
+    def status(
+        self, segments: list[dict[str, Any]], *, resume: str | None
+    ) -> dict[str, Any]:
         """Return how the scan goes, for the page.
 
         Parameters
         ----------
         segments : list of dict
             Parts of the scan, as the journal has them.
+        resume : str, optional
+            Command that goes on with the scan, if no program writes to its journal.
 
         Returns
         -------
@@ -156,12 +175,21 @@ class Progress:
             Numbers and words that JSON can hold.
         """
         now = self._clock()
+        last = segments[-1] if segments else {"ended": "", "reason": "not begun"}
+        # Devices that are not safe may follow the word.
+        finished = str(last["reason"]).startswith("finished")
+        running = last["ended"] is None and resume is None
+        if finished:
+            resume = None
+        if not (running and self._running):
+            # Time without a writer counts neither for the rate nor as silence.
+            self._recent.clear()
+            self._last_at = now
+        self._running = running
         if not self._recent or self._recent[-1][1] != self.seen:
             self._recent.append((now, self.seen))
-        running = bool(segments) and segments[-1]["ended"] is None
-        finished = bool(segments) and segments[-1]["reason"] == "finished"
         rate = self._rate(now)
-        total = max(self.total, self.seen) if not finished else self.seen
+        total = self.seen if finished else self.total
         drift = self.drift()
         silent = now - self._last_at
         going = Going(
@@ -174,17 +202,19 @@ class Progress:
             rate=rate,
             silent=silent,
             drift=drift,
+            total=total,
+            resume=resume,
+            reason=last["reason"] or "without notice",
         )
-        if finished:
-            state = "finished"
-        elif running:
+        state = "stopped" if resume is not None else str(last["reason"])
+        if running:
             state = "running"
-        else:
-            state = str(segments[-1]["reason"]) if segments else "not begun"
         left = (total - self.seen) / rate if running and rate > 0 else None
         return {
             "state": state,
+            "resume": resume,
             "kind": self._kind.replace("_", " "),
+            "row": self._row,
             "done": self.seen,
             "total": total,
             "rate": rate if running and rate > 0 else None,

@@ -5,6 +5,8 @@ from __future__ import annotations
 import dataclasses
 import os
 import sqlite3
+import subprocess
+import sys
 import threading
 from pathlib import Path
 
@@ -265,6 +267,29 @@ def test_a_wrong_use_of_the_journal_is_no_matter_of_the_disk(folder: Path) -> No
     assert "report it" in str(found.value)
     for word in ("space", "permissions", "disk"):
         assert word not in str(found.value)
+
+
+def test_whether_a_program_writes_is_known_without_touching_anything(
+    folder: Path,
+) -> None:
+    assert not journal_file.in_use(folder)
+    with Journal.create(folder, meta=META):
+        assert journal_file.in_use(folder)
+        # Another program sees it, too, and to ask has not let go of the lock.
+        asked = (
+            "import sys; from pathlib import Path; "
+            "from amulor.acquisition.journal import file; "
+            "sys.exit(file.in_use(Path(sys.argv[1])))"
+        )
+        words = [sys.executable, "-c", asked, str(folder)]
+        assert subprocess.run(words).returncode == 1
+        with pytest.raises(FormatError, match="another program"):
+            Journal.resume(folder, meta=META)
+    before = sorted((one.name, one.stat().st_mtime_ns) for one in folder.iterdir())
+    assert not journal_file.in_use(folder)
+    assert before == sorted(
+        (one.name, one.stat().st_mtime_ns) for one in folder.iterdir()
+    )
 
 
 def test_a_reader_can_write_nothing(folder: Path) -> None:

@@ -281,6 +281,79 @@ def test_drift_is_found_within_its_error_where_a_channel_sees_no_water(
     assert 0.8 < np.quantile(abs(z), 0.68) < 1.4
 
 
+BEGUN = {"number": 1, "started": "", "ended": None, "reason": None}
+
+
+def test_a_scan_without_a_writer_is_stopped_and_a_pause_is_not_in_the_rate(
+    survey: Survey,
+) -> None:
+    (frequency,) = survey.instrument.modulation_frequencies
+    clock = Clock()
+    progress = Progress(survey, {"devices": ""}, clock=clock)
+    planned = progress.total
+    keys = iter(
+        Key("scan", row, column, frequency, "VV", 0)
+        for row in range(3)
+        for column in range(8)
+    )
+
+    def taken(count: int, *, key: Key | None = None) -> None:
+        for _ in range(count):
+            clock.now += 0.5
+            progress.take(key or next(keys), sample(1j, elapsed=clock.now))
+            running.append(progress.status([BEGUN], resume=None))
+
+    running: list[dict[str, object]] = []
+    taken(9)
+    assert running[-1]["rate"] == pytest.approx(2.0)
+    assert running[-1]["row"] == 0
+    clock.now += 600
+    command = "amulor acquire scan/survey.toml -o scan --resume"
+    stopped = progress.status([BEGUN], resume=command)
+    assert stopped["state"] == "stopped"
+    assert stopped["rate"] is stopped["left"] is None
+    assert stopped["advice"][0] == (
+        f"stopped (without notice) at 9 of {planned} samples; resume with: {command}"
+    )
+    assert not any("no sample for" in one for one in stopped["advice"])
+    # Ten minutes later it goes on: by a reference, which the plan does not count.
+    clock.now += 600
+    again = progress.status([BEGUN], resume=None)
+    assert again["state"] == "running"
+    assert again["resume"] is None
+    assert not any("stopped" in one or "no sample" in one for one in again["advice"])
+    repeats = survey.scan.open_water.repeats if survey.scan.open_water else 0
+    taken(1, key=Key("open_water", 0, 0, frequency, "VV", repeats))
+    taken(9)
+    assert running[-1]["rate"] == pytest.approx(2.0)
+    assert running[-1]["total"] == planned + 1
+    assert running[-1]["left"] == round((planned + 1 - 19) / 2)
+    assert running[-1]["row"] == 1
+
+
+@pytest.mark.parametrize(
+    ("reason", "held", "state"),
+    [
+        ("paused", True, "paused"),
+        ("paused", False, "stopped"),
+        ("the lock-in is silent", False, "stopped"),
+        ("finished", True, "finished"),
+        ("finished", False, "finished"),
+        ("finished; laser: still on", False, "finished; laser: still on"),
+    ],
+)
+def test_a_state_needs_the_end_of_the_last_part_and_the_lock(
+    survey: Survey, reason: str, held: bool, state: str
+) -> None:
+    progress = Progress(survey, {"devices": ""}, clock=Clock())
+    ended = {**BEGUN, "ended": "2026-05-04", "reason": reason}
+    found = progress.status([ended], resume=None if held else "again")
+    assert found["state"] == state
+    said = [f"stopped ({reason}) at 0 of {progress.total} samples; resume with: again"]
+    assert found["advice"] == (said if state == "stopped" else [])
+    assert found["resume"] == ("again" if state == "stopped" else None)
+
+
 def test_spoiled_shots_and_rounds_that_are_not_whole_tell_nothing_of_the_water(
     survey: Survey,
 ) -> None:

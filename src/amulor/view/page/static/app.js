@@ -24,6 +24,7 @@ const state = {
   ownLimits: new Map(),
   cursor: null,
   pinned: null,
+  follow: true,
   tool: null,
   picks: [],
   region: null,
@@ -276,7 +277,7 @@ let asked = 0;
 
 async function point(pixel) {
   if (pixel === undefined) return redraw();
-  state.cursor = pixel ?? state.pinned;
+  state.cursor = pixel ?? state.pinned ?? state.cursor;
   readout();
   redraw();
   const { scene, cursor } = state;
@@ -637,6 +638,12 @@ const page = {
     });
     return reloading;
   },
+  /** Point at the newest row of a running scan, unless somebody points elsewhere. */
+  follow(row) {
+    const { cursor, pinned, scene } = state;
+    const to = row - (row % scene.stride);
+    if (state.follow && !pinned && cursor && cursor[0] !== to) point([to, cursor[1]]);
+  },
   /** Show what came in, in colours that fit it. */
   refresh() {
     state.limits = limitsOf(state.layerName);
@@ -651,9 +658,13 @@ async function main() {
   for (const [kind, name] of Object.entries(MAP_OF)) state.tables[kind] = table(name);
   state.look = { light: [0, 0, 0], relief: 1, contour: 0, raw: false };
   themed(matchMedia("(prefers-color-scheme: dark)").matches ? "dark" : "light");
-  const hover = (pixel) => point(pixel);
+  const hover = (pixel) => {
+    // A pointer that was moved stays; a double click lets it follow a scan again.
+    if (pixel !== undefined) state.follow = pixel === null;
+    return point(pixel);
+  };
   views.map = new MapView($("map"), { hover, pick: picked, drag: dragged });
-  views.cloud = new CloudView($("cloud"), { hover: (pixel) => pixel && point(pixel), pick: picked, changed: redraw });
+  views.cloud = new CloudView($("cloud"), { hover: (pixel) => pixel && hover(pixel), pick: picked, changed: redraw });
   state.views = views;
   state.record = new MeasurementRecord(state, () => {
     listed();

@@ -117,7 +117,8 @@ export class Live {
     if (status?.state === undefined) return;
     const colours = this.page.colours();
     this.state.textContent = status.state === "running" ? `taking ${status.kind || "the first sample"}` : status.state;
-    this.state.classList.toggle("lost", Boolean(status.error));
+    this.state.classList.toggle("lost", Boolean(status.error ?? status.resume));
+    if (status.state === "running" && status.row !== null) this.page.follow(status.row);
     const share = status.done / Math.max(status.total, 1);
     this.bar.style.width = `${100 * share}%`;
     this.bar.parentElement.ariaValueNow = String(Math.round(100 * share));
@@ -128,11 +129,26 @@ export class Live {
     rows.push(["scan time", duration(status.elapsed)]);
     for (const [name, count] of flagged) rows.push([name, `${count} (${short((100 * count) / status.done, 2)} %)`]);
     this.list.replaceChildren(...rows.flatMap(([term, text]) => [made("dt", "", term), made("dd", "", text)]));
-    this.advice.replaceChildren(...status.advice.map((text) => made("div", "advice", text[0].toUpperCase() + text.slice(1) + ".")));
+    this.#advise(status);
     this.#drift(status.drift, colours);
     this.replay.hidden = status.state !== "finished";
     document.documentElement.dataset.done = String(status.done);
     document.documentElement.dataset.state = status.state;
+  }
+
+  #advise({ advice, resume }) {
+    const said = advice.map((text) => text[0].toUpperCase() + text.slice(1));
+    // While nothing changes it stays, so that a command can be selected and copied.
+    if (this.said === said.join("\n")) return;
+    this.said = said.join("\n");
+    this.advice.replaceChildren(
+      ...said.map((text) => {
+        if (!resume || !text.endsWith(resume)) return made("div", "advice", `${text}.`);
+        const line = made("div", "advice", text.slice(0, -resume.length));
+        line.append(made("code", "", resume));
+        return line;
+      }),
+    );
   }
 
   #drift({ elapsed, change, error, total }, colours) {
