@@ -108,6 +108,15 @@ def test_a_scan_grows_while_the_page_is_open(
             until(shown, f"({KNOWN}) > {first}")
             assert shown.inner_text("#scan-card .state").startswith("taking")
             assert "time left" in shown.inner_text("#scan-card")
+            # The pointer is in the newest row, until it is moved.
+            until(shown, "amulor.cursor[0] === amulor.live.status.row")
+            assert "none" not in shown.inner_text("#readout")
+            shown.press("#map", "ArrowUp")
+            shown.press("#map", "ArrowUp")
+            pointed = shown.evaluate("amulor.cursor[0]")
+            until(shown, f"({KNOWN}) >= 155")
+            assert shown.evaluate("amulor.live.status.row !== amulor.cursor[0]")
+            assert shown.evaluate("amulor.cursor[0]") == pointed
             # Loss of the connection: said, and mended by itself.
             shown.evaluate(CLOSED)
             until(shown, "window.states.some((state) => state.includes('lost'))")
