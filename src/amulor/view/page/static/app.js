@@ -10,7 +10,7 @@ import { along, drawHistogram, drawProfile, drawSpectrum, profileOf } from "./pl
 import { Products } from "./products.js";
 import { MeasurementRecord, wireRecord } from "./record.js";
 import { Renderer } from "./renderer.js";
-import { sampled, Scene } from "./scene.js";
+import { ROUNDING, sampled, Scene } from "./scene.js";
 import { source } from "./source.js";
 import { scaled, short, withError, withUnit } from "./text.js";
 import { asObject, asRows, asText, captioned, circumstances, measured, toolOf, TOOLS, worded } from "./tools.js";
@@ -67,7 +67,7 @@ function draw() {
   if (layer.kind !== "flags") {
     const unit = layer.kind === "range" ? { unit: layer.unit, factor: 1 } : scaled(Math.max(...state.limits.map(Math.abs)), layer.unit);
     colourBar($("bar"), state.tables[layer.kind], state.limits.map((value) => value * unit.factor), unit.unit, colours);
-    $("unit").textContent = unit.unit;
+    $("unit").textContent = scene.nothing(state.layerName) ? `${unit.unit}: 0 within rounding` : unit.unit;
   }
   drawProfile($("profile"), state, colours);
   drawHistogram($("histogram"), state, colours);
@@ -131,7 +131,8 @@ function calm() {
 function lightNote() {
   if (!state.scene.maps.has("uncertainty")) return;
   const { wide, noise, degrees } = noiseOf(Number($("reach").value));
-  $("light-note").textContent = `Light and contours on means of ${wide} × ${wide} pixels, noise ${withUnit(noise, "m", 2)}: slopes under ${short(Math.min(2 * degrees, 90), 2)}° may be noise.`;
+  const lit = state.scene.byName.get(state.layerName).kind === "range";
+  $("light-note").textContent = `${lit ? "Light and contours" : "Light is for the range map; contours"} on means of ${wide} × ${wide} pixels, noise ${withUnit(noise, "m", 2)}: slopes under ${short(Math.min(2 * degrees, 90), 2)}° may be noise.`;
   $("light-note").dataset.slope = String(degrees);
 }
 
@@ -262,6 +263,7 @@ async function show(name) {
   state.limits = limitsOf(wanted);
   for (const button of $("tabs").children) button.setAttribute("aria-selected", String(button.dataset.layer === name.replace("_before", "")));
   const flags = layer.kind === "flags";
+  for (const id of ["light", "light-turn", "light-rise"]) $(id).disabled = layer.kind !== "range";
   $("bar").parentElement.hidden = flags;
   $("legend").hidden = !flags;
   if (flags) showLegend(scene.maps.get(wanted).values, scene.flags);
@@ -304,18 +306,26 @@ function readout() {
   const range = get(scene.main);
   const error = get("uncertainty");
   const raw = get("range_before");
+  const waterIn = scene.main === "range" && shownRaw();
+  const shape = waterIn ? "range_before" : scene.main;
   const add = (term, text, kind = "") => rows.push([term, text, kind]);
   $("where").textContent = `row ${cursor[0]}, column ${cursor[1]}`;
-  if (Number.isFinite(range)) {
+  const moved = () => `${short(raw * 1e3, 5)} mm (${signed(raw - range)})`;
+  if (waterIn) {
+    add("range", Number.isFinite(raw) ? `${short(raw * 1e3, 5)} mm, water in` : "none", "big");
+    add("water taken out", Number.isFinite(range) ? withError(range, error, "m") : "none");
+    if (Number.isFinite(raw - range)) add("moved by water", signed(raw - range));
+  } else if (Number.isFinite(range)) {
     add("range", Number.isFinite(error) ? withError(range, error, "m") : withUnit(range, "m", 5), "big");
     if (Number.isFinite(get("common"))) add("shared part", withUnit(get("common"), "m", 2));
-    if (Number.isFinite(get("bias"))) add("bias left", Math.abs(get("bias")) < 1e-9 ? "0 mm" : withUnit(get("bias"), "m", 2));
-    if (Number.isFinite(raw) && scene.main === "range") add("water in", `${`${short(raw * 1e3, 5)} mm`} (${signed(raw - range)})`);
+    if (Number.isFinite(get("bias"))) add("bias left", Math.abs(get("bias")) < ROUNDING ? "0 within rounding" : withUnit(get("bias"), "m", 2));
+    if (Number.isFinite(raw) && scene.main === "range") add("water in", moved());
   } else add("range", "none", "big");
-  if (Number.isFinite(get("amplitude"))) add("amplitude", withUnit(get("amplitude"), "V", 3));
-  const place = scene.point(...cursor);
+  const amplitude = get(waterIn && scene.byName.has("amplitude_before") ? "amplitude_before" : "amplitude");
+  if (Number.isFinite(amplitude)) add("amplitude", withUnit(amplitude, "V", 3));
+  const place = scene.point(...cursor, shape);
   if (place) add("place", place.map((part) => short(part * 1e3, Math.abs(part) >= 1 ? 5 : 4)).join(", ") + " mm");
-  const flags = scene.maps.has("flags") ? scene.reasons(...cursor) : scene.maps.has("flags_before") ? scene.reasons(...cursor, "flags_before") : [];
+  const flags = scene.reasons(...cursor, scene.maps.has("flags") && !waterIn ? "flags" : "flags_before");
   showReadout(rows, flags);
 }
 
@@ -427,7 +437,7 @@ async function picture(view) {
   const words = [$("subtitle").textContent, `Channel ${scene.channel}, ${state.raw ? "water in" : "water taken out"}.`];
   if (view.id === "cloud" && !views.cloud.camera.orthographic) words.push("In perspective: no scale.");
   if (flags) words.push([...$("legend").children].map((one) => one.textContent).join("; "));
-  else if ($("light").checked) words.push($("light-note").textContent);
+  else if (($("light").checked && layer.kind === "range") || state.look.contour) words.push($("light-note").textContent);
   words.push(...state.measurements.map(captioned));
   // A picture to hand over has no pointer in it.
   const { cursor } = state;
@@ -466,7 +476,7 @@ function narrow() {
   const layer = scene.byName.get(state.layerName);
   const value = cursor && scene.value(state.layerName, ...cursor);
   if (!Number.isFinite(value) || layer.kind === "flags") return;
-  const span = (state.limits[1] - state.limits[0]) / 4;
+  const span = Math.max((state.limits[1] - state.limits[0]) / 4, scene.least(state.layerName));
   const middle = layer.kind === "signed" ? 0 : value;
   state.ownLimits.set(state.layerName.replace("_before", ""), [middle - span, middle + span]);
   state.limits = limitsOf(state.layerName);
@@ -485,13 +495,14 @@ async function water(raw) {
   state.raw = raw;
   await Promise.all(["range_before", "flags_before"].filter((name) => scene.byName.has(name)).map((name) => scene.load(name)));
   await show(state.layerName.replace("_before", ""));
+  views.cloud.follow(scene, shownRaw() ? "range_before" : scene.main);
 }
 
 const KEYS = {
   w: () => water(!state.raw),
   r: () => {
     views.map.home();
-    views.cloud.home(state.scene);
+    views.cloud.home(state.scene, shownRaw() ? "range_before" : state.scene.main);
   },
   o: () => orthographic(),
   f: () => views.cloud.front(),

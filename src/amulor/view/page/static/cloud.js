@@ -20,13 +20,15 @@ export class CloudView {
   }
 
   /** Look at a scene as a whole. */
-  home(scene) {
+  home(scene, shape = scene.main) {
     const places = [];
     const step = Math.max(1, Math.floor(Math.sqrt((scene.wide * scene.high) / 3000)));
     for (let row = 0; row < scene.high; row += step) {
       for (let column = 0; column < scene.wide; column += step) {
-        const point = scene.point(row * scene.stride, column * scene.stride);
-        if (point) places.push(point);
+        const pixel = [row * scene.stride, column * scene.stride];
+        const point = scene.point(...pixel, shape);
+        // Without a target, raw ranges are those of the water alone, far before it.
+        if (point && Number.isFinite(scene.value(scene.main, ...pixel))) places.push(point);
       }
     }
     if (!places.length) places.push(...[[0, 0], [scene.rows - 1, scene.columns - 1]].map((pixel) => scene.beams.point(...pixel, scene.typical)));
@@ -41,6 +43,17 @@ export class CloudView {
     this.#fitted();
   }
 
+  /** Keep another shape of the scene in view, from the same side and as near. */
+  follow(scene, shape) {
+    const { turn, rise, target, start, distance } = this.camera;
+    const before = this.fitting;
+    this.home(scene, shape);
+    Object.assign(this.camera, { turn, rise });
+    this.#fitted();
+    this.camera.target = this.camera.target.map((part, k) => part + target[k] - start.target[k]);
+    this.camera.distance *= distance / before;
+  }
+
   /** Look along the beams. */
   front() {
     this.camera.straight();
@@ -50,6 +63,7 @@ export class CloudView {
   #fitted() {
     const { clientWidth, clientHeight } = this.canvas;
     if (clientHeight) this.camera.fit(this.places ?? [], clientWidth / clientHeight);
+    this.fitting = this.camera.distance;
   }
 
   #parts(state, stride) {
@@ -110,7 +124,7 @@ export class CloudView {
     const { context: ctx, canvas } = this;
     const { scene } = state;
     const ratio = canvas.width / Math.max(canvas.clientWidth, 1);
-    const shape = state.look.raw && scene.byName.has("range_before") ? "range_before" : scene.main;
+    const shape = shapeOf(state);
     const spotOf = (pixel) => this.#spot(scene.point(...pixel, shape));
     const chains = [...state.measurements.map((kept) => ({ ...kept, strong: kept === state.chosen })), { kind: state.tool, picks: state.picks, strong: true }];
     for (const { kind, picks = [], strong, number } of chains) {
@@ -206,7 +220,7 @@ export class CloudView {
     }
     canvas.addEventListener("contextmenu", (event) => event.preventDefault());
     canvas.addEventListener("dblclick", () => {
-      if (this.state) this.home(this.state.scene);
+      if (this.state) this.home(this.state.scene, shapeOf(this.state));
       this.#turned();
     });
   }
@@ -248,6 +262,11 @@ export class CloudView {
       }
     }, 180);
   }
+}
+
+/** Return the map that the points are made of. */
+function shapeOf({ scene, look }) {
+  return look.raw && scene.byName.has("range_before") ? "range_before" : scene.main;
 }
 
 function dotted(a, b) {

@@ -136,8 +136,10 @@ export function drawProfile(canvas, state, colours) {
       high = Math.max(high, beside[Math.floor(0.97 * (beside.length - 1))]);
     }
   }
-  const room = (high - low || Math.abs(high) * 0.01 || 1) * 0.08;
-  const unit = high - low < 0.02 && layer.kind !== "range" ? scaled(high, layer.unit) : layer.unit === "V" ? scaled(high, "V") : { unit: layer.unit, factor: 1 };
+  const missing = scene.least(name) - (high - low) / 2;
+  if (missing > 0) [low, high] = [low - missing, high + missing];
+  const room = (high - low) * 0.08;
+  const unit = high - low < 0.02 && layer.kind !== "range" ? scaled(Math.max(Math.abs(low), Math.abs(high)), layer.unit) : layer.unit === "V" ? scaled(high, "V") : { unit: layer.unit, factor: 1 };
   const f = unit.factor;
   const span = line.at(-1).x;
   const across = span < 2 ? { factor: 1e3, unit: "mm" } : { factor: 1, unit: "m" };

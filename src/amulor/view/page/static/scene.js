@@ -3,6 +3,9 @@
 import { flagRanks, flagTable, MAP_OF, table } from "./colour.js";
 import { Beams } from "./geometry.js";
 
+/** Lengths [m] and chances [1] below this are rounding. */
+export const ROUNDING = 1e-9;
+
 /** Numbers of a channel, kept here and on the graphics unit. */
 export class Scene {
   constructor(source, renderer) {
@@ -133,6 +136,27 @@ export class Scene {
     return this.flags.filter((flag) => bits & flag.mask);
   }
 
+  /** Return the half span below which differences of a map mean nothing: a hundredth of
+  the error of ranges, a tenth of an error itself, or rounding. */
+  least(name) {
+    const { values, layer } = this.maps.get(name);
+    const middle = (all) => {
+      const some = sampled(all, 4000).filter(Number.isFinite).sort((a, b) => a - b);
+      return some.length ? Math.abs(some[some.length >> 1]) : 0;
+    };
+    if (layer.kind === "error") return middle(values) / 20 || ROUNDING;
+    if (layer.kind === "chance") return ROUNDING;
+    if (layer.unit !== "m") return middle(values) * 1e-6 || ROUNDING;
+    const error = this.maps.get("uncertainty")?.values ?? [];
+    return Math.max(middle(error) / 100, layer.kind === "range" ? 1e-6 : ROUNDING);
+  }
+
+  /** Return whether all of a map is 0 within rounding. */
+  nothing(name) {
+    const { values, layer } = this.maps.get(name);
+    return layer.kind === "signed" && values.every((value) => !(Math.abs(value) >= ROUNDING));
+  }
+
   /** Return the limits of a map: all but its extremes, symmetric for signed ones. */
   limits(name) {
     const { values, layer } = this.maps.get(name);
@@ -141,13 +165,14 @@ export class Scene {
     if (!some.length) return [0, 1];
     const at = (share) => some[Math.min(some.length - 1, Math.floor(share * some.length))];
     const [low, high] = [at(0.01), at(0.985)];
+    const least = this.least(name);
     if (layer.kind === "signed") {
-      const size = Math.max(Math.abs(low), Math.abs(high)) || 1e-6;
+      const size = Math.max(Math.abs(low), Math.abs(high), least);
       return [-size, size];
     }
     if (layer.kind === "amplitude") return [0, high || 1];
-    const room = (high - low || Math.abs(high) || 1e-3) * 0.03;
-    return [low - room, high + room];
+    const half = Math.max((high - low) * 0.53, least);
+    return [(low + high) / 2 - half, (low + high) / 2 + half];
   }
 
   /** Return what the programs of the graphics unit need of this scene. */
@@ -163,7 +188,8 @@ export class Scene {
         uLimits: ["2f", ...limits],
         uKind: ["1i", layer.kind === "flags" ? 1 : 0],
         uMissing: ["3f", ...look.missing],
-        uLight: ["3f", ...look.light],
+        // Light is for relief: on other maps it would change what colors mean.
+        uLight: ["3f", ...(layer.kind === "range" ? look.light : [0, 0, 0])],
         uRelief: ["1f", look.relief],
         uContour: ["1f", look.contour],
         uGround: ["3f", ...look.ground],

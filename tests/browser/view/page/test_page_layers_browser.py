@@ -1,0 +1,116 @@
+"""Maps of the page show what is there: no light on numbers, no rounding in color."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+from pages import drawn, settled, until
+
+from amulor import rejection, samples
+from amulor.view import page
+
+pytestmark = pytest.mark.slow
+
+
+@pytest.fixture(scope="module")
+def ladder() -> page.Recording:
+    target = rejection.open_water(samples.cube("ladder"))
+    return page.recording_of(target, name="ladder.nc")
+
+
+def layer(shown: Any, number: int) -> None:
+    """Show a map by its key, without the pointer on it."""
+    name = shown.evaluate(f"amulor.tabs[{number - 1}]")
+    shown.keyboard.press(str(number))
+    until(shown, f"amulor.layerName === '{name}'")
+    shown.evaluate("amulor.cursor = null")
+    settled(shown)
+
+
+def values(shown: Any, name: str) -> np.ndarray:
+    found = shown.evaluate(f"[...amulor.scene.maps.get('{name}').values]")
+    return np.array(found, dtype=float)
+
+
+def test_light_falls_on_ranges_alone(
+    tab: Callable[..., Any], steps: page.Recording
+) -> None:
+    one = tab()
+    with page.background(steps) as address:
+        shown = one.open(address)
+        for number, changes in ((1, True), (2, False), (3, False)):
+            layer(shown, number)
+            pictures = []
+            for on in ("true", "false"):
+                shown.evaluate(f"document.getElementById('light').checked = {on}")
+                shown.evaluate("document.getElementById('light-rise').value = 10")
+                shown.evaluate("window.dispatchEvent(new Event('resize'))")
+                layer(shown, number)
+                pictures.append([drawn(shown, "map"), drawn(shown, "cloud")])
+            for lit, plain in zip(*pictures, strict=True):
+                assert (lit != plain).any() == changes, number
+            assert shown.is_disabled("#light") != changes
+        assert one.errors == []
+
+
+def test_rounding_has_no_color(tab: Callable[..., Any], ladder: page.Recording) -> None:
+    one = tab()
+    with page.background(ladder) as address:
+        shown = one.open(address)
+        layer(shown, 4)
+        bias, error = values(shown, "bias"), values(shown, "uncertainty")
+        assert shown.evaluate("amulor.layerName") == "bias"
+        assert 0 < np.nanmax(np.abs(bias)) < 1e-12
+        # The scale is of the size of errors, and its middle is white.
+        limit = shown.evaluate("amulor.limits[1]")
+        assert limit == pytest.approx(np.nanmedian(error) / 100, rel=1e-3)
+        assert shown.inner_text("#unit") == "µm: 0 within rounding"
+        picture = drawn(shown, "map")[..., :3]
+        height = picture.shape[0] // 2
+        saturation = np.ptp(picture[height - 20 : height + 20], axis=-1)
+        assert saturation.max() < 30
+        assert one.errors == []
+
+
+def test_with_the_water_in_the_raw_range_is_stated_and_the_cloud_in_view(
+    tab: Callable[..., Any], ladder: page.Recording
+) -> None:
+    one = tab()
+    with page.background(ladder) as address:
+        shown = one.open(address)
+        row, column = shown.evaluate("amulor.cursor")
+        corrected = shown.inner_text("#readout dd.big")
+        assert "±" in corrected
+        shown.keyboard.press("w")
+        until(shown, "amulor.layerName === 'range_before'")
+        settled(shown)
+        raw = shown.evaluate(f"amulor.scene.value('range_before', {row}, {column})")
+        said = shown.inner_text("#readout dd.big")
+        assert said == f"{raw * 1e3:.1f} mm, water in"
+        assert corrected in shown.inner_text("#readout")
+        place = shown.evaluate(
+            f"amulor.scene.point({row}, {column}, 'range_before')[2]"
+        )
+        assert f"{place * 1e3:.1f} mm" in shown.inner_text("#readout")
+        inside = shown.evaluate("""() => {
+          const { scene, views } = amulor;
+          const { matrix: m } = views.cloud;
+          const inside = [];
+          for (let row = 0; row < scene.rows; row += 3) {
+            for (let column = 0; column < scene.columns; column += 1) {
+              if (!Number.isFinite(scene.value("range", row, column))) continue;
+              const p = scene.point(row, column, "range_before");
+              const on = (k) => m[k] * p[0] + m[k+4] * p[1] + m[k+8] * p[2] + m[k+12];
+              inside.push(Math.abs(on(0) / on(3)) < 1 && Math.abs(on(1) / on(3)) < 1);
+            }
+          }
+          return inside;
+        }""")
+        assert np.mean(inside) > 0.97
+        shown.keyboard.press("w")
+        until(shown, "amulor.layerName === 'range'")
+        assert shown.inner_text("#readout dd.big") == corrected
+        assert one.errors == []
