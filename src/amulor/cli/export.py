@@ -187,6 +187,7 @@ def _by_rows(
                 overwrite=overwrite,
             )  # fmt: skip
     doubt = f", {made.doubtful} of them doubtful" if made.doubtful else ""
+    doubt += f": {made.error_unknown}" if made.error_unknown else ""
     print(f"{output}: {made.points} points{doubt}")
 
 

@@ -67,6 +67,8 @@ def image(
             f"{output}: range image without a usable pixel; see: amulor info {output}"
         )
         return
+    from amulor.cube import error_unknown
+
     if "interval_unsettled" in result.attrs:
         print(_unsettled(output, result.attrs["interval_unsettled"]))
         return
@@ -74,7 +76,8 @@ def image(
     doubtful = float(((flags != 0) & usable).mean())
     print(
         f"{output}: range image, {float(usable.mean()):.1%} of the pixels usable "
-        f"({doubtful:.1%} flagged), median uncertainty {median * 1e3:.2f} mm"
+        f"({doubtful:.1%} flagged), "
+        + (error_unknown(result) or f"median uncertainty {median * 1e3:.2f} mm")
     )
 
 
@@ -110,7 +113,8 @@ def _by_rows(
     if "interval_unsettled" in made.head.attrs:
         print(_unsettled(output, made.head.attrs["interval_unsettled"]))
         return
+    words = str(made.head.attrs.get("error_unknown", ""))
     print(
         f"{output}: range image, {made.usable / made.count:.1%} of the pixels usable "
-        f"({made.doubtful / made.count:.1%} flagged)"
+        f"({made.doubtful / made.count:.1%} flagged)" + (f", {words}" if words else "")
     )

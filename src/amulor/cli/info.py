@@ -71,6 +71,7 @@ def _uncertainty(image: Any) -> dict[str, Any]:
 
     budget = error_budget(image)
     return {
+        "error_unknown": budget.error_unknown,
         "combined_m": budget.combined,
         "common_m": budget.common,
         "expanded_m": budget.expanded,
@@ -94,11 +95,15 @@ def _uncertainty(image: Any) -> dict[str, Any]:
 
 def _lines(budget: dict[str, Any]) -> list[str]:
     """Return the error budget as a person reads it."""
-    if not budget or not math.isfinite(budget["combined_m"]):
+    if not budget:
         return []
+    unknown = [budget["error_unknown"]] if budget["error_unknown"] else []
+    if not math.isfinite(budget["combined_m"]):
+        return unknown
     lines = [
+        *unknown,
         f"{budget['combined_m'] * 1e3:.3g} mm combined standard uncertainty (median), "
-        f"{budget['expanded_m'] * 1e3:.3g} mm with k = {budget['coverage_factor']:g}"
+        f"{budget['expanded_m'] * 1e3:.3g} mm with k = {budget['coverage_factor']:g}",
     ]
     if math.isfinite(budget["common_m"]):
         lines.append(f"{budget['common_m'] * 1e3:.3g} mm of it shared by all pixels")

@@ -10,9 +10,15 @@ from amulor.cube.accessor import (
 from amulor.cube.build import build, open_water
 from amulor.cube.check import check, checked
 from amulor.cube.dimensions import restore_dimensions
+from amulor.cube.error import (
+    WATER_NOT_REMOVED,
+    error_unknown,
+    without_unknown_errors,
+)
 from amulor.cube.provenance import attributes, digest, note
 from amulor.cube.schema import (
     DOUBTFUL,
+    ERROR_UNKNOWN,
     LEVELS,
     SCHEMA_VERSION,
     UNUSABLE,
@@ -21,9 +27,11 @@ from amulor.cube.schema import (
 
 __all__ = [
     "DOUBTFUL",
+    "ERROR_UNKNOWN",
     "LEVELS",
     "SCHEMA_VERSION",
     "UNUSABLE",
+    "WATER_NOT_REMOVED",
     "CubeAccessor",
     "QualityFlag",
     "attach",
@@ -32,12 +40,14 @@ __all__ = [
     "check",
     "checked",
     "digest",
+    "error_unknown",
     "flag_counts",
     "group",
     "note",
     "open_water",
     "restore_dimensions",
     "without_groups",
+    "without_unknown_errors",
 ]
 
 

@@ -37,7 +37,7 @@ class QualityFlag(enum.IntFlag):
     WATER_RESIDUAL = 16
     """What is left of the water signal moves the range by more than its uncertainty."""
     NO_OPEN_WATER = 32
-    """No water signal was taken out: the range still holds it."""
+    """The water signal was not removed: the range has an unknown error."""
     MIXED = 64
     """The beam meets two surfaces at once: the range lies between them."""
     OUTLIER = 128
@@ -54,9 +54,13 @@ UNUSABLE = (
     | QualityFlag.AMBIGUOUS
 )
 
-#: A pixel with one of these has a range that is doubtful by itself; `RELATIVE` and
-#: `NO_OPEN_WATER` concern the whole scan.
-DOUBTFUL = QualityFlag.WATER_RESIDUAL | QualityFlag.MIXED | QualityFlag.OUTLIER
+#: A pixel with one of these has a range of unknown error: no uncertainty is stated.
+ERROR_UNKNOWN = QualityFlag.NO_OPEN_WATER | QualityFlag.RELATIVE
+
+#: A pixel with one of these has a range, but a doubtful one.
+DOUBTFUL = (
+    QualityFlag.WATER_RESIDUAL | QualityFlag.MIXED | QualityFlag.OUTLIER | ERROR_UNKNOWN
+)
 
 
 def flag_attributes() -> dict[str, Any]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -10,6 +11,7 @@ from matplotlib.figure import Figure
 
 from amulor.errors import CubeError
 from amulor.handover.order import Order
+from amulor.handover.statements import in_millimetres
 from amulor.imaging import products
 from amulor.io import drawings as formats
 from amulor.io.files import atomic_output
@@ -52,13 +54,14 @@ def write_section(
     cut = products.section(surface, plane, start=order.line[:2], end=order.line[2:])
     pieces = int(cut.piece.max()) + 1
     line = ", ".join(f"{v:g}" for v in order.line)
-    median = float(np.median(cut.uncertainty)) * 1e3
+    median = in_millimetres(cut.uncertainty)
+    band = "; the band is two of them wide to either side"
+    known = bool(np.isfinite(cut.uncertainty).all())
     statements = [
         f"Section between the places ({line}) m, right and up, of the drawing seen "
         f"from the {plane.side}: distance along it, and height ({plane.names[2]}) "
         "towards the viewer from the origin of the axes",
-        f"Standard uncertainty across the profile: median {median:.2g} mm; the band is "
-        "two of them wide to either side",
+        f"Standard uncertainty across the profile: {median}{band if known else ''}",
         *said[1],
     ]
     if path.suffix.lower() == ".csv":
@@ -83,7 +86,7 @@ def write_section(
             formats.Line(
                 points=np.stack([cut.along, cut.height], axis=1)[cut.piece == number],
                 layer="section",
-                band=cut.uncertainty[cut.piece == number],
+                band=cut.uncertainty[cut.piece == number] if known else None,
             )
             for number in range(pieces)
         )
@@ -96,8 +99,7 @@ def write_section(
         _write_lines(drawing, path, order.scale, overwrite=overwrite)
     return (
         f"section of {_length(cut):.3f} m in {pieces} "
-        f"piece{'s' if pieces > 1 else ''}, standard uncertainty {median:.2g} mm "
-        "(median)"
+        f"piece{'s' if pieces > 1 else ''}, standard uncertainty {median}"
     )
 
 
@@ -131,7 +133,8 @@ def write_contours(
             f"no contour line every {interval * 1e3:g} mm stands out of the noise; "
             "take another interval, or larger cells (--cell), which average more pixels"
         )
-    sigma = float(np.nanmedian(raster.uncertainty))
+    finite = raster.uncertainty[np.isfinite(raster.uncertainty)]
+    sigma = float(np.median(finite)) if finite.size else math.nan
     statements = [f"Contours every {interval * 1e3:g} mm", *said[1]]
     doubt = ""
     if interval < 4 * sigma:
@@ -218,8 +221,8 @@ def raster_statement(raster: products.Raster) -> str:
     names = raster.plane.names
     return (
         f"Seen from the {raster.plane.side}; heights ({names[2]}) count towards the "
-        "viewer from the origin of the axes, with a standard uncertainty of "
-        f"{np.nanmedian(raster.uncertainty) * 1e3:.2g} mm (median). Cells "
+        "viewer from the origin of the axes; standard uncertainty: "
+        f"{in_millimetres(raster.uncertainty)}. Cells "
         f"{raster.cell * 1e3:.3g} mm, pixels of the scan "
         f"{raster.surface.spacing * 1e3:.3g} mm"
     )

@@ -4,16 +4,15 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import numpy as np
 import xarray as xr
 
 from amulor import imaging, io
-from amulor.cube import DOUBTFUL
+from amulor.cube import DOUBTFUL, error_unknown
 from amulor.errors import FormatError
 from amulor.handover import drawings, references
 from amulor.handover.mesh import write_mesh
 from amulor.handover.order import ENDINGS, Order
-from amulor.handover.statements import statements_of
+from amulor.handover.statements import in_millimetres, statements_of
 from amulor.imaging import products
 from amulor.imaging.frame import Frame
 from amulor.io import drawings as formats
@@ -119,8 +118,7 @@ def hand_over(
     rows, columns = raster.height.shape
     return (
         f"{columns} x {rows} cells of {raster.cell * 1e3:.3g} mm, 1:{order.scale:g}, "
-        f"standard uncertainty of heights {np.nanmedian(raster.uncertainty) * 1e3:.2g} "
-        "mm (median)"
+        f"standard uncertainty of heights {in_millimetres(raster.uncertainty)}"
     )
 
 
@@ -132,4 +130,6 @@ def _cloud(image: xr.Dataset, path: Path, frame: Frame, *, overwrite: bool) -> s
         io.write_cloud(cloud, path, overwrite=overwrite)
     marked = int(((cloud["quality_flag"].values & int(DOUBTFUL)) != 0).sum())
     doubt = f", {marked} of them doubtful" if marked else ""
+    words = error_unknown(image)
+    doubt += f": {words}" if words else ""
     return f"{cloud.sizes['point']} points{doubt}"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import Any
 
@@ -212,9 +213,11 @@ def summary_of(found: products.Deviation) -> str:
         Mean with its standard uncertainty, spread, and share that is significant.
     """
     share = found.significant.sum() / found.compared
+    known = math.isfinite(found.mean_uncertainty)
+    error = f"{found.mean_uncertainty * 1e3:.2g} mm" if known else "not known"
     return (
         f"{found.compared} pixels compared: mean {found.mean * 1e3:+.3g} mm, standard "
-        f"uncertainty {found.mean_uncertainty * 1e3:.2g} mm; spread "
+        f"uncertainty {error}; spread "
         f"{found.spread * 1e3:.3g} mm; {share:.1%} significant"
     )
 

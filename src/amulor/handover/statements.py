@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+import math
+
+import numpy as np
 import xarray as xr
+from numpy.typing import ArrayLike
 
 from amulor.imaging import error_budget
 from amulor.imaging.frame import Frame
@@ -31,27 +35,50 @@ def statements_of(image: xr.Dataset, frame: Frame) -> list[str]:
     if frame.crs:
         offset = ", ".join(f"{v:.12g}" for v in frame.crs_offset)
         said.append(f"Reference system: {frame.crs}; add ({offset}) m")
-    said.append(
-        "Uncertainties are standard uncertainties (GUM, k = 1); about 95 of 100 errors "
-        "lie within twice as much. Slant range: median "
-        f"{budget.combined * 1e3:.3g} mm, of which all pixels share "
-        f"{budget.common * 1e3:.3g} mm"
-    )
+    if budget.error_unknown:
+        said.append(_sentence(budget.error_unknown))
+    if math.isfinite(budget.combined):
+        said.append(
+            "Uncertainties are standard uncertainties (GUM, k = 1); about 95 of 100 "
+            "errors lie within twice as much. Slant range: median "
+            f"{budget.combined * 1e3:.3g} mm, of which all pixels share "
+            f"{budget.common * 1e3:.3g} mm"
+        )
     unknown = [term.name.replace("_", " ") for term in budget.unknown]
     if frame.unknown:
         unknown += [f"{name} of the pose" for name in frame.unknown]
     unknown.append("directions of the beams, which count as known")
-    said.append(f"Not in them: {', '.join(unknown)}")
+    if math.isfinite(budget.combined):
+        said.append(f"Not in them: {', '.join(unknown)}")
     geometry = image["geometry"].attrs
     index = float(geometry["group_index"])
     said.append(f"Metres of water range by the group index {index:.4f}")
-    if image.attrs.get("interval_unsettled"):
-        said.append(
-            f"Ranges may be off by whole intervals: {image.attrs['interval_unsettled']}"
-        )
     if image.attrs.get("simulated"):
         said.append("Simulated data; nothing here was measured")
     history = str(image.attrs.get("history", "")).splitlines()
     if history:
         said.append(f"Last step: {history[-1]}")
     return said
+
+
+def _sentence(words: str) -> str:
+    """Return words with a capital letter."""
+    return words[0].upper() + words[1:]
+
+
+def in_millimetres(values: ArrayLike) -> str:
+    """Return the median of uncertainties for a statement.
+
+    Parameters
+    ----------
+    values : array_like
+        Standard uncertainties; not a number where they are not known [m].
+
+    Returns
+    -------
+    str
+        Such as "0.93 mm (median)", or "not known".
+    """
+    known = np.asarray(values, dtype=float)
+    known = known[np.isfinite(known)]
+    return f"{np.median(known) * 1e3:.2g} mm (median)" if known.size else "not known"

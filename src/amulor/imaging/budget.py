@@ -10,6 +10,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
+from amulor.cube import error_unknown
 from amulor.cube.terms import RANGE_PREFIX, TERMS, Term
 from amulor.imaging.calibration import (
     CALIBRATION_TERMS,
@@ -198,11 +199,14 @@ class ErrorBudget:
     Examples
     --------
     >>> from amulor import imaging, rejection, samples
-    >>> target = rejection.cross_polarized(samples.cube("ladder"))
+    >>> target = rejection.unmix(
+    ...     samples.cube("ladder"),
+    ...     target_ratio=0.242, water_ratio=0.099, water_fluctuation=0.137,
+    ... )
     >>> image = imaging.range_image(target)
     >>> budget = imaging.error_budget(image)
     >>> print(f"{1e3 * budget.combined:.2f} mm")
-    0.49 mm
+    7.05 mm
     >>> bool(budget.expanded == 2 * budget.combined)
     True
     """
@@ -210,7 +214,8 @@ class ErrorBudget:
     lines: tuple[BudgetLine, ...]
     """All terms that are known, in the order of `amulor.cube.terms`."""
     combined: float
-    """Combined standard uncertainty, median over the usable pixels [m]."""
+    """Combined standard uncertainty, median over the usable pixels; not a number where
+    it is not known [m]."""
     common: float
     """Part of it that all pixels share; not a number if the image does not say [m]."""
     unknown: tuple[Term, ...]
@@ -223,6 +228,8 @@ class ErrorBudget:
     """Day on which the delay was calibrated; empty if the survey has none."""
     age: float
     """Days from then to the scan; not a number where the cube has no date."""
+    error_unknown: str
+    """Why there is no combined uncertainty, or not for all pixels; else empty."""
 
     @property
     def expanded(self) -> float:
@@ -245,7 +252,8 @@ def error_budget(image: xr.Dataset) -> ErrorBudget:
     Returns
     -------
     ErrorBudget
-        Medians over the pixels that have a range; not a number without any.
+        Medians over the pixels that state their uncertainty; not a number without any.
+        With the water left in none does, and there are no lines.
 
     Notes
     -----
@@ -255,11 +263,14 @@ def error_budget(image: xr.Dataset) -> ErrorBudget:
     Examples
     --------
     >>> from amulor import imaging, rejection, samples
-    >>> target = rejection.cross_polarized(samples.cube("ladder"))
+    >>> target = rejection.unmix(
+    ...     samples.cube("ladder"),
+    ...     target_ratio=0.242, water_ratio=0.099, water_fluctuation=0.137,
+    ... )
     >>> image = imaging.range_image(target)
     >>> budget = imaging.error_budget(image)
     >>> max(budget.lines, key=lambda line: line.share).term.name
-    'counting'
+    'fluctuation'
     """
     total = image["slant_range_uncertainty"].values
     usable = np.isfinite(total) & (total > 0)
@@ -267,7 +278,7 @@ def error_budget(image: xr.Dataset) -> ErrorBudget:
     lines = []
     for term in TERMS.values():
         name = f"{RANGE_PREFIX}{term.name}"
-        if name not in image:
+        if name not in image or not usable.any():
             continue
         values = image[name].values
         counted = term.name in _FROM_SHOTS and shots is not None
@@ -289,6 +300,7 @@ def error_budget(image: xr.Dataset) -> ErrorBudget:
         late=_median_of(image, "slant_range_late_echo", usable),
         calibrated=str(image.attrs.get("delay_calibrated", "")),
         age=float(image.attrs.get("delay_calibration_age_days", math.nan)),
+        error_unknown=error_unknown(image),
     )
 
 

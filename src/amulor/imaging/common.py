@@ -7,6 +7,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from amulor.cube import QualityFlag
+from amulor.cube.terms import ALIKE_TERMS, RANGE_PREFIX, SHARED_TERMS, TERMS
 from amulor.optics import ranging
 
 Floats = NDArray[np.float64]
@@ -26,12 +27,25 @@ def own_variance(image: xr.Dataset) -> Floats:
     Returns
     -------
     ndarray, shape (row, column)
-        Not below what the difference of the two is rounded by [m^2].
+        Not below what the difference of the two is rounded by; where the combined
+        uncertainty is not known, that of the terms that are each pixel's own [m^2].
     """
     variance: Floats = image["slant_range_uncertainty"].values ** 2
     if "slant_range_common_uncertainty" in image:
         shared = image["slant_range_common_uncertainty"].values ** 2
         variance = np.maximum(variance - shared, _ROUNDED * variance)
+    unknown = np.isnan(variance)
+    if unknown.any():
+        # The joint estimation states what pixels share as its model of the water.
+        joint = ("water_model",) if "slant_range_bound" in image else ()
+        own = [
+            image[f"{RANGE_PREFIX}{name}"].values ** 2
+            for name in TERMS
+            if name not in (*SHARED_TERMS, *ALIKE_TERMS, *joint)
+            and f"{RANGE_PREFIX}{name}" in image
+        ]
+        if own:
+            variance = np.where(unknown, np.sum(own, axis=0), variance)
     return variance
 
 

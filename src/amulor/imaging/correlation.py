@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from amulor import cube as cubes
 from amulor.cube.terms import ALIKE_TERMS, RANGE_PREFIX, WATER_TERMS
 from amulor.errors import CubeError
-from amulor.imaging.common import phase_cosines
+from amulor.imaging.common import own_variance, phase_cosines
 
 Floats = NDArray[np.float64]
 
@@ -79,7 +79,10 @@ def covariance(image: xr.Dataset, pixels: ArrayLike) -> Floats:
     --------
     >>> import numpy as np
     >>> from amulor import imaging, rejection, samples
-    >>> target = rejection.cross_polarized(samples.cube("ladder"))
+    >>> target = rejection.unmix(
+    ...     samples.cube("ladder"),
+    ...     target_ratio=0.242, water_ratio=0.099, water_fluctuation=0.137,
+    ... )
     >>> image = imaging.range_image(target)
     >>> from amulor.imaging.correlation import covariance
     >>> pixels = np.zeros(image["slant_range"].shape, dtype=bool)
@@ -210,9 +213,7 @@ def range_difference(
 
 def _figure(image: xr.Dataset, which: NDArray[np.bool_], weight: Floats) -> RangeFigure:
     matrix = covariance(image, which)
-    noise = np.diag(matrix).copy()
-    if "slant_range_common_uncertainty" in image:
-        noise -= image["slant_range_common_uncertainty"].values[which] ** 2
+    noise = own_variance(image)[which]
     variance = float(weight @ matrix @ weight)
     random = float(weight**2 @ noise)
     return RangeFigure(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,7 +13,7 @@ from amulor import cube as cubes
 from amulor.cube import UNUSABLE
 from amulor.cube.terms import ALIKE_TERMS, RANGE_PREFIX, WATER_TERMS
 from amulor.errors import CubeError
-from amulor.imaging.common import phase_cosines
+from amulor.imaging.common import own_variance, phase_cosines
 from amulor.imaging.point_cloud import point_cloud
 
 Floats = NDArray[np.float64]
@@ -61,7 +62,8 @@ class StepHeight:
     height: float
     """Distance of the second plane in front of the first [m]."""
     uncertainty: float
-    """Standard uncertainty: noise, shared reference and estimated residual bias [m]."""
+    """Standard uncertainty: noise, shared reference and estimated residual bias; not a
+    number where the error of the ranges is not known [m]."""
     random: float
     """The part of it that comes from noise [m]."""
 
@@ -223,6 +225,7 @@ def step_heights(image: xr.Dataset, regions: ArrayLike) -> list[StepHeight]:
     )
     known = sum(term**2 for term in alike + of_water)
     shared = np.sqrt(np.maximum(common**2 - known, 0.0))
+    stated = _mean_of(image, "slant_range_uncertainty", number, pixel, numbers)
     distance = _mean_of(image, "slant_range", number, pixel, numbers)
     # Images that do not say their frequencies have no such terms either.
     said = "modulation_frequencies" in image.attrs
@@ -246,10 +249,11 @@ def step_heights(image: xr.Dataset, regions: ArrayLike) -> list[StepHeight]:
                 for term in of_water
             )
         )
+        known_error = np.isfinite(stated[i] + stated[i + 1])
         steps.append(
             StepHeight(
                 height=float((solution[i] - solution[i + 1]) / lean),
-                uncertainty=float(total / lean),
+                uncertainty=float(total / lean) if known_error else math.nan,
                 random=float(random / lean),
             )
         )
@@ -332,9 +336,13 @@ def _regions(
     points = np.stack([cloud[axis].values for axis in "xyz"], axis=1)[keep]
     row, column = row[keep], column[keep]
     variance = cloud["slant_range_uncertainty"].values[keep] ** 2
+    # Where the error is not known, planes are fitted by the noise of the pixels.
+    unknown = np.isnan(variance)
+    variance = np.where(unknown, own_variance(image)[row, column], variance)
     for name in (*ALIKE_TERMS, *WATER_TERMS):
         if f"{RANGE_PREFIX}{name}" in image:
-            variance -= image[f"{RANGE_PREFIX}{name}"].values[row, column] ** 2
+            term = image[f"{RANGE_PREFIX}{name}"].values[row, column]
+            variance -= np.where(unknown, 0.0, term**2)
     sigma = np.sqrt(np.maximum(variance, np.finfo(float).tiny))
     assert not np.any(image["quality_flag"].values[row, column] & UNUSABLE)
     return points, label[row, column], sigma, (row, column)

@@ -56,7 +56,9 @@ def range_image(
     Returns
     -------
     xarray.Dataset
-        Level `range_image`. Pixels with an unusable flag hold no number. Where neither
+        Level `range_image`. Pixels with an unusable flag hold no number. Where the
+        water was not removed, and where the interval is not settled, the error is not
+        known and the combined uncertainties are NaN. Where neither
         an interval nor the survey says which repetition of the phases is right, ranges
         are those of the first, all pixels are flagged `RELATIVE`, and the attribute
         `interval_unsettled` says why.
@@ -124,6 +126,7 @@ def range_image(
     reason = "" if interval is not None else _unsettled(one)
     if reason:
         image = with_flag(image, QualityFlag.RELATIVE, True)
+        image = cubes.without_unknown_errors(image)
         image = image.assign_attrs(interval_unsettled=reason)
     step = f"image, channel {image.attrs['polarization']}"
     return cubes.note(
@@ -253,7 +256,7 @@ def _image(
     if truth is not None:
         pixel_truth = truth[[n for n in truth if truth[n].dims == ("row", "column")]]
         image = cubes.attach(image, pixel_truth, "truth")
-    return image
+    return cubes.without_unknown_errors(image)
 
 
 def channel_of(cube: xr.Dataset, polarization: str | None) -> xr.Dataset:

@@ -44,10 +44,13 @@ def leave_out(
     Examples
     --------
     >>> from amulor import imaging, rejection, samples
-    >>> target = rejection.cross_polarized(samples.cube("ladder"))
+    >>> target = rejection.unmix(
+    ...     samples.cube("ladder"),
+    ...     target_ratio=0.242, water_ratio=0.099, water_fluctuation=0.137,
+    ... )
     >>> image = imaging.range_image(target)
-    >>> kept = imaging.leave_out(image, largest_uncertainty=2e-3)
-    >>> bool(kept["slant_range_uncertainty"].max() <= 2e-3)
+    >>> kept = imaging.leave_out(image, largest_uncertainty=7e-3)
+    >>> bool(kept["slant_range_uncertainty"].max() <= 7e-3)
     True
     """
     image = cubes.checked(image, "range_image")

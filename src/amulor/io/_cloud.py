@@ -158,7 +158,10 @@ def provenance_lines(cloud: xr.Dataset) -> list[str]:
         masks = np.atleast_1d(flags.get("flag_masks", []))
         bits = ", ".join(f"{m} {n}" for m, n in zip(masks, names, strict=False))
         lines.append(f"quality_flag: 0 good, or a sum of {bits}")
-    if "x_uncertainty" in cloud:
+    words = cubes.error_unknown(cloud)
+    if words:
+        lines.append(f"uncertainty: {words}; nan where it is not known")
+    elif "x_uncertainty" in cloud:
         lines.append(
             "uncertainty: standard uncertainties (GUM, k = 1), of the range along the "
             "beam; those of x, y and z of a point are one error and correlate fully"

@@ -398,7 +398,7 @@ def _decoded(content: bytes, path: Path) -> xr.Dataset:
                     part = _opened(file, group)
                     _check_fits(part, cube, path=path, group=group)
                     cube = cubes.attach(cube, part, group)
-    return _with_present_names(cube)
+    return cubes.without_unknown_errors(_with_present_names(cube))
 
 
 def _with_present_names(cube: xr.Dataset) -> xr.Dataset:

@@ -95,7 +95,7 @@ class CubeRows:
         CubeError, FormatError
             If the rows do not keep the schema, or are damaged.
         """
-        part = self._read(self._cube, begin, end)
+        part = cubes.without_unknown_errors(self._read(self._cube, begin, end))
         cubes.check(part, name=f"{self._path}, rows {begin} to {end - 1}")
         return part
 

@@ -103,6 +103,8 @@ def target_cube(
     present = {name: errors for name, errors in (terms or {}).items() if name in known}
     for name, phase in phase_uncertainties(target_signal, present).items():
         variables[f"{PHASE_PREFIX}{name}"] = phase
+    if water_is_in:
+        attributes["error_unknown"] = cubes.WATER_NOT_REMOVED
     if "shot" in samples.sizes:
         attributes.setdefault("open_water_shots", np.int32(samples.sizes["shot"]))
     geometry = samples.amulor.geometry

@@ -105,6 +105,8 @@ class CloudSummary:
     """Points."""
     doubtful: int
     """Those whose range is doubtful."""
+    error_unknown: str = ""
+    """Why they state no error; empty if they do."""
 
 
 def cloud_file(
@@ -177,9 +179,11 @@ def _counted(
     """Return how many points there will be, and how many are left out for what."""
     counts: Counter[str] = Counter()
     points = doubtful = 0
+    words = ""
     for begin, end in tiles.bands(image, size):
         tell(f"counting, row {begin:,} of {image.rows:,}", begin / image.rows)
         tile = image.tile(begin, end)
+        words = words or cubes.error_unknown(tile)
         gone, found = selection.of(tile)
         # Reasons without a pixel stay in the list.
         for reason, number in found.items():
@@ -188,4 +192,4 @@ def _counted(
         there = ((flag & UNUSABLE) == 0) & ~gone
         points += int(there.sum())
         doubtful += int((there & ((flag & int(DOUBTFUL)) != 0)).sum())
-    return CloudSummary(points, doubtful), dict(counts)
+    return CloudSummary(points, doubtful, words), dict(counts)

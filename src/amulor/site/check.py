@@ -10,10 +10,11 @@ import xarray as xr
 
 from amulor import io
 from amulor._progress import tell
-from amulor.cube import UNUSABLE
+from amulor.cube import UNUSABLE, error_unknown
 from amulor.errors import AmulorError
 from amulor.site.description.parts import ScaleBar, SiteScan
 from amulor.site.description.site_file import Site
+from amulor.site.load import WHAT_TO_DO
 from amulor.survey import Survey
 
 #: Targets, not on a line, that place a scan without a start pose.
@@ -109,11 +110,9 @@ def _of_scan(scan: SiteScan, cube: xr.Dataset) -> tuple[list[str], list[str]]:
             f"scan {scan.name!r}: {usable} of {flags.size} pixels have a range, too "
             "few to be placed; look at its quality flags with amulor info"
         )
-    if "interval_unsettled" in cube.attrs:
-        wrong.append(
-            f"scan {scan.name!r}: its ranges may be off by whole ambiguity intervals; "
-            "make the image again with --nearest and --farthest"
-        )
+    words = error_unknown(cube)
+    if words:
+        wrong.append(f"scan {scan.name!r}: {words}; {WHAT_TO_DO}")
     unknown = str(cube.attrs.get("uncertainty_unknown", "")).split()
     if unknown:
         said.append(

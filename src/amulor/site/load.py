@@ -11,6 +11,12 @@ from amulor import imaging, io, rejection
 from amulor.errors import CubeError
 from amulor.site.description.parts import Processing, SiteScan
 
+#: Remedy for a scan whose error is not known.
+WHAT_TO_DO = (
+    "scans are placed and merged by their errors: remove the water with amulor reject, "
+    "and state the nearest and farthest range with amulor image --nearest --farthest"
+)
+
 
 def range_image_of(scan: SiteScan) -> xr.Dataset:
     """Return the range image of a scan, edges and outliers marked.
@@ -58,11 +64,12 @@ def as_image(
     Raises
     ------
     CubeError
-        If it is no range image and no processing is stated, or it has another level.
+        If it is no range image and no processing is stated, it has another level, or
+        the error of its ranges is not known.
     """
     level = str(cube.attrs.get("level", ""))
     if level == "range_image":
-        return cubes.checked(cube, "range_image")
+        return _with_errors(cubes.checked(cube, "range_image"), name)
     if level not in ("samples", "target_signal"):
         raise CubeError(
             f"scan {name!r}: the file holds {level or 'no level'!r}; a site takes "
@@ -84,7 +91,15 @@ def as_image(
         )
     except ValueError as error:
         raise CubeError(f"scan {name!r}: {error}") from None
-    return imaging.flag_outliers(imaging.flag_mixed(image))
+    return imaging.flag_outliers(imaging.flag_mixed(_with_errors(image, name)))
+
+
+def _with_errors(image: xr.Dataset, name: str) -> xr.Dataset:
+    """Return an image whose ranges state their errors, or raise."""
+    words = cubes.error_unknown(image)
+    if words:
+        raise CubeError(f"scan {name!r}: {words}; {WHAT_TO_DO}")
+    return image
 
 
 def _ways(

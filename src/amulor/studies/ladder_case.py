@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -40,7 +41,8 @@ class Case:
     noise: float
     """Scatter of the slant range among the rows of each column, on the treads [m]."""
     stated: float
-    """Root mean square of the uncertainty stated for the treads [m]."""
+    """Root mean square of the uncertainty stated for the treads; not a number where
+    the image states none: before rejection [m]."""
 
     @property
     def name(self) -> str:
@@ -108,7 +110,9 @@ def evaluate(
         true_steps=stairs.step_heights,
         bias=float(np.nanmean(error)),
         noise=float(np.sqrt(np.nanmean(np.nanvar(error, axis=0, ddof=1)))),
-        stated=float(np.sqrt(np.nanmean(sigma**2))),
+        stated=float(np.sqrt(np.mean(sigma[np.isfinite(sigma)] ** 2)))
+        if np.isfinite(sigma).any()
+        else math.nan,
     )
 
 
@@ -123,7 +127,7 @@ def summary(cases: list[Case]) -> list[dict[str, object]]:
     Returns
     -------
     list of dict
-        Lengths in metres.
+        Lengths in metres; None for an uncertainty that is not known.
     """
     return [
         {
@@ -132,15 +136,20 @@ def summary(cases: list[Case]) -> list[dict[str, object]]:
             "stage": case.stage,
             "range_bias_m": case.bias,
             "range_noise_m": case.noise,
-            "range_uncertainty_m": case.stated,
+            "range_uncertainty_m": _known(case.stated),
             "steps": [
                 {
                     "true_m": true,
                     "height_m": step.height,
-                    "uncertainty_m": step.uncertainty,
+                    "uncertainty_m": _known(step.uncertainty),
                 }
                 for true, step in zip(case.true_steps, case.steps, strict=True)
             ],
         }
         for case in cases
     ]
+
+
+def _known(value: float) -> float | None:
+    """Return a number, None if it is not known."""
+    return value if math.isfinite(value) else None

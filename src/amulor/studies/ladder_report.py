@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from pathlib import Path
 
@@ -150,16 +151,18 @@ def _steps_table(cases: list[Case]) -> Table:
     for case in cases:
         cells = [f"{case.name}, {case.stage}"]
         for height, step in zip(true, case.steps, strict=True):
-            off = abs(step.height - height) > 3 * step.uncertainty
+            stated = math.isfinite(step.uncertainty)
+            error = step.uncertainty if stated else step.random
+            off = abs(step.height - height) > 3 * error
             cells.append(
-                f"{'!' if off else ''}{step.height * 1e3:.2f} "
-                f"± {step.uncertainty * 1e3:.2f}"
+                f"{'!' if off else ''}{step.height * 1e3:.2f}"
+                + (f" ± {step.uncertainty * 1e3:.2f}" if stated else "")
             )
         rows.append(cells)
     return Table(
         header,
         rows,
-        "Step heights [mm] with standard uncertainty. Marked values are wrong by more "
-        "than three of their own uncertainties: before rejection the image does not "
-        "know about the water.",
+        "Step heights [mm] with standard uncertainty. Before rejection the water has "
+        "an unknown share in them, and none is stated. Marked values are wrong by more "
+        "than three of their uncertainties; before rejection, of their noise.",
     )

@@ -122,6 +122,8 @@ def accuracy_statement(
     said = []
     for name, image in images.items():
         budget = error_budget(image)
+        if budget.error_unknown:
+            parts.append(Paragraph(f"{name}: {budget.error_unknown}."))
         if not math.isfinite(budget.combined):
             continue
         sigma = image["slant_range_uncertainty"].values
@@ -187,7 +189,9 @@ def _check_parts(checks: Mapping[str, Sequence[Checked]]) -> list[Part]:
                     f"{one.check.expected * 1e3:.2f}",
                     f"{one.measured.value * 1e3:.2f}",
                     f"{one.deviation * 1e3:+.2f}",
-                    f"{one.expanded * 1e3:.2f}",
+                    f"{one.expanded * 1e3:.2f}"
+                    if math.isfinite(one.expanded)
+                    else "!not known",
                     "" if tolerance is None else f"{tolerance * 1e3:.2f}",
                     f"{mark}{one.verdict}",
                 ]
@@ -214,7 +218,8 @@ def _check_parts(checks: Mapping[str, Sequence[Checked]]) -> list[Part]:
             "deviation and expanded uncertainty together stay within it, fails if the "
             "deviation exceeds it by more than the expanded uncertainty, and is "
             "undecided in between (JCGM 106); without one it passes if the deviation "
-            "is within its expanded uncertainty.",
+            "is within its expanded uncertainty. It is undecided where that is not "
+            "known.",
         ),
         Paragraph(
             f"{passed} of {len(verdicts)} check distances pass; root mean square of "

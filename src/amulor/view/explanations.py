@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 from amulor.acquisition.sampler import SPOILED, SampleFlag
-from amulor.cube import DOUBTFUL, UNUSABLE, QualityFlag
+from amulor.cube import DOUBTFUL, ERROR_UNKNOWN, UNUSABLE, QualityFlag
 from amulor.cube.terms import TERMS
 from amulor.errors import FormatError
 
@@ -100,7 +100,7 @@ _SAID = {
     "NO_TARGET": r"stand_out_of_the_water",
     "AMBIGUOUS": r"distance_not_settled",
     "WATER_RESIDUAL": r"water_left_in_moves",
-    "NO_OPEN_WATER": r"water_signal_not_taken_out",
+    "NO_OPEN_WATER": r"water_not_removed|water_signal_not_taken_out",
     "MIXED": r"meets_two_surfaces",
     "OUTLIER": r"disagrees_with_the_rest",
     "RELATIVE": r"off_by_whole_intervals",
@@ -181,9 +181,8 @@ def _pixel_flags() -> list[Explanation]:
             "here; slant_range_bias says how far the range may be off.",
         ),
         QualityFlag.NO_OPEN_WATER: (
-            "No water signal was taken out: the range still holds it, and comes out "
-            "too "
-            "short.",
+            "The water signal was not removed. Its share in the range is not known: "
+            "expect centimetres, mostly too short.",
             "There are no open-water shots, or the water was left in on request. The "
             "flag "
             "is of the whole scan.",
@@ -246,9 +245,14 @@ def _pixel_flags() -> list[Explanation]:
 def _consequence(flag: QualityFlag) -> str:
     if flag & UNUSABLE:
         return "The pixel has no range."
+    if flag & ERROR_UNKNOWN:
+        return (
+            "All pixels keep their ranges, whose error is not known: no uncertainty is "
+            "stated anywhere, and they count as doubtful."
+        )
     if flag & DOUBTFUL:
         return "The pixel keeps its range, which is doubtful by itself."
-    return "All pixels keep their ranges; the doubt is about all of them together."
+    raise AssertionError(flag)
 
 
 def _sample_flags() -> list[Explanation]:

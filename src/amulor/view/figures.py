@@ -13,6 +13,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
+from amulor.cube import error_unknown
 from amulor.imaging import point_cloud
 from amulor.view.maps import Map, draw_maps, quality_map, usual_limits
 from amulor.view.style import (
@@ -162,8 +163,14 @@ def image_overview(image: xr.Dataset) -> Figure:
         ("uncertainty", "slant_range_uncertainty", "mm", ERROR_MAP),
         ("brightness", "intensity", "mV", BRIGHTNESS_MAP),
     )
+    said = {"uncertainty": "uncertainty: not known"} if error_unknown(image) else {}
     maps = [
-        Map(title=title, values=image[name].values * 1e3, label=label, colours=colours)
+        Map(
+            title=said.get(title, title),
+            values=image[name].values * 1e3,
+            label=label,
+            colours=colours,
+        )
         for title, name, label, colours in panels
     ]
     with style():

@@ -152,12 +152,11 @@ def flag_sentence(image: xr.Dataset, whole: Whole | None = None) -> str:
     ]
     listed = "; ".join(counts) if counts else "none"
     pixels = image["quality_flag"].size if whole is None else whole.rows * whole.columns
-    reason = image.attrs.get("interval_unsettled", "")
-    unsettled = f" Ranges may be off by whole intervals: {reason}." if reason else ""
+    words = cubes.error_unknown(image)
+    error = f" {words[0].upper()}{words[1:]}." if words else ""
     asked = f" What they mean: {hint(found)}." if counts else ""
     return (
-        f"Grey pixels hold no range. Flags, of {pixels} pixels: {listed}.{asked}"
-        f"{unsettled}"
+        f"Grey pixels hold no range. Flags, of {pixels} pixels: {listed}.{asked}{error}"
     )
 
 
@@ -241,6 +240,7 @@ def _numbers(images: Mapping[str, xr.Dataset], wholes: Mapping[str, Whole]) -> T
             whole = wholes[name]
             usable = whole.usable / (whole.rows * whole.columns)
         sigma = image["slant_range_uncertainty"].values
+        unknown = "!unknown" if cubes.error_unknown(image) else "none"
         bias = image.get("slant_range_bias")
         rows.append(
             [
@@ -248,7 +248,7 @@ def _numbers(images: Mapping[str, xr.Dataset], wholes: Mapping[str, Whole]) -> T
                 f"{image.attrs.get('polarization', '')}",
                 f"{usable:.1%}",
                 _median(slant_range, ".4f"),
-                _median(sigma * 1e3, ".2f"),
+                _median(sigma * 1e3, ".2f", none=unknown),
                 "unknown" if bias is None else _median(bias.values * 1e3, "+.2f"),
             ]
         )
@@ -268,6 +268,6 @@ def _numbers(images: Mapping[str, xr.Dataset], wholes: Mapping[str, Whole]) -> T
     )
 
 
-def _median(values: NDArray[np.float64], form: str) -> str:
+def _median(values: NDArray[np.float64], form: str, *, none: str = "none") -> str:
     finite = values[np.isfinite(values)]
-    return format(float(np.median(finite)), form) if finite.size else "none"
+    return format(float(np.median(finite)), form) if finite.size else none

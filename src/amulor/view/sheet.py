@@ -16,7 +16,7 @@ from matplotlib.patches import Rectangle
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from amulor.errors import FormatError
+from amulor.errors import CubeError, FormatError
 from amulor.imaging.products import Contour, Raster
 from amulor.view.style import (
     BRIGHTNESS_MAP,
@@ -104,6 +104,11 @@ def colours_of(
         raise ValueError("deviations are needed to be shown")
     shown = shown * 1e3
     finite = shown[np.isfinite(shown)]
+    if not finite.size:
+        raise CubeError(
+            f"the {show} of no cell is known; show another quantity, or look at the "
+            "flags of the range image with amulor info"
+        )
     low, high = (float(v) for v in np.percentile(finite, [_STRAY, 100 - _STRAY]))
     if show == "deviation":
         high = max(abs(low), abs(high))

@@ -17,6 +17,7 @@ from amulor.design.evaluate import evaluate
 from amulor.design.goal import Goal
 from amulor.design.photons import Photons, follow_photons
 from amulor.errors import SurveyError
+from amulor.imaging.common import own_variance
 from amulor.simulation import simulate
 from amulor.survey import Survey
 
@@ -278,6 +279,8 @@ def _image(target: xr.Dataset, interval: tuple[float, float] | None) -> xr.Datas
 
     def unsure(image: xr.Dataset) -> float:
         sigma = image["slant_range_uncertainty"].values
+        # With the water in them, ranges have their noise alone to be compared by.
+        sigma = np.where(np.isnan(sigma), np.sqrt(own_variance(image)), sigma)
         return float(np.nanmedian(sigma)) if np.isfinite(sigma).any() else math.inf
 
     return min(images, key=unsure)

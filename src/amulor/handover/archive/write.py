@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import math
 import os
 import secrets
 import shutil
@@ -219,8 +220,14 @@ def _scan(
         ),
         "polarization": str(image.attrs.get("polarization") or "none"),
         "group index": f"{float(image['geometry'].attrs['group_index']):.6g}",
-        "standard uncertainty of range, median [m]": f"{budget.combined:.4g}",
-        "part that all points share, median [m]": f"{budget.common:.4g}",
+        "standard uncertainty of range, median [m]": (
+            f"{budget.combined:.4g}"
+            if math.isfinite(budget.combined)
+            else budget.error_unknown or "not known"
+        ),
+        "part that all points share, median [m]": (
+            f"{budget.common:.4g}" if math.isfinite(budget.common) else "not known"
+        ),
         "uncertainties not known": ", ".join(unknown) or "none",
         "history": " | ".join(str(image.attrs.get("history", "none")).splitlines()),
         "material": scan.material,

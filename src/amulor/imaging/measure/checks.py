@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Literal
@@ -71,7 +72,7 @@ class Checked:
     expanded: float
     """Expanded uncertainty of the deviation, k = 2 [m]."""
     verdict: Verdict
-    """Pass, fail, or undecided where the uncertainty is too large to tell."""
+    """Pass, fail, or undecided where the uncertainty is too large or not known."""
 
 
 def read_checks(path: str | Path) -> tuple[Check, ...]:
@@ -141,16 +142,19 @@ def compared(image: xr.Dataset, check: Check) -> Checked:
     With the deviation d and its expanded uncertainty :math:`U = 2 \sqrt{u^2 + u_0^2}`:
     under a tolerance T it passes if :math:`|d| + U \le T` and fails if :math:`|d| - U >
     T`, the guarded acceptance and rejection of JCGM 106; in between nobody can tell.
-    Without one it passes if :math:`|d| \le U`.
+    Without one it passes if :math:`|d| \le U`. It is undecided if U is not known.
 
     Examples
     --------
     >>> from amulor import imaging, rejection, samples
-    >>> target = rejection.cross_polarized(samples.cube("ladder"))
+    >>> target = rejection.unmix(
+    ...     samples.cube("ladder"),
+    ...     target_ratio=0.242, water_ratio=0.099, water_fluctuation=0.137,
+    ... )
     >>> image = imaging.range_image(target)
     >>> bar = imaging.measure.Check(
     ...     name="board before wall", kind="relief", first=(20, 8), second=(20, 26),
-    ...     reach=3, expected="40.8 mm", tolerance="1 mm",
+    ...     reach=3, expected="40.8 mm", tolerance="5 mm",
     ... )
     >>> imaging.measure.compared(image, bar).verdict
     'pass'
@@ -181,6 +185,8 @@ def compared(image: xr.Dataset, check: Check) -> Checked:
 
 
 def _verdict(off: float, expanded: float, tolerance: float | None) -> Verdict:
+    if math.isnan(expanded):
+        return "undecided"
     if tolerance is None:
         return "pass" if off <= expanded else "fail"
     if off + expanded <= tolerance:

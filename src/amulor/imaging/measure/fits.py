@@ -39,7 +39,8 @@ class Fit:
     values: dict[str, float]
     """What it is: lengths [m], parts of unit vectors [1]."""
     uncertainties: dict[str, float]
-    """Standard uncertainty of each, the errors that pixels share included."""
+    """Standard uncertainty of each, the errors that pixels share included; not a number
+    where the error of the ranges is not known."""
     residual: float
     """Root mean square of what is left between the points and the shape [m]."""
     misfit: float
@@ -420,7 +421,7 @@ def _fitted(
     to those of parameters, S being how residuals change with ranges; the covariance is
     :math:`G C G^T` with all that pixels share.
     """
-    sigma = np.sqrt(np.maximum(points.noise, 1e-4 * points.covariance.diagonal()))
+    sigma = np.sqrt(np.fmax(points.noise, 1e-4 * points.covariance.diagonal()))
     sigma = np.maximum(sigma, 1e-12)
     scale = float(np.median(sigma))
 
@@ -444,7 +445,10 @@ def _fitted(
         spread[at * count + np.arange(count), np.arange(count)] = change[at]
     gain = inverse @ jacobian.T @ spread
     left_over = spread - jacobian @ gain
-    expected = float(np.einsum("ij,jk,ik->", left_over, points.covariance, left_over))
+    # Where the error of the ranges is not known, the misfit is against their noise.
+    known = np.isfinite(points.covariance).all()
+    scatter = points.covariance if known else np.diag(points.noise)
+    expected = float(np.einsum("ij,jk,ik->", left_over, scatter, left_over))
     squares = float(2 * found.cost)
     freedom = max(kinds * count - len(found.x), 1)
     misfit = squares / expected if expected > 0 else 1.0

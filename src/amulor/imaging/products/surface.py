@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from amulor import cube as cubes
-from amulor.cube import DOUBTFUL, UNUSABLE, QualityFlag
+from amulor.cube import UNUSABLE, QualityFlag
 from amulor.errors import CubeError
 from amulor.imaging.common import own_variance
 from amulor.imaging.frame import Frame, frame_of
@@ -119,7 +119,7 @@ def surface(
     beam = beams_of(image)
     distance = image["slant_range"].values
     flag = image["quality_flag"].values.astype(np.int64)
-    hanging = int(UNUSABLE | (DOUBTFUL & ~QualityFlag.WATER_RESIDUAL))
+    hanging = int(UNUSABLE | QualityFlag.MIXED | QualityFlag.OUTLIER)
     usable = ((flag & hanging) == 0) & np.isfinite(distance)
     direction = np.broadcast_to(beam.direction, (*distance.shape, 3))
     inside = beam.entry + (distance - beam.length_before)[..., None] * direction

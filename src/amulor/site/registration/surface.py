@@ -9,7 +9,7 @@ import xarray as xr
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from amulor.cube import DOUBTFUL, UNUSABLE, QualityFlag
+from amulor.cube import UNUSABLE, QualityFlag
 from amulor.errors import CubeError
 from amulor.imaging.common import own_variance
 from amulor.imaging.geometry import beams_of
@@ -121,7 +121,7 @@ def scan_surface(
     beam = beams_of(image)
     distance = image["slant_range"].values
     flag = image["quality_flag"].values.astype(np.int64)
-    hanging = int(UNUSABLE | (DOUBTFUL & ~QualityFlag.WATER_RESIDUAL))
+    hanging = int(UNUSABLE | QualityFlag.MIXED | QualityFlag.OUTLIER)
     usable = ((flag & hanging) == 0) & np.isfinite(distance) & (distance > 0)
     direction = np.broadcast_to(beam.direction, (*distance.shape, 3))
     before = np.broadcast_to(beam.length_before, distance.shape)

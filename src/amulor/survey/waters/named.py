@@ -17,7 +17,15 @@ from amulor.survey.water import Water, WaterState, refuse_clear
 from amulor.survey.waters.phase_function import PhaseFunctionStated
 
 
-class JerlovWater(WaterState):
+class SeaWater(WaterState):
+    """Water of the sea: salty unless stated otherwise."""
+
+    salinity: Annotated[float, Field(ge=0, le=43)] = 35.0
+    """Practical salinity, sets the indices and the scattering of the water itself
+    [1]."""
+
+
+class JerlovWater(SeaWater):
     """One of Jerlov's types of sea water.
 
     Examples
@@ -44,7 +52,7 @@ class JerlovWater(WaterState):
     That of the molecules is added."""
 
 
-class PetzoldWater(WaterState):
+class PetzoldWater(SeaWater):
     """Water of a station where Petzold measured volume scattering functions.
 
     Examples
@@ -101,7 +109,7 @@ class PureWater(WaterState):
     the first at 405 nm."""
 
 
-class Case1Water(WaterState):
+class Case1Water(SeaWater):
     """Open ocean whose optics follow from its chlorophyll.
 
     Examples

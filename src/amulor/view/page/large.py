@@ -12,6 +12,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
+from amulor.cube import error_unknown, without_unknown_errors
 from amulor.errors import CubeError, FormatError
 from amulor.view.page.beams import BeamReader, Floats, Numbers, values_of
 
@@ -102,6 +103,10 @@ class LargePicture:
         self.shape: tuple[int, int] = (int(rows), int(columns))
         self.attributes = _plain(self._file.attrs)
         self.geometry = _plain(self._file["geometry"].attrs)
+        # Files of before say it by their flags alone.
+        first = self._read("quality_flag", slice(0, _BAND), slice(None))
+        flags = {"quality_flag": (("row", "column"), first)}
+        self.error_unknown = error_unknown(xr.Dataset(flags, attrs=self.attributes))
 
     def has(self, variable: str) -> bool:
         """Return whether there is a variable."""
@@ -144,7 +149,7 @@ class LargePicture:
             for name, variable in self._file.items()
             if getattr(variable, "ndim", 0) == 2 and variable.shape == self.shape
         ]
-        return self._part(names, *self._kept)
+        return without_unknown_errors(self._part(names, *self._kept))
 
     def place(self, row: int, column: int) -> tuple[int, int]:
         """Return where a pixel of the scan is in the last image of `around`."""

@@ -26,6 +26,11 @@ class Layer:
     before: bool = False
     """Whether it is of the picture before rejection."""
 
+    @property
+    def is_error(self) -> bool:
+        """Whether it holds an error of the range, or a term of it."""
+        return self.kind == "error" or self.name.startswith(("common", "term_"))
+
 
 #: Variables of a range image and the layers that they become.
 MAPS = {
@@ -60,10 +65,10 @@ WORDS = {
     QualityFlag.NO_TARGET: "no target: the echo does not stand out of the water",
     QualityFlag.AMBIGUOUS: "distance not settled among the intervals of the phase",
     QualityFlag.WATER_RESIDUAL: "water left in moves the range beyond its uncertainty",
-    QualityFlag.NO_OPEN_WATER: "water signal not taken out: the range still holds it",
+    QualityFlag.NO_OPEN_WATER: "water not removed: error unknown, expect centimetres",
     QualityFlag.MIXED: "the beam meets two surfaces: the range lies between them",
     QualityFlag.OUTLIER: "disagrees with the rest of its pixel or of the scan",
-    QualityFlag.RELATIVE: "range may be off by whole intervals of the phase",
+    QualityFlag.RELATIVE: "error unknown: range may be off by whole intervals",
 }
 
 

@@ -74,6 +74,7 @@ def measured(recording: Recording, request: dict[str, Any]) -> dict[str, Any]:
         "kind": kind,
         "channel": channel,
         "group_index": float(picture.geometry["group_index"]),
+        "error_unknown": picture.error_unknown,
         "unknown": str(picture.attributes.get("uncertainty_unknown", "")),
         **found,
     }
@@ -101,7 +102,7 @@ def _figure(
     else:
         found = measure.area(image, at, reach=reach)
     numbers = asdict(found)
-    line = {name: numbers[name] for name in ("value", "uncertainty", "unit")}
+    line = {name: _known(numbers[name]) for name in ("value", "uncertainty", "unit")}
     return {
         "lines": [{"label": kind, **line}],
         "random": found.random,
@@ -123,7 +124,7 @@ def _fit(picture: Picture, kind: str, pixels: list[tuple[int, int]]) -> dict[str
         {
             "label": name.replace("_", " "),
             "value": value,
-            "uncertainty": fit.uncertainties[name],
+            "uncertainty": _known(fit.uncertainties[name]),
             "unit": units.get(
                 name, "m" if name.startswith(("centre", "point")) else "1"
             ),
@@ -138,7 +139,7 @@ def _fit(picture: Picture, kind: str, pixels: list[tuple[int, int]]) -> dict[str
             double = {
                 "label": "diameter",
                 "value": 2 * float(str(radius["value"])),
-                "uncertainty": 2 * float(str(radius["uncertainty"])),
+                "uncertainty": _known(2 * fit.uncertainties["radius"]),
                 "unit": "m",
             }
             lines.insert(0, double)
@@ -149,6 +150,11 @@ def _fit(picture: Picture, kind: str, pixels: list[tuple[int, int]]) -> dict[str
         "misfit": fit.misfit if math.isfinite(fit.misfit) else None,
         "pixels": fit.pixels,
     }
+
+
+def _known(value: Any) -> Any:
+    """Return a value, None for a number that is not known."""
+    return None if isinstance(value, float) and math.isnan(value) else value
 
 
 def _region(picture: Picture, corners: Any) -> list[tuple[int, int]]:

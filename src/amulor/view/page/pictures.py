@@ -9,6 +9,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
+from amulor.cube import error_unknown
 from amulor.view.page import beams
 
 
@@ -26,6 +27,10 @@ class Picture(Protocol):
     @property
     def geometry(self) -> dict[str, Any]:
         """Attributes of its geometry."""
+
+    @property
+    def error_unknown(self) -> str:
+        """Why its ranges state no error; empty if they do."""
 
     def has(self, variable: str) -> bool:
         """Return whether there is a variable."""
@@ -68,6 +73,11 @@ class MemoryPicture:
     def geometry(self) -> dict[str, Any]:
         """Attributes of its geometry."""
         return dict(self.image["geometry"].attrs)
+
+    @property
+    def error_unknown(self) -> str:
+        """Why its ranges state no error; empty if they do."""
+        return error_unknown(self.image)
 
     def has(self, variable: str) -> bool:
         """Return whether there is a variable."""

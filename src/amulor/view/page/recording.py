@@ -11,6 +11,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from amulor import imaging, rejection
+from amulor.cube import WATER_NOT_REMOVED
 from amulor.errors import CubeError
 from amulor.view.page import beams
 from amulor.view.page.layers import BEFORE, MAPS, Layer, described, flag_words
@@ -105,6 +106,8 @@ class Recording:
             after = self._imaged(self._target, name)
         if after is None and before is None:
             raise CubeError(f"{self.name} holds nothing that can be shown as a picture")
+        if after is not None and _water_in(after):
+            before = None  # the same picture
         return Channel(after=after, before=before)
 
     def _raw(self) -> xr.Dataset:
@@ -178,6 +181,8 @@ class Recording:
             for variable, layer in MAPS.items():
                 if not picture.has(variable) or (before and variable not in BEFORE):
                     continue
+                if layer.is_error and picture.error_unknown:
+                    continue
                 name = f"{layer.name}_before" if before else layer.name
                 found[name] = (
                     replace(layer, name=name, before=before),
@@ -237,22 +242,30 @@ class Recording:
             "group_index": float(picture.geometry["group_index"]),
             "nodes": {"rows": nodes.rows.tolist(), "columns": nodes.columns.tolist()},
             "sharing": sharing_of(picture),
+            "error_unknown": picture.error_unknown,
+            "water_in": _water_in(picture),
             "spectrum": self.has_spectrum,
             "history": str(attributes.get("history", "")),
             "notes": [*self.notes, *_notes(pictures)],
         }
 
 
+def _water_in(picture: Picture) -> bool:
+    """Return whether a picture has the water left in."""
+    return WATER_NOT_REMOVED in picture.error_unknown
+
+
 def _notes(pictures: Channel) -> list[str]:
     notes = []
-    if pictures.before is None:
+    if pictures.before is None and not _water_in(pictures.shown):
         notes.append(
             "A range image alone does not hold the picture before rejection; name the "
             "cube it was made from by --samples, or open the target signal."
         )
-    reason = pictures.shown.attributes.get("interval_unsettled", "")
-    if reason:
-        notes.append(f"Ranges may be off by whole intervals: {reason}.")
+    words = pictures.shown.error_unknown
+    if words:
+        notes.insert(0, f"{words[0].upper()}{words[1:]}.")
+        return notes
     unknown = str(pictures.shown.attributes.get("uncertainty_unknown", ""))
     if unknown:
         listed = ", ".join(word.replace("_", " ") for word in unknown.split())

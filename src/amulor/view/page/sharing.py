@@ -25,9 +25,10 @@ def sharing_of(picture: Picture) -> dict[str, Any] | None:
     dict or None
         `alike` and `of_water`, names of the maps of terms; `scale`, means and factors
         of azimuth and elevation; `powers` of their monomials, and `matrix` that turns
-        those into the basis of the reference. None if the image knows no shared part.
+        those into the basis of the reference. None if the image knows no shared part,
+        or states no error.
     """
-    if not picture.has("slant_range_common_uncertainty"):
+    if not picture.has("slant_range_common_uncertainty") or picture.error_unknown:
         return None
     names = {
         kind: [

@@ -36,7 +36,7 @@ class Steps:
     heights: Floats
     """Heights of the steps; not numbers where too few pixels have a range [m]."""
     uncertainties: Floats
-    """Their standard uncertainties [m]."""
+    """Their standard uncertainties; of noise alone with the water left in [m]."""
     noise: float
     """Scatter of the slant range among the lines, on the treads [m]."""
     error: float
@@ -127,7 +127,13 @@ class LadderScan:
             heights = uncertainties = np.full(count - 1, np.nan)
         else:
             heights = np.array([step.height for step in result])
-            uncertainties = np.array([step.uncertainty for step in result])
+            # With the water left in, the image states no error: the noise is known.
+            uncertainties = np.array(
+                [
+                    step.random if math.isnan(step.uncertainty) else step.uncertainty
+                    for step in result
+                ]
+            )
         return Steps(
             heights=heights,
             uncertainties=uncertainties,

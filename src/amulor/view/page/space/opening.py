@@ -7,6 +7,7 @@ from pathlib import Path
 import h5py
 import numpy as np
 
+from amulor.cube import error_unknown
 from amulor.errors import CubeError, FormatError
 from amulor.io import read_cube
 from amulor.view.page.space.e57 import read_e57
@@ -148,6 +149,7 @@ def _cloud(path: Path) -> Shape:
         "intensity": "amplitude",
         "quality_flag": "flags",
     }
+    words = error_unknown(cloud)
     return Shape(
         position=position,
         scalars={
@@ -160,6 +162,7 @@ def _cloud(path: Path) -> Shape:
             f"{key}: {cloud.attrs[key]}"
             for key in ("frame_axes", "title", "history")
             if cloud.attrs.get(key)
-        ],
+        ]
+        + ([f"uncertainty: {words}"] if words else []),
         total=len(position),
     )

@@ -136,6 +136,9 @@ def checked(shape: Shape, name: str) -> Shape:
     FormatError
         If nothing is left, or a triangle has a corner that is not there.
     """
+    # Numbers of which none is known, such as errors with the water left in.
+    known = {k: v for k, v in shape.scalars.items() if np.isfinite(v).any()}
+    shape = Shape(**{**vars(shape), "scalars": known})
     there = np.asarray(np.isfinite(shape.position).all(axis=1))
     count = len(shape.position)
     if not there.any():

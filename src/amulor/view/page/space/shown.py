@@ -155,7 +155,8 @@ class Space:
                 f"{count:,} of {self.total:,} points are drawn, one of every "
                 f"{math.ceil(self.total / count)}.",
             )
-        if "uncertainty" not in self.scalars:
+        unknown = any("error unknown" in line for line in self._statements)
+        if "uncertainty" not in self.scalars and not unknown:
             notes.append(
                 "The file has no uncertainties, so lengths have none here; PLY, LAZ "
                 "and text that amulor exports have them."

@@ -153,6 +153,8 @@ async function opened(channel) {
   switches[1].disabled = !scene.byName.has("range_before");
   switches[0].disabled = !scene.byName.has("range");
   if (!both) state.raw = !scene.byName.has("range");
+  switches[0].textContent = scene.water_in ? "Water in" : "Water taken out";
+  switches[1].hidden = scene.water_in;
   $("water").title = both ? "" : scene.notes[0] ?? "";
   $("notes-card").hidden = !scene.notes.length;
   $("notes").replaceChildren(...scene.notes.map((note) => Object.assign(document.createElement("li"), { textContent: note })));
@@ -317,6 +319,7 @@ function readout() {
     if (Number.isFinite(raw - range)) add("moved by water", signed(raw - range));
   } else if (Number.isFinite(range)) {
     add("range", Number.isFinite(error) ? withError(range, error, "m") : withUnit(range, "m", 5), "big");
+    if (scene.error_unknown) add("error", "unknown");
     if (Number.isFinite(get("common"))) add("shared part", withUnit(get("common"), "m", 2));
     if (Number.isFinite(get("bias"))) add("bias left", Math.abs(get("bias")) < ROUNDING ? "0 within rounding" : withUnit(get("bias"), "m", 2));
     if (Number.isFinite(raw) && scene.main === "range") add("water in", moved());
@@ -434,7 +437,7 @@ async function picture(view) {
   const flags = layer.kind === "flags";
   const unit = layer.kind === "range" ? { unit: layer.unit, factor: 1 } : scaled(Math.max(...state.limits.map(Math.abs)), layer.unit);
   const bar = flags ? null : { table: state.tables[layer.kind], limits: state.limits.map((value) => value * unit.factor), unit: unit.unit, label: layer.label };
-  const words = [$("subtitle").textContent, `Channel ${scene.channel}, ${state.raw ? "water in" : "water taken out"}.`];
+  const words = [$("subtitle").textContent, `Channel ${scene.channel}, ${state.raw || scene.water_in ? "water in" : "water taken out"}.`];
   if (view.id === "cloud" && !views.cloud.camera.orthographic) words.push("In perspective: no scale.");
   if (flags) words.push([...$("legend").children].map((one) => one.textContent).join("; "));
   else if (($("light").checked && layer.kind === "range") || state.look.contour) words.push($("light-note").textContent);

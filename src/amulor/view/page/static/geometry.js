@@ -122,7 +122,8 @@ function result(scene, kind, pixels, value, slopes) {
     channel: scene.channel,
     group_index: scene.group_index,
     lines: [{ label: kind, value, uncertainty: Math.sqrt(Math.max(variance, 0)), unit: "m" }],
-    random: Math.sqrt(random),
+    error_unknown: scene.error_unknown,
+    random: Number.isFinite(random) ? Math.sqrt(random) : undefined,
     pixels: pixels.length,
   };
 }

@@ -106,7 +106,7 @@ export function profileOf(scene, pixels, name) {
   let run = 0;
   return pixels.map((pixel, k) => {
     if (k) run += Math.hypot(...[0, 1, 2].map((axis) => places[k][axis] - places[k - 1][axis]));
-    return { pixel, x: run, value: scene.value(name, ...pixel), error: scene.value("uncertainty", ...pixel) };
+    return { pixel, x: run, value: scene.value(name, ...pixel), error: name.endsWith("_before") ? NaN : scene.value("uncertainty", ...pixel) };
   });
 }
 
@@ -198,7 +198,7 @@ export function drawProfile(canvas, state, colours) {
   legend(ctx, frame.box, [
     [layer.before ? "water in" : other ? "water taken out" : layer.label, colours.accent, []],
     ...(other ? [[layer.before ? "water taken out" : "water in", INK.vermilion, [4, 3]]] : []),
-    ...(layer.kind === "range" && !layer.before ? [["± standard uncertainty", colours.band, null]] : []),
+    ...(layer.kind === "range" && known.some((one) => Number.isFinite(one.error)) ? [["± standard uncertainty", colours.band, null]] : []),
   ], colours);
 }
 

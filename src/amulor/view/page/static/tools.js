@@ -44,6 +44,7 @@ export function worded(found) {
   if (found.random !== undefined) rests.push(`noise ${withUnit(found.random, found.lines[0].unit, 2)}`);
   if (found.residual !== undefined) rests.push(`residual ${withUnit(found.residual, "m", 2)}`);
   if (found.misfit) rests.push(`χ²/ν ${found.misfit.toFixed(2)}`);
+  if (found.error_unknown) rests.push(found.error_unknown);
   rests.push(`${found.pixels} pixels`);
   return { main, rests: rests.join(" · ") };
 }
@@ -115,7 +116,7 @@ export function asText(state) {
   const { scene } = state;
   const lines = [
     `${scene.title} (${scene.name})`,
-    `Metres in water of group index ${scene.group_index}; ± is one standard uncertainty, errors that pixels share included.`,
+    `Metres in water of group index ${scene.group_index}; ${scene.error_unknown || "± is one standard uncertainty, errors that pixels share included"}.`,
   ];
   if (scene.notes.some((note) => note.startsWith("Not in"))) lines.push(scene.notes.find((note) => note.startsWith("Not in")));
   for (const kept of state.measurements) {

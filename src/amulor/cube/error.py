@@ -1,0 +1,110 @@
+"""Ranges of unknown error: no uncertainty in their variables, a sentence instead."""
+
+from __future__ import annotations
+
+import numpy as np
+import xarray as xr
+
+from amulor.cube.schema import ERROR_UNKNOWN, QualityFlag
+
+__all__ = ["WATER_NOT_REMOVED", "error_unknown", "without_unknown_errors"]
+
+WATER_NOT_REMOVED = "water not removed: error unknown, expect centimetres"
+_UNSETTLED = "error unknown, ranges may be off by whole intervals"
+#: Attribute of images and clouds that holds these words.
+_WORDS = "error_unknown"
+#: Uncertainties of all terms together; those of single terms stay as they are.
+_COMBINED = (
+    "slant_range_uncertainty",
+    "slant_range_common_uncertainty",
+    "x_uncertainty",
+    "y_uncertainty",
+    "z_uncertainty",
+)
+
+
+def without_unknown_errors(cube: xr.Dataset) -> xr.Dataset:
+    """Return a cube without combined uncertainties where the error is not known.
+
+    Parameters
+    ----------
+    cube : xarray.Dataset
+        Any level; only range images and point clouds have such errors.
+
+    Returns
+    -------
+    xarray.Dataset
+        The uncertainties of pixels and points with a flag of `ERROR_UNKNOWN` are NaN,
+        and the attribute `error_unknown` says why.
+
+    Examples
+    --------
+    >>> from amulor import cube as cubes, imaging, rejection, samples
+    >>> raw = rejection.keep_water(samples.cube("ladder"))
+    >>> image = imaging.range_image(raw, polarization="VV")
+    >>> image["slant_range_uncertainty"][:] = 0.001  # as if somebody knew
+    >>> image = cubes.without_unknown_errors(image)
+    >>> print(int(image["slant_range_uncertainty"].notnull().sum()), "stated")
+    0 stated
+    """
+    names = [name for name in _COMBINED if name in cube]
+    if not names or "quality_flag" not in cube:
+        return cube
+    known = (cube["quality_flag"].values & ERROR_UNKNOWN) == 0
+    if known.all():
+        return cube
+    return cube.assign(
+        {
+            name: cube[name].copy(data=np.where(known, cube[name].values, np.nan))
+            for name in names
+        }
+    ).assign_attrs({_WORDS: _words(cube)})
+
+
+def error_unknown(cube: xr.Dataset) -> str:
+    """Return why ranges of an image or a cloud state no error.
+
+    Parameters
+    ----------
+    cube : xarray.Dataset
+        Level `range_image` or `point_cloud`.
+
+    Returns
+    -------
+    str
+        A statement without a full stop, with the estimate of the error by the water
+        where the image has one; empty if every range states its error.
+
+    Examples
+    --------
+    >>> from amulor import cube as cubes, imaging, rejection, samples
+    >>> raw = rejection.keep_water(samples.cube("ladder"))
+    >>> cubes.error_unknown(imaging.range_image(raw, polarization="VV"))
+    'water not removed: error unknown, expect centimetres'
+    """
+    words = _words(cube)
+    bias, why = cube.get("slant_range_bias"), cube.attrs.get("interval_unsettled")
+    if WATER_NOT_REMOVED in words and bias is not None and bias.notnull().any():
+        middle = float(np.nanmedian(bias.values)) * 1e3
+        estimate = (
+            f"{WATER_NOT_REMOVED} (median of the estimated bias {middle:+.3g} mm)"
+        )
+        words = words.replace(WATER_NOT_REMOVED, estimate)
+    if _UNSETTLED in words and why:
+        words = words.replace(_UNSETTLED, f"{_UNSETTLED}: {why}")
+    return words
+
+
+def _words(cube: xr.Dataset) -> str:
+    """Return why the error is not known, from the flags or as the file says."""
+    flag = cube["quality_flag"].values if "quality_flag" in cube else np.zeros(1, int)
+    known = str(cube.attrs.get(_WORDS, ""))
+    reasons = {
+        WATER_NOT_REMOVED: QualityFlag.NO_OPEN_WATER,
+        _UNSETTLED: QualityFlag.RELATIVE,
+    }
+    return "; ".join(
+        words
+        for words, reason in reasons.items()
+        if words in known or (flag & reason).any()
+    )
