@@ -247,8 +247,15 @@ def write(value: float, quantity: str) -> str:
     --------
     >>> write(0.07, "length")
     '0.07 m'
+    >>> write(450e-9, "wavelength")
+    '450 nm'
     """
     unit = SI_UNITS[quantity]
+    if quantity == "wavelength":
+        # 450 nm is 4.5000000000000003e-07 m.
+        short = f"{value * 1e9:.12g} nm"
+        if parse(short, quantity) == value:
+            return short
     return repr(float(value)) if unit == "1" else f"{float(value)!r} {unit}"
 
 

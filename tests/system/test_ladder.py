@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 
 import numpy as np
@@ -84,6 +85,21 @@ def test_rejection_takes_most_of_the_bias_away(numbers) -> None:
         assert after < before / 5, channel
     # More than the first step of the ladder.
     assert abs(numbers["VV", "milk", "before"]["range_bias_m"]) > 0.04
+
+
+@pytest.mark.parametrize(("channel", "water"), CASES)
+def test_mean_errors_come_with_their_uncertainty(
+    output: Path, numbers, channel: str, water: str
+) -> None:
+    before, after = (numbers[channel, water, stage] for stage in ("before", "after"))
+    # A quotient of the two would say nothing: the second is zero within its error.
+    assert abs(after["range_bias_m"]) < 3 * after["range_bias_uncertainty_m"]
+    assert after["range_bias_uncertainty_m"] < after["range_noise_m"] / 3
+    report = (output / "report.html").read_text()
+    for row in (before, after):
+        mean, error = row["range_bias_m"] * 1e3, row["range_bias_uncertainty_m"] * 1e3
+        assert f"<td>{mean:+.2f} ± {error:.2f}</td>" in report
+    assert not re.search(r"<td>\d+ times</td>", report)
 
 
 def test_before_rejection_the_first_step_is_wrong_and_states_no_error(numbers) -> None:

@@ -83,3 +83,11 @@ def test_what_is_written_is_read_back_exactly(value: float, quantity: str) -> No
 def test_every_example_is_valid() -> None:
     for quantity in units.SI_UNITS:
         assert math.isfinite(units.parse(units.example(quantity), quantity))
+
+
+def test_a_wavelength_is_written_as_it_was_typed() -> None:
+    for text in ("450 nm", "532 nm", "405.5 nm"):
+        value = units.parse(text, "wavelength")
+        written = units.write(value, "wavelength")
+        assert units.parse(written, "wavelength") == value
+        assert len(written) <= len("4.055e-07 m")

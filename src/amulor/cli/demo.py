@@ -8,7 +8,7 @@ from typing import Annotated
 from cyclopts import Parameter
 
 from amulor.cli._arguments import SEED
-from amulor.cli._output import print_json, print_table, progress_bar
+from amulor.cli._output import print_json, print_next, print_table, progress_bar
 
 
 def demo(
@@ -32,6 +32,7 @@ def demo(
         Print the numbers for other programs.
     """
     from amulor.studies import ladder
+    from amulor.studies.ladder_report import mean_error
 
     with progress_bar(quiet=json) as progress:
         cases = ladder.run(output, rng=seed, overwrite=overwrite, progress=progress)
@@ -39,21 +40,22 @@ def demo(
         print_json(ladder.summary(cases))
         return
     print_table(
-        "Error of the slant range [mm]",
-        ["case", "before", "after", "noise", "stated"],
+        "Mean error of the slant range [mm], without and with the water taken out",
+        ["case", "before", "after", "noise", "stated noise"],
         [
             [
                 after.name,
-                f"{before.bias * 1e3:+.2f}",
-                f"{after.bias * 1e3:+.2f}",
+                mean_error(before),
+                mean_error(after),
                 f"{after.noise * 1e3:.2f}",
                 f"{after.stated * 1e3:.2f}",
             ]
             for before, after in zip(cases[::2], cases[1::2], strict=True)
         ],
     )
-    print(f"Report: {output / 'report.html'}")
+    print(f"Report, for a browser: {output / 'report.html'}")
     for name, extra in ladder.left_out().items():
         print(
             f"No {name.upper()} files: pip install 'amulor[{extra}]' lets it write them"
         )
+    print_next(f"amulor view {output / 'ladder_milk_target_signal.nc'}")

@@ -38,6 +38,8 @@ class Case:
     """Heights of the steps as they are [m]."""
     bias: float
     """Mean error of the slant range on the treads [m]."""
+    bias_uncertainty: float
+    """Standard uncertainty of that mean: noise, and what the pixels share [m]."""
     noise: float
     """Scatter of the slant range among the rows of each column, on the treads [m]."""
     stated: float
@@ -101,6 +103,12 @@ def evaluate(
     error = image["slant_range"].values - image["truth_slant_range"].values
     error = np.where(number > 0, error, np.nan)[:, (number > 0).any(axis=0)]
     sigma = image["slant_range_uncertainty"].values[number > 0]
+    noise = float(np.sqrt(np.nanmean(np.nanvar(error, axis=0, ddof=1))))
+    shared = 0.0
+    if stage == "after":
+        common = image["slant_range_common_uncertainty"].values[number > 0]
+        shared = float(np.sqrt(np.nanmean(common**2)))
+    count = np.count_nonzero(np.isfinite(error))
     return Case(
         water=water,
         channel=channel,
@@ -109,7 +117,8 @@ def evaluate(
         steps=metrics.step_heights(image, number),
         true_steps=stairs.step_heights,
         bias=float(np.nanmean(error)),
-        noise=float(np.sqrt(np.nanmean(np.nanvar(error, axis=0, ddof=1)))),
+        bias_uncertainty=math.hypot(noise / math.sqrt(count), shared),
+        noise=noise,
         stated=float(np.sqrt(np.mean(sigma[np.isfinite(sigma)] ** 2)))
         if np.isfinite(sigma).any()
         else math.nan,
@@ -135,6 +144,7 @@ def summary(cases: list[Case]) -> list[dict[str, object]]:
             "channel": case.channel,
             "stage": case.stage,
             "range_bias_m": case.bias,
+            "range_bias_uncertainty_m": case.bias_uncertainty,
             "range_noise_m": case.noise,
             "range_uncertainty_m": _known(case.stated),
             "steps": [

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 from collections.abc import Mapping
 from pathlib import Path
@@ -104,14 +105,17 @@ def write(
     parts.append(Heading("The surveys used"))
     parts += [Listing(f"ladder_{water}.toml", text) for water, text in surveys.items()]
     first = next(iter(samples.values()))
-    parts.append(
-        Paragraph(
-            f"Seeds {', '.join(str(cube.attrs['seed']) for cube in samples.values())}; "
-            f"software {first.attrs['software_versions']}."
-        )
-    )
+    seeds = " and ".join(str(cube.attrs["seed"]) for cube in samples.values())
+    versions = json.loads(first.attrs["software_versions"])
+    made = ", ".join(f"{name} {version}" for name, version in versions.items())
+    parts.append(Paragraph(f"Seeds of the noise: {seeds}. Made with {made}."))
     title = "Underwater ladder: four range images, before and after rejection"
     write_report(path, title, parts, overwrite=overwrite)
+
+
+def mean_error(case: Case) -> str:
+    """Return the mean error of a case with its standard uncertainty [mm]."""
+    return f"{case.bias * 1e3:+.2f} ± {case.bias_uncertainty * 1e3:.2f}"
 
 
 def _ranges_table(cases: list[Case]) -> Table:
@@ -121,9 +125,8 @@ def _ranges_table(cases: list[Case]) -> Table:
         rows.append(
             [
                 name,
-                f"{before.bias * 1e3:+.2f}",
-                f"{after.bias * 1e3:+.2f}",
-                f"{abs(before.bias / after.bias):.0f} times",
+                mean_error(before),
+                mean_error(after),
                 f"{after.noise * 1e3:.2f}",
                 f"{after.stated * 1e3:.2f}",
             ]
@@ -133,14 +136,13 @@ def _ranges_table(cases: list[Case]) -> Table:
             "case",
             "error before",
             "error after",
-            "smaller by",
             "noise",
             "stated noise",
         ],
         rows,
-        "Slant range over the treads [mm]: mean error against the simulated truth, "
-        "scatter of single pixels from row to row, and the scatter that the range "
-        "image states without knowing the truth.",
+        "Slant range over the treads [mm]: mean error against the simulated truth with "
+        "its standard uncertainty, scatter of single pixels from row to row, and the "
+        "scatter that the range image states without knowing the truth.",
     )
 
 

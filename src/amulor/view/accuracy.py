@@ -128,12 +128,13 @@ def accuracy_statement(
             continue
         sigma = image["slant_range_uncertainty"].values
         sigma = sigma[np.isfinite(sigma)]
-        own = math.sqrt(max(budget.combined**2 - budget.common**2, 0.0))
+        # max() of a number that is none would be zero.
+        own = math.sqrt(float(np.maximum(budget.combined**2 - budget.common**2, 0.0)))
         rows.append(
             [
                 name,
-                f"{own * 1e3:.3g}",
-                f"{budget.common * 1e3:.3g}",
+                _millimetres(own),
+                _millimetres(budget.common),
                 f"{budget.combined * 1e3:.3g}",
                 f"{budget.expanded * 1e3:.3g}",
                 f"{np.percentile(sigma, _MOST) * 2e3:.3g}",
@@ -281,6 +282,10 @@ def _water_rows(survey: Survey) -> list[list[str]]:
         ["group index, which makes the metres", f"{water.group_index:.5g}"],
         ["refractive index", f"{water.refractive_index:.5g}"],
     ]
+
+
+def _millimetres(value: float) -> str:
+    return f"{value * 1e3:.3g}" if math.isfinite(value) else "not known"
 
 
 def _shown(value: float | None, factor: float, unit: str) -> str:

@@ -9,11 +9,14 @@ import xarray as xr
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from amulor.cube.terms import ALIKE_TERMS
+from amulor.cube.terms import ALIKE_TERMS, SHARED_TERMS
 from amulor.imaging import ErrorBudget, error_budget
 from amulor.imaging.budget import age_in_words
 from amulor.view.report import Heading, Paragraph, Part, Picture, Table
 from amulor.view.style import COLOURS, new_figure, style
+
+#: Terms that pixels have in common, of the whole scan or of their surroundings.
+_SHARED = {*ALIKE_TERMS, *SHARED_TERMS}
 
 
 def error_budgets(images: Mapping[str, xr.Dataset]) -> list[Part]:
@@ -36,14 +39,22 @@ def error_budgets(images: Mapping[str, xr.Dataset]) -> list[Part]:
             parts += [
                 Picture(
                     budget_figure({name: budget}),
-                    "Standard uncertainty of each term, median over the usable pixels. "
-                    "Dark terms move all pixels the same way; hatched ones are not "
-                    "known and not in the combined one.",
+                    _key(budget),
                 ),
                 _table(name, budget),
                 Paragraph(_limits(budget)),
             ]
     return parts if len(parts) > 1 else []
+
+
+def _key(budget: ErrorBudget) -> str:
+    """Return the caption of the bars; it explains what is drawn and nothing else."""
+    parts = ["Standard uncertainty of each term, median over the usable pixels."]
+    if any(line.term.name in _SHARED for line in budget.lines):
+        parts.append("Dark terms are shared by pixels: a mean keeps them.")
+    if budget.unknown:
+        parts.append("Hatched terms are not known and not in the combined one.")
+    return " ".join(parts)
 
 
 def budget_figure(budgets: Mapping[str, ErrorBudget]) -> Figure:
@@ -75,8 +86,7 @@ def _bars(axis: Axes, budget: ErrorBudget) -> None:
     names += [term.name for term in budget.unknown] + ["combined"]
     known = [line.uncertainty * 1e3 for line in budget.lines]
     colours = [
-        COLOURS[0] if name in ALIKE_TERMS else COLOURS[5]
-        for name in names[: len(known)]
+        COLOURS[0] if name in _SHARED else COLOURS[5] for name in names[: len(known)]
     ]
     place = list(range(len(names)))
     axis.barh(place[: len(known)], known, color=colours, height=0.7)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
@@ -114,9 +115,11 @@ def write(
         ]
     parts.append(Heading("Where this comes from"))
     for name, image in images.items():
-        parts.append(Listing(f"history of {name}", str(image.attrs.get("history", ""))))
+        history = without_folders(str(image.attrs.get("history", "")))
+        parts.append(Listing(f"history of {name}", history))
         if image.attrs.get("survey"):
-            parts.append(Listing(f"survey of {name}", str(image.attrs["survey"])))
+            survey = without_folders(str(image.attrs["survey"]))
+            parts.append(Listing(f"survey of {name}", survey))
     tell("writing", 0.9)
     title = str(first.attrs.get("title") or "Range images")
     write_report(path, title, parts, overwrite=overwrite)
@@ -158,6 +161,32 @@ def flag_sentence(image: xr.Dataset, whole: Whole | None = None) -> str:
     return (
         f"Grey pixels hold no range. Flags, of {pixels} pixels: {listed}.{asked}{error}"
     )
+
+
+#: A whole path in quotation marks, on a Unix or a Windows computer.
+_PATH = re.compile(r"""(["'])(?:/|[A-Za-z]:[\\/]|\\\\)[^"'\n]*[\\/]([^"'\\/\n]+)\1""")
+
+
+def without_folders(text: str) -> str:
+    """Return a text in which files have names only: folders are of one computer.
+
+    Parameters
+    ----------
+    text : str
+        Of a survey or a history.
+
+    Returns
+    -------
+    str
+        The same but for whole paths in quotation marks.
+
+    Examples
+    --------
+    >>> from amulor.view.image_report import without_folders
+    >>> print(without_folders('file = "/home/me/scans/amphora.ply"'))
+    file = "amphora.ply"
+    """
+    return _PATH.sub(r"\1\2\1", text)
 
 
 def interactive(images: Mapping[str, xr.Dataset]) -> list[Part]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import paper_goal
@@ -14,7 +15,7 @@ from amulor.design.reasons.confirm import Confirmation, Scans
 from amulor.design.reasons.sensitivity import Sensitivity, Uncertain
 from amulor.design.reasons.trade import Trade
 from amulor.design.reasons.what_if import Turn
-from amulor.design.requirements import Shortfall
+from amulor.design.requirements import Requirement, Shortfall
 from amulor.view.design import report
 
 pytestmark = pytest.mark.slow
@@ -89,3 +90,16 @@ def test_an_impossible_goal_names_what_must_give_first(tmp_path: Path) -> None:
     assert "What would change the answer" not in text
     assert "Confirmed" not in text
     assert path.read_text().count("data:image/png") == 3
+
+
+def test_a_margin_beyond_all_measure_is_no_number() -> None:
+    def required(margin: float) -> Requirement:
+        return Requirement(
+            name="total error at 2 m", met=True, value=1e-3 / margin, limit=1e-3,
+            margin=margin, unit="m", binding="reference",
+        )  # fmt: skip
+
+    margins = (1.234, 9.51e274, np.inf)
+    choice = SimpleNamespace(requirements=[required(margin) for margin in margins])
+    table = report._requirements(choice)
+    assert [row[4] for row in table.rows] == ["1.23", "above 1000", "above 1000"]

@@ -2,20 +2,26 @@
 
 from __future__ import annotations
 
+import html
 import json
+import re
 from pathlib import Path
 
 import numpy as np
 import pytest
 import xarray as xr
+from matplotlib.colors import to_hex
 
 from amulor import imaging, io, rejection
 from amulor.cli import main
+from amulor.cube.terms import ALIKE_TERMS, SHARED_TERMS
 from amulor.simulation import simulate
 from amulor.survey import Survey
 from amulor.view import Picture, Table, image_report
+from amulor.view.accuracy import accuracy_statement
 from amulor.view.error_budget import error_budgets
 from amulor.view.report import Heading, Paragraph, png
+from amulor.view.style import COLOURS
 
 STATED = """
 [calibration]
@@ -82,6 +88,48 @@ def test_the_report_shows_every_term_and_what_is_not_known(
     path = tmp_path / "report.html"
     image_report.write(path, {"plate": image})
     assert "light scattered on its way" in path.read_text()
+
+
+def test_the_caption_explains_the_bars_that_are_drawn(image: xr.Dataset) -> None:
+    shared = [*ALIKE_TERMS, *SHARED_TERMS]
+    names = [f"slant_range_uncertainty_{name}" for name in shared]
+    own = image.drop_vars([name for name in names if name in image])
+    own = own.assign_attrs(uncertainty_unknown="")
+    for shown, dark in ((image, True), (own, False)):
+        _, picture, *_ = error_budgets({"plate": shown})
+        colours = [to_hex(p.get_facecolor()) for p in picture.figure.axes[0].patches]
+        assert (COLOURS[0].lower() in colours) == dark
+        assert ("Dark" in picture.caption) == dark
+        assert ("atched" in picture.caption) == dark
+
+
+def test_a_shared_part_that_is_not_known_is_no_nan(image: xr.Dataset) -> None:
+    other = image.copy(deep=True)
+    other["slant_range_common_uncertainty"][:] = np.nan
+    tables = [
+        part
+        for part in accuracy_statement({"plate": other}, {})
+        if isinstance(part, Table)
+    ]
+    cells = [cell for table in tables for row in table.rows for cell in row]
+    assert "not known" in cells
+    assert "nan" not in cells
+
+
+def test_a_report_names_files_and_no_folders_of_this_computer(
+    image: xr.Dataset, tmp_path: Path
+) -> None:
+    survey = image.attrs["survey"] + '\n# file = "/home/me/scans/jar.ply"\n'
+    history = "reject 'C:\\Users\\me\\water.nc'"
+    path = tmp_path / "report.html"
+    made = image.assign_attrs(survey=survey, history=history)
+    image_report.write(path, {"plate": made})
+    text = path.read_text()
+    listings = html.unescape(" ".join(re.findall(r"<pre>.*?</pre>", text, re.DOTALL)))
+    assert 'file = "jar.ply"' in listings
+    assert "reject 'water.nc'" in listings
+    assert "/home/me" not in text
+    assert "Users" not in listings
 
 
 def test_info_says_the_budget(image: xr.Dataset, tmp_path: Path, capsys) -> None:

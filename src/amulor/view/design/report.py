@@ -301,12 +301,16 @@ def _written(chosen: Parameters, name: str) -> str:
     return value if isinstance(value, str) else written(name, value)
 
 
+#: Margins above this one are told apart by nobody [1].
+_AMPLE = 1000
+
+
 def _requirements(choice: Choice) -> Table:
     rows = []
     for one in choice.requirements:
         name = one.name.partition(" at ")[0]
         state = "met" if one.met else "!missed"
-        margin = "" if np.isinf(one.margin) else f"{one.margin:.3g}"
+        margin = f"{one.margin:.3g}" if one.margin < _AMPLE else f"above {_AMPLE}"
         rows.append(
             [
                 one.name,

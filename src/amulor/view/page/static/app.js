@@ -145,7 +145,7 @@ async function opened(channel) {
   $("title").textContent = scene.title;
   const size = `${scene.rows} × ${scene.columns} pixels`;
   const strided = scene.stride > 1 ? `, every ${scene.stride}th row and column drawn` : "";
-  $("subtitle").textContent = `${scene.name} · ${size}${strided} · ${scene.simulated ? "simulated" : "measured"} · ranges in water of group index ${scene.group_index}${scene.frequencies.length ? ` · ${frequencies(scene.frequencies)}` : ""}`;
+  $("subtitle").textContent = `${scene.name} · ${size}${strided} · ${scene.simulated ? "simulated" : "measured"} · ranges in water of group index ${Number(scene.group_index.toPrecision(5))}${scene.frequencies.length ? ` · ${frequencies(scene.frequencies)}` : ""}`;
   $("channel-field").hidden = scene.channels.length < 2;
   $("channel").replaceChildren(...scene.channels.map((name) => new Option(name, name, name === scene.channel, name === scene.channel)));
   const switches = $("water").querySelectorAll("button");

@@ -116,7 +116,7 @@ export function asText(state) {
   const { scene } = state;
   const lines = [
     `${scene.title} (${scene.name})`,
-    `Metres in water of group index ${scene.group_index}; ${scene.error_unknown || "± is one standard uncertainty, errors that pixels share included"}.`,
+    `Metres in water of group index ${Number(scene.group_index.toPrecision(5))}; ${scene.error_unknown || "± is one standard uncertainty, errors that pixels share included"}.`,
   ];
   if (scene.notes.some((note) => note.startsWith("Not in"))) lines.push(scene.notes.find((note) => note.startsWith("Not in")));
   for (const kept of state.measurements) {
