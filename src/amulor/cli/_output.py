@@ -6,7 +6,7 @@ import json
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from typing import Any
 
@@ -16,6 +16,8 @@ from amulor import _progress
 _SILENT = 2.0
 #: ... and that it goes on with the same after this one [s].
 _AGAIN = 30.0
+#: Share of flagged values above which a command says what to do [1].
+_NEARLY_ALL = 0.9
 
 
 def print_json(value: Any) -> None:
@@ -55,6 +57,26 @@ def print_table(
     # Without markup, "[mm]" is a unit; in a pipe, a table is as wide as it has to be.
     width = None if sys.stdout.isatty() else 1000
     Console(markup=False, emoji=False, width=width).print(table)
+
+
+def print_next(command: str) -> None:
+    """Print the usual next command; on a terminal only, where a person reads it."""
+    if sys.stdout.isatty():
+        print(f"next: {command}")
+
+
+def print_flags(counts: Mapping[str, int], total: int) -> None:
+    """Print the commonest flag, and what to do where nearly everything has it."""
+    if not counts:
+        return
+    from amulor.view.explanations import explanations, hint
+
+    name = max(counts, key=lambda flag: counts[flag])
+    share = counts[name] / total
+    print(f"commonest flag: {name} ({share:.1%}); what it means: {hint([name])}")
+    known = explanations().get(name.upper())
+    if share > _NEARLY_ALL and known is not None:
+        print(f"what to do: {known.remedy}")
 
 
 def announcing(name: str = "", *, browser: bool) -> Callable[[str], None]:

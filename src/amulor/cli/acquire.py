@@ -62,7 +62,7 @@ def acquire(
     from amulor.acquisition.journal.file import FILE_NAME
     from amulor.acquisition.run import DEVICES_NAME, resume_command
     from amulor.cli._arguments import UsageError
-    from amulor.cli._output import print_json
+    from amulor.cli._output import print_json, print_next
     from amulor.errors import InstrumentError
     from amulor.survey import Survey
 
@@ -117,6 +117,7 @@ def acquire(
             f"{found['cube']}: {outcome.done} samples, {outcome.flagged} flagged in "
             "this run"
         )
+        print_next(f"amulor reject {found['cube']} --method auto -o target.nc")
     else:
         print(
             f"{output}: {outcome.done} of {outcome.total} samples; go on with: "
@@ -193,6 +194,9 @@ def recover(
     )  # fmt: skip
     missing = int(io.read_cube(path)["in_phase"].isnull().sum())
     print(f"{path}: {missing} samples missing")
+    from amulor.cli._output import print_next
+
+    print_next(f"amulor reject {path} --method auto -o target.nc")
     if damage:
         raise FormatError(
             f"{folder}: the journal is damaged in {len(damage)} places, named above; "

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 from cyclopts import Parameter, validators
 
 from amulor.cli._arguments import UsageError, check_ending, quantity_of, refusing
-from amulor.cli._output import progress_bar
+from amulor.cli._output import print_next, progress_bar
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -158,6 +158,8 @@ def export(
         progress(f"making the {product}", 0.2)
         said = handover.hand_over(cube, output, order, frame=frame, overwrite=overwrite)
     print(f"{output}: {said}")
+    if product == "cloud":
+        print_next(f"amulor view {output}")
 
 
 def _by_rows(
@@ -189,6 +191,7 @@ def _by_rows(
     doubt = f", {made.doubtful} of them doubtful" if made.doubtful else ""
     doubt += f": {made.error_unknown}" if made.error_unknown else ""
     print(f"{output}: {made.points} points{doubt}")
+    print_next(f"amulor view {output}")
 
 
 def scale_of(option: str, text: str) -> float:

@@ -41,7 +41,8 @@ def image(
     """
     from amulor import _progress, imaging, io
     from amulor.cli._arguments import check_cube_output, interval_of
-    from amulor.cli._output import progress_bar
+    from amulor.cli._output import print_flags, print_next, progress_bar
+    from amulor.cube import flag_counts
     from amulor.io.netcdf_rows import is_large
 
     interval = interval_of(nearest, farthest)
@@ -79,6 +80,8 @@ def image(
         f"({doubtful:.1%} flagged), "
         + (error_unknown(result) or f"median uncertainty {median * 1e3:.2f} mm")
     )
+    print_flags(flag_counts(result), flags.size)
+    print_next(f"amulor view {output}")
 
 
 def _unsettled(output: Path, reason: str) -> str:
@@ -101,7 +104,7 @@ def _by_rows(
     """Make the image tile by tile, and print what came out."""
     from amulor import scale
     from amulor.cli._arguments import UsageError
-    from amulor.cli._output import progress_bar
+    from amulor.cli._output import print_flags, print_next, progress_bar
 
     if rows is not None and rows < 1:
         raise UsageError(f"--tile-rows must be 1 or more, got {rows}")
@@ -118,3 +121,5 @@ def _by_rows(
         f"{output}: range image, {made.usable / made.count:.1%} of the pixels usable "
         f"({made.doubtful / made.count:.1%} flagged)" + (f", {words}" if words else "")
     )
+    print_flags(made.flags, made.count)
+    print_next(f"amulor view {output}")

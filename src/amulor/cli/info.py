@@ -6,6 +6,7 @@ import math
 from pathlib import Path
 from typing import Annotated, Any
 
+import numpy as np
 from cyclopts import Parameter
 
 from amulor.cli._output import print_json
@@ -51,18 +52,67 @@ def info(
     if json:
         print_json(found)
         return
-    budget = found.pop("uncertainty")
-    for name, value in found.items():
-        if value not in ([], {}, ""):
-            lines = value if isinstance(value, list) and name == "history" else [value]
-            for line in lines:
-                print(f"{name:>26}: {line}")
-    if found["flags"]:
-        from amulor.view.explanations import hint
+    _print(cube, found)
 
-        print(f"{'what flags mean':>26}: {hint(found['flags'])}")
-    for line in _lines(budget):
-        print(f"{'uncertainty':>26}: {line}")
+
+def _print(cube: Any, found: dict[str, Any]) -> None:
+    """Print what a person wants to know of a file, the most important first."""
+    from amulor.view.explanations import explanations, hint
+
+    title = f' "{found["title"]}"' if found["title"] else ""
+    origin = "simulated" if found["simulated"] else "measured"
+    print(f"{found['file']}: {found['level'].replace('_', ' ')}{title}, {origin}")
+    sizes = found["sizes"]
+    print(f"  {', '.join(f'{size} {name}s' for name, size in _counted(sizes))}")
+    channels = found["polarizations"] or [cube.attrs.get("polarization", "")]
+    frequencies = found["modulation_frequencies_hz"] or np.atleast_1d(
+        cube.attrs.get("modulation_frequencies", [])
+    )
+    if any(channels):
+        print(f"  channel: {', '.join(map(str, channels))}")
+    if len(frequencies):
+        shown = ", ".join(f"{frequency / 1e6:g}" for frequency in frequencies)
+        print(f"  modulation: {shown} MHz")
+    if "slant_range" in cube:
+        _print_ranges(cube["slant_range"].values)
+    counts = found["flags"]
+    if "quality_flag" in cube:
+        total = cube["quality_flag"].size
+        for name, count in sorted(counts.items(), key=lambda one: -one[1]):
+            known = explanations().get(name.upper())
+            said = "" if known is None else f": {known.meaning}"
+            print(f"  flag {name}, {count} ({count / total:.1%}){said}")
+        asked = f"what to do: {hint(counts)}" if counts else "flags: none"
+        print(f"  {asked}")
+    for line in _lines(found["uncertainty"]):
+        print(f"  uncertainty: {line}")
+    for line in found["history"]:
+        print(f"  history: {line}")
+
+
+def _counted(sizes: dict[str, int]) -> list[tuple[str, int]]:
+    """Return the dimensions that are counted on a line of their own."""
+    others = ("modulation_frequency", "polarization")
+    words = {"shot": "open-water shot"}
+    return [
+        (words.get(name, name), size)
+        for name, size in sizes.items()
+        if name not in others
+    ]
+
+
+def _print_ranges(values: Any) -> None:
+    """Print where the surface is, and how many pixels hold a range."""
+    known = values[np.isfinite(values)]
+    share = f"{known.size} of {values.size} hold a range"
+    if not known.size:
+        print(f"  slant range: {share}")
+        return
+    low, middle, high = np.percentile(known, [1, 50, 99])
+    print(
+        f"  slant range: median {middle:.4f} m, {low:.4f} to {high:.4f} m "
+        f"(1 to 99 % of the pixels); {share}"
+    )
 
 
 def _uncertainty(image: Any) -> dict[str, Any]:

@@ -40,7 +40,7 @@ def recordings(
         Replace a file that is there.
     """
     from amulor.cli._arguments import UsageError, check_cube_output
-    from amulor.cli._output import progress_bar
+    from amulor.cli._output import print_next, progress_bar
     from amulor.io.recording_map import RecordingMap
     from amulor.io.recordings import marked, read_recordings
     from amulor.survey import Survey
@@ -73,3 +73,4 @@ def recordings(
         f"{sizes['modulation_frequency']} frequencies in "
         f"{sizes['polarization']} polarizations; marked: {words or 'none'}"
     )
+    print_next(f"amulor reject {output} --method auto -o target.nc")

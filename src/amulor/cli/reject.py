@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 from cyclopts import Parameter
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Mapping
 
     import xarray as xr
 
@@ -99,6 +99,7 @@ def reject(
         quantity_of,
     )
     from amulor.cli._output import print_json, progress_bar
+    from amulor.cube import flag_counts
     from amulor.errors import CubeError
     from amulor.io.netcdf_rows import is_large
 
@@ -188,8 +189,8 @@ def reject(
         _print_comparison(comparison)
     else:
         _print_choice(target)
-    flagged = float((target["quality_flag"] != 0).mean())
-    print(f"{output}: target signal, {flagged:.1%} of the samples flagged")
+    flag = target["quality_flag"]
+    _print_flags(output, float((flag != 0).mean()), flag_counts(target), flag.size)
 
 
 def _by_rows(
@@ -227,7 +228,18 @@ def _by_rows(
         _print_comparison(made.comparison)
     else:
         _print_choice(made.head)
+    _print_flags(output, share, made.flags, max(made.count, 1))
+
+
+def _print_flags(
+    output: Path, share: float, counts: Mapping[str, int], total: int
+) -> None:
+    """Print how many samples are flagged and as what, and the next command."""
+    from amulor.cli._output import print_flags, print_next
+
     print(f"{output}: target signal, {share:.1%} of the samples flagged")
+    print_flags(counts, total)
+    print_next(f"amulor image {output} -o range.nc")
 
 
 def _fraction(option: str, text: str | None) -> float | None:

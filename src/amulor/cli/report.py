@@ -80,7 +80,10 @@ def report(
             image_report.write(
                 output, cubes, checks=known, wholes=wholes, overwrite=overwrite
             )
-    print(f"{output}: {len(cubes)} range image{'s' if len(cubes) > 1 else ''}")
+    print(
+        f"{output}: {len(cubes)} range image{'s' if len(cubes) > 1 else ''}; open it "
+        "in a browser"
+    )
 
 
 def _shown(

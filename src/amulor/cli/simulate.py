@@ -13,7 +13,7 @@ from amulor.cli._arguments import (
     check_cube_output,
     quantity_of,
 )
-from amulor.cli._output import progress_bar
+from amulor.cli._output import print_next, progress_bar
 
 
 def simulate(
@@ -119,3 +119,4 @@ def simulate(
     )
     if reason and described.targets:
         print(f"note: {reason}; amulor image will need --nearest and --farthest")
+    print_next(f"amulor reject {output} --method auto -o target.nc")

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import Parameter
 
-from amulor.cli._output import print_json
+from amulor.cli._output import print_json, print_next
 
 if TYPE_CHECKING:
     from amulor.rejection.reference.grid import Plan
@@ -84,11 +84,18 @@ def check(
         print(f"  what to expect is not known: {unknown}")
     if plan is not None and not plan.holds:
         _warn_of_sparse_shots(scan, plan)
+    if scan.open_water is None:
+        print(
+            "  note: no open-water reference measurement is planned; without one only "
+            "joint (two or more frequencies), unmix (ratios known) and "
+            "cross-polarized work: add [scan.open_water]"
+        )
     if reason and survey.targets:
         print(
             f"  warning: {reason}; add a frequency, or state --nearest and --farthest "
             "in amulor image"
         )
+    print_next(f"amulor simulate {file} -o samples.nc")
 
 
 def _open_meshes(survey: Survey) -> None:

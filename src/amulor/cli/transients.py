@@ -79,3 +79,6 @@ def transients(
             "far apart; the stated errors hold it; record scenes farther apart, or the "
             "medium alone"
         )
+    from amulor.cli._output import print_next
+
+    print_next(f"amulor reject {output} --method auto -o target.nc")

@@ -181,7 +181,64 @@ def test_info_tells_what_a_file_holds(folder: Path, capsys) -> None:
     assert found["modulation_frequencies_hz"] == [39e6]
     assert found["polarizations"] == ["VV", "VH"]
     assert main(["info", str(folder / "range.nc")]) == 0
-    assert "range_image" in capsys.readouterr().out
+    out = capsys.readouterr().out
+    assert "range.nc: range image" in out
+    assert "simulated" in out
+    assert "6 rows, 12 columns" in out
+    assert "channel: VH" in out
+    assert "modulation: 39 MHz" in out
+    image = io.read_cube(folder / "range.nc")
+    median = float(image["slant_range"].median())
+    assert f"slant range: median {median:.4f} m" in out
+    assert "{" not in out
+    # What is flagged, how often, and in which words.
+    assert (
+        main(
+            [
+                "reject",
+                str(folder / "samples.nc"),
+                "--method",
+                "none",
+                "-o",
+                str(folder / "wet.nc"),
+            ]
+        )
+        == 0
+    )
+    said = capsys.readouterr().out
+    assert "commonest flag: no_open_water (100.0%)" in said
+    assert "what to do: Record open water" in said
+    assert main(["info", str(folder / "wet.nc")]) == 0
+    out = capsys.readouterr().out
+    assert "flag no_open_water, 144 (100.0%): " in out
+    assert "amulor explain NO_OPEN_WATER" in out
+
+
+def test_a_command_names_the_usual_next_one_on_a_terminal_only(
+    folder: Path, monkeypatch, capsys
+) -> None:
+    words = ["survey", "check", str(folder / "tank.toml")]
+    assert main(words) == 0
+    assert "next:" not in capsys.readouterr().out
+    monkeypatch.setattr(sys.stdout, "isatty", lambda: True)
+    assert main(words) == 0
+    assert f"next: amulor simulate {words[-1]}" in capsys.readouterr().out
+    assert main([*words, "--json"]) == 0
+    assert "next:" not in capsys.readouterr().out
+
+
+def test_a_plan_without_open_water_is_noted(
+    tmp_path: Path, plate_text: str, capsys
+) -> None:
+    for text, noted in (
+        (plate_text, False),
+        (plate_text.partition("[scan.open_water]")[0], True),
+    ):
+        path = tmp_path / "tank.toml"
+        path.write_text(text)
+        assert main(["survey", "check", str(path)]) == 0
+        said = "no open-water reference measurement is planned"
+        assert (said in capsys.readouterr().out) == noted
 
 
 @pytest.mark.parametrize(

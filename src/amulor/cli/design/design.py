@@ -125,6 +125,9 @@ def _print(found: Recommendation, files: list[Path]) -> None:
         _print_choice("runner-up", found.runner_up, asked.accuracy.total_error)
     for file in files[: 1 if found.runner_up is None else 2]:
         print(f"{file}: survey written")
+    from amulor.cli._output import print_next
+
+    print_next(f"amulor survey check {files[0]}")
 
 
 def _print_choice(word: str, choice: Choice, accuracy: float) -> None:

@@ -22,7 +22,7 @@ def check(
     """
     from dataclasses import asdict
 
-    from amulor.cli._output import print_json, progress_bar
+    from amulor.cli._output import print_json, print_next, progress_bar
     from amulor.errors import SurveyError
     from amulor.site import Site
     from amulor.site.check import check as look
@@ -44,6 +44,7 @@ def check(
             f"{len(described.epoch)} epochs, {targets} targets, "
             f"{len(described.control)} control points"
         )
+        print_next(f"amulor site register {site} -o poses.json")
 
 
 def schema() -> None:

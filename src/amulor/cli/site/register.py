@@ -35,7 +35,7 @@ def register(
     from amulor import io
     from amulor._extras import require
     from amulor.cli._arguments import check_ending
-    from amulor.cli._output import print_json, progress_bar
+    from amulor.cli._output import print_json, print_next, progress_bar
     from amulor.site import Site
     from amulor.site.registration import register as room
     from amulor.site.registration.result import write_registration
@@ -71,6 +71,7 @@ def register(
         return
     _print(result)
     print(f"{output}: poses of {len(result.poses)} scans")
+    print_next(f"amulor site merge {site} --poses {output} -o merged")
 
 
 def _sigmas(result: Registration, name: str) -> list[float]:
