@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 from cyclopts import Parameter
 
@@ -71,7 +72,7 @@ def image(
     from amulor.cube import error_unknown
 
     if "interval_unsettled" in result.attrs:
-        print(_unsettled(output, result.attrs["interval_unsettled"]))
+        print(_unsettled(output, result.attrs))
         return
     median = float(result["slant_range_uncertainty"].median())
     doubtful = float(((flags != 0) & usable).mean())
@@ -84,11 +85,15 @@ def image(
     print_next(f"amulor view {output}")
 
 
-def _unsettled(output: Path, reason: str) -> str:
+def _unsettled(output: Path, attributes: Mapping[Any, Any]) -> str:
+    from amulor.cube import WATER_NOT_REMOVED
+
+    water = str(attributes.get("error_unknown", "")).startswith(WATER_NOT_REMOVED)
     return (
         f"{output}: ranges relative to an unknown number of intervals, all pixels "
-        f"flagged: {reason}; state --nearest and --farthest, no farther apart than the "
-        "phases repeat"
+        f"flagged: {attributes['interval_unsettled']}; state --nearest and --farthest, "
+        "no farther apart than the phases repeat"
+        + (f"; {WATER_NOT_REMOVED}" if water else "")
     )
 
 
@@ -114,7 +119,7 @@ def _by_rows(
             polarization=polarization, interval=interval,
         )  # fmt: skip
     if "interval_unsettled" in made.head.attrs:
-        print(_unsettled(output, made.head.attrs["interval_unsettled"]))
+        print(_unsettled(output, made.head.attrs))
         return
     words = str(made.head.attrs.get("error_unknown", ""))
     print(

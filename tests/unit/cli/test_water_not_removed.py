@@ -122,6 +122,18 @@ def test_image_states_no_interval(folder: Path, tmp_path, capsys, rows) -> None:
     assert np.isnan(io.read_cube(output)["slant_range_uncertainty"].values).all()
 
 
+def test_an_unsettled_interval_hides_no_water(
+    plate: Survey, folder: Path, tmp_path, capsys
+) -> None:
+    raw = io.read_cube(folder / "raw.nc")
+    far = plate.with_({"targets.0.position": [0.0, 0.0, 9.0]})
+    io.write_cube(raw.assign_attrs(survey=far.to_toml()), tmp_path / "far.nc")
+    command = ("image", tmp_path / "far.nc", "-o", tmp_path / "far_range.nc")
+    text = said(capsys, *command, "--polarization", "VV")
+    assert "unknown number of intervals" in text
+    assert WORDS in text
+
+
 def test_a_report_states_no_interval(folder: Path, tmp_path, capsys) -> None:
     said(capsys, "report", folder / "before.nc", "-o", tmp_path / "report.html")
     text = (tmp_path / "report.html").read_text().partition("<iframe")[0]

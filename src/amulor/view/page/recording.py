@@ -178,10 +178,11 @@ class Recording:
         for picture, before in ((pictures.after, False), (pictures.before, True)):
             if picture is None:
                 continue
+            unknown = bool(picture.error_unknown)
             for variable, layer in MAPS.items():
                 if not picture.has(variable) or (before and variable not in BEFORE):
                     continue
-                if layer.is_error and picture.error_unknown:
+                if layer.is_error and unknown:
                     continue
                 name = f"{layer.name}_before" if before else layer.name
                 found[name] = (
@@ -243,7 +244,7 @@ class Recording:
             "nodes": {"rows": nodes.rows.tolist(), "columns": nodes.columns.tolist()},
             "sharing": sharing_of(picture),
             "error_unknown": picture.error_unknown,
-            "water_in": _water_in(picture),
+            "water_in": pictures.after is not None and _water_in(picture),
             "spectrum": self.has_spectrum,
             "history": str(attributes.get("history", "")),
             "notes": [*self.notes, *_notes(pictures)],

@@ -183,3 +183,30 @@ def test_a_late_answer_leaves_the_newer_hint(
         held[0].continue_()
         shown.wait_for_selector("#measurements li")
         assert "over the pipe" in shown.inner_text("#hint")
+
+
+def test_with_the_water_left_in_no_number_has_an_interval(
+    tab: Callable[..., Any], tmp_path: Path
+) -> None:
+    raw = rejection.keep_water(samples.cube("ladder"))
+    path = tmp_path / "raw.html"
+    page.save_page(page.recording_of(raw, name="raw.nc"), path)
+    one = tab()
+    shown = one.open(path.as_uri())
+    click(shown, (20, 8))
+    settled(shown)
+    texts = shown.evaluate(
+        "[...document.querySelectorAll('#readout, #notes')]"
+        ".map(part => part.innerText).join(' ')"
+    )
+    words = "water not removed: error unknown, expect centimetres"
+    assert words in texts.lower()
+    assert "±" not in texts
+    assert shown.locator("#water button:visible").all_inner_texts() == ["Water in"]
+    distance(shown, (20, 8), (20, 60))
+    entry = shown.locator("#measurements li").first.inner_text()
+    assert "±" not in entry
+    assert words in entry
+    text = shown.evaluate("import('page/tools.js').then(m => m.asText(amulor))")
+    assert "±" not in text
+    assert one.errors == []
