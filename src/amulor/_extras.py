@@ -14,6 +14,7 @@ MODULES = {
         "laspy[lazrs]": "lazrs",
         "ezdxf": "ezdxf",
         "tifffile": "tifffile",
+        "pyproj": "pyproj",
     },
     "e57": {"pye57": "pye57"},
     "mie": {"miepython": "miepython"},

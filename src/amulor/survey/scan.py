@@ -18,6 +18,7 @@ from amulor.survey.quantity import (
     Position,
     Time,
 )
+from amulor.survey.reference_system import ReferenceSystem
 
 
 class OpenWater(Description):
@@ -105,9 +106,9 @@ class Pose(Description):
     upper edge of the scan towards the heading [rad]."""
     roll: Annotated[Angle, Field(ge=-math.pi, le=math.pi)] = 0.0
     """How far the right axis points downwards, about the forward axis [rad]."""
-    crs: Annotated[str, Field(max_length=200)] = ""
-    """Reference system that the local frame belongs to, such as "EPSG:32632" or a
-    name; none if left out."""
+    crs: ReferenceSystem = ""
+    """Reference system that the local frame belongs to: a projected one in metres, such
+    as "EPSG:32632", or a name; none if left out."""
     crs_offset: Position = (0.0, 0.0, 0.0)
     """What has to be added to the local frame to be in the reference system (east,
     north, up). Kept apart, since millimetres of coordinates in the millions are lost

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,6 +14,7 @@ from numpy.typing import NDArray
 
 from amulor.errors import FormatError, MissingExtraError
 from amulor.io.files import atomic_output
+from amulor.survey.reference_system import projected_code
 
 Floats = NDArray[np.float64]
 
@@ -75,9 +75,10 @@ def write_geotiff(
     Raises
     ------
     FormatError
-        If the file exists and `overwrite` is not set, or cannot be written.
+        If the file exists and `overwrite` is not set, or cannot be written, or the
+        reference system is not a projected one in metres.
     MissingExtraError
-        If tifffile is not installed.
+        If tifffile is not installed, or pyproj where there is a number of EPSG.
 
     Notes
     -----
@@ -88,7 +89,10 @@ def write_geotiff(
     values = np.stack([band.values for band in bands]).astype(np.float32)
     if values.ndim != 3 or not values.shape[0]:
         raise FormatError(f"{path}: bands must be rasters of rows and columns")
-    code = re.fullmatch(r"EPSG:(\d{4,5})", crs.strip(), flags=re.IGNORECASE)
+    try:
+        code = projected_code(crs)
+    except ValueError as error:
+        raise FormatError(f"{path}: {error}") from None
     shift = offset if code else (0.0, 0.0)
     tie = (0.0, 0.0, 0.0, left + shift[0], top + shift[1], 0.0)
     text = (crs or "local frame of the instrument, see description") + "|"
@@ -99,7 +103,7 @@ def write_geotiff(
         (_CITATION, _TEXTS, len(citation), 0),
     ]
     if code:
-        keys.append((_PROJECTED, 0, 1, int(code[1])))
+        keys.append((_PROJECTED, 0, 1, code))
     keys.append((_LINEAR_UNIT, 0, 1, _METRE))
     directory = [1, 1, 1, len(keys)] + [number for key in keys for number in key]
     tags = [

@@ -17,6 +17,7 @@ from amulor.survey.quantity import (
     Length,
     Position,
 )
+from amulor.survey.reference_system import ReferenceSystem
 from amulor.survey.scan import Pose
 
 Name = Annotated[str, Field(min_length=1, max_length=100, pattern=r"^[\w .+-]+$")]
@@ -26,9 +27,9 @@ _Sigma = Annotated[Length, Field(gt=0, le=1000)]
 class SiteFrame(Description):
     """Axes that all scans come into: x east, y north, z up."""
 
-    crs: Annotated[str, Field(max_length=200)] = ""
-    """Reference system that the local frame belongs to, such as "EPSG:32632" or a
-    name; none if left out."""
+    crs: ReferenceSystem = ""
+    """Reference system that the local frame belongs to: a projected one in metres, such
+    as "EPSG:32632", or a name; none if left out."""
     crs_offset: Position = (0.0, 0.0, 0.0)
     """What has to be added to the local frame to be in the reference system (east,
     north, up); the same for all scans, tiles and epochs [m]."""

@@ -8,6 +8,7 @@ import xml.etree.ElementTree as ET
 
 import numpy as np
 import pytest
+import rasterio
 from PIL import Image, TiffImagePlugin
 
 from amulor.errors import FormatError, MissingExtraError
@@ -107,6 +108,41 @@ class TestGeotiff:
         keys = np.array(tags[34735]).reshape(-1, 4)[1:].tolist()
         stated = {key: value for key, _, _, value in keys}
         assert (stated[1024], stated[3072]) == (1, 32632)
+
+    def test_gdal_reads_system_edges_and_values(self, values, tmp_path):
+        path = tmp_path / "dem.tif"
+        write_geotiff(
+            [Band(name="height", unit="m", values=values)],
+            path,
+            cell=0.5,
+            left=10.25,
+            top=20.5,
+            crs="EPSG:25832",
+            offset=(512000.0, 4890000.0),
+        )
+        with rasterio.open(path) as found:
+            assert found.crs.to_epsg() == 25832
+            assert found.crs.linear_units == "metre"
+            assert found.bounds.left == 512010.25
+            assert found.bounds.top == 4890020.5
+            assert found.res == (0.5, 0.5)
+            assert found.descriptions == ("height",)
+            np.testing.assert_array_equal(found.read(1), values.astype(np.float32))
+
+    @pytest.mark.parametrize("crs", ["EPSG:99999", "EPSG:4326", "EPSG:2263"])
+    def test_no_file_is_written_in_a_system_that_is_none_of_metres(
+        self, values, tmp_path, crs
+    ):
+        with pytest.raises(FormatError, match="state a projected system in metres"):
+            write_geotiff(
+                [Band(name="height", unit="m", values=values)],
+                tmp_path / "dem.tif",
+                cell=0.5,
+                left=0,
+                top=0,
+                crs=crs,
+            )
+        assert list(tmp_path.iterdir()) == []
 
     def test_without_its_package_it_says_what_to_install(
         self, values, tmp_path, monkeypatch
