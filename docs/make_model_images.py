@@ -11,6 +11,7 @@ from __future__ import annotations
 import csv
 import re
 import sys
+import warnings
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
@@ -20,6 +21,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from scipy.constants import speed_of_light
 
+from amulor.errors import AmulorWarning
 from amulor.optics import (
     low_pass,
     small_angle,
@@ -43,6 +45,7 @@ HERE = Path(__file__).parent
 KEPT = HERE / "theory" / "models-photons.csv"
 PAGE = HERE / "theory" / "models.md"
 PICTURE = HERE / "images" / "models-photons.png"
+VALIDITY = HERE / "images" / "closure-validity.png"
 
 ATTENUATIONS = (0.1, 0.3, 1.0, 2.0)  # [1/m]
 ABSORBED = 0.3  # of the attenuation
@@ -235,10 +238,13 @@ def said(response: Callable[..., Any], echo: Callable[..., Any]) -> dict[str, fl
 def compared() -> dict[str, dict[tuple[str, float], dict[str, float]]]:
     """Return what all models say, by model, water and attenuation."""
     result: dict[str, dict[tuple[str, float], dict[str, float]]] = {}
-    for name, function in waters().items():
-        for attenuation in ATTENUATIONS:
-            for model, pair in models(function, attenuation).items():
-                result.setdefault(model, {})[name, attenuation] = said(*pair)
+    with warnings.catch_warnings():
+        # Where the closure does not hold is what the page shows.
+        warnings.simplefilter("ignore", AmulorWarning)
+        for name, function in waters().items():
+            for attenuation in ATTENUATIONS:
+                for model, pair in models(function, attenuation).items():
+                    result.setdefault(model, {})[name, attenuation] = said(*pair)
     return result
 
 
@@ -353,16 +359,134 @@ def summary(photons: dict[Any, Any], found: dict[str, Any]) -> str:
     return "\n".join(lines)
 
 
+# ------------------------------------------------------- where the closure holds
+
+ACCEPTANCES = (0.005, 0.01, 0.02, 0.03, 0.05, 0.08, 0.1)  # [rad]
+BASELINES = (0.0, 0.1, 0.2, 0.4)  # [m]
+DEPTH = 2.0  # [m]
+
+
+def validity() -> list[dict[str, float]]:
+    """Return closure over (29) for receivers that look ahead, and what it says."""
+    function = waters()["Henyey-Greenstein 0.95"]
+    rows = []
+    for attenuation in (0.3, 1.0):
+        for baseline in BASELINES:
+            for acceptance in ACCEPTANCES:
+                column: dict[str, Any] = {
+                    "absorption": ABSORBED * attenuation,
+                    "scattering": (1 - ABSORBED) * attenuation,
+                    "phase_function": function,
+                    "split_angle": np.pi / 2,
+                    "receiver_radius": RECEIVER["receiver_radius"],
+                    "acceptance_angle": acceptance,
+                    "baseline": baseline,
+                }
+                forms = small_angle_closure, small_angle
+                echo = [form.overlap(DEPTH, **column) for form in forms]
+                with warnings.catch_warnings(record=True) as warned:
+                    warnings.simplefilter("always", AmulorWarning)
+                    corner = [
+                        low_pass.cut_off(
+                            partial(form.water_response, group_index=INDEX, **column),
+                            maximum_frequency=1e9,
+                        )
+                        for form in forms
+                    ]
+                off = float(small_angle_closure.departure(DEPTH, **column))
+                rows.append(
+                    {
+                        "attenuation": attenuation,
+                        "baseline": baseline,
+                        "acceptance": acceptance,
+                        "echo": float(echo[0] / echo[1]),
+                        "echo_holds": abs(off) <= 0.25,
+                        "cut_off": float(corner[0] / corner[1]),
+                        "cut_off_holds": not warned,
+                    }
+                )
+    return rows
+
+
+def validity_drawn(rows: list[dict[str, float]]) -> Figure:
+    """Draw closure over (29) against the acceptance: filled where it holds."""
+    with style():
+        figure = new_figure(7.4, 5.2)
+        panels = figure.subplots(2, 2, sharex=True, sharey="row")
+        for column, attenuation in enumerate((0.3, 1.0)):
+            for row, quantity in enumerate(("echo", "cut_off")):
+                axis = panels[row, column]
+                axis.axhline(1, color="#777777", lw=0.8)
+                for number, baseline in enumerate(BASELINES):
+                    own = [
+                        each
+                        for each in rows
+                        if (each["attenuation"], each["baseline"])
+                        == (attenuation, baseline)
+                    ]
+                    x = np.array([1e3 * each["acceptance"] for each in own])
+                    y = np.array([each[quantity] for each in own])
+                    holds = np.array([each[f"{quantity}_holds"] for each in own])
+                    colour = COLOURS[number]
+                    axis.plot(x, y, color=colour, lw=0.8)
+                    axis.plot(
+                        x[~holds], y[~holds], "o", color=colour, mfc="white", ms=5
+                    )
+                    axis.plot(
+                        x[holds],
+                        y[holds],
+                        "o",
+                        color=colour,
+                        ms=5,
+                        label=f"baseline {100 * baseline:g} cm",
+                    )
+                axis.set_xscale("log")
+                axis.set_xticks(
+                    [5, 10, 20, 30, 50, 100], ["5", "10", "20", "30", "50", "100"]
+                )
+                axis.minorticks_off()
+                axis.grid(True)
+                if row == 0:
+                    axis.set_title(f"attenuation {attenuation:g} 1/m")
+                else:
+                    axis.set_xlabel("acceptance [mrad]")
+        panels[0, 0].set_ylabel("echo at 2 m,\nclosure / (29)")
+        panels[1, 0].set_ylabel("cut-off,\nclosure / (29)")
+        handles, labels = panels[0, 0].get_legend_handles_labels()
+        figure.legend(handles, labels, loc="outside lower center", ncols=4)
+    return figure
+
+
+def validity_table(rows: list[dict[str, float]]) -> str:
+    """Return the range of both ratios where the closure holds and where it warns."""
+    lines = [
+        "| closure over (29) | where it holds | where it warns |",
+        "| --- | --- | --- |",
+    ]
+    for quantity, name in (("echo", "echo at 2 m"), ("cut_off", "cut-off")):
+        cells = []
+        for holds in (True, False):
+            own = [
+                each[quantity] for each in rows if each[f"{quantity}_holds"] == holds
+            ]
+            cells.append(f"{min(own):.2f} to {max(own):.2f} ({len(own)} receivers)")
+        lines.append(f"| {name} | " + " | ".join(cells) + " |")
+    return "\n".join(lines)
+
+
 def main() -> None:
-    """Draw the figure and write the tables of the page."""
+    """Draw the figures and write the tables of the page."""
     if "--photons" in sys.argv[1:]:
         keep()
+    rows = validity()
+    VALIDITY.write_bytes(png(validity_drawn(rows), dots_per_inch=150))
     photons, found = kept(), compared()
     PICTURE.write_bytes(png(drawn(photons, found), dots_per_inch=150))
     page = PAGE.read_text(encoding="utf-8")
     for name, text in (
         ("summary", summary(photons, found)),
         ("table", table(photons, found)),
+        ("validity", validity_table(rows)),
     ):
         page = re.sub(
             rf"(<!-- {name} -->\n).*?(<!-- end -->)",

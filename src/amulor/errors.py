@@ -12,6 +12,25 @@ class AmulorError(Exception):
     """
 
 
+class AmulorWarning(UserWarning):
+    """A result stands beyond the validity of its formula; its text is one line.
+
+    Examples
+    --------
+    A program that refuses such results makes them errors:
+
+    >>> import warnings
+    >>> from amulor.errors import AmulorWarning
+    >>> with warnings.catch_warnings():
+    ...     warnings.simplefilter("error", AmulorWarning)
+    ...     try:
+    ...         warnings.warn("the closure does not hold", AmulorWarning)
+    ...     except AmulorWarning as warning:
+    ...         print(warning)
+    the closure does not hold
+    """
+
+
 class SurveyError(AmulorError):
     """A survey file or a description in it cannot be used.
 

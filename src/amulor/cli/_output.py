@@ -6,6 +6,7 @@ import json
 import sys
 import threading
 import time
+import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from typing import Any
@@ -29,6 +30,30 @@ def print_json(value: Any) -> None:
         Numbers, texts, paths, lists and tables; not-a-number becomes null.
     """
     print(json.dumps(_plain(value), indent=2, allow_nan=False))
+
+
+@contextmanager
+def warnings_as_notes() -> Iterator[None]:
+    """Print each kind of warning about the validity of results once, as one line."""
+    from amulor.errors import AmulorWarning
+
+    first: dict[str, str] = {}
+    shown = warnings.showwarning
+
+    def show(message: Warning | str, category: type[Warning], *where: Any) -> None:
+        if issubclass(category, AmulorWarning):
+            first.setdefault(str(message).partition(":")[0], str(message))
+        else:
+            shown(message, category, *where)
+
+    with warnings.catch_warnings():
+        warnings.simplefilter("always", AmulorWarning)
+        warnings.showwarning = show  # type: ignore[assignment]
+        try:
+            yield
+        finally:
+            for text in first.values():
+                print(f"warning: {text}", file=sys.stderr)
 
 
 def print_table(

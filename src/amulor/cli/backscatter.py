@@ -16,7 +16,12 @@ from amulor.cli._arguments import (
     frequencies_of,
     quantity_of,
 )
-from amulor.cli._output import print_json, print_table, progress_bar
+from amulor.cli._output import (
+    print_json,
+    print_table,
+    progress_bar,
+    warnings_as_notes,
+)
 
 if TYPE_CHECKING:
     from amulor.survey import Survey
@@ -99,7 +104,8 @@ def backscatter(
                     spread=spread,
                 )
         else:
-            found = _formula(described, frequencies, model=model)
+            with warnings_as_notes():
+                found = _formula(described, frequencies, model=model)
         if found["power_share_unmodulated"] == 0:
             raise ValueError(
                 "the receiver gets no light from this water; check receiver position, "

@@ -13,7 +13,7 @@ from amulor.cli._arguments import (
     check_cube_output,
     quantity_of,
 )
-from amulor.cli._output import print_next, progress_bar
+from amulor.cli._output import print_next, progress_bar, warnings_as_notes
 
 
 def simulate(
@@ -76,7 +76,7 @@ def simulate(
     most = MOST_SAMPLES if model == "photons" else BY_ROWS
     by_rows = tile_rows is not None or samples_of(described) > most
     try:
-        with progress_bar() as advance, _progress.part(0.0, 0.9):
+        with warnings_as_notes(), progress_bar() as advance, _progress.part(0.0, 0.9):
             chosen: SignalModel
             match model:
                 case "small-angle":

@@ -283,8 +283,9 @@ class ClosureModel:
     """The closure of the small-angle form (29): for grids of many instruments.
 
     Takes the whole phase function, as `SmallAngleModel` does, and puts one Gaussian for
-    the light of each depth. A cut-off some percent higher than that of (29), and
-    an echo by a tenth to a fourth lower at 3.9 m.
+    the light of each depth. Where it holds, the cut-off is at most 30 % higher than
+    that of (29) and the echo at most 30 % lower. Elsewhere, as for receivers that
+    accept little and stand aside, an `AmulorWarning` asks for `SmallAngleModel`.
 
     Examples
     --------

@@ -218,3 +218,21 @@ def test_photons_that_were_interrupted_are_printed_and_no_success(
     printed = capsys.readouterr()
     assert "Interrupted before the error was reached." in printed.out
     assert printed.err == "amulor: interrupted\n"
+
+
+def test_the_closure_warns_of_a_narrow_receiver_in_one_line(
+    tank: Path, tmp_path: Path, capsys
+) -> None:
+    def said(file: Path) -> str:
+        assert main(["backscatter", str(file), "--model", "closure", "--json"]) == 0
+        printed = capsys.readouterr()
+        json.loads(printed.out)
+        return printed.err
+
+    assert "warning" not in said(tank)
+    narrow = tmp_path / "narrow.toml"
+    narrow.write_text(TANK.replace('"0.08 rad"', '"0.01 rad"'))
+    line = said(narrow)
+    assert line.count("warning: the closure does not hold in 1 of 1 columns") == 1
+    assert line.count("\n") == 1
+    assert line.endswith("use the small-angle model\n")

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from amulor._compiled import numba
+from amulor.optics._quadrature.bessel import j0
 from amulor.optics._quadrature.kernels import ORDER, Panel, add_panel
 from amulor.optics.small_angle._kernels import (
     LINEAR,
@@ -18,7 +19,7 @@ from amulor.optics.small_angle._kernels import (
     aimed,
 )
 
-__all__ = ["Layout", "collected", "water_column"]
+__all__ = ["Layout", "collected", "departures", "water_column"]
 
 Array = NDArray[np.float64]
 
@@ -30,6 +31,8 @@ _ROUNDING = 1e-14  # of the light on the axis: what counts as rounding
 _NARROWEST = 1e-12  # width of a panel over its depth: F(z) has a step there
 _CAPACITY = 256  # waiting panels
 _DOUBLINGS = 200  # most groups of panels to the end of the water
+_LOST = 3.0  # exponent A beyond which the light that counts as lost is not
+_ASIDE = 30.0  # offset squared over S beyond which a Gaussian has no light
 
 
 class Layout(NamedTuple):
@@ -119,8 +122,8 @@ def _exponent(area: float, z: float, clear: float, water: Water, table: Array) -
 
 
 @numba.njit(cache=True, error_model="numpy")
-def _taken(z: float, water: Water, table: Array) -> float:
-    """Return F(z) / pi R^2 gamma^2."""
+def _line(z: float, water: Water, table: Array) -> tuple[float, float, float, float]:
+    """Return S, A, B and the squared offset over S."""
     path = z + water.standoff
     clear = water.radius_squared + water.angle_squared * path * path
     offset = (water.baseline - water.tilt * path) ** 2 + (water.cross_tilt * path) ** 2
@@ -136,7 +139,45 @@ def _taken(z: float, water: Water, table: Array) -> float:
             exponent = _exponent(other, z, clear, water, table)
             if exponent + math.log(other) < lost + math.log(area):
                 area, lost = other, exponent
-    return math.exp(-water.loss * z - lost - offset / area) / area
+    return area, lost, area - clear, offset / area
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _taken(z: float, water: Water, table: Array) -> float:
+    """Return F(z) / pi R^2 gamma^2."""
+    area, lost, _, aside = _line(z, water, table)
+    return math.exp(-water.loss * z - lost - aside) / area
+
+
+@numba.njit(cache=True, error_model="numpy")
+def departures(
+    look: Array, water: Water, table: Array, bessel: Array, rule: Array, out: Array
+) -> None:
+    """Fill rows of out with what the closure lacks of eq. (29), absolute and relative.
+
+    By Gauss-Laguerre nodes: rule has nodes and weights, a row of look is as in
+    `collected`. Compiled, as S(z) is found step by step.
+    """
+    for n in range(look.shape[0]):
+        z = look[n, 0]
+        own = aimed(look[n], water)
+        area, lost, spread, aside = _line(z, own, table)
+        out[n, 0] = out[n, 1] = 0.0
+        if z <= 0.0 or own.forward <= 0.0:
+            continue
+        total = 0.0
+        for i in range(rule.shape[1]):
+            t = rule[0, i]
+            value, _ = _lost(2.0 * z * math.sqrt(t / area), own.split_angle, table)
+            above = own.forward * z * value - lost - spread * t / area
+            wave = j0(2.0 * math.sqrt(aside * t), bessel)
+            total += rule[1, i] * wave * (math.exp(-above) - 1.0)
+        out[n, 0] = total * math.exp(-own.loss * z - lost) / area
+        out[n, 1] = math.inf
+        if lost <= _LOST and aside <= _ASIDE:
+            relative = total * math.exp(aside)
+            if abs(relative) <= 1.0:  # the nodes resolve no more
+                out[n, 1] = relative
 
 
 @numba.njit(cache=True, error_model="numpy")

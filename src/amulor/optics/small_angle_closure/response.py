@@ -7,10 +7,14 @@ line in its square that touches it at the frequency which the light itself has.
 from __future__ import annotations
 
 import math
+import warnings
+from functools import cache, partial
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from amulor.errors import AmulorWarning
+from amulor.optics._quadrature.bessel import bessel
 from amulor.optics._quadrature.rule import RULE
 from amulor.optics.small_angle import _kernels as small_angle_kernels
 from amulor.optics.small_angle._columns import (
@@ -24,9 +28,14 @@ from amulor.optics.small_angle._depths import depth_rule
 from amulor.optics.small_angle._tables import PhaseFunction, Table
 from amulor.optics.small_angle_closure import _kernels
 
-__all__ = ["overlap", "water_response"]
+__all__ = ["LARGEST_DEPARTURE", "departure", "overlap", "water_response"]
 
 Array = NDArray[np.float64]
+
+#: Share by which eq. (29) may have more light where the closure holds [1].
+LARGEST_DEPARTURE = 0.25
+_DEPTHS = 48  # at which what a column lacks is estimated
+_REACH = 7.0  # depth at which they end, times k'
 
 
 def water_response(
@@ -102,6 +111,11 @@ def water_response(
         If an argument is outside its range or, `end` apart, not finite, or if the
         phase function cannot be used.
 
+    Warns
+    -----
+    AmulorWarning
+        If the closure does not hold.
+
     See Also
     --------
     overlap : The integrand, and the equations.
@@ -110,11 +124,14 @@ def water_response(
 
     Notes
     -----
-    Eq. (46) of Ricci et al. 2010 [1]_ with the F(z) of `overlap`. For natural phase
-    functions, attenuations of 0.1 to 2 1/m and receivers that take in some degrees
-    the cut-off is 1 to 15 % above that of eq. (29), where the diffusion form of the
-    paper with a split of 90 degrees is 55 to 80 % above it. Panels over the depth
-    are halved until less than 1e-10 of the response is left unresolved.
+    Eq. (46) of Ricci et al. 2010 [1]_ with the F(z) of `overlap`. The closure has too
+    little of the light that was scattered by large angles, so its cut-off is too high.
+    Where the light that it lacks by `departure`, summed over the column, is at most
+    0.25 of its own, the cut-off is 0 to 30 % above that of eq. (29) in drawn
+    geometries. Elsewhere, as for receivers that accept less than some 30 mrad and stand
+    aside, an `AmulorWarning` says so: there it was 0.7 to 3.9 times that of eq. (29).
+    Panels over the depth are halved until less than 1e-10 of the response is left
+    unresolved.
 
     References
     ----------
@@ -146,8 +163,9 @@ def water_response(
         standoff=standoff,
         end=end,
     )
-    return response_of(
-        _response,
+    lacking: list[float] = []
+    response = response_of(
+        partial(_response, lacking=lacking),
         modulation_frequency,
         arguments,
         group_index=group_index,
@@ -155,6 +173,18 @@ def water_response(
         split_angle=split_angle,
         backscatter_vsf=backscatter_vsf,
     )
+    beyond = [share for share in lacking if share > LARGEST_DEPARTURE]
+    if beyond:
+        which = f"{len(beyond)} of {len(lacking)} columns of water"
+        most = f"{max(beyond):.0%} or more" if max(beyond) < 9 else "most"
+        warnings.warn(
+            f"the closure does not hold in {which}: it lacks {most} of its own light "
+            f"beside eq. (29), at most {LARGEST_DEPARTURE:.0%} is sound; use the "
+            "small-angle model",
+            AmulorWarning,
+            stacklevel=2,
+        )
+    return response
 
 
 def overlap(
@@ -224,10 +254,10 @@ def overlap(
 
     At :math:`\kappa_* = 0` it would be the diffusion form of the same split. Exact
     without forward scattering, and for few scatterings or very many.
-    Echoes of a plane on the axis at 3.9 m come out at 0.97, 0.86 and 0.77 of those of
-    eq. (29) at attenuations of 0.1, 0.5 and 1 1/m (Henyey-Greenstein 0.95, 0.3 of it
-    absorption); it falls to a quarter close to the instrument, where only light
-    scattered by large angles is seen.
+    It holds at depths where `departure` is at most 0.25: 0.7 to 1 of the light of
+    eq. (29). Elsewhere it may have next to nothing of it: close to the instrument, and
+    off the axis of a receiver that accepts little, where only light scattered by large
+    angles is seen.
 
     References
     ----------
@@ -267,6 +297,96 @@ def overlap(
     )
 
 
+def departure(
+    depth: ArrayLike,
+    *,
+    absorption: ArrayLike,
+    scattering: ArrayLike,
+    phase_function: PhaseFunction,
+    split_angle: float,
+    baseline: ArrayLike,
+    receiver_radius: ArrayLike,
+    acceptance_angle: ArrayLike,
+    beam_radius: ArrayLike = 0.0,
+    beam_divergence: ArrayLike = 0.0,
+    tilt: ArrayLike = 0.0,
+    cross_tilt: ArrayLike = 0.0,
+    standoff: ArrayLike = 0.0,
+) -> Array:
+    r"""Return how much more light eq. (29) has than the closure, as an estimate.
+
+    Parameters
+    ----------
+    depth, absorption, scattering, phase_function, split_angle, baseline, \
+    receiver_radius, acceptance_angle, beam_radius, beam_divergence, tilt, \
+    cross_tilt, standoff : array_like
+        As in `overlap`.
+
+    Returns
+    -------
+    ndarray
+        Eq. (29) over the closure, less 1, of the broadcast shape [1]; infinite where
+        it is beyond 1, too large for an estimate.
+
+    Raises
+    ------
+    ValueError
+        As `overlap`.
+
+    Notes
+    -----
+    From S, A, B of `overlap` and the exponent L alone, with :math:`q = |\boldsymbol
+    \rho_0 - \mathbf n_0 \zeta|^2 / S`,
+
+    .. math::
+
+       e^q \int_0^\infty e^{-t} J_0(2 \sqrt{q t}) \bigl[e^{-L(4 t / S) + A
+       + B t / S} - 1\bigr] \, dt
+
+    by Gauss's rule of 16 nodes; infinite, too, where A is above 3 (95 % of the light
+    counts as lost, and most of it is not) or q above 30. For small departures
+    it is :math:`-\tfrac12 L'' \kappa_*^4 (1 - q)^2`: the closure fails by the
+    curvature of L, and the more the farther the spot is off the axis.
+
+    The closure holds where this is at most `LARGEST_DEPARTURE`, 0.25, either way. In
+    drawn geometries (acceptance 5 to 100 mrad, baseline 0 to 0.4 m, 0.1 to 3 1/m) it
+    then has 0.7 to 1 of the light of eq. (29).
+
+    Examples
+    --------
+    A receiver aside that accepts 80 mrad, and one that accepts 20:
+
+    >>> from amulor.optics.phase_functions.models import henyey_greenstein_function
+    >>> off = departure(
+    ...     2.0, absorption=0.15, scattering=0.35,
+    ...     phase_function=henyey_greenstein_function(asymmetry=0.95),
+    ...     split_angle=np.pi / 2, baseline=0.2, receiver_radius=0.02,
+    ...     acceptance_angle=[0.08, 0.02],
+    ... )
+    >>> print(off.round(2))
+    [0.12  inf]
+    """
+    arguments = Arguments(
+        absorption=absorption,
+        scattering=scattering,
+        baseline=baseline,
+        receiver_radius=receiver_radius,
+        acceptance_angle=acceptance_angle,
+        beam_radius=beam_radius,
+        beam_divergence=beam_divergence,
+        tilt=tilt,
+        cross_tilt=cross_tilt,
+        standoff=standoff,
+    )
+    return overlap_of(
+        _departures,
+        depth,
+        arguments,
+        phase_function=phase_function,
+        split_angle=split_angle,
+    )
+
+
 def _water(column: Column, spread: Table) -> small_angle_kernels.Water:
     """Return a column as the loops take it."""
     return small_angle_kernels.Water(
@@ -292,13 +412,53 @@ def _light(depth: Array, column: Column, spread: Table) -> Array:
     return np.asarray(_peak(column) * out)
 
 
+def _departures(depth: Array, column: Column, spread: Table) -> Array:
+    """Return the share by which eq. (29) exceeds the closure [1]."""
+    return _lacking(depth, column, spread)[:, 1]
+
+
+def _lacking(depth: Array, column: Column, spread: Table) -> Array:
+    """Return what the closure lacks of eq. (29), over pi R^2 gamma^2 and relative."""
+    out = np.empty((depth.size, 2))
+    _kernels.departures(
+        looks(depth, column),
+        _water(column, spread),
+        spread.cells,
+        bessel(),
+        _laguerre(),
+        out,
+    )
+    return out
+
+
+@cache
+def _laguerre() -> Array:
+    """Return nodes and weights for integrals of exp(-t) times a smooth function."""
+    return np.stack(np.polynomial.laguerre.laggauss(16))
+
+
+def _lacked(column: Column, spread: Table) -> float:
+    """Return what the closure of a column lacks of eq. (29), over its own light."""
+    loss = column.loss(spread) / 2
+    across = (column.receiver_radius + column.baseline) / column.acceptance_angle
+    faded = _REACH / loss if loss > 0 else np.inf
+    end = min(column.end, faded, max(100.0 * across, 10.0))
+    depth = np.geomspace(1e-3 * end, end, _DEPTHS)
+    light = float(depth @ _light(depth, column, spread)) / _peak(column)
+    lacking = float(depth @ np.abs(_lacking(depth, column, spread)[:, 0]))
+    if light > 0:
+        return lacking / light
+    return np.inf if lacking > 0 else 0.0
+
+
 def _response(
-    phase_per_depth: Array, column: Column, spread: Table
+    phase_per_depth: Array, column: Column, spread: Table, *, lacking: list[float]
 ) -> NDArray[np.complex128]:
     """Return the integral of exp(i w z) F(z) over the column [m sr]."""
     result = np.zeros(phase_per_depth.size, dtype=complex)
     if column.end == 0:
         return result
+    lacking.append(_lacked(column, spread))
     water = _water(column, spread)
     aspect = math.sqrt(water.radius_squared / water.angle_squared)
     step = 0.3 * (aspect + column.baseline)

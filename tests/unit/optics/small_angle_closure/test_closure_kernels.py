@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.testing import assert_allclose
 
+from amulor.optics._quadrature.bessel import bessel
 from amulor.optics._quadrature.rule import RULE
 from amulor.optics.phase_functions.models import henyey_greenstein_function
 from amulor.optics.small_angle._depths import depth_rule
@@ -56,3 +57,18 @@ def test_the_spread_and_its_slope_come_from_the_same_table():
         rough = 1e-15 / step
         assert_allclose(over_x * x, (high - low) / (2 * step), rtol=1e-5, atol=rough)
         assert 0 < value < 1
+
+
+def test_compiled_and_plain_departures_are_the_same():
+    # Before the water, near, off the axis and beyond all light of a Gaussian.
+    depth = np.array([0.0, 0.2, 1.5, 6.0, 1.5, 1.0])
+    look = np.column_stack([depth, *np.tile([0.1, 0.02, 0.01, 0.1], (6, 1)).T])
+    look[4, 1], look[5, 1] = 0.4, 2.0
+    rule = np.stack(np.polynomial.laguerre.laggauss(16))
+    compiled, plain = np.empty((6, 2)), np.empty((6, 2))
+    arguments = look, WATER, SPREAD.cells, bessel(), rule
+    _kernels.departures(*arguments, compiled)
+    _kernels.departures.py_func(*arguments, plain)
+    assert_allclose(compiled, plain, rtol=1e-10)
+    # Near, and off the axis, the estimate is beyond 1 or there is no light to compare.
+    assert np.array_equal(np.isinf(plain[:, 1]), [0, 1, 0, 0, 1, 1])
