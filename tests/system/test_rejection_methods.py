@@ -339,3 +339,64 @@ def test_the_benchmark_runs_and_its_table_is_right() -> None:
     module = script("benchmarks/time_rejection.py")
     *_, error, _ = module.main(columns=30, rows=10, times=4, count=100_000)
     assert error < 1e-4
+
+
+# Where nothing can be seen ----------------------------------------------------------
+
+HARBOR = """
+name = "Dark plate in a harbor"
+[water]
+kind = "petzold"
+station = "NUC 2200"
+salinity = 34
+temperature = "16 degC"
+backscatter_mueller = [0.81, -0.81, -0.62]
+signal_fluctuation = "5 %"
+[[targets]]
+kind = "plate"
+position = ["0 m", "0 m", "1.8 m"]
+rotation = ["0 deg", "20 deg", "0 deg"]
+width = "1 m"
+height = "1 m"
+reflectance = 0.02
+mueller = [0.3, -0.3, -0.2]
+[instrument]
+wavelength = "532 nm"
+power = "20 mW"
+modulation_depth = 0.8
+modulation_frequencies = ["30 MHz", "150 MHz"]
+polarizations = ["VV", "VH"]
+[instrument.receiver]
+position = ["7 cm", "0 m", "0 m"]
+azimuth = "-2 deg"
+radius = "2 cm"
+acceptance = "0.08 rad"
+[instrument.detector]
+optical_transmission = "10 %"
+[instrument.lock_in]
+time_constant = "10 ms"
+phase_floor = "0.06 deg"
+[scan]
+columns = 24
+rows = 16
+azimuth_span = "8 deg"
+elevation_span = "5 deg"
+dwell = "60 ms"
+[scan.open_water]
+columns = 5
+rows = 3
+repeats = 8
+"""
+
+
+@pytest.mark.parametrize("seed", [0, 2])
+def test_no_trusted_pixel_is_wrong_by_a_turn_where_little_is_seen(seed: int) -> None:
+    # A turn of 150 MHz is 0.73 m. Of these draws each had a trusted pixel at 2.47 m.
+    cube = simulate(Survey.from_text(HARBOR), rng=np.random.default_rng(seed))
+    image = imaging.range_image(rejection.unmix(cube), interval=(1.4, 2.6))
+    image = imaging.flag_outliers(imaging.flag_mixed(image))
+    trusted = (image["quality_flag"] == 0) & image["slant_range"].notnull()
+    miss = np.abs(image["slant_range"] - image["truth_slant_range"]).where(trusted)
+    assert float(miss.max()) < 0.2
+    # About 110 of 384 had a range at all.
+    assert int(trusted.sum()) > 80

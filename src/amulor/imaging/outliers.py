@@ -42,6 +42,10 @@ _UNLIKE = 2.5
 _OF_MEDIAN = 0.3
 #: Half of normal deviates are smaller [1].
 _HALF = 0.6745
+#: A pixel with at most so many neighbours stands alone where none of them is as far,
+_FEW_AROUND = 2
+#: but for so many standard errors and so steep a surface, depth over width [1].
+_AS_FAR, _STEEP = 4.0, 4.0
 
 
 def outlying_pixels(
@@ -60,7 +64,9 @@ def outlying_pixels(
     Returns
     -------
     ndarray of bool, shape (row, column)
-        False where a pixel has no range, or fewer than two ways to compare.
+        False where a pixel has no range. One with fewer than two ways to compare stands
+        alone where at most two of the eight pixels around it have a range, and neither
+        of them the same.
 
     Raises
     ------
@@ -87,6 +93,10 @@ def outlying_pixels(
     known ones included [1]_. Outliers are no neighbours of others for this, and since
     those that are found no longer are, it is done twice. Among pixels that are all
     right this marks one in 10^4.
+
+    Where nothing can be seen, noise passes for a target here and there. Such a pixel
+    has no neighbour at the same range: within four standard errors and what a surface
+    four times as deep as wide falls by. A rope one pixel wide has.
 
     References
     ----------
@@ -115,7 +125,33 @@ def outlying_pixels(
     found = known | above
     for _ in range(_ROUNDS):  # one that is found no longer hides another beside it
         found |= _more_than_chance(distance, variance, found)
-    return np.asarray(found & (above | ~known))
+    return np.asarray(found & (above | ~known)) | _alone(image, distance, variance)
+
+
+def _alone(image: xr.Dataset, distance: Floats, variance: Floats) -> NDArray[np.bool_]:
+    """Return pixels with hardly any neighbours and none at their range."""
+    angles = [image["azimuth"].values, image["elevation"].values]
+    # Azimuths are closer together the higher they are looked at.
+    angles[0] = angles[0] * np.cos(angles[1])
+    here = [distance, variance, *angles]
+    padded = [np.pad(values, 1, constant_values=np.nan) for values in here]
+    rows, columns = distance.shape
+    around = np.zeros(distance.shape, dtype=int)
+    supported = np.zeros(distance.shape, dtype=bool)
+    for down in range(3):
+        for right in range(3):
+            if (down, right) == (1, 1):
+                continue
+            place = (slice(down, down + rows), slice(right, right + columns))
+            far, spread, azimuth, elevation = (values[place] for values in padded)
+            width = distance * np.hypot(azimuth - here[2], elevation - here[3])
+            allowed = _AS_FAR * np.sqrt(variance + spread) + _STEEP * width
+            around += np.isfinite(far)
+            with np.errstate(invalid="ignore"):
+                supported |= np.abs(far - distance) <= allowed
+    alone = np.isfinite(distance) & ~supported & (around <= _FEW_AROUND)
+    # Of a single pixel nothing around tells anything.
+    return np.asarray(alone & (distance.size > 1))
 
 
 def _more_than_chance(

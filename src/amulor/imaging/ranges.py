@@ -20,7 +20,7 @@ Floats = NDArray[np.float64]
 #: Step of the optical path for the derivative of the slant range [m].
 _DIFFERENCE = 1e-5
 #: A range may lie this many standard errors outside the interval: it was measured.
-_SLACK = 4.0
+_SLACK = 2.0
 
 
 @dataclass(frozen=True, kw_only=True)

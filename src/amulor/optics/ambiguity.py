@@ -15,8 +15,10 @@ Floats = NDArray[np.float64]
 
 #: The runner-up must fit worse by this much in chi-square, or the choice is open.
 _MARGIN = 16.0
-#: A path may lie this many standard errors outside its limits: it was measured.
+#: So many standard errors outside of its limits a path is still a candidate,
 _SLACK = 4.0
+#: and so many still a result: it was measured.
+_OUTSIDE = 2.0
 #: Frequencies that disagree with the best path by more than this chance say so.
 _DISAGREEMENT = 1e-4
 _MOST_CANDIDATES = 10_000
@@ -110,7 +112,7 @@ def optical_path(
     normal errors. The same sums give the probability that another candidate is the
     right one, all of them alike beforehand. At the ends of a full ambiguity interval
     both ends are candidates, so a path within a few standard errors of them is not
-    settled.
+    settled; nor is one that is outside by more than two.
 
     With three frequencies at least, where all of them disagree and all but one agree,
     that one is an outlier and is left out; up to a third of the frequencies, one after
@@ -340,6 +342,8 @@ def _best_path(known: _Phases) -> Path:
     with np.errstate(invalid="ignore"):
         settled = np.isfinite(lowest) & (second - lowest > _MARGIN)
         settled &= (freedom == 0) | (strain < _chi_square_limits(len(phase))[freedom])
+        outside = np.minimum(_OUTSIDE * sigma[best], step / 2)
+        settled &= (length >= shortest - outside) & (length <= longest + outside)
     return Path(
         length=length,
         uncertainty=precision.sum(axis=0) ** -0.5,

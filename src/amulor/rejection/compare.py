@@ -30,6 +30,8 @@ Interval = tuple[float, float] | None
 
 #: A method must use this fraction of the pixels that the best one uses [1].
 _USES_ENOUGH = 0.9
+#: A method that trusts fewer pixels than this says so [1].
+_HARDLY_ANY = 0.03
 #: A joint estimation that trusts fewer pixels is tried without the shots [1].
 _FEW = 0.8
 #: Frequencies that disagree by more than this chance do not agree [1].
@@ -56,6 +58,8 @@ class Caution(enum.StrEnum):
     """The one frequency that is kept repeats within the stated interval."""
     NO_PIXEL = "no pixel"
     """No pixel shows a target."""
+    LONE_PIXELS = "lone pixels"
+    """The few pixels that it trusts have no trusted neighbour: noise."""
     BIAS_UNKNOWN = "bias unknown"
     """Water is left in and nothing tells how much."""
 
@@ -91,8 +95,8 @@ class Row:
     flagged: float
     """Fraction of the pixels that have any flag [1]."""
     trusted: float
-    """Fraction of the pixels that have a range without a flag, and whose frequencies
-    agree on it [1]."""
+    """Fraction of the pixels that have a range without a flag, whose frequencies agree
+    on it, and that have a neighbour of which that is so, too [1]."""
     caution: Caution = Caution.NONE
     """What speaks against it; the recommendation decides by this."""
     recommended: bool = False
@@ -216,9 +220,10 @@ def compare(cube: xr.Dataset, *, interval: Interval = None) -> Comparison:
     -----
     Recommended is the smallest error, bias and noise together, among the methods that
     trust at least nine tenths of the pixels that the best of them trusts: those without
-    a flag whose frequencies agree. Of errors within a twentieth of each other the
-    simpler method wins. A bias that nothing tells counts as infinite. The joint
-    estimation is tried without the shots, too, where with them it trusts few pixels.
+    a flag whose frequencies agree, beside at least one other. Of errors within a
+    twentieth of each other the simpler method wins. A bias that nothing tells counts as
+    infinite. The joint estimation is tried without the shots, too, where with them it
+    trusts few pixels.
     """
     cube = cubes.checked(cube, "samples")
     rows: list[Row] = []
@@ -238,6 +243,12 @@ def compare(cube: xr.Dataset, *, interval: Interval = None) -> Comparison:
             for name in target.amulor.polarizations
         ]
     best = _best(rows)
+    if best is None and any(row.caution is Caution.LONE_PIXELS for row in rows):
+        raise CubeError(
+            "no method sees a target: single pixels pass for one here and there, and "
+            "none of them has a neighbour, as in noise; aim at the target, go nearer, "
+            "or raise power or dwell"
+        )
     if best is None and any(row.caution is Caution.NO_PIXEL for row in rows):
         raise CubeError(
             "no method has a pixel that it can use: none shows a target, all is open "
@@ -344,8 +355,8 @@ def _row(method: _Method, target: xr.Dataset, interval: Interval) -> Row:
         noises, biases, agree[usable] = _errors(target, usable, left_out)
         water_is_in = bool((flag[usable] & QualityFlag.NO_OPEN_WATER).any())
         # A few pixels of which it is not known say so by a flag, and count there.
-        sound = flag[usable] == 0
-        told = biases[sound] if sound.any() else biases
+        clear = flag[usable] == 0
+        told = biases[clear] if clear.any() else biases
         bias = float(np.sqrt(np.mean(told**2)))
         noise = float(np.median(noises)) if noises.size else float("nan")
         if water_is_in or not np.isfinite(bias):
@@ -358,6 +369,10 @@ def _row(method: _Method, target: xr.Dataset, interval: Interval) -> Row:
         alone = _repeat_distance(target)
         if interval[1] - interval[0] > alone:
             caution, note = Caution.AMBIGUOUS, f"repeats after {alone:.3g} m"
+    sound = agree & (flag == 0)
+    trusted = sound & _beside(sound)
+    if any(each.any() and not (each & _beside(each)).any() for each in (usable, sound)):
+        caution, note = Caution.LONE_PIXELS, "no pixel that it trusts has a neighbour"
     return Row(
         method=method.name,
         polarization=target.amulor.polarizations[0],
@@ -365,10 +380,27 @@ def _row(method: _Method, target: xr.Dataset, interval: Interval) -> Row:
         noise=noise,
         usable=float(usable.mean()),
         flagged=float((flag != 0).mean()),
-        trusted=float((agree & (flag == 0)).mean()),
+        trusted=float(trusted.mean()),
         caution=caution,
         note=note,
     )
+
+
+def _beside(there: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Return the pixels that have one of those that are there beside them.
+
+    Of a single pixel nothing beside it tells anything.
+    """
+    if there.size == 1:
+        return np.ones(there.shape, dtype=bool)
+    padded = np.pad(there.astype(int), 1)
+    rows, columns = there.shape
+    around = sum(
+        padded[down : down + rows, right : right + columns]
+        for down in range(3)
+        for right in range(3)
+    )
+    return np.asarray(around > there)
 
 
 def _errors(
@@ -431,12 +463,13 @@ def _repeated_path(frequency: Floats) -> float:
 
 def _best(rows: list[Row]) -> int | None:
     """Return the row to recommend; None if no row has a usable pixel."""
-    if not any(row.usable for row in rows):
-        return None
+    sound = [row.caution is not Caution.LONE_PIXELS for row in rows]
     # Flagged pixels are no argument, unless no method has any others.
     counted = [row.trusted for row in rows]
     if not any(counted):
-        counted = [row.usable for row in rows]
+        counted = [row.usable * fit for row, fit in zip(rows, sound, strict=True)]
+    if not any(counted):
+        return None
     enough = [k for k, n in enumerate(counted) if n >= _USES_ENOUGH * max(counted)]
     clear = [k for k in enough if rows[k].caution is not Caution.AMBIGUOUS] or enough
     lowest = min(rows[k].error for k in clear)
@@ -473,6 +506,8 @@ def _reason(rows: list[Row], best: int, *, has_shots: bool) -> str:
             f"; {next_one.method} {next_one.polarization} "
             f"{_length(next_one.error)} with {next_one.trusted:.0%}"
         )
+    if 0 < row.trusted < _HARDLY_ANY:
+        text += "; hardly any pixel is trusted: right only where little is in view"
     if row.flagged > 0.5:
         text += f"; {row.flagged:.0%} of the pixels carry a flag, see there"
     return text

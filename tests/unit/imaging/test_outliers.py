@@ -108,10 +108,32 @@ def test_small_spikes_are_found_side_by_side_and_at_the_rim(written: Make) -> No
     assert found[rim].mean() > 0.6
 
 
-def test_missing_pixels_and_lone_ones_decide_nothing(written: Make) -> None:
+def test_a_pixel_that_no_neighbour_supports_stands_alone(written: Make) -> None:
     distance = np.full(SHAPE, np.nan)
     distance[5, 5] = 1.0
-    assert not imaging.outlying_pixels(written(distance)).any()
+    distance[0, 19] = 2.0
+    # Two side by side that are not as far support each other not.
+    distance[9, 9:11] = 1.2, 1.9
+    found = imaging.outlying_pixels(written(distance))
+    assert np.array_equal(found, np.isfinite(distance))
+    # Of a single pixel nobody can tell.
+    assert not imaging.outlying_pixels(written(np.array([[1.0]]))).any()
+
+
+def test_small_targets_in_the_dark_are_no_noise(written: Make) -> None:
+    columns = np.arange(SHAPE[1])
+    rope, rung, two, line = np.full((4, *SHAPE), np.nan)
+    # A rope one pixel wide, aslant, that sags; a rung with a gap; two pixels.
+    rope[columns // 2, columns] = 1.5 + 2e-3 * columns
+    rung[4, 3:9] = 1.8
+    rung[4, 5] = np.nan
+    two[7, 7], two[8, 8] = 2.0, 2.003
+    line[0] = 1.5
+    for distance in (rope, rung, two, line, line[:1], rope.T[:, :1]):
+        noisy = distance + SIGMA * np.random.default_rng(4).standard_normal(
+            distance.shape
+        )
+        assert not imaging.outlying_pixels(written(noisy)).any()
 
 
 def test_the_flag_is_added_to_those_that_are_there(written: Make) -> None:

@@ -222,3 +222,25 @@ def test_two_frequencies_that_disagree_do_not_tell_which_one_is_wrong() -> None:
     )
     assert found.settled.tolist() == [True, False]
     assert not found.left_out.any()
+
+
+@pytest.mark.parametrize(
+    ("outside", "settled"), [(-1.0, True), (1.5, True), (3.0, False)]
+)
+@pytest.mark.parametrize("end", ["near", "far"])
+def test_a_path_well_outside_of_its_limits_is_no_result(
+    outside: float, settled: bool, end: str
+) -> None:
+    frequency = np.array([30e6, 150e6])
+    near, far, error = 4.0, 8.0, 0.02
+    sigma = error * speed_of_light / frequency[-1] / (2 * np.pi)
+    true = near - outside * sigma if end == "near" else far + outside * sigma
+    phase = np.angle(np.exp(2j * np.pi * frequency * true / speed_of_light))
+    found = optical_path(
+        phase[:, None],
+        np.full((2, 1), error),
+        modulation_frequency=frequency,
+        shortest=np.array([near]),
+        longest=np.array([far]),
+    )
+    assert found.settled.item() is settled

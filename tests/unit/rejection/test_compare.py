@@ -150,6 +150,52 @@ def test_a_cube_without_any_target_is_refused(by_hand: Make) -> None:
         rejection.compare(cube)
 
 
+def _where(target: xr.Dataset, rest: xr.Dataset, there: np.ndarray) -> xr.Dataset:
+    cube = target.copy(deep=True)
+    for name in ("in_phase", "quadrature"):
+        cube[name].values[..., ~there] = rest[name].values[..., ~there]
+    return cube
+
+
+def test_a_few_pixels_are_a_target_if_they_are_neighbours(by_hand: Make) -> None:
+    shape = (12, 16)
+    scan = {"frequency": [39e6], "channels": {"VV": (1.0, 1.0)}, "shape": shape}
+    bright, dark = by_hand(1, **scan), by_hand(2, **scan, target=0.0)
+    lone = np.zeros(shape, dtype=bool)
+    lone[2, 3] = lone[8, 12] = True
+    with pytest.raises(CubeError, match="none of them has a neighbour"):
+        rejection.compare(_where(bright, dark, lone))
+    rung = np.zeros(shape, dtype=bool)
+    rung[4, 5:9] = True
+    found = rejection.compare(_where(bright, dark, rung))
+    best = next(row for row in found.rows if row.recommended)
+    assert best.trusted == pytest.approx(4 / 192)
+    assert "hardly any pixel is trusted" in found.reason
+
+
+def test_a_method_that_trusts_lone_pixels_only_is_not_recommended(
+    by_hand: Make, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    shape = (12, 16)
+    scan = {"frequency": [39e6], "channels": PAIR, "shape": shape}
+    bright, dark = by_hand(1, **scan), by_hand(2, **scan, target=0.0)
+    rung = np.zeros(shape, dtype=bool)
+    rung[4, 5:9] = True
+    cube = _where(bright, dark, rung)
+    module = sys.modules["amulor.rejection.compare"]
+    unmixed = rejection.open_water(cube).sel(polarization=["VV"])
+    flag = unmixed["quality_flag"].copy(deep=True)
+    flag.values[..., ~np.isin(np.arange(192), [3, 100]).reshape(shape)] = 4
+    flag.values[..., 0, 3] = flag.values[..., 6, 4] = 0
+    seen = unmixed.assign(quality_flag=flag)
+    monkeypatch.setattr(module, "unmix", lambda cube: seen)
+    found = rejection.compare(cube)
+    row = next(row for row in found.rows if row.method == "polarization")
+    assert row.caution is rejection.Caution.LONE_PIXELS
+    assert row.trusted == 0
+    assert found.method in ("open-water", "combined")
+
+
 @pytest.mark.slow
 def test_no_method_reads_the_truth(cube: xr.Dataset) -> None:
     lying = cube.copy()
