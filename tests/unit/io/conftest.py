@@ -121,7 +121,7 @@ def make_range_image(rng, *, rows=3, columns=4):
             "slant_range": slant_range,
             "slant_range_uncertainty": rng.uniform(1e-4, 1e-3, shape),
             "intensity": rng.uniform(0.1, 1, shape),
-            "quality_flag": rng.integers(0, 64, shape).astype(np.int16),
+            "quality_flag": rng.integers(0, 32, shape).astype(np.int16),
         },
         pixel_coordinates(rows, columns),
         geometry=GEOMETRY,
@@ -141,7 +141,7 @@ def make_point_cloud(rng, *, rows=7, columns=9, points=40, quality=True):
         "column": (pixels % columns).astype(np.int32),
     }
     if quality:
-        variables["quality_flag"] = rng.integers(0, 64, points).astype(np.int16)
+        variables["quality_flag"] = rng.integers(0, 32, points).astype(np.int16)
     return cubes.build(
         "point_cloud",
         variables,

@@ -54,7 +54,7 @@ def test_pixels_without_a_point_are_invalid_and_zero(point_cloud, path):
     found = read_all(path)
     expected = np.full(ROWS * COLUMNS, 2)
     # 16, 64 and 128 are doubts of a single range: its direction is still right.
-    doubt = (point_cloud["quality_flag"].values & (16 | 64 | 128)) != 0
+    doubt = (point_cloud["quality_flag"].values & (16 | 32 | 64 | 128 | 256)) != 0
     assert 0 < doubt.sum() < doubt.size
     expected[order_in_scan(point_cloud)] = doubt
     np.testing.assert_array_equal(found["cartesianInvalidState"], expected)
@@ -63,7 +63,7 @@ def test_pixels_without_a_point_are_invalid_and_zero(point_cloud, path):
 
 
 def test_a_common_reader_gets_the_valid_points_only(point_cloud, path):
-    doubt = (point_cloud["quality_flag"].values & (16 | 64 | 128)) != 0
+    doubt = (point_cloud["quality_flag"].values & (16 | 32 | 64 | 128 | 256)) != 0
     write_e57(point_cloud, path, shape=SHAPE)
     with pye57.E57(str(path)) as file:
         found = file.read_scan(0, intensity=True, row_column=True)
