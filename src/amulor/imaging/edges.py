@@ -1,4 +1,4 @@
-"""Finds pixels whose beam meets two surfaces at once, at the edges of objects."""
+"""Finds edges of objects: pixels that meet two surfaces at once, and steps."""
 
 from __future__ import annotations
 
@@ -21,6 +21,13 @@ _STRAIGHT = 13.8
 #: freedom for them.
 _ALONG = 5
 _STRAIGHT_ALONG = 16.3
+#: Pixels to either side of a step, and to either side along it, that are fitted; steps
+#: stand out by so many standard errors, and are the largest so near [1].
+_SIDE, _BESIDE, _STEP, _NEAR = 4, (3, 10), 4.0, 3
+#: Curves of smooth surfaces are no steps below this part of the range [1].
+_SMOOTH = 1e-6
+#: Pixels around others that their steps depend on [1].
+STEP_MARGIN = max(_SIDE, *_BESIDE) + _NEAR
 #: Variance of ranges stated to be without error: that of a picometre [m^2].
 _TINY = 1e-24
 
@@ -137,6 +144,102 @@ def flag_mixed(
     )
     image = with_flag(image.assign({MIXED: variable}), QualityFlag.MIXED, mixed)
     return cubes.note(image, "mixed pixels marked")
+
+
+def steps(
+    distance: Floats, variance: Floats
+) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+    """Return where the surface steps to the next column, and to the next row.
+
+    A line with a step in it, one slope for both sides, is fitted to four pixels of each
+    side, means of 7 or 21 along the edge. Slopes, curves and gaps are no steps by
+    themselves; a crease sharper than the noise may be one. True where the step has
+    four standard errors, and more than those within three pixels.
+    """
+    floor = (_SMOOTH * distance) ** 2
+    variance = np.maximum(np.maximum(variance, floor), _TINY)
+    return _steps(distance, variance), _steps(distance.T, variance.T).T
+
+
+def _steps(distance: Floats, variance: Floats) -> NDArray[np.bool_]:
+    """Return where rows step between a column and the next one."""
+    score = np.maximum(*(_step_scores(distance, variance, each) for each in _BESIDE))
+    beside = np.pad(score, ((0, 0), (_NEAR, _NEAR)))
+    size = distance.shape[1]
+    largest = np.max([beside[:, k : k + size] for k in range(2 * _NEAR + 1)], axis=0)
+    found: NDArray[np.bool_] = (score > _STEP) & (score >= largest)
+    return found
+
+
+def _step_scores(distance: Floats, variance: Floats, rows: int) -> Floats:
+    """Return steps to the next column over their standard errors, 0 where unknown."""
+    there = np.isfinite(distance) & np.isfinite(variance)
+
+    def summed(values: Floats) -> Floats:
+        total = np.cumsum(np.pad(values, ((rows + 1, rows), (0, 0))), axis=0)
+        return np.asarray(total[2 * rows + 1 :] - total[: -2 * rows - 1])
+
+    count = summed(there.astype(float))
+    middle = float(np.mean(distance, where=there)) if there.any() else 0.0
+    mean = summed(np.where(there, distance - middle, 0.0)) / np.maximum(count, 1)
+    spread = np.maximum(summed(np.where(there, variance, 0.0)), _TINY)
+    weight = np.where(count > 0, count**2 / spread, 0.0)
+    padding = ((0, 0), (_SIDE, _SIDE))
+    places, weights = np.pad(mean, padding), np.pad(weight, padding)
+    size = distance.shape[1]
+    # Sums over the left and the right side of weights times powers of the place.
+    sums = np.zeros((2, 7, *distance.shape))
+    for k in range(1 - _SIDE, _SIDE + 1):
+        w = weights[:, _SIDE + k : _SIDE + k + size]
+        y = w * (places[:, _SIDE + k : _SIDE + k + size] - mean)
+        x = k - 0.5
+        side = sums[int(k > 0)]
+        for at, part in enumerate(
+            (w, w * x, w * x * x, y, y * x, y * y / np.maximum(w, _TINY), w > 0)
+        ):
+            side[at] += part
+    whole, x, xx, y, xy, yy, columns = sums.sum(axis=0)
+    half, xh, _, hy, *_ = (sums[1] - sums[0]) / 2
+    whole = np.maximum(whole, _TINY)
+    xy, hy = xy - x * y / whole, hy - half * y / whole
+    xx, xh, hh = xx - x**2 / whole, xh - x * half / whole, whole / 4 - half**2 / whole
+    determinant = hh * xx - xh**2
+    settled = determinant > 1e-6 * hh * xx
+    safe = np.where(settled, determinant, 1.0)
+    step, slope = (hy * xx - xy * xh) / safe, (xy * hh - hy * xh) / safe
+    # Noise that is stated too small shows in what the fit leaves.
+    left = yy - y**2 / whole - step * hy - slope * xy
+    excess = np.maximum(left / np.maximum(columns - 3, 1), 1.0)
+    error = np.sqrt(excess * np.maximum(xx, _TINY) / safe)
+    return np.asarray(np.where(settled, np.abs(step) / error, 0.0))
+
+
+def reached(
+    across: NDArray[np.bool_],
+    down: NDArray[np.bool_],
+    pixel: tuple[int, int],
+    reach: int,
+) -> NDArray[np.bool_]:
+    """Return the pixels within reach without a step on the way.
+
+    The way goes along the column, then along the row, as on the page.
+    """
+    row, column = pixel
+    out = np.zeros(across.shape, dtype=bool)
+    rows = _walked(down[:, column], row, reach)
+    for each in rows:
+        out[each, _walked(across[each], column, reach)] = True
+    return out
+
+
+def _walked(step: NDArray[np.bool_], start: int, reach: int) -> list[int]:
+    """Return places along a line within reach of one, up to the next step."""
+    low = high = start
+    while low > max(start - reach, 0) and not step[low - 1]:
+        low -= 1
+    while high < min(start + reach, len(step) - 1) and not step[high]:
+        high += 1
+    return list(range(low, high + 1))
 
 
 def _along_edge(

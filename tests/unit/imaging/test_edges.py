@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 
 from amulor import cube as cubes
 from amulor import imaging
+from amulor.imaging.edges import reached, steps
 
 Make = Callable[..., xr.Dataset]
 #: Of the images of `written` [m].
@@ -152,3 +153,35 @@ def test_errors_that_pixels_share_almost_wholly_divide_nothing_by_zero(
         exact = imaging.mixed_pixels(nothing)
     between = np.minimum(distance.max() - distance, distance - distance.min()) > 2e-2
     assert exact[between].all()
+
+
+@pytest.mark.parametrize("turned", [False, True])
+def test_a_step_is_found_where_it_is_also_beside_a_gap(turned: bool) -> None:
+    rng = np.random.default_rng(7)
+    noise = 6e-3
+    surface = 1.5 + 0.002 * np.arange(40) + noise * rng.normal(size=(40, 40))
+    surface[:, 20:] -= 0.04
+    holed = surface.copy()
+    holed[:, 19:21] = np.nan
+    for image in (surface, holed):
+        flat = image.T if turned else image
+        across, down = steps(flat, np.full(flat.shape, noise**2))
+        found = down.T if turned else across
+        other = across.T if turned else down
+        # Between columns 19 and 20, or at the gap, in every row; hardly anywhere else.
+        assert found[:, 18:21].any(axis=1).all()
+        assert found[:, :15].mean() + found[:, 25:].mean() < 0.005
+        assert other.mean() < 0.005
+        part = reached(across, down, (10, 15), 6)
+        part = part.T if turned else part
+        assert not part[:, 21:].any()
+
+
+def test_slopes_and_curves_are_no_steps() -> None:
+    rng = np.random.default_rng(8)
+    along = np.arange(60.0)
+    for line in (1.5 + 0.01 * along, 1.5 + 1e-4 * (along - 30) ** 2):
+        image = line + 1e-4 * rng.normal(size=(40, 60))
+        across, _ = steps(image, np.full(image.shape, 1e-8))
+        # Four standard errors are exceeded by 6 of 100,000; the rim sees one side.
+        assert across[:, 4:-5].mean() < 1e-3

@@ -10,6 +10,8 @@ import xarray as xr
 from numpy.typing import ArrayLike, NDArray
 
 from amulor.errors import CubeError
+from amulor.imaging.common import own_variance
+from amulor.imaging.edges import STEP_MARGIN, reached, steps
 from amulor.imaging.measure.points import Points, points_of
 
 Floats = NDArray[np.float64]
@@ -48,7 +50,8 @@ def distance(
     first, second : tuple of int
         Row and column of each.
     reach : int
-        Average over so many pixels around each to every side [1].
+        Average over so many pixels around each to every side, as far as the surface
+        has no step [1].
 
     Returns
     -------
@@ -110,7 +113,8 @@ def height(
         What is up, in the axes right, down, forward of the instrument; (0, 0, -1) is
         towards the instrument [1].
     reach : int
-        Average over so many pixels around each to every side [1].
+        Average over so many pixels around each to every side, as far as the surface
+        has no step [1].
 
     Returns
     -------
@@ -163,7 +167,8 @@ def angle(
     first, corner, second : tuple of int
         Row and column of each; the angle is at the corner.
     reach : int
-        Average over so many pixels around each to every side [1].
+        Average over so many pixels around each to every side, as far as the surface
+        has no step [1].
 
     Returns
     -------
@@ -213,7 +218,8 @@ def area(image: xr.Dataset, corners: Sequence[Pixel], *, reach: int = 0) -> Meas
     corners : sequence of tuple of int
         Rows and columns, at least three, in order around the polygon.
     reach : int
-        Average over so many pixels around each to every side [1].
+        Average over so many pixels around each to every side, as far as the surface
+        has no step [1].
 
     Returns
     -------
@@ -233,12 +239,15 @@ def area(image: xr.Dataset, corners: Sequence[Pixel], *, reach: int = 0) -> Meas
     Examples
     --------
     >>> from amulor import imaging, rejection, samples
-    >>> target = rejection.cross_polarized(samples.cube("ladder"))
+    >>> target = rejection.unmix(
+    ...     samples.cube("ladder"),
+    ...     target_ratio=0.242, water_ratio=0.099, water_fluctuation=0.137,
+    ... )
     >>> image = imaging.range_image(target)
     >>> corners = [(5, 65), (5, 75), (30, 75), (30, 65)]
     >>> found = imaging.measure.area(image, corners, reach=1)
-    >>> print(f"{found.value * 1e6:.0f} mm2")
-    240 mm2
+    >>> print(f"{found.value * 1e6:.0f} mm2 +- {found.uncertainty * 1e6:.0f} mm2")
+    240 mm2 +- 4 mm2
     """
     if len(corners) < 3:
         raise CubeError(f"an area needs at least 3 corners, got {len(corners)}")
@@ -265,8 +274,14 @@ def _picked(
     for owner, (row, column) in enumerate(pixels):
         around = [(row, column)]
         if reach and usable[_one(image, row, column)]:
-            top, left = max(row - reach, 0), max(column - reach, 0)
-            part = usable[top : row + reach + 1, left : column + reach + 1]
+            wide = reach + STEP_MARGIN
+            top, left = max(row - wide, 0), max(column - wide, 0)
+            near = image.isel(
+                row=slice(top, row + wide + 1), column=slice(left, column + wide + 1)
+            )
+            edges = steps(near["slant_range"].values, own_variance(near))
+            part = reached(*edges, (row - top, column - left), reach)
+            part &= np.isfinite(near["slant_range"].values)
             around = [(top + int(r), left + int(c)) for r, c in np.argwhere(part)]
         rows += [r for r, _ in around]
         columns += [c for _, c in around]

@@ -454,23 +454,22 @@ def _fitted(
     misfit = squares / expected if expected > 0 else 1.0
     chance = 1 + _SURE * float(np.sqrt(2 / freedom))
     excess = misfit - 1 if misfit > chance else 0.0
-    matrix = points.covariance + np.diag(excess * points.noise)
-    covariance = gain @ matrix @ gain.T
+    covariance = gain @ (scatter + np.diag(excess * points.noise)) @ gain.T
     values = derived(found.x)
     names = list(values)
     to_values = _slope(lambda at: np.array([*derived(at).values()]), found.x, step=1e-6)
     of_values = np.einsum("ij,jk,ik->i", to_values, covariance, to_values)
     errors = np.sqrt(np.maximum(of_values, 0.0)).tolist()
-    uncertainties: dict[str, float] = dict(zip(names, errors, strict=True))
+    scattered: dict[str, float] = dict(zip(names, errors, strict=True))
     plain = (shown or residuals)(found.x, points.position)
     return Fit(
         kind=kind,
         values=values,
-        uncertainties=uncertainties,
+        uncertainties=scattered if known else dict.fromkeys(names, float("nan")),
         residual=float(np.sqrt(np.mean((plain**2).sum(axis=0)))),
         misfit=misfit,
         pixels=count,
-        doubt=_doubt(kind, misfit, chance, values, uncertainties),
+        doubt=_doubt(kind, misfit, chance, values, scattered),
     )
 
 

@@ -55,6 +55,8 @@ MAPS = {
         for term in (*ALIKE_TERMS, *WATER_TERMS)
     },
 }
+#: Where the surface steps to the next pixel: means do not go across.
+STEPS = Layer(name="steps", label="Steps", unit="1", kind="hidden")
 #: Maps that exist of the picture before rejection, too.
 BEFORE = ("slant_range", "intensity", "quality_flag", "slant_range_uncertainty")
 

@@ -12,6 +12,7 @@ import numpy as np
 from amulor.cube import QualityFlag
 from amulor.errors import CubeError
 from amulor.imaging import measure
+from amulor.imaging.edges import STEP_MARGIN
 from amulor.view.page.pictures import Picture
 from amulor.view.page.recording import Recording
 
@@ -87,9 +88,11 @@ def _figure(
     if wanted is not None and len(pixels) != wanted:
         raise CubeError(f"{kind} needs {wanted} points, got {len(pixels)}")
     reach = _whole(request.get("reach", 0), "reach", 0, _LARGEST_REACH)
+    # Which neighbors count depends on the steps around them.
+    wide = reach + STEP_MARGIN if reach else 0
     image = picture.around(
-        _near([row for row, _ in pixels], reach, picture.shape[0]),
-        _near([column for _, column in pixels], reach, picture.shape[1]),
+        _near([row for row, _ in pixels], wide, picture.shape[0]),
+        _near([column for _, column in pixels], wide, picture.shape[1]),
     )
     at = [picture.place(*pixel) for pixel in pixels]
     if kind == "distance":

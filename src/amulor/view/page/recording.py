@@ -12,9 +12,19 @@ from numpy.typing import NDArray
 
 from amulor import imaging, rejection
 from amulor.cube import WATER_NOT_REMOVED
+from amulor.cube.terms import RANGE_PREFIX, TERMS
 from amulor.errors import CubeError
+from amulor.imaging.common import own_variance
+from amulor.imaging.edges import STEP_MARGIN, steps
 from amulor.view.page import beams
-from amulor.view.page.layers import BEFORE, MAPS, Layer, described, flag_words
+from amulor.view.page.layers import (
+    BEFORE,
+    MAPS,
+    STEPS,
+    Layer,
+    described,
+    flag_words,
+)
 from amulor.view.page.pictures import Channel, MemoryPicture, Picture
 from amulor.view.page.sharing import sharing_of
 
@@ -22,6 +32,8 @@ Interval = tuple[float, float] | None
 
 #: More pixels than these are drawn by strides [1].
 MOST_PIXELS = 10_000_000
+#: Rows in which steps are looked for at once [1].
+_BAND = 512
 #: Textures of most graphics units reach this far along a side [1].
 LONGEST_SIDE = 8192
 
@@ -190,6 +202,8 @@ class Recording:
                     picture,
                     variable,
                 )
+            name = f"{STEPS.name}_before" if before else STEPS.name
+            found[name] = (replace(STEPS, name=name, before=before), picture, "")
         return found
 
     def layer(self, channel: str, name: str, stride: int) -> NDArray[Any]:
@@ -198,7 +212,7 @@ class Recording:
         if name not in known:
             raise CubeError(f"{self.name} has no map {name!r} in channel {channel}")
         _, picture, variable = known[name]
-        return picture.values(variable, stride)
+        return picture.values(variable, stride) if variable else _steps(picture, stride)
 
     def nodes(self, channel: str) -> beams.Nodes:
         """Return the beams of a channel on a coarse grid."""
@@ -254,6 +268,26 @@ class Recording:
 def _water_in(picture: Picture) -> bool:
     """Return whether a picture has the water left in."""
     return WATER_NOT_REMOVED in picture.error_unknown
+
+
+def _steps(picture: Picture, stride: int) -> NDArray[Any]:
+    """Return 1 where a surface steps to the next column, plus 2 to the next row."""
+    names = ["slant_range", "slant_range_uncertainty", "slant_range_common_uncertainty"]
+    names += ["slant_range_bound", *(f"{RANGE_PREFIX}{term}" for term in TERMS)]
+    maps = {
+        name: (("row", "column"), picture.values(name, stride).astype(float))
+        for name in names
+        if picture.has(name)
+    }
+    image = xr.Dataset(maps)
+    out = np.zeros(image["slant_range"].shape)
+    for first in range(0, len(out), _BAND):
+        low = max(first - STEP_MARGIN, 0)
+        part = image.isel(row=slice(low, first + _BAND + STEP_MARGIN))
+        across, down = steps(part["slant_range"].values, own_variance(part))
+        band = (across + 2 * down)[first - low : first - low + _BAND]
+        out[first : first + _BAND] = band
+    return out
 
 
 def _notes(pictures: Channel) -> list[str]:

@@ -10,6 +10,8 @@ import pytest
 from pages import drawn, settled, until
 
 from amulor import rejection, samples
+from amulor.imaging.common import own_variance
+from amulor.imaging.edges import reached, steps
 from amulor.view import page
 
 pytestmark = pytest.mark.slow
@@ -113,4 +115,30 @@ def test_with_the_water_in_the_raw_range_is_stated_and_the_cloud_in_view(
         shown.keyboard.press("w")
         until(shown, "amulor.layerName === 'range'")
         assert shown.inner_text("#readout dd.big") == corrected
+        assert one.errors == []
+
+
+def test_means_of_the_page_do_not_cross_steps_and_are_those_of_the_library(
+    tab: Callable[..., Any], ladder: page.Recording
+) -> None:
+    one = tab()
+    with page.background(ladder) as address:
+        shown = one.open(address)
+        shown.evaluate("""() => {
+          const reach = document.getElementById("reach");
+          reach.value = "6";
+          reach.dispatchEvent(new Event("input"));
+        }""")
+        smooth = shown.evaluate("[...amulor.scene.maps.get('range').smooth]")
+        means = np.array(smooth, dtype=float).reshape(40, 100)
+        image = ladder.channel("VV").shown.whole()
+        ranges = image["slant_range"].values
+        edges = steps(ranges, own_variance(image))
+        for pixel in ((3, 4), (20, 16), (20, 22), (12, 57), (39, 99)):
+            part = reached(*edges, pixel, 6) & np.isfinite(ranges)
+            assert means[pixel] == pytest.approx(ranges[part].mean(), abs=2e-7)
+        # The wall is at 1.5 m, the first board 40 mm before it, gap at 18 and 19.
+        noise = np.nanmedian(image["slant_range_uncertainty"].values)
+        assert np.all(np.abs(means[:, 10:17] - 1.5) < noise)
+        assert np.all(np.abs(means[:, 21:28] - 1.46) < noise)
         assert one.errors == []

@@ -270,14 +270,19 @@ def test_a_flat_patch_gives_no_radius(
         rng = np.random.default_rng(seed)
         scatter = rng.normal(size=exact.shape)
         image = shapes.image(scan, exact + noise * scatter)
-        own = image["slant_range_uncertainty_counting"] * 0 + noise
+        image["slant_range_uncertainty_counting"][:] = noise
         common = image["slant_range_common_uncertainty"]
-        image["slant_range_uncertainty"] = np.hypot(common, own)
+        image["slant_range_uncertainty"] = np.hypot(common, noise)
         found = fit(image, every(image))
         assert "radius not constrained by these pixels, above " in found.doubt
         # The plane and two or one parameters more leave as much of chi-square.
         flat = measure.plane(image, every(image))
         assert found.misfit == pytest.approx(flat.misfit, abs=0.15)
+    # Of ranges whose error is not known, noise alone says as much.
+    image["slant_range_uncertainty"] = image["slant_range_uncertainty"] * np.nan
+    found = fit(image, every(image))
+    assert "radius not constrained by these pixels, above " in found.doubt
+    assert np.isnan(found.uncertainties["radius"])
 
 
 @pytest.mark.parametrize("fit", [measure.plane, measure.sphere, measure.cylinder])
@@ -292,6 +297,26 @@ def test_steps_fit_no_shape_and_the_fit_says_so(
     assert found.misfit > 5
     said = f"does not fit this shape (chi-square {found.misfit:.3g} per degree"
     assert found.doubt.startswith(said)
+
+
+def test_a_mean_near_a_step_is_of_its_own_side() -> None:
+    # 40 mm between the columns 15 and 16, 6 mm of noise, picks one and two pixels off.
+    scan = shapes.beams(rows=24, columns=32, half=0.016)
+    exact = np.where(scan.azimuth < 0, 1.5, 1.46)
+    scores, counts = [], []
+    for seed in range(60):
+        rng = np.random.default_rng(seed)
+        image = shapes.image(scan, exact + 6e-3 * rng.normal(size=exact.shape))
+        common = image["slant_range_common_uncertainty"]
+        image["slant_range_uncertainty"] = np.hypot(common, 6e-3)
+        found = measure.height(image, (12, 14), (12, 17), axis=(0, 0, -1), reach=6)
+        scores.append((found.value - 0.04) / found.uncertainty)
+        counts.append(found.pixels)
+        assert found.uncertainty < 2e-3
+    # At most 13 rows of 8 columns each; squares of 60 scores are within four errors.
+    assert max(counts) <= 2 * 13 * 8
+    assert np.median(counts) > 150
+    assert abs(np.mean(np.square(scores)) - 1) < 4 * (2 / 60) ** 0.5
 
 
 def test_what_cannot_be_measured_is_explained(

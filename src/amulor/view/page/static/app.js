@@ -166,7 +166,7 @@ async function opened(channel) {
     views.placed = true;
   }
   if (!state.cursor) await point([Math.floor(scene.rows / 2), Math.floor(scene.columns / 2)]);
-  const rest = [...scene.byName.values()].filter((layer) => layer.kind !== "hidden" || layer.name === "common");
+  const rest = [...scene.byName.values()].filter((layer) => layer.kind !== "hidden" || layer.name === "common" || layer.name.startsWith("steps"));
   for (const layer of rest) await scene.load(layer.name);
   if (!state.calmed) calm();
   state.calmed = true;

@@ -96,15 +96,19 @@ export class Scene {
     const shown = layer.kind === "flags" ? flagRanks(values, this.flags) : values;
     this.renderer.keep(`map ${name}`, this.wide, this.high, shown);
     if (name === "range" || name === "range_before") this.smooth(name);
+    if (layer.name.startsWith("steps")) this.smooth(name.replace("steps", "range"));
   }
 
-  /** Average a range map over neighbours, for light and contours only. */
+  /** Average a range map over neighbours, for light and contours only. Until it is known
+  where the surface has steps, which no mean goes across, it stays as it is. */
   smooth(name, reach = this.reach ?? 1) {
     this.reach = reach;
     const map = this.maps.get(name);
     if (!map) return;
-    map.smooth = averaged(map.values, this.wide, this.high, reach);
+    const steps = this.maps.get(name.replace("range", "steps"))?.values;
+    map.smooth = averaged(map.values, this.wide, this.high, steps ? reach : 0, steps);
     this.renderer.keep(`smooth ${name}`, this.wide, this.high, map.smooth);
+    this.renderer.keep(`edges ${name}`, this.wide, this.high, steps ?? new Float32Array(map.values.length));
   }
 
   /** Take over rows that came in; the maps must have been loaded. */
@@ -182,7 +186,7 @@ export class Scene {
     return {
       layer: `map ${name}`,
       table: `table ${layer.kind === "flags" ? "flags" : MAP_OF[layer.kind]}`,
-      textures: { uRange: `map ${shape}`, uSmooth: `smooth ${shape}`, uBase: "base", uAim: "aim", uRows: "rows", uColumns: "columns" },
+      textures: { uRange: `map ${shape}`, uSmooth: `smooth ${shape}`, uSteps: `edges ${shape}`, uBase: "base", uAim: "aim", uRows: "rows", uColumns: "columns" },
       set: {
         uSize: ["2i", this.wide, this.high],
         uLimits: ["2f", ...limits],
@@ -219,31 +223,36 @@ export function sampled(values, wanted) {
   return out;
 }
 
-/** Return means over squares of neighbours; a pixel without a number stays without. */
-function averaged(values, wide, high, reach) {
+/** Return means over squares of neighbours, as far as no step lies on the way along the
+column and then the row; a pixel without a number stays without. As in
+amulor.imaging.edges.reached. */
+function averaged(values, wide, high, reach, steps) {
   if (reach === 0) return Float32Array.from(values);
-  const along = (source, count, length, step, stride) => {
+  const along = (source, count, length, step, stride, bit) => {
     const sums = new Float64Array(length + 1);
     const counts = new Int32Array(length + 1);
-    const out = { sum: new Float32Array(source.sum.length), count: new Float32Array(source.sum.length) };
+    const starts = new Int32Array(length);
+    const out = { sum: new Float64Array(source.sum.length), count: new Float32Array(source.sum.length) };
     for (let line = 0; line < count; line += 1) {
+      const at = (k) => line * stride + k * step;
       for (let k = 0; k < length; k += 1) {
-        const at = line * stride + k * step;
-        sums[k + 1] = sums[k] + source.sum[at];
-        counts[k + 1] = counts[k] + source.count[at];
+        sums[k + 1] = sums[k] + source.sum[at(k)];
+        counts[k + 1] = counts[k] + source.count[at(k)];
+        starts[k] = k && !(steps[at(k - 1)] & bit) ? starts[k - 1] : k;
       }
-      for (let k = 0; k < length; k += 1) {
-        const at = line * stride + k * step;
-        const low = Math.max(0, k - reach);
-        const top = Math.min(length, k + reach + 1);
-        out.sum[at] = sums[top] - sums[low];
-        out.count[at] = counts[top] - counts[low];
+      let end = length;
+      for (let k = length - 1; k >= 0; k -= 1) {
+        if (k < length - 1 && steps[at(k)] & bit) end = k + 1;
+        const low = Math.max(starts[k], k - reach);
+        const top = Math.min(end, k + reach + 1);
+        out.sum[at(k)] = sums[top] - sums[low];
+        out.count[at(k)] = counts[top] - counts[low];
       }
     }
     return out;
   };
-  const there = { sum: Float32Array.from(values, (v) => (Number.isFinite(v) ? v : 0)), count: Float32Array.from(values, (v) => (Number.isFinite(v) ? 1 : 0)) };
-  const across = along(there, high, wide, 1, wide);
-  const both = along(across, wide, high, wide, 1);
+  const there = { sum: Float64Array.from(values, (v) => (Number.isFinite(v) ? v : 0)), count: Float32Array.from(values, (v) => (Number.isFinite(v) ? 1 : 0)) };
+  const across = along(there, high, wide, 1, wide, 1);
+  const both = along(across, wide, high, wide, 1, 2);
   return Float32Array.from(values, (v, at) => (Number.isFinite(v) ? both.sum[at] / both.count[at] : NaN));
 }

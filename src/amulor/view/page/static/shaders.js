@@ -10,6 +10,7 @@ precision highp sampler2D;
 const POINTS = `
 uniform sampler2D uRange;    // slant range of every pixel
 uniform sampler2D uSmooth;   // the same, averaged over neighbours, for light only
+uniform sampler2D uSteps;    // 1 where the surface steps to the next column, plus 2: row
 uniform sampler2D uBase;     // place at range zero, azimuth
 uniform sampler2D uAim;      // direction, elevation
 uniform sampler2D uRows;     // for every row: node before, share of the next
@@ -33,6 +34,8 @@ vec3 place(ivec2 at, float range) {
 
 bool bad(float value) { return !(value == value) || abs(value) > 1e30; }
 
+bool steps(ivec2 at, int bit) { return (int(texelFetch(uSteps, at, 0).r + 0.5) & bit) != 0; }
+
 // The normal of the surface from the pixel's own neighbours, towards the instrument.
 vec3 normalAt(ivec2 at) {
   ivec2 low = max(at - 1, ivec2(0));
@@ -42,10 +45,10 @@ vec3 normalAt(ivec2 at) {
   float t = rangeAt(uSmooth, ivec2(at.x, low.y)), b = rangeAt(uSmooth, ivec2(at.x, high.y));
   ivec2 lp = ivec2(low.x, at.y), rp = ivec2(high.x, at.y);
   ivec2 tp = ivec2(at.x, low.y), bp = ivec2(at.x, high.y);
-  if (bad(l)) { l = own; lp = at; }
-  if (bad(r)) { r = own; rp = at; }
-  if (bad(t)) { t = own; tp = at; }
-  if (bad(b)) { b = own; bp = at; }
+  if (bad(l) || steps(lp, 1)) { l = own; lp = at; }
+  if (bad(r) || steps(at, 1)) { r = own; rp = at; }
+  if (bad(t) || steps(tp, 2)) { t = own; tp = at; }
+  if (bad(b) || steps(at, 2)) { b = own; bp = at; }
   vec3 n = cross(place(bp, b) - place(tp, t), place(rp, r) - place(lp, l));
   float size = length(n);
   vec3 aim = place(at, own + 0.1) - place(at, own);

@@ -52,14 +52,12 @@ export function worded(found) {
 /** Return what a measurement was made in, beside its pixels. */
 export function circumstances(state) {
   const { scene } = state;
-  const [row, column] = state.region ?? state.picks[0];
-  const flags = scene.reasons(row, column, scene.main === "range" ? "flags" : "flags_before");
   const wide = 2 * state.average + 1;
   return {
     file: scene.name,
     channel: scene.channel,
     map: scene.byName.get(state.layerName).label,
-    water: flags.some((flag) => flag.name === "no open water") ? "in" : "taken out",
+    water: scene.water_in ? "in" : "taken out",
     averaged: state.region ? "1 × 1" : `${wide} × ${wide}`,
   };
 }
