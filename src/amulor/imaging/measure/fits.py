@@ -11,7 +11,6 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.optimize import least_squares
 
 from amulor.errors import CubeError
-from amulor.imaging.measure.checks import COVERAGE_FACTOR
 from amulor.imaging.measure.points import Points, points_of
 
 Floats = NDArray[np.float64]
@@ -22,6 +21,8 @@ _Residuals = Callable[[Floats, Floats], Floats]
 MOST_PIXELS = 1500
 #: The scatter must stand out of chance by this many standard errors [1].
 _SURE = 4.0
+#: Coverage factor of the least radius that is stated [1].
+_COVERAGE = 2.0
 #: Errors stated up to a fifth too small give so much per degree of freedom [1].
 _MISFIT = 1.5
 #: Directions in which the axis of a cylinder is looked for, and of them tried [1].
@@ -489,7 +490,7 @@ def _doubt(
     radius, error = values.get("radius", 0.0), uncertainties.get("radius", 0.0)
     if _SURE * error > radius > 0:
         # Errors of the curvature are normal where those of the radius are not.
-        least = radius / (1 + COVERAGE_FACTOR * error / radius)
+        least = radius / (1 + _COVERAGE * error / radius)
         return (
             f"radius not constrained by these pixels, above {least * 1e3:.3g} mm; "
             "take a larger part of the shape, or a plane"
