@@ -40,7 +40,7 @@ def demo(
         print_json(ladder.summary(cases))
         return
     print_table(
-        "Mean error of the slant range [mm], without and with the water taken out",
+        "Mean error of the slant range [mm]",
         ["case", "before", "after", "noise", "stated noise"],
         [
             [

@@ -115,10 +115,10 @@ def write(
         ]
     parts.append(Heading("Where this comes from"))
     for name, image in images.items():
-        history = without_folders(str(image.attrs.get("history", "")))
+        history = _without_folders(str(image.attrs.get("history", "")))
         parts.append(Listing(f"history of {name}", history))
         if image.attrs.get("survey"):
-            survey = without_folders(str(image.attrs["survey"]))
+            survey = _without_folders(str(image.attrs["survey"]))
             parts.append(Listing(f"survey of {name}", survey))
     tell("writing", 0.9)
     title = str(first.attrs.get("title") or "Range images")
@@ -167,25 +167,8 @@ def flag_sentence(image: xr.Dataset, whole: Whole | None = None) -> str:
 _PATH = re.compile(r"""(["'])(?:/|[A-Za-z]:[\\/]|\\\\)[^"'\n]*[\\/]([^"'\\/\n]+)\1""")
 
 
-def without_folders(text: str) -> str:
-    """Return a text in which files have names only: folders are of one computer.
-
-    Parameters
-    ----------
-    text : str
-        Of a survey or a history.
-
-    Returns
-    -------
-    str
-        The same but for whole paths in quotation marks.
-
-    Examples
-    --------
-    >>> from amulor.view.image_report import without_folders
-    >>> print(without_folders('file = "/home/me/scans/amphora.ply"'))
-    file = "amphora.ply"
-    """
+def _without_folders(text: str) -> str:
+    """Return a text in which files have names only: folders are of one computer."""
     return _PATH.sub(r"\1\2\1", text)
 
 

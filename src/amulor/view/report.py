@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 import html
 import io
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -214,14 +215,17 @@ def _rendered(part: Part) -> str:
 
 
 def _table(table: Table) -> str:
-    head = "".join(f"<th>{html.escape(cell)}</th>" for cell in table.header)
+    words = [_is_text(column) for column in zip(*table.rows, strict=True)]
+    head = "".join(
+        f"<th{_class('', text)}>{html.escape(cell)}</th>"
+        for cell, text in zip(table.header, words or table.header, strict=True)
+    )
     lines = []
     for row in table.rows:
         cells = "".join(
-            f'<td class="warning">{html.escape(cell[1:])}</td>'
-            if cell.startswith("!")
-            else f"<td>{html.escape(cell)}</td>"
-            for cell in row
+            f"<td{_class('warning' if cell[:1] == '!' else '', text)}>"
+            f"{html.escape(cell.removeprefix('!'))}</td>"
+            for cell, text in zip(row, words, strict=True)
         )
         lines.append(f"<tr>{cells}</tr>")
     return (
@@ -229,6 +233,18 @@ def _table(table: Table) -> str:
         f"<caption>{html.escape(table.caption)}</caption>"
         f"<thead><tr>{head}</tr></thead><tbody>{''.join(lines)}</tbody></table></div>"
     )
+
+
+def _is_text(column: Sequence[str]) -> bool:
+    """Return whether a column holds words, which are read from the left."""
+    return any(re.match(r"!?[^\W\d]{3}", cell) for cell in column) and not any(
+        re.match(r"!?[-+]?\d", cell) for cell in column
+    )
+
+
+def _class(mark: str, text: bool | str) -> str:
+    names = " ".join(name for name in (mark, "text" if text is True else "") if name)
+    return f' class="{names}"' if names else ""
 
 
 _PAGE = """<!DOCTYPE html>
@@ -263,12 +279,15 @@ img { max-width: 100%; height: auto; }
 figcaption, caption { color: var(--soft); font-size: .87rem; text-align: left;
   padding: .3rem 0 .5rem; max-width: 52rem; }
 .table { overflow-x: auto; }
+/* A caption stays in view where its table is wider than the page. */
+caption { position: sticky; left: 0; width: min(52rem, calc(100vw - 3rem));
+  box-sizing: border-box; }
 table { border-collapse: collapse; font-size: .87rem; margin: 1rem 0;
   font-variant-numeric: tabular-nums; }
 th, td { text-align: right; padding: .3rem .7rem; border-bottom: 1px solid var(--line);
   white-space: nowrap; }
 th { white-space: normal; vertical-align: bottom; }
-th:first-child, td:first-child { text-align: left; }
+th:first-child, td:first-child, .text { text-align: left; }
 thead th { border-bottom: 2px solid var(--ink); font-weight: 600; }
 .interactive iframe { width: 100%; height: 30rem; border: 1px solid var(--line);
   border-radius: 8px; }
