@@ -10,9 +10,9 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+import skips
 
 DOCS = Path(__file__).parents[2] / "docs"
-CHROMIUM = Path("/usr/bin/chromium")
 #: The part of the settings of the site that equations hang on.
 SETTINGS = """
 extensions = ["myst_parser", "sphinx-mathjax-offline"]
@@ -62,12 +62,11 @@ def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.mark.slow
 @pytest.mark.parametrize("width", [660, 420])
 def test_no_equation_is_cut_at_the_left(site: Path, width: int) -> None:
-    if not CHROMIUM.exists():
-        pytest.skip(f"equations are measured in a browser, and there is no {CHROMIUM}")
+    chromium = skips.need_browser()
     playwright = pytest.importorskip("playwright.sync_api")
     with playwright.sync_playwright() as driver:
         browser = driver.chromium.launch(
-            executable_path=str(CHROMIUM), args=["--no-sandbox"]
+            executable_path=chromium, args=["--no-sandbox"]
         )
         page: Any = browser.new_page(viewport={"width": width, "height": 900})
         page.goto(site.as_uri())

@@ -218,7 +218,9 @@ def _table(table: Table) -> str:
     words = [_is_text(column) for column in zip(*table.rows, strict=True)]
     head = "".join(
         f"<th{_class('', text)}>{html.escape(cell)}</th>"
-        for cell, text in zip(table.header, words or table.header, strict=True)
+        for cell, text in zip(
+            table.header, words or [False] * len(table.header), strict=True
+        )
     )
     lines = []
     for row in table.rows:

@@ -17,7 +17,7 @@ from amulor.cli import main
 from amulor.cube.terms import ALIKE_TERMS, SHARED_TERMS
 from amulor.simulation import simulate
 from amulor.survey import Survey
-from amulor.view import Picture, Table, image_report
+from amulor.view import Picture, Table, image_report, write_report
 from amulor.view.accuracy import accuracy_statement
 from amulor.view.error_budget import error_budgets
 from amulor.view.report import Heading, Paragraph, png
@@ -169,3 +169,15 @@ def test_a_point_cloud_keeps_the_total_and_the_common_part(
         points["scalar_slant_range_common_uncertainty"],
         cloud["slant_range_common_uncertainty"],
     )
+
+
+def test_words_of_a_table_stand_at_the_left(tmp_path: Path) -> None:
+    rows = [["delay", "time in the cables", "!not known"], ["noise", "photons", "0.3"]]
+    path = tmp_path / "report.html"
+    write_report(path, "Terms", [Table(["term", "what", "mm"], rows, "Terms.")])
+    text = path.read_text()
+    assert '<th class="text">what</th>' in text
+    assert '<td class="text">time in the cables</td>' in text
+    assert "<th>mm</th>" in text
+    assert '<td class="warning">not known</td>' in text
+    assert "<td>0.3</td>" in text
