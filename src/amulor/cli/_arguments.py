@@ -8,7 +8,7 @@ from pathlib import Path
 
 from cyclopts import validators
 
-from amulor.errors import AmulorError
+from amulor.errors import AmulorError, FormatError
 
 #: Seeds that a generator takes and a file keeps.
 SEED = validators.Number(gte=0, lt=2**63)
@@ -133,6 +133,24 @@ def interval_of(
     return near, far
 
 
+def check_inputs(*paths: Path | None) -> None:
+    """Refuse a file name that is mistyped, before anything slow is imported.
+
+    Parameters
+    ----------
+    *paths : pathlib.Path, optional
+        Files or folders to be read.
+
+    Raises
+    ------
+    FormatError
+        If one of them does not exist.
+    """
+    for path in paths:
+        if path is not None and not path.exists():
+            raise FormatError(f"{path} does not exist; check the name and the folder")
+
+
 #: Endings of netCDF files, which cubes are written to.
 CUBE_ENDINGS = (".nc", ".nc4")
 
@@ -152,10 +170,13 @@ def check_cube_output(path: Path, *, overwrite: bool, inputs: Sequence[Path]) ->
     Raises
     ------
     FormatError
-        As `amulor.io.check_output`.
+        As `amulor.io.check_output`, or if a file to be read does not exist.
     UsageError
         If the ending is not that of netCDF.
     """
+    if path.suffix.lower() in CUBE_ENDINGS:
+        check_inputs(*inputs)
+
     from amulor import io
 
     io.check_output(path, overwrite=overwrite, inputs=inputs)

@@ -13,6 +13,7 @@ from amulor.cli._arguments import (
     SEED,
     UsageError,
     check_ending,
+    check_inputs,
     frequencies_of,
     quantity_of,
 )
@@ -73,13 +74,9 @@ def backscatter(
     json
         Print the numbers for other programs.
     """
-    import numpy as np
-
-    from amulor import io
     from amulor.errors import SurveyError
-    from amulor.survey import Survey
 
-    frequencies = np.array(frequencies_of("--frequency", frequency))
+    stated = frequencies_of("--frequency", frequency)
     goal = quantity_of("--error", error, "fraction")
     if not goal > 0:
         raise UsageError(f"--error: needed is a relative error above 0, found {error}")
@@ -90,6 +87,15 @@ def backscatter(
         raise UsageError("--scheduler and --batches go together")
     if plot is not None:
         check_ending("--plot", plot, [".png", ".svg"])
+    check_inputs(survey)
+
+    import numpy as np
+
+    from amulor import io
+    from amulor.survey import Survey
+
+    frequencies = np.array(stated)
+    if plot is not None:
         io.check_output(plot, overwrite=overwrite, inputs=[survey])
     described = Survey.from_toml(survey)
     try:

@@ -8,7 +8,13 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 from cyclopts import Parameter, validators
 
-from amulor.cli._arguments import UsageError, check_ending, quantity_of, refusing
+from amulor.cli._arguments import (
+    UsageError,
+    check_ending,
+    check_inputs,
+    quantity_of,
+    refusing,
+)
 from amulor.cli._output import print_next, progress_bar
 
 if TYPE_CHECKING:
@@ -109,6 +115,11 @@ def export(
     overwrite
         Replace a file that is there.
     """
+    # What is wrong with options comes first; knowing it of lengths needs more.
+    asked = line, against, cell, contours, farthest, product, largest_uncertainty
+    if output.suffix.lower() in _BY_ROWS and not any(asked):
+        check_inputs(image, pose)
+
     from amulor import handover, io
     from amulor.io.netcdf_rows import is_large
 

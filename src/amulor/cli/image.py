@@ -40,14 +40,16 @@ def image(
     overwrite
         Replace a file that is there.
     """
-    from amulor import _progress, imaging, io
     from amulor.cli._arguments import check_cube_output, interval_of
     from amulor.cli._output import print_flags, print_next, progress_bar
-    from amulor.cube import flag_counts
-    from amulor.io.netcdf_rows import is_large
 
     interval = interval_of(nearest, farthest)
     check_cube_output(output, overwrite=overwrite, inputs=[cube])
+
+    from amulor import _progress, imaging, io
+    from amulor.cube import flag_counts
+    from amulor.io.netcdf_rows import is_large
+
     if tile_rows is not None or is_large(cube):
         _by_rows(cube, output, tile_rows, polarization, interval, overwrite=overwrite)
         return

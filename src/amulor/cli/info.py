@@ -9,6 +9,7 @@ from typing import Annotated, Any
 import numpy as np
 from cyclopts import Parameter
 
+from amulor.cli._arguments import check_inputs
 from amulor.cli._output import print_json
 
 
@@ -24,6 +25,8 @@ def info(
     json
         Print it for other programs.
     """
+    check_inputs(file)
+
     from amulor import cube as cubes
     from amulor import io
 

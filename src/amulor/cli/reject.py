@@ -91,7 +91,6 @@ def reject(
     overwrite
         Replace a file that is there.
     """
-    from amulor import _progress, io, rejection
     from amulor.cli._arguments import (
         UsageError,
         check_cube_output,
@@ -101,7 +100,6 @@ def reject(
     from amulor.cli._output import print_json, progress_bar
     from amulor.cube import flag_counts
     from amulor.errors import CubeError
-    from amulor.io.netcdf_rows import is_large
 
     interval = interval_of(nearest, farthest)
     if method == "unmix" and (target_ratio is None or water_ratio is None):
@@ -119,6 +117,10 @@ def reject(
     column = _fraction("--column-uncertainty", column_uncertainty)
     inputs = [cube] if open_water is None else [cube, open_water]
     check_cube_output(output, overwrite=overwrite, inputs=inputs)
+
+    from amulor import _progress, io, rejection
+    from amulor.io.netcdf_rows import is_large
+
     if tile_rows is not None or is_large(cube):
         options: dict[str, dict[str, Any]] = {
             "open-water": {"interval": interval, "column_uncertainty": column},

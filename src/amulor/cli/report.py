@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import Parameter
 
-from amulor.cli._arguments import UsageError, check_ending, quantity_of
+from amulor.cli._arguments import UsageError, check_ending, check_inputs, quantity_of
 from amulor.cli._output import progress_bar
 
 if TYPE_CHECKING:
@@ -48,6 +48,9 @@ def report(
     overwrite
         Replace a file that is there.
     """
+    if not check:
+        check_inputs(*images, checks)
+
     from amulor import _progress, io
     from amulor.imaging import measure
     from amulor.view import image_report

@@ -51,6 +51,15 @@ def simulate(
     overwrite
         Replace a file that is there.
     """
+    goal = quantity_of("--error", error, "fraction")
+    if not 0 < goal < 1:
+        raise UsageError(
+            f"--error: needed is a relative error above 0 and below 1, found {error}"
+        )
+    if tile_rows is not None and tile_rows < 1:
+        raise UsageError(f"--tile-rows must be 1 or more, got {tile_rows}")
+    check_cube_output(output, overwrite=overwrite, inputs=[survey])
+
     from amulor import _progress, io
     from amulor.errors import SurveyError
     from amulor.simulation import (
@@ -64,14 +73,6 @@ def simulate(
     from amulor.survey.checks.memory import BY_ROWS, MOST_SAMPLES, samples_of
     from amulor.survey.reach import unsettled_interval
 
-    goal = quantity_of("--error", error, "fraction")
-    if not 0 < goal < 1:
-        raise UsageError(
-            f"--error: needed is a relative error above 0 and below 1, found {error}"
-        )
-    check_cube_output(output, overwrite=overwrite, inputs=[survey])
-    if tile_rows is not None and tile_rows < 1:
-        raise UsageError(f"--tile-rows must be 1 or more, got {tile_rows}")
     described = Survey.from_toml(survey)
     most = MOST_SAMPLES if model == "photons" else BY_ROWS
     by_rows = tile_rows is not None or samples_of(described) > most

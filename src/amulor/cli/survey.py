@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import Parameter
 
+from amulor.cli._arguments import check_inputs
 from amulor.cli._output import print_json, print_next
 
 if TYPE_CHECKING:
@@ -29,6 +30,8 @@ def check(
     json
         Print the survey in SI units, and what follows from it, for other programs.
     """
+    check_inputs(file)
+
     from dataclasses import asdict
 
     from amulor.optics import ranging

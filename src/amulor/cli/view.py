@@ -60,11 +60,19 @@ def view(
     overwrite
         With --save: replace a file that is there.
     """
-    from amulor import _extras, handover, io
-    from amulor.cli._arguments import UsageError, check_ending, interval_of
-    from amulor.errors import FormatError
+    from amulor import _extras
+    from amulor.cli._arguments import (
+        UsageError,
+        check_ending,
+        check_inputs,
+        interval_of,
+    )
 
     _extras.require("view", purpose="the page")
+    if all(one is None for one in (samples, nearest, farthest, against, unit, save)):
+        check_inputs(path)
+
+    from amulor import handover, io
     from amulor.survey.target import METRES
     from amulor.view import page
     from amulor.view.page import space
@@ -81,8 +89,7 @@ def view(
     if against is not None and save is not None:
         raise UsageError("--against goes with a page that is served, not with --save")
     inputs = [one for one in (path, samples, against) if one is not None]
-    if against is not None and not against.is_file():
-        raise FormatError(f"{against} does not exist; check the name and the folder")
+    check_inputs(against)
     if save is not None:
         check_ending("--save", save, (".html", ".htm"))
         io.check_output(save, overwrite=overwrite, inputs=inputs)

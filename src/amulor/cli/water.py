@@ -7,6 +7,7 @@ from typing import Annotated, Any
 
 from cyclopts import Parameter
 
+from amulor.cli._arguments import check_inputs
 from amulor.cli._output import print_json
 
 
@@ -134,6 +135,8 @@ def fit(
     json
         Print it for other programs, in SI units.
     """
+    check_inputs(cube)
+
     from dataclasses import asdict
 
     from amulor import io, rejection

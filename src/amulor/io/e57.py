@@ -13,7 +13,6 @@ from typing import Any
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
 from amulor import cube as cubes
 from amulor.errors import FormatError, MissingExtraError
@@ -209,6 +208,8 @@ def _shape_of(cloud: xr.Dataset) -> tuple[int, int]:
 
 def _pose(matrix: NDArray[np.float64]) -> dict[str, dict[str, float]]:
     """Return a pose as the format states it: unit quaternion and translation."""
+    from scipy.spatial.transform import Rotation
+
     x, y, z, w = Rotation.from_matrix(matrix[:3, :3]).as_quat()
     rotation = {"w": float(w), "x": float(x), "y": float(y), "z": float(z)}
     place = dict(zip("xyz", matrix[:3, 3].tolist(), strict=True))

@@ -358,6 +358,6 @@ def _best_path(known: _Phases) -> Path:
 
 def _chi_square_limits(count: int) -> Floats:
     """Return the largest misfit by the degrees of freedom, from 0 on."""
-    from scipy.stats import chi2
+    from scipy.special import chdtri
 
-    return np.asarray(chi2.isf(_DISAGREEMENT, np.arange(count)), dtype=float)
+    return np.asarray(chdtri(np.arange(count), _DISAGREEMENT), dtype=float)

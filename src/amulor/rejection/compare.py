@@ -10,7 +10,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 from scipy.constants import speed_of_light
-from scipy.stats import chi2
+from scipy.special import chdtri
 
 from amulor import cube as cubes
 from amulor._progress import part, tell
@@ -452,7 +452,7 @@ def _errors(
     )
     # Only whether they agree: which interval is right is a matter of its limits.
     few = (np.isfinite(sigma) & ~path.left_out).sum(axis=0) - 1
-    agree = path.strain <= chi2.isf(_DISAGREEMENT, np.maximum(few, 1))
+    agree = path.strain <= chdtri(np.maximum(few, 1), _DISAGREEMENT)
     return noise, bias, np.asarray(agree | (few < 1))
 
 

@@ -145,7 +145,7 @@ def looks_like_water(
     1000 cases. A target agrees only if it has the phase and the strength of the water
     signal at every frequency and in every channel.
     """
-    from scipy.stats import chi2
+    from scipy.special import chdtrc
 
     use = np.isfinite(left) & np.isfinite(water_signal)
     if "saturated" in samples:
@@ -161,7 +161,7 @@ def looks_like_water(
     explained = np.divide(cross**2, own, out=np.zeros(own.shape), where=own > 0)
     misfit = np.maximum(square - explained, 0.0)
     freedom = np.maximum(2 * count - 1, 1)
-    likely = chi2.sf(misfit, freedom) > _PLAUSIBLE
+    likely = chdtrc(freedom, misfit) > _PLAUSIBLE
     return np.asarray((count > 1) & (explained > DETECTION_THRESHOLD**2) & likely)
 
 

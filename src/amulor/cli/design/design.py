@@ -55,12 +55,8 @@ def design(
     overwrite
         Replace files that are there.
     """
-    from amulor import _progress, io
-    from amulor.cli._arguments import UsageError, check_ending
+    from amulor.cli._arguments import UsageError, check_ending, check_inputs
     from amulor.cli._output import print_json, progress_bar
-    from amulor.cli.design import outputs
-    from amulor.design import Goal, recommend
-    from amulor.io.files import atomic_output
 
     if output is None and not interactive:
         raise UsageError("needed is --output survey.toml, or --interactive")
@@ -76,6 +72,13 @@ def design(
         raise UsageError("--runner-up goes with --output")
     if runner_up is not None and runner_up == output:
         raise UsageError("--runner-up and --output name the same file")
+    check_inputs(goal)
+
+    from amulor import _progress, io
+    from amulor.cli.design import outputs
+    from amulor.design import Goal, recommend
+    from amulor.io.files import atomic_output
+
     asked = Goal.from_toml(goal)
     for file in [*files, *([] if report is None else [report])]:
         io.check_output(file, overwrite=overwrite, inputs=[goal])

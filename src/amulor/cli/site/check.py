@@ -20,6 +20,10 @@ def check(
     json
         Print the findings as JSON.
     """
+    from amulor.cli._arguments import check_inputs
+
+    check_inputs(site)
+
     from dataclasses import asdict
 
     from amulor.cli._output import print_json, print_next, progress_bar

@@ -15,8 +15,6 @@ from numpy.typing import ArrayLike, NDArray
 from scipy import special
 
 from amulor.optics._bounds import checked_split_angle, not_negative
-from amulor.optics._quadrature.bessel import bessel
-from amulor.optics.phase_functions import _kernels
 
 __all__ = ["Panels", "forward_split", "gauss_legendre"]
 
@@ -152,6 +150,10 @@ class Panels:
         curvature = (2 - self.head_exponent) / (4 - self.head_exponent) / 4
         total: NDArray[np.float64] = self._innermost() * (1 - curvature * reach**2)
         if np.any(narrow):
+            # Loads the compiler, which those who integrate nothing do without.
+            from amulor.optics._quadrature.bessel import bessel
+            from amulor.optics.phase_functions import _kernels
+
             nodes = _kernels.NODES
             angle, fraction = self._rule(low[narrow], high[narrow], order=nodes)
             _kernels.narrow_panels(
@@ -188,6 +190,8 @@ def _oscillating(
     fraction: NDArray[np.float64],
 ) -> NDArray[np.float64]:
     """Return sums of fraction * J0(k angle) over panels, exact in oscillations."""
+    from amulor.optics.phase_functions import _kernels
+
     order = angle.shape[1]
     nodes, _ = gauss_legendre(order)
     half = (angle[:, -1] - angle[:, 0]) / (nodes[-1] - nodes[0])

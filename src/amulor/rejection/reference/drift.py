@@ -34,7 +34,7 @@ def drift_of(shots: Complex, level: Complex, where: Floats) -> Drift:
     polynomial over the directions misses is no drift. Directions that are repeated
     first and last tell it well, repeats in a row badly, single shots not at all.
     """
-    from scipy.stats import t as student
+    from scipy.special import stdtr
 
     _, group, size = np.unique(
         np.round(where, 9), axis=0, return_inverse=True, return_counts=True
@@ -60,7 +60,7 @@ def drift_of(shots: Complex, level: Complex, where: Floats) -> Drift:
         errors.append(error)
         steady = 1.0 if slope == 0 else 0.0
         chances.append(
-            2 * float(student.sf(abs(slope) / error, freedom)) if error > 0 else steady
+            2 * float(stdtr(freedom, -abs(slope) / error)) if error > 0 else steady
         )
     # Either part may show it: the smaller chance of two.
     chance = min(1.0, 2 * min(chances))

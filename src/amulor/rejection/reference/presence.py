@@ -79,7 +79,7 @@ def shows_target(
     in the turbidity that the shots tell; without a survey, only the whole column
     counts.
     """
-    from scipy.stats import chi2
+    from scipy.special import chdtri
 
     whole = water.to_the_end
     frequencies, channels, *shape = whole.shape
@@ -119,7 +119,7 @@ def shows_target(
             which,
             None if saturated is None else flat(saturated)[:, chosen],
         )
-        limit = chi2.isf(SIZE, 2 * np.arange(len(which) + 1))[own.count]
+        limit = chdtri(2 * np.arange(len(which) + 1), SIZE)[own.count]
         found = (own.misfit(np.zeros((1, 1))) > limit) & (own.count > 0)
         if cut is not None and largest is not None:
             open_to_doubt = found & ~(own.surely_more_than(largest) > limit)

@@ -195,7 +195,7 @@ def _logarithmic(
 
 def _choose_degree(shots: Complex, places: Places, weight: Floats) -> tuple[int, bool]:
     """Return the degree, and whether its misfit may be chance."""
-    from scipy.stats import f as f_distribution
+    from scipy.special import fdtrc
 
     group, groups = places.group, len(places.size)
     repeats = len(shots) - groups
@@ -215,9 +215,7 @@ def _choose_degree(shots: Complex, places: Places, weight: Floats) -> tuple[int,
         )[0]
         misfit = np.sum(weight * np.abs(mean[group] - design @ coefficients) ** 2)
         # The two outputs double the degrees of freedom above and below the line.
-        chance = float(
-            f_distribution.sf(misfit / freedom / pure, 2 * freedom, 2 * repeats)
-        )
+        chance = float(fdtrc(2 * freedom, 2 * repeats, misfit / freedom / pure))
         if chance > _SIGNIFICANCE:
             return min(degree + 1, highest), True
     return highest, chance > _REFUSED
@@ -343,7 +341,7 @@ def expected_degrees(
     list of int
         One above the lowest whose misfit the F test is expected not to see.
     """
-    from scipy.stats import f as f_distribution
+    from scipy.special import fdtri
 
     count = len(direction)
     highest = places_of(direction).highest(repeats * count)
@@ -359,9 +357,7 @@ def expected_degrees(
                 break
             rest = ratio - design @ (_gain(design, weight) @ ratio)
             misfit = repeats * np.sum(np.abs(weight * rest) ** 2) / freedom
-            most = f_distribution.isf(
-                _SIGNIFICANCE, 2 * freedom, 2 * count * (repeats - 1)
-            )
+            most = fdtri(2 * freedom, 2 * count * (repeats - 1), 1 - _SIGNIFICANCE)
             degree += 1
             if 1 + misfit <= most:
                 break
