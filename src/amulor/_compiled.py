@@ -27,7 +27,10 @@ from pathlib import Path
 from typing import Any
 
 import numba
-from numba.core import caching
+from numba.core import caching, event
+from numba.core.dispatcher import Dispatcher
+
+from amulor import _progress
 
 __all__ = ["keep_fresh", "numba"]
 
@@ -162,6 +165,50 @@ def _only_written_by(user: int, folder: Path) -> bool:
     )
 
 
+class _Compiling(event.Listener):
+    """Reports that a loop is being compiled, and how many it needs.
+
+    numba compiles one at a time, whichever threads ask for it.
+    """
+
+    def __init__(self) -> None:
+        self._inside = 0
+        self._loops: list[Any] = []
+
+    def on_start(self, event: Any) -> None:
+        """Count the loops behind the outermost one that have no code yet."""
+        if self._inside == 0:
+            self._loops = loops_behind(event.data["dispatcher"])
+        self._inside += 1
+        left = sum(not loop.overloads for loop in self._loops) or 1
+        noun = "loop" if left == 1 else "loops"
+        _progress.aside(f"{_progress.COMPILING}: {left} {noun} left")
+
+    def on_end(self, event: Any) -> None:
+        """Return to the step that waited, once the outermost loop is compiled."""
+        self._inside -= 1
+        if self._inside == 0:
+            _progress.aside("")
+
+
+def loops_behind(loop: Any) -> list[Any]:
+    """Return a compiled loop and all that it calls."""
+    found = [loop]
+    for one in found:
+        names = one.py_func.__globals__
+        called = (names.get(name) for name in one.py_func.__code__.co_names)
+        found += [
+            other
+            for other in dict.fromkeys(each for each in called if _is_loop(each))
+            if other not in found
+        ]
+    return found
+
+
+def _is_loop(value: Any) -> bool:
+    return isinstance(value, Dispatcher)
+
+
 def digest_of(path: Path, package: Path) -> str:
     """Return a digest of a file and of all that it imports from its package.
 
@@ -246,4 +293,6 @@ def _file(module: str, package: Path) -> Path | None:
     return None
 
 
+_register: Any = event.register
+_register("numba:compile", _Compiling())
 keep_fresh(Path(__file__).parent)

@@ -9,10 +9,12 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 
-__all__ = ["Listener", "listening", "part", "tell"]
+__all__ = ["COMPILING", "Listener", "aside", "listening", "part", "tell"]
 
+#: Begin of the step that waits for the compiler.
+COMPILING = "compiling for this computer, once"
 #: Takes what is done now and the share of the work done before it [1].
 Listener = Callable[[str, float], None]
 
@@ -24,9 +26,12 @@ class _Ear:
     listener: Listener
     begin: float = 0.0
     end: float = 1.0
+    steps: list[str] = field(default_factory=list)
 
 
 _ear: ContextVar[_Ear | None] = ContextVar("_ear", default=None)
+#: All listeners, for work in threads that the one who listens waits for.
+_ears: list[_Ear] = []
 
 
 @contextmanager
@@ -46,10 +51,13 @@ def listening(listener: Listener) -> Iterator[None]:
         reached = max(reached, share)
         listener(step, reached)
 
-    before = _ear.set(_Ear(rising))
+    ear = _Ear(rising)
+    before = _ear.set(ear)
+    _ears.append(ear)
     try:
         yield
     finally:
+        _ears.remove(ear)
         _ear.reset(before)
 
 
@@ -67,7 +75,7 @@ def part(begin: float, end: float) -> Iterator[None]:
         yield
         return
     width = ear.end - ear.begin
-    inner = _Ear(ear.listener, ear.begin + begin * width, ear.begin + end * width)
+    inner = replace(ear, begin=ear.begin + begin * width, end=ear.begin + end * width)
     before = _ear.set(inner)
     try:
         yield
@@ -87,4 +95,18 @@ def tell(step: str, share: float) -> None:
     """
     ear = _ear.get()
     if ear is not None:
+        ear.steps[:] = [step]
         ear.listener(step, ear.begin + share * (ear.end - ear.begin))
+
+
+def aside(step: str) -> None:
+    """Say what holds the present step up, or that it goes on, from any thread.
+
+    Parameters
+    ----------
+    step : str
+        A few words; empty once the step goes on.
+    """
+    ear = _ear.get() or (_ears[-1] if _ears else None)
+    if ear is not None:
+        ear.listener(step or "".join(ear.steps), 0.0)

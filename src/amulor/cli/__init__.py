@@ -13,6 +13,10 @@ from contextlib import contextmanager
 #: they are called, so that `amulor --help` answers at once.
 COMMANDS = {
     "demo": ("demo:demo", "Scan a ladder in clear and milky water; write a report."),
+    "warm-up": (
+        "warm_up:warm_up",
+        "Compile all loops for this computer, so that no later command waits for it.",
+    ),
     "samples": (
         "samples.samples:samples",
         "List sample data, or write some of them to try the other commands on.",

@@ -135,7 +135,7 @@ def progress_bar(*, quiet: bool = False) -> Iterator[Callable[[str, float], None
     -----
     Lines go to standard error, the first after two seconds, then for each new step, no
     more often than every two seconds or tenth of the time so far; the same step is said
-    again after half a minute.
+    again after half a minute. Compiling is said at once, and as one step.
     """
     if quiet:
         yield lambda step, share: None
@@ -174,6 +174,7 @@ class _Log:
         self._begun = self._written_at = clock()
         self._now = ("", 0.0)
         self._written = ""
+        self._compiling_written = False
 
     def advance(self, step: str, share: float) -> None:
         """Take what is done now."""
@@ -185,11 +186,15 @@ class _Log:
         step, share = self._now
         # The longer it takes, the fewer lines.
         pause = max(_SILENT, (moment - self._begun) / 10)
-        if step == self._written:
+        compiling = step.startswith(_progress.COMPILING)
+        if step == self._written or (compiling and self._compiling_written):
             pause = max(_AGAIN, pause)
+        elif compiling:
+            pause = 0.0
         if not step or moment - self._written_at < pause:
             return ""
         self._written_at, self._written = moment, step
+        self._compiling_written |= compiling
         return f"amulor: {moment - self._begun:.0f} s, {share:.0%} done, {step}"
 
 

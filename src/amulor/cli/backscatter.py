@@ -110,7 +110,8 @@ def backscatter(
                     spread=spread,
                 )
         else:
-            with warnings_as_notes():
+            with warnings_as_notes(), progress_bar(quiet=json) as advance:
+                advance("light of the water", 0.0)
                 found = _formula(described, frequencies, model=model)
         if found["power_share_unmodulated"] == 0:
             raise ValueError(
@@ -204,9 +205,7 @@ def _followed(
 
     rising = np.unique(np.concatenate([[0.0], frequencies]))
     with progress_bar(quiet=quiet) as advance:
-        advance(
-            "first photons; the very first time they are compiled, half a minute", 0.0
-        )
+        advance("first photons", 0.0)
         tally = transport.monte_carlo_response(
             survey,
             rising,

@@ -14,11 +14,8 @@ if TYPE_CHECKING:
 
     from amulor.rejection import Comparison
 
-#: What to say while it works; compiled code is kept for the next time.
-_WAITING = {
-    "auto": "comparing the methods; the first time compiles one, under a minute",
-    "joint": "estimating jointly; the first time compiles it, under a minute",
-}
+#: What to say while it works.
+_WAITING = {"auto": "comparing the methods", "joint": "estimating jointly"}
 
 
 def reject(

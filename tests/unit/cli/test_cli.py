@@ -259,6 +259,7 @@ def test_a_plan_without_open_water_is_noted(
         ["reproduce", "ricci2010", "--figure", "one"],
         ["reproduce", "ricci2010", "--figure", "2"],
         ["acquire", "a.toml", "-o", "scan", "--retake-flagged"],
+        ["warm-up", "all"],
         ["backscatter", "a.toml", "--frequency", "39"],
         ["backscatter", "a.toml", "--plot", "x.jpg"],
         ["backscatter", "a.toml", "--scheduler", "local", "--batches", "b"],

@@ -1,0 +1,131 @@
+"""`amulor warm-up`: all loops are compiled before somebody waits for one."""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Callable
+from typing import TYPE_CHECKING
+
+from amulor import _progress
+from amulor.cli._output import progress_bar
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+    from amulor.survey import Survey
+
+
+def warm_up() -> None:
+    """Compile all loops for this computer, so that no later command waits for it.
+
+    Each command compiles what it needs when it first runs, once; this takes a minute
+    or two and is for images of containers, services and the evening before a survey.
+    Needed again after an update of amulor, Python or numba, and for another folder
+    NUMBA_CACHE_DIR. Left out are loops that only Python code calls: slabs of water, and
+    phase functions of your own.
+    """
+    work = _work()
+    with progress_bar() as advance:
+        for number, (name, step) in enumerate(work.items()):
+            with _progress.part(number / len(work), (number + 1) / len(work)):
+                advance(name, number / len(work))
+                step()
+    count, folder = _ready()
+    print(f"{count} compiled loops are ready in {folder}")
+
+
+def _work() -> dict[str, Callable[[], object]]:
+    """Return small jobs that need all compiled loops, by what they are."""
+    from amulor.studies import ladder
+    from amulor.survey import Survey
+
+    small = {"scan.columns": 16, "scan.rows": 8}
+    tones = ["20 MHz", "40 MHz", "60 MHz"]
+    moments, whole = (
+        Survey.from_text(ladder.survey_text(water)).with_(
+            small | {"instrument.modulation_frequencies": tones}
+        )
+        for water in ladder.WATERS
+    )
+    turbid = {"absorption": "0.25 1/m", "scattering": "0.6 1/m"}
+    water = {"kind": "petzold", "station": "HAOCE 11", "group_index": 1.34}
+    whole = whole.with_({"water": water | turbid})
+    cubes: list[xr.Dataset] = []
+    return {
+        "simulated scans": lambda: cubes.extend(_scans(moments, whole)),
+        "rejection and range images": lambda: _images(cubes),
+        "water against frequency": lambda: _sweep(moments, whole),
+        "errors of instruments": lambda: _design(moments),
+        "photons": lambda: _photons(moments),
+    }
+
+
+def _scans(moments: Survey, whole: Survey) -> list[xr.Dataset]:
+    """Simulate scans of water by its moments and by a phase function."""
+    from amulor import simulation
+
+    for model in (simulation.ClosureModel(), simulation.DiffusionModel()):
+        simulation.simulate(moments, rng=1, model=model)
+    unaided = moments.with_({"scan.open_water": None})
+    return [simulation.simulate(one, rng=1) for one in (moments, whole, unaided)]
+
+
+def _images(cubes: list[xr.Dataset]) -> None:
+    """Take the water out, jointly and with open water, and draw a surface."""
+    from amulor import imaging, rejection
+
+    for cube in cubes:
+        image = imaging.range_image(rejection.joint(cube), polarization="VH")
+        if cube.amulor.open_water is not None:
+            image = imaging.range_image(rejection.open_water(cube), polarization="VH")
+        image = imaging.flag_outliers(imaging.flag_mixed(image))
+        surface = imaging.products.surface(image)
+        imaging.products.deviation(surface, surface.position, surface.triangles)
+        plane = imaging.products.plane_of(surface.frame)
+        imaging.products.raster(surface, plane, cell=5e-3)
+
+
+def _sweep(moments: Survey, whole: Survey) -> None:
+    """Compute the water signal, of receivers with sharp edges as well."""
+    from amulor.simulation import backscatter
+
+    sharp = whole.with_({"instrument.receiver.edge": "sharp"})
+    for survey in (moments, whole, sharp):
+        backscatter.small_angle_response(survey, [0.0, 50e6])
+    backscatter.closure_response(moments, [0.0, 50e6])
+    backscatter.diffusion_response(moments, [0.0, 50e6])
+
+
+def _design(survey: Survey) -> None:
+    """Evaluate the errors of a survey."""
+    from amulor.design import evaluate
+
+    for method in ("open-water", "joint"):
+        evaluate(survey, method=method, distance=[1.0, 1.5])
+
+
+def _photons(survey: Survey) -> None:
+    """Follow a few photons."""
+    from amulor.simulation import transport
+
+    transport.monte_carlo_response(survey, [0.0, 50e6], relative_error=0.2, seed=1)
+
+
+def _ready() -> tuple[int, str]:
+    """Return how many loops are compiled, and where they are kept."""
+    from numba.core.dispatcher import Dispatcher
+
+    from amulor._compiled import loops_behind
+
+    # Of what comes from the disk, only the outermost ones are loaded.
+    entries = [
+        value
+        for name, module in list(sys.modules.items())
+        if name.startswith("amulor.")
+        for value in list(vars(module).values())
+        if isinstance(value, Dispatcher) and value.overloads
+    ]
+    loops = {loop for entry in entries for loop in loops_behind(entry)}
+    places = sorted({str(entry.stats.cache_path) for entry in entries})
+    return len(loops), os.path.commonpath(places)
