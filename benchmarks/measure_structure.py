@@ -14,7 +14,9 @@ from collections import defaultdict
 from pathlib import Path
 
 #: Decorators that compile: of numba, and what the folders of kernels make of them.
-COMPILERS = {"njit", "jit", "kernel", "inner", "step", "allocating", "entry"}
+COMPILERS = {
+    "njit", "jit", "kernel", "inner", "step", "allocating", "entry", "allocating_entry",
+}  # fmt: skip
 
 
 def dotted(path, source):

@@ -85,7 +85,7 @@ INSTRUMENTS: dict[str, dict[str, Any]] = {
         "frequencies": '"30 MHz", "110 MHz"',
     },
     "unmixed": {
-        "method": "unmix", "polarizations": PAIR, "absorption": 0.1,
+        "method": "polarization", "polarizations": PAIR, "absorption": 0.1,
         "scattering": 0.2, "fluctuation": 0.03,
     },
     "combined": {
@@ -107,7 +107,7 @@ def _reject(
     rejection = amulor.rejection
     return {
         "open-water": lambda cube: rejection.open_water(cube, interval=interval),
-        "unmix": lambda cube: rejection.unmix(cube, **RATIOS),
+        "polarization": lambda cube: rejection.polarization(cube, **RATIOS),
         "combined": lambda cube: rejection.combined(
             cube, interval=interval, target_ratio=RATIOS["target_ratio"]
         ),

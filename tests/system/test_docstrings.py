@@ -30,7 +30,7 @@ WITHOUT_EXAMPLE = {
     },
     **{
         f"amulor.imaging.measure.{name}": "plane's example, with another shape"
-        for name in ("circle", "cylinder", "sphere")
+        for name in ("circle", "sphere")
     },
     "amulor.rejection.ChannelChoice": "choose_channel's example makes one",
     "amulor.rejection.FrequencyChoice": "choose_frequency's example makes one",

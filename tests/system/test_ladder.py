@@ -170,7 +170,7 @@ def test_nothing_good_in_the_images_of_the_demo_is_off_by_more_than_chance(
 
 @pytest.mark.study
 @pytest.mark.parametrize("water", ladder.WATERS)
-@pytest.mark.parametrize("method", [rejection.auto, rejection.unmix])
+@pytest.mark.parametrize("method", [rejection.auto, rejection.polarization])
 def test_nor_is_anything_by_other_methods(output: Path, method, water: str) -> None:
     # 59 pixels of `auto` in the gaps were 0.6 to 0.8 m off; unmixing in milk had 70 to
     # 84 beyond 4 sigma, up to 28, whose water came out too small by chance, and with it

@@ -158,7 +158,7 @@ METHODS: dict[str, tuple[Method, str]] = {
         lambda c: rejection.open_water(c, interval=INTERVAL, column_uncertainty=0.0),
         "VV",
     ),
-    "polarization": (rejection.unmix, "VV"),
+    "polarization": (rejection.polarization, "VV"),
     "combined": (
         lambda c: rejection.combined(c, interval=INTERVAL, column_uncertainty=0.0),
         "VV",

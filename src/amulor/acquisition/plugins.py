@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from importlib import metadata
 from typing import Any
 
+from amulor import _plugins
 from amulor.acquisition.clock import Clock
 from amulor.errors import InstrumentError
 
@@ -51,7 +52,7 @@ def names(part: str) -> list[str]:
     list of str
         In alphabetical order.
     """
-    return sorted({entry.name for entry in metadata.entry_points(group=GROUPS[part])})
+    return list(_plugins.names(GROUPS[part]))
 
 
 def make(part: str, name: str, wiring: Wiring) -> Any:

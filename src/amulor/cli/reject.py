@@ -7,12 +7,19 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from cyclopts import Parameter
 
+from amulor import _plugins
+
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
+    from collections.abc import Iterable, Mapping
 
     import xarray as xr
 
     from amulor.rejection import Comparison
+
+if TYPE_CHECKING:
+    Name = str
+else:  # choices of the help, those of other packages among them
+    Name = Literal[_plugins.names(_plugins.REJECTION)]
 
 #: What to say while it works.
 _WAITING = {"auto": "comparing the methods", "joint": "estimating jointly"}
@@ -22,18 +29,7 @@ def reject(
     cube: Path,
     /,
     *,
-    method: Literal[
-        "auto",
-        "open-water",
-        "polarization",
-        "frequency",
-        "combined",
-        "joint",
-        "cross-polarized",
-        "co-polarized",
-        "unmix",
-        "none",
-    ],
+    method: Name,
     output: Annotated[Path, Parameter(alias="-o")],
     open_water: Path | None = None,
     target_ratio: float | None = None,
@@ -43,6 +39,7 @@ def reject(
     column_uncertainty: str | None = None,
     nearest: str | None = None,
     farthest: str | None = None,
+    option: Annotated[list[str] | None, Parameter(negative="")] = None,
     tile_rows: int | None = None,
     json: Annotated[bool, Parameter(negative="")] = False,
     overwrite: Annotated[bool, Parameter(negative="")] = False,
@@ -54,21 +51,21 @@ def reject(
     cube
         Measurement cube (netCDF).
     method
-        What to do: "auto" compares all that the data allow and takes the best;
-        "polarization" estimates the ratios that "unmix" wants stated; "none" keeps the
-        water in, for comparison.
+        Rejection method: "auto" compares all that the data allow and takes the best;
+        "none" leaves the water in, for comparison.
     output
         File to write (netCDF).
     open_water
         Cube of the same water without a target, for cubes without open-water shots.
     target_ratio
-        Cross- over co-polarized signal of the target, for unmix, polarization and
-        combined.
+        Cross- over co-polarized signal of the target, for polarization and combined;
+        estimated by default.
     water_ratio
-        Cross- over co-polarized signal of the water, for unmix and polarization.
+        Cross- over co-polarized signal of the water, for polarization; estimated by
+        default.
     water_fluctuation
         Relative change of the water signal from sample to sample, such
-        as "5 %", for unmix and polarization without open-water shots.
+        as "5 %", for polarization without open-water shots.
     frequency
         Frequency to keep, such as "39 MHz", for frequency; the best one by default.
     column_uncertainty
@@ -79,6 +76,9 @@ def reject(
         Nearest possible slant range, such as "0.5 m"; with --farthest.
     farthest
         Farthest possible slant range, such as "3 m"; with --nearest.
+    option
+        Another option of the method, such as "threshold=0.2"; for methods of other
+        packages. May be repeated.
     tile_rows
         Work on so many rows at a time, in bounded memory; files of more than
         2.1 million samples are worked on by rows without being asked. The file of
@@ -99,40 +99,32 @@ def reject(
     from amulor.errors import CubeError
 
     interval = interval_of(nearest, farthest)
-    if method == "unmix" and (target_ratio is None or water_ratio is None):
-        raise UsageError(
-            "unmix needs --target-ratio and --water-ratio, the cross- over "
-            "co-polarized signal of target and water; --method polarization estimates "
-            "them"
-        )
-    kept = (
-        None
+    options = {
+        "interval": interval,
+        "target_ratio": target_ratio,
+        "water_ratio": water_ratio,
+        "water_fluctuation": _fraction("--water-fluctuation", water_fluctuation),
+        "column_uncertainty": _fraction("--column-uncertainty", column_uncertainty),
+        "modulation_frequency": None
         if frequency is None
-        else quantity_of("--frequency", frequency, "frequency")
-    )
-    fluctuation = _fraction("--water-fluctuation", water_fluctuation)
-    column = _fraction("--column-uncertainty", column_uncertainty)
+        else quantity_of("--frequency", frequency, "frequency"),
+        **_stated(option or []),
+    }
     inputs = [cube] if open_water is None else [cube, open_water]
     check_cube_output(output, overwrite=overwrite, inputs=inputs)
 
     from amulor import _progress, io, rejection
     from amulor.io.netcdf_rows import is_large
 
+    chosen = rejection.load(method)
+    if unused := chosen.unknown(options):
+        raise UsageError(
+            f"{method} does not use {_as_options(unused)}; it uses "
+            f"{_as_options(chosen.options)}"
+        )
     if tile_rows is not None or is_large(cube):
-        options: dict[str, dict[str, Any]] = {
-            "open-water": {"interval": interval, "column_uncertainty": column},
-            "frequency": {"modulation_frequency": kept, "interval": interval},
-            "combined": {"interval": interval, "target_ratio": target_ratio},
-            "joint": {"interval": interval},
-            "auto": {"interval": interval},
-        }
-        options["polarization"] = options["unmix"] = {
-            "target_ratio": target_ratio,
-            "water_ratio": water_ratio,
-            "water_fluctuation": fluctuation,
-        }
         _by_rows(
-            cube, output, method, tile_rows, open_water, options.get(method, {}),
+            cube, output, method, tile_rows, open_water, options,
             overwrite=overwrite, json=json,
         )  # fmt: skip
         return
@@ -143,41 +135,17 @@ def reject(
         if open_water is not None:
             samples = rejection.with_open_water(samples, io.read_cube(open_water))
         advance(_WAITING.get(method, "taking the water out"), 0.1)
-        ways: dict[str, Callable[[], xr.Dataset]] = {
-            "auto": lambda: rejection.auto(
-                samples, interval=interval, comparison=comparison
-            ),
-            "open-water": lambda: rejection.open_water(
-                samples, interval=interval, column_uncertainty=column
-            ),
-            "frequency": lambda: rejection.frequency(
-                samples, modulation_frequency=kept, interval=interval
-            ),
-            "combined": lambda: rejection.combined(
-                samples, interval=interval, target_ratio=target_ratio
-            ),
-            "joint": lambda: rejection.joint(samples, interval=interval),
-            "cross-polarized": lambda: rejection.cross_polarized(samples),
-            "co-polarized": lambda: rejection.co_polarized(samples),
-            "none": lambda: rejection.keep_water(samples),
-        }
-        ways["polarization"] = ways["unmix"] = lambda: rejection.unmix(
-            samples,
-            target_ratio=target_ratio,
-            water_ratio=water_ratio,
-            water_fluctuation=fluctuation,
-        )
         try:
             if method == "auto":
                 with _progress.part(0.1, 0.74):
                     comparison = rejection.compare(samples, interval=interval)
             with _progress.part(0.1 if comparison is None else 0.74, 0.9):
-                target = ways[method]()
+                target = chosen(samples, comparison=comparison, **options)
         except ValueError as error:
-            stated = (target_ratio, water_ratio, fluctuation, column, kept, interval)
             # The formulas refuse their arguments; without options these come from the
             # cube.
-            kind = CubeError if all(value is None for value in stated) else UsageError
+            stated = any(value is not None for value in options.values())
+            kind = UsageError if stated else CubeError
             raise kind(str(error)) from None
         advance(f"writing {output}", 0.9)
         io.write_cube(target, output, overwrite=overwrite)
@@ -246,6 +214,33 @@ def _fraction(option: str, text: str | None) -> float | None:
     from amulor.cli._arguments import quantity_of
 
     return None if text is None else quantity_of(option, text, "fraction")
+
+
+def _as_options(names: Iterable[str]) -> str:
+    """Return the options of the command line that state options of a method."""
+    flags = {"modulation_frequency": "--frequency", "interval": "--nearest, --farthest"}
+    words = [
+        flags.get(name, f"--{name.replace('_', '-')}")
+        for name in names
+        if name in flags or name in reject.__annotations__
+    ]
+    return ", ".join(words) or "no option"
+
+
+def _stated(texts: list[str]) -> dict[str, Any]:
+    """Return options stated as "name=value"; a number where the value is one."""
+    from amulor.cli._arguments import UsageError
+
+    stated: dict[str, Any] = {}
+    for text in texts:
+        name, equals, value = text.partition("=")
+        if not equals or not name.strip().isidentifier():
+            raise UsageError(f'--option must be "name=value", got {text!r}')
+        try:
+            stated[name.strip()] = float(value)
+        except ValueError:
+            stated[name.strip()] = value
+    return stated
 
 
 def _print_choice(target: xr.Dataset) -> None:

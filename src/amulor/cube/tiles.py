@@ -10,16 +10,20 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
+from amulor._decisions import Decisions, deciding, told
+from amulor.cube.accessor import without_groups
 from amulor.cube.schema import QualityFlag
 
 __all__ = [
     "Changed",
     "Derived",
     "InMemory",
+    "OfRows",
     "Source",
     "Whole",
     "bands",
     "directions_of",
+    "fitted",
     "sample_of",
 ]
 
@@ -29,6 +33,8 @@ SAMPLES_AT_ONCE = 2**18
 
 
 Indices = NDArray[np.intp]
+#: From rows of a scan, and the number of the first of them, to the rows of a result.
+OfRows = Callable[[xr.Dataset, int], xr.Dataset]
 
 
 class Source(Protocol):
@@ -351,3 +357,46 @@ def _without(cube: xr.Dataset, **places: Indices) -> xr.Dataset:
             values[at] = QualityFlag.MISSING
         cube[name] = variable.copy(data=values)
     return cube
+
+
+def fitted(
+    function: Callable[[xr.Dataset], xr.Dataset], source: Source, *, spans: bool = True
+) -> OfRows:
+    """Fit a function of whole scans to one scan, for work on any rows of it.
+
+    Parameters
+    ----------
+    function : callable
+        From a cube to another one; asks `amulor._decisions.decided` for each statistic
+        of the scan.
+    source : Source
+        The scan.
+    spans : bool
+        Whether the function uses the ends of the directions, for which all rows are
+        read.
+
+    Returns
+    -------
+    callable
+        The same pixels for whatever rows come together.
+    """
+    decisions = Decisions(**(_spans(source) if spans else {}))
+    with deciding(decisions):
+        function(without_groups(sample_of(source), "truth"))
+
+    def of(rows: xr.Dataset, first: int) -> xr.Dataset:
+        with told(decisions):
+            return function(rows)
+
+    return of
+
+
+def _spans(source: Source) -> dict[str, tuple[float, float]]:
+    """Return the ends of the directions of a scan, under the names of decisions."""
+    ends: dict[str, list[float]] = {"azimuth": [], "elevation": []}
+    for begin, end in bands(source):
+        tile = source.directions(begin, end)
+        for name, values in ends.items():
+            angle = tile[name].values
+            values += [float(np.min(angle)), float(np.max(angle))]
+    return {f"span_of_{name}": (min(v), max(v)) for name, v in ends.items()}

@@ -14,6 +14,7 @@ from amulor.design import geometry
 from amulor.design.goal import Goal
 from amulor.design.goal.parts import Box, Laser
 from amulor.design.goal.spread import Spread
+from amulor.design.methods import PREDICTED
 from amulor.errors import SurveyError
 from amulor.rejection.channels.names import PARTNERS
 from amulor.survey import Instrument, Plate, Receiver, Scan, Survey, water_properties
@@ -148,14 +149,14 @@ def fits(goal: Goal) -> Iterator[tuple[str, str]]:
     for scheme, method in itertools.product(parts.polarizations, parts.methods):
         pairs = {part.strip() for part in scheme.split("+")}
         paired = any({co, cross} <= pairs for co, cross in PARTNERS.items())
-        if method in ("unmix", "combined") and not paired:
+        if PREDICTED[method].channel_pair and not paired:
             continue
         found = True
         yield "+".join(part.strip() for part in scheme.split("+")), method
     if not found:
         raise SurveyError(
-            "components: no polarization scheme fits a method; unmix and combined need "
-            'a pair such as "VV+VH"'
+            "components: no polarization scheme fits a method; polarization and "
+            'combined need a pair such as "VV+VH"'
         )
 
 

@@ -90,8 +90,8 @@ def evaluate(
         the dimension `polarization`. Those of the survey by default.
     method : str or sequence of str, optional
         How the water is taken out, by the names of `amulor reject`: "none",
-        "frequency", "open-water", "unmix", "combined", "joint"; several along the
-        dimension `method`. "open-water" by default.
+        "frequency", "open-water", "polarization", "combined", "joint"; several along
+        the dimension `method`. "open-water" by default.
     interval : tuple of float, optional
         Nearest and farthest slant range that are possible [m]; from 0 to where the
         phases repeat by default.

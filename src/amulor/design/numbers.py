@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from amulor.design._kernels import points as kernel
 from amulor.design._kernels.assess import assess
 from amulor.design.light import Case, Lit, given_of, lit
+from amulor.design.methods import PREDICTED
 from amulor.errors import SurveyError
 from amulor.optics import detection
 from amulor.optics.polarization import mueller
@@ -19,23 +20,10 @@ from amulor.rejection.channels.names import PARTNERS
 from amulor.survey import OpenWater, counting
 from amulor.survey.mueller import matrix
 
-__all__ = ["METHODS", "MOST_BENT", "Assessed", "Method", "assessed"]
+__all__ = ["MOST_BENT", "Assessed", "assessed"]
 
 Floats = NDArray[np.float64]
 
-Method = Literal["none", "frequency", "open-water", "unmix", "combined", "joint"]
-#: Ways to take the water out, by the names of `amulor reject`.
-METHODS: dict[str, int] = {
-    "none": kernel.KEPT,
-    "frequency": kernel.ONE_FREQUENCY,
-    "open-water": kernel.OPEN_WATER,
-    "unmix": kernel.UNMIX,
-    "combined": kernel.COMBINED,
-    "joint": kernel.JOINT,
-}
-#: Methods that subtract a reference, and that take two channels.
-_WITH_SHOTS = ("frequency", "open-water", "combined", "joint")
-_PAIRED = ("unmix", "combined")
 #: Coefficients of the surface that is fitted to shots over a scan, and over one row.
 _SURFACE, _ROW = 6, 3
 #: Mean square angle of scattering up to which small angles describe it [rad^2].
@@ -88,9 +76,9 @@ def assessed(
     frequencies : ndarray, shape (K, ...)
         Sets of frequencies, NaN where a set has fewer [Hz].
     method : str
-        Of `METHODS`.
+        Of `amulor.design.methods.PREDICTED`.
     pairs : tuple of str
-        Channels, a co-polarized one and its partner for methods that unmix.
+        Channels, a co-polarized one and its partner for methods that need a pair.
     interval : tuple of float, optional
         Nearest and farthest range that are possible [m]; from 0 to where the phases
         repeat by default.
@@ -153,7 +141,7 @@ def assessed(
     )
     result = np.empty((count, len(kernel.RESULTS)))
     scratch = _scratch(flat_tone.shape[1], len(pairs))
-    assess(METHODS[method], points, known.light, scratch, result)
+    assess(PREDICTED[method].kernel, points, known.light, scratch, result)
     return Assessed(
         result=result.reshape(*shape, -1),
         late=flat(own["late"]).reshape(shape),
@@ -168,11 +156,11 @@ def assessed(
 
 def _ordered(method: str, pairs: tuple[str, ...]) -> tuple[str, ...]:
     """Return channels in the order that a method takes them in."""
-    if method not in METHODS:
+    if method not in PREDICTED:
         raise SurveyError(
-            f"method: found {method!r}, but it must be one of {', '.join(METHODS)}"
+            f"method: found {method!r}, but it must be one of {', '.join(PREDICTED)}"
         )
-    if method not in _PAIRED:
+    if not PREDICTED[method].channel_pair:
         return pairs
     for co, cross in PARTNERS.items():
         if co in pairs and cross in pairs:

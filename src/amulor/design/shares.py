@@ -14,6 +14,7 @@ from amulor.design._kernels.intervals import astray
 from amulor.design.candidates import Parameters, survey_of
 from amulor.design.evaluate import evaluate
 from amulor.design.goal import Goal
+from amulor.design.methods import PREDICTED
 from amulor.design.scores import draws_at
 from amulor.optics import ranging
 from amulor.survey import water_properties
@@ -26,8 +27,6 @@ Floats = NDArray[np.float64]
 _PARTS = 20
 #: Draws that shares are judged by.
 _DRAWS = 16
-#: Methods in which each frequency has a phase of its own.
-_SEPARATE = ("none", "open-water", "unmix", "combined")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -67,7 +66,7 @@ def dwell_shares(goal: Goal, chosen: Parameters) -> Shares | None:
     an instrument with several would gain.
     """
     count = len(chosen.frequencies)
-    if not 2 <= count <= 3 or chosen.method not in _SEPARATE:
+    if not 2 <= count <= 3 or not PREDICTED[chosen.method].separate_frequencies:
         return None
     parts = [
         division

@@ -199,7 +199,7 @@ class ErrorBudget:
     Examples
     --------
     >>> from amulor import imaging, rejection, samples
-    >>> target = rejection.unmix(
+    >>> target = rejection.polarization(
     ...     samples.cube("ladder"),
     ...     target_ratio=0.242, water_ratio=0.099, water_fluctuation=0.137,
     ... )
@@ -263,7 +263,7 @@ def error_budget(image: xr.Dataset) -> ErrorBudget:
     Examples
     --------
     >>> from amulor import imaging, rejection, samples
-    >>> target = rejection.unmix(
+    >>> target = rejection.polarization(
     ...     samples.cube("ladder"),
     ...     target_ratio=0.242, water_ratio=0.099, water_fluctuation=0.137,
     ... )

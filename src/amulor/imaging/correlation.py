@@ -79,7 +79,7 @@ def covariance(image: xr.Dataset, pixels: ArrayLike) -> Floats:
     --------
     >>> import numpy as np
     >>> from amulor import imaging, rejection, samples
-    >>> target = rejection.unmix(
+    >>> target = rejection.polarization(
     ...     samples.cube("ladder"),
     ...     target_ratio=0.242, water_ratio=0.099, water_fluctuation=0.137,
     ... )

@@ -17,6 +17,7 @@ from amulor.rejection.joint.water_fit import (
     split_scattering,
     water_fit,
 )
+from amulor.rejection.methods import Method, Needs, load, method, names, reject
 from amulor.rejection.open_water import open_water
 from amulor.rejection.polarization import (
     ChannelChoice,
@@ -24,15 +25,20 @@ from amulor.rejection.polarization import (
     co_polarized,
     cross_polarized,
     keep_water,
-    unmix,
+    polarization,
 )
 from amulor.rejection.reference.attach import with_open_water
+
+#: Name of the method `polarization` in version 0.1.0.
+unmix = polarization
 
 __all__ = [
     "Caution",
     "ChannelChoice",
     "Comparison",
     "FrequencyChoice",
+    "Method",
+    "Needs",
     "Ratio",
     "Row",
     "ScatteringSplit",
@@ -47,11 +53,15 @@ __all__ = [
     "frequency",
     "joint",
     "keep_water",
+    "load",
+    "method",
+    "names",
     "open_water",
+    "polarization",
+    "reject",
     "split_scattering",
     "stokes_vectors",
     "target_ratio",
-    "unmix",
     "unmix_stokes",
     "water_fit",
     "water_ratio",

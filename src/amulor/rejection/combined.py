@@ -14,6 +14,7 @@ from amulor.rejection.build import saturated_in_any, target_cube
 from amulor.rejection.channels import mixing, ratios
 from amulor.rejection.channels.names import pair_of
 from amulor.rejection.covariance import along
+from amulor.rejection.methods import Needs, method
 from amulor.rejection.open_water import cube_of, reference_attributes
 from amulor.rejection.reference.noise import with_noise_of_shots
 from amulor.rejection.subtraction import subtract_open_water
@@ -24,6 +25,7 @@ Floats = NDArray[np.float64]
 _WITH_CHANNEL = (slice(None), None)
 
 
+@method("combined", needs=Needs(open_water=True, channel_pair=True), simplicity=4)
 def combined(
     cube: xr.Dataset,
     *,

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import enum
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -14,16 +13,12 @@ from scipy.special import chdtri
 
 from amulor import cube as cubes
 from amulor._progress import part, tell
-from amulor.cube import UNUSABLE, QualityFlag
+from amulor.cube import UNUSABLE, QualityFlag, tiles
 from amulor.cube.pixels import JOINT_OUTLIERS, flags_of_pixels
 from amulor.errors import AmulorError, CubeError
 from amulor.optics import ambiguity, detection, ranging
-from amulor.rejection.combined import combined
 from amulor.rejection.covariance import covariance_of
-from amulor.rejection.frequency import frequency
-from amulor.rejection.joint.estimate import joint
-from amulor.rejection.open_water import open_water
-from amulor.rejection.polarization import cross_polarized, unmix
+from amulor.rejection.methods import Method, compared_methods, load, method
 
 Floats = NDArray[np.float64]
 Interval = tuple[float, float] | None
@@ -140,19 +135,6 @@ class Comparison:
     """Why."""
 
 
-@dataclass(frozen=True)
-class _Method:
-    name: str
-    run: Callable[[xr.Dataset, Interval], xr.Dataset]
-    keeps_one_frequency: bool = False
-
-
-def _cross_polarized(cube: xr.Dataset, interval: Interval) -> xr.Dataset:
-    if cube.amulor.open_water is not None:
-        raise CubeError("not needed: there are open-water shots, so no water stays in")
-    return cross_polarized(cube)
-
-
 def _repeat_distance(cube: xr.Dataset) -> float:
     """Return the distance after which the only frequency of a cube repeats [m]."""
     return float(
@@ -163,34 +145,10 @@ def _repeat_distance(cube: xr.Dataset) -> float:
     )
 
 
-#: Name of the joint estimation that is told nothing of the shots.
-JOINT_WITHOUT_SHOTS = "joint without shots"
-_WITHOUT_SHOTS = _Method(
-    JOINT_WITHOUT_SHOTS,
-    lambda cube, interval: joint(
-        cubes.without_groups(cube, "open_water"), interval=interval
-    ),
-)
-#: The simplest first.
-_METHODS = (
-    _Method("cross-polarized", _cross_polarized),
-    _Method("open-water", lambda cube, interval: open_water(cube, interval=interval)),
-    _Method(
-        "frequency",
-        lambda cube, interval: frequency(cube, interval=interval),
-        keeps_one_frequency=True,
-    ),
-    _Method("polarization", lambda cube, interval: unmix(cube)),
-    _Method("combined", lambda cube, interval: combined(cube, interval=interval)),
-    _Method("joint", lambda cube, interval: joint(cube, interval=interval)),
-    _WITHOUT_SHOTS,
-)
-
-
 def _shots_are_doubted(cube: xr.Dataset, rows: list[Row]) -> bool:
-    """Return whether the joint estimation has shots and trusts few pixels with them."""
-    trusted = max((row.trusted for row in rows if row.method == "joint"), default=0.0)
-    ran = any(row.method == "joint" and row.polarization for row in rows)
+    """Return whether a method ran, has reference measurements and trusts few pixels."""
+    ran = any(row.polarization for row in rows)
+    trusted = max((row.trusted for row in rows), default=0.0)
     return ran and cube.amulor.open_water is not None and trusted < _FEW
 
 
@@ -226,22 +184,18 @@ def compare(cube: xr.Dataset, *, interval: Interval = None) -> Comparison:
     trusts few pixels.
     """
     cube = cubes.checked(cube, "samples")
-    rows: list[Row] = []
-    for number, method in enumerate(_METHODS):
-        if method is _WITHOUT_SHOTS and not _shots_are_doubted(cube, rows):
-            continue
-        share = number / len(_METHODS)
-        tell(f"trying {method.name}", share)
-        try:
-            with part(share, (number + 1) / len(_METHODS)):
-                target = method.run(cube, interval)
-        except (AmulorError, ValueError) as error:
-            rows.append(_not_run(method.name, str(error)))
-            continue
-        rows += [
-            _row(method, target.sel(polarization=[name]), interval)
-            for name in target.amulor.polarizations
-        ]
+    waiting, broken = compared_methods()
+    rows = [_not_run(name, str(error)) for name, error in broken.items()]
+    count = len(waiting) + 1
+    for number in range(count):
+        if not waiting:
+            break
+        candidate = waiting.pop(0)
+        with part(number / count, (number + 1) / count):
+            found = _rows(candidate, cube, interval)
+        rows += found
+        if candidate.distrusts_open_water and _shots_are_doubted(cube, found):
+            waiting.insert(0, candidate.without_open_water())
     best = _best(rows)
     if best is None and any(row.caution is Caution.LONE_PIXELS for row in rows):
         raise CubeError(
@@ -267,6 +221,7 @@ def compare(cube: xr.Dataset, *, interval: Interval = None) -> Comparison:
     )
 
 
+@method("auto", fitter=lambda source, **options: _fit_auto(source, **options))
 def auto(
     cube: xr.Dataset,
     *,
@@ -316,14 +271,53 @@ def auto(
     if comparison is None:
         with part(0.0, compared):
             comparison = compare(cube, interval=interval)
-    method = next(one for one in _METHODS if one.name == comparison.method)
-    tell(f"taking the water out by {method.name}", compared)
+    tell(f"taking the water out by {comparison.method}", compared)
     with part(compared, 1.0):
-        target = method.run(cube, interval)
-    target = target.sel(polarization=[comparison.polarization])
-    return target.assign_attrs(
+        target = load(comparison.method)(cube, interval=interval)
+    return _of_comparison(target, comparison)
+
+
+@dataclass(frozen=True)
+class _Recommended:
+    """The recommended method and channel, fitted to a scan."""
+
+    comparison: Comparison
+    of: tiles.OfRows
+
+    def __call__(self, rows: xr.Dataset, first: int) -> xr.Dataset:
+        """Return the target signal of some rows."""
+        return _of_comparison(self.of(rows, first), self.comparison)
+
+
+def _fit_auto(source: tiles.Source, *, interval: Interval = None) -> tiles.OfRows:
+    """Compare the methods on a sample of a scan, and fit the recommended one."""
+    sample = cubes.without_groups(tiles.sample_of(source), "truth")
+    comparison = compare(sample, interval=interval)
+    of = load(comparison.method).fit(source, interval=interval)
+    return _Recommended(comparison, of)
+
+
+def _of_comparison(target: xr.Dataset, comparison: Comparison) -> xr.Dataset:
+    """Return the recommended channel, with the method and the reason."""
+    return target.sel(polarization=[comparison.polarization]).assign_attrs(
         rejection_method=comparison.method, rejection_reason=comparison.reason
     )
+
+
+def _rows(method: Method, cube: xr.Dataset, interval: Interval) -> list[Row]:
+    """Return what a method makes of each channel, or why it cannot run."""
+    tell(f"trying {method.name}", 0.0)
+    if method.needs.open_water is False and cube.amulor.open_water is not None:
+        note = "not needed: there are open-water shots, so no water stays in"
+        return [_not_run(method.name, note)]
+    try:
+        target = method(cube, interval=interval)
+    except (AmulorError, ValueError) as error:
+        return [_not_run(method.name, str(error))]
+    return [
+        _row(method, target.sel(polarization=[name]), interval)
+        for name in target.amulor.polarizations
+    ]
 
 
 def _not_run(name: str, reason: str) -> Row:
@@ -340,7 +334,7 @@ def _not_run(name: str, reason: str) -> Row:
     )
 
 
-def _row(method: _Method, target: xr.Dataset, interval: Interval) -> Row:
+def _row(method: Method, target: xr.Dataset, interval: Interval) -> Row:
     """Return what a method made of one channel."""
     is_joint = "joint_slant_range_uncertainty" in target
     flag, left_out = flags_of_pixels(

@@ -17,6 +17,7 @@ from amulor.rejection import quality
 from amulor.rejection.build import target_cube
 from amulor.rejection.covariance import covariance_of
 from amulor.rejection.merit import Merit, merit
+from amulor.rejection.methods import Needs, method
 from amulor.rejection.quality import LARGEST_PHASE_ERROR
 from amulor.rejection.reference.before_target import water_before_target
 from amulor.rejection.reference.presence import shows_target
@@ -159,6 +160,12 @@ def choose_frequency(
     )
 
 
+@method(
+    "frequency",
+    needs=Needs(open_water=True),
+    simplicity=2,
+    keeps_one_frequency=True,
+)
 def frequency(
     cube: xr.Dataset,
     *,

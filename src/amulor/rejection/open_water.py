@@ -11,10 +11,12 @@ from amulor import cube as cubes
 from amulor.cube import QualityFlag
 from amulor.rejection import quality
 from amulor.rejection.build import target_cube
+from amulor.rejection.methods import Needs, method
 from amulor.rejection.reference.noise import with_noise_of_shots
 from amulor.rejection.subtraction import Subtraction, subtract_open_water
 
 
+@method("open-water", needs=Needs(open_water=True), simplicity=1)
 def open_water(
     cube: xr.Dataset,
     *,

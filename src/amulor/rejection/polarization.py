@@ -20,6 +20,7 @@ from amulor.rejection.channels.names import (
 )
 from amulor.rejection.covariance import Covariance, along, covariance_of
 from amulor.rejection.merit import merit
+from amulor.rejection.methods import Needs, method
 from amulor.rejection.reference.noise import with_noise_of_shots
 from amulor.rejection.reference.shots import fit_shots, fluctuation_of
 from amulor.rejection.reference.size import (
@@ -28,6 +29,7 @@ from amulor.rejection.reference.size import (
 )
 
 
+@method("none")
 def keep_water(cube: xr.Dataset) -> xr.Dataset:
     """Pass samples on with the water signal in them, flagged as such.
 
@@ -53,6 +55,7 @@ def keep_water(cube: xr.Dataset) -> xr.Dataset:
     return _unchanged(cube, step="reject, nothing taken out")
 
 
+@method("cross-polarized", needs=Needs(open_water=False), simplicity=0)
 def cross_polarized(cube: xr.Dataset) -> xr.Dataset:
     """Choose the channels in which the water is dark.
 
@@ -81,6 +84,7 @@ def cross_polarized(cube: xr.Dataset) -> xr.Dataset:
     return _chosen(cube, CROSS_POLARIZED, name="cross-polarized")
 
 
+@method("co-polarized")
 def co_polarized(cube: xr.Dataset) -> xr.Dataset:
     """Choose the channels in which target and water are bright.
 
@@ -197,7 +201,8 @@ def choose_channel(
     )
 
 
-def unmix(
+@method("polarization", needs=Needs(channel_pair=True), simplicity=3)
+def polarization(
     cube: xr.Dataset,
     *,
     target_ratio: float | None = None,
@@ -248,7 +253,7 @@ def unmix(
     Examples
     --------
     >>> from amulor import rejection, samples
-    >>> target = rejection.unmix(
+    >>> target = rejection.polarization(
     ...     samples.cube("ladder"),
     ...     target_ratio=0.242, water_ratio=0.099, water_fluctuation=0.137,
     ... )

@@ -13,14 +13,10 @@ import xarray as xr
 
 from amulor import cube as cubes
 from amulor import io, rejection
+from amulor._progress import tell
 from amulor.cube import tiles
 from amulor.io.netcdf_rows import is_large, open_rows, row_writer
-from amulor.scale.steps import (
-    auto_step,
-    compared,
-    image_step,
-    reject_step,
-)
+from amulor.scale.steps import image_step
 from amulor.scale.tiled import TiledStep, run_step
 
 __all__ = ["Summary", "image_file", "is_large", "reject_file", "run_file"]
@@ -135,11 +131,11 @@ def reject_file(
     source, output, rows, overwrite
         As in `run_file`.
     method : str
-        As in `reject_step`, or "auto": the one that `compared` recommends.
+        One of `amulor.rejection.names`.
     open_water : path-like, optional
         Cube with the shots, which is in memory whole.
     **options
-        Arguments of the method.
+        Options of the method.
 
     Returns
     -------
@@ -151,7 +147,7 @@ def reject_file(
     AmulorError, ValueError
         As `run_file`, and as the method.
     """
-    step = None if method == "auto" else reject_step(method, **options)
+    chosen = rejection.load(method)
     with open_rows(Path(source)) as samples:
         cube: tiles.Source = samples
         if open_water is not None:
@@ -159,12 +155,11 @@ def reject_file(
             cube = tiles.Changed(
                 samples, lambda tile: rejection.with_open_water(tile, shots)
             )
-        if step is not None:
-            return _run(step, cube, output, rows, overwrite=overwrite)
-        comparison = compared(cube, **options)
-        step = auto_step(comparison, **options)
+        tell("scan-wide statistics", 0.0)
+        of = chosen.fit(cube, **options)
+        step = TiledStep(prepare=lambda _: of)
         made = _run(step, cube, output, rows, overwrite=overwrite)
-        return replace(made, comparison=comparison)
+        return replace(made, comparison=getattr(of, "comparison", None))
 
 
 def image_file(

@@ -17,7 +17,7 @@ from amulor.cube import schema, tiles
 from amulor.errors import CubeError
 from amulor.io.netcdf_rows import open_rows, row_writer, tile_rows
 from amulor.scale.clouds import cloud_file
-from amulor.scale.steps import WITH_INTERVAL, image_step, reject_step
+from amulor.scale.steps import image_step, reject_step
 from amulor.scale.tasks import Record, Task
 from amulor.scale.tiled import Made, Prepared, TiledStep, window
 from amulor.simulation.by_rows import SimulatedRows
@@ -107,9 +107,8 @@ def chain(task: Task) -> tuple[Step, ...]:
     options: dict[str, Any] = {"interval": task.interval}
     if level == "samples":
         method = str(task.method)
-        own = options if method in WITH_INTERVAL else {}
-        how = {"step": "reject", "method": method, **own}
-        current = add("target_signal.nc", how, reject_step(method, **own))
+        how = {"step": "reject", "method": method, **options}
+        current = add("target_signal.nc", how, reject_step(method, **options))
     if level != "range_image":
         options["polarization"] = task.polarization
         how = {"step": "image", **options}

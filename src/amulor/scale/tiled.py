@@ -5,11 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
-import numpy as np
 import xarray as xr
 
-from amulor import cube as cubes
-from amulor._decisions import Decisions, deciding, told
 from amulor._progress import tell
 from amulor.cube import tiles
 from amulor.io.netcdf_rows import tile_rows
@@ -17,8 +14,6 @@ from amulor.io.netcdf_rows import tile_rows
 __all__ = ["Made", "Prepared", "TiledStep", "decided_once", "run_step", "window"]
 
 Step = Callable[[xr.Dataset], xr.Dataset]
-#: From a tile with its halo, and the row of the scan at which it begins.
-OfRows = Callable[[xr.Dataset, int], xr.Dataset]
 
 #: Rows of a tile, in halos at least: so those that are worked on twice are few.
 _HALOS = 4
@@ -28,7 +23,7 @@ _HALOS = 4
 class TiledStep:
     """A step that works on any rows of a scan once it knows what all of them share."""
 
-    prepare: Callable[[tiles.Source], OfRows]
+    prepare: Callable[[tiles.Source], tiles.OfRows]
     """From the scan to what treats rows of it."""
     halo: int = 0
     """Rows above and below a tile that its pixels look at."""
@@ -181,42 +176,16 @@ def run_step(
 
 
 def decided_once(function: Step, *, spans: bool = True) -> TiledStep:
-    """Return a step whose looks at all pixels are looks at a sample of the scan.
+    """Return a step whose scan-wide statistics are estimated on a sample of the scan.
 
     Parameters
     ----------
-    function : callable
-        From a cube to another one; what it decides from all pixels it asks
-        `amulor._decisions.decided` for.
-    spans : bool
-        Whether it asks for the ends of the directions, which all rows are read for.
+    function, spans
+        As in `amulor.cube.tiles.fitted`.
 
     Returns
     -------
     TiledStep
         The same for whatever rows come together.
     """
-
-    def prepare(source: tiles.Source) -> OfRows:
-        decisions = Decisions(**(_spans(source) if spans else {}))
-        with deciding(decisions):
-            function(cubes.without_groups(tiles.sample_of(source), "truth"))
-
-        def of(tile: xr.Dataset, first: int) -> xr.Dataset:
-            with told(decisions):
-                return function(tile)
-
-        return of
-
-    return TiledStep(prepare=prepare)
-
-
-def _spans(source: tiles.Source) -> dict[str, tuple[float, float]]:
-    """Return the ends of the directions of a scan, under the names of decisions."""
-    ends: dict[str, list[float]] = {"azimuth": [], "elevation": []}
-    for begin, end in tiles.bands(source):
-        tile = source.directions(begin, end)
-        for name, values in ends.items():
-            angle = tile[name].values
-            values += [float(np.min(angle)), float(np.max(angle))]
-    return {f"span_of_{name}": (min(v), max(v)) for name, v in ends.items()}
+    return TiledStep(prepare=lambda source: tiles.fitted(function, source, spans=spans))

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import xarray as xr
 
 from amulor import cube as cubes
@@ -85,7 +83,7 @@ def as_image(
         interval = (processing.nearest, processing.farthest)
     try:
         if level == "samples":
-            cube = _ways(cube, interval)[processing.method]()
+            cube = rejection.reject(cube, method=processing.method, interval=interval)
         image = imaging.range_image(
             cube, polarization=processing.polarization, interval=interval
         )
@@ -100,16 +98,3 @@ def _with_errors(image: xr.Dataset, name: str) -> xr.Dataset:
     if words:
         raise CubeError(f"scan {name!r}: {words}; {WHAT_TO_DO}")
     return image
-
-
-def _ways(
-    samples: xr.Dataset, interval: tuple[float, float] | None
-) -> dict[str, Callable[[], xr.Dataset]]:
-    """Return the rejection methods by their name."""
-    return {
-        "open-water": lambda: rejection.open_water(samples, interval=interval),
-        "polarization": lambda: rejection.unmix(samples),
-        "frequency": lambda: rejection.frequency(samples, interval=interval),
-        "combined": lambda: rejection.combined(samples, interval=interval),
-        "joint": lambda: rejection.joint(samples, interval=interval),
-    }

@@ -22,7 +22,7 @@ from amulor.survey.checks import memory
 
 RECORDINGS = ["import", "recordings", "none.csv"]
 TRANSIENTS = ["import", "transients", "none.npz", "--frequency", "9MHz", "-o", "b.nc"]
-UNMIX = ["reject", "none.nc", "--method", "unmix", "-o", "b.nc"]
+UNMIX = ["reject", "none.nc", "--method", "polarization", "-o", "b.nc"]
 COLUMN = ["reject", "none.nc", "--method", "open-water", "-o", "b.nc"]
 RATIOS = ["--target-ratio", "0.2", "--water-ratio", "0.1"]
 
@@ -294,7 +294,7 @@ def test_a_plan_without_open_water_is_noted(
         ["view", "a.nc", "--farthest", "1 m"],
         ["image", "a.nc", "-o", "b.nc", "--nearest", "1 m"],
         ["image", "a.nc", "-o", "b.nc", "--nearest", "2 m", "--farthest", "1 m"],
-        [*UNMIX, "--target-ratio", "0.2"],
+        [*COLUMN, "--target-ratio", "0.2"],
         [*UNMIX, *RATIOS, "--water-fluctuation", "5 m"],
         ["reject", "a.nc", "--method", "frequency", "-o", "b.nc", "--frequency", "39"],
         [*COLUMN, "--column-uncertainty", "much"],
@@ -417,12 +417,10 @@ def test_a_range_image_needs_a_channel_and_both_limits(folder: Path, capsys) -> 
     assert "interval must run" in _fails(empty, capsys, code=2)
 
 
-def test_unmixing_needs_both_ratios(folder: Path, capsys) -> None:
-    words = ["reject", str(folder / "samples.nc"), "--method", "unmix"]
+def test_unmixing_takes_stated_ratios(folder: Path, capsys) -> None:
+    words = ["reject", str(folder / "samples.nc"), "--method", "polarization"]
     words += ["-o", str(folder / "unmixed.nc")]
-    one = [*words, "--target-ratio", "0.2"]
-    assert "--water-ratio" in _fails(one, capsys, code=2)
-    both = [*one, "--water-ratio", "0.2"]
+    both = [*words, "--target-ratio", "0.2", "--water-ratio", "0.2"]
     assert "cannot tell them apart" in _fails(both, capsys, code=2)
     assert main([*words, "--target-ratio", "0.242", "--water-ratio", "0.105"]) == 0
 
@@ -437,7 +435,8 @@ def test_without_open_water_only_methods_that_need_none_are_named(
     capsys.readouterr()
     target = str(tmp_path / "target.nc")
     err = _fails(["reject", cube, "--method", "polarization", "-o", target], capsys)
-    assert "polari" not in err.replace("cross-polarized", "").replace(cube, "")
+    assert "polarization with both ratios stated" in err
+    assert "polarimetric" not in err
     # One of those that are named, and it runs.
     assert "cross-polarized" in err
     words = ["reject", cube, "--method", "cross-polarized", "-o", target]

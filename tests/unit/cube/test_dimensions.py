@@ -194,7 +194,7 @@ def test_one_row_of_one_channel_is_estimated_jointly(samples: xr.Dataset) -> Non
 
 PAIRS: dict[str, Step] = {
     "cross_polarized": rejection.cross_polarized,
-    "unmix": rejection.unmix,
+    "polarization": rejection.polarization,
     "unmix_stokes": lambda cube: rejection.unmix_stokes(
         cube,
         launched="V",

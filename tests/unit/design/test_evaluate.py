@@ -169,7 +169,7 @@ def test_the_compiled_loop_is_the_one_that_is_written(
         distance=[1.0, 2.0],
         frequencies=[[20e6, 60e6]],
         polarization="VV+VH",
-        method=["none", "frequency", "open-water", "unmix", "combined", "joint"],
+        method=["none", "frequency", "open-water", "polarization", "combined", "joint"],
     )
     assert len(kept) == 6
     for compiled, written in kept:
@@ -208,7 +208,7 @@ def test_ranges_beyond_the_repetition_are_ambiguous_and_too_much_light_saturates
         ({"reflectance": [0.5, 2.0]}, "found 2 1"),
         ({"attenuation": 1.0, "absorption": 0.1}, "sum of absorption and scattering"),
         ({"frequency": 1e6, "frequencies": [[1e6]]}, "not both"),
-        ({"method": "unmix"}, "needs a co-polarized channel"),
+        ({"method": "polarization"}, "needs a co-polarized channel"),
         ({"method": "magic"}, "must be one of"),
         ({"polarization": "VX"}, "polarization:"),
         ({"radiance": 1.0}, "needs the bandwidth"),

@@ -154,7 +154,7 @@ METHODS = {
     "open water": rejection.open_water,
     "open water, column left": lambda cube: rejection.open_water(cube, put_back=False),
     "combined": lambda cube: rejection.combined(cube, water_change=0.02),
-    "unmixed": lambda cube: rejection.unmix(
+    "unmixed": lambda cube: rejection.polarization(
         cube, target_ratio=1.0, water_ratio=0.1, water_ratio_uncertainty=0.02
     ),
     "nothing": lambda cube: rejection.keep_water(cube),

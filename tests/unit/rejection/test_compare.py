@@ -204,7 +204,7 @@ def test_no_method_reads_the_truth(cube: xr.Dataset) -> None:
             lying[name] = lying[name] * 0 + 1.0
     methods: tuple[Callable[[xr.Dataset], xr.Dataset], ...] = (
         lambda c: rejection.open_water(c, column_uncertainty=0.2),
-        rejection.unmix,
+        rejection.polarization,
         rejection.combined,
         rejection.frequency,
     )

@@ -133,7 +133,7 @@ def test_a_channel_that_is_not_there_is_named(samples: xr.Dataset) -> None:
     with pytest.raises(CubeError, match="none of which is cross-polarized"):
         rejection.cross_polarized(samples.sel(polarization=["VV"]))
     with pytest.raises(CubeError, match=r"VV\+VH"):
-        rejection.unmix(
+        rejection.polarization(
             samples.sel(polarization=["VV"]), target_ratio=0.2, water_ratio=0.1
         )
 
@@ -147,7 +147,7 @@ def test_unmixing_separates_target_and_water(plate_text: str) -> None:
     text = text.replace('"0.06 deg"', '"0 deg"').replace('"20 mW"', '"2e6 W"')
     text = text.replace('"10 %"', '"10 %"\nsaturation = "1e20 V"')
     cube = simulate(Survey.from_text(text), rng=1)
-    found = rejection.unmix(cube, target_ratio=PAINT, water_ratio=MILK)
+    found = rejection.polarization(cube, target_ratio=PAINT, water_ratio=MILK)
     cubes.check(found, "target_signal")
     assert list(found["polarization"].values) == ["VV"]
     assert_allclose(found.amulor.signal.values, _true(cube, "target")[:, :1], rtol=1e-4)
@@ -162,7 +162,7 @@ def test_the_noise_of_unmixing_is_propagated(plate_text: str) -> None:
     text = plate_text.replace('signal_fluctuation = "5 %"', "")
     text = text.replace("columns = 12", "columns = 60").replace("rows = 6", "rows = 60")
     cube = simulate(Survey.from_text(text), rng=9)
-    found = rejection.unmix(cube, target_ratio=PAINT, water_ratio=MILK)
+    found = rejection.polarization(cube, target_ratio=PAINT, water_ratio=MILK)
     error = found.amulor.signal.values - _true(cube, "target")[:, :1]
     z = error.real / found["in_phase_uncertainty"].values
     # 3600 pixels: five standard errors of a mean square.
@@ -177,8 +177,8 @@ def test_the_noise_of_unmixing_is_propagated(plate_text: str) -> None:
 def test_wrong_ratios_show_in_the_shared_uncertainty(dt: float, dw: float) -> None:
     cube = _two_channels()
     still: dict[str, float] = {"water_fluctuation": 0.0}
-    exact = rejection.unmix(cube, target_ratio=PAINT, water_ratio=MILK, **still)
-    unsure = rejection.unmix(
+    exact = rejection.polarization(cube, target_ratio=PAINT, water_ratio=MILK, **still)
+    unsure = rejection.polarization(
         cube,
         target_ratio=PAINT,
         water_ratio=MILK,
@@ -188,10 +188,10 @@ def test_wrong_ratios_show_in_the_shared_uncertainty(dt: float, dw: float) -> No
     )
     # Derivative by difference: what the error of a ratio does to the signal.
     step = 1e-6
-    by_target = rejection.unmix(
+    by_target = rejection.polarization(
         cube, target_ratio=PAINT + step, water_ratio=MILK, **still
     )
-    by_water = rejection.unmix(
+    by_water = rejection.polarization(
         cube, target_ratio=PAINT, water_ratio=MILK + step, **still
     )
     base = exact["in_phase"].values
@@ -238,7 +238,9 @@ def test_ratios_that_cannot_work_are_refused(
     samples: xr.Dataset, target_ratio: float, water_ratio: float, words: str
 ) -> None:
     with pytest.raises(ValueError, match=words):
-        rejection.unmix(samples, target_ratio=target_ratio, water_ratio=water_ratio)
+        rejection.polarization(
+            samples, target_ratio=target_ratio, water_ratio=water_ratio
+        )
 
 
 def test_a_strong_residual_is_flagged_and_a_weak_one_is_not(plate_text: str) -> None:
@@ -258,7 +260,7 @@ def test_a_strong_residual_is_flagged_and_a_weak_one_is_not(plate_text: str) -> 
 def test_input_is_not_changed(samples: xr.Dataset) -> None:
     before = samples.copy(deep=True)
     rejection.open_water(samples)
-    rejection.unmix(samples, target_ratio=PAINT, water_ratio=MILK)
+    rejection.polarization(samples, target_ratio=PAINT, water_ratio=MILK)
     xr.testing.assert_identical(samples, before)
 
 
@@ -308,7 +310,9 @@ def test_the_uncertainty_of_unmixing_holds_in_water_that_fluctuates(
 ) -> None:
     text = plate_text.replace("repeats = 8", "repeats = 60")
     z = _scores(
-        text, 12, lambda c: rejection.unmix(c, target_ratio=PAINT, water_ratio=MILK)
+        text,
+        12,
+        lambda c: rejection.polarization(c, target_ratio=PAINT, water_ratio=MILK),
     )
     # Without the fluctuation it was 4.6.
     assert 0.85 < np.nanstd(z) < 1.15
@@ -398,7 +402,7 @@ def test_a_missing_channel_does_not_spoil_the_other(samples: xr.Dataset) -> None
 def test_unmixing_keeps_the_saturation_of_either_channel(samples: xr.Dataset) -> None:
     cube = samples.copy(deep=True)
     cube["saturated"][0, 1, 1, 1] = 1
-    found = rejection.unmix(cube, target_ratio=PAINT, water_ratio=MILK)
+    found = rejection.polarization(cube, target_ratio=PAINT, water_ratio=MILK)
     assert found["quality_flag"][0, 0, 1, 1].item() & QualityFlag.SATURATED
 
 
@@ -407,5 +411,7 @@ def test_unmixing_without_shots_asks_how_the_water_fluctuates(
 ) -> None:
     bare = cubes.without_groups(samples)
     with pytest.raises(CubeError, match="--water-fluctuation"):
-        rejection.unmix(bare, target_ratio=PAINT, water_ratio=MILK)
-    rejection.unmix(bare, target_ratio=PAINT, water_ratio=MILK, water_fluctuation=0.05)
+        rejection.polarization(bare, target_ratio=PAINT, water_ratio=MILK)
+    rejection.polarization(
+        bare, target_ratio=PAINT, water_ratio=MILK, water_fluctuation=0.05
+    )

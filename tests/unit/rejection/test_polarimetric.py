@@ -41,7 +41,7 @@ def _shares(pairs: list[str]) -> dict[str, tuple[float, float]]:
 # Ratios ---------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("method", [rejection.unmix, rejection.combined])
+@pytest.mark.parametrize("method", [rejection.polarization, rejection.combined])
 @given(seed=st.integers(0, 10_000), paint=st.sampled_from([1.0, 0.6]))
 @settings(max_examples=12)
 def test_ratios_at_the_ends_are_not_refused_for_their_noise(
@@ -64,14 +64,14 @@ def test_the_preset_with_two_channels_is_unmixed(seed: int) -> None:
     changed |= {"scan.columns": 6, "scan.rows": 4}
     survey = Survey.preset("amulor-2010-long").with_(changed)
     cube = simulate(survey, rng=np.random.default_rng(seed))
-    target = rejection.unmix(cube)
+    target = rejection.polarization(cube)
     truth = cube.amulor.truth.sel(polarization=["VV"])
     clean = truth["target_in_phase"].values + 1j * truth["target_quadrature"].values
     miss = np.abs(target.amulor.signal.values - clean) / np.abs(clean)
     assert np.median(miss) < 0.05
 
 
-@pytest.mark.parametrize("method", [rejection.unmix, rejection.combined])
+@pytest.mark.parametrize("method", [rejection.polarization, rejection.combined])
 def test_a_ratio_beyond_its_error_is_refused_with_it(
     by_hand: Make, method: Callable[..., xr.Dataset]
 ) -> None:
@@ -197,10 +197,10 @@ def test_without_a_target_there_is_no_ratio_of_it(by_hand: Make) -> None:
 def test_unmixing_estimates_what_is_not_stated(plate_text: str) -> None:
     text = plate_text.replace("repeats = 8", "repeats = 60")
     cube = simulate(Survey.from_text(text), rng=11)
-    found = rejection.unmix(cube)
+    found = rejection.polarization(cube)
     assert abs(found.attrs["target_ratio"] - PAINT) < 0.02
     assert abs(found.attrs["water_ratio"] - MILK) < 0.01
-    stated = rejection.unmix(cube, target_ratio=PAINT, water_ratio=MILK)
+    stated = rejection.polarization(cube, target_ratio=PAINT, water_ratio=MILK)
     change = abs(found.amulor.signal - stated.amulor.signal)
     sigma = np.hypot(found["in_phase_uncertainty"], found["quadrature_uncertainty"])
     assert float((change / sigma).median()) < 1.5

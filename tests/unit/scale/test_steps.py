@@ -26,7 +26,7 @@ METHODS = [
     ("cross-polarized", rejection.cross_polarized, {}),
     pytest.param("combined", rejection.combined, {}, marks=SLOW),
     pytest.param("frequency", rejection.frequency, {"interval": INTERVAL}, marks=SLOW),
-    pytest.param("polarization", rejection.unmix, {}, marks=SLOW),
+    pytest.param("polarization", rejection.polarization, {}, marks=SLOW),
     pytest.param("joint", rejection.joint, {"interval": INTERVAL}, marks=SLOW),
 ]
 

@@ -9,6 +9,7 @@ from typing import Annotated, Literal, Self
 from pydantic import Field, model_validator
 
 from amulor.design.goal.spread import AngleSpread, CoefficientSpread, FractionSpread
+from amulor.design.methods import Method
 from amulor.optics.polarization import stokes
 from amulor.survey import OpenWater
 from amulor.survey.mueller import ReducedMueller
@@ -34,7 +35,6 @@ Scheme = Annotated[
     str,
     Field(pattern=rf"^({stokes.PAIR_PATTERN})( ?\+ ?({stokes.PAIR_PATTERN}))*$"),
 ]
-Method = Literal["none", "frequency", "open-water", "unmix", "combined", "joint"]
 
 
 class DistanceRange(Description):

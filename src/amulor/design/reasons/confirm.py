@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from typing import Any
 
@@ -205,7 +204,9 @@ def scans(
     for number in range(repeats):
         _progress.tell(f"scan {number + 1} of {repeats}", number / repeats)
         samples = simulate(survey, rng=np.random.default_rng([seed, number]))
-        image = _image(_rejected(samples, method, interval), interval)
+        image = _image(
+            rejection.reject(samples, method=method, interval=interval), interval
+        )
         errors.append(image["slant_range"].values - _truth(survey, image))
     every = np.stack(errors)
     if min(float(np.isfinite(one).mean()) for one in errors) < _SEEN:
@@ -250,21 +251,6 @@ def _small(goal: Goal, chosen: Parameters, distance: float) -> Survey:
             "targets.0.position": [0.0, 0.0, distance],
         }
     )
-
-
-def _rejected(
-    samples: xr.Dataset, method: str, interval: tuple[float, float] | None
-) -> xr.Dataset:
-    """Return the target signal by a method of a design."""
-    ways: dict[str, Callable[[], xr.Dataset]] = {
-        "none": lambda: rejection.keep_water(samples),
-        "frequency": lambda: rejection.frequency(samples, interval=interval),
-        "open-water": lambda: rejection.open_water(samples, interval=interval),
-        "unmix": lambda: rejection.unmix(samples),
-        "combined": lambda: rejection.combined(samples, interval=interval),
-        "joint": lambda: rejection.joint(samples, interval=interval),
-    }
-    return ways[method]()
 
 
 def _image(target: xr.Dataset, interval: tuple[float, float] | None) -> xr.Dataset:

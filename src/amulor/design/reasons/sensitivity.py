@@ -15,6 +15,7 @@ from amulor.design.candidates import Parameters, survey_of, water_scale
 from amulor.design.draws import spreads_of, values_at
 from amulor.design.evaluate import evaluate
 from amulor.design.goal import Goal
+from amulor.design.methods import PREDICTED
 
 __all__ = ["Sensitivity", "Uncertain", "sensitivity", "uncertain"]
 
@@ -148,14 +149,7 @@ def uncertain(goal: Goal, chosen: Parameters) -> tuple[Uncertain, ...]:
 
 def _assumptions(goal: Goal, method: str) -> dict[str, float]:
     """Return the assumptions that a method depends on."""
-    used = {
-        "none": (),
-        "frequency": (),
-        "open-water": ("water_change", "column_uncertainty"),
-        "unmix": ("ratio_uncertainty",),
-        "combined": ("water_change", "column_uncertainty", "ratio_uncertainty"),
-        "joint": ("departure",),
-    }[method]
+    used = PREDICTED[method].assumptions
     return {name: getattr(goal.assumptions, name) for name in used}
 
 

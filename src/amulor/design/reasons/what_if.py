@@ -10,6 +10,7 @@ from typing import Any
 from amulor import _progress
 from amulor.design.candidates import Parameters, cost_of, middle
 from amulor.design.goal import Goal
+from amulor.design.methods import PREDICTED
 from amulor.design.scores import Judge, merits
 
 __all__ = ["Turn", "what_if"]
@@ -187,16 +188,15 @@ def _assumptions(
     number("daylight", "daylight", "radiance", "W/(m2 sr m)", far)
     known = "assumptions"
     methods = {one.method for one in chosen}
-    shots = bool(methods & {"open-water", "combined"})
-    ratios, model = bool(methods & {"unmix", "combined"}), "joint" in methods
-    # What no method of the two depends on turns nothing.
-    for used, label, name in (
-        (shots, "change of the water since the shots", "water_change"),
-        (shots, "water behind the target", "column_uncertainty"),
-        (ratios, "depolarization ratio of the water", "ratio_uncertainty"),
-        (model, "departure of the water from its model", "departure"),
+    # What neither method depends on turns nothing.
+    used = {name for one in methods for name in PREDICTED[one].assumptions}
+    for label, name in (
+        ("change of the water since the shots", "water_change"),
+        ("water behind the target", "column_uncertainty"),
+        ("depolarization ratio of the water", "ratio_uncertainty"),
+        ("departure of the water from its model", "departure"),
     ):
-        if used:
+        if name in used:
             number(label, known, name, "1", 1.0)
     number("accuracy that is asked for", "accuracy", "total_error", "m", far)
     return found

@@ -147,7 +147,7 @@ def compared(image: xr.Dataset, check: Check) -> Checked:
     Examples
     --------
     >>> from amulor import imaging, rejection, samples
-    >>> target = rejection.unmix(
+    >>> target = rejection.polarization(
     ...     samples.cube("ladder"),
     ...     target_ratio=0.242, water_ratio=0.099, water_fluctuation=0.137,
     ... )

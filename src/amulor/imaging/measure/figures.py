@@ -74,7 +74,7 @@ def distance(
     Examples
     --------
     >>> from amulor import imaging, rejection, samples
-    >>> target = rejection.unmix(
+    >>> target = rejection.polarization(
     ...     samples.cube("ladder"),
     ...     target_ratio=0.242, water_ratio=0.099, water_fluctuation=0.137,
     ... )
@@ -133,7 +133,7 @@ def height(
     How far the first board of the ladder stands before its wall: 41 mm.
 
     >>> from amulor import imaging, rejection, samples
-    >>> target = rejection.unmix(
+    >>> target = rejection.polarization(
     ...     samples.cube("ladder"),
     ...     target_ratio=0.242, water_ratio=0.099, water_fluctuation=0.137,
     ... )

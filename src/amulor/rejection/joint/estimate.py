@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
@@ -16,11 +18,19 @@ from amulor.rejection.joint.instrument import (
 )
 from amulor.rejection.joint.samples import refuse_what_cannot_be_told_apart
 from amulor.rejection.joint.tile import Common, common_of, of_rows
+from amulor.rejection.methods import method
 
 Floats = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
 
+def _fit(source: tiles.Source, **options: Any) -> tiles.OfRows:
+    """Estimate what all pixels share, for any rows of a scan."""
+    common = prepared(source, **options)
+    return lambda rows, first: of_rows(rows, common, first)
+
+
+@method("joint", simplicity=5, distrusts_open_water=True, fitter=_fit)
 def joint(
     cube: xr.Dataset,
     *,

@@ -64,7 +64,8 @@ def shots_of(cube: xr.Dataset) -> xr.Dataset:
         raise CubeError(
             "the cube has no open-water shots (group open_water); record them with the "
             "target out of the beam, or use a method that needs none: joint with two "
-            "or more frequencies, unmix with both ratios stated, or cross-polarized"
+            "or more frequencies, polarization with both ratios stated, or "
+            "cross-polarized"
         )
     if shots.sizes["shot"] < FEWEST_SHOTS:
         raise CubeError(

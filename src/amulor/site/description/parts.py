@@ -7,8 +7,9 @@ import math
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
-from pydantic import BeforeValidator, Field, model_validator
+from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 
+from amulor import _plugins
 from amulor.survey.quantity import (
     Angle,
     Count,
@@ -68,10 +69,27 @@ class StartPose(Description):
         return Pose.model_validate(self.model_dump())
 
 
+def _installed(method: str) -> str:
+    """Refuse a rejection method that is not installed."""
+    installed = _plugins.names(_plugins.REJECTION)
+    if method not in installed:
+        raise ValueError(
+            f"there is no rejection method {method!r}; installed are "
+            f"{', '.join(installed)}"
+        )
+    return method
+
+
+def _list_methods(schema: dict[str, Any]) -> None:
+    schema["enum"] = list(_plugins.names(_plugins.REJECTION))
+
+
 class Processing(Description):
     """How a cube that is no range image yet becomes one."""
 
-    method: Literal["open-water", "polarization", "frequency", "combined", "joint"]
+    method: Annotated[
+        str, AfterValidator(_installed), Field(json_schema_extra=_list_methods)
+    ]
     """Rejection method, as of `amulor reject --method`."""
     polarization: str | None = None
     """Channel to take, such as "VV"; needed if there are several."""

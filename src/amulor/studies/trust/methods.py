@@ -2,36 +2,30 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import xarray as xr
 
-from amulor import cube as cubes
 from amulor import imaging, rejection
 from amulor.errors import AmulorError
 from amulor.studies.trust.case import Case
 
-Run = Callable[[Case], xr.Dataset]
-
-
-#: From a case to a target signal.
-METHODS: dict[str, Run] = {
-    "open-water": lambda case: rejection.open_water(
-        case.samples, interval=case.interval
-    ),
-    "open-water 20 %": lambda case: rejection.open_water(
-        case.samples, interval=case.interval, column_uncertainty=0.2
-    ),
-    "frequency": lambda case: rejection.frequency(case.samples, interval=case.interval),
-    "polarization": lambda case: rejection.unmix(case.samples),
-    "combined": lambda case: rejection.combined(case.samples, interval=case.interval),
-    "joint": lambda case: rejection.joint(case.samples, interval=case.interval),
-    "joint, no shots": lambda case: rejection.joint(
-        cubes.without_groups(case.samples, "open_water"), interval=case.interval
-    ),
-    "auto": lambda case: rejection.auto(case.samples, interval=case.interval),
+#: Method and options of each row of the table that is not the plain method.
+VARIANTS: dict[str, tuple[str, dict[str, float]]] = {
+    "open-water 20 %": ("open-water", {"column_uncertainty": 0.2}),
+    "joint, no shots": ("joint without shots", {}),
 }
+#: Rows of the table, in its order.
+METHODS = (
+    "open-water",
+    "open-water 20 %",
+    "frequency",
+    "polarization",
+    "combined",
+    "joint",
+    "joint, no shots",
+    "auto",
+)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -62,7 +56,10 @@ def outcome(method: str, case: Case) -> Outcome:
         A refusal is an outcome; a crash is one as well, and says so.
     """
     try:
-        target = METHODS[method](case)
+        name, options = VARIANTS.get(method, (method, {}))
+        target = rejection.reject(
+            case.samples, method=name, interval=case.interval, **options
+        )
         image = imaging.range_image(
             target,
             polarization=str(target["polarization"].values[0]),

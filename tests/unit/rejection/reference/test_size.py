@@ -26,14 +26,14 @@ def test_errors_do_not_shrink_where_the_water_came_out_small() -> None:
         "water_ratio": 0.099,
         "water_fluctuation": 0.137,
     }
-    plain = rejection.unmix(cube, **known)
+    plain = rejection.polarization(cube, **known)
     water = cube.amulor.signal.values[0, 0] - plain.amulor.signal.values[0, 0]
     # The co-polarized water of one pixel is 20 % less, the other 52 % more: the target
     # takes half of the water, and three tenths are left of it.
     for channel, change in ((0, -0.2), (1, (0.5 * 0.143 / 0.099 - 0.2) * 0.099)):
         for part, off in (("in_phase", water.real), ("quadrature", water.imag)):
             cube[part].values[0, channel, 0, 7] += change * off[0, 7]
-    found = rejection.unmix(cube, **known)
+    found = rejection.polarization(cube, **known)
     left = cube.amulor.signal.values[0, 0] - found.amulor.signal.values[0, 0]
     assert abs(left[0, 7]) < 0.35 * abs(water[0, 7])
     stated = [

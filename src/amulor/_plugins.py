@@ -1,0 +1,13 @@
+"""Names of entry points of installed packages, listed without importing them."""
+
+from __future__ import annotations
+
+from importlib import metadata
+
+#: Group of the rejection methods.
+REJECTION = "amulor.rejection"
+
+
+def names(group: str) -> tuple[str, ...]:
+    """List the entry points of a group in alphabetical order."""
+    return tuple(sorted({entry.name for entry in metadata.entry_points(group=group)}))

@@ -1,0 +1,353 @@
+"""The register of rejection methods: each is declared once, beside its code.
+
+A method is a function from samples to a target signal under the decorator `method`, and
+an entry point of the group `amulor.rejection`, in amulor itself or in another package.
+The command line, `auto`, work by rows and sites take it from here.
+"""
+
+from __future__ import annotations
+
+import inspect
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from functools import partial
+from importlib import metadata
+from typing import Any, TypeVar
+
+import xarray as xr
+
+from amulor import _plugins
+from amulor import cube as cubes
+from amulor.cube import tiles
+from amulor.errors import AmulorError, CubeError
+
+__all__ = ["Method", "Needs", "load", "method", "names", "reject"]
+
+_Function = TypeVar("_Function", bound=Callable[..., xr.Dataset])
+
+
+@dataclass(frozen=True, kw_only=True)
+class Needs:
+    """Measurements that a method needs beside the samples of the target.
+
+    Examples
+    --------
+    >>> from amulor import rejection
+    >>> rejection.load("combined").needs
+    Needs(open_water=True, channel_pair=True)
+    """
+
+    open_water: bool | None = None
+    """Open-water reference measurements: True if the method needs them, False if it
+    serves scans without them only, None if it works either way."""
+    channel_pair: bool = False
+    """A co-polarized channel and its cross-polarized partner."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Method:
+    """A rejection method as it is declared.
+
+    Examples
+    --------
+    >>> from amulor import rejection, samples
+    >>> frequency = rejection.load("frequency")
+    >>> frequency.options
+    ('modulation_frequency', 'interval')
+    """
+
+    name: str
+    """Name in every place: command line, site file, comparison, `reject`."""
+    function: Callable[..., xr.Dataset]
+    """From a cube of level `samples` to one of level `target_signal`; the keyword-only
+    arguments are the options."""
+    needs: Needs = Needs()
+    """Measurements that it needs."""
+    simplicity: int | None = None
+    """Place in a comparison, the simplest method first; None keeps it out of `auto`."""
+    keeps_one_frequency: bool = False
+    """Whether the result has one modulation frequency, with its short ambiguity
+    interval."""
+    distrusts_open_water: bool = False
+    """Whether `auto` tries it a second time without the reference measurements where it
+    trusts few pixels with them."""
+    fitter: Callable[..., tiles.OfRows] | None = None
+    """Fit of the method to a source of rows, called with the options; by default the
+    statistics of a scan are estimated on `amulor.cube.tiles.sample_of` the source."""
+
+    @property
+    def options(self) -> tuple[str, ...]:
+        """Names of the options of the function."""
+        return tuple(
+            parameter.name
+            for parameter in inspect.signature(self.function).parameters.values()
+            if parameter.kind is inspect.Parameter.KEYWORD_ONLY
+        )
+
+    def __call__(self, cube: xr.Dataset, **options: Any) -> xr.Dataset:
+        """Run the method on a whole cube.
+
+        Parameters
+        ----------
+        cube : xarray.Dataset
+            Level `samples`.
+        **options
+            Options of the method, as in `unknown`; None keeps the default.
+
+        Returns
+        -------
+        xarray.Dataset
+            Level `target_signal`.
+
+        Raises
+        ------
+        AmulorError, ValueError
+            As the method; ValueError for an option that it does not have.
+        """
+        return self.function(cube, **self._accepted(options))
+
+    def fit(self, source: tiles.Source, **options: Any) -> tiles.OfRows:
+        """Fit the method to a scan, for work by rows.
+
+        Parameters
+        ----------
+        source : Source
+            The scan.
+        **options
+            As in a call.
+
+        Returns
+        -------
+        callable
+            From rows of the scan, and the number of the first of them, to their target
+            signal: bit for bit that of the whole scan, whatever rows come together.
+
+        Raises
+        ------
+        AmulorError, ValueError
+            As a call.
+        """
+        accepted = self._accepted(options)
+        if self.fitter is not None:
+            return self.fitter(source, **accepted)
+        return tiles.fitted(partial(self.function, **accepted), source)
+
+    def without_open_water(self) -> Method:
+        """Return the method that is not shown the open-water reference measurements.
+
+        Returns
+        -------
+        Method
+            Its name ends in "without shots".
+        """
+        fit = self.fit
+
+        def run(cube: xr.Dataset, **options: Any) -> xr.Dataset:
+            return self.function(_bare(cube), **options)
+
+        def fitter(source: tiles.Source, **options: Any) -> tiles.OfRows:
+            of = fit(tiles.Changed(source, _bare), **options)
+            return lambda rows, first: of(_bare(rows), first)
+
+        run.__signature__ = inspect.signature(self.function)  # type: ignore[attr-defined]
+        return replace(
+            self,
+            name=f"{self.name}{_WITHOUT}",
+            function=run,
+            fitter=fitter,
+            distrusts_open_water=False,
+        )
+
+    def unknown(self, options: Mapping[str, Any]) -> tuple[str, ...]:
+        """List stated options that the method does not have.
+
+        Parameters
+        ----------
+        options : mapping of str to object
+            None counts as not stated. An interval may be stated for every method, and
+            serves those that use one.
+
+        Returns
+        -------
+        tuple of str
+            Their names.
+        """
+        known = {*self.options, "interval"}
+        return tuple(
+            name
+            for name, value in options.items()
+            if value is not None and name not in known
+        )
+
+    def _accepted(self, options: dict[str, Any]) -> dict[str, Any]:
+        """Return the stated options; ValueError for one that the method lacks."""
+        if unknown := self.unknown(options):
+            raise ValueError(
+                f"the method {self.name} has no option {', '.join(unknown)}; it has "
+                f"{', '.join(self.options) or 'none'}"
+            )
+        return {
+            name: value
+            for name, value in options.items()
+            if value is not None and name in self.options
+        }
+
+
+_WITHOUT = " without shots"
+
+
+def _bare(cube: xr.Dataset) -> xr.Dataset:
+    return cubes.without_groups(cube, "open_water")
+
+
+def method(name: str, **declared: Any) -> Callable[[_Function], _Function]:
+    """Declare a function as a rejection method.
+
+    Parameters
+    ----------
+    name : str
+        As the entry point of the group `amulor.rejection`.
+    **declared
+        Fields of `Method`: `needs`, `simplicity`, `keeps_one_frequency`,
+        `distrusts_open_water`, `fitter`.
+
+    Returns
+    -------
+    callable
+        Decorator that returns the function as it is.
+
+    Examples
+    --------
+    >>> from amulor import rejection
+    >>> @rejection.method("nothing", simplicity=99)
+    ... def nothing(cube):
+    ...     return rejection.keep_water(cube)
+    >>> nothing.declared.name
+    'nothing'
+    """
+
+    def declare(function: _Function) -> _Function:
+        made = Method(name=name, function=function, **declared)
+        function.declared = made  # type: ignore[attr-defined]
+        return function
+
+    return declare
+
+
+def names() -> tuple[str, ...]:
+    """List the rejection methods that are installed, without loading them.
+
+    Returns
+    -------
+    tuple of str
+        In alphabetical order; those of other packages among them.
+
+    Examples
+    --------
+    >>> from amulor import rejection
+    >>> "open-water" in rejection.names()
+    True
+    """
+    return _plugins.names(_plugins.REJECTION)
+
+
+def load(name: str) -> Method:
+    """Load a rejection method.
+
+    Parameters
+    ----------
+    name : str
+        One of `names`, or that with " without shots" for a method that `auto` tries
+        without the open-water reference measurements.
+
+    Returns
+    -------
+    Method
+        As it is declared.
+
+    Raises
+    ------
+    CubeError
+        If there is no such method, or the package that offers it is broken.
+
+    Examples
+    --------
+    >>> from amulor import rejection
+    >>> rejection.load("open-water").options
+    ('interval', 'column_uncertainty', 'put_back')
+    """
+    plain = name.removesuffix(_WITHOUT)
+    entries = metadata.entry_points(group=_plugins.REJECTION, name=plain)
+    if not entries:
+        raise CubeError(
+            f"there is no rejection method {name!r}; installed are {', '.join(names())}"
+        )
+    (entry, *_) = entries
+    try:
+        found = entry.load().declared
+    except Exception as error:  # the program of another package
+        raise CubeError(
+            f"the rejection method {plain!r} of {entry.value} cannot be loaded: "
+            f"{type(error).__name__}: {error}"
+        ) from error
+    if not isinstance(found, Method) or found.name != plain:
+        raise CubeError(
+            f"the entry point {plain!r} of the group {_plugins.REJECTION} names "
+            f"{entry.value}, which is not declared as @method({plain!r})"
+        )
+    return found if plain == name else found.without_open_water()
+
+
+def reject(
+    cube: xr.Dataset,
+    *,
+    method: str = "auto",
+    interval: tuple[float, float] | None = None,
+    **options: Any,
+) -> xr.Dataset:
+    """Take the water signal out of samples by a method that is chosen by its name.
+
+    Parameters
+    ----------
+    cube : xarray.Dataset
+        Level `samples`.
+    method : str
+        One of `names`.
+    interval : tuple of float, optional
+        Nearest and farthest slant range that are possible [m].
+    **options
+        Options of the method.
+
+    Returns
+    -------
+    xarray.Dataset
+        Level `target_signal`.
+
+    Raises
+    ------
+    AmulorError, ValueError
+        As the method; CubeError if there is none of this name, ValueError for an option
+        that it does not have.
+
+    Examples
+    --------
+    >>> from amulor import rejection, samples
+    >>> cube = samples.cube("ladder").isel(row=[18], shot=slice(0, None, 4))
+    >>> target = rejection.reject(cube, method="open-water", interval=(0.5, 3.0))
+    >>> target.amulor.level, target.attrs["open_water_turbidity"].round(2)
+    """
+    return load(method)(cube, interval=interval, **options)
+
+
+def compared_methods() -> tuple[list[Method], dict[str, AmulorError]]:
+    """Return the methods that `auto` compares, the simplest first, and broken ones."""
+    found: list[Method] = []
+    broken: dict[str, AmulorError] = {}
+    for name in names():
+        try:
+            found.append(load(name))
+        except CubeError as error:
+            broken[name] = error
+    found = [one for one in found if one.simplicity is not None]
+    found.sort(key=lambda one: (one.simplicity, one.name))
+    return found, broken

@@ -1,0 +1,190 @@
+"""The register of rejection methods, and a method of another package."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import textwrap
+from pathlib import Path
+
+import numpy as np
+import pytest
+import xarray as xr
+
+from amulor import io, rejection
+from amulor.cube import tiles
+from amulor.errors import CubeError
+from amulor.simulation import simulate
+from amulor.survey import Survey
+
+#: All that another package has to write.
+METHOD = '''
+"""Take the mean of the reference measurements off, whatever their direction."""
+import numpy as np
+from amulor import cube as cubes, rejection
+
+
+@rejection.method(
+    "mean-water",
+    needs=rejection.Needs(open_water=True),
+    simplicity={simplicity},
+)
+def mean_water(cube, *, factor: float = 1.0):
+    """Subtract the mean open-water signal of each frequency and channel."""
+    cube = cubes.checked(cube, "samples")
+    shots = cube.amulor.open_water
+    mean = (shots["in_phase"] + 1j * shots["quadrature"]).mean("shot")
+    water = factor * mean.values[:, :, None, None]
+    whole = rejection.open_water(cube)
+    target = cube.amulor.signal.values - water
+    return whole.assign(
+        in_phase=whole["in_phase"].copy(data=target.real),
+        quadrature=whole["quadrature"].copy(data=target.imag),
+    )
+'''
+
+
+@pytest.fixture(scope="module")
+def samples(plate_text: str) -> xr.Dataset:
+    """Return a small scan of a plate at two frequencies."""
+    text = plate_text.replace('["39 MHz"]', '["20 MHz", "60 MHz"]')
+    return simulate(Survey.from_text(text), rng=3)
+
+
+@pytest.fixture(scope="module")
+def package(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return a folder with another package that declares a method."""
+    folder = tmp_path_factory.mktemp("packages")
+    (folder / "other.py").write_text(METHOD.format(simplicity=0))
+    (folder / "broken.py").write_text("raise RuntimeError('no licence')\n")
+    info = folder / "other-1.0.dist-info"
+    info.mkdir()
+    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: other\nVersion: 1.0\n")
+    (info / "entry_points.txt").write_text(
+        "[amulor.rejection]\nmean-water = other:mean_water\nbroken = broken:method\n"
+    )
+    return folder
+
+
+def amulor(package: Path, *words: str) -> subprocess.CompletedProcess[str]:
+    """Run a command where the other package is installed."""
+    paths = [str(package), *filter(None, [os.environ.get("PYTHONPATH")])]
+    return subprocess.run(
+        [sys.executable, "-m", "amulor", *words],
+        env=os.environ | {"PYTHONPATH": os.pathsep.join(paths)},
+        capture_output=True,
+        text=True,
+    )
+
+
+def test_every_method_is_loaded_by_its_name() -> None:
+    for name in rejection.names():
+        assert rejection.load(name).name == name
+    pinned = {"open-water", "combined", "polarization", "frequency", "joint", "auto"}
+    assert pinned <= set(rejection.names())
+
+
+def test_reject_is_the_function_of_the_method(samples: xr.Dataset) -> None:
+    interval = (0.8, 4.0)
+    by_name = rejection.reject(samples, method="open-water", interval=interval)
+    xr.testing.assert_equal(by_name, rejection.open_water(samples, interval=interval))
+    # An interval serves the methods that use one, and disturbs no other.
+    kept = rejection.reject(samples, method="none", interval=interval)
+    xr.testing.assert_equal(kept, rejection.keep_water(samples))
+
+
+def test_unknown_methods_and_options_are_refused(samples: xr.Dataset) -> None:
+    with pytest.raises(CubeError, match=r"'magic'; installed are .*open-water"):
+        rejection.reject(samples, method="magic")
+    with pytest.raises(ValueError, match=r"joint has no option turbidity; it has int"):
+        rejection.reject(samples, method="joint", turbidity=2.0)
+
+
+def test_without_shots_is_the_method_on_a_cube_without_them(
+    samples: xr.Dataset,
+) -> None:
+    blind = rejection.load("polarization").without_open_water()
+    options = {"target_ratio": 0.3, "water_ratio": 0.1, "water_fluctuation": 0.05}
+    if "VH" not in samples["polarization"]:
+        pytest.fail("the plate has no pair of channels")
+    shots = [name for name in samples if str(name).startswith("open_water_")]
+    bare = rejection.polarization(samples.drop_vars(shots), **options)
+    xr.testing.assert_equal(blind(samples, **options), bare)
+    of = blind.fit(tiles.InMemory(samples), **options)
+    xr.testing.assert_equal(of(samples.isel(row=[2]), 2), bare.isel(row=[2]))
+
+
+def test_the_method_of_another_package_runs_everywhere(
+    package: Path, samples: xr.Dataset, tmp_path: Path
+) -> None:
+    scan, target = tmp_path / "samples.nc", tmp_path / "target.nc"
+    io.write_cube(samples, scan)
+    words = ["reject", str(scan), "--method", "mean-water", "-o", str(target)]
+    done = amulor(package, *words)
+    assert done.returncode == 0, done.stderr
+    whole = io.read_cube(target)
+    shots = samples.amulor.open_water
+    mean = (shots["in_phase"] + 1j * shots["quadrature"]).mean("shot").values
+    np.testing.assert_allclose(
+        whole.amulor.signal.values,
+        samples.amulor.signal.values - mean[:, :, None, None],
+    )
+    # By rows, and with an option of its own.
+    rows = [*words, "--tile-rows", "2", "--overwrite"]
+    done = amulor(package, *rows)
+    assert done.returncode == 0, done.stderr
+    xr.testing.assert_equal(io.read_cube(target), whole)
+    done = amulor(package, *words, "--overwrite", "--option", "factor=0")
+    assert done.returncode == 0, done.stderr
+    np.testing.assert_array_equal(
+        io.read_cube(target).amulor.signal.values, samples.amulor.signal.values
+    )
+    # In a comparison; the broken neighbor is a line and no end.
+    done = amulor(package, "reject", str(scan), "--method", "auto", "-o",
+                  str(tmp_path / "auto.nc"))  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    assert "mean-water" in done.stdout
+    assert "RuntimeError: no licence" in done.stdout
+    # In a site.
+    (tmp_path / "site.toml").write_text(
+        textwrap.dedent("""\
+        name = "Wall"
+        [[epoch]]
+        name = "spring"
+        [[scan]]
+        name = "one"
+        epoch = "spring"
+        file = "samples.nc"
+        [scan.processing]
+        method = "mean-water"
+        polarization = "VV"
+        [scan.start]
+        position = ["0 m", "0 m", "0 m"]
+        heading = "0 deg"
+        position_uncertainty = "1 cm"
+        heading_uncertainty = "1 deg"
+        level_uncertainty = "1 deg"
+        """)
+    )
+    site = str(tmp_path / "site.toml")
+    done = amulor(package, "run", site, "-o", str(tmp_path / "results"))
+    assert done.returncode == 0, done.stderr
+    images = [*(tmp_path / "results").rglob("range_image.nc")]
+    assert len(images) == 1
+    assert "mean-water" in amulor(package, "reject", "--help").stdout
+
+
+def test_an_option_that_a_method_does_not_use_is_refused(
+    samples: xr.Dataset, tmp_path: Path
+) -> None:
+    scan = tmp_path / "samples.nc"
+    io.write_cube(samples, scan)
+    words = ["reject", str(scan), "-o", str(tmp_path / "target.nc")]
+    done = amulor(
+        tmp_path, *words, "--method", "frequency", "--column-uncertainty", "20 %"
+    )
+    assert done.returncode == 2
+    assert "frequency does not use --column-uncertainty" in done.stderr
+    assert "it uses --frequency, --nearest, --farthest" in done.stderr
+    assert not (tmp_path / "target.nc").exists()
