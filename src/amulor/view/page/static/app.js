@@ -329,7 +329,10 @@ function readout() {
   const place = scene.point(...cursor, shape);
   if (place) add("place", place.map((part) => short(part * 1e3, Math.abs(part) >= 1 ? 5 : 4)).join(", ") + " mm");
   const flags = scene.reasons(...cursor, scene.maps.has("flags") && !waterIn ? "flags" : "flags_before");
-  showReadout(rows, flags);
+  // A row of a running scan has its range at once, errors and flags with the next picture.
+  const fresh = Number.isFinite(waterIn ? raw : range) && flags.some((flag) => flag.name === "missing");
+  if (fresh) rows.splice(1, 0, ["error", "being estimated", ""]);
+  showReadout(rows, fresh ? [] : flags);
 }
 
 function signed(value) {
