@@ -20,6 +20,8 @@ name = "Dim plate"
 absorption = "0.2 1/m"
 scattering = "0.6 1/m"
 asymmetry = 0.95
+temperature = "20 degC"
+salinity = 0
 signal_fluctuation = "2 %"
 backscatter_mueller = [0.9, -0.9, -0.8]
 [[targets]]

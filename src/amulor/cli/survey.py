@@ -35,8 +35,10 @@ def check(
     from dataclasses import asdict
 
     from amulor.optics import ranging
+    from amulor.rejection.channels.names import CROSS_POLARIZED
     from amulor.rejection.reference.grid import judge_plan
     from amulor.survey import Survey, water_properties
+    from amulor.survey.properties import group_index_uncertainty
     from amulor.survey.reach import repetition, target_reach, unsettled_interval
 
     survey = Survey.from_toml(file)
@@ -58,7 +60,8 @@ def check(
         print_json(
             {
                 "survey": survey.model_dump(mode="python", exclude_none=True),
-                "water": _water(water),
+                "water": _water(water)
+                | {"group_index_uncertainty": group_index_uncertainty(survey)},
                 "ambiguity_interval_m": intervals,
                 "phases_repeat_after_m": repetition(
                     frequencies, group_index=water.group_index
@@ -77,12 +80,14 @@ def check(
         f"{seconds:.0f} s; {len(survey.targets)} targets"
     )
     _print_water(water)
+    _warn_of_state(survey, water, reach)
     for value, interval in zip(frequencies, intervals, strict=True):
         print(f"  {value / 1e6:g} MHz: unambiguous over {interval:.3f} m")
     if reach is not None:
         print(f"  beams meet targets at {reach[0]:.4g} to {reach[1]:.4g} m")
     if expected is not None:
-        _print_expected(survey, expected)
+        dark = () if water.depolarization_known else CROSS_POLARIZED
+        _print_expected(survey, expected, dark)
     elif unknown:
         print(f"  what to expect is not known: {unknown}")
     if plan is not None and not plan.holds:
@@ -130,8 +135,13 @@ def _expected(survey: Survey) -> tuple[Expectation | None, str]:
         return None, str(error)
 
 
-def _print_expected(survey: Survey, expected: Expectation) -> None:
-    """Print what the samples will be like, and warn of what spoils them."""
+def _print_expected(
+    survey: Survey, expected: Expectation, dark: tuple[str, ...]
+) -> None:
+    """Print what the samples will be like, and warn of what spoils them.
+
+    Of channels that are `dark`, nobody knows the water signal.
+    """
     print(f"  {expected.hit:.0%} of the beams meet a target")
     for number, target in enumerate(survey.targets):
         if expected.hit_each[number] == 0:
@@ -152,7 +162,7 @@ def _print_expected(survey: Survey, expected: Expectation) -> None:
         ):
             print(
                 f"  {frequency / 1e6:g} MHz {channel}: echo over noise {ratio:.3g}, "
-                f"water over echo {water:.2g}"
+                f"water over echo {'not known' if channel in dark else f'{water:.2g}'}"
             )
             if ratio < _WEAK:
                 print(
@@ -252,6 +262,37 @@ def _print_water(water: WaterProperties) -> None:
         print(
             f"    layer {number}: {extent}, absorption {layer.absorption:.4g} 1/m, "
             f"scattering {layer.scattering:.4g} 1/m, {layer.phase_function.name}"
+        )
+
+
+def _warn_of_state(
+    survey: Survey, water: WaterProperties, reach: tuple[float, float] | None
+) -> None:
+    """Warn of what the water does not state and ranges or channels need."""
+    from amulor.rejection.channels.names import CROSS_POLARIZED
+    from amulor.survey.properties import group_index_uncertainty
+
+    stated = survey.water
+    missing = [
+        name for name in ("salinity", "temperature") if getattr(stated, name) is None
+    ]
+    error = group_index_uncertainty(survey)
+    if missing and stated.group_index is None and error is not None:
+        distance = 1.0 if reach is None else reach[1]
+        off = distance * error / water.group_index
+        print(
+            f"  warning: {' and '.join(missing)} of the water not stated: range "
+            f"uncertain by {1e3 * off:.2g} mm at {distance:.3g} m (standard "
+            f"uncertainty); state {' and '.join(f'water.{name}' for name in missing)}"
+        )
+    crossed = [
+        pair for pair in survey.instrument.polarizations if pair in CROSS_POLARIZED
+    ]
+    if crossed and not water.depolarization_known:
+        print(
+            f"  warning: how much of the water signal {', '.join(crossed)} sees is not "
+            "known: water stated by coefficients or layers keeps polarization here, "
+            "waters of the sea lose a fifth of it; state water.backscatter_mueller"
         )
 
 

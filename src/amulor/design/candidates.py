@@ -266,7 +266,7 @@ def survey_of(goal: Goal, chosen: Parameters) -> Survey:
         changes["signal_fluctuation"] = middle(goal.waters.fluctuation)
     if goal.waters.m22 is not None:
         changes["backscatter_mueller"] = depolarizing(
-            water.backscatter_mueller, middle(goal.waters.m22)
+            water.backscatter_mueller or "smooth-metal", middle(goal.waters.m22)
         )
     water = water.model_copy(update=changes)
     surface: Any = goal.targets.mueller

@@ -254,7 +254,7 @@ def _fractions(
         if case.survey.targets:
             stated = case.survey.targets[0].mueller
     else:
-        stated = case.survey.water.backscatter_mueller
+        stated = case.water.backscatter_mueller
     known = matrix(stated)
     name = f"{what}_m22"
     if name not in given:

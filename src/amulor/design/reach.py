@@ -13,7 +13,11 @@ from amulor.survey import Survey, water_properties
 
 __all__ = ["WATERS", "Reach", "reach"]
 
-_JERLOV = {"kind": "jerlov", "source": "williamson-hollins-2022"}
+_JERLOV = {
+    "kind": "jerlov",
+    "source": "williamson-hollins-2022",
+    "salinity": 35.0,
+}
 #: Waters that go by name: what each is called, and how a survey states it.
 WATERS: dict[str, tuple[str, dict[str, Any]]] = {
     "pure": ("pure sea water", {"kind": "pure", "salinity": 35.0}),

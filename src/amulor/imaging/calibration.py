@@ -11,12 +11,11 @@ import xarray as xr
 from numpy.typing import NDArray
 from scipy.constants import speed_of_light
 
-from amulor.errors import SurveyError
 from amulor.imaging.geometry import beams_of, medium_of, receivers_of
 from amulor.optics import rays
-from amulor.optics.water import seawater
 from amulor.survey import Survey
 from amulor.survey.calibration import Calibration
+from amulor.survey.properties import group_index_uncertainty
 
 Floats = NDArray[np.float64]
 
@@ -24,14 +23,12 @@ Floats = NDArray[np.float64]
 CALIBRATION_TERMS = ("delay", "group_index", "geometry")
 #: Attributes that say when a cube was measured.
 _COVERAGE = ("time_coverage_start", "time_coverage_end")
-#: Steps of temperature and salinity for the derivative of the index [degC, 1].
-_STEP = 0.5
 
 
 def calibration_terms(
     one: xr.Dataset, path: Floats, slope: Floats, *, survey: Survey | None
 ) -> dict[str, Floats]:
-    """Return the standard uncertainties that the survey's calibration states.
+    """Return the standard uncertainties that the survey states of the instrument.
 
     Parameters
     ----------
@@ -42,7 +39,7 @@ def calibration_terms(
     slope : ndarray, shape (row, column)
         Derivative of the slant range by the path [1].
     survey : Survey or None
-        Its calibration counts.
+        Its calibration and, for the index, its water count.
 
     Returns
     -------
@@ -58,16 +55,18 @@ def calibration_terms(
     of its calibration, and by what it may have changed since with age and temperature,
     in quadrature; its age needs a cube that says when it was measured.
     """
-    calibration = None if survey is None else survey.calibration
-    if survey is None or calibration is None:
-        return {}
     terms: dict[str, Floats] = {}
+    if survey is None:
+        return terms
+    index = group_index_uncertainty(survey)
+    if index is not None:
+        terms["group_index"] = _by_index(one, path, index)
+    calibration = survey.calibration
+    if calibration is None:
+        return terms
     delay = _delay_uncertainty(one, calibration)
     if delay is not None:
         terms["delay"] = slope * speed_of_light * delay
-    index = _index_uncertainty(survey, calibration)
-    if index is not None:
-        terms["group_index"] = _by_index(one, path, index)
     place = calibration.receiver_position_uncertainty
     turn = calibration.direction_uncertainty
     if place is not None and turn is not None:
@@ -157,39 +156,6 @@ def _delay_uncertainty(one: xr.Dataset, calibration: Calibration) -> float | Non
     if calibration.delay_per_degree is not None and warmer is not None:
         changes.append(calibration.delay_per_degree * warmer)
     return math.hypot(*changes)
-
-
-def _index_uncertainty(survey: Survey, calibration: Calibration) -> float | None:
-    """Return the standard uncertainty of the group index, None if not known."""
-    if calibration.group_index_uncertainty is not None:
-        return calibration.group_index_uncertainty
-    warmth, salt = (
-        calibration.temperature_uncertainty,
-        calibration.salinity_uncertainty,
-    )
-    if warmth is None or salt is None:
-        return None
-    water, wavelength = survey.water, survey.instrument.wavelength
-
-    def index(temperature: float, salinity: float) -> float:
-        return float(
-            seawater.group_index(wavelength, temperature=temperature, salinity=salinity)
-        )
-
-    # One-sided at the ends of what the formula holds for.
-    low, high = max(water.temperature - _STEP, 0.0), min(water.temperature + _STEP, 30)
-    less, more = max(water.salinity - _STEP, 0.0), water.salinity + _STEP
-    if more > 43:
-        less, more = 42.0, 43.0
-    try:
-        by_warmth = index(high, water.salinity) - index(low, water.salinity)
-        by_salt = index(water.temperature, more) - index(water.temperature, less)
-    except ValueError as error:
-        raise SurveyError(
-            f"calibration: the group index does not follow from temperature and "
-            f"salinity here ({error}); state group_index_uncertainty"
-        ) from None
-    return math.hypot(by_warmth / (high - low) * warmth, by_salt / (more - less) * salt)
 
 
 def _by_index(one: xr.Dataset, path: Floats, uncertainty: float) -> Floats:

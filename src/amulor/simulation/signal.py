@@ -122,7 +122,7 @@ def water_light(
     frequency = _frequencies(survey).reshape(-1, 1, *[1] * view.tilt.ndim)
     # The model counts the delay from where the water begins.
     turn = np.exp(2j * np.pi * frequency * view.optical_offset / speed_of_light)
-    fraction = _fractions(survey, survey.water.backscatter_mueller)
+    fraction = _fractions(survey, water.backscatter_mueller)
     passed = fraction.reshape(-1, *[1] * view.tilt.ndim) * view.transmission
     common: dict[str, Any] = {"survey": survey, "water": water, "view": view}
     if isinstance(model, UncertainModel):

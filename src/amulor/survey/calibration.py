@@ -56,10 +56,11 @@ class Calibration(Description):
     """Standard uncertainty of the group index [1]; or those of temperature and
     salinity."""
     temperature_uncertainty: Annotated[Temperature, Field(ge=0, le=30)] | None = None
-    """Standard uncertainty of the water's temperature, from which the group index
-    follows [degC]."""
+    """Standard uncertainty of the temperature that the water states, from which the
+    group index follows; where it states none, 0 to 30 degC count [degC]."""
     salinity_uncertainty: Annotated[float, Field(ge=0, le=43)] | None = None
-    """Standard uncertainty of the water's practical salinity [1]."""
+    """Standard uncertainty of the practical salinity that the water states; where it
+    states none, fresh water to 40 counts [1]."""
     scattering_uncertainty: Annotated[Fraction, Field(ge=0, le=2)] | None = None
     """Relative standard uncertainty of the scattering coefficient, for the light that
     arrives late [1]."""

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
 
@@ -13,7 +15,7 @@ from amulor.optics import phase_functions
 from amulor.optics.phase_functions.phase_function import PhaseFunction
 from amulor.optics.water import seawater
 from amulor.survey.survey import Survey
-from amulor.survey.water import Water
+from amulor.survey.water import SALINITIES, TEMPERATURES, Water, state_of
 from amulor.survey.waters.phase_function import Tabulated
 from amulor.survey.waters.resolve import LayerOptics, WaterOptics, resolved
 
@@ -59,6 +61,10 @@ class WaterProperties:
     then those of the first one."""
     source: str = ""
     """Where the coefficients come from."""
+    backscatter_mueller: Any = (1.0, -1.0, -1.0)
+    """Reduced Mueller matrix straight backwards, in a form that a survey states [1]."""
+    depolarization_known: bool = True
+    """False where polarization is kept for lack of knowledge."""
 
     @property
     def reduced_attenuation(self) -> float:
@@ -126,7 +132,13 @@ def water_properties(survey: Survey) -> WaterProperties:
         phase_function=optics.phase_function,
         layers=optics.layers,
         source=optics.source,
+        backscatter_mueller=water.backscatter_mueller or optics.mueller or _KEPT,
+        depolarization_known=bool(water.backscatter_mueller or optics.mueller),
     )
+
+
+#: Mueller matrix straight backwards of water of which nothing is known.
+_KEPT = (1.0, -1.0, -1.0)
 
 
 def by_coefficients(survey: Survey, *, factor: float = 1.0) -> Survey:
@@ -176,6 +188,7 @@ def by_coefficients(survey: Survey, *, factor: float = 1.0) -> Survey:
         ),
         "refractive_index": known.refractive_index,
         "group_index": known.group_index,
+        "backscatter_mueller": known.backscatter_mueller,
     }
     return survey.model_copy(update={"water": Water.model_validate(stated)})
 
@@ -197,7 +210,7 @@ def _tabulated(function: PhaseFunction) -> Tabulated:
 def _indices(survey: Survey) -> tuple[float, float]:
     """Return phase and group index of the water, stated or of its state."""
     water, wavelength = survey.water, survey.instrument.wavelength
-    state = {"temperature": water.temperature, "salinity": water.salinity}
+    state = state_of(water)
     phase_index, group_index = water.refractive_index, water.group_index
     try:
         if phase_index is None:
@@ -210,6 +223,93 @@ def _indices(survey: Survey) -> tuple[float, float]:
             f"salinity ({error}); give refractive_index and group_index"
         ) from None
     return phase_index, group_index
+
+
+def group_index_uncertainty(survey: Survey) -> float | None:
+    """Return the standard uncertainty of the group index of a survey's water.
+
+    Parameters
+    ----------
+    survey : Survey
+        Its water and its calibration.
+
+    Returns
+    -------
+    float or None
+        As the calibration states it, or from what temperature and salinity may be:
+        where one is not stated, from 0 to 30 degC and from fresh water to 40, all
+        alike. None where a stated index or state has no uncertainty [1].
+
+    Raises
+    ------
+    SurveyError
+        If the index does not follow from temperature and salinity.
+    """
+    water, known = survey.water, survey.calibration
+    if known is not None and known.group_index_uncertainty is not None:
+        return known.group_index_uncertainty
+    spans: dict[str, tuple[float, float]] = {}
+    errors: dict[str, float | None] = {"temperature": None, "salinity": None}
+    if known is not None:
+        errors["temperature"] = known.temperature_uncertainty
+        errors["salinity"] = known.salinity_uncertainty
+    if water.group_index is None:
+        if water.temperature is None:
+            spans["temperature"] = TEMPERATURES
+        if water.salinity is None:
+            spans["salinity"] = SALINITIES
+    stated = {name: error for name, error in errors.items() if name not in spans}
+    if not spans and None in stated.values():
+        return None
+    try:
+        parts = [_spread(survey, spans)]
+        parts += [
+            _slope(survey, name) * error
+            for name, error in stated.items()
+            if error is not None
+        ]
+    except ValueError as error:
+        raise SurveyError(
+            "calibration: the group index does not follow from temperature and "
+            f"salinity here ({error}); state group_index_uncertainty"
+        ) from None
+    return math.hypot(*parts)
+
+
+#: Steps of temperature and salinity for the derivative of the index [degC, 1].
+_STEP = 0.5
+#: Points of each span.
+_POINTS = 41
+
+
+def _spread(survey: Survey, spans: Mapping[str, tuple[float, float]]) -> float:
+    """Return the root mean square change of the index over spans of the state."""
+    state = state_of(survey.water)
+    if not spans:
+        return 0.0
+    ends = [spans.get(name, (value, value)) for name, value in state.items()]
+    # Middles of equal parts: each has the same share of a rectangular distribution.
+    part = (np.arange(_POINTS) + 0.5) / _POINTS
+    grid = np.meshgrid(*[low + (high - low) * part for low, high in ends])
+    wavelength = survey.instrument.wavelength
+    there = seawater.group_index(wavelength, temperature=grid[0], salinity=grid[1])
+    here = seawater.group_index(wavelength, **state)
+    return float(np.sqrt(np.mean((there - here) ** 2)))
+
+
+def _slope(survey: Survey, name: str) -> float:
+    """Return the derivative of the index by temperature or salinity."""
+    state = state_of(survey.water)
+    most = {"temperature": 30.0, "salinity": 43.0}[name]
+    # One-sided at the ends of what the formula holds for.
+    ends = max(state[name] - _STEP, 0.0), min(state[name] + _STEP, most)
+    low, high = (
+        float(
+            seawater.group_index(survey.instrument.wavelength, **{**state, name: end})
+        )
+        for end in ends
+    )
+    return (high - low) / (ends[1] - ends[0])
 
 
 def _moments(survey: Survey, optics: WaterOptics) -> tuple[float, float, float]:

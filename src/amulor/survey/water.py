@@ -34,21 +34,51 @@ class WaterState(Description):
     degrees is right for the small-angle model, with which scans are simulated, and for
     its closure; the diffusion model, the paper's, then has a cut-off 57 to 83 % too
     high and too little of a far target: state 10 to 20 degrees for it."""
-    temperature: Annotated[Temperature, Field(ge=0, le=30)] = 20.0
-    """Temperature, sets the indices [degC]."""
-    salinity: Annotated[float, Field(ge=0, le=43)] = 0.0
-    """Practical salinity, sets the indices [1]."""
+    temperature: Annotated[Temperature, Field(ge=0, le=30)] | None = None
+    """Temperature, sets the indices. If left out, that of water between 0 and 30 degC:
+    15 degC, and ranges state the error [degC]."""
+    salinity: Annotated[float, Field(ge=0, le=43)] | None = None
+    """Practical salinity, sets the indices; 0 is fresh water. If left out, that of
+    water between fresh and 40: 20, and ranges state the error [1]."""
     refractive_index: Annotated[float, Field(ge=1.2, le=1.5)] | None = None
     """Phase index, where it is not to follow from temperature and salinity [1]."""
     group_index: Annotated[float, Field(ge=1.2, le=1.6)] | None = None
     """Group index, where it is not to follow from temperature and salinity [1]."""
-    backscatter_mueller: ReducedMueller = (1.0, -1.0, -1.0)
-    """Reduced Mueller matrix of the water straight backwards [1]."""
+    backscatter_mueller: ReducedMueller | None = None
+    """Reduced Mueller matrix of the water straight backwards. If left out, as measured
+    in the sea for jerlov, petzold and case-1, of molecules and spheres for pure, milk
+    and spheres; coefficients and layers do not tell it and keep polarization, 1, -1, -1
+    [1]."""
     column_end: Annotated[Length, Field(gt=0)] | None = None
     """Where the open water ends (the far wall of a tank); open if left out [m]."""
     signal_fluctuation: Annotated[Fraction, Field(ge=0, lt=1)] = 0.0
     """Relative random change of the water signal from sample to sample (drifting
     clouds of particles) [1]."""
+
+
+#: Salinity and temperature of waters that do not state them [1, degC].
+SALINITIES, TEMPERATURES = (0.0, 40.0), (0.0, 30.0)
+
+
+def state_of(water: WaterState) -> dict[str, float]:
+    """Return temperature and salinity of a water, stated or the middle of its span.
+
+    Parameters
+    ----------
+    water : WaterState
+        Any description of water.
+
+    Returns
+    -------
+    dict of str to float
+        `temperature` [degC] and `salinity` [1].
+    """
+    stated = {"temperature": water.temperature, "salinity": water.salinity}
+    spans = {"temperature": TEMPERATURES, "salinity": SALINITIES}
+    return {
+        name: sum(spans[name]) / 2 if value is None else value
+        for name, value in stated.items()
+    }
 
 
 class Water(WaterState):

@@ -168,6 +168,33 @@ def test_a_survey_is_checked_and_described(folder: Path, capsys) -> None:
     assert found["scan_time_s"] == pytest.approx(12 * 6 * 2 * 0.125)
 
 
+def test_a_check_names_what_the_water_does_not_state(
+    plate_text: str, tmp_path: Path, capsys
+) -> None:
+    file = tmp_path / "tank.toml"
+    bare = plate_text.replace("group_index = 1.38\n", "")
+    bare = bare.replace("backscatter_mueller = [0.81, -0.81, -0.62]\n", "")
+    file.write_text(bare, "utf-8")
+    assert main(["survey", "check", str(file)]) == 0
+    out = capsys.readouterr().out
+    # Fresh water to 40 is 0.0089 of the index at 405 nm and 15 degC (Quan and Fry), 0
+    # to 30 degC 0.0028, each over root 12: 0.0027 of 1.385, of 1.5 m.
+    assert (
+        "salinity and temperature of the water not stated: range uncertain by 2.9 mm "
+        "at 1.5 m (standard uncertainty); state water.salinity and water.temperature"
+    ) in out
+    assert "how much of the water signal VH sees is not known" in out
+    assert "VH: echo over noise" in out
+    assert out.count("water over echo not known") == 1
+    stated = 'salinity = 0\ntemperature = "20 degC"\n'
+    stated += "backscatter_mueller = [0.81, -0.81, -0.62]\nsignal_fluctuation"
+    file.write_text(bare.replace("signal_fluctuation", stated), "utf-8")
+    assert main(["survey", "check", str(file)]) == 0
+    out = capsys.readouterr().out
+    assert "not stated" not in out
+    assert "not known" not in out
+
+
 def test_the_schema_of_surveys_is_json(capsys) -> None:
     assert main(["survey", "schema"]) == 0
     assert json.loads(capsys.readouterr().out)["title"] == "amulor survey"

@@ -167,6 +167,7 @@ def test_henyey_greenstein_gives_what_its_closed_forms_say(plate: Survey) -> Non
 
 def test_the_indices_follow_from_the_water_if_not_stated(plate: Survey) -> None:
     changes = {"water.refractive_index": None, "water.group_index": None}
+    changes |= {"water.temperature": 20.0, "water.salinity": 0.0}
     found = water_properties(plate.with_(changes))
     # Fresh water at 20 degC and 405 nm: 1.3431 (vacuum) and 1.380.
     assert found.refractive_index == pytest.approx(1.34312, abs=2e-5)

@@ -17,8 +17,11 @@ from amulor.optics.phase_functions.models import (
 from amulor.optics.water import case_1, seawater, types
 from amulor.studies.ladder import survey_text
 from amulor.survey import Survey, Water, water_properties
-from amulor.survey.properties import by_coefficients
+from amulor.survey.mueller import matrix
+from amulor.survey.properties import by_coefficients, group_index_uncertainty
 
+TAP = 'temperature = "20 degC"\nsalinity = 0'
+SEA = 'temperature = "20 degC"\nsalinity = 35'
 #: Waters without extras: text of the section, wavelength.
 WATERS = {
     "coefficients": (
@@ -116,6 +119,7 @@ def test_pure_sea_water_has_half_of_its_scattering_backwards(with_water):
 
 def test_jerlov_water_keeps_its_coefficients_and_adds_molecules(with_water):
     text, wavelength = of_kind("jerlov")
+    text += f"\n{SEA}"
     water = water_properties(with_water(text, wavelength))
     table = types.jerlov("III", 490e-9, source="williamson-hollins-2022")
     assert water.absorption == pytest.approx(float(table.absorption))
@@ -135,6 +139,7 @@ def test_jerlov_water_keeps_its_coefficients_and_adds_molecules(with_water):
 
 def test_case_1_water_is_the_sum_of_its_parts(with_water):
     text, wavelength = of_kind("case-1")
+    text += f"\n{SEA}"
     water = water_properties(with_water(text, wavelength))
     own = {"chlorophyll": 1.0}
     state = {"temperature": 20.0, "salinity": 35.0}
@@ -150,15 +155,75 @@ def test_case_1_water_is_the_sum_of_its_parts(with_water):
     assert water_properties(clear).absorption == pytest.approx(float(particles + pure))
 
 
-@pytest.mark.parametrize("kind", ["jerlov", "petzold", "case-1"])
-def test_water_of_the_sea_is_salty_unless_stated_otherwise(with_water, kind):
+@pytest.mark.parametrize("kind", WATERS)
+def test_one_rule_for_the_index_of_all_waters(with_water, kind):
     text, wavelength = of_kind(kind)
-    sea = water_properties(with_water(text, wavelength)).group_index
-    fresh = water_properties(
-        with_water(f"{text}\nsalinity = 0", wavelength)
-    ).group_index
-    # Group indices of Quan and Fry: 0.007 to 0.008 higher at 35.
-    assert 0.006 < sea - fresh < 0.009
+    bare = "\n".join(
+        line for line in text.split("\n") if not line.startswith(("salin", "temper"))
+    )
+    head, table, rest = bare.partition("\n[")
+    found = with_water(bare, wavelength)
+    length = float(wavelength.removesuffix(" nm")) * 1e-9
+    assert water_properties(found).group_index == pytest.approx(
+        float(seawater.group_index(length, temperature=15.0, salinity=20.0))
+    )
+    # Uniform over fresh water to 40 and over 0 to 30 degC: the span over root 12 each.
+    ends = [
+        np.ptp(seawater.group_index(length, temperature=[0, 15, 30], salinity=20.0)),
+        np.ptp(seawater.group_index(length, temperature=15.0, salinity=[0, 40])),
+    ]
+    error = group_index_uncertainty(found)
+    assert error == pytest.approx(np.hypot(*ends) / np.sqrt(12), rel=0.03)
+    salty = with_water(f"{head}\nsalinity = 35{table}{rest}", wavelength)
+    assert group_index_uncertainty(salty) == pytest.approx(
+        np.ptp(seawater.group_index(length, temperature=[0, 15, 30], salinity=35.0))
+        / np.sqrt(12),
+        rel=0.1,
+    )
+    stated = with_water(f"{head}\n{SEA}{table}{rest}", wavelength)
+    assert group_index_uncertainty(stated) is None
+
+
+@pytest.mark.parametrize(
+    ("kind", "m22"),
+    [
+        # Voss and Fry 1984, p = 0.66 at 90 degrees: 2 p / (1 + p).
+        ("jerlov", 0.7952),
+        ("petzold", 0.7952),
+        ("case-1", 0.7952),
+        # Molecules that depolarize natural light by 0.039: 1 - 0.039.
+        ("pure", 0.961),
+        ("coefficients", None),
+        ("layers", None),
+    ],
+)
+def test_waters_by_name_depolarize_as_measured_ones_do(with_water, kind, m22):
+    water = water_properties(with_water(*of_kind(kind)))
+    assert water.depolarization_known is (m22 is not None)
+    found = matrix(water.backscatter_mueller)
+    expected = 1.0 if m22 is None else m22
+    assert np.diag(found) == pytest.approx(
+        [1, expected, -expected, 1 - 2 * expected], abs=1e-4
+    )
+    stated = with_water(*of_kind(kind)).with_(
+        {"water.backscatter_mueller": [0.9, -0.9, -0.8]}
+    )
+    assert water_properties(stated).depolarization_known
+    assert water_properties(stated).backscatter_mueller == (0.9, -0.9, -0.8)
+
+
+def test_spheres_keep_polarization_but_for_the_molecules(with_water):
+    pytest.importorskip("miepython")
+    clear, milky = (
+        matrix(
+            water_properties(
+                with_water(f'kind = "milk"\nfat = "1.5 %"\nvolume_fraction = {share}')
+            ).backscatter_mueller
+        )[1, 1]
+        for share in (1e-9, 1e-3)
+    )
+    assert clear == pytest.approx(0.961, abs=1e-3)
+    assert milky == pytest.approx(1.0, abs=1e-3)
 
 
 def test_milk_and_spheres_scatter_what_is_stirred_in(with_water):
@@ -166,7 +231,9 @@ def test_milk_and_spheres_scatter_what_is_stirred_in(with_water):
     pure = seawater.molecular_scattering(405e-9, temperature=20.0, salinity=0.0)
     half, whole = (
         water_properties(
-            with_water(f'kind = "milk"\nfat = "1.5 %"\nvolume_fraction = {share}')
+            with_water(
+                f'kind = "milk"\nfat = "1.5 %"\nvolume_fraction = {share}\n{TAP}'
+            )
         )
         for share in (2.5e-5, 5e-5)
     )
@@ -176,7 +243,7 @@ def test_milk_and_spheres_scatter_what_is_stirred_in(with_water):
     assert 1 / 1.51 < (whole.scattering - pure) / (12.5 * 0.05) < 1.51
     beads = with_water(
         'kind = "spheres"\ndiameter = "1 um"\nparticle_index = 1.5979\n'
-        "volume_fraction = 5.236e-7\nrefractive_index = 1.3349",
+        f"volume_fraction = 5.236e-7\nrefractive_index = 1.3349\n{TAP}",
         "532 nm",
     )
     # 1e12 polystyrene spheres a cubic metre: b = 2.513 1/m and g = 0.926112 by the
@@ -194,7 +261,7 @@ def test_measured_milk_has_the_measured_reduced_scattering(with_water):
     water = water_properties(
         with_water(
             'kind = "milk"\nfat = "3.5 %"\nvolume_fraction = 1e-4\n'
-            'scattering_source = "jensen-2001"',
+            f'scattering_source = "jensen-2001"\n{TAP}',
             "532 nm",
         )
     )

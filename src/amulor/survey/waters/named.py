@@ -17,15 +17,7 @@ from amulor.survey.water import Water, WaterState, refuse_clear
 from amulor.survey.waters.phase_function import PhaseFunctionStated
 
 
-class SeaWater(WaterState):
-    """Water of the sea: salty unless stated otherwise."""
-
-    salinity: Annotated[float, Field(ge=0, le=43)] = 35.0
-    """Practical salinity, sets the indices and the scattering of the water itself
-    [1]."""
-
-
-class JerlovWater(SeaWater):
+class JerlovWater(WaterState):
     """One of Jerlov's types of sea water.
 
     Examples
@@ -52,7 +44,7 @@ class JerlovWater(SeaWater):
     That of the molecules is added."""
 
 
-class PetzoldWater(SeaWater):
+class PetzoldWater(WaterState):
     """Water of a station where Petzold measured volume scattering functions.
 
     Examples
@@ -109,7 +101,7 @@ class PureWater(WaterState):
     the first at 405 nm."""
 
 
-class Case1Water(SeaWater):
+class Case1Water(WaterState):
     """Open ocean whose optics follow from its chlorophyll.
 
     Examples

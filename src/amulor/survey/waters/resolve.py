@@ -12,7 +12,8 @@ from amulor.errors import SurveyError
 from amulor.optics.phase_functions import mie, mixture, models, tables
 from amulor.optics.phase_functions.phase_function import PhaseFunction
 from amulor.optics.water import case_1, milk, seawater, types
-from amulor.survey.water import Water, WaterState
+from amulor.survey.mueller import SEA, keeping
+from amulor.survey.water import Water, WaterState, state_of
 from amulor.survey.waters.named import (
     Case1Water,
     JerlovWater,
@@ -28,6 +29,8 @@ from amulor.survey.waters.phase_function import phase_function
 #: Wavelengths at which coefficients of Petzold's stations hold, about 530 nm [m].
 _PETZOLD_SPAN = 20e-9
 _PETZOLD = 530e-9
+#: Depolarization ratio of the molecules of water for natural light [1].
+_MOLECULES = 0.039
 #: Fat between that of skim and of whole milk, by mass [1].
 _SKIM = 0.01
 
@@ -58,6 +61,8 @@ class WaterOptics:
     """Phase function; None where moments are all that is stated."""
     source: str
     """Where the numbers come from."""
+    mueller: tuple[float, float, float] | None = None
+    """Mueller matrix straight backwards, (m22, m33, m44); None where not known [1]."""
     layers: tuple[LayerOptics, ...] = ()
     """Layers, if the water has any; the coefficients are those of the first."""
 
@@ -154,9 +159,10 @@ def _jerlov(water: JerlovWater, wavelength: float) -> WaterOptics:
         absorption=float(known.absorption),
         scattering=whole,
         phase_function=mixture.mixture(
-            [models.rayleigh_phase(depolarization=0.039), particles],
+            [models.rayleigh_phase(depolarization=_MOLECULES), particles],
             scattering=[molecules, whole - molecules],
         ),
+        mueller=SEA,
         source=f"Jerlov type {water.type}, {water.source} ({known.status})",
     )
 
@@ -174,6 +180,7 @@ def _petzold(water: PetzoldWater, wavelength: float) -> WaterOptics:
         absorption=station.absorption if given[0] is None else given[0],
         scattering=station.scattering if given[1] is None else given[1],
         phase_function=_station(water.station),
+        mueller=SEA,
         source=f"Petzold 1972, {water.station}"
         + ("" if None in given else " (phase function)"),
     )
@@ -189,11 +196,12 @@ def _pure(water: PureWater, wavelength: float) -> WaterOptics:
         absorption = float(seawater.pope_fry_absorption(wavelength))
     else:
         absorption = _absorption(water, wavelength)
-    kind = "sea" if water.salinity > 0 else "fresh"
+    kind = "sea" if state_of(water)["salinity"] > 0 else "fresh"
     return WaterOptics(
         absorption=absorption,
         scattering=_molecules(water, wavelength),
-        phase_function=models.rayleigh_phase(depolarization=0.039),
+        phase_function=models.rayleigh_phase(depolarization=_MOLECULES),
+        mueller=keeping(1 - _MOLECULES),
         source=f"pure {kind} water, {water.absorption_source}, Zhang 2009",
     )
 
@@ -218,11 +226,12 @@ def _case_1(water: Case1Water, wavelength: float) -> WaterOptics:
         scattering=molecules + scattering,
         phase_function=mixture.mixture(
             [
-                models.rayleigh_phase(depolarization=0.039),
+                models.rayleigh_phase(depolarization=_MOLECULES),
                 mixture.fournier_forand_with_backscatter(back / scattering),
             ],
             scattering=[molecules, scattering],
         ),
+        mueller=SEA,
         source=f"case 1, {water.chlorophyll:g} mg/m^3 chlorophyll (Bricaud 1998, "
         "Morel and Maritorena 2001)",
     )
@@ -310,28 +319,24 @@ def _in_pure_water(
     molecules = _molecules(water, wavelength)
     if whole_absorption is None:
         whole_absorption = _absorption(water, wavelength) + absorption
+    rayleigh = models.rayleigh_phase(depolarization=_MOLECULES)
+    # Spheres keep polarization straight backwards; molecules keep a little less.
+    back = molecules * rayleigh.at_180, scattering * function.at_180
+    lost = _MOLECULES * back[0] / sum(back)
     return WaterOptics(
         absorption=whole_absorption,
         scattering=molecules + scattering,
         phase_function=mixture.mixture(
-            [models.rayleigh_phase(depolarization=0.039), function],
-            scattering=[molecules, scattering],
+            [rayleigh, function], scattering=[molecules, scattering]
         ),
+        mueller=keeping(1 - lost),
         source=f"{source}, in pure water",
     )
 
 
 def _absorption(water: WaterState, wavelength: float) -> float:
-    return float(
-        seawater.mason_absorption(
-            wavelength, temperature=water.temperature, salinity=water.salinity
-        )
-    )
+    return float(seawater.mason_absorption(wavelength, **state_of(water)))
 
 
 def _molecules(water: WaterState, wavelength: float) -> float:
-    return float(
-        seawater.molecular_scattering(
-            wavelength, temperature=water.temperature, salinity=water.salinity
-        )
-    )
+    return float(seawater.molecular_scattering(wavelength, **state_of(water)))

@@ -148,7 +148,8 @@ def photon_water(
     chosen = np.abs(_ALL - frequency[:, None]).argmin(axis=1)
     column = np.repeat(_ORDER, _COLUMNS_EACH)
     shape = (made.scan.rows, len(column))
-    paint, haze = made.targets[0].mueller, made.water.backscatter_mueller
+    paint = made.targets[0].mueller
+    haze = water_properties(made).backscatter_mueller
     target = _light(made, light.echo[:, column], chosen, paint, shape)
     water = _light(made, light.water[:, column], chosen, haze, shape)
     frame = simulate(made, rng=seed)
