@@ -206,7 +206,7 @@ class ErrorBudget:
     >>> image = imaging.range_image(target)
     >>> budget = imaging.error_budget(image)
     >>> print(f"{1e3 * budget.combined:.2f} mm")
-    7.05 mm
+    7.08 mm
     >>> bool(budget.expanded == 2 * budget.combined)
     True
     """

@@ -108,7 +108,7 @@ def surface(
     >>> image = imaging.range_image(target)
     >>> surface = imaging.products.surface(image)
     >>> surface.position.shape, surface.triangles.shape
-    ((4000, 3), (5581, 3))
+    ((4000, 3), (5576, 3))
     """
     image = cubes.checked(image, "range_image")
     if not 0 < steepest < np.pi / 2:
