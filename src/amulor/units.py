@@ -247,7 +247,7 @@ def write(value: float, quantity: str) -> str:
     --------
     >>> write(0.07, "length")
     '0.07 m'
-    >>> write(450e-9, "wavelength")
+    >>> write(parse("450 nm", "wavelength"), "wavelength")
     '450 nm'
     """
     unit = SI_UNITS[quantity]

@@ -95,7 +95,6 @@ def reject(
         quantity_of,
     )
     from amulor.cli._output import print_json, progress_bar
-    from amulor.cube import flag_counts
     from amulor.errors import CubeError
 
     interval = interval_of(nearest, farthest)
@@ -114,6 +113,7 @@ def reject(
     check_cube_output(output, overwrite=overwrite, inputs=inputs)
 
     from amulor import _progress, io, rejection
+    from amulor.cube import flag_counts
     from amulor.io.netcdf_rows import is_large
 
     chosen = rejection.load(method)

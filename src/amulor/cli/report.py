@@ -48,6 +48,7 @@ def report(
     overwrite
         Replace a file that is there.
     """
+    check_ending("--output", output, (".html", ".htm"))
     if not check:
         check_inputs(*images, checks)
 
@@ -60,7 +61,6 @@ def report(
         raise UsageError(f"--tile-rows must be 1 or more, got {tile_rows}")
     inputs = [*images, *([checks] if checks else [])]
     io.check_output(output, overwrite=overwrite, inputs=inputs)
-    check_ending("--output", output, (".html", ".htm"))
     if checks is not None:
         known = [*measure.read_checks(checks), *known]
     stems = [path.stem for path in images]

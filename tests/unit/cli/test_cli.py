@@ -321,7 +321,6 @@ def test_a_plan_without_open_water_is_noted(
         ["view", "a.nc", "--farthest", "1 m"],
         ["image", "a.nc", "-o", "b.nc", "--nearest", "1 m"],
         ["image", "a.nc", "-o", "b.nc", "--nearest", "2 m", "--farthest", "1 m"],
-        [*COLUMN, "--target-ratio", "0.2"],
         [*UNMIX, *RATIOS, "--water-fluctuation", "5 m"],
         ["reject", "a.nc", "--method", "frequency", "-o", "b.nc", "--frequency", "39"],
         [*COLUMN, "--column-uncertainty", "much"],

@@ -14,6 +14,9 @@ import pytest
 import amulor.optics
 from amulor.optics.phase_functions.models import henyey_greenstein_function
 
+# Where a closed form does not hold has tests of its own.
+pytestmark = pytest.mark.filterwarnings("ignore::amulor.errors.AmulorWarning")
+
 # One value that is fine for each argument name of optics.
 GOOD = {
     "absorption": 0.1,
@@ -166,7 +169,8 @@ SWEEPS = {
     "group_depth",
     "ripple", "tabulated", "from_cumulative", "size_distribution", "amplitudes",
     "sphere", "gauss_legendre", "forward_split", "optical_path", "enter_water",
-    "return_length", "slant_range_of_path", "path_limits", "maximum_distance",
+    "return_distance", "return_length", "slant_range_of_path", "path_limits",
+    "maximum_distance",
     "weights_and_uncertainty",
     "mixture",
 }  # fmt: skip

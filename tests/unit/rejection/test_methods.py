@@ -266,12 +266,12 @@ def test_input_is_not_changed(samples: xr.Dataset) -> None:
 
 def test_channels_are_sorted_by_what_an_ideal_mirror_does() -> None:
     from amulor.optics.polarization import mueller
-    from amulor.rejection import polarization
+    from amulor.rejection.channels import names
 
     mirror = mueller.ideal_backscatter()
-    for pair in polarization.CROSS_POLARIZED:
+    for pair in names.CROSS_POLARIZED:
         assert mueller.detected_fraction(mirror, pair=pair) == pytest.approx(0)
-    for pair in polarization.CO_POLARIZED:
+    for pair in names.CO_POLARIZED:
         assert mueller.detected_fraction(mirror, pair=pair) == pytest.approx(1)
 
 

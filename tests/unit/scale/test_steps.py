@@ -196,9 +196,9 @@ def test_files_are_worked_on_by_rows(
     assert image.usable == int(found["slant_range"].notnull().sum())
 
 
-def test_methods_that_need_the_whole_scan_are_refused() -> None:
-    with pytest.raises(CubeError, match=r"auto needs the whole scan.*open-water"):
-        reject_step("auto")
+def test_methods_that_are_not_installed_are_refused() -> None:
+    with pytest.raises(CubeError, match=r"no rejection method 'magic'.*open-water"):
+        reject_step("magic")
 
 
 def test_what_was_not_decided_in_the_sample_is_an_error() -> None:

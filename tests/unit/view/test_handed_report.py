@@ -159,7 +159,7 @@ def test_the_report_states_instrument_water_registration_and_accuracy(page) -> N
     assert ">40.00<" in step
     assert ">pass<" in step
     (other,) = [row for row in rows if "check 1" in row]
-    assert '<td class="warning">fail</td>' in other
+    assert '<td class="warning text">fail</td>' in other
 
 
 @pytest.mark.slow

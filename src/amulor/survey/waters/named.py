@@ -87,7 +87,7 @@ class PureWater(WaterState):
     Examples
     --------
     >>> from amulor.survey import PureWater, Survey, water_properties
-    >>> water = PureWater(kind="pure", temperature="15 degC")
+    >>> water = PureWater(kind="pure", temperature="15 degC", salinity=0.0)
     >>> survey = Survey.preset("amulor-2010").with_({"water": water})
     >>> found = water_properties(survey)
     >>> round(found.absorption, 4), round(found.group_index, 3)
@@ -135,6 +135,7 @@ class MilkWater(WaterState):
     ...     volume_fraction="0.002 %",
     ...     fat="3.5 %",
     ...     scattering_source="jensen-2001",
+    ...     salinity=0.0,
     ... )
     >>> survey = Survey.preset("amulor-2010").with_({"water": water})
     >>> round(water_properties(survey).scattering, 2)
