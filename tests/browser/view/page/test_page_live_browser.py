@@ -131,6 +131,8 @@ def test_a_scan_grows_while_the_page_is_open(
             until(shown, f"({KNOWN}) >= 155")
             assert shown.evaluate("amulor.scene.byName.has('range_before')")
             assert one.errors == []
+            # Nobody moved the view in space, so that it looks at the middle of all.
+            until(shown, "Math.abs(amulor.views.cloud.camera.target[1]) < 0.002")
             # Once more from the start.
             shown.wait_for_selector("#scan-card .replay:not([hidden])")
             whole = shown.evaluate(KNOWN)

@@ -161,7 +161,8 @@ async function opened(channel) {
   contours();
   tabs();
   await show(scene.byName.has(state.layerName) ? state.layerName.replace("_before", "") : scene.main);
-  if (!views.placed) {
+  // The view of a scan that grows grows with it, until someone moves it.
+  if (!views.placed || (state.live && !shownRaw() && !views.cloud.moved())) {
     views.cloud.home(scene);
     views.placed = true;
   }

@@ -47,23 +47,37 @@ export class CloudView {
   follow(scene, shape) {
     const { turn, rise, target, start, distance } = this.camera;
     const before = this.fitting;
+    const moved = this.moved();
     this.home(scene, shape);
     Object.assign(this.camera, { turn, rise });
     this.#fitted();
     this.camera.target = this.camera.target.map((part, k) => part + target[k] - start.target[k]);
     this.camera.distance *= distance / before;
+    if (!moved) this.placed = this.#pose();
+  }
+
+  /** Return whether someone has turned, moved or zoomed since the scene was put in view. */
+  moved() {
+    return this.#pose() !== this.placed;
+  }
+
+  #pose() {
+    const { turn, rise, distance, target } = this.camera;
+    return [turn, rise, distance, ...target].join();
   }
 
   /** Look along the beams. */
   front() {
     this.camera.straight();
     this.#fitted();
+    this.placed = "";
   }
 
   #fitted() {
     const { clientWidth, clientHeight } = this.canvas;
     if (clientHeight) this.camera.fit(this.places ?? [], clientWidth / clientHeight);
     this.fitting = this.camera.distance;
+    this.placed = this.#pose();
   }
 
   #parts(state, stride) {
