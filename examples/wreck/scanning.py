@@ -9,6 +9,7 @@ import trimesh
 import xarray as xr
 
 from amulor import cube as cubes
+from amulor.transport.ray_caster import RayCaster
 
 FREQUENCY, GROUP_INDEX, LIGHT = 40e6, 1.36, 299792458.0
 
@@ -72,7 +73,7 @@ def ranges(
     """Return where beams first meet a mesh, in double precision; NaN for none."""
     beams = (unit @ rotation.T).reshape(-1, 3)
     starts = np.broadcast_to(place, beams.shape)
-    face = mesh.ray.intersects_first(starts, beams)
+    face = RayCaster(mesh.triangles).first(starts, beams)
     hit = face >= 0
     corner = mesh.triangles[face[hit]]
     normal = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])

@@ -48,8 +48,8 @@ def report(
     overwrite
         Replace a file that is there.
     """
-    check_ending("--output", output, (".html", ".htm"))
-    if not check:
+    endings = (".html", ".htm")
+    if not check and output.suffix.lower() in endings:
         check_inputs(*images, checks)
 
     from amulor import _progress, io
@@ -61,6 +61,7 @@ def report(
         raise UsageError(f"--tile-rows must be 1 or more, got {tile_rows}")
     inputs = [*images, *([checks] if checks else [])]
     io.check_output(output, overwrite=overwrite, inputs=inputs)
+    check_ending("--output", output, endings)
     if checks is not None:
         known = [*measure.read_checks(checks), *known]
     stems = [path.stem for path in images]

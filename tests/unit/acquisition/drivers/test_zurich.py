@@ -126,7 +126,8 @@ def test_the_gate_of_a_laser_is_an_auxiliary_output(lock_in, device) -> None:
 
 
 def test_the_toolkit_is_asked_for_by_its_extra(clock, monkeypatch) -> None:
-    monkeypatch.setitem(sys.modules, "zhinst", None)
+    for name in ("zhinst", "zhinst.toolkit"):
+        monkeypatch.setitem(sys.modules, name, None)
     with pytest.raises(MissingExtraError, match=r"amulor\[zi\]"):
         connected("localhost:dev1", clock)
     with pytest.raises(InstrumentError, match="server:device"):
