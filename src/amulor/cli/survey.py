@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 from cyclopts import Parameter
 
 from amulor.cli._arguments import check_inputs
-from amulor.cli._output import print_json, print_next
+from amulor.cli._output import print_json, print_next, progress_bar
 
 if TYPE_CHECKING:
     from amulor.rejection.reference.grid import Plan
@@ -51,8 +51,10 @@ def check(
     ]
     reach = target_reach(survey)
     reason = unsettled_interval(survey, modulation_frequency=frequencies)
-    plan = judge_plan(survey)
-    expected, unknown = _expected(survey)
+    with progress_bar(quiet=json) as advance:
+        advance("what to expect", 0.0)
+        plan = judge_plan(survey)
+        expected, unknown = _expected(survey)
     scan = survey.scan
     samples = len(frequencies) * len(survey.instrument.polarizations)
     seconds = scan.rows * scan.columns * samples * scan.dwell

@@ -8,7 +8,7 @@ from typing import Annotated, Any
 from cyclopts import Parameter
 
 from amulor.cli._arguments import check_inputs
-from amulor.cli._output import print_json
+from amulor.cli._output import print_json, progress_bar
 
 
 def water(
@@ -141,7 +141,9 @@ def fit(
 
     from amulor import io, rejection
 
-    found = rejection.water_fit(io.read_cube(cube), no_target=no_target)
+    with progress_bar(quiet=json) as advance:
+        advance("fit of the water", 0.0)
+        found = rejection.water_fit(io.read_cube(cube), no_target=no_target)
     if json:
         print_json(asdict(found))
         return

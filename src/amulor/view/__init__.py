@@ -1,15 +1,22 @@
 """Figures and reports."""
 
-from amulor.view import figures, image_report
-from amulor.view.report import (
-    Heading,
-    Interactive,
-    Listing,
-    Paragraph,
-    Picture,
-    Table,
-    write_report,
-)
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from amulor import _lazy
+
+if TYPE_CHECKING:
+    from amulor.view import figures, image_report
+    from amulor.view.report import (
+        Heading,
+        Interactive,
+        Listing,
+        Paragraph,
+        Picture,
+        Table,
+        write_report,
+    )
 
 __all__ = [
     "Heading",
@@ -22,3 +29,14 @@ __all__ = [
     "image_report",
     "write_report",
 ]
+
+if not TYPE_CHECKING:
+    __getattr__, __dir__ = _lazy.attach(
+        __name__,
+        __all__,
+        origin={
+            name: "amulor.view.report"
+            for name in __all__
+            if name not in ("figures", "image_report")
+        },
+    )

@@ -62,3 +62,12 @@ def test_statistics_of_scipy_are_not_imported_with_methods_of_rejection() -> Non
         [sys.executable, "-c", say], capture_output=True, text=True, check=True
     )
     assert done.stdout == "False\n"
+
+
+def test_what_flags_mean_is_told_without_what_draws_figures() -> None:
+    # `info`, `reject` and `image` tell it at their end; matplotlib takes 0.3 s.
+    say = "import sys, amulor.view.explanations; print('matplotlib' in sys.modules)"
+    done = subprocess.run(
+        [sys.executable, "-c", say], capture_output=True, text=True, check=True
+    )
+    assert done.stdout == "False\n"
