@@ -15,6 +15,9 @@ import pytest
 from numpy.testing import assert_allclose
 from scripts import script
 
+# The page on the water signal compares the closure where it does not hold, too.
+pytestmark = pytest.mark.filterwarnings("ignore::amulor.errors.AmulorWarning")
+
 ROOT = Path(__file__).parents[2]
 PAGES = sorted((ROOT / "docs" / "theory").glob("*.md"))
 TEXTS = {page.stem: page.read_text("utf-8") for page in PAGES}
