@@ -8,7 +8,7 @@ from typing import Annotated
 from cyclopts import Parameter
 
 from amulor.cli._arguments import UsageError
-from amulor.cli._output import print_json, progress_bar
+from amulor.cli._output import print_json, print_next, progress_bar
 from amulor.errors import FormatError
 
 
@@ -59,6 +59,7 @@ def archive(
         return
     scans = f"{counts['scans']} scan{'s' if counts['scans'] > 1 else ''}"
     print(f"{output}: {scans}, {counts['points']} points, {counts['files']} files")
+    print_next(f"amulor archive --check {output}")
 
 
 def _look_through(folder: Path, *, json: bool) -> None:

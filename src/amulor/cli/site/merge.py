@@ -38,7 +38,7 @@ def merge(
     from amulor import io
     from amulor._extras import require
     from amulor.cli._arguments import quantity_of
-    from amulor.cli._output import print_json, progress_bar
+    from amulor.cli._output import print_json, print_next, progress_bar
     from amulor.cli.site._results import opened
     from amulor.site.merging.clouds import scan_clouds
     from amulor.site.merging.tiles import write_tiles
@@ -82,6 +82,7 @@ def merge(
         f"file{'s' if len(files) > 1 else ''}, {(cloud.confirmed > 0).mean():.0%} seen "
         f"by several scans, median uncertainty {east:.2f}, {north:.2f}, {up:.2f} mm"
     )
+    print_next(f"amulor view {files[0]}")
 
 
 def _median(values: object) -> list[float]:
