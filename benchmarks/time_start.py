@@ -1,4 +1,4 @@
-"""How long commands take, cold and warm, and what they wait for.
+"""Times of commands, cold and warm, and the steps that they wait for.
 
 CPU seconds, which other work on the machine disturbs less than the clock. Cold: no
 compiled loop is on disk. Warm: all are. Bytecode of Python, which pip writes when it

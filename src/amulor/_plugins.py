@@ -10,4 +10,4 @@ REJECTION = "amulor.rejection"
 
 def names(group: str) -> tuple[str, ...]:
     """List the entry points of a group in alphabetical order."""
-    return tuple(sorted({entry.name for entry in metadata.entry_points(group=group)}))
+    return tuple(sorted(metadata.entry_points(group=group).names))

@@ -16,7 +16,6 @@ if TYPE_CHECKING:
 
     from amulor.rejection import Comparison
 
-if TYPE_CHECKING:
     Name = str
 else:  # choices of the help, those of other packages among them
     Name = Literal[_plugins.names(_plugins.REJECTION)]

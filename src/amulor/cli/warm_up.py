@@ -113,7 +113,7 @@ def _photons(survey: Survey) -> None:
 
 
 def _ready() -> tuple[int, str]:
-    """Return how many loops are compiled, and where they are kept."""
+    """Count the compiled loops, and name the folder of their files."""
     from numba.core.dispatcher import Dispatcher
 
     from amulor._compiled import loops_behind

@@ -184,18 +184,14 @@ def compare(cube: xr.Dataset, *, interval: Interval = None) -> Comparison:
     trusts few pixels.
     """
     cube = cubes.checked(cube, "samples")
-    waiting, broken = compared_methods()
+    candidates, broken = compared_methods()
     rows = [_not_run(name, str(error)) for name, error in broken.items()]
-    count = len(waiting) + 1
-    for number in range(count):
-        if not waiting:
-            break
-        candidate = waiting.pop(0)
-        with part(number / count, (number + 1) / count):
+    for number, candidate in enumerate(candidates):
+        with part(number / len(candidates), (number + 1) / len(candidates)):
             found = _rows(candidate, cube, interval)
+            if candidate.distrusts_open_water and _shots_are_doubted(cube, found):
+                found += _rows(candidate.without_open_water(), cube, interval)
         rows += found
-        if candidate.distrusts_open_water and _shots_are_doubted(cube, found):
-            waiting.insert(0, candidate.without_open_water())
     best = _best(rows)
     if best is None and any(row.caution is Caution.LONE_PIXELS for row in rows):
         raise CubeError(
@@ -305,7 +301,7 @@ def _of_comparison(target: xr.Dataset, comparison: Comparison) -> xr.Dataset:
 
 
 def _rows(method: Method, cube: xr.Dataset, interval: Interval) -> list[Row]:
-    """Return what a method makes of each channel, or why it cannot run."""
+    """Row of each channel that a method makes, or the reason why it cannot run."""
     tell(f"trying {method.name}", 0.0)
     if method.needs.open_water is False and cube.amulor.open_water is not None:
         note = "not needed: there are open-water shots, so no water stays in"

@@ -283,19 +283,25 @@ def load(name: str) -> Method:
             f"there is no rejection method {name!r}; installed are {', '.join(names())}"
         )
     (entry, *_) = entries
+    found = _declared(entry)
+    return found if plain == name else found.without_open_water()
+
+
+def _declared(entry: metadata.EntryPoint) -> Method:
+    """Load the declaration of an entry point; CubeError if its package is broken."""
     try:
         found = entry.load().declared
     except Exception as error:  # the program of another package
         raise CubeError(
-            f"the rejection method {plain!r} of {entry.value} cannot be loaded: "
+            f"the rejection method {entry.name!r} of {entry.value} cannot be loaded: "
             f"{type(error).__name__}: {error}"
         ) from error
-    if not isinstance(found, Method) or found.name != plain:
+    if not isinstance(found, Method) or found.name != entry.name:
         raise CubeError(
-            f"the entry point {plain!r} of the group {_plugins.REJECTION} names "
-            f"{entry.value}, which is not declared as @method({plain!r})"
+            f"the entry point {entry.name!r} of the group {_plugins.REJECTION} names "
+            f"{entry.value}, which is not declared as @method({entry.name!r})"
         )
-    return found if plain == name else found.without_open_water()
+    return found
 
 
 def reject(
@@ -344,9 +350,11 @@ def compared_methods() -> tuple[list[Method], dict[str, AmulorError]]:
     """Return the methods that `auto` compares, the simplest first, and broken ones."""
     found: list[Method] = []
     broken: dict[str, AmulorError] = {}
-    for name in names():
+    # Listed once: each listing reads the metadata of all installed packages.
+    entries = metadata.entry_points(group=_plugins.REJECTION)
+    for name in sorted(entries.names):
         try:
-            found.append(load(name))
+            found.append(_declared(entries[name]))
         except CubeError as error:
             broken[name] = error
     found = [one for one in found if one.simplicity is not None]

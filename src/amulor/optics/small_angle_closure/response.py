@@ -313,7 +313,7 @@ def departure(
     cross_tilt: ArrayLike = 0.0,
     standoff: ArrayLike = 0.0,
 ) -> Array:
-    r"""Return how much more light eq. (29) has than the closure, as an estimate.
+    r"""Estimate the excess of eq. (29) over the closure, relative to the closure.
 
     Parameters
     ----------
@@ -418,7 +418,7 @@ def _departures(depth: Array, column: Column, spread: Table) -> Array:
 
 
 def _lacking(depth: Array, column: Column, spread: Table) -> Array:
-    """Return what the closure lacks of eq. (29), over pi R^2 gamma^2 and relative."""
+    """Light of eq. (29) less that of the closure, over pi R^2 gamma^2 and relative."""
     out = np.empty((depth.size, 2))
     _kernels.departures(
         looks(depth, column),
@@ -438,7 +438,7 @@ def _laguerre() -> Array:
 
 
 def _lacked(column: Column, spread: Table) -> float:
-    """Return what the closure of a column lacks of eq. (29), over its own light."""
+    """Light of eq. (29) of a column less that of the closure, over the latter [1]."""
     loss = column.loss(spread) / 2
     across = (column.receiver_radius + column.baseline) / column.acceptance_angle
     faded = _REACH / loss if loss > 0 else np.inf
