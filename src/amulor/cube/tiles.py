@@ -20,11 +20,14 @@ __all__ = [
     "InMemory",
     "OfRows",
     "Source",
+    "Span",
     "Whole",
     "bands",
     "directions_of",
+    "fit_on_sample",
     "fitted",
     "sample_of",
+    "span_of",
 ]
 
 #: Samples of a variable that are worked on at once, unless somebody says otherwise:
@@ -380,7 +383,11 @@ def fitted(
     callable
         The same pixels for whatever rows come together.
     """
-    decisions = Decisions(**(_spans(source) if spans else {}))
+    decisions = Decisions()
+    if spans:
+        decisions.known.update(
+            {f"span_of_{name}": ends for name, ends in vars(span_of(source)).items()}
+        )
     with deciding(decisions):
         function(without_groups(sample_of(source), "truth"))
 
@@ -391,12 +398,49 @@ def fitted(
     return of
 
 
-def _spans(source: Source) -> dict[str, tuple[float, float]]:
-    """Return the ends of the directions of a scan, under the names of decisions."""
-    ends: dict[str, list[float]] = {"azimuth": [], "elevation": []}
-    for begin, end in bands(source):
-        tile = source.directions(begin, end)
-        for name, values in ends.items():
-            angle = tile[name].values
-            values += [float(np.min(angle)), float(np.max(angle))]
-    return {f"span_of_{name}": (min(v), max(v)) for name, v in ends.items()}
+@dataclass(frozen=True)
+class Span:
+    """Least and largest angles of the directions of a scan."""
+
+    azimuth: tuple[float, float]
+    """Of the azimuths [rad]."""
+    elevation: tuple[float, float]
+    """Of the elevations [rad]."""
+
+
+def span_of(source: Source | xr.Dataset) -> Span:
+    """Return the span of the directions of all rows of a scan."""
+    if isinstance(source, xr.Dataset):
+        parts = [source]
+    else:
+        parts = [source.directions(begin, end) for begin, end in bands(source)]
+    found = []
+    for name in ("azimuth", "elevation"):
+        angles = [part[name].values for part in parts]
+        found.append(
+            (
+                min(float(np.min(angle)) for angle in angles),
+                max(float(np.max(angle)) for angle in angles),
+            )
+        )
+    return Span(*found)
+
+
+def fit_on_sample(
+    step: Callable[..., tuple[xr.Dataset, Any]], source: Source, **options: Any
+) -> OfRows:
+    """Estimate the statistics of a scan on a sample of it, for work on any rows.
+
+    `step(cube, *, fit=None, span=None, **options)` returns its result and the
+    statistics that it used: `fit`, or where that is None those of the cube.
+    """
+    sample = without_groups(sample_of(source), "truth")
+    decisions = Decisions()
+    with deciding(decisions):
+        _, fit = step(sample, span=span_of(source), **options)
+
+    def of(rows: xr.Dataset, first: int) -> xr.Dataset:
+        with told(decisions):
+            return step(rows, fit=fit, **options)[0]
+
+    return of
