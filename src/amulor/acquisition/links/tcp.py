@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import socket
+import socketserver
 import threading
 from collections.abc import Iterator, Sequence
 from types import TracebackType
@@ -65,6 +66,52 @@ class _Lines:
                 self._rest += byte
 
 
+class _Server(socketserver.ThreadingTCPServer):
+    """TCP server of one simulated device, which can break its links off."""
+
+    allow_reuse_address = True
+    daemon_threads = True
+    request_queue_size = 128
+
+    def __init__(self, host: str, port: int, speaker: Speaker) -> None:
+        self.speaker = speaker
+        self.links: set[Any] = set()
+        super().__init__((host, port), _Conversation)
+
+    def process_request(self, request: Any, client_address: Any) -> None:
+        """Serve a link in a thread of its own."""
+        self.links.add(request)
+        super().process_request(request, client_address)
+
+    def shutdown_request(self, request: Any) -> None:
+        """Close a link."""
+        self.links.discard(request)
+        super().shutdown_request(request)
+
+
+class _Conversation(socketserver.StreamRequestHandler):
+    """Conversation over one link."""
+
+    # Answers are short; waiting to send them together would cost 40 ms each.
+    disable_nagle_algorithm = True
+    server: _Server
+
+    def handle(self) -> None:
+        """Answer until the link ends."""
+        speaker = self.server.speaker
+        cutter = getattr(speaker, "cutter", None)
+        lines: Any = cutter() if cutter else _Lines(getattr(speaker, "at_once", b""))
+        with contextlib.suppress(LinkLostError, OSError, UnicodeDecodeError):
+            while received := self.connection.recv(4096):
+                answers = [
+                    answer
+                    for line in lines.taken(received)
+                    for answer in speaker.answer(line)
+                ]
+                if answers:
+                    self.connection.sendall(b"".join(map(_sent, answers)))
+
+
 class DeviceServer:
     """Serves one simulated device to any number of links, each in a thread.
 
@@ -81,24 +128,22 @@ class DeviceServer:
     def __init__(
         self, speaker: Speaker, *, host: str = "127.0.0.1", port: int = 0
     ) -> None:
-        self._speaker = speaker
-        self._listener = socket.create_server((host, port))
-        self._links: set[socket.socket] = set()
-        self._closing = False
-        self._thread = threading.Thread(target=self._listen, daemon=True)
+        self._server = _Server(host, port, speaker)
+        self._host, self._port = self._server.socket.getsockname()[:2]
+        self._thread = threading.Thread(
+            target=self._server.serve_forever, args=(0.02,), daemon=True
+        )
         self._thread.start()
 
     @property
     def address(self) -> str:
         """Address of the device, as devices files name it."""
-        host, port = self._listener.getsockname()[:2]
-        return f"tcp://{host}:{port}"
+        return f"tcp://{self._host}:{self._port}"
 
     @property
     def visa_name(self) -> str:
         """VISA resource name of the device."""
-        host, port = self._listener.getsockname()[:2]
-        return f"TCPIP::{host}::{port}::SOCKET"
+        return f"TCPIP::{self._host}::{self._port}::SOCKET"
 
     def __enter__(self) -> DeviceServer:
         """Return the server."""
@@ -115,40 +160,9 @@ class DeviceServer:
 
     def close(self) -> None:
         """Stop listening and break all links off."""
-        self._closing = True
-        with contextlib.suppress(OSError):
-            self._listener.shutdown(socket.SHUT_RDWR)
-        self._listener.close()
-        for link in [*self._links]:
+        self._server.shutdown()
+        self._server.server_close()
+        for link in [*self._server.links]:
             with contextlib.suppress(OSError):
                 link.shutdown(socket.SHUT_RDWR)
         self._thread.join(timeout=5)
-
-    def _listen(self) -> None:
-        while not self._closing:
-            try:
-                link, _ = self._listener.accept()
-            except OSError:
-                return
-            # Answers are short; waiting to send them together would cost 40 ms each.
-            link.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-            self._links.add(link)
-            threading.Thread(target=self._serve, args=(link,), daemon=True).start()
-
-    def _serve(self, link: socket.socket) -> None:
-        own = getattr(self._speaker, "cutter", None)
-        lines: Any = own() if own else _Lines(getattr(self._speaker, "at_once", b""))
-        try:
-            while received := link.recv(4096):
-                answers = [
-                    answer
-                    for line in lines.taken(received)
-                    for answer in self._speaker.answer(line)
-                ]
-                if answers:
-                    link.sendall(b"".join(map(_sent, answers)))
-        except (LinkLostError, OSError, UnicodeDecodeError):
-            pass
-        finally:
-            self._links.discard(link)
-            link.close()
