@@ -146,7 +146,7 @@ def _real(settings: Settings, ask: Callable[[str], None] | None) -> Devices:
         # Nothing is said to a device that another scan drives.
         held = opened.enter_context(contextlib.ExitStack())
         for address in _addresses(settings):
-            held.callback(hold(address).close)
+            held.callback(hold(address).release)
         lock_in = chosen.lock_in_of(settings, clock)
         opened.callback(lock_in.close)
         stages = chosen.Stages(clock, opened)

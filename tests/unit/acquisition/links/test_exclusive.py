@@ -34,8 +34,8 @@ def test_one_device_has_one_lock_however_it_is_written(first, second) -> None:
     lock = exclusive.hold(first)
     with pytest.raises(InstrumentError, match="driven by another scan"):
         exclusive.hold(second)
-    lock.close()
-    exclusive.hold(second).close()
+    lock.release()
+    exclusive.hold(second).release()
 
 
 def test_other_devices_are_free() -> None:
@@ -44,7 +44,7 @@ def test_other_devices_are_free() -> None:
         for address in ("GPIB0::8::INSTR", "GPIB1::8::INSTR", "GPIB0::9::INSTR")
     ]
     for lock in locks:
-        lock.close()
+        lock.release()
 
 
 KILLED = """
@@ -53,7 +53,7 @@ from pathlib import Path
 from amulor.acquisition.links import exclusive
 
 exclusive.lock_folder = lambda: Path(sys.argv[1])
-exclusive.hold("GPIB0::8::INSTR")
+lock = exclusive.hold("GPIB0::8::INSTR")
 print("held", flush=True)
 sys.stdin.read()
 """
@@ -71,7 +71,7 @@ def test_the_lock_of_a_killed_program_is_gone(tmp_path) -> None:
         with pytest.raises(InstrumentError, match="driven by another scan"):
             exclusive.hold("GPIB0::8::INSTR")
         other.kill()
-    exclusive.hold("GPIB0::8::INSTR").close()
+    exclusive.hold("GPIB0::8::INSTR").release()
 
 
 def test_a_lock_that_cannot_be_made_says_so(tmp_path) -> None:
