@@ -23,6 +23,7 @@ MODULES = {
         "starlette": "starlette",
         "uvicorn": "uvicorn",
         "websockets": "websockets",
+        "trimesh": "trimesh",
     },
     "site": {"small-gicp": "small_gicp"},
     "scale": {"dask": "dask", "distributed": "distributed"},

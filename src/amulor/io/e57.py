@@ -1,8 +1,10 @@
-"""Writes point clouds as structured scans in E57 files."""
+"""Writes and reads point clouds as structured scans in E57 files."""
 
 from __future__ import annotations
 
 import contextlib
+import hashlib
+import math
 import os
 import uuid
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -15,10 +17,37 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from amulor import cube as cubes
-from amulor.errors import FormatError, MissingExtraError
-from amulor.io._cloud import checked_cloud, checked_parts, provenance_lines
-from amulor.io.e57_records import BLOCK, FIELDS, Records
+from amulor.errors import CubeError, FormatError, MissingExtraError
+from amulor.io._cloud import (
+    checked_cloud,
+    checked_parts,
+    doubtful,
+    in_blocks,
+    provenance_lines,
+)
 from amulor.io.files import atomic_output
+from amulor.io.shapes import Shape, scalars_of, up_of
+
+Arrays = dict[str, NDArray[Any]]
+
+#: Fields of a record and their types. pye57 0.4.19 takes only every other half of the
+#: integers that C calls long.
+FIELDS: dict[str, type] = {
+    "cartesianX": np.float64,
+    "cartesianY": np.float64,
+    "cartesianZ": np.float64,
+    "intensity": np.float64,
+    "rowIndex": np.longlong,
+    "columnIndex": np.longlong,
+    "cartesianInvalidState": np.int8,
+}
+#: Records that are handed over at once.
+BLOCK = 2**18
+# What `cartesianInvalidState` says of a pixel, after ASTM E2807.
+_VALID, _DIRECTION_ONLY, _NOTHING_MEANT = 0, 1, 2
+_CARTESIAN = tuple(f"cartesian{axis}" for axis in "XYZ")
+_SPHERICAL = ("sphericalRange", "sphericalAzimuth", "sphericalElevation")
+_COLOURS = ("colorRed", "colorGreen", "colorBlue")
 
 
 def write_e57(
@@ -115,7 +144,7 @@ def write_e57_parts(
     def checked() -> Iterator[xr.Dataset]:
         return checked_parts(parts(), count, name=name)
 
-    libe57 = _libe57()
+    libe57 = _pye57("writing").libe57
     _write_file(libe57, [Records(checked, shape, name=name)], path, overwrite=overwrite)
 
 
@@ -160,7 +189,7 @@ def write_e57_scans(
     >>> pye57.E57("ladder.e57").scan_count
     2
     """
-    libe57 = _libe57()
+    libe57 = _pye57("writing").libe57
     name = f"the cloud for {path}"
     scans = []
     for number, cloud in enumerate(clouds):
@@ -188,14 +217,14 @@ def _write_file(
             ) from error
 
 
-def _libe57() -> Any:
+def _pye57(purpose: str) -> Any:
     try:
-        from pye57 import libe57
+        import pye57
     except ImportError as error:
         raise MissingExtraError(
-            "pye57", extra="e57", purpose="writing E57 files"
+            "pye57", extra="e57", purpose=f"{purpose} E57 files"
         ) from error
-    return libe57
+    return pye57
 
 
 def _shape_of(cloud: xr.Dataset) -> tuple[int, int]:
@@ -317,3 +346,248 @@ def _write_points(libe57: Any, file: Any, node: Any, scan: Records) -> None:
             writer.close()
         raise
     writer.close()
+
+
+class Records:
+    """The records of one scan, and what stands beside them in a file.
+
+    Parameters
+    ----------
+    parts : callable
+        Gives the parts of the cloud in the order of their rows, none empty, the same
+        ones each time.
+    shape : tuple of int
+        Rows and columns of the scan [1].
+    name : str
+        How a message names the cloud.
+
+    Raises
+    ------
+    CubeError
+        If two points are in one pixel, a point is outside the scan, or parts are out of
+        order.
+    """
+
+    def __init__(
+        self,
+        parts: Callable[[], Iterable[xr.Dataset]],
+        shape: tuple[int, int],
+        *,
+        name: str,
+    ) -> None:
+        self._parts, self._shape, self._name = parts, shape, name
+        ends: dict[str, tuple[float, float]] = {}
+        digests = {key: hashlib.sha256() for key in FIELDS}
+        first: xr.Dataset | None = None
+        for part, records in self._pieces():
+            if part is not None:
+                first = part if first is None else first
+                for axis in "xyz":
+                    _widen(ends, axis, part[axis].values)
+            for key, values in records.items():
+                digests[key].update(values.tobytes())
+                _widen(ends, key, values)
+        assert first is not None
+        #: A part of the cloud, for its attributes.
+        self.first = first
+        #: The matrix that takes the records into the frame of the cloud, if any.
+        self.matrix = _in_the_instrument(first)[1]
+        each = [found.hexdigest() for found in digests.values()]
+        #: Of all that is written.
+        self.digest = cubes.digest("\n".join([*provenance_lines(first), *each]))
+        #: Smallest and largest value of each field, and of x, y and z of the points.
+        self.ends = ends
+
+    @property
+    def count(self) -> int:
+        """Number of records."""
+        return self._shape[0] * self._shape[1]
+
+    def blocks(self) -> Iterator[NDArray[np.void]]:
+        """Yield the records in the order of the pixels, `BLOCK` at a time."""
+        return in_blocks((_packed(found) for _, found in self._pieces()), BLOCK)
+
+    def _pieces(self) -> Iterator[tuple[xr.Dataset | None, Arrays]]:
+        """Yield parts of the cloud with the records of all rows up to their end."""
+        rows, columns = self._shape
+        done = 0
+        for part in self._parts():
+            row, last = int(part["row"].min()), int(part["row"].max())
+            column = int(part["column"].max())
+            if last >= rows or column >= columns:
+                raise CubeError(
+                    f"{self._name}: a point is in row {last} and one in column "
+                    f"{column}, but the scan has {rows} rows and {columns} columns, "
+                    "numbered from 0; give the shape of the scan that the cloud was "
+                    "made from"
+                )
+            if row < done:
+                raise CubeError(
+                    f"{self._name}: a point of row {row} comes after those of row "
+                    f"{done - 1}; give the parts in the order of their rows"
+                )
+            yield from self._without_points(done, row)
+            yield part, self._of(part, (row, last + 1))
+            done = last + 1
+        yield from self._without_points(done, rows)
+
+    def _without_points(self, begin: int, end: int) -> Iterator[tuple[None, Arrays]]:
+        """Yield records of rows that hold no point, a few at a time."""
+        columns = self._shape[1]
+        few = max(1, BLOCK // columns)
+        for first in range(begin, end, few):
+            yield None, _empty((first, min(first + few, end)), columns)
+
+    def _of(self, part: xr.Dataset, rows: tuple[int, int]) -> Arrays:
+        """Return the records of rows with points."""
+        part, _ = _in_the_instrument(part)
+        columns = self._shape[1]
+        row = part["row"].values.astype(np.int64) - rows[0]
+        pixel = row * columns + part["column"].values.astype(np.int64)
+        if np.unique(pixel).size < pixel.size:
+            raise CubeError(
+                f"{self._name}: a pixel of the scan has two points, an E57 scan has "
+                "room for one; write each scan to its own file"
+            )
+        records = _empty(rows, columns)
+        for key, variable in zip(FIELDS, ("x", "y", "z", "intensity"), strict=False):
+            records[key][pixel] = part[variable].values
+        state = np.where(doubtful(part), _DIRECTION_ONLY, _VALID)
+        records["cartesianInvalidState"][pixel] = state
+        return records
+
+
+def _empty(rows: tuple[int, int], columns: int) -> Arrays:
+    """Return the records of rows without a point."""
+    pixels = np.arange(rows[0] * columns, rows[1] * columns)
+    records: Arrays = {
+        key: np.zeros(pixels.size, dtype=kind) for key, kind in FIELDS.items()
+    }
+    records["rowIndex"][:] = pixels // columns
+    records["columnIndex"][:] = pixels % columns
+    records["cartesianInvalidState"][:] = _NOTHING_MEANT
+    return records
+
+
+def _packed(records: Mapping[str, NDArray[Any]]) -> NDArray[np.void]:
+    """Return records as one array."""
+    packed = np.empty(len(records["intensity"]), dtype=list(FIELDS.items()))
+    for key, values in records.items():
+        packed[key] = values
+    return packed
+
+
+def _widen(
+    ends: dict[str, tuple[float, float]], key: str, values: NDArray[Any]
+) -> None:
+    low, high = ends.get(key, (math.inf, -math.inf))
+    ends[key] = min(low, values.min().item()), max(high, values.max().item())
+
+
+def _in_the_instrument(
+    cloud: xr.Dataset,
+) -> tuple[xr.Dataset, NDArray[np.float64] | None]:
+    """Return the cloud in the instrument's axes, and the matrix that takes it back."""
+    if cloud.attrs.get("frame", "instrument") == "instrument":
+        return cloud, None
+    matrix = np.asarray(cloud.attrs["frame_matrix"], dtype=float).reshape(4, 4)
+    away = [cloud[axis].values - matrix[k, 3] for k, axis in enumerate("xyz")]
+    # Not by a product of matrices, whose sums depend on how many points there are.
+    own = [
+        away[0] * matrix[0, k] + away[1] * matrix[1, k] + away[2] * matrix[2, k]
+        for k in range(3)
+    ]
+    return (
+        cloud.assign(
+            {axis: cloud[axis].copy(data=own[k]) for k, axis in enumerate("xyz")}
+        ),
+        matrix,
+    )
+
+
+def read_e57(path: Path) -> Shape:
+    """Read all scans of an E57 file, each at its pose [m]."""
+    pye57 = _pye57("reading")
+    try:
+        file = pye57.E57(str(path))
+        try:
+            scans = [_scan(file, number) for number in range(file.scan_count)]
+        finally:
+            file.close()
+    except Exception as error:  # libe57 raises what its C++ does
+        reason = str(error).partition("\n")[0].strip()[:200] or type(error).__name__
+        raise FormatError(
+            f"{path.name} cannot be read as E57: {reason}; it is damaged or was not "
+            "copied whole"
+        ) from error
+    if not sum(len(position) for position, *_ in scans):
+        raise FormatError(f"{path.name} holds no point")
+    statements = scans[0][2]
+    if len(scans) > 1:
+        for number, (position, columns, _, _) in enumerate(scans):
+            columns["scan"] = np.full(len(position), float(number))
+    shared = set.intersection(*(set(columns) for _, columns, _, _ in scans))
+    columns = {
+        key: np.concatenate([one[key] for _, one, _, _ in scans])
+        for key in scans[0][1]
+        if key in shared
+    }
+    colour = None
+    if set(_COLOURS) <= set(columns):
+        parts = np.stack([columns.pop(name) for name in _COLOURS], axis=1)
+        colour = np.clip(parts, 0, 255).astype(np.uint8)
+    scalars, _ = scalars_of(columns)
+    position = np.concatenate([one for one, *_ in scans])
+    turned = any(moved for *_, moved in scans)
+    return Shape(
+        position=position,
+        scalars=scalars,
+        colour=colour,
+        up="z" if turned else up_of(statements),
+        statements=statements,
+        total=len(position),
+    )
+
+
+def _scan(
+    file: Any, number: int
+) -> tuple[NDArray[np.float64], dict[str, NDArray[Any]], list[str], bool]:
+    """Return places, numbers and words of a scan, and whether it has a pose."""
+    header = file.get_header(number)
+    names = set(header.point_fields)
+    raw = file.read_scan_raw(number)
+    state = np.zeros(header.point_count, dtype=int)
+    if set(_CARTESIAN) <= names:
+        position = np.stack([raw[name] for name in _CARTESIAN], axis=1)
+        state = np.asarray(raw.get("cartesianInvalidState", state))
+    elif set(_SPHERICAL) <= names:
+        reach, azimuth, elevation = (raw[name] for name in _SPHERICAL)
+        level = reach * np.cos(elevation)
+        position = np.stack(
+            [
+                level * np.cos(azimuth),
+                level * np.sin(azimuth),
+                reach * np.sin(elevation),
+            ],
+            axis=1,
+        )
+        state = np.asarray(raw.get("sphericalInvalidState", state))
+    else:
+        raise FormatError("a scan has neither cartesian nor spherical coordinates")
+    there = state != _NOTHING_MEANT
+    moved = bool(header.has_pose())
+    position = np.asarray(position, dtype=float)[there]
+    if moved:
+        position = position @ header.rotation_matrix.T + header.translation
+    columns = {
+        name: np.asarray(values)[there]
+        for name, values in raw.items()
+        if name in ("intensity", *_COLOURS)
+    }
+    if (state == 1).any():
+        columns["doubtful"] = (state == 1)[there].astype(float)
+    try:
+        words = str(header["description"].value()).splitlines()
+    except Exception:  # the format does not ask for a description
+        words = []
+    return position, columns, words, moved

@@ -1,18 +1,22 @@
-"""Writes point clouds and meshes as PLY files."""
+"""Writes and reads point clouds and meshes as PLY files."""
 
 from __future__ import annotations
 
+import logging
 import os
 import textwrap
 from collections.abc import Iterable, Mapping
 from pathlib import Path
+from typing import Any, BinaryIO
 
 import numpy as np
 import xarray as xr
 from numpy.typing import ArrayLike, NDArray
 
+from amulor.errors import FormatError, MissingExtraError
 from amulor.io._cloud import checked_cloud, checked_parts, provenance_lines
 from amulor.io.files import atomic_output
+from amulor.io.shapes import Shape, scalars_of, up_of
 
 # Property of the file, its type, and the variable it comes from. CloudCompare shows
 # each property that starts with `scalar_` as a scalar field of that name.
@@ -37,6 +41,9 @@ _PROPERTIES = (
 )
 
 _LINE_LENGTH = 200
+#: Lines of a header that are read for comments.
+_MOST_LINES = 2000
+_COLOURS = ("red", "green", "blue")
 
 
 def write_ply(
@@ -102,16 +109,8 @@ def write_ply(
         raise ValueError(f"scalars must have {count} values each, as many as points")
     triangles = _triangles(faces, count)
     about = {name: text for name, (_, text) in (scalars or {}).items()}
-    header = _header(cloud, count, about, _face_lines(triangles))
-    vertices = _vertices(cloud, more)
-    with (
-        atomic_output(Path(path), overwrite=overwrite) as temporary,
-        temporary.open("wb") as file,
-    ):
-        file.write(header)
-        file.write(vertices.data)
-        if faces is not None:
-            file.write(triangles.data)
+    _write([cloud], count, path, overwrite=overwrite, more=more, about=about,
+           triangles=triangles)  # fmt: skip
 
 
 def write_ply_parts(
@@ -137,14 +136,32 @@ def write_ply_parts(
     CubeError, FormatError
         As `write_ply`, and if there are not so many points.
     """
+    checked = checked_parts(parts, count, name=f"the cloud for {path}")
+    _write(checked, count, path, overwrite=overwrite)
+
+
+def _write(
+    parts: Iterable[xr.Dataset],
+    count: int,
+    path: str | os.PathLike[str],
+    *,
+    overwrite: bool,
+    more: Mapping[str, NDArray[np.float64]] | None = None,
+    about: Mapping[str, str] | None = None,
+    triangles: NDArray[np.void] | None = None,
+) -> None:
+    """Write checked parts; further properties and triangles go with a single part."""
+    faces = [] if triangles is None else _face_lines(triangles)
     with (
         atomic_output(Path(path), overwrite=overwrite) as temporary,
         temporary.open("wb") as file,
     ):
-        for part in checked_parts(parts, count, name=f"the cloud for {path}"):
+        for part in parts:
             if file.tell() == 0:
-                file.write(_header(part, count, {}, []))
-            file.write(_vertices(part, {}).data)
+                file.write(_header(part, count, about or {}, faces))
+            file.write(_vertices(part, more or {}).data)
+        if faces and triangles is not None:
+            file.write(triangles.data)
 
 
 def _header(
@@ -219,3 +236,84 @@ def _ascii(lines: list[str]) -> list[str]:
             line.encode("ascii", "backslashreplace").decode(), _LINE_LENGTH
         )
     ]
+
+
+def read_ply(path: Path, *, unit: float) -> Shape:
+    """Read a PLY file, text or binary, with all numbers of its points."""
+    try:
+        from trimesh.exchange import ply
+        from trimesh.geometry import triangulate_quads
+    except ImportError as error:
+        raise MissingExtraError(
+            "trimesh", extra="scene", purpose="reading PLY files"
+        ) from error
+    # The error names damage in one line; the log of trimesh would be more lines.
+    logging.getLogger("trimesh").addHandler(logging.NullHandler())
+    with path.open("rb") as file:
+        if file.readline(16).strip() != b"ply":
+            raise FormatError(
+                f"{path.name} is no PLY file: it does not begin with 'ply'"
+            )
+        comments = _comments(file)
+        file.seek(0)
+        try:
+            # Without `fix_texture` the vertices are those of the file, in its order.
+            loaded: Any = ply.load_ply(file, fix_texture=False, skip_materials=True)
+            vertex = loaded["metadata"]["_ply_raw"]["vertex"]
+            columns = _columns_of(vertex)
+            faces = loaded.get("faces")
+            if faces is not None:
+                faces = np.asarray(triangulate_quads(faces), dtype=np.intp)
+                faces = faces.reshape(-1, 3)
+        except Exception as error:  # trimesh raises a different error for each damage
+            reason = " ".join(str(error).split())[:200] or type(error).__name__
+            raise FormatError(
+                f"{path.name} cannot be read as PLY: {reason}; it is damaged, was not "
+                "copied whole, or mixes polygons of several numbers of corners: write "
+                "triangles"
+            ) from error
+    if not {"x", "y", "z"} <= set(columns):
+        raise FormatError(f"{path.name} has no points with x, y and z")
+    position = np.stack([columns.pop(axis).astype(float) for axis in "xyz"], axis=1)
+    colour = None
+    if set(_COLOURS) <= set(columns):
+        parts = [columns.pop(name) for name in _COLOURS]
+        if parts[0].dtype == np.uint8:
+            colour = np.stack(parts, axis=1)
+    if any(c.startswith("scalar_intensity:") and c.endswith("[V]") for c in comments):
+        columns["amplitude"] = columns.pop("scalar_intensity")
+    scalars, left = scalars_of(columns)
+    return Shape(
+        position=position * unit,
+        scalars=scalars,
+        colour=colour,
+        faces=faces,
+        up=up_of(comments),
+        statements=[*comments, *([f"not shown: {', '.join(left)}"] if left else [])],
+        total=len(position),
+    )
+
+
+def _comments(file: BinaryIO) -> list[str]:
+    """Comments of the header, which trimesh skips."""
+    comments = []
+    for _ in range(_MOST_LINES):
+        line = file.readline(4096).decode("ascii", "replace").strip()
+        if not line or line == "end_header":
+            break
+        if line.startswith(("comment ", "obj_info ")):
+            comments.append(line.partition(" ")[2])
+    return comments
+
+
+def _columns_of(element: Mapping[str, Any]) -> dict[str, NDArray[Any]]:
+    """Columns of the points by their names, in the byte order of this computer."""
+    data, count = element.get("data", {}), element["length"]
+    columns = {}
+    for name in element["properties"]:
+        values = np.asarray(data[name])
+        if values.size != count or values.dtype.kind not in "iuf":
+            raise ValueError(f"{name!r} has {values.size} numbers for {count} points")
+        plain = values.dtype.newbyteorder("=")
+        columns[name] = values.reshape(count).astype(plain)
+    return columns

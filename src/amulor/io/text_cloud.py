@@ -1,16 +1,20 @@
-"""Writes point clouds as text: columns under a header that names them."""
+"""Writes and reads point clouds as text: columns of numbers, most with a header."""
 
 from __future__ import annotations
 
 import os
+import re
 from collections.abc import Iterable
+from itertools import islice
 from pathlib import Path
 
 import numpy as np
 import xarray as xr
 
+from amulor.errors import FormatError
 from amulor.io._cloud import checked_cloud, checked_parts, provenance_lines
 from amulor.io.files import atomic_output
+from amulor.io.shapes import Shape, scalars_of, up_of
 
 # Name of a column, its unit, the variable, and how it is printed: coordinates to the
 # micrometre, errors to four digits.
@@ -28,6 +32,8 @@ _COLUMNS = (
     ("row", "1", "row", "%d"),
     ("column", "1", "column", "%d"),
 )
+_MOST_HEADER = 500
+_MOST_COLUMNS = 64
 
 
 def write_text(
@@ -117,3 +123,121 @@ def write_text_parts(
                 file.write("\n".join(header) + "\n")
             table = np.column_stack([part[name].values for _, _, name, _ in kept])
             np.savetxt(file, table, fmt=[form for *_, form in kept], delimiter=mark)
+
+
+def read_text(path: Path, *, unit: float) -> Shape:
+    """Read a point cloud from text.
+
+    Lines of numbers, separated by spaces, tabs, commas or semicolons: x, y, z, then an
+    amplitude, or red, green, blue, unless a header names the columns. Lines that begin
+    with "#" or "//" are comments.
+    """
+    with path.open("rb") as file:
+        lines = [line.decode("utf-8", "replace") for line in islice(file, _MOST_HEADER)]
+    comments: list[str] = []
+    names: list[str] | None = None
+    skip = 0
+    first: list[str] = []
+    mark: str | None = None
+    for line in lines:
+        text = line.strip()
+        if not text or text.startswith(("#", "//")):
+            comments.append(text.lstrip("#/ "))
+            skip += 1
+            continue
+        mark = next((m for m in ",;" if m in text), None)
+        first = [part.strip() for part in text.split(mark)]
+        if all(_is_number(part) for part in first) and len(first) >= 3:
+            break
+        skip += 1
+        if len(first) == 1 and first[0].isdigit():
+            continue  # some programs begin with the number of points
+        if names is not None or len(first) < 3:
+            raise FormatError(
+                f"{path.name}, line {skip}: {text[:60]!r} are no coordinates; a cloud "
+                "as text has x, y and z in every line"
+            )
+        names = [_plain(part) for part in first]
+    else:
+        raise FormatError(f"{path.name} has no line with x, y and z in it")
+    if names is None and comments:
+        said = comments[-1].split(mark)
+        if len(said) == len(first) and not any(_is_number(part) for part in said):
+            names = [_plain(part) for part in said]
+    names = _named(names, len(first), path.name)
+    table = _table(path, mark, skip, len(first))
+    columns = dict(zip(names, table.T, strict=True))
+    position = np.stack([columns.pop(axis) for axis in "xyz"], axis=1) * unit
+    colour = None
+    light = [columns.get(name) for name in ("red", "green", "blue")]
+    if all(part is not None for part in light):
+        stacked = np.stack([part for part in light if part is not None], axis=1)
+        if stacked.min() >= 0 and stacked.max() <= 255 and stacked.max() > 1:
+            colour = stacked.astype(np.uint8)
+            for name in ("red", "green", "blue"):
+                del columns[name]
+    scalars, left = scalars_of(columns)
+    return Shape(
+        position=position,
+        scalars=scalars,
+        colour=colour,
+        up=up_of(comments),
+        statements=[*comments, *([f"not shown: {', '.join(left)}"] if left else [])],
+        total=len(position),
+    )
+
+
+def _table(path: Path, mark: str | None, skip: int, width: int) -> np.ndarray:
+    try:
+        table = np.loadtxt(
+            path,
+            delimiter=mark,
+            skiprows=skip,
+            comments=("#", "//"),
+            ndmin=2,
+            encoding="utf-8",
+        )
+    except (ValueError, UnicodeDecodeError) as error:
+        said = re.sub(r"\s+", " ", str(error)).partition(";")[0]
+        raise FormatError(
+            f"{path.name} cannot be read as columns of numbers: {said}; it is damaged, "
+            "or no point cloud"
+        ) from None
+    if table.shape[1] != width:
+        raise FormatError(
+            f"{path.name} has {table.shape[1]} columns, and {width} in its first line"
+        )
+    return table
+
+
+def _named(names: list[str] | None, width: int, name: str) -> list[str]:
+    """Return a name for every column."""
+    if width > _MOST_COLUMNS:
+        raise FormatError(f"{name} has {width} columns; no point cloud has so many")
+    if names is not None and {"x", "y", "z"} <= set(names) and len(names) == width:
+        return [
+            own if names.index(own) == at else f"{own} {at + 1}"
+            for at, own in enumerate(names)
+        ]
+    colours = ["red", "green", "blue"]
+    usual = {
+        3: [], 4: ["intensity"], 6: colours, 7: ["intensity", *colours],
+    }.get(width)  # fmt: skip
+    if usual is None:
+        usual = [f"column {at + 1}" for at in range(3, width)]
+    return ["x", "y", "z", *usual]
+
+
+def _plain(text: str) -> str:
+    """Return the name of a column without its unit and quotes."""
+    name = text.strip().strip('"').partition("[")[0].strip().lower()
+    short = {"r": "red", "g": "green", "b": "blue", "//x": "x"}
+    return short.get(name, name) or "unnamed"
+
+
+def _is_number(text: str) -> bool:
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return True

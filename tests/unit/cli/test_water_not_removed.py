@@ -243,7 +243,7 @@ def test_the_page_states_no_interval(image: xr.Dataset) -> None:
 
 
 def test_a_cloud_on_the_page_states_no_interval(image: xr.Dataset, tmp_path) -> None:
-    from amulor.view.page.space.opening import opened
+    from amulor.view.page.space import opened
 
     cloud = imaging.point_cloud(image)
     for ending in ("ply", "nc"):

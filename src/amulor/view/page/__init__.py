@@ -1,6 +1,6 @@
 """The browser page: a server for this computer, and pages saved as one file.
 
-Saving needs no package beyond those of amulor; serving needs the extra `view`.
+Saving a scan needs no package beyond those of amulor; serving needs the extra `view`.
 """
 
 from typing import TYPE_CHECKING

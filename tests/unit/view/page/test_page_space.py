@@ -14,9 +14,8 @@ from starlette.testclient import TestClient
 from amulor import imaging, io
 from amulor.cli import main
 from amulor.errors import AmulorError, FormatError
+from amulor.io.shapes import spread
 from amulor.view.page import save_page, space
-from amulor.view.page.space import opening
-from amulor.view.page.space.shape import spread
 
 TOKEN = "a-token-for-tests"
 
@@ -132,9 +131,35 @@ def test_a_ply_of_another_program_is_read(tmp_path: Path, form: str) -> None:
     shown = space.opened(path, unit=1e-3)
     assert_allclose(shown.position + shown.centre, corners * 1e-3, atol=1e-9)
     assert shown.faces is not None
-    assert_array_equal(shown.faces, [[0, 1, 2], [0, 2, 3]])
+    # Which corner a triangle begins with does not matter; its sense does.
+    first = np.argmin(shown.faces, axis=1)
+    turned = [np.roll(face, -at) for face, at in zip(shown.faces, first, strict=True)]
+    assert_array_equal(turned, [[0, 1, 2], [0, 2, 3]])
     assert shown.colour is not None
     assert_array_equal(shown.colour[2], [9, 8, 7])
+
+
+def test_a_damaged_ply_header_gives_one_line(tmp_path: Path) -> None:
+    good = (
+        "ply\nformat ascii 1.0\nelement vertex 2\nproperty float x\n"
+        "property float y\nproperty float z\nend_header\n1 2 3\n4 5 6\n"
+    )
+    path = tmp_path / "points.ply"
+    for old, new in [
+        ("vertex 2", "vertex 4000000000"),
+        ("ascii", "binary_little_endian"),
+        ("end_header\n", ""),
+        ("4 5 6", "4 five 6"),
+        ("4 5 6", "4 5"),
+        ("property float z\n", ""),
+        ("ply\n", "pli\n"),
+    ]:
+        path.write_text(good.replace(old, new))
+        with pytest.raises(FormatError, match=r"points\.ply") as caught:
+            space.opened(path)
+        assert "\n" not in str(caught.value)
+    path.write_text(good)
+    assert len(space.opened(path).position) == 2
 
 
 def test_meshes_are_read_in_the_unit_that_is_stated(tmp_path: Path) -> None:
@@ -173,7 +198,7 @@ def test_a_mesh_opens_no_other_file(tmp_path: Path) -> None:
 def test_many_points_are_thinned_evenly_and_the_number_is_said(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
-    monkeypatch.setattr(opening, "MOST_POINTS", 100)
+    monkeypatch.setattr(space, "MOST_POINTS", 100)
     # A grid of 40 columns: an even step of 10 would leave four of them.
     row, column = np.divmod(np.arange(1000), 40)
     path = tmp_path / "many.xyz"
@@ -195,7 +220,7 @@ def test_many_points_are_thinned_evenly_and_the_number_is_said(
 def test_dots_are_as_large_as_their_spacing(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path, some: int
 ) -> None:
-    monkeypatch.setattr("amulor.view.page.space.shown._SOME", some)
+    monkeypatch.setattr("amulor.view.page.space._SOME", some)
     row, column = np.divmod(np.arange(1000), 40)
     scatter = np.random.default_rng(2).uniform(-0.2, 0.2, (2, 1000))
     path = tmp_path / "grid.xyz"

@@ -1,16 +1,18 @@
-"""What a cloud or a mesh is, whatever its file: places, triangles, numbers."""
+"""Points, triangles and numbers of a cloud or a mesh of any format; reads meshes."""
 
 from __future__ import annotations
 
+import logging
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from amulor.errors import FormatError
+from amulor.errors import FormatError, MissingExtraError
 
 Up = Literal["-y", "y", "z"]
 
@@ -57,20 +59,7 @@ class Shape:
 def scalars_of(
     columns: Mapping[str, NDArray[Any]],
 ) -> tuple[dict[str, NDArray[np.float64]], list[str]]:
-    """Return numbers of points by the names of the page, and names that are left out.
-
-    Parameters
-    ----------
-    columns : mapping
-        Columns of the file but the coordinates, shape (n,) each.
-
-    Returns
-    -------
-    dict
-        Float arrays of shape (n,).
-    list of str
-        Columns that are not shown.
-    """
+    """Sort columns into numbers by names of `KNOWN`, and names that are left out."""
     plain = {
         name: name.lower().removeprefix("scalar_").partition("[")[0].strip()
         for name in columns
@@ -96,20 +85,7 @@ def scalars_of(
 
 
 def up_of(statements: Sequence[str], default: Up = "z") -> Up:
-    """Return which axis points up, from what a file of amulor says of its axes.
-
-    Parameters
-    ----------
-    statements : sequence of str
-        Lines of its header.
-    default : str
-        For a file that says nothing.
-
-    Returns
-    -------
-    str
-        "-y" in the instrument's axes, whose y is down.
-    """
+    """Vertical axis by the header lines of a file of amulor: -y in instrument axes."""
     for line in statements:
         if line.startswith("axes:"):
             return "-y" if "y down" in line else "z"
@@ -117,25 +93,7 @@ def up_of(statements: Sequence[str], default: Up = "z") -> Up:
 
 
 def checked(shape: Shape, name: str) -> Shape:
-    """Return a shape whose points can be drawn, or raise.
-
-    Parameters
-    ----------
-    shape : Shape
-        As it was read.
-    name : str
-        Name of the file.
-
-    Returns
-    -------
-    Shape
-        Points without a finite place left out of a cloud.
-
-    Raises
-    ------
-    FormatError
-        If nothing is left, or a triangle has a corner that is not there.
-    """
+    """Drop points without a finite place and numbers never known; raise if empty."""
     # Numbers of which none is known, such as errors with the water left in.
     known = {k: v for k, v in shape.scalars.items() if np.isfinite(v).any()}
     shape = Shape(**{**vars(shape), "scalars": known})
@@ -166,20 +124,7 @@ def checked(shape: Shape, name: str) -> Shape:
 
 
 def thinned(shape: Shape, kept: NDArray[np.intp]) -> Shape:
-    """Return some points of a cloud.
-
-    Parameters
-    ----------
-    shape : Shape
-        Any; its triangles are lost.
-    kept : ndarray of int, shape (k,)
-        Which points.
-
-    Returns
-    -------
-    Shape
-        A cloud that knows how many points there were.
-    """
+    """Select some points of a cloud; its triangles are dropped."""
     return Shape(
         position=shape.position[kept],
         scalars={name: values[kept] for name, values in shape.scalars.items()},
@@ -191,20 +136,9 @@ def thinned(shape: Shape, kept: NDArray[np.intp]) -> Shape:
 
 
 def spread(total: int, most: int) -> NDArray[np.intp]:
-    """Return numbers of points that stand for all of them.
+    """Numbers of points drawn evenly: one of every so many, at a random place in each.
 
-    Parameters
-    ----------
-    total : int
-        Points in the file.
-    most : int
-        Points that may be kept.
-
-    Returns
-    -------
-    ndarray of int, shape (k,)
-        Rising. One of every so many in the order of the file, each at a place of its
-        own among them: the rows of a scan and an even step would give lines.
+    The rows of a scan and an even step would give lines.
     """
     step = -(-total // most)
     if step <= 1:
@@ -213,3 +147,35 @@ def spread(total: int, most: int) -> NDArray[np.intp]:
     # The same file looks the same again.
     offset = np.random.default_rng(1).integers(0, step, first.size)
     return np.asarray(np.minimum(first + offset, total - 1), dtype=np.intp)
+
+
+def read_mesh(path: Path, *, unit: float) -> Shape:
+    """Read STL, OBJ, OFF or GLB; files that it names, such as textures, stay closed."""
+    try:
+        import trimesh
+    except ImportError as error:
+        raise MissingExtraError(
+            "trimesh", extra="scene", purpose="reading meshes"
+        ) from error
+    # What it has to say of damage is in the error; its log would be more lines.
+    logging.getLogger("trimesh").addHandler(logging.NullHandler())
+    ending = path.suffix.lower().removeprefix(".")
+    try:
+        with path.open("rb") as file:
+            mesh: Any = trimesh.load(
+                file,
+                file_type=ending,
+                force="mesh",
+                process=False,
+                skip_materials=True,
+            )
+        vertices = np.array(mesh.vertices, dtype=float).reshape(-1, 3) * unit
+        faces = np.array(mesh.faces, dtype=np.intp).reshape(-1, 3)
+    except Exception as error:  # trimesh's readers raise whatever they meet
+        reason = " ".join(str(error).split())[:200] or type(error).__name__
+        raise FormatError(f"{path.name} cannot be read as a mesh: {reason}") from error
+    if not len(faces):
+        raise FormatError(f"{path.name} holds no triangle; it is empty or damaged")
+    # The format of glTF says that y is up; others say nothing.
+    up: Up = "y" if ending == "glb" else "z"
+    return Shape(position=vertices, faces=faces, up=up, total=len(vertices))
