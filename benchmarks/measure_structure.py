@@ -9,7 +9,9 @@ of a compiled function count from its ``def`` on, the docstring left out.
 from __future__ import annotations
 
 import ast
+import io
 import sys
+import tokenize
 from collections import defaultdict
 from pathlib import Path
 
@@ -94,17 +96,49 @@ def imports(root):
     return edges
 
 
+def lines_of(text, tree):
+    """Return the lines of code, docstrings apart, and the lines of docstrings."""
+    layout = {
+        tokenize.COMMENT, tokenize.NL, tokenize.NEWLINE, tokenize.INDENT,
+        tokenize.DEDENT, tokenize.ENDMARKER,
+    }  # fmt: skip
+    code = set()
+    for token in tokenize.generate_tokens(io.StringIO(text).readline):
+        if token.type not in layout:
+            code.update(range(token.start[0], token.end[0] + 1))
+    documented = set()
+    for node in ast.walk(tree):
+        body = getattr(node, "body", None)
+        for statement in body if isinstance(body, list) else ():
+            # Docstrings of modules, classes and functions, and of fields below them.
+            if (
+                isinstance(statement, ast.Expr)
+                and isinstance(statement.value, ast.Constant)
+                and isinstance(statement.value.value, str)
+            ):
+                documented.update(range(statement.lineno, statement.end_lineno + 1))
+    return len(code - documented), len(documented)
+
+
 def main():
     """Print the figures."""
     root = Path(sys.argv[1] if len(sys.argv) > 1 else Path(__file__).parents[1])
     source = root / "src"
     edges = imports(root)
-    rooms, functions = defaultdict(int), []
+    rooms, functions, counts = defaultdict(int), [], []
     for path in source.rglob("*.py"):
-        rooms[path.parent.relative_to(source / "amulor").as_posix()] += 1
-        tree = ast.parse(path.read_text("utf-8"))
+        rooms[path.parent.relative_to(source).as_posix()] += 1
+        text = path.read_text("utf-8")
+        tree = ast.parse(text)
+        counts.append(lines_of(text, tree))
         functions += [(*entry, dotted(path, source)) for entry in compiled(tree)]
-    print("room                                  files")
+    print(f"files {len(counts)}")
+    print(f"lines of code, docstrings apart {sum(code for code, _ in counts)}")
+    print(f"lines of docstrings {sum(documented for _, documented in counts)}")
+    print(f"files of fewer than 60 lines {sum(code < 60 for code, _ in counts)}")
+    contracts = (root / "pyproject.toml").read_text("utf-8")
+    print(f"import contracts {contracts.count('[[tool.importlinter.contracts]]')}")
+    print("\nroom                                  files")
     for room in sorted(rooms):
         print(f"{room:38}{rooms[room]:5}")
     print("\nfloor            files  imports  levels")
