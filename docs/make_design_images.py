@@ -10,7 +10,7 @@ import sys
 from dataclasses import replace
 from pathlib import Path
 
-from amulor.cli.design.outputs import explorer_of, reasons_of
+from amulor.cli.design import explorer_of, reasons_of
 from amulor.design import Goal, Recommendation, recommend
 from amulor.view import page
 from amulor.view.design.figures import error_maps

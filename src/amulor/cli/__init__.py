@@ -18,21 +18,21 @@ COMMANDS = {
         "Compile all loops for this computer, so that no later command waits for it.",
     ),
     "samples": (
-        "samples.samples:samples",
+        "samples:samples",
         "List sample data, or write some of them to try the other commands on.",
     ),
     "survey check": ("survey:check", "Check a survey file."),
     "survey schema": ("survey:schema", "Print the JSON Schema of survey files."),
     "design": (
-        "design.design:design",
+        "design:design",
         "Recommend an instrument for a goal; write its survey.",
     ),
     "survey presets": (
-        "design.presets:presets",
+        "presets:presets",
         "List published instruments that ship as surveys.",
     ),
     "survey preset": (
-        "design.presets:preset",
+        "presets:preset",
         "Write the survey file of a published instrument.",
     ),
     "backscatter": (
@@ -68,7 +68,7 @@ COMMANDS = {
     ),
     "info": ("info:info", "Say what a file holds."),
     "explain": (
-        "help.explain:explain",
+        "explain:explain",
         "Say what a flag or a message means, and what to do.",
     ),
     "reject": ("reject:reject", "Take the water signal out of a measurement cube."),
@@ -85,28 +85,28 @@ COMMANDS = {
         "watch:watch",
         "Watch a scan in the terminal: picture, rate, drift, what to do.",
     ),
-    "site check": ("site.check:check", "Check a site file and the files it names."),
+    "site check": ("site:check", "Check a site file and the files it names."),
     "run": (
-        "cluster.run:run",
+        "run:run",
         "Take all scans of a site to range images and clouds, here or on a cluster.",
     ),
     "site register": (
-        "site.register:register",
+        "site:register",
         "Bring all scans of a site into one frame.",
     ),
     "site merge": (
-        "site.merge:merge",
+        "site:merge",
         "Merge all scans of a site into LAZ tiles, or an E57 file of all scans.",
     ),
     "site compare": (
-        "site.compare:compare",
+        "site:compare",
         "Compare two visits to a site: change, significance, volumes, what moved.",
     ),
     "site report": (
-        "site.report:report",
+        "site:report",
         "Draw a site into one HTML file: plan, poses, errors, change.",
     ),
-    "site schema": ("site.check:schema", "Print the JSON Schema of site files."),
+    "site schema": ("site:schema", "Print the JSON Schema of site files."),
     "archive": (
         "archive:archive",
         "Write the archive folder of a project, or check one.",

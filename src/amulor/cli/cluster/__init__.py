@@ -1,1 +1,0 @@
-"""Commands that work on more than one machine."""

@@ -1,0 +1,526 @@
+"""`amulor site`: check, register, merge, compare and report many scans."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+from cyclopts import Parameter
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+    from amulor.site import Site
+    from amulor.site.change.distances import Change
+    from amulor.site.change.moved import Motion
+    from amulor.site.change.regions import Region
+    from amulor.site.merging.cloud import Merged
+    from amulor.site.registration.result import Registration
+    from amulor.site.registration.surface import ScanSurface
+
+
+def check(
+    site: Path, /, *, json: Annotated[bool, Parameter(negative="")] = False
+) -> None:
+    """Check a site file and the files it names.
+
+    Parameters
+    ----------
+    site
+        Site file (TOML).
+    json
+        Print the findings as JSON.
+    """
+    from amulor.cli._arguments import check_inputs
+
+    check_inputs(site)
+
+    from dataclasses import asdict
+
+    from amulor.cli._output import print_json, print_next, progress_bar
+    from amulor.errors import SurveyError
+    from amulor.site import Site
+    from amulor.site.check import check as look
+
+    described = Site.from_toml(site)
+    with progress_bar(quiet=json):
+        found = look(described)
+    if json:
+        print_json({"site": described.name, **asdict(found)})
+    else:
+        for line in found.remarks:
+            print(f"note: {line}")
+    if found.mistakes:
+        raise SurveyError("\n".join(f"{site}: {line}" for line in found.mistakes))
+    if not json:
+        targets = len(described.target)
+        print(
+            f"{site}: {described.name}: {len(described.scan)} scans of "
+            f"{len(described.epoch)} epochs, {targets} targets, "
+            f"{len(described.control)} control points"
+        )
+        print_next(f"amulor site register {site} -o poses.json")
+
+
+def schema() -> None:
+    """Print the JSON Schema of site files."""
+    from amulor.cli._output import print_json
+    from amulor.site.description.site_file import json_schema
+
+    print_json(json_schema())
+
+
+def register(
+    site: Path,
+    /,
+    *,
+    output: Annotated[Path, Parameter(alias="-o")],
+    json: Annotated[bool, Parameter(negative="")] = False,
+    overwrite: Annotated[bool, Parameter(negative="")] = False,
+) -> None:
+    """Bring all scans of a site into one frame.
+
+    Parameters
+    ----------
+    site
+        Site file (TOML).
+    output
+        File to write (JSON), with poses and the covariance of all.
+    json
+        Print the figures as JSON.
+    overwrite
+        Replace a file that is there.
+    """
+    from amulor import io
+    from amulor._extras import require
+    from amulor.cli._arguments import check_ending
+    from amulor.cli._output import print_json, print_next, progress_bar
+    from amulor.site import Site
+    from amulor.site.registration import register as room
+    from amulor.site.registration.result import write_registration
+
+    require("site", purpose="registration")
+    check_ending("--output", output, (".json",))
+    described = Site.from_toml(site)
+    io.check_output(
+        output, overwrite=overwrite, inputs=[site, *(s.file for s in described.scan)]
+    )
+    with progress_bar(quiet=json):
+        result = room.register(described)
+        write_registration(result, output, overwrite=overwrite)
+    if json:
+        print_json(
+            {
+                "poses": {
+                    name: {
+                        "position_m": pose.position,
+                        "uncertainty": _sigmas(result, name),
+                    }
+                    for name, pose in result.poses.items()
+                },
+                "pairs": [
+                    {k: v for k, v in pair.items() if k != "moved_pixels"}
+                    for pair in result.pairs
+                ],
+                "disagreements": result.disagreements,
+                "weaknesses": [vars(one) for one in result.weaknesses],
+                "settled": result.settled,
+            }
+        )
+        return
+    _print_poses(result)
+    print(f"{output}: poses of {len(result.poses)} scans")
+    print_next(f"amulor site merge {site} --poses {output} -o merged")
+
+
+def _sigmas(result: Registration, name: str) -> list[float]:
+    import numpy as np
+
+    return [float(v) for v in np.sqrt(np.diag(result.covariance_of(f"pose {name}")))]
+
+
+def _print_poses(result: Registration) -> None:
+    import numpy as np
+
+    from amulor.cli._output import print_table
+
+    rows = []
+    for name, pose in result.poses.items():
+        sigma = np.array(_sigmas(result, name))
+        rows.append(
+            [
+                name,
+                *(f"{value:.4f}" for value in pose.position),
+                f"{np.linalg.norm(sigma[:3]) * 1e3:.2f}",
+                f"{np.linalg.norm(sigma[3:]) * 1e3:.3f}",
+            ]
+        )
+    header = ["scan", "east, m", "north, m", "up, m", "u, mm", "u, mrad"]
+    print_table("Poses", header, rows)
+    if result.fixed:
+        print(f"the frame is that of {result.fixed}: nothing ties it to the world")
+    for one in result.disagreements:
+        first, second = one["scans"]
+        print(
+            f"warning: {first} on {second} contradicts all others by "
+            f"{one['shift'] * 1e3:.2f} mm, {one['turn'] * 1e3:.3f} mrad (chi-square "
+            f"{one['score']:.1f} per degree of freedom); it counts {one['trust']:.0%}. "
+            "Look whether something moved, or the instrument did during a scan"
+        )
+    for weak in result.weaknesses:
+        shift, turn = np.array(weak.shift), np.array(weak.turn)
+        print(
+            f"warning: {weak.scan}: only its start pose holds it along "
+            f"({', '.join(f'{v * 1e3:.1f}' for v in shift)}) mm with a turn of "
+            f"({', '.join(f'{v * 1e3:.2f}' for v in turn)}) mrad (one standard "
+            "deviation); add targets, or a scan that sees relief"
+        )
+    if not result.settled:
+        print("warning: the fit did not settle; the covariance may be too small")
+
+
+def merge(
+    site: Path,
+    /,
+    *,
+    poses: Path,
+    output: Annotated[Path, Parameter(alias="-o")],
+    tile: str = "5 m",
+    json: Annotated[bool, Parameter(negative="")] = False,
+    overwrite: Annotated[bool, Parameter(negative="")] = False,
+) -> None:
+    """Merge all scans of a site into LAZ tiles, or an E57 file of all scans.
+
+    Parameters
+    ----------
+    site
+        Site file (TOML).
+    poses
+        Registration (JSON), from `amulor site register`.
+    output
+        Folder of LAZ tiles to make, or a file with the ending .e57.
+    tile
+        Side of a tile, such as "5 m".
+    json
+        Print the figures as JSON.
+    overwrite
+        Replace files that are there.
+    """
+    from amulor import io
+    from amulor._extras import require
+    from amulor.cli._arguments import quantity_of
+    from amulor.cli._output import print_json, print_next, progress_bar
+    from amulor.site.merging.clouds import scan_clouds
+    from amulor.site.merging.tiles import write_tiles
+
+    as_e57 = output.suffix.lower() == ".e57"
+    require("e57" if as_e57 else "export", purpose="merging")
+    size = quantity_of("--tile", tile, "length")
+    if as_e57:
+        io.check_output(output, overwrite=overwrite, inputs=[site, poses])
+    with progress_bar(quiet=json) as advance:
+        found = opened(site, poses)
+        advance(f"writing {output}", 0.8)
+        if as_e57:
+            clouds = scan_clouds(found.cloud, found.registration, found.images)
+            io.write_e57_scans(clouds, output, overwrite=overwrite)
+            files = [output]
+        else:
+            files = write_tiles(found.cloud, output, size=size, overwrite=overwrite)
+    cloud = found.cloud
+    moving = {
+        one.name: int(cloud.moving[cloud.scan == number].sum())
+        for number, one in enumerate(found.site.scan)
+    }
+    if json:
+        print_json(
+            {
+                "files": files,
+                "points": len(cloud.position),
+                "moving_points": moving,
+                "median_uncertainty_m": _median(cloud.sigma),
+                "seen_by_several": float((cloud.confirmed > 0).mean()),
+            }
+        )
+        return
+    for name, count in moving.items():
+        if count:
+            print(f"{name}: {count} points that other scans see through, marked")
+    east, north, up = (1e3 * v for v in _median(cloud.sigma))
+    print(
+        f"{output}: {len(cloud.position)} points in {len(files)} "
+        f"file{'s' if len(files) > 1 else ''}, {(cloud.confirmed > 0).mean():.0%} seen "
+        f"by several scans, median uncertainty {east:.2f}, {north:.2f}, {up:.2f} mm"
+    )
+    print_next(f"amulor view {files[0]}")
+
+
+def _median(values: object) -> list[float]:
+    import numpy as np
+
+    return [float(v) for v in np.median(np.asarray(values), axis=0)]
+
+
+def compare(
+    site: Path,
+    /,
+    *,
+    poses: Path,
+    output: Annotated[Path, Parameter(alias="-o")],
+    first: str | None = None,
+    second: str | None = None,
+    json: Annotated[bool, Parameter(negative="")] = False,
+    overwrite: Annotated[bool, Parameter(negative="")] = False,
+) -> None:
+    """Compare two visits to a site: change, significance, volumes, what moved.
+
+    Parameters
+    ----------
+    site
+        Site file (TOML).
+    poses
+        Registration (JSON), from `amulor site register`.
+    output
+        Table to write (CSV), a row for each place of the surface.
+    first
+        Earlier epoch; the first one by default.
+    second
+        Later epoch; the last one by default.
+    json
+        Print the figures as JSON.
+    overwrite
+        Replace a file that is there.
+    """
+    import numpy as np
+
+    from amulor import io
+    from amulor.cli._arguments import check_ending
+    from amulor.cli._output import print_json, progress_bar
+    from amulor.site import Site
+    from amulor.site.change.table import write_change
+
+    io.check_output(output, overwrite=overwrite, inputs=[site, poses])
+    check_ending("--output", output, (".csv",))
+    epochs = epochs_of(Site.from_toml(site), first, second)
+    with progress_bar(quiet=json):
+        found = opened(site, poses)
+        change, places, motions = changes_between(found, epochs)
+        write_change(change, output, overwrite=overwrite)
+    known = np.isfinite(change.value)
+    if json:
+        print_json(
+            {
+                "epochs": epochs,
+                "compared": int(known.sum()),
+                "significant": int(change.significant.sum()),
+                "false_alarms": change.false_alarms,
+                "median_uncertainty_m": float(np.nanmedian(change.uncertainty[known])),
+                "regions": [
+                    _region(one, motions.get(number))
+                    for number, one in enumerate(places)
+                ],
+            }
+        )
+        return
+    print(
+        f"{epochs[0]} to {epochs[1]}: {int(known.sum())} places compared, "
+        f"{int(change.significant.sum())} changed (of these at most "
+        f"{change.false_alarms:.0%} by chance); median uncertainty "
+        f"{np.nanmedian(change.uncertainty[known]) * 1e3:.2f} mm"
+    )
+    for number, one in enumerate(places):
+        print(_sentence(number + 1, one, motions.get(number)))
+    print(f"{output}: {len(change.value)} rows")
+
+
+def _region(one: Region, motion: Motion | None) -> dict[str, Any]:
+    import numpy as np
+
+    found: dict[str, Any] = {
+        "centre_m": one.centre,
+        "area_m2": one.area,
+        "mean_m": one.mean,
+        "mean_uncertainty_m": one.mean_uncertainty,
+        "volume_m3": one.volume,
+        "volume_uncertainty_m3": one.volume_uncertainty,
+    }
+    if motion is not None:
+        found["motion"] = {
+            "shift_m": motion.shift,
+            "turn_rad": motion.turn,
+            "uncertainty": np.sqrt(motion.covariance.diagonal()),
+            "distance_m": motion.distance,
+            "distance_uncertainty_m": motion.distance_uncertainty,
+            "points": motion.points,
+            "loose": motion.loose,
+        }
+    return found
+
+
+def _sentence(number: int, one: Region, motion: Motion | None) -> str:
+    place = ", ".join(f"{value:.3f}" for value in one.centre)
+    text = (
+        f"{number}: at ({place}) m, {one.area * 1e4:.0f} cm2, mean "
+        f"{one.mean * 1e3:+.2f} +- {one.mean_uncertainty * 1e3:.2f} mm, volume "
+        f"{one.volume * 1e6:+.0f} +- {one.volume_uncertainty * 1e6:.0f} cm3"
+    )
+    if motion is None:
+        return text
+    shift = ", ".join(f"{value * 1e3:+.2f}" for value in motion.shift)
+    return (
+        f"{text}\n   moved by {motion.distance * 1e3:.2f} +- "
+        f"{motion.distance_uncertainty * 1e3:.2f} mm: ({shift}) mm"
+    )
+
+
+def report(
+    site: Path,
+    /,
+    *,
+    poses: Path,
+    output: Annotated[Path, Parameter(alias="-o")],
+    first: str | None = None,
+    second: str | None = None,
+    overwrite: Annotated[bool, Parameter(negative="")] = False,
+) -> None:
+    """Draw a site into one HTML file: plan, poses, errors, change.
+
+    Parameters
+    ----------
+    site
+        Site file (TOML).
+    poses
+        Registration (JSON), from `amulor site register`.
+    output
+        File to write (HTML).
+    first
+        Earlier epoch to compare; the first one by default.
+    second
+        Later epoch to compare; the last one by default.
+    overwrite
+        Replace a file that is there.
+    """
+    from amulor import io
+    from amulor.cli._arguments import check_ending
+    from amulor.cli._output import progress_bar
+    from amulor.site import Site
+    from amulor.view import site_report
+
+    io.check_output(output, overwrite=overwrite, inputs=[site, poses])
+    check_ending("--output", output, (".html", ".htm"))
+    visits = Site.from_toml(site)
+    compared = len(visits.epoch) > 1 or first is not None
+    epochs = epochs_of(visits, first, second) if compared else None
+    change: Change | None = None
+    places: tuple[Region, ...] = ()
+    motions: dict[int, Motion] = {}
+    with progress_bar() as advance:
+        found = opened(site, poses)
+        if epochs is not None:
+            change, places, motions = changes_between(found, epochs)
+        advance("drawing", 0.9)
+        site_report.write(
+            output,
+            found.site,
+            found.registration,
+            found.cloud,
+            change=change,
+            places=places,
+            motions=motions,
+            overwrite=overwrite,
+        )
+    print(f"{output}: {len(found.site.scan)} scans, {len(places)} places that changed")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Opened:
+    """A site with all that was read of it."""
+
+    site: Site
+    registration: Registration
+    surfaces: dict[str, ScanSurface]
+    images: dict[str, xr.Dataset]
+    cloud: Merged
+
+
+def opened(path: Path, poses: Path) -> Opened:
+    """Read a site and its registration, and merge its scans."""
+    from amulor import _progress
+    from amulor.errors import CubeError
+    from amulor.site import Site
+    from amulor.site.merging.cloud import merge
+    from amulor.site.registration.register import surfaces_of
+    from amulor.site.registration.result import read_registration
+
+    site = Site.from_toml(path)
+    registration = read_registration(poses)
+    lacking = [one.name for one in site.scan if one.name not in registration.poses]
+    if lacking:
+        raise CubeError(
+            f"{poses}: has no pose of scan {lacking[0]!r}; register the site again: "
+            f"amulor site register {path} -o {poses} --overwrite"
+        )
+    with _progress.part(0.0, 0.3):
+        surfaces, images = surfaces_of(site)
+    with _progress.part(0.3, 0.6):
+        cloud = merge(site, registration, surfaces, images)
+    return Opened(
+        site=site,
+        registration=registration,
+        surfaces=surfaces,
+        images=images,
+        cloud=cloud,
+    )
+
+
+def epochs_of(site: Site, first: str | None, second: str | None) -> tuple[str, str]:
+    """Names of the two visits to compare; the first and the last by default."""
+    from amulor.cli._arguments import UsageError
+
+    names = [one.name for one in site.epoch]
+    if (first is None) != (second is None):
+        raise UsageError("--first and --second must be given together")
+    if first is None or second is None:
+        if len(names) < 2:
+            raise UsageError(
+                f"the site has one epoch, {names[0]!r}; a comparison needs two"
+            )
+        return names[0], names[-1]
+    for name in (first, second):
+        if name not in names:
+            listed = ", ".join(repr(one) for one in names)
+            raise UsageError(f"{name!r} is no epoch of the site; there are {listed}")
+    return first, second
+
+
+def changes_between(
+    found: Opened, epochs: tuple[str, str]
+) -> tuple[Change, tuple[Region, ...], dict[int, Motion]]:
+    """Compute the change between two visits, its regions, and rigid motions in them."""
+    import numpy as np
+
+    from amulor import _progress
+    from amulor.site.change.distances import change
+    from amulor.site.change.moved import motion_of
+    from amulor.site.change.regions import regions
+
+    with _progress.part(0.6, 0.8):
+        result = change(
+            found.site, found.registration, found.surfaces, found.cloud, epochs=epochs
+        )
+    places = regions(result)
+    motions = {}
+    for number, place in enumerate(places):
+        _progress.tell("fitting what moved", 0.8 + 0.1 * number / len(places))
+        motion = motion_of(
+            found.site,
+            found.registration,
+            found.surfaces,
+            epochs=epochs,
+            centre=place.centre,
+            reach=float(np.clip(1.5 * place.reach, 0.05, 1.0)),
+        )
+        if motion is not None:
+            motions[number] = motion
+    return result, places, motions

@@ -1,1 +1,0 @@
-"""Commands for sites: many scans, one frame."""
