@@ -10,7 +10,6 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from amulor import cube as cubes
-from amulor._decisions import decided
 from amulor.cube.terms import PHASE_PREFIX
 from amulor.rejection import quality
 from amulor.rejection.covariance import Covariance, phase_uncertainties
@@ -32,35 +31,11 @@ def target_cube(
 ) -> xr.Dataset:
     """Make the cube that a rejection method returns.
 
-    Parameters
-    ----------
-    samples : xarray.Dataset
-        What was measured; coordinates, attributes and truth are passed on.
-    target_signal, water_signal : ndarray of complex
-        The two parts of the signal [V].
-    uncertainty : Covariance
-        Errors of the target signal, all of them.
-    residual : ndarray of complex, optional
-        Water signal that is estimated to be left in [V].
-    common : Covariance, optional
-        The part of the errors that the pixels share.
-    proportional : Covariance, optional
-        The part of the errors that cannot make a target out of nothing, see
-        `quality.flags`.
-    terms : mapping of str to Covariance, optional
-        All errors by their terms, of `amulor.cube.terms.SIGNAL_TERMS`; those that are
-        zero everywhere are left out.
-    water_is_in : bool
-        True if no water signal was taken out.
-    step : str
-        Line for the history.
-    **attributes
-        Further global attributes.
-
-    Returns
-    -------
-    xarray.Dataset
-        Cube of level `target_signal`.
+    The signals and their errors have the shape of `samples`. `common` is the part of
+    the errors that the pixels share, `proportional` the part that cannot make a target
+    out of nothing (see `quality.flags`), `residual` the water signal that is estimated
+    to be left in; `water_is_in` says that none was taken out. `terms` are the errors by
+    their terms, of `amulor.cube.terms.SIGNAL_TERMS`, chosen by `present_terms`.
     """
     variables: dict[str, NDArray[Any]] = {
         "in_phase": target_signal.real,
@@ -92,16 +67,7 @@ def target_cube(
             "common_quadrature_uncertainty": np.sqrt(common.quadrature),
             "common_covariance": common.cross,
         }
-    known = decided(
-        "terms of the error",
-        lambda: [
-            name
-            for name, errors in (terms or {}).items()
-            if errors.in_phase.any() or errors.quadrature.any()
-        ],
-    )
-    present = {name: errors for name, errors in (terms or {}).items() if name in known}
-    for name, phase in phase_uncertainties(target_signal, present).items():
+    for name, phase in phase_uncertainties(target_signal, terms or {}).items():
         variables[f"{PHASE_PREFIX}{name}"] = phase
     if water_is_in:
         attributes["error_unknown"] = cubes.WATER_NOT_REMOVED
@@ -129,21 +95,23 @@ def target_cube(
     return cubes.note(target, step)
 
 
+def present_terms(
+    terms: Mapping[str, Covariance], known: tuple[str, ...] | None = None
+) -> dict[str, Covariance]:
+    """Return the error terms of known names; those that are not zero by default."""
+    return {
+        name: errors
+        for name, errors in terms.items()
+        if (
+            errors.in_phase.any() or errors.quadrature.any()
+            if known is None
+            else name in known
+        )
+    }
+
+
 def saturated_in_any(first: xr.Dataset, channels: xr.Dataset) -> xr.Dataset:
-    """Return a channel that counts as saturated where any of several channels is.
-
-    Parameters
-    ----------
-    first : xarray.Dataset
-        Level `samples`, one channel, which stands for all in the result.
-    channels : xarray.Dataset
-        The same samples, all channels that the result is made from.
-
-    Returns
-    -------
-    xarray.Dataset
-        `first` with the largest `saturated`; as it is, if the cube does not say.
-    """
+    """Return a channel that counts as saturated where any of several channels is."""
     if "saturated" not in channels:
         return first
     worst = channels["saturated"].values.max(axis=1, keepdims=True)

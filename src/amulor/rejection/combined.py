@@ -2,22 +2,24 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+from functools import partial
+
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
 from amulor import cube as cubes
-from amulor._decisions import decided
-from amulor.cube import QualityFlag
+from amulor.cube import QualityFlag, tiles
 from amulor.rejection import quality
-from amulor.rejection.build import saturated_in_any, target_cube
+from amulor.rejection.build import present_terms, saturated_in_any, target_cube
 from amulor.rejection.channels import mixing, ratios
 from amulor.rejection.channels.names import pair_of
 from amulor.rejection.covariance import along
 from amulor.rejection.methods import Needs, method
 from amulor.rejection.open_water import cube_of, reference_attributes
 from amulor.rejection.reference.noise import with_noise_of_shots
-from amulor.rejection.subtraction import subtract_open_water
+from amulor.rejection.subtraction import SubtractionFit, subtract_open_water
 
 Floats = NDArray[np.float64]
 
@@ -25,7 +27,142 @@ Floats = NDArray[np.float64]
 _WITH_CHANNEL = (slice(None), None)
 
 
-@method("combined", needs=Needs(open_water=True, channel_pair=True), simplicity=4)
+@dataclass(frozen=True, kw_only=True)
+class CombinedFit:
+    """What the combined method learns from a scan."""
+
+    noise_scale: float
+    """Factor of the stated errors that the scatter of the shots tells [1]."""
+    subtraction: SubtractionFit
+    """What the subtraction of open water learned."""
+    target_ratio: ratios.Ratio | None
+    """Depolarization ratio of the targets; None if it is stated."""
+    terms: tuple[str, ...]
+    """Terms of the error that are not zero everywhere."""
+
+
+def _combine(
+    cube: xr.Dataset,
+    *,
+    interval: tuple[float, float] | None = None,
+    target_ratio: float | None = None,
+    target_ratio_uncertainty: float = 0.0,
+    water_change: float = 0.0,
+    column_uncertainty: float | None = None,
+    fit: CombinedFit | None = None,
+    span: tiles.Span | None = None,
+) -> tuple[xr.Dataset, CombinedFit]:
+    """Combine the channels of a scan, or of rows of it with what the scan told."""
+    cube, noise_scale = with_noise_of_shots(
+        cubes.checked(cube, "samples"), None if fit is None else fit.noise_scale
+    )
+    _refuse_odd(target_ratio, water_change)
+    co, cross = pair_of(cube)
+    left = subtract_open_water(
+        cube,
+        interval=interval,
+        column_uncertainty=column_uncertainty,
+        fit=None if fit is None else fit.subtraction,
+        span=span,
+    )
+    estimate = None if fit is None else fit.target_ratio
+    if target_ratio is None:
+        if estimate is None:
+            # The shots' own column, whatever is said of it for the rest.
+            estimate = (
+                ratios.ratio_of(cube_of(cube, left)[0])
+                if column_uncertainty is None
+                else ratios.target_ratio(cube, interval=interval)
+            )
+        target_ratio = ratios.possible(estimate, name="target_ratio")
+        target_ratio_uncertainty = estimate.uncertainty
+    present = list(cube["polarization"].values)
+    channel = [(slice(None), present.index(name)) for name in (co, cross)]
+    water = [left.water_signal[index] for index in channel]
+    reference = [left.reference.part(index) for index in channel]
+    water_ratio = np.divide(
+        (water[1] * water[0].conj()).real,
+        np.abs(water[0]) ** 2,
+        out=np.zeros(water[0].shape),
+        where=np.abs(water[0]) > 0,
+    )
+    # What is wrong with the water is wrong in both channels, in their proportion.
+    of_water = left.of_water.part(channel[0])
+    solved = mixing.unmix(
+        [left.target[index] for index in channel],
+        [left.own.part(index) + left.reference.part(index) for index in channel],
+        target_weights=[1.0, target_ratio],
+        water_weights=[1.0, water_ratio],
+        water_prior=of_water + along(water[0], water_change),
+    )
+    target = solved.target
+    # A wrong ratio moves the crossed channel away from the estimate.
+    slope = solved.shift_by([np.zeros_like(target), -target])
+    by_ratio = along(slope, target_ratio_uncertainty)
+    both: list[Floats | float] = [1.0, water_ratio]
+    of_reference = solved.error_of(reference)
+    by_water = solved.error_of_water(both, of_water)
+    common = of_reference + by_ratio + by_water
+    # Put back where the distance is settled; where it is not, it is not known.
+    residual = None if left.residual is None else left.residual[channel[0]]
+    # Errors turn alike, so one of each sum is what the others leave of it.
+    column = solved.error_of_water(both, left.column.part(channel[0]))
+    counting = solved.error_of([left.counting.part(at) for at in channel])
+    rest = counting + of_reference + by_water
+    terms = {}
+    if water_change > 0:
+        by_change = solved.error_of_water(both, along(water[0], water_change))
+        terms["water_model"] = by_change
+        rest = rest + by_change
+    terms |= {
+        "counting": counting,
+        "fluctuation": solved.independent.without(rest),
+        "reference": of_reference,
+        "column": column,
+        "drift": by_water.without(column),
+        "polarization_optics": by_ratio,
+    }
+    terms = present_terms(terms, None if fit is None else fit.terms)
+    first = saturated_in_any(
+        cube.sel(polarization=[co]), cube.sel(polarization=[co, cross])
+    )
+    result = target_cube(
+        first,
+        target[:, None],
+        (solved.independent + by_ratio).part(_WITH_CHANNEL),
+        water_signal=first.amulor.signal.values - target[:, None],
+        residual=None if residual is None else residual[:, None],
+        common=common.part(_WITH_CHANNEL),
+        proportional=(by_ratio + by_water).part(_WITH_CHANNEL),
+        terms={name: errors.part(_WITH_CHANNEL) for name, errors in terms.items()},
+        step=f"reject, combine {co} and {cross} after open water, ratio of the target "
+        f"{target_ratio:g}",
+        frequencies_share_errors=np.int32(0),
+        target_ratio=target_ratio,
+        target_ratio_uncertainty=target_ratio_uncertainty,
+        **reference_attributes(left),
+    )
+    # Whether there is a target was decided before a column was put back.
+    result = quality.add(result, QualityFlag.NO_TARGET, ~left.seen)
+    outlying = left.outlying[channel[0]] | left.outlying[channel[1]]
+    result = quality.add(result, QualityFlag.OUTLIER, outlying[:, None])
+    if water_change == 0:
+        # Nothing here makes up for a reference that is doubtful.
+        result = quality.add(result, QualityFlag.WATER_RESIDUAL, left.doubtful)
+    return result, CombinedFit(
+        noise_scale=noise_scale,
+        subtraction=left.fit,
+        target_ratio=estimate,
+        terms=tuple(terms),
+    )
+
+
+@method(
+    "combined",
+    needs=Needs(open_water=True, channel_pair=True),
+    simplicity=4,
+    fitter=partial(tiles.fit_on_sample, _combine),
+)
 def combined(
     cube: xr.Dataset,
     *,
@@ -79,97 +216,14 @@ def combined(
     :math:`\delta` is an error that they share: :math:`\delta = 0` gives the weighted
     mean of the channels, a large one gives unmixing.
     """
-    cube = with_noise_of_shots(cubes.checked(cube, "samples"))
-    _refuse_odd(target_ratio, water_change)
-    co, cross = pair_of(cube)
-    left = subtract_open_water(
-        cube, interval=interval, column_uncertainty=column_uncertainty
-    )
-    if target_ratio is None:
-        # The shots' own column, whatever is said of it for the rest.
-        estimate = decided(
-            "ratio of the target",
-            lambda: (
-                ratios.ratio_of(cube_of(cube, left))
-                if column_uncertainty is None
-                else ratios.target_ratio(cube, interval=interval)
-            ),
-        )
-        target_ratio = ratios.possible(estimate, name="target_ratio")
-        target_ratio_uncertainty = estimate.uncertainty
-    present = list(cube["polarization"].values)
-    channel = [(slice(None), present.index(name)) for name in (co, cross)]
-    water = [left.water_signal[index] for index in channel]
-    reference = [left.reference.part(index) for index in channel]
-    water_ratio = np.divide(
-        (water[1] * water[0].conj()).real,
-        np.abs(water[0]) ** 2,
-        out=np.zeros(water[0].shape),
-        where=np.abs(water[0]) > 0,
-    )
-    # What is wrong with the water is wrong in both channels, in their proportion.
-    of_water = left.of_water.part(channel[0])
-    solved = mixing.unmix(
-        [left.target[index] for index in channel],
-        [left.own.part(index) + left.reference.part(index) for index in channel],
-        target_weights=[1.0, target_ratio],
-        water_weights=[1.0, water_ratio],
-        water_prior=of_water + along(water[0], water_change),
-    )
-    target = solved.target
-    # A wrong ratio moves the crossed channel away from the estimate.
-    slope = solved.shift_by([np.zeros_like(target), -target])
-    by_ratio = along(slope, target_ratio_uncertainty)
-    both: list[Floats | float] = [1.0, water_ratio]
-    of_reference = solved.error_of(reference)
-    by_water = solved.error_of_water(both, of_water)
-    common = of_reference + by_ratio + by_water
-    # Put back where the distance is settled; where it is not, it is not known.
-    residual = None if left.residual is None else left.residual[channel[0]]
-    # Errors turn alike, so one of each sum is what the others leave of it.
-    column = solved.error_of_water(both, left.column.part(channel[0]))
-    counting = solved.error_of([left.counting.part(at) for at in channel])
-    rest = counting + of_reference + by_water
-    terms = {}
-    if water_change > 0:
-        by_change = solved.error_of_water(both, along(water[0], water_change))
-        terms["water_model"] = by_change
-        rest = rest + by_change
-    terms |= {
-        "counting": counting,
-        "fluctuation": solved.independent.without(rest),
-        "reference": of_reference,
-        "column": column,
-        "drift": by_water.without(column),
-        "polarization_optics": by_ratio,
-    }
-    first = saturated_in_any(
-        cube.sel(polarization=[co]), cube.sel(polarization=[co, cross])
-    )
-    result = target_cube(
-        first,
-        target[:, None],
-        (solved.independent + by_ratio).part(_WITH_CHANNEL),
-        water_signal=first.amulor.signal.values - target[:, None],
-        residual=None if residual is None else residual[:, None],
-        common=common.part(_WITH_CHANNEL),
-        proportional=(by_ratio + by_water).part(_WITH_CHANNEL),
-        terms={name: errors.part(_WITH_CHANNEL) for name, errors in terms.items()},
-        step=f"reject, combine {co} and {cross} after open water, ratio of the target "
-        f"{target_ratio:g}",
-        frequencies_share_errors=np.int32(0),
+    return _combine(
+        cube,
+        interval=interval,
         target_ratio=target_ratio,
         target_ratio_uncertainty=target_ratio_uncertainty,
-        **reference_attributes(left),
-    )
-    # Whether there is a target was decided before a column was put back.
-    result = quality.add(result, QualityFlag.NO_TARGET, ~left.seen)
-    outlying = left.outlying[channel[0]] | left.outlying[channel[1]]
-    result = quality.add(result, QualityFlag.OUTLIER, outlying[:, None])
-    if water_change == 0:
-        # Nothing here makes up for a reference that is doubtful.
-        result = quality.add(result, QualityFlag.WATER_RESIDUAL, left.doubtful)
-    return result
+        water_change=water_change,
+        column_uncertainty=column_uncertainty,
+    )[0]
 
 
 def _refuse_odd(target_ratio: float | None, water_change: float) -> None:

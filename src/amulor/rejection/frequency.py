@@ -3,24 +3,24 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
 from amulor import cube as cubes
-from amulor._decisions import decided
-from amulor.cube import QualityFlag
+from amulor.cube import QualityFlag, tiles
 from amulor.errors import CubeError
 from amulor.optics import extrema, low_pass, ranging
 from amulor.rejection import quality
-from amulor.rejection.build import target_cube
+from amulor.rejection.build import present_terms, target_cube
 from amulor.rejection.covariance import covariance_of
 from amulor.rejection.merit import Merit, merit
 from amulor.rejection.methods import Needs, method
 from amulor.rejection.quality import LARGEST_PHASE_ERROR
-from amulor.rejection.reference.before_target import water_before_target
-from amulor.rejection.reference.presence import shows_target
+from amulor.rejection.reference.before_target import WaterFit, water_before_target
+from amulor.rejection.reference.presence import CutColumns, shows_target
 from amulor.rejection.reference.shots import shots_of
 
 Floats = NDArray[np.float64]
@@ -160,11 +160,92 @@ def choose_frequency(
     )
 
 
+@dataclass(frozen=True, kw_only=True)
+class FrequencyFit:
+    """What keeping one frequency learns from a scan."""
+
+    choice: FrequencyChoice | None
+    """The frequency; None if the user chose it."""
+    water: WaterFit
+    """Water in front of the targets."""
+    cut: CutColumns | None
+    """Water that ends in a shadow; None without a survey."""
+    terms: tuple[str, ...]
+    """Terms of the error that are not zero everywhere."""
+
+
+def _keep(
+    cube: xr.Dataset,
+    *,
+    modulation_frequency: float | None = None,
+    interval: tuple[float, float] | None = None,
+    fit: FrequencyFit | None = None,
+    span: tiles.Span | None = None,
+) -> tuple[xr.Dataset, FrequencyFit]:
+    """Keep one frequency of a scan, or of rows of it with what the scan told."""
+    cube = cubes.checked(cube, "samples")
+    warnings: tuple[str, ...] = ()
+    choice = None if fit is None else fit.choice
+    if modulation_frequency is None:
+        if choice is None:
+            choice = choose_frequency(cube, interval=interval)
+        modulation_frequency = choice.modulation_frequency
+        reason, warnings = choice.reason, choice.warnings
+    else:
+        reason = "chosen by the user"
+    there = cube["modulation_frequency"].values
+    which = np.flatnonzero(np.isclose(there, modulation_frequency, rtol=1e-9))
+    if len(which) == 0:
+        listed = ", ".join(f"{value / 1e6:g}" for value in there)
+        raise CubeError(
+            f"the cube has no sample at {modulation_frequency / 1e6:g} MHz, but at "
+            f"{listed} MHz; choose one of these"
+        )
+    water = water_before_target(
+        cube, interval=interval, fit=None if fit is None else fit.water, span=span
+    )
+    one = cube.isel(modulation_frequency=which)
+    residual = water.signal
+    if water.hidden_fraction is not None:
+        residual = np.where(np.isfinite(water.hidden_fraction), residual, np.nan)
+    errors = covariance_of(cube) + water.fluctuation + water.common
+    signal = one.amulor.signal.values
+    terms = present_terms(
+        {
+            "counting": covariance_of(one),
+            "fluctuation": water.fluctuation.part(which),
+            "reference": water.common.part(which),
+        },
+        None if fit is None else fit.terms,
+    )
+    result = target_cube(
+        one,
+        signal,
+        errors.part(which),
+        water_signal=np.zeros_like(signal),
+        residual=residual[which],
+        common=water.common.part(which),
+        terms=terms,
+        step=f"reject, keep {modulation_frequency / 1e6:g} MHz alone",
+        frequencies_share_errors=np.int32(0),
+        frequency_choice=reason,
+        frequency_warnings="; ".join(warnings),
+    )
+    # By all frequencies: one alone takes water that is cut off close by for a target.
+    seen, cut = shows_target(
+        cube, water, interval=interval, fit=None if fit is None else fit.cut
+    )
+    return quality.add(result, QualityFlag.NO_TARGET, ~seen), FrequencyFit(
+        choice=choice, water=water.fit, cut=cut, terms=tuple(terms)
+    )
+
+
 @method(
     "frequency",
     needs=Needs(open_water=True),
     simplicity=2,
     keeps_one_frequency=True,
+    fitter=partial(tiles.fit_on_sample, _keep),
 )
 def frequency(
     cube: xr.Dataset,
@@ -210,51 +291,7 @@ def frequency(
     >>> kept.sizes["modulation_frequency"]
     1
     """
-    cube = cubes.checked(cube, "samples")
-    warnings: tuple[str, ...] = ()
-    if modulation_frequency is None:
-        choice = decided(
-            "frequency to keep", lambda: choose_frequency(cube, interval=interval)
-        )
-        modulation_frequency = choice.modulation_frequency
-        reason, warnings = choice.reason, choice.warnings
-    else:
-        reason = "chosen by the user"
-    there = cube["modulation_frequency"].values
-    which = np.flatnonzero(np.isclose(there, modulation_frequency, rtol=1e-9))
-    if len(which) == 0:
-        listed = ", ".join(f"{value / 1e6:g}" for value in there)
-        raise CubeError(
-            f"the cube has no sample at {modulation_frequency / 1e6:g} MHz, but at "
-            f"{listed} MHz; choose one of these"
-        )
-    water = water_before_target(cube, interval=interval)
-    one = cube.isel(modulation_frequency=which)
-    residual = water.signal
-    if water.hidden_fraction is not None:
-        residual = np.where(np.isfinite(water.hidden_fraction), residual, np.nan)
-    errors = covariance_of(cube) + water.fluctuation + water.common
-    signal = one.amulor.signal.values
-    result = target_cube(
-        one,
-        signal,
-        errors.part(which),
-        water_signal=np.zeros_like(signal),
-        residual=residual[which],
-        common=water.common.part(which),
-        terms={
-            "counting": covariance_of(one),
-            "fluctuation": water.fluctuation.part(which),
-            "reference": water.common.part(which),
-        },
-        step=f"reject, keep {modulation_frequency / 1e6:g} MHz alone",
-        frequencies_share_errors=np.int32(0),
-        frequency_choice=reason,
-        frequency_warnings="; ".join(warnings),
-    )
-    # By all frequencies: one alone takes water that is cut off close by for a target.
-    seen = shows_target(cube, water, interval=interval)
-    return quality.add(result, QualityFlag.NO_TARGET, ~seen)
+    return _keep(cube, modulation_frequency=modulation_frequency, interval=interval)[0]
 
 
 def _channel(cube: xr.Dataset, figures: Merit, polarization: str | None) -> int:

@@ -49,22 +49,7 @@ class Merit:
 def merit(cube: xr.Dataset, *, interval: tuple[float, float] | None) -> Merit:
     """Return the figures of merit of every frequency and channel.
 
-    Parameters
-    ----------
-    cube : xarray.Dataset
-        Level `samples`, with open-water shots.
-    interval : tuple of float, optional
-        Nearest and farthest slant range that are possible [m].
-
-    Returns
-    -------
-    Merit
-        Arrays over (modulation_frequency, polarization).
-
-    Raises
-    ------
-    CubeError
-        As `open_water`.
+    Of samples with open-water shots; CubeError as `open_water`.
     """
     water = water_before_target(cube, interval=interval)
     signal = cube.amulor.signal.values
@@ -72,7 +57,7 @@ def merit(cube: xr.Dataset, *, interval: tuple[float, float] | None) -> Merit:
     errors = covariance_of(cube) + water.fluctuation
     flag = quality.flags(cube, target, errors + water.common)
     usable = ((flag & UNUSABLE) == 0) & (target != 0) & (signal != 0)
-    usable &= shows_target(cube, water, interval=interval)
+    usable &= shows_target(cube, water, interval=interval)[0]
     phase = quality.phase_error(signal, errors, usable)
     turned = interference.phase_error(
         np.where(usable, target, 1.0), np.where(usable, water.signal, 0.0)

@@ -10,7 +10,6 @@ from __future__ import annotations
 import inspect
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from functools import partial
 from importlib import metadata
 from typing import Any, TypeVar
 
@@ -72,8 +71,9 @@ class Method:
     """Whether `auto` tries it a second time without the reference measurements where it
     trusts few pixels with them."""
     fitter: Callable[..., tiles.OfRows] | None = None
-    """Fit of the method to a source of rows, called with the options; by default the
-    statistics of a scan are estimated on `amulor.cube.tiles.sample_of` the source."""
+    """Fit of the method to a source of rows, called with the options; None for a method
+    whose result at a pixel depends on the samples of its row and on the reference
+    measurements only."""
 
     @property
     def options(self) -> tuple[str, ...]:
@@ -130,7 +130,7 @@ class Method:
         accepted = self._accepted(options)
         if self.fitter is not None:
             return self.fitter(source, **accepted)
-        return tiles.fitted(partial(self.function, **accepted), source)
+        return lambda rows, first: self.function(rows, **accepted)
 
     def without_open_water(self) -> Method:
         """Return the method that is not shown the open-water reference measurements.
@@ -216,6 +216,16 @@ def method(name: str, **declared: Any) -> Callable[[_Function], _Function]:
     callable
         Decorator that returns the function as it is.
 
+    Notes
+    -----
+    A scan that is larger than memory is processed some rows at a time. A method that
+    uses a statistic of the whole scan (a median, a threshold, what another method
+    estimates) declares a `fitter`: it is called once with the source of the rows and
+    the options, estimates the statistics, for instance from the cube
+    `amulor.cube.tiles.sample_of(source)`, and returns the function that processes rows
+    with them; its second argument is the number of the first row. Without a `fitter`
+    the method is called with some rows at a time.
+
     Examples
     --------
     >>> from amulor import rejection
@@ -224,6 +234,25 @@ def method(name: str, **declared: Any) -> Callable[[_Function], _Function]:
     ...     return rejection.keep_water(cube)
     >>> nothing.declared.name
     'nothing'
+
+    A method with a statistic of the scan, the median of its quadratures, and one that
+    builds on another, whose fit it calls:
+
+    >>> from amulor.cube import tiles
+    >>> def less(cube, median):
+    ...     kept = rejection.keep_water(cube)
+    ...     return kept.assign(quadrature=kept["quadrature"] - median)
+    >>> def fit_median(source):
+    ...     median = float(tiles.sample_of(source)["quadrature"].median())
+    ...     return lambda rows, first: less(rows, median)
+    >>> @rejection.method("less-median", fitter=fit_median)
+    ... def less_median(cube):
+    ...     return less(cube, float(cube["quadrature"].median()))
+    >>> def fit_half(source):
+    ...     of = rejection.load("open-water").fit(source)
+    ...     return lambda rows, first: of(rows, first) / 2
+    >>> less_median.declared.name
+    'less-median'
     """
 
     def declare(function: _Function) -> _Function:

@@ -2,21 +2,64 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
 import xarray as xr
 
 from amulor import cube as cubes
-from amulor.cube import QualityFlag
+from amulor.cube import QualityFlag, tiles
 from amulor.rejection import quality
-from amulor.rejection.build import target_cube
+from amulor.rejection.build import present_terms, target_cube
 from amulor.rejection.methods import Needs, method
 from amulor.rejection.reference.noise import with_noise_of_shots
-from amulor.rejection.subtraction import Subtraction, subtract_open_water
+from amulor.rejection.subtraction import (
+    Subtraction,
+    SubtractionFit,
+    subtract_open_water,
+)
 
 
-@method("open-water", needs=Needs(open_water=True), simplicity=1)
+@dataclass(frozen=True, kw_only=True)
+class OpenWaterFit:
+    """What open-water subtraction learns from a scan."""
+
+    noise_scale: float
+    """Factor of the stated errors that the scatter of the shots tells [1]."""
+    subtraction: SubtractionFit
+    """What the subtraction learned."""
+    terms: tuple[str, ...]
+    """Terms of the error that are not zero everywhere."""
+
+
+def _subtract(
+    cube: xr.Dataset,
+    *,
+    fit: OpenWaterFit | None = None,
+    span: tiles.Span | None = None,
+    **options: Any,
+) -> tuple[xr.Dataset, OpenWaterFit]:
+    """Subtract open water, with options of `open_water`, from a scan or from rows."""
+    cube, noise_scale = with_noise_of_shots(
+        cubes.checked(cube, "samples"), None if fit is None else fit.noise_scale
+    )
+    left = subtract_open_water(
+        cube, fit=None if fit is None else fit.subtraction, span=span, **options
+    )
+    result, terms = cube_of(cube, left, terms=None if fit is None else fit.terms)
+    return result, OpenWaterFit(
+        noise_scale=noise_scale, subtraction=left.fit, terms=terms
+    )
+
+
+@method(
+    "open-water",
+    needs=Needs(open_water=True),
+    simplicity=1,
+    fitter=partial(tiles.fit_on_sample, _subtract),
+)
 def open_water(
     cube: xr.Dataset,
     *,
@@ -102,31 +145,28 @@ def open_water(
     >>> bool(left < 0.05)
     True
     """
-    cube = with_noise_of_shots(cubes.checked(cube, "samples"))
-    left = subtract_open_water(
+    return _subtract(
         cube,
         interval=interval,
         column_uncertainty=column_uncertainty,
         put_back=put_back,
+    )[0]
+
+
+def cube_of(
+    cube: xr.Dataset, left: Subtraction, *, terms: tuple[str, ...] | None = None
+) -> tuple[xr.Dataset, tuple[str, ...]]:
+    """Return what a subtraction left of samples as a cube, and its error terms."""
+    found = present_terms(
+        {
+            "counting": left.counting,
+            "fluctuation": left.fluctuation,
+            "reference": left.reference,
+            "column": left.column,
+            "drift": left.change,
+        },
+        terms,
     )
-    return cube_of(cube, left)
-
-
-def cube_of(cube: xr.Dataset, left: Subtraction) -> xr.Dataset:
-    """Return what a subtraction left as a cube.
-
-    Parameters
-    ----------
-    cube : xarray.Dataset
-        Level `samples`.
-    left : Subtraction
-        Of these samples.
-
-    Returns
-    -------
-    xarray.Dataset
-        Level `target_signal`, with errors, terms and flags.
-    """
     result = target_cube(
         cube,
         left.target,
@@ -135,13 +175,7 @@ def cube_of(cube: xr.Dataset, left: Subtraction) -> xr.Dataset:
         residual=left.residual,
         common=left.shared,
         proportional=left.of_water,
-        terms={
-            "counting": left.counting,
-            "fluctuation": left.fluctuation,
-            "reference": left.reference,
-            "column": left.column,
-            "drift": left.change,
-        },
+        terms=found,
         step="reject, open water"
         + (", column behind the target put back" if left.put_back else ""),
         frequencies_share_errors=np.int32(0),
@@ -149,22 +183,11 @@ def cube_of(cube: xr.Dataset, left: Subtraction) -> xr.Dataset:
     )
     result = quality.add(result, QualityFlag.WATER_RESIDUAL, left.doubtful)
     result = quality.add(result, QualityFlag.OUTLIER, left.outlying)
-    return quality.add(result, QualityFlag.NO_TARGET, ~left.seen)
+    return quality.add(result, QualityFlag.NO_TARGET, ~left.seen), tuple(found)
 
 
 def reference_attributes(left: Subtraction) -> dict[str, Any]:
-    """Return what the shots say about the water, as attributes of a cube.
-
-    Parameters
-    ----------
-    left : Subtraction
-        What was subtracted.
-
-    Returns
-    -------
-    dict
-        Degree, drift, strength and turbidity of the reference.
-    """
+    """Return degree, drift, strength and turbidity of the reference, as attributes."""
     fits, turbidity = left.water.fits, left.water.turbidity
     told = {
         "open_water_degree": np.array([fit.degree for fit in fits], dtype=np.int32),
@@ -172,8 +195,8 @@ def reference_attributes(left: Subtraction) -> dict[str, Any]:
         "open_water_drift_uncertainty": np.array(
             [abs(fit.drift.uncertainty) for fit in fits]
         ),
-        "open_water_change": left.strength.change,
-        "open_water_change_uncertainty": left.strength.uncertainty,
+        "open_water_change": left.fit.strength.change,
+        "open_water_change_uncertainty": left.fit.strength.uncertainty,
     }
     if turbidity is None:
         return told

@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
 from amulor import cube as cubes
-from amulor._decisions import decided
+from amulor.cube import tiles
 from amulor.errors import CubeError
-from amulor.rejection.build import saturated_in_any, target_cube
+from amulor.rejection.build import present_terms, saturated_in_any, target_cube
 from amulor.rejection.channels import ratios
 from amulor.rejection.channels.names import (
     CO_POLARIZED,
@@ -21,15 +22,57 @@ from amulor.rejection.channels.names import (
 from amulor.rejection.covariance import Covariance, along, covariance_of
 from amulor.rejection.merit import merit
 from amulor.rejection.methods import Needs, method
+from amulor.rejection.reference.before_target import WaterFit
 from amulor.rejection.reference.noise import with_noise_of_shots
-from amulor.rejection.reference.shots import fit_shots, fluctuation_of
+from amulor.rejection.reference.shots import ShotsFit, fit_shots, fluctuation_of
 from amulor.rejection.reference.size import (
     not_smaller_than_shots_say,
     not_smaller_than_usual,
 )
 
+Floats = NDArray[np.float64]
 
-@method("none")
+
+def _kept(
+    cube: xr.Dataset,
+    *,
+    channels: tuple[str, ...] | None = None,
+    name: str = "",
+    fit: tuple[str, ...] | None = None,
+    span: tiles.Span | None = None,
+) -> tuple[xr.Dataset, tuple[str, ...]]:
+    """Return channels with the water in them, and the terms of their error.
+
+    The channels of those names that are there, of the kind `name`; by default all.
+    """
+    cube = cubes.checked(cube, "samples")
+    step = "reject, nothing taken out"
+    if channels is not None:
+        present = cube.amulor.polarizations
+        chosen = [channel for channel in present if channel in channels]
+        if not chosen:
+            raise CubeError(
+                f"the cube has the channels {', '.join(present)}, none of which is "
+                f"{name} ({', '.join(channels)}); record one, or use another method"
+            )
+        cube = cube.sel(polarization=chosen)
+        step = f"reject, {name} channel {', '.join(chosen)}"
+    signal = cube.amulor.signal.values
+    errors = covariance_of(cube)
+    terms = present_terms({"counting": errors}, fit)
+    target = target_cube(
+        cube,
+        signal,
+        errors,
+        terms=terms,
+        water_signal=np.zeros_like(signal),
+        water_is_in=True,
+        step=step,
+    )
+    return target, tuple(terms)
+
+
+@method("none", fitter=partial(tiles.fit_on_sample, _kept))
 def keep_water(cube: xr.Dataset) -> xr.Dataset:
     """Pass samples on with the water signal in them, flagged as such.
 
@@ -51,11 +94,17 @@ def keep_water(cube: xr.Dataset) -> xr.Dataset:
     >>> raw.amulor.level, raw.amulor.polarizations
     ('target_signal', ['VV', 'VH'])
     """
-    cube = cubes.checked(cube, "samples")
-    return _unchanged(cube, step="reject, nothing taken out")
+    return _kept(cube)[0]
 
 
-@method("cross-polarized", needs=Needs(open_water=False), simplicity=0)
+@method(
+    "cross-polarized",
+    needs=Needs(open_water=False),
+    simplicity=0,
+    fitter=partial(
+        tiles.fit_on_sample, _kept, channels=CROSS_POLARIZED, name="cross-polarized"
+    ),
+)
 def cross_polarized(cube: xr.Dataset) -> xr.Dataset:
     """Choose the channels in which the water is dark.
 
@@ -81,10 +130,15 @@ def cross_polarized(cube: xr.Dataset) -> xr.Dataset:
     >>> rejection.cross_polarized(samples.cube("ladder")).amulor.polarizations
     ['VH']
     """
-    return _chosen(cube, CROSS_POLARIZED, name="cross-polarized")
+    return _kept(cube, channels=CROSS_POLARIZED, name="cross-polarized")[0]
 
 
-@method("co-polarized")
+@method(
+    "co-polarized",
+    fitter=partial(
+        tiles.fit_on_sample, _kept, channels=CO_POLARIZED, name="co-polarized"
+    ),
+)
 def co_polarized(cube: xr.Dataset) -> xr.Dataset:
     """Choose the channels in which target and water are bright.
 
@@ -109,7 +163,11 @@ def co_polarized(cube: xr.Dataset) -> xr.Dataset:
     >>> rejection.co_polarized(samples.cube("ladder")).amulor.polarizations
     ['VV']
     """
-    return _chosen(cube, CO_POLARIZED, name="co-polarized")
+    return _kept(cube, channels=CO_POLARIZED, name="co-polarized")[0]
+
+
+#: Ratios of target and water that are closer cannot be told apart [1].
+_SMALLEST_CONTRAST = 1e-3
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -122,11 +180,11 @@ class ChannelChoice:
     """Why this channel."""
     channels: tuple[str, ...]
     """All channels of the cube."""
-    ratio: NDArray[np.float64]
+    ratio: Floats
     """Signal-to-optical-noise ratio (54), (modulation_frequency, channel) [1]."""
-    noise: NDArray[np.float64]
+    noise: Floats
     """Random error of the slant range, likewise [m]."""
-    shift: NDArray[np.float64]
+    shift: Floats
     """Shift of the slant range by the water left in, likewise [m]."""
 
 
@@ -201,7 +259,129 @@ def choose_channel(
     )
 
 
-@method("polarization", needs=Needs(channel_pair=True), simplicity=3)
+@dataclass(frozen=True, kw_only=True)
+class PolarizationFit:
+    """What unmixing learns from a scan; None what is stated or not asked for."""
+
+    noise_scale: float
+    """Factor of the stated errors that the scatter of the shots tells [1]."""
+    target_ratio: ratios.Ratio | None
+    """Depolarization ratio of the targets."""
+    water_ratio: ratios.Ratio | None
+    """Depolarization ratio of the water."""
+    fluctuation: FluctuationFit
+    """How the water fluctuates."""
+    terms: tuple[str, ...]
+    """Terms of the error that are not zero everywhere."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class FluctuationFit:
+    """What a scan and its shots tell of how unmixed water fluctuates."""
+
+    usual: Floats | None = None
+    """Median amplitude of the water over the scan [V]; None where shots tell."""
+    water: WaterFit | None = None
+    """Water in front of the targets."""
+    channels: tuple[ShotsFit, ...] = ()
+    """Shots of the co-polarized and of the cross-polarized channel."""
+
+
+def _unmix(
+    cube: xr.Dataset,
+    *,
+    target_ratio: float | None = None,
+    water_ratio: float | None = None,
+    target_ratio_uncertainty: float = 0.0,
+    water_ratio_uncertainty: float = 0.0,
+    water_fluctuation: float | None = None,
+    fit: PolarizationFit | None = None,
+    span: tiles.Span | None = None,
+) -> tuple[xr.Dataset, PolarizationFit]:
+    """Unmix a scan, or rows of it with what the scan told."""
+    cube, noise_scale = with_noise_of_shots(
+        cubes.checked(cube, "samples"), None if fit is None else fit.noise_scale
+    )
+    co, cross = pair_of(cube)
+    of_target = None if fit is None else fit.target_ratio
+    of_water = None if fit is None else fit.water_ratio
+    if target_ratio is None:
+        if of_target is None:
+            of_target = ratios.target_ratio(cube)
+        target_ratio = ratios.possible(of_target, name="target_ratio")
+        target_ratio_uncertainty = of_target.uncertainty
+    if water_ratio is None:
+        if of_water is None:
+            of_water = ratios.water_ratio(cube)
+        water_ratio = ratios.possible(of_water, name="water_ratio")
+        water_ratio_uncertainty = of_water.uncertainty
+    for name, ratio in (("target_ratio", target_ratio), ("water_ratio", water_ratio)):
+        if not 0 <= ratio <= 1:
+            raise ValueError(f"{name} must lie between 0 and 1, got {ratio:g}")
+    contrast = target_ratio - water_ratio
+    if abs(contrast) < _SMALLEST_CONTRAST:
+        raise ValueError(
+            f"target_ratio ({target_ratio:g}) and water_ratio ({water_ratio:g}) are "
+            f"closer than {_SMALLEST_CONTRAST:g}; polarization cannot tell them apart"
+        )
+    first, second = cube.sel(polarization=[co]), cube.sel(polarization=[cross])
+    a, b = first.amulor.signal.values, second.amulor.signal.values
+    target = (b - water_ratio * a) / contrast
+    water = a - target
+    both, fluctuation = _fluctuations(
+        first,
+        second,
+        water,
+        water_fluctuation,
+        fit=None if fit is None else fit.fluctuation,
+        span=span,
+    )
+    fluctuations = [each.scaled((water_ratio / contrast) ** 2) for each in both]
+    independent = covariance_of(second).scaled(contrast**-2) + covariance_of(
+        first
+    ).scaled((water_ratio / contrast) ** 2)
+    first = saturated_in_any(first, cube.sel(polarization=[co, cross]))
+    # dT/dr_t = -T / contrast and dT/dr_w = -W / contrast.
+    by_target_ratio = along(target, target_ratio_uncertainty / contrast)
+    common = by_target_ratio + along(water, water_ratio_uncertainty / contrast)
+    terms = present_terms(
+        {
+            "counting": independent,
+            "fluctuation": fluctuations[0] + fluctuations[1],
+            "polarization_optics": common,
+        },
+        None if fit is None else fit.terms,
+    )
+    result = target_cube(
+        first,
+        target,
+        independent + fluctuations[0] + fluctuations[1] + common,
+        water_signal=water,
+        common=common,
+        proportional=by_target_ratio,
+        terms=terms,
+        step=f"reject, unmix {co} and {cross}, ratios of target {target_ratio:g}, "
+        f"of water {water_ratio:g}",
+        target_ratio=target_ratio,
+        target_ratio_uncertainty=target_ratio_uncertainty,
+        water_ratio=water_ratio,
+        water_ratio_uncertainty=water_ratio_uncertainty,
+    )
+    return result, PolarizationFit(
+        noise_scale=noise_scale,
+        target_ratio=of_target,
+        water_ratio=of_water,
+        fluctuation=fluctuation,
+        terms=tuple(terms),
+    )
+
+
+@method(
+    "polarization",
+    needs=Needs(channel_pair=True),
+    simplicity=3,
+    fitter=partial(tiles.fit_on_sample, _unmix),
+)
 def polarization(
     cube: xr.Dataset,
     *,
@@ -260,62 +440,14 @@ def polarization(
     >>> target.amulor.polarizations
     ['VV']
     """
-    cube = with_noise_of_shots(cubes.checked(cube, "samples"))
-    co, cross = pair_of(cube)
-    if target_ratio is None:
-        of_target = decided("ratio of the target", lambda: ratios.target_ratio(cube))
-        target_ratio = ratios.possible(of_target, name="target_ratio")
-        target_ratio_uncertainty = of_target.uncertainty
-    if water_ratio is None:
-        of_water = decided("ratio of the water", lambda: ratios.water_ratio(cube))
-        water_ratio = ratios.possible(of_water, name="water_ratio")
-        water_ratio_uncertainty = of_water.uncertainty
-    for name, ratio in (("target_ratio", target_ratio), ("water_ratio", water_ratio)):
-        if not 0 <= ratio <= 1:
-            raise ValueError(f"{name} must lie between 0 and 1, got {ratio:g}")
-    contrast = target_ratio - water_ratio
-    if abs(contrast) < _SMALLEST_CONTRAST:
-        raise ValueError(
-            f"target_ratio ({target_ratio:g}) and water_ratio ({water_ratio:g}) are "
-            f"closer than {_SMALLEST_CONTRAST:g}; polarization cannot tell them apart"
-        )
-    first, second = cube.sel(polarization=[co]), cube.sel(polarization=[cross])
-    a, b = first.amulor.signal.values, second.amulor.signal.values
-    target = (b - water_ratio * a) / contrast
-    water = a - target
-    fluctuations = [
-        each.scaled((water_ratio / contrast) ** 2)
-        for each in _fluctuations(first, second, water, water_fluctuation)
-    ]
-    independent = covariance_of(second).scaled(contrast**-2) + covariance_of(
-        first
-    ).scaled((water_ratio / contrast) ** 2)
-    first = saturated_in_any(first, cube.sel(polarization=[co, cross]))
-    # dT/dr_t = -T / contrast and dT/dr_w = -W / contrast.
-    by_target_ratio = along(target, target_ratio_uncertainty / contrast)
-    common = by_target_ratio + along(water, water_ratio_uncertainty / contrast)
-    return target_cube(
-        first,
-        target,
-        independent + fluctuations[0] + fluctuations[1] + common,
-        water_signal=water,
-        common=common,
-        proportional=by_target_ratio,
-        terms={
-            "counting": independent,
-            "fluctuation": fluctuations[0] + fluctuations[1],
-            "polarization_optics": common,
-        },
-        step=f"reject, unmix {co} and {cross}, ratios of target {target_ratio:g}, "
-        f"of water {water_ratio:g}",
+    return _unmix(
+        cube,
         target_ratio=target_ratio,
-        target_ratio_uncertainty=target_ratio_uncertainty,
         water_ratio=water_ratio,
+        target_ratio_uncertainty=target_ratio_uncertainty,
         water_ratio_uncertainty=water_ratio_uncertainty,
-    )
-
-
-_SMALLEST_CONTRAST = 1e-3
+        water_fluctuation=water_fluctuation,
+    )[0]
 
 
 def _fluctuations(
@@ -323,46 +455,31 @@ def _fluctuations(
     cross: xr.Dataset,
     water: NDArray[np.complex128],
     stated: float | None,
-) -> list[Covariance]:
+    *,
+    fit: FluctuationFit | None,
+    span: tiles.Span | None,
+) -> tuple[list[Covariance], FluctuationFit]:
     """Return how the water of either channel fluctuates, as co-polarized water."""
     if stated is not None:
-        return 2 * [along(not_smaller_than_usual(water), stated)]
+        size, usual = not_smaller_than_usual(water, None if fit is None else fit.usual)
+        return 2 * [along(size, stated)], FluctuationFit(usual=usual)
     if co.amulor.open_water is None:
         raise CubeError(
             "the cube has no open-water shots to tell how much the water signal "
             "fluctuates; state water_fluctuation (command line: --water-fluctuation, "
             '0 for still water, such as "5 %")'
         )
-    size = not_smaller_than_shots_say(co, water)
-    return [
-        fluctuation_of(fit_shots(channel, channel.amulor.open_water), size)
-        for channel in (co, cross)
-    ]
-
-
-def _chosen(cube: xr.Dataset, channels: tuple[str, ...], *, name: str) -> xr.Dataset:
-    cube = cubes.checked(cube, "samples")
-    present = cube.amulor.polarizations
-    chosen = [channel for channel in present if channel in channels]
-    if not chosen:
-        raise CubeError(
-            f"the cube has the channels {', '.join(present)}, none of which is "
-            f"{name} ({', '.join(channels)}); record one, or use another method"
+    size, before = not_smaller_than_shots_say(
+        co, water, fit=None if fit is None else fit.water, span=span
+    )
+    covariances, channels = [], []
+    for number, channel in enumerate((co, cross)):
+        fits, of_shots = fit_shots(
+            channel,
+            channel.amulor.open_water,
+            fit=None if fit is None else fit.channels[number],
+            span=span,
         )
-    return _unchanged(
-        cube.sel(polarization=chosen),
-        step=f"reject, {name} channel {', '.join(chosen)}",
-    )
-
-
-def _unchanged(cube: xr.Dataset, *, step: str) -> xr.Dataset:
-    signal = cube.amulor.signal.values
-    return target_cube(
-        cube,
-        signal,
-        covariance_of(cube),
-        terms={"counting": covariance_of(cube)},
-        water_signal=np.zeros_like(signal),
-        water_is_in=True,
-        step=step,
-    )
+        covariances.append(fluctuation_of(fits, size))
+        channels.append(of_shots)
+    return covariances, FluctuationFit(water=before, channels=tuple(channels))

@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import partial
 
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 from scipy.special import ndtr, ndtri
 
-from amulor._decisions import decided
 from amulor._discoveries import largest_discovered
 from amulor.cube import QualityFlag
 from amulor.optics import detection, ranging
@@ -182,26 +180,15 @@ def channels_disagree(
     uncertainty: Covariance,
     *,
     shown: NDArray[np.bool_] | None = None,
-) -> NDArray[np.bool_]:
+    fit: tuple[Disagreement, ...] | None = None,
+) -> tuple[NDArray[np.bool_], tuple[Disagreement, ...]]:
     """Return samples whose phase differs from that of another channel.
 
-    Parameters
-    ----------
-    signal : ndarray, shape (modulation_frequency, polarization, row, column)
-        Target signal [V].
-    uncertainty : Covariance
-        Its errors.
-    shown : ndarray of bool, shape (row, column), optional
-        Pixels that show a target; what is left of water has no phase of its own.
+    Both samples of a pair are marked, for nothing tells which one is wrong. None are
+    where more than 15 % of the samples of a pair disagree, which is no chance. Pixels
+    that are not `shown` have no target; what is left of water has no phase of its own.
+    Also return the limits of each pair: `fit`, or by default those of this signal.
 
-    Returns
-    -------
-    ndarray of bool
-        Both samples of a pair are marked, for nothing tells which one is wrong. None
-        are where more than 15 % of the samples of a pair disagree, which is no chance.
-
-    Notes
-    -----
     Every analyser passes some fraction of the same echo: their phases are one, but for
     what most pixels have in common. They disagree where they differ by four standard
     errors, and from 2.5 on where more do than chance makes: a tenth of them at most
@@ -213,6 +200,7 @@ def channels_disagree(
     seen &= sigma < LARGEST_PHASE_ERROR
     if shown is not None:
         seen &= shown
+    limits: list[Disagreement] = []
     for first in range(signal.shape[1]):
         for second in range(first):
             pair = [first, second]
@@ -220,15 +208,14 @@ def channels_disagree(
             turn = np.angle(signal[:, first] * signal[:, second].conj())
             error = np.hypot(sigma[:, first], sigma[:, second])
             away = np.where(both, turn / error, np.nan)
-            off = decided(
-                "phases in which channels disagree", partial(_Disagreement.of, away)
-            ).where(away)
-            marked[:, pair] |= off[:, None]
-    return marked
+            limit = Disagreement.of(away) if fit is None else fit[len(limits)]
+            limits.append(limit)
+            marked[:, pair] |= limit.where(away)[:, None]
+    return marked, tuple(limits)
 
 
 @dataclass(frozen=True, kw_only=True)
-class _Disagreement:
+class Disagreement:
     """What two channels must differ by, in standard errors, of each frequency."""
 
     usual: NDArray[np.float64]
@@ -241,7 +228,7 @@ class _Disagreement:
     """Where so few pixels have it that it is one, of the same shape."""
 
     @classmethod
-    def of(cls, away: NDArray[np.float64]) -> _Disagreement:
+    def of(cls, away: NDArray[np.float64]) -> Disagreement:
         """Return what phases say that differ by so many standard errors."""
         usual, scatter = np.zeros((len(away), 1, 1)), np.ones((len(away), 1, 1))
         for index, each in enumerate(away):

@@ -8,21 +8,40 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from amulor._decisions import decided
 from amulor._progress import part, tell
+from amulor.cube.tiles import Span
 from amulor.rejection import quality
 from amulor.rejection.covariance import Covariance, along, covariance_of
 from amulor.rejection.reference.before_target import (
     WaterBeforeTarget,
+    WaterFit,
     water_before_target,
 )
-from amulor.rejection.reference.presence import shows_target
+from amulor.rejection.reference.presence import CutColumns, shows_target
 from amulor.rejection.reference.strength import Strength, strength_of
 
+Floats = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
 #: At one frequency the column must be weaker than this, in parts of the target [1].
 _TOO_STRONG = 0.3
+
+
+@dataclass(frozen=True, kw_only=True)
+class SubtractionFit:
+    """What a scan and its shots tell before open water is subtracted."""
+
+    water: WaterFit
+    """Water in front of the targets."""
+    cut: CutColumns | None
+    """Water that ends in a shadow; None without a survey."""
+    usual_column: Floats | None
+    """Median of the column behind the targets, over (modulation_frequency,
+    polarization) [V]; None where nothing asks for it."""
+    strength: Strength
+    """How much stronger than the shots the water was."""
+    disagreement: tuple[quality.Disagreement, ...]
+    """What the phases of each pair of channels must differ by."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -56,8 +75,8 @@ class Subtraction:
     """Samples whose phase differs from that of another channel."""
     water: WaterBeforeTarget
     """What the shots and the survey say."""
-    strength: Strength
-    """How much stronger than the shots the water was."""
+    fit: SubtractionFit
+    """What of it the whole scan tells."""
 
     @property
     def own(self) -> Covariance:
@@ -81,44 +100,42 @@ def subtract_open_water(
     interval: tuple[float, float] | None = None,
     column_uncertainty: float | None = None,
     put_back: bool = True,
+    fit: SubtractionFit | None = None,
+    span: Span | None = None,
 ) -> Subtraction:
-    """Subtract the open-water signal from samples, phasor by phasor.
+    """Subtract the open-water signal from checked samples, phasor by phasor.
 
-    Parameters
-    ----------
-    cube : xarray.Dataset
-        Level `samples`, checked.
-    interval, column_uncertainty, put_back
-        As in `amulor.rejection.open_water`.
-
-    Returns
-    -------
-    Subtraction
-        Signals, errors one by one, and doubts.
-
-    Raises
-    ------
-    CubeError, ValueError
-        As `amulor.rejection.open_water`.
+    Options and errors are those of `amulor.rejection.open_water`. Without `fit`, what
+    it holds is estimated from this cube, whose scan spans `span`.
     """
     _refuse_odd_fraction(column_uncertainty)
     with part(0.0, 0.7):
         water = water_before_target(
-            cube, interval=interval, survey_is_right=column_uncertainty is not None
+            cube,
+            interval=interval,
+            survey_is_right=column_uncertainty is not None,
+            fit=None if fit is None else fit.water,
+            span=span,
         )
     tell("where there are targets", 0.7)
-    seen = shows_target(cube, water, interval=interval)
+    seen, cut = shows_target(
+        cube, water, interval=interval, fit=None if fit is None else fit.cut
+    )
     target, water_signal = water.difference, water.to_the_end
     counting = covariance_of(cube)
     nothing = np.zeros(target.shape)
     column = Covariance(nothing, nothing, nothing)
     residual = None
+    usual_column = None if fit is None else fit.usual_column
     doubtful = np.zeros(target.shape[2:], dtype=bool)
     if water.hidden_fraction is not None:
         residual = -water.hidden_fraction * water_signal
         if put_back:
             known = np.nan_to_num(residual)
-            doubtful = _circular(target - known, known)
+            if len(target) == 1:
+                if usual_column is None:
+                    usual_column = _usual_size(known)
+                doubtful = _circular(target - known, known, usual_column)
             target, water_signal = target - known, water_signal + known
             column = (
                 along(known, column_uncertainty or 0.0)
@@ -131,21 +148,26 @@ def subtract_open_water(
     # Only the water in front of the target fluctuates, drifts and departs; a column
     # that is not put back is no change of the water.
     hidden = 0.0 if put_back or residual is None else np.nan_to_num(residual)
-    strength = decided(
-        "strength of the water",
-        lambda: strength_of(
+    strength = None if fit is None else fit.strength
+    if strength is None:
+        strength = strength_of(
             target - hidden,
             water.signal,
             counting + water.fluctuation,
             water.common + column + change,
             modulation_frequency=cube["modulation_frequency"].values,
             path=water.path,
-        ),
-    )
+        )
     target = target - strength.change * water.signal
     change = change + along(water.signal, strength.uncertainty)
     errors = counting + water.fluctuation + water.common + column
     doubtful |= quality.looks_like_water(cube, target, water.signal, errors)
+    outlying, disagreement = quality.channels_disagree(
+        target,
+        errors + change,
+        shown=seen,
+        fit=None if fit is None else fit.disagreement,
+    )
     return Subtraction(
         target=target,
         water_signal=water_signal + strength.change * water.signal,
@@ -158,31 +180,38 @@ def subtract_open_water(
         change=change,
         seen=seen,
         doubtful=doubtful,
-        outlying=quality.channels_disagree(target, errors + change, shown=seen),
+        outlying=outlying,
         water=water,
-        strength=strength,
+        fit=SubtractionFit(
+            water=water.fit,
+            cut=cut,
+            usual_column=usual_column,
+            strength=strength,
+            disagreement=disagreement,
+        ),
     )
 
 
-def _circular(target: Complex, column: Complex) -> NDArray[np.bool_]:
+def _circular(target: Complex, column: Complex, usual: Floats) -> NDArray[np.bool_]:
     """Return where one frequency leaves target and column to explain each other.
 
     The distance that cuts the column off comes from what subtraction left. Where the
-    column is more than a third as strong as the target, it is the column that sets this
-    distance, and a single frequency cannot contradict it.
+    column is stronger than `_TOO_STRONG` of the target, it is the column that sets this
+    distance, and a single frequency cannot contradict it. In a shadow the column may
+    come out short: what other pixels usually have counts as well.
     """
-    if len(target) > 1:
-        return np.zeros(target.shape[2:], dtype=bool)
-    size = np.abs(column)
-    # In a shadow the column may come out short: what others have counts as well.
-    usual = decided(
-        "usual size of the column",
-        lambda: np.array(
-            [[np.median(c[c > 0]) if c.any() else 0.0 for c in f] for f in size]
-        ),
+    size = np.maximum(np.abs(column), usual[..., None, None])
+    return np.asarray((size > _TOO_STRONG * np.abs(target)).any(axis=(0, 1)))
+
+
+def _usual_size(column: Complex) -> Floats:
+    """Return the median size of columns that are not zero, of frequency and channel."""
+    return np.array(
+        [
+            [np.median(one[one > 0]) if one.any() else 0.0 for one in each]
+            for each in np.abs(column)
+        ]
     )
-    weak = np.maximum(size, usual[..., None, None]) > _TOO_STRONG * np.abs(target)
-    return np.asarray(weak.any(axis=(0, 1)))
 
 
 def _refuse_odd_fraction(column_uncertainty: float | None) -> None:

@@ -163,7 +163,7 @@ def test_what_is_put_back_keeps_its_share_as_an_error(plate: Survey) -> None:
     assert_allclose(unsure.column.quadrature, (0.5 * left.imag) ** 2, rtol=1e-9)
     # Put back: the water taken out is less by it, and none is left.
     taken = cube.amulor.signal.values - unsure.target
-    strength = 1 + unsure.strength.change
+    strength = 1 + unsure.fit.strength.change
     whole = unsure.water.to_the_end + left.values
     assert_allclose(taken, strength * whole, rtol=1e-9)
     assert unsure.residual is not None

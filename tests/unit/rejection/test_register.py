@@ -21,27 +21,35 @@ from amulor.survey import Survey
 #: All that another package has to write.
 METHOD = '''
 """Take the mean of the reference measurements off, whatever their direction."""
-import numpy as np
 from amulor import cube as cubes, rejection
+
+
+def fit(source, *, factor=1.0):
+    of = rejection.load("open-water").fit(source)
+    return lambda rows, first: _less_mean(rows, of(rows, first), factor)
+
+
+def _less_mean(cube, whole, factor):
+    shots = cube.amulor.open_water
+    mean = (shots["in_phase"] + 1j * shots["quadrature"]).mean("shot")
+    water = factor * mean.values[:, :, None, None]
+    target = cube.amulor.signal.values - water
+    return whole.assign(
+        in_phase=whole["in_phase"].copy(data=target.real),
+        quadrature=whole["quadrature"].copy(data=target.imag),
+    )
 
 
 @rejection.method(
     "mean-water",
     needs=rejection.Needs(open_water=True),
     simplicity={simplicity},
+    fitter=fit,
 )
 def mean_water(cube, *, factor: float = 1.0):
     """Subtract the mean open-water signal of each frequency and channel."""
     cube = cubes.checked(cube, "samples")
-    shots = cube.amulor.open_water
-    mean = (shots["in_phase"] + 1j * shots["quadrature"]).mean("shot")
-    water = factor * mean.values[:, :, None, None]
-    whole = rejection.open_water(cube)
-    target = cube.amulor.signal.values - water
-    return whole.assign(
-        in_phase=whole["in_phase"].copy(data=target.real),
-        quadrature=whole["quadrature"].copy(data=target.imag),
-    )
+    return _less_mean(cube, rejection.open_water(cube), factor)
 '''
 
 

@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 from amulor import cube as cubes
 from amulor.errors import CubeError
 from amulor.optics.polarization import mueller, stokes
-from amulor.rejection.build import saturated_in_any, target_cube
+from amulor.rejection.build import present_terms, saturated_in_any, target_cube
 from amulor.rejection.channels import mixing
 from amulor.rejection.covariance import Covariance, covariance_of
 from amulor.rejection.reference.noise import with_noise_of_shots
@@ -142,7 +142,7 @@ def unmix_stokes(
     >>> target.amulor.polarizations
     ['VV']
     """
-    cube = with_noise_of_shots(cubes.checked(cube, "samples"))
+    cube, _ = with_noise_of_shots(cubes.checked(cube, "samples"))
     chosen = _launched_as(cube, launched)
     if len(chosen) < 2:
         raise CubeError(
@@ -185,8 +185,8 @@ def unmix_stokes(
     if shots is not None:
         # Each channel's water follows from what is left of it.
         water = signal - np.stack([w * solved.target for w in weights[0]], axis=1)
-        size = not_smaller_than_shots_say(part, water)
-        fluctuation = fluctuation_of(fit_shots(part, shots), size)
+        size, _ = not_smaller_than_shots_say(part, water)
+        fluctuation = fluctuation_of(fit_shots(part, shots)[0], size)
         solved = solve(errors + fluctuation)
     first = saturated_in_any(cube.sel(polarization=[chosen[0]]), part)
     target = solved.target[:, None]
@@ -194,13 +194,15 @@ def unmix_stokes(
         first,
         target,
         solved.independent.part((slice(None), None)),
-        terms={
-            name: solved.error_of(
-                [own.part((slice(None), c)) for c in range(len(chosen))]
-            ).part((slice(None), None))
-            for name, own in (("counting", errors), ("fluctuation", fluctuation))
-            if own is not None
-        },
+        terms=present_terms(
+            {
+                name: solved.error_of(
+                    [own.part((slice(None), c)) for c in range(len(chosen))]
+                ).part((slice(None), None))
+                for name, own in (("counting", errors), ("fluctuation", fluctuation))
+                if own is not None
+            }
+        ),
         water_signal=first.amulor.signal.values - target,
         step=f"reject, unmix {', '.join(chosen)} by Mueller matrices",
     )

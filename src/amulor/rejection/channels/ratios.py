@@ -113,7 +113,7 @@ def water_ratio(cube: xr.Dataset, *, water_only: ArrayLike | None = None) -> Rat
     >>> bool(abs(ratio.value - 0.18 / 1.82) < 3 * ratio.uncertainty)
     True
     """
-    cube = with_noise_of_shots(cubes.checked(cube, "samples"))
+    cube, _ = with_noise_of_shots(cubes.checked(cube, "samples"))
     co, cross = pair_of(cube)
     if water_only is not None:
         mask = np.asarray(water_only, dtype=bool)

@@ -8,12 +8,14 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from amulor._decisions import decided
 from amulor._progress import tell
+from amulor.cube.tiles import Span
 from amulor.rejection.covariance import Covariance, covariance_of
 from amulor.rejection.reference import column
+from amulor.rejection.reference.column_fraction import Column
 from amulor.rejection.reference.fit import Reference
 from amulor.rejection.reference.shots import (
+    ShotsFit,
     drift_of,
     expected_at_pixels,
     fit_shots,
@@ -24,6 +26,21 @@ from amulor.rejection.reference.turbidity import Turbidity, turbidity_of
 from amulor.survey import Survey
 
 Complex = NDArray[np.complex128]
+
+
+@dataclass(frozen=True, kw_only=True)
+class WaterFit:
+    """What a scan and its shots tell of the water in front of the targets."""
+
+    shots: ShotsFit
+    """Interpolation of the shots over the scan."""
+    told: Turbidity | None
+    """What the shots tell of the survey's water; None without a survey."""
+    column: Column | None
+    """Fractions of the open water from behind the targets; None without a survey."""
+    steeper: Column | None
+    """The same in water that is more turbid by one standard uncertainty; None where
+    the survey is taken as it stands."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -56,6 +73,8 @@ class WaterBeforeTarget:
     """Error of the reference, which the pixels share [V^2]."""
     path: NDArray[np.float64]
     """Optical path out and back of every pixel, NaN where it is not settled [m]."""
+    fit: WaterFit
+    """What of it the whole scan tells."""
 
     @property
     def drift(self) -> Complex:
@@ -68,52 +87,44 @@ def water_before_target(
     *,
     interval: tuple[float, float] | None,
     survey_is_right: bool = False,
+    fit: WaterFit | None = None,
+    span: Span | None = None,
 ) -> WaterBeforeTarget:
     """Return the water signal in front of the target of every sample.
 
-    Parameters
-    ----------
-    cube : xarray.Dataset
-        Level `samples`, with open-water shots.
-    interval : tuple of float, optional
-        Nearest and farthest slant range that are possible [m].
-    survey_is_right : bool
-        Whether the survey's absorption and scattering are taken as they stand, not
-        corrected by what the shots show.
-
-    Returns
-    -------
-    WaterBeforeTarget
-        Arrays of the shape of the samples.
-
-    Raises
-    ------
-    CubeError
-        As `open_water`.
+    `survey_is_right` says that the survey's absorption and scattering are taken as they
+    stand, not corrected by what the shots show. CubeError as `open_water`.
     """
     tell("open water at each pixel", 0.0)
-    fits = fit_shots(cube, shots_of(cube))
+    fits, by_shots = fit_shots(
+        cube, shots_of(cube), fit=None if fit is None else fit.shots, span=span
+    )
     samples = cube.amulor.signal.values
     water, common = expected_at_pixels(fits, samples.shape)
     difference = subtract(samples, water)
     text = cube.attrs.get("survey")
     survey, told, turbidity, hidden, steeper = None, None, None, None, None
+    behind = None if fit is None else fit.column
+    steeper_behind = None if fit is None else fit.steeper
     path = np.full(samples.shape[2:], np.nan)
     if text:
         survey = Survey.from_text(text, name="survey in the cube")
         tell("turbidity that the shots tell", 0.2)
-        stated = survey
-        told = decided("turbidity", lambda: turbidity_of(cube, stated, water, common))
+        told = None if fit is None else fit.told
+        if told is None:
+            told = turbidity_of(cube, survey, water, common)
         if not survey_is_right:
             turbidity, survey = told, told.survey
         errors = covariance_of(cube) + common
         tell("water behind the targets", 0.6)
         depth, path = column.depth(cube, difference, errors, survey, interval=interval)
         paper = turbidity is not None and turbidity.paper
-        hidden = column.hidden_fraction(cube, survey, depth, paper=paper)
+        hidden, behind = column.hidden_fraction(
+            cube, survey, depth, paper=paper, fit=behind
+        )
         if turbidity is not None:
-            steeper = column.hidden_fraction(
-                cube, turbidity.steeper, depth, paper=paper
+            steeper, steeper_behind = column.hidden_fraction(
+                cube, turbidity.steeper, depth, paper=paper, fit=steeper_behind
             )
     signal = water if hidden is None else (1 - np.nan_to_num(hidden)) * water
     return WaterBeforeTarget(
@@ -133,6 +144,7 @@ def water_before_target(
         fluctuation=fluctuation_of(fits, signal),
         common=common,
         path=path,
+        fit=WaterFit(shots=by_shots, told=told, column=behind, steeper=steeper_behind),
     )
 
 
@@ -141,20 +153,6 @@ def subtract(
 ) -> NDArray[np.complex128]:
     """Take the water signal out of samples, in the memory of the samples.
 
-    Parameters
-    ----------
-    signal : ndarray of complex
-        Target and water together [V]; overwritten.
-    water_signal : ndarray of the same shape
-        The water alone [V].
-
-    Returns
-    -------
-    ndarray of complex
-        `signal`, which now holds the target alone [V].
-
-    Notes
-    -----
     `amulor.optics.interference.target_signal`, (55)-(57) of Ricci et al. 2010, as
     rebuilt, without new memory: fetching that takes as long as the subtraction.
     """

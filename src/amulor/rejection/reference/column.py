@@ -20,49 +20,38 @@ def hidden_fraction(
     depth: NDArray[np.float64],
     *,
     paper: bool = False,
-) -> NDArray[np.complex128]:
+    fit: column_fraction.Column | None = None,
+) -> tuple[NDArray[np.complex128], column_fraction.Column]:
     """Return which part of the open-water signal comes from behind the target.
 
-    Parameters
-    ----------
-    cube : xarray.Dataset
-        Samples; their directions, frequencies and channels count.
-    survey : Survey
-        Describes the water: what the user knew beforehand, perhaps corrected by the
-        shots, not the truth of a simulation.
-    depth : ndarray, shape (row, column)
-        Water in front of the target; NaN where it is not settled [m].
-    paper : bool
-        Whether by the diffusion form of the paper, as for `model.water_signal`.
+    Fraction of the open-water signal over (modulation_frequency, polarization, row,
+    column), complex since it comes later [1], NaN where the depth [m] is not settled;
+    and the fractions over the scan that it was taken from, `fit` if it is stated. The
+    survey describes the water: what the user knew beforehand, perhaps corrected by the
+    shots.
 
-    Returns
-    -------
-    ndarray, shape (modulation_frequency, polarization, row, column)
-        Fraction of the open-water signal, a complex number since it comes later [1];
-        NaN where the distance is not settled.
-
-    Notes
-    -----
     Decision on (46) of Ricci et al. 2010, as rebuilt: open water is integrated to its
     end, water with a target to the target; the difference stays when open water is
     subtracted. That difference itself moves the distance by millimetres, and the
     fraction by a few tenths of a per cent of its value, which a second pass would not
     be worth. Large scans take the fraction from a table over directions and depths, see
-    `column_fraction.fractions`.
+    `column_fraction.column_of`.
     """
     settled = np.isfinite(depth)
     frequency = cube["modulation_frequency"].values
     fraction = np.full((frequency.size, *depth.shape), np.nan, dtype=complex)
-    fraction[:, settled] = column_fraction.fractions(
-        survey,
-        cube["azimuth"].values[settled],
-        cube["elevation"].values[settled],
-        depth[settled],
-        modulation_frequency=frequency,
-        paper=paper,
+    places = np.stack(
+        [
+            cube["azimuth"].values[settled],
+            cube["elevation"].values[settled],
+            depth[settled],
+        ]
     )
+    if fit is None:
+        fit = column_fraction.column_of(survey, places, frequency, paper=paper)
+    fraction[:, settled] = fit.fractions(places)
     shape = (frequency.size, cube.sizes["polarization"], *depth.shape)
-    return np.broadcast_to(fraction[:, None], shape)
+    return np.broadcast_to(fraction[:, None], shape), fit
 
 
 def hidden_error(

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import partial
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from amulor._chebyshev import BoxSeries
-from amulor._decisions import decided
 from amulor.optics import ranging
 from amulor.rejection.reference.model import water_signal
 from amulor.survey import Survey, water_properties
@@ -32,6 +32,14 @@ _ALONE = 32
 _AT_ONCE = 2_000_000
 
 
+class Column(Protocol):
+    """Fractions of the open-water signal behind the targets of a scan."""
+
+    def fractions(self, places: Floats) -> Complex:
+        """Return the fractions at azimuths, elevations and depths, (frequency, n)."""
+        ...
+
+
 def fractions(
     survey: Survey,
     azimuth: Floats,
@@ -41,46 +49,28 @@ def fractions(
     modulation_frequency: Floats,
     paper: bool = False,
 ) -> Complex:
-    r"""Return which fraction of the open-water signal arises behind given depths.
+    """Return which fraction of the open-water signal arises behind given depths.
 
-    Parameters
-    ----------
-    survey : Survey
-        Its water and its instrument count.
-    azimuth, elevation : ndarray, shape (n,)
-        Directions of the beams [rad].
-    depth : ndarray, shape (n,)
-        Water in front of the target [m].
-    modulation_frequency : ndarray, shape (m,)
-        Modulation frequencies [Hz].
-    paper : bool
-        Whether by the diffusion form of the paper, as for `model.water_signal`.
-
-    Returns
-    -------
-    ndarray of complex, shape (m, n)
-        Fractions, exact or within `LARGEST_ERROR` [1].
-
-    Notes
-    -----
-    The quotient of the water signal of `model.water_signal` from the depth on and as a
-    whole. Freed of the delay :math:`e^{2 i k z}` it is smooth in direction and depth,
-    so a product of Chebyshev polynomials follows it. A table counts only if, at pixels
-    spread over the scan, it agrees with the integral to half of `LARGEST_ERROR`; if
-    none of four does, every pixel is integrated.
+    Of beams of given azimuth and elevation [rad] and depth [m], shape (frequency, n),
+    exact or within `LARGEST_ERROR` [1]. `paper` is as for `model.water_signal`.
     """
     places = np.stack([azimuth, elevation, depth])
-    column = decided(
-        "column behind targets",
-        lambda: _column(survey, places, modulation_frequency, paper=paper),
-    )
+    column = column_of(survey, places, modulation_frequency, paper=paper)
     return column.fractions(places)
 
 
-def _column(
+def column_of(
     survey: Survey, places: Floats, frequency: Floats, *, paper: bool
-) -> _Table | _Listed:
-    """Return the table with the fewest nodes that is good enough, if it pays."""
+) -> Column:
+    """Return the fractions behind targets at azimuths, elevations and depths.
+
+    The quotient of the water signal of `model.water_signal` from the depth on and as a
+    whole. Freed of the delay exp(2 i k z) it is smooth in direction and depth, so a
+    product of Chebyshev polynomials follows it. A table counts only if, at pixels
+    spread over the scan, it agrees with the integral to half of `LARGEST_ERROR`; if
+    none of four does, every pixel is integrated. The table with the fewest nodes that
+    is good enough is taken, if it pays.
+    """
     count = places.shape[1]
     exact: Complex | None = None
     for nodes in _NODES if count else ():
@@ -227,24 +217,7 @@ def _in_parts(function: _Function, places: Floats, frequency: Floats) -> Complex
 def integrated(
     survey: Survey, places: Floats, frequency: Floats, *, paper: bool = False
 ) -> Complex:
-    """Return the fractions by integration, pixel by pixel.
-
-    Parameters
-    ----------
-    survey : Survey
-        Its water and its instrument count.
-    places : ndarray, shape (3, n)
-        Azimuth, elevation [rad] and depth [m].
-    frequency : ndarray, shape (m,)
-        Modulation frequencies [Hz].
-    paper : bool
-        As for `fractions`.
-
-    Returns
-    -------
-    ndarray of complex, shape (m, n)
-        Fractions [1].
-    """
+    """Return the fractions by integration, pixel by pixel, shape (frequency, n) [1]."""
     azimuth, elevation, depth = places
     # Open water does not depend on the depth: once for each direction.
     beams, own = np.unique(places[:2], axis=1, return_inverse=True)

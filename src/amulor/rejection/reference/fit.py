@@ -7,14 +7,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from amulor._decisions import decided
 from amulor.rejection.covariance import Covariance, isotropic, times
 from amulor.rejection.reference import interpolation
 from amulor.rejection.reference.drift import Drift, drift_of
 from amulor.rejection.reference.places import FEWEST_SHOTS, design_of, places_of
 from amulor.rejection.reference.scatter import fluctuation
 from amulor.rejection.reference.shape import Shape
-from amulor.rejection.reference.surface import noise_of, surface_of
+from amulor.rejection.reference.surface import Surface, noise_of, surface_of
 
 Floats = NDArray[np.float64]
 Complex = NDArray[np.complex128]
@@ -37,6 +36,8 @@ class Reference:
     """Degree of the polynomial over the scan directions."""
     drift: Drift
     """What changed from the first shot to the last."""
+    surface: Surface
+    """The polynomial through the shots."""
     modelled: bool = False
     """Whether a model of the water stands behind the polynomial."""
 
@@ -48,6 +49,7 @@ def fit(
     pixel_direction: Floats,
     *,
     shape: Shape | None = None,
+    surface: Surface | None = None,
 ) -> Reference:
     """Fit the open-water shots of one channel and evaluate the fit at the pixels.
 
@@ -63,6 +65,8 @@ def fit(
         Azimuth and elevation of the pixels [rad].
     shape : Shape, optional
         How a model of the water varies over shots and pixels.
+    surface : Surface, optional
+        The polynomial through these shots, if it is known.
 
     Returns
     -------
@@ -92,16 +96,15 @@ def fit(
     if len(shots) < FEWEST_SHOTS:
         raise ValueError(f"a reference needs {FEWEST_SHOTS} shots, got {len(shots)}")
     places = places_of(shot_direction)
-    found = decided(
-        "surface through the shots",
-        lambda: surface_of(
+    found = surface
+    if found is None:
+        found = surface_of(
             shots,
             instrument,
             places,
             noise=noise_of(shots, instrument, places),
             model=None if shape is None else shape.at_shots,
-        ),
-    )
+        )
     # One product of real matrices for all: coefficients, logarithms, covariances.
     second = found.logarithm
     along = np.zeros(len(found.powers), dtype=complex) if second is None else second[0]
@@ -145,6 +148,7 @@ def fit(
         relative=found.relative,
         degree=int(found.powers.sum(axis=1).max()),
         drift=drift_of(shots, found.level, places.where),
+        surface=found,
         modelled=shape is not None,
     )
 

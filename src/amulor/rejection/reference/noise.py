@@ -25,23 +25,34 @@ _ALIKE = 1e-6
 _STEPS = 12
 
 
-def with_noise_of_shots(cube: xr.Dataset) -> xr.Dataset:
+def with_noise_of_shots(
+    cube: xr.Dataset, scale: float | None = None
+) -> tuple[xr.Dataset, float]:
     """Return samples whose stated errors are as large as those of their shots.
 
-    Parameters
-    ----------
-    cube : xarray.Dataset
-        Level `samples`.
-
-    Returns
-    -------
-    xarray.Dataset
-        The stated errors of samples and shots times the factor of `noise_scale`, which
-        the attribute `open_water_noise_scale` says; as it is, if that is 1 or was done.
+    The stated errors of samples and shots times `scale`, by default that of
+    `noise_scale`, which the attribute `open_water_noise_scale` says; the cube as it is,
+    if that is 1 or was done. Also return the scale.
     """
+    if scale is None:
+        scale = _scale_of(cube)
+    if scale == 1:
+        return cube, scale
+    larger = {}
+    for name, values in cube.data_vars.items():
+        if not str(name).startswith(("truth_", "user_")):
+            if str(name).endswith(("in_phase_uncertainty", "quadrature_uncertainty")):
+                larger[name] = values.copy(data=scale * values.values)
+            elif str(name).endswith("in_phase_quadrature_covariance"):
+                larger[name] = values.copy(data=scale**2 * values.values)
+    return cube.assign(larger).assign_attrs({NOISE_SCALE: scale}), scale
+
+
+def _scale_of(cube: xr.Dataset) -> float:
+    """Return the factor of the stated errors of a cube, 1 if they have been scaled."""
     shots: xr.Dataset | None = cube.amulor.open_water
     if shots is None or shots.sizes["shot"] < FEWEST_SHOTS or NOISE_SCALE in cube.attrs:
-        return cube
+        return 1.0
     signal, errors = shots.amulor.signal.values, covariance_of(shots)
     usable = np.isfinite(signal + errors.in_phase + errors.quadrature + errors.cross)
     directions = directions_of(cube, shots)
@@ -50,17 +61,7 @@ def with_noise_of_shots(cube: xr.Dataset) -> xr.Dataset:
         for index in np.ndindex(signal.shape[:2])
         if (use := usable[index]).any() and (places := places_of(directions[use]))
     ]
-    factor = noise_scale([each for part in parts for each in part])
-    if factor == 1:
-        return cube
-    larger = {}
-    for name, values in cube.data_vars.items():
-        if not str(name).startswith(("truth_", "user_")):
-            if str(name).endswith(("in_phase_uncertainty", "quadrature_uncertainty")):
-                larger[name] = values.copy(data=factor * values.values)
-            elif str(name).endswith("in_phase_quadrature_covariance"):
-                larger[name] = values.copy(data=factor**2 * values.values)
-    return cube.assign(larger).assign_attrs({NOISE_SCALE: factor})
+    return noise_scale([each for part in parts for each in part])
 
 
 #: Of the directions of one channel: scatter and what is stated [V^2], squared signal

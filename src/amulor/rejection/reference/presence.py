@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-from functools import partial
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -11,7 +10,7 @@ import xarray as xr
 from numpy.typing import NDArray
 from scipy.constants import speed_of_light
 
-from amulor._decisions import decided
+from amulor.cube.tiles import Span
 from amulor.rejection.covariance import (
     Covariance,
     along,
@@ -49,27 +48,15 @@ def shows_target(
     water: WaterBeforeTarget,
     *,
     interval: tuple[float, float] | None,
-) -> NDArray[np.bool_]:
-    r"""Return which pixels no open water explains.
+    fit: CutColumns | None = None,
+) -> tuple[NDArray[np.bool_], CutColumns | None]:
+    """Return which pixels no open water explains, and the cut columns of the scan.
 
-    Parameters
-    ----------
-    cube : xarray.Dataset
-        Level `samples`.
-    water : WaterBeforeTarget
-        Its open water, and what subtracting all of it left.
-    interval : tuple of float, optional
-        Nearest and farthest slant range at which anything may stand [m].
+    False where the samples are open water as the shots have it, of up to a few times
+    `DEPARTURE` more or less, or the same water cut off by something that sends nothing
+    back (a shadow, a black surface). The cut columns are `fit` if it is stated, and
+    None without a survey.
 
-    Returns
-    -------
-    ndarray of bool, shape (row, column)
-        False where the samples are open water as the shots have it, of up to a few
-        times `DEPARTURE` more or less, or the same water cut off by something that
-        sends nothing back (a shadow, a black surface).
-
-    Notes
-    -----
     The hypothesis "no target" is tested before any column is put back: the smallest
     chi-square over the depths at which the water may end, with a common factor of the
     water that has the standard deviation `DEPARTURE`, against twice as many degrees of
@@ -86,18 +73,11 @@ def shows_target(
     errors = covariance_of(cube) + water.common + fluctuation_of(water.fits, whole)
     saturated = cube["saturated"].values != 0 if "saturated" in cube else None
     told = water.told
-    cut = None
-    if told is not None:
-        ends = _ends(cube)
-        cut = decided(
-            "columns that are cut",
-            lambda: _cut_columns(cube, told.survey, interval, ends, paper=told.paper),
-        )
-        cut = replace(
-            cut,
-            up=_places(cube, "elevation", ends),
-            across=_places(cube, "azimuth", ends),
-        )
+    cut, span = fit, water.fit.shots.span
+    if cut is None and told is not None:
+        cut = _cut_columns(cube, told.survey, interval, span, paper=told.paper)
+    up = _places(cube["elevation"].values, *span.elevation)
+    across = _places(cube["azimuth"].values, *span.azimuth)
     largest = None if cut is None else np.abs(cut.smooth).max(axis=(1, 2, 3))
     which = np.repeat(np.arange(frequencies), channels)
 
@@ -134,9 +114,10 @@ def shows_target(
                     which,
                     None if saturated is None else flat(saturated)[:, first + some],
                 )
-                found[some] = cut.lowest(few, first + some) > limit[some]
+                lowest = cut.lowest(few, up[first + some], across[first + some])
+                found[some] = lowest > limit[some]
         seen[chosen] = found
-    return seen.reshape(shape)
+    return seen.reshape(shape), cut
 
 
 def _problem(
@@ -217,7 +198,7 @@ class _Problem:
 
 
 @dataclass(frozen=True, kw_only=True)
-class _Cut:
+class CutColumns:
     """Fractions of the open water from behind cuts, on a grid of directions."""
 
     smooth: Complex
@@ -227,24 +208,23 @@ class _Cut:
     """Depths of the nodes, evenly spaced [m]."""
     wavenumber: Floats
     """Phase per depth of each frequency, one way [rad/m]."""
-    up: Floats
-    """Place of each pixel among the nodes of the elevation, from 0 on [1]."""
-    across: Floats
-    """Place among those of the azimuth [1]."""
 
-    def lowest(self, pixels: _Problem, chosen: NDArray[np.intp]) -> Floats:
-        """Return the smallest chi-square of pixels over the depths of the cut."""
-        i, u = _between(self.up[chosen], self.smooth.shape[2])
-        j, v = _between(self.across[chosen], self.smooth.shape[3])
+    def lowest(self, pixels: _Problem, up: Floats, across: Floats) -> Floats:
+        """Return the smallest chi-square of pixels over the depths of the cut.
+
+        `up` and `across` are their places among the nodes of elevation and azimuth.
+        """
+        i, u = _between(up, self.smooth.shape[2])
+        j, v = _between(across, self.smooth.shape[3])
         last = self.smooth.shape[2] - 1, self.smooth.shape[3] - 1
         below, right = np.minimum(i + 1, last[0]), np.minimum(j + 1, last[1])
         smooth = (1 - u) * ((1 - v) * self.smooth[:, :, i, j])
         smooth += (1 - u) * (v * self.smooth[:, :, i, right])
         smooth += u * ((1 - v) * self.smooth[:, :, below, j])
         smooth += u * (v * self.smooth[:, :, below, right])
-        pixel = np.arange(len(chosen))
-        best = np.full(len(chosen), np.inf)
-        place = np.zeros(len(chosen))
+        pixel = np.arange(len(up))
+        best = np.full(len(up), np.inf)
+        place = np.zeros(len(up))
 
         def try_at(places: Floats) -> None:
             """Look between the nodes, where only the phase turns quickly."""
@@ -258,7 +238,7 @@ class _Cut:
             best[better], place[better] = misfit[better], places[better]
 
         for node in range(smooth.shape[1]):
-            try_at(np.full(len(chosen), float(node)))
+            try_at(np.full(len(up), float(node)))
         for width in (0.5, 0.125, 0.03125):
             centre = place.copy()
             for off in (-1.5, -1.0, -0.5, 0.5, 1.0, 1.5):
@@ -275,10 +255,10 @@ def _cut_columns(
     cube: xr.Dataset,
     survey: Survey,
     interval: tuple[float, float] | None,
-    ends: dict[str, tuple[float, float]],
+    span: Span,
     *,
     paper: bool,
-) -> _Cut:
+) -> CutColumns:
     """Return cut columns from a survey."""
     properties = water_properties(survey)
     frequency = cube["modulation_frequency"].values
@@ -289,7 +269,7 @@ def _cut_columns(
     period = speed_of_light / (2 * properties.group_index * frequency.max())
     count = int(np.ceil((deepest - nearest) / period * _PER_PERIOD)) + 2
     depth = np.linspace(nearest, max(deepest, nearest), count)
-    elevation, azimuth = (_nodes(*ends[name]) for name in ("elevation", "azimuth"))
+    elevation, azimuth = (_nodes(*ends) for ends in (span.elevation, span.azimuth))
     grid = np.meshgrid(depth, elevation, azimuth, indexing="ij")
     fractions = column_fraction.fractions(
         survey,
@@ -301,34 +281,16 @@ def _cut_columns(
     )
     wavenumber = 2 * np.pi * frequency * properties.group_index / speed_of_light
     turn = np.exp(-2j * np.outer(wavenumber, grid[0].ravel()))
-    return _Cut(
+    return CutColumns(
         smooth=(fractions * turn).reshape(frequency.size, *grid[0].shape),
         depth=depth,
         wavenumber=wavenumber,
-        up=np.zeros(0),
-        across=np.zeros(0),
     )
 
 
-def _ends(cube: xr.Dataset) -> dict[str, tuple[float, float]]:
-    """Return the ends of the angles of a scan [rad]."""
-
-    def ends(name: str) -> tuple[float, float]:
-        values = cube[name].values
-        return float(values.min()), float(values.max())
-
-    return {
-        name: decided(f"span_of_{name}", partial(ends, name))
-        for name in ("azimuth", "elevation")
-    }
-
-
-def _places(
-    cube: xr.Dataset, name: str, ends: dict[str, tuple[float, float]]
-) -> Floats:
+def _places(angle: Floats, low: float, high: float) -> Floats:
     """Return where pixels stand among the nodes of an angle, from 0 on [1]."""
-    low, high = ends[name]
-    values = cube[name].values.ravel()
+    values = angle.ravel()
     if high - low < _ONE:
         return np.zeros(values.size)
     place: Floats = (values - low) / (high - low) * (_DIRECTIONS - 1)

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from scipy.constants import speed_of_light
 
 from amulor._chebyshev import BoxSeries
-from amulor._decisions import decided
+from amulor.cube.tiles import Span
 from amulor.errors import AmulorError
 from amulor.rejection.covariance import Covariance
 from amulor.rejection.reference.model import water_signal
@@ -55,91 +55,45 @@ class Shape:
         return Shape(self.at_shots[use], self.at_pixels)
 
 
-def shape_of(
+@dataclass(frozen=True)
+class ModelBehindShots:
+    """The model of the water relative to which the shots are interpolated."""
+
+    model: Model
+    """From directions between the corners of the scan to its water signal."""
+    at_shots: Complex
+    """Its water signal at the shots, shape (frequency, shot)."""
+
+    def over(self, pixels: Floats, frequency: Floats) -> list[Shape]:
+        """Return the model at the shots and at pixels, frequency by frequency."""
+        return [
+            Shape(own, over)
+            for own, over in zip(
+                self.at_shots, self.model(pixels, frequency), strict=True
+            )
+        ]
+
+
+def model_behind_shots(
     cube: xr.Dataset,
     shots: Floats,
-    pixels: Floats,
     *,
     signal: Complex,
     errors: Covariance,
-) -> list[Shape] | None:
-    """Return how the water varies over the shots and pixels of a cube.
+    span: Span,
+) -> ModelBehindShots | None:
+    """Return the model of the water that foretells the shots best.
 
-    Parameters
-    ----------
-    cube : xarray.Dataset
-        Level `samples`; its frequencies and its survey count.
-    shots, pixels : ndarray, shape (n, 2)
-        Azimuth and elevation [rad].
-    signal : ndarray, shape (frequencies, channels, n)
-        What the shots measured; not a number where one is lost [V].
-    errors : Covariance
-        Stated errors of that.
+    None where the survey says nothing of the water, where a polynomial follows its
+    water from direction to direction well enough, or follows the shots better than any
+    model. `signal` is that of the shots, shape (frequency, channel, shot).
 
-    Returns
-    -------
-    list of Shape or None
-        Frequency by frequency; None where the survey says nothing of the water, where a
-        polynomial follows its water from direction to direction well enough, or follows
-        the shots better than any model.
-
-    Notes
-    -----
     Open water by `model.water_signal` in the survey's turbidity and in others, and by
     the diffusion form (46) of Ricci et al. 2010, as rebuilt, each with the delay of
     every direction. The one is taken whose ratio to the shots, as a polynomial over the
     directions, foretells directions that are left out best, all frequencies and
     channels together. The pixels take it from a product of Chebyshev polynomials.
     """
-    frequency = cube["modulation_frequency"].values
-    span = span_of(pixels)
-    found = decided(
-        "model behind the shots",
-        lambda: _chosen(cube, shots, signal, errors, span=span),
-    )
-    if found is None:
-        return None
-    model, at_shots = found
-    return [
-        Shape(own, over)
-        for own, over in zip(at_shots, model(pixels, frequency), strict=True)
-    ]
-
-
-def span_of(pixels: Floats) -> tuple[Floats, Floats]:
-    """Return the least and the largest angles of a scan.
-
-    Parameters
-    ----------
-    pixels : ndarray, shape (n, 2)
-        Azimuth and elevation, of the scan or of a part of it [rad].
-
-    Returns
-    -------
-    tuple of two ndarrays, shape (2,)
-        Of the scan [rad].
-    """
-    low, high = pixels.min(axis=0), pixels.max(axis=0)
-    ends = [
-        decided(f"span_of_{name}", partial(_pair, low[k], high[k]))
-        for k, name in enumerate(("azimuth", "elevation"))
-    ]
-    return np.array([end[0] for end in ends]), np.array([end[1] for end in ends])
-
-
-def _pair(low: float, high: float) -> tuple[float, float]:
-    return float(low), float(high)
-
-
-def _chosen(
-    cube: xr.Dataset,
-    shots: Floats,
-    signal: Complex,
-    errors: Covariance,
-    *,
-    span: tuple[Floats, Floats],
-) -> tuple[Model, Complex] | None:
-    """Return the model behind the shots, and what it says at them."""
     text = cube.attrs.get("survey")
     if not text:
         return None
@@ -162,8 +116,9 @@ def _chosen(
     best = int(np.argmin(scores)) - 1
     if best < 0:
         return None
-    model = _Tabled(candidates[best], *span, frequency).at
-    return model, seen[best][:, places.group]
+    low, high = np.array([span.azimuth, span.elevation]).T
+    model = _Tabled(candidates[best], low, high, frequency).at
+    return ModelBehindShots(model, seen[best][:, places.group])
 
 
 def models_for(

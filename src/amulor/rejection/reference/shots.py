@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from amulor._decisions import decided
+from amulor.cube.tiles import Span, span_of
 from amulor.errors import CubeError
 from amulor.rejection.covariance import (
     Covariance,
@@ -20,7 +20,8 @@ from amulor.rejection.reference import fit as reference
 from amulor.rejection.reference.drift import NO_DRIFT, Drift
 from amulor.rejection.reference.places import FEWEST_SHOTS
 from amulor.rejection.reference.scatter import fluctuation
-from amulor.rejection.reference.shape import shape_of, span_of
+from amulor.rejection.reference.shape import ModelBehindShots, model_behind_shots
+from amulor.rejection.reference.surface import Surface
 from amulor.survey import Survey
 
 Floats = NDArray[np.float64]
@@ -42,23 +43,7 @@ _NEAR, _MISSES = 1 / 50, 8.0
 
 
 def shots_of(cube: xr.Dataset) -> xr.Dataset:
-    """Return the open-water shots of a cube.
-
-    Parameters
-    ----------
-    cube : xarray.Dataset
-        Level `samples`.
-
-    Returns
-    -------
-    xarray.Dataset
-        Dimensions (modulation_frequency, polarization, shot).
-
-    Raises
-    ------
-    CubeError
-        If there are none, or too few to judge how much they scatter.
-    """
+    """Return the open-water shots of a cube; CubeError if they are none or too few."""
     shots: xr.Dataset | None = cube.amulor.open_water
     if shots is None:
         raise CubeError(
@@ -75,42 +60,58 @@ def shots_of(cube: xr.Dataset) -> xr.Dataset:
     return shots
 
 
-def fit_shots(cube: xr.Dataset, shots: xr.Dataset) -> list[reference.Reference]:
-    """Return the water signal of the shots at the pixels of a cube.
+@dataclass(frozen=True, kw_only=True)
+class ShotsFit:
+    """What the open-water shots and the directions of all pixels tell."""
 
-    Parameters
-    ----------
-    cube : xarray.Dataset
-        Level `samples`.
-    shots : xarray.Dataset
-        Its open-water shots.
+    span: Span
+    """Directions of the scan."""
+    directions: Floats
+    """Azimuth and elevation of the shots, equal where they were sent to the same
+    [rad]."""
+    model: ModelBehindShots | None
+    """Model relative to which they are interpolated, if there is one."""
+    surfaces: tuple[Surface, ...]
+    """Polynomial of each modulation frequency, channel by channel."""
 
-    Returns
-    -------
-    list of Reference
-        Modulation frequency by frequency, channel by channel.
 
-    Raises
-    ------
-    CubeError
-        If too few shots of a channel are numbers, the scan goes beyond them, or the
-        water changed too much from the first to the last.
+def fit_shots(
+    cube: xr.Dataset,
+    shots: xr.Dataset,
+    *,
+    fit: ShotsFit | None = None,
+    span: Span | None = None,
+) -> tuple[list[reference.Reference], ShotsFit]:
+    """Return the water signal of the shots at the pixels of a cube, and their fit.
+
+    Modulation frequency by frequency, channel by channel. CubeError if too few shots of
+    a channel are numbers, the scan goes beyond them, or the water changed too much from
+    the first to the last.
     """
     pixels = np.stack(
         [cube["azimuth"].values.ravel(), cube["elevation"].values.ravel()], axis=1
     )
     known = all(name in shots for name in _AXES)
-    places = directions_of(cube, shots)
+    if fit is None:
+        span = span_of(cube) if span is None else span
+        places = directions_of(cube, shots)
+    else:
+        span, places = fit.span, fit.directions
     signal = shots.amulor.signal.values
     errors = covariance_of(shots)
     usable = np.isfinite(signal + errors.in_phase + errors.quadrature + errors.cross)
     if known:
-        _refuse_a_scan_beyond_the_shots(cube, places, pixels)
+        _refuse_a_scan_beyond_the_shots(cube, places, span)
     shared = common_covariance_of(shots) if "common_covariance" in shots else None
+    model = None if fit is None else fit.model
+    if known and fit is None:
+        model = model_behind_shots(
+            cube, places, signal=signal, errors=errors, span=span
+        )
     shapes = None
-    if known:
-        shapes = shape_of(cube, places, pixels, signal=signal, errors=errors)
-    fits = []
+    if model is not None:
+        shapes = model.over(pixels, cube["modulation_frequency"].values)
+    fits: list[reference.Reference] = []
     for index in np.ndindex(signal.shape[:2]):
         use = usable[index]
         if use.sum() < FEWEST_SHOTS:
@@ -120,29 +121,34 @@ def fit_shots(cube: xr.Dataset, shots: xr.Dataset) -> list[reference.Reference]:
             )
         own = errors.part(index).part(use)
         shape = None if shapes is None else shapes[index[0]].part(use)
-        fit = reference.fit(signal[index][use], own, places[use], pixels, shape=shape)
+        one = reference.fit(
+            signal[index][use],
+            own,
+            places[use],
+            pixels,
+            shape=shape,
+            surface=None if fit is None else fit.surfaces[len(fits)],
+        )
         if shared is not None:
-            fit = replace(fit, common=fit.common + shared.part((*index, None)))
+            one = replace(one, common=one.common + shared.part((*index, None)))
         # Shots of unknown directions may be pixels: their order is no time.
-        fits.append(fit if known else replace(fit, drift=NO_DRIFT))
+        fits.append(one if known else replace(one, drift=NO_DRIFT))
     _refuse_strong_drift(cube, fits, signal.shape[:2])
-    return fits
+    if fit is None:
+        fit = ShotsFit(
+            span=span,
+            directions=places,
+            model=model,
+            surfaces=tuple(one.surface for one in fits),
+        )
+    return fits, fit
 
 
 def directions_of(cube: xr.Dataset, shots: xr.Dataset) -> Floats:
     """Return the directions of shots, equal where they were sent to the same.
 
-    Parameters
-    ----------
-    cube : xarray.Dataset
-        Level `samples`, which tells how far stages miss.
-    shots : xarray.Dataset
-        Its open-water shots.
-
-    Returns
-    -------
-    ndarray, shape (n, 2)
-        Azimuth and elevation, all zero where they are not known [rad].
+    Shape (shot, 2), azimuth and elevation [rad], all zero where they are not known. The
+    samples of the cube tell how far stages miss.
     """
     if not all(name in shots for name in _AXES):
         return np.zeros((shots.sizes["shot"], 2))
@@ -154,18 +160,7 @@ def expected_at_pixels(
 ) -> tuple[Complex, Covariance]:
     """Return the open-water signal of every sample, and the error of its expectation.
 
-    Parameters
-    ----------
-    fits : list of Reference
-        From `fit_shots`.
-    shape : tuple of int
-        Shape of the samples.
-
-    Returns
-    -------
-    tuple of ndarray and Covariance
-        Water signal to the end of the column [V], and what the pixels share of its
-        error [V^2].
+    To the end of the column [V], and what the pixels share of its error [V^2].
     """
     signal = np.array([fit.signal for fit in fits]).reshape(shape)
     return signal, stacked([fit.common for fit in fits], shape)
@@ -174,20 +169,7 @@ def expected_at_pixels(
 def fluctuation_of(
     fits: list[reference.Reference], water_signal: Complex
 ) -> Covariance:
-    """Return how a water signal fluctuates from sample to sample.
-
-    Parameters
-    ----------
-    fits : list of Reference
-        From `fit_shots`; the scatter of the shots counts.
-    water_signal : ndarray, shape (modulation_frequency, polarization, row, column)
-        Water signal of every sample, in proportion to which it fluctuates [V].
-
-    Returns
-    -------
-    Covariance
-        Arrays of the shape of the samples.
-    """
+    """Return how a water signal fluctuates from sample to sample."""
     levels = water_signal.reshape(-1, *water_signal.shape[2:])
     return stacked(
         [
@@ -201,17 +183,7 @@ def fluctuation_of(
 def drift_of(fits: list[reference.Reference], shape: tuple[int, ...]) -> Complex:
     """Return the drift from the first shot to the last, zero where it may be chance.
 
-    Parameters
-    ----------
-    fits : list of Reference
-        From `fit_shots`.
-    shape : tuple of int
-        Shape of the samples.
-
-    Returns
-    -------
-    ndarray, shape (modulation_frequency, polarization, 1, 1)
-        Change per unit of the water signal [1].
+    Per unit of the water signal, shape (modulation_frequency, polarization, 1, 1) [1].
     """
     changes = [fit.drift.change if _is_real(fit.drift, fits) else 0j for fit in fits]
     return np.array(changes).reshape(*shape[:2], 1, 1)
@@ -255,14 +227,10 @@ def _jitter(cube: xr.Dataset, name: str) -> float:
     meant = f"user_commanded_{name}"
     if meant not in cube:
         return 0.0
-
-    def typical() -> float:
-        off = (cube[name] - cube[meant]).values
-        off = np.abs(off - np.nanmedian(off))
-        # What a stage that stuck once is off by does not count.
-        return 1.4826 * float(np.nanmedian(off)) if np.isfinite(off).any() else 0.0
-
-    return decided(f"jitter of the {name}", typical)
+    off = (cube[name] - cube[meant]).values
+    off = np.abs(off - np.nanmedian(off))
+    # What a stage that stuck once is off by does not count.
+    return 1.4826 * float(np.nanmedian(off)) if np.isfinite(off).any() else 0.0
 
 
 def _place(cube: xr.Dataset, index: tuple[int, ...]) -> str:
@@ -297,7 +265,7 @@ def _refuse_strong_drift(
 
 
 def _refuse_a_scan_beyond_the_shots(
-    cube: xr.Dataset, shots: NDArray[np.float64], pixels: NDArray[np.float64]
+    cube: xr.Dataset, shots: NDArray[np.float64], span: Span
 ) -> None:
     """Raise if the water signal would have to be extrapolated over the directions."""
     text = cube.attrs.get("survey")
@@ -305,7 +273,7 @@ def _refuse_a_scan_beyond_the_shots(
         return  # The receiver turns with the beam: the water is the same everywhere.
     low, high = shots.min(axis=0), shots.max(axis=0)
     room = np.maximum(_BEYOND * (high - low), BEYOND_AT_LEAST)
-    first, last = span_of(pixels)
+    first, last = np.array([span.azimuth, span.elevation]).T
     outside = np.maximum(low - first, last - high) - room
     if np.any(outside > 0):
         axis = int(np.argmax(outside))

@@ -19,7 +19,7 @@ def _missed(made: Survey, options: dict[str, Any], water: Any) -> float:
     cube = simulate(survey(1, water=water, **options), rng=2)
     truth = cube["truth_water_in_phase"] + 1j * cube["truth_water_quadrature"]
     cube = cube.assign_attrs(survey=made.to_toml())
-    fits = fit_shots(cube, shots_of(cube))
+    fits, _ = fit_shots(cube, shots_of(cube))
     return max(
         float(np.abs(found.signal - true).max() / np.abs(true).max())
         for found, true in zip(fits, truth.values.reshape(len(fits), -1), strict=True)

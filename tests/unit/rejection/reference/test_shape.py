@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import xarray as xr
 
+from amulor.cube import tiles
 from amulor.optics import rays
 from amulor.rejection.covariance import Covariance
 from amulor.rejection.reference import shape as shapes
@@ -28,7 +29,7 @@ TALL: dict[str, Any] = {"wide": 9, "tall": 19, "columns": 8, "rows": 20}
 
 def _fits(cube: xr.Dataset) -> list[tuple[Reference, np.ndarray]]:
     truth = cube["truth_water_in_phase"] + 1j * cube["truth_water_quadrature"]
-    fits = fit_shots(cube, shots_of(cube))
+    fits, _ = fit_shots(cube, shots_of(cube))
     return list(zip(fits, truth.values.reshape(len(fits), -1), strict=True))
 
 
@@ -71,14 +72,13 @@ def test_the_form_of_the_paper_is_a_candidate_too() -> None:
 def test_a_narrow_scan_needs_no_model() -> None:
     cube = simulate(survey(1, columns=6, rows=4), rng=1)
     shots = shots_of(cube)
-    places, pixels = (
-        np.stack([part[name].values.ravel() for name in ("azimuth", "elevation")], 1)
-        for part in (shots, cube)
-    )
+    places = np.stack([shots[name].values for name in ("azimuth", "elevation")], 1)
     signal = shots.amulor.signal.values
     nothing = np.zeros(signal.shape)
     errors = Covariance(nothing + 1e-18, nothing + 1e-18, nothing)
-    found = shapes.shape_of(cube, places, pixels, signal=signal, errors=errors)
+    found = shapes.model_behind_shots(
+        cube, places, signal=signal, errors=errors, span=tiles.span_of(cube)
+    )
     assert found is None
 
 
@@ -138,14 +138,16 @@ def test_photons_between_the_shots_agree() -> None:
     pixels = np.stack([between, np.zeros(8)], axis=1)
     instrument = Covariance(variance, variance, np.zeros(36))
     cube = simulate(made, rng=0)
-    shape = shapes.shape_of(
+    low, high = pixels.min(axis=0), pixels.max(axis=0)
+    model = shapes.model_behind_shots(
         cube,
         places,
-        pixels,
         signal=np.array([[shots]]),
         errors=Covariance(*(part[None, None] for part in vars(instrument).values())),
+        span=tiles.Span((low[0], high[0]), (low[1], high[1])),
     )
-    assert shape is not None
+    assert model is not None
+    shape = model.over(pixels, cube["modulation_frequency"].values)
     missed = [
         np.abs(
             fit(shots, instrument, places, pixels, shape=each).signal - signal[9:]

@@ -13,7 +13,7 @@ from amulor.rejection.reference.size import not_smaller_than_usual
 def test_what_is_below_the_median_is_made_as_large_and_keeps_its_phase() -> None:
     size = np.array([[0.0, 0.1, 1.0, 2.0, 5.0]])
     water = (size * np.exp(1j * np.arange(5)))[None, None]
-    found = not_smaller_than_usual(water)
+    found, _ = not_smaller_than_usual(water)
     assert_allclose(np.abs(found[0, 0, 0]), [0, 1, 1, 2, 5], rtol=1e-12)
     assert_allclose(np.angle(found[0, 0, 0, 1:]), np.angle(water[0, 0, 0, 1:]))
 
