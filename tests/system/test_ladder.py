@@ -14,7 +14,7 @@ from amulor import cube as cubes
 from amulor import imaging, io, rejection
 from amulor.cube import UNUSABLE
 from amulor.simulation import simulate
-from amulor.studies import ladder, ladder_case
+from amulor.studies import ladder
 from amulor.survey import Survey
 
 
@@ -117,7 +117,7 @@ def test_the_estimated_bias_is_the_bias(output: Path, channel: str, water: str) 
         output / f"ladder_{water}_{channel}_range.nc", group="truth"
     )
     survey = Survey.from_toml(output / f"ladder_{water}.toml")
-    tread = ladder_case.treads(survey) > 0
+    tread = ladder.treads(survey) > 0
     error = (image["slant_range"] - truth["slant_range"]).values[tread]
     estimate = image["slant_range_bias"].values[tread]
     shared = image["slant_range_common_uncertainty"].values[tread].mean()

@@ -32,7 +32,7 @@ def demo(
         Print the numbers for other programs.
     """
     from amulor.studies import ladder
-    from amulor.studies.ladder_report import mean_error
+    from amulor.studies.ladder import mean_error
 
     with progress_bar(quiet=json) as progress:
         cases = ladder.run(output, rng=seed, overwrite=overwrite, progress=progress)

@@ -14,7 +14,7 @@ from amulor import imaging, rejection
 from amulor.errors import CubeError
 from amulor.imaging import metrics
 from amulor.simulation import DiffusionModel, simulate
-from amulor.studies.ladder_case import treads
+from amulor.studies.ladder import treads
 from amulor.studies.ricci2010.scenes.scan_surveys import (
     ScanField,
     ScanWater,
