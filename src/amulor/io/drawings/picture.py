@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import os
-import struct
-import zlib
 from collections.abc import Mapping
 from pathlib import Path
 
@@ -42,24 +40,13 @@ def write_picture(
     FormatError
         If the file exists and `overwrite` is not set, or cannot be written.
     """
-    rows, columns = pixels.shape[:2]
-    lines = np.zeros((rows, columns * 4 + 1), dtype=np.uint8)  # a filter byte each
-    lines[:, 1:] = pixels.reshape(rows, -1)
-    density = round(dots_per_metre)
-    chunks = [
-        _chunk(b"IHDR", struct.pack(">IIBBBBB", columns, rows, 8, 6, 0, 0, 0)),
-        _chunk(b"pHYs", struct.pack(">IIB", density, density, 1)),
-    ]
+    from PIL import Image, PngImagePlugin
+
+    described = PngImagePlugin.PngInfo()
     for key, text in texts.items():
-        # International text: keyword, no compression, no language, UTF-8.
-        content = key.encode("latin-1") + b"\0\0\0\0\0" + text.encode()
-        chunks.append(_chunk(b"iTXt", content))
-    chunks.append(_chunk(b"IDAT", zlib.compress(lines.tobytes(), 6)))
-    chunks.append(_chunk(b"IEND", b""))
+        described.add_itxt(key, text)
+    density = round(dots_per_metre) * 0.0254  # dots per inch, whole ones per metre
     with atomic_output(Path(path), overwrite=overwrite) as temporary:
-        temporary.write_bytes(b"\x89PNG\r\n\x1a\n" + b"".join(chunks))
-
-
-def _chunk(kind: bytes, content: bytes) -> bytes:
-    check = zlib.crc32(kind + content)
-    return struct.pack(">I", len(content)) + kind + content + struct.pack(">I", check)
+        Image.fromarray(pixels).save(
+            temporary, format="PNG", dpi=(density, density), pnginfo=described
+        )
