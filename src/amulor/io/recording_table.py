@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import csv
+import io
 import itertools
 from collections.abc import Iterable, Iterator, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +19,7 @@ from amulor.io.recording_map import RecordingMap, TableSettings
 
 Texts = NDArray[np.str_]
 Floats = NDArray[np.float64]
+Line = tuple[int, str]
 
 
 class Table:
@@ -134,7 +137,7 @@ def table_parts(
         if described.table.format == "hdf5":
             yield from _whole_hdf5(path, wanted, count)
         else:
-            yield from _csv(path, wanted, described.table, count)
+            yield from _csv(path, described, count)
     except OSError as error:
         raise FormatError(
             f"{path}: cannot be read ({error.strerror or error}); check name and format"
@@ -143,74 +146,102 @@ def table_parts(
         raise FormatError(f"{path}: is no text; state table.format") from None
 
 
-def _csv(
-    path: Path, wanted: list[str], own: TableSettings, count: int | None
-) -> Iterator[Table]:
+def _csv(path: Path, described: RecordingMap, count: int | None) -> Iterator[Table]:
+    own = described.table
+    wanted = [name for _, name in described.columns if name is not None]
+    texts = {described.columns.polarization, described.columns.what}
     with path.open(encoding="utf-8-sig", newline="") as file:
-        names = _names(file, own)
-    _refuse_missing(path, wanted, names)
-    places = [names.index(name) for name in wanted]
-    with path.open(encoding="utf-8-sig", newline="") as file:
-        samples = _samples(file, own)
+        lines = itertools.islice(enumerate(file, start=1), own.skip, None)
+        names, first = _names(path, lines, own)
+        _refuse_missing(path, wanted, names)
+        places = {names.index(name): name for name in wanted}
+        samples = _samples(path, itertools.chain(first, lines), own, len(names))
         begun = False
         while rows := list(itertools.islice(samples, count)):
             begun = True
-            for line, row in rows:
-                if len(row) < len(names):
-                    raise FormatError(
-                        f"{path}, line {line}: has {len(row)} columns, needed are "
-                        f"{len(names)}; was the recording broken off?"
-                    )
-            columns = {
-                name: np.array([row[place] for _, row in rows])
-                for name, place in zip(wanted, places, strict=True)
-            }
-            yield Table(path, columns, [line for line, _ in rows])
+            columns = _parsed("".join(line for _, line in rows), own, places, texts)
+            yield Table(path, columns, [number for number, _ in rows])
     if not begun:
         raise FormatError(f"{path}: holds no sample below the names of its columns")
 
 
-def _cells(
-    file: Iterable[str], own: TableSettings
-) -> Iterator[tuple[int, list[str], bool]]:
-    """Yield number and cells of each line, and whether it is a comment."""
-    for line, text in enumerate(file, start=1):
-        if line <= own.skip or not text.strip():
+def _names(
+    path: Path, lines: Iterator[Line], own: TableSettings
+) -> tuple[list[str], list[Line]]:
+    """Return the names of the columns, and the first sample if it was read, too.
+
+    They stand in a line of texts, or in the last comment before the first sample.
+    """
+    names: list[str] = []
+    for number, line in lines:
+        if line.isspace():
             continue
-        (cells,) = csv.reader([text.strip("\r\n")], delimiter=own.delimiter)
-        cells = [cell.strip() for cell in cells]
-        remark = bool(own.comment) and text.startswith(own.comment)
-        if remark:
-            cells[0] = cells[0].lstrip(own.comment).strip()
-        yield line, cells, remark
-
-
-def _names(file: Iterable[str], own: TableSettings) -> list[str]:
-    """Return the names of the columns: a line of texts, or the last comment above."""
-    comment: list[str] = []
-    begun = False
-    for _, cells, remark in _cells(file, own):
-        if remark:
-            comment = comment if begun else cells
-        elif not _is_number(cells[0], own.decimal):
-            return cells
+        cells = _cells(path, number, line, own)
+        if own.comment and line.startswith(own.comment):
+            names = [cells[0].lstrip(own.comment).strip(), *cells[1:]]
+        elif _is_number(cells[0], own.decimal):
+            return names, [(number, line)]
         else:
-            begun = True
-    return comment
+            return cells, []
+    return names, []
 
 
 def _samples(
-    file: Iterable[str], own: TableSettings
-) -> Iterator[tuple[int, list[str]]]:
-    """Yield number and cells of each line with a sample."""
-    named = False
-    for line, cells, remark in _cells(file, own):
-        if remark:
+    path: Path, lines: Iterable[Line], own: TableSettings, columns: int
+) -> Iterator[Line]:
+    """Yield the lines that hold a sample; refuse those that lack columns."""
+    for number, line in lines:
+        if line.isspace() or (own.comment and line.startswith(own.comment)):
             continue
-        if not named and not _is_number(cells[0], own.decimal):
-            named = True
-        else:
-            yield line, cells
+        # A delimiter between quotation marks separates nothing.
+        if line.count(own.delimiter) + 1 < columns or '"' in line:
+            cells = _cells(path, number, line, own)
+            if len(cells) < columns:
+                raise FormatError(
+                    f"{path}, line {number}: has {len(cells)} columns, needed are "
+                    f"{columns}; was the recording broken off?"
+                )
+        yield number, line
+
+
+def _cells(path: Path, number: int, line: str, own: TableSettings) -> list[str]:
+    rows = csv.reader(
+        [line.strip("\r\n")],
+        delimiter=own.delimiter,
+        skipinitialspace=True,
+        strict=True,
+    )
+    try:
+        (cells,) = rows
+    except csv.Error as error:
+        raise FormatError(
+            f"{path}, line {number}: cannot be split into columns ({error}); close "
+            "the quotation marks"
+        ) from None
+    return [cell.strip() for cell in cells]
+
+
+def _parsed(
+    content: str, own: TableSettings, places: dict[int, str], texts: set[str | None]
+) -> dict[str, NDArray[Any]]:
+    """Return columns by name: numbers, or cells as written where one is no number."""
+    import pandas as pd
+
+    read = partial(
+        pd.read_csv, header=None, usecols=list(places), sep=own.delimiter,
+        decimal=own.decimal, skipinitialspace=True, skip_blank_lines=False,
+        keep_default_na=False,
+    )  # fmt: skip
+    numbers = [place for place, name in places.items() if name not in texts]
+    try:
+        table = read(
+            io.StringIO(content),
+            dtype={place: float if place in numbers else object for place in places},
+            na_values={place: [""] for place in numbers},
+        )
+    except ValueError:
+        table = read(io.StringIO(content), dtype=object)
+    return {name: table[place].to_numpy() for place, name in places.items()}
 
 
 def _is_number(text: str, decimal: str) -> bool:

@@ -16,6 +16,7 @@ from amulor.cube import UNUSABLE
 from amulor.errors import FormatError
 from amulor.io import read_cube
 from amulor.io.recording_map import RecordingMap
+from amulor.io.recording_table import read_table
 from amulor.io.recordings import BREAKDOWN, NO_NUMBER, ZERO, read_recordings
 from amulor.simulation import simulate
 from amulor.survey import Survey
@@ -276,6 +277,16 @@ def test_one_of_several_temperatures_is_chosen(tmp_path, survey, cube) -> None:
         (lambda t: t.replace("30000000.0", "fast", 1), "'f' holds 'fast', needed is a"),
         (lambda t: t.replace("30000000.0", "-1", 1), "modulation frequency is not kn"),
         (lambda t: t[: len(t) // 2 - 20], r"line \d+: has \d columns, needed are 7"),
+        (
+            lambda t: (
+                "# a\n\n" + t.replace("\n", "\n# b\n", 1).replace("30000000.0", "x")
+            ),
+            "line 5: column 'f' holds 'x'",
+        ),
+        (
+            lambda t: t.replace("VV,scan", 'VV,"scan', 1),
+            "line 2: .*close the quotation",
+        ),
         (lambda t: t.split("\n")[0] + "\n", "holds no sample below"),
         (lambda t: "", "has no column 'X \\[V\\]'; there are none"),
     ],
@@ -286,6 +297,31 @@ def test_bad_recordings_get_one_line(tmp_path, survey, cube, change, message) ->
     with pytest.raises(FormatError, match=message) as raised:
         read_recordings(path, mapped(tmp_path, XY), survey)
     assert "\n" not in str(raised.value)
+
+
+def test_cells_are_read_as_they_are_written(tmp_path) -> None:
+    path = tmp_path / "scan.csv"
+    path.write_text(
+        'x;y;note;pol\n 0,1234567890123456 ;;"a;b";01 # 2\n# x\n"-1e-3";nan;;VV\n'
+    )
+    text = """
+    [table]
+    delimiter = ";"
+    decimal = ","
+    [columns]
+    in_phase = "x"
+    quadrature = "y"
+    polarization = "pol"
+    [constants]
+    frequency = "30 MHz"
+    """
+    table = read_table(path, mapped(tmp_path, text))
+    np.testing.assert_allclose(
+        table.numbers("x", decimal=","), [0.1234567890123456, -1e-3], rtol=1e-12
+    )
+    assert np.isnan(table.numbers("y", decimal=",")).all()
+    assert table.texts("pol").tolist() == ["01 # 2", "VV"]
+    assert table.place(1) == f"{path}, line 4"
 
 
 def test_shots_of_a_channel_that_were_left_out_are_named(
