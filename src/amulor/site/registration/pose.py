@@ -97,23 +97,11 @@ def start_covariance(start: StartPose, pose: ScanPose) -> Floats:
     return covariance
 
 
-def kabsch(from_points: Floats, to_points: Floats) -> ScanPose:
-    """Return the pose that takes points nearest to others, by least squares.
-
-    Parameters
-    ----------
-    from_points, to_points : ndarray, shape (n, 3)
-        The same points in the axes of the instrument and of the site [m].
-
-    Returns
-    -------
-    ScanPose
-        Without a mirror.
-    """
+def best_pose(from_points: Floats, to_points: Floats) -> ScanPose:
+    """Return the pose that takes points nearest to others, by least squares [m]."""
     middle, other = from_points.mean(axis=0), to_points.mean(axis=0)
-    u, _, v = np.linalg.svd((from_points - middle).T @ (to_points - other))
-    mirror = np.diag([1.0, 1.0, np.sign(np.linalg.det(v.T @ u.T))])
-    rotation = v.T @ mirror @ u.T
+    turn, _ = Rotation.align_vectors(to_points - other, from_points - middle)
+    rotation = turn.as_matrix()
     return ScanPose(rotation, other - rotation @ middle)
 
 

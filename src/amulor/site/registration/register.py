@@ -26,7 +26,7 @@ from amulor.site.registration.network import (
 )
 from amulor.site.registration.pose import (
     ScanPose,
-    kabsch,
+    best_pose,
     start_covariance,
     start_pose,
 )
@@ -231,7 +231,7 @@ def _guessed(
                 f"scan {name!r}: its {len(seen)} targets stand on a line, about which "
                 "it may turn; add one beside the line, or state [scan.start]"
             )
-        guess[name] = poses[name] = kabsch(here, there)
+        guess[name] = poses[name] = best_pose(here, there)
 
 
 def _result(site: Site, found: Alignment, ties: Ties) -> Registration:
