@@ -13,13 +13,10 @@ from contextlib import contextmanager
 from contextvars import ContextVar
 from typing import Any, TypeVar
 
-__all__ = ["FARTHEST", "Decisions", "decided", "deciding", "is_known", "told"]
-
-#: Name under which a scan that is simulated by rows says before how deep its columns of
-#: water reach [m]; the light that they share is decided once then.
-FARTHEST = "farthest end of the columns"
+__all__ = ["Decisions", "decided", "deciding", "fitted_once", "told"]
 
 _Value = TypeVar("_Value")
+_Choices = TypeVar("_Choices")
 
 
 class Decisions:
@@ -98,21 +95,21 @@ def decided(name: str, decide: Callable[[], _Value]) -> _Value:
     return value
 
 
-def is_known(name: str) -> bool:
-    """Return whether a step runs inside that was told something before its sample.
+def fitted_once(
+    name: str,
+    fit: Callable[[], tuple[_Value, _Choices]],
+    apply: Callable[[_Choices], _Value],
+) -> _Value:
+    """Return the result of a fit to these pixels, or of the choices of the scan."""
+    results: list[_Value] = []
 
-    Parameters
-    ----------
-    name : str
-        Of what was found from all of the scan.
+    def decide() -> _Choices:
+        result, choices = fit()
+        results.append(result)
+        return choices
 
-    Returns
-    -------
-    bool
-        False where nothing is decided once.
-    """
-    asking = _asking.get()
-    return asking is not None and name in asking.decisions.known
+    choices = decided(name, decide)
+    return results[0] if results else apply(choices)
 
 
 @contextmanager

@@ -10,7 +10,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from amulor import cube as cubes
-from amulor._decisions import decided
+from amulor._decisions import decided, fitted_once
 from amulor._progress import tell
 from amulor.cube import UNUSABLE, QualityFlag
 from amulor.errors import CubeError, SurveyError
@@ -152,13 +152,18 @@ def _settled_path(
     doubt = np.nan_to_num(np.abs(shift), nan=np.inf)
 
     def path_of(phase: Floats, doubt: Floats) -> ambiguity.Path:
-        return ambiguity.optical_path(
-            phase,
-            sigma,
-            modulation_frequency=frequency,
-            shortest=shortest,
-            longest=longest,
-            doubt=doubt,
+        arguments: dict[str, Any] = {
+            "phase": phase,
+            "uncertainty": sigma,
+            "modulation_frequency": frequency,
+            "shortest": shortest,
+            "longest": longest,
+            "doubt": doubt,
+        }
+        return fitted_once(
+            "optical path",
+            lambda: ambiguity.fit(**arguments),
+            lambda choices: ambiguity.optical_path(**arguments, choices=choices),
         )
 
     path = path_of(phase, doubt)

@@ -9,8 +9,6 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.constants import speed_of_light
 
-from amulor._decisions import decided
-
 Floats = NDArray[np.float64]
 
 #: The runner-up must fit worse by this much in chi-square, or the choice is open.
@@ -71,6 +69,25 @@ class Path:
     """Outliers among the frequencies, first axis the frequencies."""
 
 
+@dataclass(frozen=True, kw_only=True)
+class Choices:
+    """Choices about the frequencies that all pixels of a scan share.
+
+    Examples
+    --------
+    >>> from amulor.optics.ambiguity import Choices
+    >>> Choices(order=(1, 0))
+    Choices(order=(1, 0), outliers_searched=True, outliers_left_out=True)
+    """
+
+    order: tuple[int, ...]
+    """Indices of the frequencies by their median error as a length, rising."""
+    outliers_searched: bool = True
+    """Whether few enough pixels are unsettled to search them for outliers."""
+    outliers_left_out: bool = True
+    """Whether each frequency is an outlier in few enough pixels to leave it out."""
+
+
 def optical_path(
     phase: Floats,
     uncertainty: Floats,
@@ -79,6 +96,7 @@ def optical_path(
     shortest: Floats,
     longest: Floats,
     doubt: Floats | float = 0.0,
+    choices: Choices | None = None,
 ) -> Path:
     """Return the optical path that fits the phases at all frequencies best.
 
@@ -93,6 +111,9 @@ def optical_path(
     doubt : ndarray or float
         Phase errors that the frequencies may have beyond their uncertainty, such as
         water signal left in; they excuse disagreement and change nothing else [rad].
+    choices : Choices, optional
+        Scan-wide choices, from `fit` on the pixels of a whole scan or a sample of it;
+        by default from these pixels.
 
     Returns
     -------
@@ -136,49 +157,131 @@ def optical_path(
     >>> print(f"{found.length[0]:.4f} m", bool(found.settled[0]))
     8.0000 m True
     """
-    doubts = np.broadcast_to(np.asarray(doubt, dtype=float), phase.shape)
-    known = _Phases(
+    path, _ = _solved(
+        _phases(
+            phase,
+            uncertainty,
+            modulation_frequency=modulation_frequency,
+            shortest=shortest,
+            longest=longest,
+            doubt=doubt,
+        ),
+        choices,
+    )
+    return path
+
+
+def fit(
+    phase: Floats,
+    uncertainty: Floats,
+    *,
+    modulation_frequency: Floats,
+    shortest: Floats,
+    longest: Floats,
+    doubt: Floats | float = 0.0,
+) -> tuple[Path, Choices]:
+    """Return the optical path of the pixels, and the scan-wide choices behind it.
+
+    Parameters
+    ----------
+    phase, uncertainty, modulation_frequency, shortest, longest, doubt : ndarray
+        As in `optical_path`.
+
+    Returns
+    -------
+    tuple of Path and Choices
+        The path is that of `optical_path`; the choices let other rows of the same scan
+        be solved as these pixels were.
+
+    Examples
+    --------
+    The frequency of the smallest error as a length comes first:
+
+    >>> import numpy as np
+    >>> from amulor.optics.ambiguity import fit
+    >>> path, choices = fit(
+    ...     np.full((2, 1), np.pi), np.full((2, 1), 0.01),
+    ...     modulation_frequency=np.array([10e6, 50e6]),
+    ...     shortest=np.array([0.0]), longest=np.array([29.0]),
+    ... )
+    >>> print(f"{path.length[0]:.2f} m", choices.order)
+    14.99 m (1, 0)
+    """
+    return _solved(
+        _phases(
+            phase,
+            uncertainty,
+            modulation_frequency=modulation_frequency,
+            shortest=shortest,
+            longest=longest,
+            doubt=doubt,
+        ),
+        None,
+    )
+
+
+def _phases(
+    phase: Floats,
+    uncertainty: Floats,
+    *,
+    modulation_frequency: Floats,
+    shortest: Floats,
+    longest: Floats,
+    doubt: Floats | float,
+) -> _Phases:
+    """Return the phases with limits and doubts of their shape."""
+    return _Phases(
         phase=phase,
         uncertainty=uncertainty,
         modulation_frequency=modulation_frequency,
         shortest=np.broadcast_to(shortest, phase.shape[1:]),
         longest=np.broadcast_to(longest, phase.shape[1:]),
-        doubt=doubts,
-        order=decided(
-            "frequencies by phase error",
-            lambda: _by_error(uncertainty, modulation_frequency),
-        ),
+        doubt=np.broadcast_to(np.asarray(doubt, dtype=float), phase.shape),
+        order=(),
     )
-    path = _best_path(known)
-    if len(modulation_frequency) < 3:
-        return path
+
+
+def _solved(phases: _Phases, choices: Choices | None) -> tuple[Path, Choices]:
+    """Return path and choices, the latter from these pixels if there are none yet."""
+    if choices is None:
+        order = _by_error(phases.uncertainty, phases.modulation_frequency)
+    else:
+        order = choices.order
+    phases = replace(phases, order=order)
+    path = _best_path(phases)
+    if len(phases.modulation_frequency) < 3:
+        return path, Choices(order=order)
     usable = np.isfinite(path.length)
     unsettled = usable & ~path.settled
-    # Where hardly any pixel agrees, it is the errors that are stated too small.
-    few = decided(
-        "most pixels are settled",
-        lambda: bool(unsettled.sum() <= max(_MOST_SPOILED * usable.sum(), 1)),
-    )
-    wrong = _wrong(path, unsettled, known) if few and unsettled.any() else None
-
-    def are_rare() -> bool:
-        if wrong is None:
-            return True
+    if choices is None:
+        # Where hardly any pixel agrees, it is the errors that are stated too small.
+        most = max(_MOST_SPOILED * usable.sum(), 1)
+        is_searched = bool(unsettled.sum() <= most)
+    else:
+        is_searched = choices.outliers_searched
+    wrong = _wrong(path, unsettled, phases) if is_searched and unsettled.any() else None
+    if choices is not None:
+        is_left_out = choices.outliers_left_out
+    elif wrong is None:
+        is_left_out = True
+    else:
         everywhere = path.left_out.copy()
         everywhere[:, unsettled] = wrong[0] & wrong[1]
         often = everywhere[:, usable].sum(axis=1).max()
-        return bool(often <= max(_RARE * usable.sum(), 1))
+        is_left_out = bool(often <= max(_RARE * usable.sum(), 1))
+    if is_left_out and wrong is not None:
+        _leave_out(path, unsettled, phases, *wrong)
+    chosen = Choices(
+        order=order, outliers_searched=is_searched, outliers_left_out=is_left_out
+    )
+    return path, chosen
 
-    if decided("few pixels lose a frequency", are_rare) and wrong is not None:
-        _leave_out(path, unsettled, known, *wrong)
-    return path
 
-
-def _by_error(uncertainty: Floats, modulation_frequency: Floats) -> list[int]:
+def _by_error(uncertainty: Floats, modulation_frequency: Floats) -> tuple[int, ...]:
     """Return the frequencies in the order of their error as a length."""
     each = speed_of_light / modulation_frequency / (2 * np.pi)
     sigma = np.maximum(uncertainty, _SMALLEST_PHASE_ERROR).reshape(len(each), -1)
-    return [int(k) for k in np.argsort(np.nanmedian(sigma, axis=1) * each)]
+    return tuple(int(k) for k in np.argsort(np.nanmedian(sigma, axis=1) * each))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -191,7 +294,7 @@ class _Phases:
     shortest: Floats
     longest: Floats
     doubt: Floats
-    order: list[int]
+    order: tuple[int, ...]
     """Frequencies, the one with the smallest error first."""
 
     def part(

@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-from contextlib import nullcontext
-
 import numpy as np
 import xarray as xr
 
-from amulor._decisions import told
 from amulor._progress import listening
 from amulor.cube import tiles
 from amulor.errors import SurveyError
@@ -42,7 +39,7 @@ class SimulatedRows:
     -----
     The tiles are those of `amulor.simulate`, bit for bit: noise comes from the same
     numbers of the same generator, and the table of the light of water that columns look
-    up is decided once.
+    up is fitted once.
     """
 
     def __init__(
@@ -61,7 +58,7 @@ class SimulatedRows:
         self._scan = survey.scan
         self._setting = measurement.Setting.of(survey, rng=rng, model=model)
         with listening(_nobody):
-            self._decisions = measurement.decisions_of(self._setting)
+            self._model = measurement.fit(self._setting)
             self._noise = RowNoise(
                 generator,
                 lock_in.draws(survey),
@@ -104,12 +101,10 @@ class SimulatedRows:
         setting = self._setting
         directions = scan_directions(setting.survey, rows=slice(begin, end))
         noise = self._noise.rows(begin, end)
-        decisions = self._decisions
-        with (
-            listening(_nobody),
-            nullcontext() if decisions is None else told(decisions),
-        ):
-            samples, truth = measurement.measured(setting, directions, noise=noise)
+        with listening(_nobody):
+            samples, truth = measurement.measured(
+                setting, directions, model=self._model, noise=noise
+            )
         return measurement.joined(samples, self._shots, truth)
 
     def directions(self, begin: int, end: int) -> xr.Dataset:

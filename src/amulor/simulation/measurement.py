@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numbers
-from contextlib import nullcontext
 from dataclasses import dataclass
 from typing import Any
 
@@ -12,13 +11,12 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from amulor import cube
-from amulor._decisions import FARTHEST, Decisions, deciding, told
 from amulor._progress import part, tell
 from amulor.cube import tiles
 from amulor.optics.rays import Medium
 from amulor.simulation import geometry as geometry_of
 from amulor.simulation import lock_in, signal
-from amulor.simulation.models import DEFAULT_MODEL, SignalModel, UncertainModel
+from amulor.simulation.models import DEFAULT_MODEL, FittedModel, SignalModel
 from amulor.simulation.scene import Scene
 from amulor.survey import Survey, WaterProperties, water_properties
 from amulor.survey.checks.memory import refuse_scans_beyond_memory
@@ -86,9 +84,9 @@ def simulate(
     refuse_scans_beyond_memory(survey)
     generator = np.random.default_rng(rng)
     setting = Setting.of(survey, rng=rng, model=model)
-    decisions = decisions_of(setting)
-    with nullcontext() if decisions is None else told(decisions):
-        samples, truth = measured(setting, scan_directions(survey), noise=generator)
+    samples, truth = measured(
+        setting, scan_directions(survey), model=fit(setting), noise=generator
+    )
     tell("open-water shots", 0.8)
     return joined(samples, open_water(setting, rng=generator), truth)
 
@@ -126,40 +124,30 @@ class Setting:
         )
 
 
-def decisions_of(setting: Setting) -> Decisions | None:
-    """Return what is decided once for the pixels of a scan, whatever rows they are in.
+def fit(setting: Setting) -> SignalModel:
+    """Return the model with the choices that all pixels of a scan share.
 
-    Parameters
-    ----------
-    setting : Setting
-        What all rows share.
-
-    Returns
-    -------
-    Decisions or None
-        From all pixels of a scan of up to `tiles.SAMPLE`, of a larger one from as many
-        that are spread over it from edge to edge. None where a model knows its own
-        errors and takes the scan whole.
+    They come from all pixels of a scan of up to `tiles.SAMPLE`, of a larger one from as
+    many that are spread over it from edge to edge.
     """
-    survey, scan = setting.survey, setting.survey.scan
-    if isinstance(setting.model, UncertainModel):
-        return None
-    directions = scan_directions(
-        survey, **({} if _is_small(survey) else _spread(scan.rows, scan.columns))
-    )
+    survey, scan, model = setting.survey, setting.survey.scan, setting.model
+    if not isinstance(model, FittedModel):
+        return model
+    is_small = scan.rows * scan.columns <= tiles.SAMPLE
+    some = {} if is_small else _spread(scan.rows, scan.columns)
+    geometry = _traced(setting, scan_directions(survey, **some))
     end = survey.water.column_end
-    far = np.inf if end is None else end
-    if _is_small(survey):
-        traced = _traced(setting, directions)
-        far = min(far, float(traced.depth.max()))
-    decisions = Decisions(**{FARTHEST: far})
-    with deciding(decisions):
-        _light(setting, directions)
-    return decisions
-
-
-def _is_small(survey: Survey) -> bool:
-    return survey.scan.rows * survey.scan.columns <= tiles.SAMPLE
+    farthest = np.inf if end is None else end
+    if is_small:
+        farthest = min(farthest, float(geometry.depth.max()))
+    return signal.fitted(
+        model,
+        survey,
+        setting.water,
+        geometry.view,
+        end=geometry.depth,
+        farthest=farthest,
+    )
 
 
 def _spread(rows: int, columns: int) -> dict[str, NDArray[np.intp]]:
@@ -181,10 +169,10 @@ def _traced(
 
 
 def _light(
-    setting: Setting, directions: tuple[Floats, Floats, Floats]
+    setting: Setting, directions: tuple[Floats, Floats, Floats], *, model: SignalModel
 ) -> tuple[geometry_of.Geometry, signal.Light, signal.Light]:
     """Return what beams meet, and the light of targets and water."""
-    survey, water, model = setting.survey, setting.water, setting.model
+    survey, water = setting.survey, setting.water
     tell("following the beams to the targets", 0.0)
     geometry = _traced(setting, directions)
     tell(f"light of the targets, {model.title}", 0.1)
@@ -202,6 +190,7 @@ def measured(
     setting: Setting,
     directions: tuple[Floats, Floats, Floats],
     *,
+    model: SignalModel,
     noise: lock_in.Noise,
 ) -> tuple[xr.Dataset, xr.Dataset]:
     """Return the samples of some rows of a scan, and the truth of them.
@@ -212,6 +201,8 @@ def measured(
         What all rows share.
     directions : tuple of three ndarrays
         Of the rows, from `scan_directions`.
+    model : SignalModel
+        From `fit`.
     noise : numpy.random.Generator or Noise
         Source of the noise.
 
@@ -220,8 +211,8 @@ def measured(
     tuple of two xarray.Dataset
         For `joined`.
     """
-    survey, model = setting.survey, setting.model
-    geometry, target, column = _light(setting, directions)
+    survey = setting.survey
+    geometry, target, column = _light(setting, directions, model=model)
     tell("noise of detector and lock-in", 0.7)
     samples = lock_in.sample(survey, target, column, rng=noise)
     built = cube.build(

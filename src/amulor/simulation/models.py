@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
@@ -15,7 +16,8 @@ from amulor.optics import (
     small_angle_diffusion,
     target_echo,
 )
-from amulor.optics.small_angle import sharp_receiver
+from amulor.optics.small_angle import gaussian_receiver, sharp_receiver
+from amulor.optics.small_angle.gaussian_receiver import SharedLight
 from amulor.survey import Survey, WaterProperties
 from amulor.survey.view import (
     View,
@@ -131,6 +133,41 @@ class SignalModel(Protocol):
 
 
 @runtime_checkable
+class FittedModel(Protocol):
+    """A forward model with choices that all columns of a scan share, as a table.
+
+    It is a `SignalModel`, too. One that wraps another hands `fit` on to it, else a scan
+    by rows is that of the whole only within the error of such a table.
+    """
+
+    def fit(
+        self,
+        modulation_frequency: NDArray[np.float64],
+        *,
+        survey: Survey,
+        water: WaterProperties,
+        view: View,
+        end: Any,
+        farthest: float,
+    ) -> SignalModel:
+        """Return the model with its choices made for a scan.
+
+        Parameters
+        ----------
+        modulation_frequency, survey, water, view, end
+            As in `SignalModel.column`, of all beams of the scan or of a sample.
+        farthest : float
+            Depth up to which any column of the scan reaches, perhaps infinite [m].
+
+        Returns
+        -------
+        SignalModel
+            For any rows of the scan.
+        """
+        ...
+
+
+@runtime_checkable
 class UncertainModel(Protocol):
     """A forward model that knows how sure it is, as `SignalModel` otherwise."""
 
@@ -232,6 +269,32 @@ class SmallAngleModel:
     """What a cube says it was made with."""
     late_echo: str = "absent"
     """All light takes the straight way."""
+    shared_light: SharedLight | None = None
+    """Scattered light that the columns of a scan share, from `fit`; by default the
+    columns of each call share their own."""
+
+    def fit(
+        self,
+        modulation_frequency: NDArray[np.float64],
+        *,
+        survey: Survey,
+        water: WaterProperties,
+        view: View,
+        end: Any,
+        farthest: float,
+    ) -> SmallAngleModel:
+        """Return the model with the scattered light of a scan; see `FittedModel`."""
+        if has_sharp_receiver(survey):
+            return self
+        shared_light = gaussian_receiver.fit(
+            modulation_frequency,
+            farthest=farthest,
+            backscatter_vsf=water.backscatter_vsf,
+            group_index=water.group_index,
+            end=end,
+            **whole_function_arguments(survey, water, view),
+        )
+        return replace(self, shared_light=shared_light)
 
     def echo(
         self,
@@ -267,7 +330,7 @@ class SmallAngleModel:
         column = (
             sharp_receiver.water_response
             if has_sharp_receiver(survey)
-            else small_angle.water_response
+            else partial(small_angle.water_response, shared_light=self.shared_light)
         )
         return column(
             modulation_frequency,

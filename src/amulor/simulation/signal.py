@@ -11,7 +11,12 @@ from scipy.constants import speed_of_light
 
 from amulor.optics.polarization import mueller
 from amulor.simulation.geometry import Geometry
-from amulor.simulation.models import DEFAULT_MODEL, SignalModel, UncertainModel
+from amulor.simulation.models import (
+    DEFAULT_MODEL,
+    FittedModel,
+    SignalModel,
+    UncertainModel,
+)
 from amulor.survey import Survey, WaterProperties
 from amulor.survey.mueller import matrix
 from amulor.survey.view import View
@@ -117,9 +122,7 @@ def water_light(
     Light
         Over (modulation_frequency, polarization, and the shape of the view).
     """
-    far = np.inf if survey.water.column_end is None else survey.water.column_end
-    stop = np.minimum(np.inf if end is None else end, far)
-    frequency = _frequencies(survey).reshape(-1, 1, *[1] * view.tilt.ndim)
+    frequency, stop = _column_axes(survey, view, end)
     # The model counts the delay from where the water begins.
     turn = np.exp(2j * np.pi * frequency * view.optical_offset / speed_of_light)
     fraction = _fractions(survey, water.backscatter_mueller)
@@ -129,6 +132,31 @@ def water_light(
         response, error = model.column_with_error(frequency, end=stop, **common)
         return _light(response * turn * passed, error * passed)
     return _light(model.column(frequency, end=stop, **common) * turn * passed)
+
+
+def fitted(
+    model: FittedModel,
+    survey: Survey,
+    water: WaterProperties,
+    view: View,
+    *,
+    end: NDArray[np.float64],
+    farthest: float,
+) -> SignalModel:
+    """Return a model with the choices that all columns of water of a scan share."""
+    frequency, stop = _column_axes(survey, view, end)
+    return model.fit(
+        frequency, survey=survey, water=water, view=view, end=stop, farthest=farthest
+    )
+
+
+def _column_axes(
+    survey: Survey, view: View, end: NDArray[np.float64] | None
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return the frequencies with axes for a view, and where the columns end [m]."""
+    far = np.inf if survey.water.column_end is None else survey.water.column_end
+    stop = np.minimum(np.inf if end is None else end, far)
+    return _frequencies(survey).reshape(-1, 1, *[1] * view.tilt.ndim), stop
 
 
 def _frequencies(survey: Survey) -> NDArray[np.float64]:

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from numpy.testing import assert_allclose
+from numpy.testing import assert_allclose, assert_array_equal
 from scipy.constants import speed_of_light
 
-from amulor.optics.ambiguity import optical_path
+from amulor.optics.ambiguity import fit, optical_path
 
 
 def _phases(path: np.ndarray, frequency: np.ndarray) -> np.ndarray:
@@ -244,3 +244,30 @@ def test_a_path_well_outside_of_its_limits_is_no_result(
         longest=np.array([far]),
     )
     assert found.settled.item() is settled
+
+
+@pytest.mark.parametrize("outliers", [0, 10, 60])
+def test_rows_solved_by_the_choices_of_their_scan_are_those_of_the_whole(
+    outliers: int,
+) -> None:
+    rng = np.random.default_rng(4)
+    frequency = np.array([20e6, 45e6, 70e6, 90e6])
+    sigma = np.array([0.02, 0.01, 0.01, 0.01])[:, None]
+    path = rng.uniform(1.0, 14.0, 100)
+    phase = 2 * np.pi * frequency[:, None] * path / speed_of_light
+    phase += sigma * rng.standard_normal(phase.shape)
+    phase[2, :outliers] += 1.5
+    known = {"modulation_frequency": frequency}
+    limits = {"shortest": np.zeros(100), "longest": np.full(100, 14.9)}
+    sigma = np.broadcast_to(sigma, phase.shape)
+    whole, choices = fit(phase, sigma, **known, **limits)
+    # Of a hundred pixels fifteen may lose a frequency, more may not.
+    assert choices.order[0] == 3
+    assert choices.outliers_left_out == (outliers <= 15)
+    for rows in (slice(0, 5), slice(5, 100)):
+        some = {name: limit[rows] for name, limit in limits.items()}
+        part = optical_path(
+            phase[:, rows], sigma[:, rows], **known, **some, choices=choices
+        )
+        for name, values in vars(part).items():
+            assert_array_equal(values, getattr(whole, name)[..., rows])

@@ -4,12 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from amulor._decisions import FARTHEST, is_known
 from amulor.optics import _bounds
 from amulor.optics._water_column import (
     Receiver,
@@ -19,10 +18,12 @@ from amulor.optics._water_column import (
 )
 from amulor.optics.small_angle._tables import PhaseFunction, Table, table
 
-__all__ = ["Arguments", "Column", "looks", "overlap_of", "response_of"]
+__all__ = ["Arguments", "Column", "fit_of", "looks", "overlap_of", "response_of"]
 
 Array = NDArray[np.float64]
-Many = Callable[[Array, Array, "Column", Table], NDArray[np.complex128] | None]
+Complex = NDArray[np.complex128]
+Many = Callable[[Array, Array, "Column", Table], Complex]
+_Fitted = TypeVar("_Fitted")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -126,11 +127,65 @@ def response_of(
     split_angle: float,
     backscatter_vsf: ArrayLike | None,
     many: Many | None = None,
+    fewest: int = 2,
 ) -> NDArray[np.complex128]:
     """Return the response, with integral giving that of exp(i w z) F(z) for many w.
 
-    many gives it for many columns that differ in where beam and receiver look only.
+    many gives it for at least the fewest columns that differ in where beam and receiver
+    look only.
     """
+    phases, columns, spread, vsf = _prepared(
+        modulation_frequency,
+        arguments,
+        group_index=group_index,
+        phase_function=phase_function,
+        split_angle=split_angle,
+        backscatter_vsf=backscatter_vsf,
+    )
+    together = None if many is None else _views(phases, columns, fewest)
+    if many is None or together is None:
+        result = _by_column(integral, phases, columns, spread)
+    else:
+        view, column, scatter = together
+        result = scatter(many(phases.ravel(), view, column, spread))
+    return np.asarray(vsf * result)
+
+
+def fit_of(
+    fit: Callable[[Array, Array, Column, Table], _Fitted],
+    modulation_frequency: ArrayLike,
+    arguments: Arguments,
+    *,
+    group_index: ArrayLike,
+    phase_function: PhaseFunction,
+    split_angle: float,
+    backscatter_vsf: ArrayLike | None,
+) -> _Fitted | None:
+    """Return a fit to columns that differ in where beam and receiver look only."""
+    phases, columns, spread, _ = _prepared(
+        modulation_frequency,
+        arguments,
+        group_index=group_index,
+        phase_function=phase_function,
+        split_angle=split_angle,
+        backscatter_vsf=backscatter_vsf,
+    )
+    together = _views(phases, columns, 1)
+    if together is None:
+        return None
+    return fit(phases.ravel(), *together[:2], spread)
+
+
+def _prepared(
+    modulation_frequency: ArrayLike,
+    arguments: Arguments,
+    *,
+    group_index: ArrayLike,
+    phase_function: PhaseFunction,
+    split_angle: float,
+    backscatter_vsf: ArrayLike | None,
+) -> tuple[Array, dict[str, NDArray[Any]], Table, Any]:
+    """Return phases per depth, columns, table and beta_pi of arguments in range."""
     refuse_behind_receiver(arguments.standoff)
     phases = phase_per_depth(modulation_frequency, group_index=group_index)
     spread = table(phase_function, split_angle)
@@ -141,24 +196,23 @@ def response_of(
         vsf = checked("backscatter_vsf", backscatter_vsf)
     columns = _columns(arguments, modulation_frequency=phases, backscatter_vsf=vsf)
     phases = np.broadcast_to(phases, np.broadcast_shapes(phases.shape, np.shape(vsf)))
-    result = None if many is None else _together(many, phases, columns, spread)
-    if result is None:
-        result = _by_column(integral, phases, columns, spread)
-    return np.asarray(vsf * result)
+    return phases, columns, spread, vsf
 
 
-def _together(
-    many: Many, phases: Array, columns: dict[str, NDArray[Any]], spread: Table
-) -> NDArray[np.complex128] | None:
-    """Return the integrals of many columns that share water and receiver, if so."""
+def _views(
+    phases: Array, columns: dict[str, NDArray[Any]], fewest: int
+) -> tuple[Array, Column, Callable[[Complex], Complex]] | None:
+    """Return each view of columns that share the rest, and what arranges its results.
+
+    None for too few columns, where they share less, and where frequencies have no axes
+    of their own.
+    """
     inner = np.broadcast_shapes(*(value.shape for value in columns.values()))
-    count = int(np.prod(inner))
-    if count < 2 and not is_known(FARTHEST):
+    if int(np.prod(inner)) < fewest:
         return None
     shape = np.broadcast_shapes(phases.shape, inner)
     padded = (1,) * (len(shape) - phases.ndim) + phases.shape
     wide = (1,) * (len(shape) - len(inner)) + inner
-    # Frequencies must have axes of their own.
     if any(p > 1 and w > 1 for p, w in zip(padded, wide, strict=True)):
         return None
     shared = {}
@@ -170,21 +224,22 @@ def _together(
     view = np.stack([np.broadcast_to(columns[name], inner).ravel() for name in VIEW])
     # Pixels that look the same way at the same end are worked out once.
     each, back = np.unique(view.T, axis=0, return_inverse=True)
-    column = Column(**shared, **dict.fromkeys(VIEW, 0.0))
-    found = many(phases.ravel(), each, column, spread)
-    if found is None:
-        return None
-    found = found[back.ravel()].reshape(*wide, phases.size)
-    # The frequencies go to where they were.
-    lifted = np.moveaxis(found, -1, 0).reshape(phases.size, *wide)
-    out: NDArray[np.complex128] = np.empty(shape, dtype=complex)
-    for number, index in enumerate(np.ndindex(padded)):
-        place = tuple(
-            slice(i, i + 1) if size > 1 else slice(None)
-            for i, size in zip(index, padded, strict=True)
-        )
-        out[place] = lifted[number]
-    return out
+
+    def scatter(found: Complex) -> Complex:
+        """Return the results of each view, (view, phase), in the shape of the call."""
+        found = found[back.ravel()].reshape(*wide, phases.size)
+        # The frequencies go to where they were.
+        lifted = np.moveaxis(found, -1, 0).reshape(phases.size, *wide)
+        out: Complex = np.empty(shape, dtype=complex)
+        for number, index in enumerate(np.ndindex(padded)):
+            place = tuple(
+                slice(i, i + 1) if size > 1 else slice(None)
+                for i, size in zip(index, padded, strict=True)
+            )
+            out[place] = lifted[number]
+        return out
+
+    return each, Column(**shared, **dict.fromkeys(VIEW, 0.0)), scatter
 
 
 def _columns(arguments: Arguments, **others: Any) -> dict[str, NDArray[Any]]:

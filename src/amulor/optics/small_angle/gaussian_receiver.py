@@ -6,6 +6,7 @@ of the forward peak.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from functools import cache, partial
 from typing import Any
 
@@ -14,7 +15,6 @@ from numpy.polynomial import legendre
 from numpy.typing import ArrayLike, NDArray
 from scipy.constants import speed_of_light
 
-from amulor._decisions import FARTHEST, decided, is_known
 from amulor.optics import small_angle_diffusion
 from amulor.optics._quadrature.bessel import bessel
 from amulor.optics.small_angle import _kernels
@@ -22,6 +22,7 @@ from amulor.optics.small_angle._columns import (
     VIEW,
     Arguments,
     Column,
+    fit_of,
     looks,
     overlap_of,
     response_of,
@@ -36,7 +37,7 @@ from amulor.optics.small_angle._many import (
 )
 from amulor.optics.small_angle._tables import PhaseFunction, Table
 
-__all__ = ["overlap", "water_response"]
+__all__ = ["SharedLight", "fit", "overlap", "water_response"]
 
 Array = NDArray[np.float64]
 
@@ -62,6 +63,7 @@ def water_response(
     cross_tilt: ArrayLike = 0.0,
     standoff: ArrayLike = 0.0,
     end: ArrayLike = np.inf,
+    shared_light: SharedLight | None = None,
 ) -> NDArray[np.complex128]:
     r"""Return the signal that the water sends back to a Gaussian receiver.
 
@@ -111,6 +113,9 @@ def water_response(
     end : array_like, optional
         Depth at which the water ends, or a target stands [m]; open water if
         infinite.
+    shared_light : SharedLight, optional
+        Scattered light that all columns of a scan share, from `fit`; by default from
+        the columns of this call.
 
     Returns
     -------
@@ -185,8 +190,95 @@ def water_response(
         phase_function=phase_function,
         split_angle=split_angle,
         backscatter_vsf=backscatter_vsf,
-        many=_responses,
+        many=partial(_responses, shared_light=shared_light),
+        fewest=2 if shared_light is None else 1,
     )
+
+
+@dataclass(frozen=True, kw_only=True)
+class SharedLight:
+    """Scattered light of one water that all columns of a scan share, from `fit`.
+
+    Examples
+    --------
+    >>> from amulor.optics.small_angle.gaussian_receiver import SharedLight
+    >>> SharedLight(singly=True)
+    SharedLight(light=None, singly=True)
+    """
+
+    light: Light | None = None
+    """Table to look it up in; None without scattering, and where it is not used."""
+    singly: bool = False
+    """Whether each column is integrated singly, too few or too unlike for a table."""
+
+
+def fit(
+    modulation_frequency: ArrayLike,
+    *,
+    farthest: float,
+    group_index: ArrayLike,
+    phase_function: PhaseFunction,
+    split_angle: float,
+    backscatter_vsf: ArrayLike | None = None,
+    beam_radius: ArrayLike = 0.0,
+    beam_divergence: ArrayLike = 0.0,
+    tilt: ArrayLike = 0.0,
+    cross_tilt: ArrayLike = 0.0,
+    standoff: ArrayLike = 0.0,
+    **arguments: Any,
+) -> SharedLight:
+    """Return the scattered light that the columns of a scan share.
+
+    Parameters
+    ----------
+    modulation_frequency : array_like
+        Frequency of the intensity modulation, not negative [Hz].
+    farthest : float
+        Depth up to which any column of the scan reaches, perhaps infinite [m].
+    group_index, phase_function, split_angle, backscatter_vsf, beam_radius, \
+    beam_divergence, tilt, cross_tilt, standoff, **arguments
+        As in `water_response`, of all columns or of some spread over the scan.
+
+    Returns
+    -------
+    SharedLight
+        For `water_response` of any columns of the scan.
+
+    Examples
+    --------
+    A table for a hundred pixels that end at different depths, used for one of them:
+
+    >>> from amulor.optics.phase_functions.models import henyey_greenstein_function
+    >>> water = dict(
+    ...     absorption=0.15, scattering=0.35,
+    ...     phase_function=henyey_greenstein_function(asymmetry=0.97),
+    ...     split_angle=np.pi / 2, group_index=1.34, baseline=0.2,
+    ...     receiver_radius=0.02, acceptance_angle=0.08,
+    ... )
+    >>> end = np.linspace(1.0, 2.0, 100)
+    >>> shared_light = fit(0.0, end=end, farthest=2.0, **water)
+    >>> one = water_response(0.0, end=end[7], shared_light=shared_light, **water)
+    >>> every = water_response(0.0, end=end, **water)
+    >>> print(abs(one - every[7]))
+    0.0
+    """
+    shared_light = fit_of(
+        partial(_shared_light, farthest=farthest),
+        modulation_frequency,
+        Arguments(
+            beam_radius=beam_radius,
+            beam_divergence=beam_divergence,
+            tilt=tilt,
+            cross_tilt=cross_tilt,
+            standoff=standoff,
+            **arguments,
+        ),
+        group_index=group_index,
+        phase_function=phase_function,
+        split_angle=split_angle,
+        backscatter_vsf=backscatter_vsf,
+    )
+    return SharedLight(singly=True) if shared_light is None else shared_light
 
 
 def overlap(
@@ -382,47 +474,55 @@ def _panels(column: Column, spread: Table, *, known: float) -> tuple[Array, Arra
 
 
 def _responses(
-    phase_per_depth: Array, view: Array, column: Column, spread: Table
-) -> NDArray[np.complex128] | None:
-    """Return the same for many rows of baseline, tilt, cross tilt and end, or None.
-
-    None where a table does not hold what single columns say, to a millionth.
-    """
-    found = partial(_look_up, phase_per_depth, column=column, spread=spread)
-    by_rows = is_known(FARTHEST)
-    own = float(view[:, 3].max())
-    far = decided(FARTHEST, lambda: own) if by_rows else own
-
-    def decide() -> str | Light:
-        if len(view) < FEWEST:
-            return "singly"
-        if column.scattering == 0:
-            return "without a table"
-        light = _light_of(view, far, column, spread)
-        few = view[np.linspace(0, len(view) - 1, _CHECKS).astype(int)]
-        for row, value in zip(few, found(few, light=light), strict=True):
-            expected = _response(phase_per_depth, _looking(column, row), spread)
-            if np.max(abs(value - expected)) > _TABLE * np.max(abs(expected)):
-                return "not by a table"
-        return light
-
-    # Other steps by rows have columns of their own in each tile.
-    light = decided("light of many columns", decide) if by_rows else decide()
-    if light == "not by a table":
-        return None
-    if light == "singly":
+    phase_per_depth: Array,
+    view: Array,
+    column: Column,
+    spread: Table,
+    *,
+    shared_light: SharedLight | None,
+) -> NDArray[np.complex128]:
+    """Return the same for many rows of baseline, tilt, cross tilt and end."""
+    if shared_light is None:
+        farthest = float(view[:, 3].max())
+        shared_light = _shared_light(
+            phase_per_depth, view, column, spread, farthest=farthest
+        )
+    if shared_light.singly:
         return np.array(
             [_response(phase_per_depth, _looking(column, row), spread) for row in view]
         )
-    return found(view, light=light if isinstance(light, Light) else None)
+    return _look_up(phase_per_depth, view, column, spread, light=shared_light.light)
+
+
+def _shared_light(
+    phase_per_depth: Array,
+    view: Array,
+    column: Column,
+    spread: Table,
+    *,
+    farthest: float,
+) -> SharedLight:
+    """Return the light of many columns, singly where a table is off by a millionth."""
+    if len(view) < FEWEST:
+        return SharedLight(singly=True)
+    if column.scattering == 0:
+        return SharedLight()
+    light = _light_of(view, farthest, column, spread)
+    few = view[np.linspace(0, len(view) - 1, _CHECKS).astype(int)]
+    values = _look_up(phase_per_depth, few, column, spread, light=light)
+    for row, value in zip(few, values, strict=True):
+        expected = _response(phase_per_depth, _looking(column, row), spread)
+        if np.max(abs(value - expected)) > _TABLE * np.max(abs(expected)):
+            return SharedLight(singly=True)
+    return SharedLight(light=light)
 
 
 def _look_up(
     phase_per_depth: Array,
     view: Array,
-    *,
     column: Column,
     spread: Table,
+    *,
     light: Light | None,
 ) -> NDArray[np.complex128]:
     """Return the integrals of many columns, their scattered light by a table if any."""

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
+from amulor._decisions import fitted_once
 from amulor.optics import ambiguity, detection, rays
 from amulor.rejection.covariance import Covariance, along, isotropic
 from amulor.rejection.reference import column_fraction
@@ -164,14 +167,19 @@ def depth(
         medium=surroundings,
         modulation_frequency=frequency,
     )
-    path = ambiguity.optical_path(
-        np.where(seen, np.angle(np.where(seen, summed, 1.0)), 0.0),
-        sigma,
-        modulation_frequency=frequency,
-        shortest=shortest,
-        longest=longest,
+    arguments: dict[str, Any] = {
+        "phase": np.where(seen, np.angle(np.where(seen, summed, 1.0)), 0.0),
+        "uncertainty": sigma,
+        "modulation_frequency": frequency,
+        "shortest": shortest,
+        "longest": longest,
         # What is behind the target is still in the phases: they may disagree.
-        doubt=np.inf,
+        "doubt": np.inf,
+    }
+    path = fitted_once(
+        "optical path",
+        lambda: ambiguity.fit(**arguments),
+        lambda choices: ambiguity.optical_path(**arguments, choices=choices),
     )
     slant_range = rays.slant_range_of_path(
         path.length, beam, receiver, medium=surroundings

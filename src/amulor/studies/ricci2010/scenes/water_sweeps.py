@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -299,7 +299,7 @@ def _photons(study: Study, *, turbidity: Turbidity) -> Tally:
 
 def _sweep(study: Study, *, turbidity: Turbidity) -> Sweep:
     medium, frequency = water(study, turbidity), _frequencies(study)
-    place = receiver(study) | {"group_index": study["index"]}
+    place: dict[str, Any] = receiver(study) | {"group_index": study["index"]}
 
     def simple(f: Floats) -> Complex:
         return small_angle_diffusion.water_response(
