@@ -26,19 +26,6 @@ _NO_PART_OF_IT = (
     "address", "baud_rate", "flow_control", "clock_speed", "attempts", "patience",
     "darkness_patience", "lock",
 )  # fmt: skip
-#: Settings that older journals do not know; left out where they say nothing.
-_SINCE_LATER = (
-    "modulation_amplitude", "options", "reference", "scpi", "interlock_input",
-    "output_filter", "frequencies_at_once", "readings", "analog", "pan_tilt",
-    "mode", "run_up", "settled_by", "input_range",
-)  # fmt: skip
-_WORDS_SINCE_LATER = {
-    "laser": (
-        "current", "temperature", "prepare", "error", "no_error", "lock",
-        "lock_granted", "unlock",
-    ),
-    "source": ("lock", "lock_granted", "unlock"),
-}  # fmt: skip
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -126,21 +113,13 @@ def digest(settings: Settings, identities: dict[str, str]) -> str:
         count, nor does the speed of a rehearsal, nor how much is put up with before a
         scan stops.
     """
-    content = settings.model_dump(mode="json", exclude={"simulation": True})
-    for part, names in _WORDS_SINCE_LATER.items():
-        words = content[part]["scpi"] or {}
-        for name in names:
-            if name in words and words[name] is None:
-                del words[name]
-    for name in ("source", "digitiser"):
-        if content[name]["driver"] == "none":
-            del content[name]
-    if settings.laser.interlock_input is None:
-        del content["laser"]["interlock_voltage"]
+    # What says nothing does not count: a later amulor knows more settings.
+    content = settings.model_dump(
+        mode="json", exclude={"simulation": True}, exclude_none=True
+    )
     for own in content.values():
         for name in [*own]:
-            later = name in _SINCE_LATER and own[name] is None
-            if name in _NO_PART_OF_IT or name.endswith("timeout") or later:
+            if name in _NO_PART_OF_IT or name.endswith("timeout"):
                 del own[name]
     return cube.digest(json.dumps([content, identities], sort_keys=True))
 

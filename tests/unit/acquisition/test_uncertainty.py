@@ -74,7 +74,7 @@ def test_the_rest_of_a_dwell_is_filled_with_readings(small, dwell, number) -> No
 
 def one_sample(survey: Survey, *, mean: float, amplitude: float) -> Samples:
     samples = Samples(survey, 1, 1)
-    samples.mean[:], samples.raw_amplitude[:] = mean, amplitude
+    samples["mean"][:], samples["raw_amplitude"][:] = mean, amplitude
     return samples
 
 

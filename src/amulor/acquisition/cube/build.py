@@ -27,6 +27,7 @@ from amulor.acquisition.cube.samples import (
 )
 from amulor.acquisition.devices import is_simulated
 from amulor.acquisition.journal.journal import Journal
+from amulor.acquisition.journal.record import EXTRA, QUANTITIES
 from amulor.acquisition.sampler import SampleFlag
 from amulor.acquisition.settings import Procedure
 from amulor.errors import CubeError, FormatError
@@ -68,8 +69,7 @@ def recover(
     overwrite : bool
         Whether an existing file is replaced.
     told : callable
-        Told in a line about each row of the journal that is damaged and left out, and
-        about a journal of an older amulor, whose rows have no checksums.
+        Told in a line about each row of the journal that is damaged and left out.
     damaged : callable, optional
         Told about what is damaged in place of `told`.
 
@@ -112,11 +112,6 @@ def recover(
         cube = build(journal, calibration=calibration)
         for line in journal.damage():
             (damaged or told)(f"{folder}: {line}")
-        if not journal.has_checksums:
-            told(
-                f"{folder}: the journal, or a part of it, is of an older amulor and "
-                "has no checksums; only what no sample can be was looked for"
-            )
     write_cube(cube, path, overwrite=overwrite)
     result = read_cube(path)
     for name, variable in cube.variables.items():
@@ -193,13 +188,13 @@ def build(journal: Journal, *, calibration: Calibration | None = None) -> xr.Dat
     )
     scan = Samples(survey, survey.scan.rows, survey.scan.columns)
     scan.fill(journal, plan.SCAN)
-    if not np.isfinite(scan.signal).any():
+    if not np.isfinite(scan["signal"]).any():
         raise CubeError(
             f"{journal.folder} holds no sample of the scan yet; go on with it by "
             "amulor acquire --resume"
         )
     # Darkness is no measurement of water or target; the journal keeps what was read.
-    scan.signal[scan.flags & SampleFlag.NO_LIGHT != 0] = MISSING
+    scan["signal"][scan["flags"] & SampleFlag.NO_LIGHT != 0] = MISSING
     dark = dark_output(survey, journal)
     frequency = read_back_frequencies(scan, survey)
     uncalibrated = correct(
@@ -209,13 +204,13 @@ def build(journal: Journal, *, calibration: Calibration | None = None) -> xr.Dat
         "samples",
         {
             **_outputs(scan, dark, survey, procedure_of(journal)),
-            "saturated": (scan.flags & SampleFlag.OVERLOAD != 0).astype(np.int8),
+            "saturated": (scan["flags"] & SampleFlag.OVERLOAD != 0).astype(np.int8),
         },
         {
             "modulation_frequency": frequency,
             "polarization": list(survey.instrument.polarizations),
             **_directions(scan, survey),
-            "time": _first(scan.elapsed),
+            "time": _first(scan["elapsed"]),
         },
         geometry=geometry_attributes(
             survey, medium_of(survey, water_properties(survey))
@@ -235,7 +230,7 @@ def _outputs(
     survey: Survey,
     procedure: Procedure,
 ) -> dict[str, NDArray[Any]]:
-    signal = samples.signal
+    signal = samples["signal"]
     counting = counting_variance(samples, survey, procedure)
     counting = counting + dark[1][:, :, None, None]
     in_phase, quadrature, covariance = detection.phase_floor_covariance(
@@ -254,8 +249,8 @@ def _directions(samples: Samples, survey: Survey) -> dict[str, Floats]:
     """Return where the beam stood; where nothing was measured, where it was to go."""
     azimuth, elevation, _ = scan_directions(survey)
     return {
-        "azimuth": _mean(samples.azimuth, otherwise=azimuth),
-        "elevation": _mean(samples.elevation, otherwise=elevation),
+        "azimuth": _mean(samples["azimuth"], otherwise=azimuth),
+        "elevation": _mean(samples["elevation"], otherwise=elevation),
     }
 
 
@@ -293,7 +288,7 @@ def _open_water(
     correct(samples, dark, modulation_frequency=frequency, calibration=calibration)
     # A shot that overloaded, or without light, says nothing about the water.
     spoiled = SampleFlag.OVERLOAD | SampleFlag.NO_LIGHT
-    samples.signal[samples.flags & spoiled != 0] = MISSING
+    samples["signal"][samples["flags"] & spoiled != 0] = MISSING
     outputs = {
         name: values[:, :, 0, :]
         for name, values in _outputs(
@@ -301,8 +296,10 @@ def _open_water(
         ).items()
     }
     where = {
-        "azimuth": _mean(samples.azimuth, otherwise=np.zeros((1, len(shots))))[0],
-        "elevation": _mean(samples.elevation, otherwise=np.zeros((1, len(shots))))[0],
+        "azimuth": _mean(samples["azimuth"], otherwise=np.zeros((1, len(shots))))[0],
+        "elevation": _mean(samples["elevation"], otherwise=np.zeros((1, len(shots))))[
+            0
+        ],
     }
     # Shots of one direction are known by what was asked for: read-backs never repeat.
     asked = {
@@ -313,17 +310,15 @@ def _open_water(
 
 
 def _commanded(samples: Samples) -> dict[str, xr.DataArray]:
-    """Return the directions that were asked for, over row and column."""
+    """Return the quantities that the cube has for each pixel, by their names."""
     return {
-        f"commanded_{angle}": xr.DataArray(
-            _mean(
-                getattr(samples, f"commanded_{angle}"),
-                otherwise=np.full((1, 1), np.nan),
-            ),
+        own.cube: xr.DataArray(
+            _mean(samples[name], otherwise=np.full((1, 1), np.nan)),
             dims=_PIXEL,
-            attrs={"long_name": f"direction asked for, {which}", "units": "rad"},
+            attrs={"long_name": own.text, "units": own.unit},
         )
-        for angle, which in (("azimuth", "to the right"), ("elevation", "upwards"))
+        for name, own in QUANTITIES.items()
+        if own.cube is not None and own.per_pixel
     }
 
 
@@ -333,43 +328,16 @@ def _user_variables(
     flags = [flag for flag in SampleFlag if flag]
     masks = np.array([*map(int, flags), UNCALIBRATED], dtype=np.int16)
     words = " ".join([*(str(flag.name).lower() for flag in flags), "uncalibrated"])
-    flag = (samples.flags + UNCALIBRATED * uncalibrated).astype(np.int16)
+    flag = (samples["flags"] + UNCALIBRATED * uncalibrated).astype(np.int16)
 
     def variable(
-        name: str, dims: tuple[str, ...], values: NDArray[Any], units: str, **more: Any
+        text: str, values: NDArray[Any], unit: str, **more: Any
     ) -> xr.Variable:
-        return xr.Variable(dims, values, {"long_name": name, "units": units, **more})
+        return xr.Variable(_SAMPLE, values, {"long_name": text, "units": unit, **more})
 
-    stands = {
-        f"user_{name}": variable(text, _SAMPLE, getattr(samples, short), unit)
-        for name, short, text, unit in (
-            (
-                "launch_angle",
-                "launch",
-                "angle of the mount in the launched light",
-                "rad",
-            ),
-            (
-                "analyser_angle",
-                "analyser",
-                "angle of the mount in front of the detector",
-                "rad",
-            ),
-            ("target_position", "target", "where the stage of the target stood", "m"),
-            ("laser_current", "laser_current", "current of the laser diode", "A"),
-            (
-                "laser_temperature",
-                "laser_temperature",
-                "temperature of the laser diode",
-                "degC",
-            ),
-        )
-        if np.isfinite(getattr(samples, short)).any()
-    }
     return {
-        **stands,
         "user_sample_flag": variable(
-            "what stood in the way of a sample, 0 if nothing did", _SAMPLE, flag, "1",
+            "what stood in the way of a sample, 0 if nothing did", flag, "1",
             flag_masks=masks, flag_values=masks, flag_meanings=words,
         ),
         **{
@@ -377,23 +345,15 @@ def _user_variables(
             for name, values in _commanded(samples).items()
         },
         "user_takes": variable(
-            "how often a sample was taken; the last take stands", _SAMPLE,
-            samples.takes, "1",
+            "how often a sample was taken; the last take stands",
+            samples["takes"], "1",
         ),
-        "user_modulation_frequency": variable(
-            "frequency read back, of each sample", _SAMPLE,
-            samples.modulation_frequency, "Hz",
-        ),
-        "user_mean_output": variable(
-            "mean output of the detector", _SAMPLE, samples.mean, "V"
-        ),
-        "user_full_scale": variable(
-            "largest peak amplitude of the setting", _SAMPLE, samples.full_scale, "V"
-        ),
-        "user_segment": variable(
-            "uninterrupted part of the scan, 0 where not measured", _SAMPLE,
-            samples.segment, "1",
-        ),
+        **{
+            f"user_{own.cube}": variable(own.text, samples[name], own.unit)
+            for name, own in QUANTITIES.items()
+            if own.cube is not None and not own.per_pixel
+            and (name not in EXTRA or np.isfinite(samples[name]).any())
+        },
     }  # fmt: skip
 
 

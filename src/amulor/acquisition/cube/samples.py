@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import operator
 import tomllib
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,7 +13,7 @@ from pydantic import ValidationError
 from amulor.acquisition import plan
 from amulor.acquisition.cube.calibration import Calibration, phase_correction
 from amulor.acquisition.journal.journal import Journal
-from amulor.acquisition.journal.record import Record
+from amulor.acquisition.journal.record import QUANTITIES, Record
 from amulor.acquisition.plan import Key
 from amulor.acquisition.sampler import SampleFlag
 from amulor.acquisition.settings import Procedure
@@ -29,8 +31,24 @@ Floats = NDArray[np.float64]
 MISSING = complex(np.nan, np.nan)
 
 
+#: One sample: the recorded quantities, signal and amplitude before any correction, how
+#: often it was taken and the number of the newest take.
+_SAMPLE = np.dtype(
+    [
+        *((name, own.kind) for name, own in QUANTITIES.items()),
+        ("signal", np.complex128),
+        ("raw_amplitude", np.float64),
+        ("takes", np.int32),
+        ("newest", np.int64),
+    ]
+)
+_NAMES = tuple(QUANTITIES)
+_RECORDED = operator.attrgetter(*_NAMES)
+_EMPTY = (*(own.absent for own in QUANTITIES.values()), MISSING, np.nan, 0, -1)
+
+
 class Samples:
-    """Samples of one kind as arrays over frequency, polarization and two places.
+    """Samples of one kind as one array over frequency, polarization and two places.
 
     Parameters
     ----------
@@ -50,57 +68,33 @@ class Samples:
             pair: number for number, pair in enumerate(instrument.polarizations)
         }
         shape = (len(self._frequency), len(self._pair), first, second)
+        self.values = np.full(shape, np.array(_EMPTY, dtype=_SAMPLE))
 
-        def empty() -> Floats:
-            return np.full(shape, np.nan)
-
-        self.signal = np.full(shape, MISSING)
-        self.raw_amplitude = empty()
-        self.mean, self.readings = empty(), np.ones(shape)
-        self.full_scale, self.elapsed = empty(), empty()
-        self.azimuth, self.elevation = empty(), empty()
-        self.commanded_azimuth, self.commanded_elevation = empty(), empty()
-        self.modulation_frequency = empty()
-        self.launch, self.analyser, self.target = empty(), empty(), empty()
-        self.interval, self.spread, self.edge = empty(), empty(), empty()
-        self.laser_current, self.laser_temperature = empty(), empty()
-        self.flags = np.zeros(shape, dtype=np.int16)
-        self.segment = np.zeros(shape, dtype=np.int32)
-        self.takes = np.zeros(shape, dtype=np.int32)
-        self._newest = np.full(shape, -1, dtype=np.int64)
+    def __getitem__(self, name: str) -> NDArray[Any]:
+        """Return one quantity of all samples; it can be changed in place."""
+        return self.values[name]
 
     def fill(self, journal: Journal, kind: str) -> None:
-        """Take over all samples of one kind, each at its row and column."""
+        """Insert all samples of one kind, each at its row and column."""
         for key, record in journal.samples(kind):
             self.put(key, record, key.row, key.column)
 
     def put(self, key: Key, record: Record, first: int, second: int) -> None:
-        """Take over one sample; a later take of the same place stands."""
+        """Insert one sample; the last take of a place stays."""
         at = (
             self._frequency[key.frequency],
             self._pair[key.polarization],
             first,
             second,
         )
-        self.takes[at] += 1
-        if key.repeat < self._newest[at]:
+        place = self.values[at]
+        takes = place["takes"] + 1
+        if key.repeat < place["newest"]:
+            self.values["takes"][at] = takes
             return
-        self._newest[at] = key.repeat
-        self.signal[at] = complex(record.in_phase, record.quadrature)
-        self.raw_amplitude[at] = abs(self.signal[at])
-        self.mean[at] = np.nan if record.mean is None else record.mean
-        for name in (
-            "readings", "full_scale", "elapsed", "azimuth", "elevation",
-            "commanded_azimuth", "commanded_elevation", "modulation_frequency",
-            "flags", "segment",
-        ):  # fmt: skip
-            getattr(self, name)[at] = getattr(record, name)
-        for name in (
-            "launch", "analyser", "target", "interval", "spread", "edge",
-            "laser_current", "laser_temperature",
-        ):  # fmt: skip
-            stands = getattr(record, name)
-            getattr(self, name)[at] = np.nan if stands is None else stands
+        signal = complex(record.in_phase, record.quadrature)
+        recorded = (np.nan if value is None else value for value in _RECORDED(record))
+        self.values[at] = (*recorded, signal, abs(signal), takes, key.repeat)
 
 
 def read_back_frequencies(samples: Samples, survey: Survey) -> Floats:
@@ -121,7 +115,7 @@ def read_back_frequencies(samples: Samples, survey: Survey) -> Floats:
     """
     asked = np.array(survey.instrument.modulation_frequencies)
     frequency = asked.copy()
-    for number, values in enumerate(samples.modulation_frequency):
+    for number, values in enumerate(samples["modulation_frequency"]):
         known = values[np.isfinite(values)]
         if known.size:
             frequency[number] = np.median(known)
@@ -208,9 +202,9 @@ def dark_output(
     for (key, record), place in zip(taken, places, strict=True):
         if not record.flags & SampleFlag.OVERLOAD:
             samples.put(key, record, 0, place)
-    there = np.isfinite(samples.signal).sum(axis=(2, 3))
+    there = np.isfinite(samples["signal"]).sum(axis=(2, 3))
     some = np.maximum(there, 1)
-    mean = np.nansum(samples.signal, axis=(2, 3)) / some
+    mean = np.nansum(samples["signal"], axis=(2, 3)) / some
     variance = counting_variance(samples, survey, procedure_of(journal))
     one = np.nanmean(variance) if there.any() else 0.0
     return mean, np.where(there > 0, one / some, 0.0)
@@ -246,17 +240,17 @@ def correct(
     FormatError
         If a frequency was not calibrated.
     """
-    samples.signal -= dark[0][:, :, None, None]
-    outside = np.zeros(samples.signal.shape, dtype=bool)
+    samples["signal"][...] -= dark[0][:, :, None, None]
+    outside = np.zeros(samples["signal"].shape, dtype=bool)
     if calibration is None:
         return outside
     for number, frequency in enumerate(modulation_frequency):
-        amplitude = np.abs(samples.signal[number])
+        amplitude = np.abs(samples["signal"][number])
         delay, known = phase_correction(
             calibration, amplitude, modulation_frequency=float(frequency)
         )
         there = np.isfinite(amplitude)
-        samples.signal[number][there] *= np.exp(-1j * delay[there])
+        samples["signal"][number][there] *= np.exp(-1j * delay[there])
         outside[number] = there & ~known
     return outside
 
@@ -281,10 +275,10 @@ def counting_variance(samples: Samples, survey: Survey, procedure: Procedure) ->
     """
     detector = survey.instrument.detector
     volt = detector.volt_per_photoelectron_rate
-    lower = samples.raw_amplitude / (survey.instrument.modulation_depth * volt)
+    lower = samples["raw_amplitude"] / (survey.instrument.modulation_depth * volt)
     # A mean output below that of dark counts is noise about no light at all.
-    seen = np.maximum(samples.mean / volt - detector.dark_rate, 0.0)
-    rate = np.where(np.isfinite(samples.mean), seen, lower)
+    seen = np.maximum(samples["mean"] / volt - detector.dark_rate, 0.0)
+    rate = np.where(np.isfinite(samples["mean"]), seen, lower)
     if procedure.mode == "continuous":
         # Looked at once or twice in a pixel, which may have seen the other side of an
         # edge: there was at least the light that was modulated.
@@ -296,13 +290,17 @@ def counting_variance(samples: Samples, survey: Survey, procedure: Procedure) ->
     )
     constant = survey.instrument.lock_in.time_constant
     if procedure.output_filter == "known":
-        length = survey.scan.dwell / samples.readings / constant
-        own = samples.interval / constant
+        length = survey.scan.dwell / samples["readings"] / constant
+        own = samples["interval"] / constant
         length = np.where(np.isfinite(own), own, length)
-        ratio = input_variance_ratio(samples.readings, spacing=length)
+        ratio = input_variance_ratio(samples["readings"], spacing=length)
     else:
-        length = np.where(np.isfinite(samples.interval), samples.interval / constant, 1)
-        ratio = variance_ratio(samples.readings, spacing=length)
+        length = np.where(
+            np.isfinite(samples["interval"]), samples["interval"] / constant, 1
+        )
+        ratio = variance_ratio(samples["readings"], spacing=length)
     # What a record tells about its own noise is better than what counting expects.
-    noise = np.where(np.isfinite(samples.spread), samples.spread**2, one * ratio)
-    return noise + np.nan_to_num(samples.edge) ** 2
+    noise = np.where(
+        np.isfinite(samples["spread"]), samples["spread"] ** 2, one * ratio
+    )
+    return np.asarray(noise + np.nan_to_num(samples["edge"]) ** 2)

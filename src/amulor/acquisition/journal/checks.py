@@ -7,10 +7,9 @@ import math
 import struct
 import zlib
 from collections.abc import Mapping, Sequence
-from dataclasses import fields
 from typing import Any
 
-from amulor.acquisition.journal.record import Record
+from amulor.acquisition.journal.record import OPTIONAL, QUANTITIES, WHOLE, Record
 from amulor.acquisition.plan import DARK, OPEN_WATER, SCAN, Key
 from amulor.errors import FormatError
 from amulor.survey import Survey
@@ -18,23 +17,15 @@ from amulor.survey import Survey
 #: The column of the checksum.
 CHECKSUM = "crc"
 _TEXTS = ("kind", "polarization")
-_WHOLE = ("row", "column", "repeat", "readings", "flags", "segment")
-#: What each number of a row must be within, both ends included: volts that no
-#: instrument has, turns beyond one, what an int16 of flags holds, 300 years.
-_VOLT, _TURN = 1e6, 2 * math.pi
+_WHOLE = WHOLE | {"row", "column", "repeat"}
+#: Smallest and largest value of each number of a row, both included.
 _RANGES: dict[str, tuple[float, float]] = {
-    "row": (0, 20_000), "column": (0, 20_000), "frequency": (1e-6, 1e15),
-    "repeat": (0, 2**62), "in_phase": (-_VOLT, _VOLT), "quadrature": (-_VOLT, _VOLT),
-    "mean": (-_VOLT, _VOLT), "readings": (1, 2**31), "full_scale": (1e-15, _VOLT),
-    "flags": (0, 2**15 - 1), "commanded_azimuth": (-_TURN, _TURN),
-    "commanded_elevation": (-_TURN, _TURN), "azimuth": (-_TURN, _TURN),
-    "elevation": (-_TURN, _TURN), "modulation_frequency": (1e-6, 1e15),
-    "elapsed": (0, 1e10), "segment": (1, 2**31), "launch": (-1e3, 1e3),
-    "analyser": (-1e3, 1e3), "target": (-1e4, 1e4), "interval": (1e-12, 1e6),
-    "spread": (0, _VOLT), "edge": (0, _VOLT), "laser_current": (-1e4, 1e4),
-    "laser_temperature": (-273.15, 1e4),
-}  # fmt: skip
-_OPTIONAL = {field.name for field in fields(Record) if "None" in str(field.type)}
+    "row": (0, 20_000),
+    "column": (0, 20_000),
+    "frequency": (1e-6, 1e15),
+    "repeat": (0, 2**62),
+    **{name: quantity.within for name, quantity in QUANTITIES.items()},
+}
 
 
 @functools.lru_cache(maxsize=256)
@@ -114,33 +105,14 @@ class RowCheck:
                 (0, 0) if plan is None else (plan.rows, plan.columns)
             )
 
-    def wrong_with(
-        self, values: Sequence[Any], stored: Any, *, needed: bool
-    ) -> str | None:
-        """Return what is wrong with a row, in a few words.
-
-        Parameters
-        ----------
-        values : sequence
-            In the order of the columns.
-        stored : object
-            Checksum that the row has, None if it has none.
-        needed : bool
-            Whether it must have one.
-
-        Returns
-        -------
-        str or None
-            None if it is sound.
-        """
+    def wrong_with(self, values: Sequence[Any], stored: Any) -> str | None:
+        """Describe the damage of a row with a stored checksum; None if it is sound."""
         row = dict(zip(self._columns, values, strict=True))
         wrong = (
             self._wrong_type(row) or self._wrong_value(row) or self._not_planned(row)
         )
         if wrong is not None:
             return wrong
-        if stored is None and not needed:
-            return None
         if stored != checksum(self._columns, values):
             return "its checksum is that of other numbers"
         return None
@@ -151,7 +123,7 @@ class RowCheck:
                 if not isinstance(value, str) or "\ufffd" in value:
                     return f"{name} is no readable text"
             elif value is None:
-                if name in _RANGES and name not in _OPTIONAL:
+                if name in _RANGES and name not in OPTIONAL:
                     return f"{name} is missing"
             elif type(value) not in (int, float):
                 return f"{name} is no number"

@@ -12,8 +12,6 @@ from amulor.errors import FormatError
 
 #: Where the checksums of all other entries stand.
 CHECKSUMS = "checksums"
-#: Number of the last row that was written before rows had checksums.
-UNCHECKED = "rows_without_checksum"
 #: Copies beside a journal, by the entry that they are copies of.
 _COPIES = {"survey": "survey.toml", "devices": "devices.toml"}
 

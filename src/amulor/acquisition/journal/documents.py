@@ -6,11 +6,10 @@ import datetime
 import json
 import uuid
 from collections.abc import Iterator
-from dataclasses import fields
 from typing import Any
 
 from amulor.acquisition.journal.journal import Journal
-from amulor.acquisition.journal.record import Record
+from amulor.acquisition.journal.record import QUANTITIES, Record
 from amulor.acquisition.plan import DARK, OPEN_WATER, SCAN, Key
 
 #: Streams, in the order in which their descriptors come.
@@ -18,13 +17,9 @@ _STREAMS = (DARK, OPEN_WATER, SCAN)
 #: Names of event documents and of the identifiers in them come from here.
 _SPACE = uuid.UUID("5f0c1f7e-6f0a-4f6f-9d0e-2f1c7a2d9b13")
 _UNITS = {
-    "in_phase": "V", "quadrature": "V", "mean": "V", "full_scale": "V",
-    "commanded_azimuth": "rad", "commanded_elevation": "rad", "azimuth": "rad",
-    "elevation": "rad", "modulation_frequency": "Hz", "frequency": "Hz",
-    "elapsed": "s", "launch": "rad", "analyser": "rad", "target": "m",
-    "interval": "s", "spread": "V", "edge": "V", "laser_current": "A",
-    "laser_temperature": "degC",
-}  # fmt: skip
+    "frequency": "Hz",
+    **{name: own.unit for name, own in QUANTITIES.items() if own.unit != "1"},
+}
 
 
 def documents(journal: Journal) -> Iterator[tuple[str, dict[str, Any]]]:
@@ -126,7 +121,7 @@ def _descriptor(uid: str, start: str, kind: str, moment: float) -> dict[str, Any
 
 def data_keys() -> dict[str, dict[str, Any]]:
     """Return what a sample consists of, as descriptors of the event model say it."""
-    names = [*Key._fields[1:], *(field.name for field in fields(Record))]
+    names = [*Key._fields[1:], *QUANTITIES]
     return {
         name: {
             "source": f"amulor:{name}",

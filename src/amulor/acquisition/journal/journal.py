@@ -10,16 +10,14 @@ from pathlib import Path
 from typing import Any
 
 from amulor.acquisition.journal import file as journal_file
-from amulor.acquisition.journal.checks import CHECKSUM
-from amulor.acquisition.journal.description import UNCHECKED, checked, with_checksums
+from amulor.acquisition.journal.description import checked, with_checksums
 from amulor.acquisition.journal.file import FILE_NAME, explained
-from amulor.acquisition.journal.record import Record
+from amulor.acquisition.journal.record import EXTRA, Record
 from amulor.acquisition.journal.rows import Rows, columns_of
 from amulor.acquisition.journal.schema import (
     INSERT,
     KEY_NAMES,
     SCHEMA_VERSION,
-    SINCE_LATER,
     TABLES,
     refuse_another,
     row_of,
@@ -262,12 +260,6 @@ class Journal:
                     self._connection.execute("ROLLBACK")
                 raise
 
-    @property
-    def has_checksums(self) -> bool:
-        """Whether every row has one; older amulors wrote none."""
-        entries = self._entries()
-        return entries.get("journal_schema") != "1" and UNCHECKED not in entries
-
     def damage(self) -> list[str]:
         """Return what is damaged, in a line each; empty if all is as it was written.
 
@@ -364,30 +356,14 @@ class Journal:
             return [*self._rows.sound(entries, "number > ?", than)]
 
     def _add_columns(self) -> None:
-        """Let a journal of an older amulor hold what is recorded now."""
-        entries = self._entries()
+        """Add the columns of quantities that were not recorded when it was begun."""
         with explained(self._path):
             there = columns_of(self._connection)
-            added = [f"{name} REAL" for name in SINCE_LATER if name not in there]
-            if CHECKSUM not in there:
-                added.append(f"{CHECKSUM} INTEGER")
-                ((last,),) = self._connection.execute("SELECT MAX(number) FROM samples")
-                entries |= {"journal_schema": SCHEMA_VERSION, UNCHECKED: str(last or 0)}
-            if not added:
-                return
-            self._connection.execute("BEGIN IMMEDIATE")
-            try:
-                for column in added:
-                    self._connection.execute(f"ALTER TABLE samples ADD COLUMN {column}")
-                self._connection.executemany(
-                    "INSERT OR REPLACE INTO meta VALUES (?, ?)",
-                    with_checksums(entries).items(),
-                )
-                self._connection.execute("COMMIT")
-            except BaseException:
-                if self._connection.in_transaction:
-                    self._connection.execute("ROLLBACK")
-                raise
+            for name in EXTRA:
+                if name not in there:
+                    self._connection.execute(
+                        f"ALTER TABLE samples ADD COLUMN {name} REAL"
+                    )
 
     def count(self) -> int:
         """Return the number of samples [1]."""

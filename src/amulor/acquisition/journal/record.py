@@ -1,56 +1,166 @@
-"""What one sample of a scan has brought, as the journal keeps it."""
+"""The quantities that are recorded in each sample: one table for all that uses them.
+
+The columns of the journal, the checks of its rows, the documents of the event model and
+the variables of the cube follow from the annotations of `Record`. A new quantity is one
+more line there, and the driver that measures it.
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import math
+from dataclasses import MISSING, dataclass, fields
+from typing import Annotated, get_args, get_type_hints
+
+import numpy as np
+
+#: Volts that no instrument has, turns beyond one.
+_VOLT, _TURN = 1e6, 2 * math.pi
+
+
+@dataclass(frozen=True, kw_only=True)
+class Quantity:
+    """A recorded quantity: its unit, its range, and its variable in the cube."""
+
+    text: str
+    """Long name."""
+    unit: str
+    """Unit, 1 without one."""
+    within: tuple[float, float]
+    """Smallest and largest value that can be true, both included."""
+    cube: str | None = None
+    """Name of its variable in the cube, without `user_`; None without a variable. One
+    that may be None is left out of the cube where it is so in all samples."""
+    per_pixel: bool = False
+    """Whether the cube has its mean over the channels of a pixel."""
+    kind: type[np.generic] = np.float64
+    """Type in the cube."""
+    absent: float = math.nan
+    """Value in the cube where there is no sample."""
+
+
+def _volt(text: str, *, least: float = -_VOLT, cube: str | None = None) -> Quantity:
+    return Quantity(text=text, unit="V", within=(least, _VOLT), cube=cube)
+
+
+def _direction(text: str, *, cube: str | None = None) -> Quantity:
+    return Quantity(
+        text=text, unit="rad", within=(-_TURN, _TURN), cube=cube, per_pixel=True
+    )
+
+
+def _mount(text: str, *, cube: str) -> Quantity:
+    return Quantity(text=text, unit="rad", within=(-1e3, 1e3), cube=cube)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Record:
-    """What one sample has brought, apart from its key."""
+    """One sample, apart from its key; what no device measures is None."""
 
-    in_phase: float
-    """Mean of the readings [V]."""
-    quadrature: float
-    """Mean of the readings [V]."""
-    mean: float | None
-    """Mean output of the detector, None where it is not wired [V]."""
-    readings: int
-    """How many readings were averaged [1]."""
-    full_scale: float
-    """Largest peak amplitude of the setting [V]."""
-    flags: int
-    """Sum of `SampleFlag` [1]."""
-    commanded_azimuth: float
-    """Direction asked for [rad]."""
-    commanded_elevation: float
-    """Direction asked for [rad]."""
-    azimuth: float
-    """Direction read back [rad]."""
-    elevation: float
-    """Direction read back [rad]."""
-    modulation_frequency: float
-    """Frequency read back [Hz]."""
-    elapsed: float
-    """Time since the scan began, by the clock of the scan [s]."""
-    segment: int
-    """Which uninterrupted part of the scan it belongs to [1]."""
-    # What older journals do not have follows, each with None as its default.
-    launch: float | None = None
-    """Where the mount of the launched polarization stands, None without one [rad]."""
-    analyser: float | None = None
-    """Where the mount of the analysed polarization stands, None without one [rad]."""
-    target: float | None = None
-    """Where the stage of the target stands, None if nobody can tell [m]."""
-    interval: float | None = None
-    """Time between readings by the clock of the lock-in, None without one [s]."""
-    spread: float | None = None
-    """Standard deviation of either output where the record itself tells it, None
-    otherwise [V]."""
-    edge: float | None = None
-    """Standard deviation of either output by edges of the scene that the beam passed
-    inside one interval of a record, None where it stood still [V]."""
-    laser_current: float | None = None
-    """Current of the laser diode, None where nobody tells it [A]."""
-    laser_temperature: float | None = None
-    """Temperature of the laser diode, None where nobody tells it [degC]."""
+    in_phase: Annotated[float, _volt("in-phase part, mean of the readings")]
+    quadrature: Annotated[float, _volt("quadrature, mean of the readings")]
+    mean: Annotated[
+        float | None, _volt("mean output of the detector", cube="mean_output")
+    ]
+    readings: Annotated[
+        int,
+        Quantity(text="number of readings", unit="1", within=(1, 2**31), absent=1),
+    ]
+    full_scale: Annotated[
+        float,
+        _volt("largest peak amplitude of the setting", least=1e-15, cube="full_scale"),
+    ]
+    flags: Annotated[
+        int,
+        Quantity(
+            text="sum of `SampleFlag`", unit="1", within=(0, 2**15 - 1),
+            kind=np.int16, absent=0,
+        ),
+    ]  # fmt: skip
+    commanded_azimuth: Annotated[
+        float,
+        _direction("direction asked for, to the right", cube="commanded_azimuth"),
+    ]
+    commanded_elevation: Annotated[
+        float, _direction("direction asked for, upwards", cube="commanded_elevation")
+    ]
+    azimuth: Annotated[float, _direction("direction read back, to the right")]
+    elevation: Annotated[float, _direction("direction read back, upwards")]
+    modulation_frequency: Annotated[
+        float,
+        Quantity(
+            text="frequency read back, of each sample", unit="Hz",
+            within=(1e-6, 1e15), cube="modulation_frequency",
+        ),
+    ]  # fmt: skip
+    elapsed: Annotated[
+        float,
+        Quantity(
+            text="time since the scan began, by its clock", unit="s", within=(0, 1e10)
+        ),
+    ]
+    segment: Annotated[
+        int,
+        Quantity(
+            text="uninterrupted part of the scan, 0 where not measured", unit="1",
+            within=(1, 2**31), cube="segment", kind=np.int32, absent=0,
+        ),
+    ]  # fmt: skip
+    launch: Annotated[
+        float | None,
+        _mount("angle of the mount in the launched light", cube="launch_angle"),
+    ] = None
+    analyser: Annotated[
+        float | None,
+        _mount("angle of the mount in front of the detector", cube="analyser_angle"),
+    ] = None
+    target: Annotated[
+        float | None,
+        Quantity(
+            text="where the stage of the target stood", unit="m", within=(-1e4, 1e4),
+            cube="target_position",
+        ),
+    ] = None  # fmt: skip
+    interval: Annotated[
+        float | None,
+        Quantity(
+            text="time between readings by the clock of the lock-in", unit="s",
+            within=(1e-12, 1e6),
+        ),
+    ] = None  # fmt: skip
+    spread: Annotated[
+        float | None,
+        _volt("standard deviation of either output, from the record itself", least=0),
+    ] = None
+    edge: Annotated[
+        float | None,
+        _volt("standard deviation of either output by edges of the scene", least=0),
+    ] = None
+    laser_current: Annotated[
+        float | None,
+        Quantity(
+            text="current of the laser diode", unit="A", within=(-1e4, 1e4),
+            cube="laser_current",
+        ),
+    ] = None  # fmt: skip
+    laser_temperature: Annotated[
+        float | None,
+        Quantity(
+            text="temperature of the laser diode", unit="degC",
+            within=(-273.15, 1e4), cube="laser_temperature",
+        ),
+    ] = None  # fmt: skip
+
+
+_HINTS = get_type_hints(Record, include_extras=True)
+#: Every recorded quantity by its name, in the order of the journal.
+QUANTITIES: dict[str, Quantity] = {
+    field.name: get_args(_HINTS[field.name])[1] for field in fields(Record)
+}
+#: Quantities that may be None.
+OPTIONAL = frozenset(
+    name for name in QUANTITIES if type(None) in get_args(get_args(_HINTS[name])[0])
+)
+#: Quantities that are whole numbers.
+WHOLE = frozenset(name for name in QUANTITIES if get_args(_HINTS[name])[0] is int)
+#: Quantities that not every instrument has.
+EXTRA = tuple(field.name for field in fields(Record) if field.default is not MISSING)

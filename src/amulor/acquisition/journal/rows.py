@@ -8,7 +8,6 @@ from collections.abc import Callable, Iterator, Mapping
 from typing import Any
 
 from amulor.acquisition.journal.checks import CHECKSUM, RowCheck
-from amulor.acquisition.journal.description import UNCHECKED
 from amulor.acquisition.journal.record import Record
 from amulor.acquisition.journal.schema import RECORD_FIELDS
 from amulor.acquisition.plan import Key
@@ -129,13 +128,9 @@ class Rows:
         unread: set[int] | None = None,
     ) -> Iterator[tuple[int, list[Any], str | None]]:
         """Yield number, values and what is wrong with them, if anything is."""
-        assert self._check is not None
-        has_sums = CHECKSUM in self._check[1]
-        unchecked = _unchecked(entries)
-        names = ", ".join(["number", CHECKSUM if has_sums else "NULL", *columns])
+        names = ", ".join(["number", CHECKSUM, *columns])
         for number, stored, *values in self._read(names, which, value, unread):
-            needed = has_sums and number > unchecked
-            wrong = check.wrong_with(values, stored, needed=needed)
+            wrong = check.wrong_with(values, stored)
             if wrong is not None:
                 self._damaged(f"row {number}: {wrong}")
             yield number, values, wrong
@@ -169,9 +164,3 @@ class Rows:
                 self._damaged(f"row {number}: cannot be read")
                 if unread is not None:
                     unread.add(number)
-
-
-def _unchecked(entries: Mapping[str, str]) -> int:
-    """Return the number of the last row that may have no checksum."""
-    text = entries.get(UNCHECKED, "0")
-    return int(text) if text.isascii() and text.isdecimal() else 0

@@ -6,38 +6,34 @@ import json
 import math
 import operator
 from collections.abc import Mapping
-from dataclasses import MISSING, fields
 from pathlib import Path
 from typing import Any
 
 from amulor.acquisition.journal.checks import CHECKSUM, checksum, refuse_infinite
-from amulor.acquisition.journal.record import Record
+from amulor.acquisition.journal.record import OPTIONAL, QUANTITIES, WHOLE, Record
 from amulor.acquisition.plan import Key
 from amulor.errors import FormatError, InstrumentError, SurveyError
 
-#: Raised when an older amulor must not write to a journal. The first one had no
-#: checksums.
+#: Raised when an older amulor must not write to a journal.
 SCHEMA_VERSION = "2"
-_READABLE = ("1", SCHEMA_VERSION)
 
 _KEY_COLUMNS = (
     "kind TEXT NOT NULL, row INTEGER NOT NULL, column INTEGER NOT NULL, "
     "frequency REAL NOT NULL, polarization TEXT NOT NULL, repeat INTEGER NOT NULL"
 )
 KEY_NAMES = ", ".join(Key._fields)
-RECORD_FIELDS = tuple(field.name for field in fields(Record))
+RECORD_FIELDS = tuple(QUANTITIES)
 _RECORD_NAMES = ", ".join(RECORD_FIELDS)
-#: What a journal of an older amulor may lack; added when it is gone on with.
-SINCE_LATER = tuple(
-    field.name for field in fields(Record) if field.default is not MISSING
-)
-_RECORD_COLUMNS = ", ".join(
-    f"{field.name} "
-    + ("INTEGER" if field.type == "int" else "REAL")
-    + ("" if "None" in str(field.type) else " NOT NULL")
-    for field in fields(Record)
-)
-_VALUES = operator.attrgetter(*(field.name for field in fields(Record)))
+
+
+def _column(name: str) -> str:
+    """Declare the column of a recorded quantity in SQL."""
+    kind = "INTEGER" if name in WHOLE else "REAL"
+    return f"{name} {kind}" + ("" if name in OPTIONAL else " NOT NULL")
+
+
+_RECORD_COLUMNS = ", ".join(map(_column, RECORD_FIELDS))
+_VALUES = operator.attrgetter(*RECORD_FIELDS)
 _NAMES = (*Key._fields, *RECORD_FIELDS)
 _PLACES = ", ".join("?" * (len(_NAMES) + 1))
 INSERT = (
@@ -83,7 +79,7 @@ def refuse_another(
         If the survey or the instrument is.
     """
     version = result.get("journal_schema")
-    if version not in _READABLE:
+    if version != SCHEMA_VERSION:
         raise FormatError(
             f"{path}: the journal has schema {version!r}, this amulor knows "
             f"{SCHEMA_VERSION!r}; use the amulor that began the scan"

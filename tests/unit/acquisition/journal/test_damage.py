@@ -206,47 +206,6 @@ def test_rows_of_a_first_page_that_is_broken_are_named_from_the_first_one(
     assert "row 1: cannot be read" in told
 
 
-def test_older_journals_say_that_they_have_no_checksums(whole, folder) -> None:
-    place = copied(whole, folder / "scan")
-    connection = sqlite3.connect(place / FILE_NAME, isolation_level=None)
-    connection.execute("ALTER TABLE samples DROP COLUMN crc")
-    connection.execute("UPDATE meta SET value = '1' WHERE key = 'journal_schema'")
-    connection.execute("DELETE FROM meta WHERE key = 'checksums'")
-    connection.execute("UPDATE samples SET readings = 0 WHERE number = 30")
-    connection.close()
-    told: list[str] = []
-    acquisition.recover(place, told=told.append)
-    assert [line.split(": ", 1)[1][:25] for line in told] == [
-        "row 30: readings = 0 is n", "the journal, or a part of",
-    ]  # fmt: skip
-
-
-def test_an_older_journal_that_is_gone_on_with_gets_checksums(whole, folder) -> None:
-    place = copied(whole, folder / "scan")
-    connection = sqlite3.connect(place / FILE_NAME, isolation_level=None)
-    connection.execute("ALTER TABLE samples DROP COLUMN crc")
-    connection.execute("UPDATE meta SET value = '1' WHERE key = 'journal_schema'")
-    connection.execute("DELETE FROM meta WHERE key = 'checksums'")
-    connection.close()
-    with Journal.read(place) as journal:
-        _, key, record = journal.newer(0)[-1]
-        meta, count = journal.meta(), journal.count()
-    with Journal.resume(place, meta=meta) as journal:
-        journal.commit(key._replace(repeat=7), record)
-        assert not journal.has_checksums
-        assert journal.damage() == []
-    change = (
-        "UPDATE samples SET readings = readings + 1, crc = NULL WHERE number = {number}"
-    )
-    for number in (count, count + 1):
-        connection = sqlite3.connect(place / FILE_NAME, isolation_level=None)
-        connection.execute(change.format(number=number))
-        connection.close()
-        # What an older amulor wrote has none; what came after it must have one.
-        with Journal.read(place) as journal:
-            assert bool(journal.damage()) == (number > count)
-
-
 # -- many of them ----------------------------------------------------------------------
 
 
