@@ -27,7 +27,7 @@ import xarray as xr
 
 from amulor.cube import without_groups
 from amulor.io import read_cube
-from amulor.io.netcdf_rows import row_writer
+from amulor.io.netcdf import row_writer
 
 SURVEY = """
 name = "Plate behind turbid water"

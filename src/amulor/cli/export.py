@@ -121,7 +121,7 @@ def export(
         check_inputs(image, pose)
 
     from amulor import handover, io
-    from amulor.io.netcdf_rows import is_large
+    from amulor.io.netcdf import is_large
 
     check_ending("--output", output, _endings(product))
     if product is None:
@@ -186,7 +186,7 @@ def _by_rows(
     overwrite: bool,
 ) -> None:
     """Write a cloud tile by tile, and print what is in it."""
-    from amulor.io.netcdf_rows import open_rows
+    from amulor.io.netcdf import open_rows
     from amulor.scale.clouds import Selection, cloud_file
 
     selection = Selection(good_only, largest, without_mixed)

@@ -48,7 +48,7 @@ def image(
 
     from amulor import _progress, imaging, io
     from amulor.cube import flag_counts
-    from amulor.io.netcdf_rows import is_large
+    from amulor.io.netcdf import is_large
 
     if tile_rows is not None or is_large(cube):
         _by_rows(cube, output, tile_rows, polarization, interval, overwrite=overwrite)

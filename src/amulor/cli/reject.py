@@ -113,7 +113,7 @@ def reject(
 
     from amulor import _progress, io, rejection
     from amulor.cube import flag_counts
-    from amulor.io.netcdf_rows import is_large
+    from amulor.io.netcdf import is_large
 
     chosen = rejection.load(method)
     if unused := chosen.unknown(options):

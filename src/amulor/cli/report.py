@@ -96,7 +96,7 @@ def _shown(
     """Return an image to be drawn, and what is known of all of a large one."""
     from amulor import io
     from amulor.imaging import thinning
-    from amulor.io.netcdf_rows import is_large, open_rows, tile_rows
+    from amulor.io.netcdf import is_large, open_rows, tile_rows
 
     if rows is None and not is_large(path, most=8 * thinning.LARGEST):
         return io.read_cube(path), None

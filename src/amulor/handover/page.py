@@ -19,7 +19,7 @@ from amulor.handover.products import hand_over
 from amulor.imaging import products
 from amulor.imaging.frame import Frame
 from amulor.view import image_report
-from amulor.view.page.offers import Made
+from amulor.view.page.measuring import Made
 
 #: A range image with more pixels takes too much memory beside a page [1].
 MOST_PIXELS = 2_000_000

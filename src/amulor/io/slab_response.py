@@ -11,8 +11,13 @@ import xarray as xr
 from numpy.typing import ArrayLike, NDArray
 
 from amulor.errors import FormatError
-from amulor.io.fourier import checked_frequency, transform, weights
-from amulor.io.histograms import Histograms, read_histograms
+from amulor.io.histograms import (
+    Histograms,
+    checked_frequency,
+    read_histograms,
+    transform,
+    weights,
+)
 
 __all__ = ["Slabs", "mean_delay", "read_slabs", "slab_response"]
 

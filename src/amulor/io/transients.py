@@ -1,9 +1,10 @@
-"""Turns measured photon histograms into the cube that an AM instrument would record."""
+"""Convert measured photon histograms into the cube of an AM instrument."""
 
 from __future__ import annotations
 
 import os
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Any, Literal
 
 import numpy as np
@@ -12,11 +13,72 @@ from numpy.typing import ArrayLike, NDArray
 
 from amulor import cube as cubes
 from amulor.errors import FormatError
-from amulor.io.fourier import Coefficients, checked_frequency, transform, weights
-from amulor.io.histograms import Histograms, read_histograms
-from amulor.io.overlap import overlap_of
+from amulor.io.histograms import (
+    Coefficients,
+    Histograms,
+    checked_frequency,
+    read_histograms,
+    transform,
+    weights,
+)
 
 __all__ = ["VOLTS_PER_COUNT", "medium_from_minimum", "read_transients"]
+
+Floats = NDArray[np.float64]
+
+#: An echo stands out of the smallest scene by this many standard errors [1].
+_SURE = 5.0
+#: Parts of a histogram over which its smallest values are smoothed.
+_PARTS = 64
+
+
+def overlap_of(sums: Floats) -> Floats:
+    r"""Return what of the bin-wise minimum of scenes is likely to be their echoes.
+
+    Parameters
+    ----------
+    sums : ndarray, shape (scenes, bins)
+        Histograms of the scenes, all pixels together, at least two.
+
+    Returns
+    -------
+    ndarray, shape (bins,)
+        Counts, at least 0; zero where the echoes do not meet.
+
+    Notes
+    -----
+    Scenes :math:`B + E_1`, :math:`B + E_2` have the minimum
+    :math:`B + \min(E_1, E_2)`: where one echo has not ended when the other begins, the
+    minimum has a bump. Between two echoes, in the order in which they stand out of
+    the minimum, all of it counts that lies above the straight line from the lowest
+    place of the one to the lowest place of the other. It assumes that the medium itself
+    has no bump there: the light of a pulse that is over dies away.
+    """
+    smallest = sums.min(axis=0)
+    apart = sums.max(axis=0) - smallest
+    seen = np.flatnonzero(apart > _SURE * np.sqrt(sums.sum(axis=0) + 1))
+    own = sums.argmax(axis=0)[seen]
+    # Runs of bins in which the echo of one scene stands out.
+    starts = np.flatnonzero(np.diff(own, prepend=-1) != 0)
+    runs = np.split(seen, starts[1:])
+    level = _smoothed(smallest)
+    overlap = np.zeros(smallest.size)
+    for before, after in pairwise(runs):
+        first = before[0] + int(level[before[0] : before[-1] + 1].argmin())
+        last = after[0] + int(level[after[0] : after[-1] + 1].argmin())
+        place = np.arange(first, last + 1)
+        line = np.interp(place, [first, last], [level[first], level[last]])
+        overlap[place] = np.maximum(overlap[place], smallest[place] - line)
+    return overlap
+
+
+def _smoothed(values: Floats) -> Floats:
+    """Return means over an odd number of bins, the rim repeated."""
+    half = values.size // _PARTS // 2
+    padded = np.pad(values, half, mode="edge")
+    width = 2 * half + 1
+    return np.asarray(np.convolve(padded, np.full(width, 1 / width), mode="valid"))
+
 
 #: Nominal. A photon counter has no volt and the schema has no other unit; one volt
 #: for one counted photon changes no phase, no range and no ratio.
@@ -128,7 +190,7 @@ def read_transients(
     centre. The bins damp the sum by :math:`\sin(\pi f w) / \pi f w`, 0.04 % at 1 GHz
     and 16 ps; like the jitter of pulse and detector, this is not corrected. One volt
     stands for one count (`VOLTS_PER_COUNT`). The uncertainties are those of counting
-    photons, see `amulor.io.fourier.transform`.
+    photons, see `amulor.io.histograms.transform`.
 
     A histogram that is cut off before the light is gone lacks the late part.
     Of a pulse train only the harmonics of the repetition frequency are exact;
@@ -252,8 +314,8 @@ def medium_from_minimum(
     summed histograms, and no pixel is picked by its own noise. That is the medium,
     as far as in every bin one scene has no echo. It comes out too large where echoes
     overlap, by about as much as the minimum has a bump between them
-    (`amulor.io.overlap.overlap_of`): that counts as an error along it, which all shots
-    share, in the `common_` variables. It comes out too small by counting noise, the
+    (`overlap_of`): that counts as an error along it, which all shots share, in the
+    `common_` variables. It comes out too small by counting noise, the
     smaller of two equal means :math:`\mu` being low by :math:`\sqrt{\mu / \pi}`. All
     shots state the same uncertainty, that of counting photons on average, so none
     weighs more than another. They hold counts of the scenes themselves: subtracted as

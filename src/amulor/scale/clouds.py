@@ -22,7 +22,7 @@ from amulor.imaging.selection import to_leave_out, without
 from amulor.io._cloud import checked_parts
 from amulor.io.e57 import write_e57_parts
 from amulor.io.laz import write_laz_parts
-from amulor.io.netcdf_rows import open_rows, row_writer, tile_rows
+from amulor.io.netcdf import open_rows, row_writer, tile_rows
 from amulor.io.ply import write_ply_parts
 from amulor.io.text_cloud import write_text_parts
 

@@ -15,7 +15,7 @@ from amulor import cube as cubes
 from amulor import io, rejection
 from amulor._progress import tell
 from amulor.cube import tiles
-from amulor.io.netcdf_rows import is_large, open_rows, row_writer
+from amulor.io.netcdf import is_large, open_rows, row_writer
 from amulor.scale.steps import image_step
 from amulor.scale.tiled import TiledStep, run_step
 

@@ -15,7 +15,7 @@ import xarray as xr
 
 from amulor.cube import schema, tiles
 from amulor.errors import CubeError
-from amulor.io.netcdf_rows import open_rows, row_writer, tile_rows
+from amulor.io.netcdf import open_rows, row_writer, tile_rows
 from amulor.scale.clouds import cloud_file
 from amulor.scale.steps import image_step, reject_step
 from amulor.scale.tasks import Record, Task

@@ -16,7 +16,7 @@ from amulor import _progress
 from amulor._progress import tell
 from amulor.cube import tiles
 from amulor.io import recordings
-from amulor.io.netcdf_rows import row_writer
+from amulor.io.netcdf import row_writer
 from amulor.io.recording_map import RecordingMap
 from amulor.io.recording_samples import (
     Places,

@@ -9,7 +9,7 @@ import numpy as np
 
 from amulor._progress import tell
 from amulor.cube import tiles
-from amulor.io.netcdf_rows import row_writer, tile_rows
+from amulor.io.netcdf import row_writer, tile_rows
 from amulor.simulation.by_rows import SimulatedRows
 from amulor.simulation.models import DEFAULT_MODEL, SignalModel
 from amulor.survey import Survey

@@ -9,7 +9,7 @@ import xarray as xr
 
 from amulor._progress import tell
 from amulor.cube import tiles
-from amulor.io.netcdf_rows import tile_rows
+from amulor.io.netcdf import tile_rows
 
 __all__ = ["Made", "Prepared", "TiledStep", "decided_once", "run_step", "window"]
 

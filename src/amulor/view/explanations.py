@@ -314,16 +314,16 @@ def _sample_flags() -> list[Explanation]:
 
 
 def _warnings() -> list[Explanation]:
-    from amulor.view.page import advice
+    from amulor.view.page import progress
 
-    worth = advice.WORTH_A_REFERENCE
+    worth = progress.WORTH_A_REFERENCE
     words = {
         "OPEN_WATER_DRIFTED": (
             "The water signal changed since the first shots of the scan.",
             "Hypothesis: the water is what it was. Said where a straight line through "
             "all rounds of shots, or the newest round against the mean of all before, "
             f"changes by {worth:.0%} or more and chance does not explain it.",
-            f"Noise alone does it in {_share(advice.CHANCE)} scans at most, however "
+            f"Noise alone does it in {_share(progress.CHANCE)} scans at most, however "
             "many rounds of shots they have.",
             "Ranges between the shots are interpolated; their uncertainty grows.",
             "Take a reference now, and look for what changes: sediment, lamp, laser.",

@@ -9,7 +9,7 @@ import xarray as xr
 
 from amulor import io
 from amulor.cli import main
-from amulor.io import netcdf_rows
+from amulor.io import netcdf
 from amulor.simulation import simulate
 from amulor.survey import Survey
 
@@ -69,7 +69,7 @@ def test_auto_by_rows_prints_and_writes_what_it_does_with_the_whole(
 
 
 def test_large_files_are_worked_on_by_rows_unasked(cube, tmp_path, monkeypatch, capsys):
-    monkeypatch.setattr(netcdf_rows, "LARGE", 1)
+    monkeypatch.setattr(netcdf, "LARGE", 1)
     seen = []
     from amulor import scale
 

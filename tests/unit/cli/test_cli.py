@@ -16,7 +16,7 @@ import xarray as xr
 from amulor import io
 from amulor.cli import COMMANDS, main
 from amulor.cli._output import print_table, progress_bar
-from amulor.io import netcdf_rows
+from amulor.io import netcdf
 from amulor.studies.ladder import survey_text
 from amulor.survey.checks import memory
 
@@ -122,7 +122,7 @@ def test_the_help_states_the_size_above_which_work_goes_by_rows(name: str) -> No
     found = getattr(importlib.import_module(f"amulor.cli.{module}"), function)
     text = " ".join((inspect.getdoc(found) or "").split())
     # Files are measured in bytes of float64.
-    assert memory.BY_ROWS * 8 == netcdf_rows.LARGE
+    assert memory.BY_ROWS * 8 == netcdf.LARGE
     assert f"more than {memory.BY_ROWS / 1e6:.1f} million samples" in text
 
 

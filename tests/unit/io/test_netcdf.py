@@ -17,7 +17,7 @@ from hypothesis.extra import numpy as drawn
 from amulor import cube as cubes
 from amulor.cube.schema import FORMER_NAMES
 from amulor.errors import AmulorError, CubeError, FormatError
-from amulor.io import netcdf_rows, read_cube, write_cube
+from amulor.io import netcdf, read_cube, write_cube
 
 LEVELS = ["samples", "target_signal", "range_image", "point_cloud"]
 ENGINES = ["netcdf4", "h5netcdf"]
@@ -389,7 +389,7 @@ def test_a_library_that_does_not_run_is_no_damaged_file(
     for use in (
         lambda: read_cube(path),
         lambda: write_cube(samples, path, overwrite=True),
-        lambda: netcdf_rows.is_large(path),
+        lambda: netcdf.is_large(path),
     ):
         with pytest.raises(FormatError) as error:
             use()

@@ -10,7 +10,7 @@ import xarray as xr
 from amulor import io
 from amulor.cube import tiles
 from amulor.errors import CubeError, FormatError
-from amulor.io import netcdf_rows
+from amulor.io import netcdf
 
 
 @pytest.fixture
@@ -26,10 +26,10 @@ def test_rows_of_a_file_are_those_of_the_whole(make, rng, path, tmp_path, level,
     io.write_cube(cube, path)
     whole = io.read_cube(path)
     copy = tmp_path / "copy.nc"
-    with netcdf_rows.open_rows(path) as source:
+    with netcdf.open_rows(path) as source:
         assert (source.rows, source.columns) == whole["azimuth"].shape
         assert not any("row" in v.dims for v in source.head.variables.values())
-        with netcdf_rows.row_writer(copy, source.rows) as writer:
+        with netcdf.row_writer(copy, source.rows) as writer:
             for begin, end in tiles.bands(source, rows):
                 tile = source.tile(begin, end)
                 xr.testing.assert_identical(tile, whole.isel(row=slice(begin, end)))
@@ -48,7 +48,7 @@ def test_a_damaged_file_is_refused_before_its_rows_are_read(samples, path):
     path.write_bytes(content)
     with (
         pytest.raises(FormatError, match="damaged"),
-        netcdf_rows.open_rows(path),
+        netcdf.open_rows(path),
     ):
         pass
 
@@ -57,7 +57,7 @@ def test_a_file_without_rows_is_refused(make, rng, path):
     io.write_cube(make.point_cloud(rng), path)
     with (
         pytest.raises(CubeError, match="rows and columns are needed"),
-        netcdf_rows.open_rows(path),
+        netcdf.open_rows(path),
     ):
         pass
 
@@ -66,7 +66,7 @@ def test_a_file_that_is_not_written_to_its_end_is_not_there(samples, path):
     rows = samples.sizes["row"]
     with (
         pytest.raises(CubeError, match="are written"),
-        netcdf_rows.row_writer(path, rows) as writer,
+        netcdf.row_writer(path, rows) as writer,
     ):
         writer.put(samples.isel(row=slice(0, 1)), 0)
     assert list(path.parent.iterdir()) == []
@@ -84,7 +84,7 @@ def test_tiles_that_do_not_fit_are_refused(samples, path, change, words):
     tile, begin = change(samples.isel(row=slice(1, 2)))
 
     def write():
-        with netcdf_rows.row_writer(path, samples.sizes["row"]) as writer:
+        with netcdf.row_writer(path, samples.sizes["row"]) as writer:
             writer.put(samples.isel(row=slice(0, 1)), 0)
             writer.put(tile, begin)
 
@@ -96,20 +96,20 @@ def test_tiles_that_do_not_fit_are_refused(samples, path, change, words):
 def test_large_files_are_told_by_their_samples(samples, path, monkeypatch):
     io.write_cube(samples, path)
     size = samples["in_phase"].nbytes
-    monkeypatch.setattr(netcdf_rows, "LARGE", size)
-    assert not netcdf_rows.is_large(path)
-    monkeypatch.setattr(netcdf_rows, "LARGE", size - 1)
-    assert netcdf_rows.is_large(path)
+    monkeypatch.setattr(netcdf, "LARGE", size)
+    assert not netcdf.is_large(path)
+    monkeypatch.setattr(netcdf, "LARGE", size - 1)
+    assert netcdf.is_large(path)
     path.write_bytes(b"something else")
-    assert not netcdf_rows.is_large(path)
-    assert not netcdf_rows.is_large(path.with_name("nothing.nc"))
+    assert not netcdf.is_large(path)
+    assert not netcdf.is_large(path.with_name("nothing.nc"))
 
 
 def test_the_digest_is_that_of_the_whole_writer(samples, path, monkeypatch):
     # Read in pieces that do not divide the file.
-    monkeypatch.setattr(netcdf_rows, "_PIECE", 1000)
+    monkeypatch.setattr(netcdf, "_PIECE", 1000)
     io.write_cube(samples, path)
-    with netcdf_rows.open_rows(path) as source:
+    with netcdf.open_rows(path) as source:
         assert np.isfinite(source.tile(0, 1)["azimuth"]).all()
 
 
@@ -128,8 +128,8 @@ def test_tiles_are_whole_blocks_of_the_file(
         polarizations=("VV",),
     )
     io.write_cube(made, path)
-    with netcdf_rows.open_rows(path) as source:
-        tile = netcdf_rows.tile_rows(source)
+    with netcdf.open_rows(path) as source:
+        tile = netcdf.tile_rows(source)
     with h5py.File(path) as file:
         block = file["in_phase"].chunks
     assert block[:2] == (1, 1)
@@ -155,7 +155,7 @@ def test_rows_of_another_program_are_decoded(samples, path, coding):
         stored = file["in_phase"][...]
     whole = io.read_cube(path)["in_phase"].values
     assert not np.array_equal(stored, whole, equal_nan=True) or "dtype" in coding
-    with netcdf_rows.open_rows(path) as source:
+    with netcdf.open_rows(path) as source:
         found = source.tile(0, 3)["in_phase"].values
     np.testing.assert_array_equal(found, whole)
     assert np.isnan(found[0, 0, 1, 2])

@@ -16,11 +16,11 @@ from amulor import cube as cubes
 from amulor.errors import FormatError
 from amulor.io import (
     Histograms,
-    fourier,
     medium_from_minimum,
     read_histograms,
     read_transients,
 )
+from amulor.io import histograms as fourier
 
 WIDTH = 16e-12
 FREQUENCY = np.array([50e6, 100e6, 1e9])

@@ -15,9 +15,8 @@ from amulor.cube.terms import TERMS
 from amulor.errors import FormatError
 from amulor.rejection import quality
 from amulor.view import explanations
-from amulor.view.page.advice import Going, advice
-from amulor.view.page.drift import Change, Drift
 from amulor.view.page.layers import WORDS
+from amulor.view.page.progress import Change, Drift, Going, advice
 
 
 def test_every_flag_and_term_is_explained() -> None:

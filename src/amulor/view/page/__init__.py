@@ -9,10 +9,9 @@ from amulor import _lazy
 
 if TYPE_CHECKING:
     from amulor.view.page.live import Live
-    from amulor.view.page.opening import opened, recording_of
-    from amulor.view.page.recording import Recording
+    from amulor.view.page.recording import Recording, opened, recording_of
     from amulor.view.page.saved import save_page, saved_page
-    from amulor.view.page.web.serving import background, serve
+    from amulor.view.page.serving import background, serve
 
 __all__ = [
     "Live",
@@ -32,11 +31,11 @@ if not TYPE_CHECKING:
         origin={
             "Live": "amulor.view.page.live",
             "Recording": "amulor.view.page.recording",
-            "background": "amulor.view.page.web.serving",
-            "opened": "amulor.view.page.opening",
-            "recording_of": "amulor.view.page.opening",
+            "background": "amulor.view.page.serving",
+            "opened": "amulor.view.page.recording",
+            "recording_of": "amulor.view.page.recording",
             "save_page": "amulor.view.page.saved",
             "saved_page": "amulor.view.page.saved",
-            "serve": "amulor.view.page.web.serving",
+            "serve": "amulor.view.page.serving",
         },
     )

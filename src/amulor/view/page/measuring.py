@@ -1,13 +1,14 @@
-"""What the page asks to be measured: checked, measured, answered in numbers."""
+"""Measurements and products that the page may ask for."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import asdict
-from typing import Any
+from dataclasses import asdict, dataclass
+from typing import Any, Protocol
 
 import numpy as np
+import xarray as xr
 
 from amulor.cube import QualityFlag
 from amulor.errors import CubeError
@@ -15,6 +16,49 @@ from amulor.imaging import measure
 from amulor.imaging.edges import STEP_MARGIN
 from amulor.view.page.pictures import Picture
 from amulor.view.page.recording import Recording
+
+
+@dataclass(frozen=True, kw_only=True)
+class Made:
+    """A product as it goes to the browser, which keeps it."""
+
+    name: str
+    """Name of the file."""
+    content: bytes
+    """The file."""
+    said: str
+    """What it is, in a few words and numbers."""
+
+
+class Products(Protocol):
+    """Makes products of range images."""
+
+    def offered(self) -> list[dict[str, Any]]:
+        """Return products with their labels, endings and options, for the page."""
+
+    def make(self, image: xr.Dataset, wanted: dict[str, Any], *, stem: str) -> Made:
+        """Make a product.
+
+        Parameters
+        ----------
+        image : xarray.Dataset
+            Level `range_image`.
+        wanted : dict
+            What the page asks for; nothing in it is trusted.
+        stem : str
+            Name of the file without its ending.
+
+        Returns
+        -------
+        Made
+            The file.
+
+        Raises
+        ------
+        CubeError
+            If the request makes no sense, or the image does not hold it.
+        """
+
 
 #: Pixels with one of these are no part of a surface.
 _OFF_SURFACE = QualityFlag.MIXED | QualityFlag.OUTLIER

@@ -1,16 +1,180 @@
-"""Range images as the page reads them: map by map, beam by beam, a few pixels."""
+"""Range images as the page reads them: maps, beams, pixels, shared errors."""
 
 from __future__ import annotations
 
+import hashlib
+import threading
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any, Protocol
 
+import h5py
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from amulor.cube import error_unknown
-from amulor.view.page import beams
+from amulor.cube import error_unknown, without_unknown_errors
+from amulor.cube.terms import ALIKE_TERMS, WATER_TERMS
+from amulor.errors import CubeError, FormatError
+from amulor.imaging.geometry import beams_of
+from amulor.imaging.measure import reference_basis
+from amulor.view.page.layers import MAPS
+
+Floats = NDArray[np.float64]
+Numbers = NDArray[np.intp]
+
+#: A point may lie this far from where its own beam would put it [m].
+TOLERANCE = 2e-6
+#: Values of a node: place at range zero (3), direction (3), azimuth, elevation.
+VALUES = 8
+_FIRST_STEP = 64
+_CHECKED = 30_000
+
+
+class BeamReader(Protocol):
+    """Beams of some rows and columns of a scan."""
+
+    def __call__(self, rows: Numbers, columns: Numbers, /) -> Floats:
+        """Return an array over (row, column, value)."""
+
+
+@dataclass(frozen=True)
+class Nodes:
+    """Beams at the nodes of a coarse grid; those between follow by interpolation."""
+
+    rows: Numbers
+    """Rows of the nodes, the first and the last row among them [1]."""
+    columns: Numbers
+    """Columns of the nodes [1]."""
+    values: NDArray[np.float32]
+    """Place where the slant range is zero [m], direction [1], azimuth and elevation
+    [rad]; shape (node rows, node columns, 8)."""
+
+
+def reader_of(image: xr.Dataset) -> BeamReader:
+    """Return what reads the beams of a range image in memory.
+
+    Parameters
+    ----------
+    image : xarray.Dataset
+        With azimuth, elevation and geometry.
+
+    Returns
+    -------
+    callable
+        Takes rows and columns, returns an array of shape (row, column, 8).
+    """
+
+    def read(rows: Numbers, columns: Numbers) -> Floats:
+        part = image.isel(row=rows, column=columns)
+        return values_of(part)
+
+    return read
+
+
+def values_of(part: xr.Dataset) -> Floats:
+    """Return the beams of a range image.
+
+    Parameters
+    ----------
+    part : xarray.Dataset
+        With azimuth, elevation and geometry.
+
+    Returns
+    -------
+    ndarray, shape (row, column, 8)
+        Place where the slant range is zero [m], direction [1], angles [rad].
+    """
+    beam = beams_of(part)
+    base = beam.entry - beam.length_before[..., None] * beam.direction
+    angles = np.stack([part["azimuth"].values, part["elevation"].values], axis=-1)
+    return np.concatenate([base, beam.direction, angles], axis=-1)
+
+
+def nodes_of(
+    read: BeamReader, shape: tuple[int, int], *, farthest: float, stride: int = 1
+) -> Nodes:
+    """Choose the coarsest grid of beams that keeps every point within a tolerance.
+
+    Parameters
+    ----------
+    read : callable
+        Reads beams, see `reader_of`.
+    shape : tuple of int
+        Rows and columns of the scan.
+    farthest : float
+        Largest slant range that is drawn [m].
+    stride : int
+        Only every so many rows and columns are drawn.
+
+    Returns
+    -------
+    Nodes
+        Points that are interpolated in it lie within `TOLERANCE` of their own beam,
+        unless the grid is as fine as the scan.
+    """
+    step = _FIRST_STEP
+    while step > stride:
+        nodes = _grid(read, shape, step)
+        if _error(read, shape, nodes, farthest) <= TOLERANCE:
+            return nodes
+        step //= 2
+    return _grid(read, shape, max(stride, 1))
+
+
+def interpolated(nodes: Nodes, rows: Numbers, columns: Numbers) -> Floats:
+    """Return beams between nodes, as the page works them out.
+
+    Parameters
+    ----------
+    nodes : Nodes
+        The coarse grid.
+    rows, columns : ndarray of int
+        Pixels.
+
+    Returns
+    -------
+    ndarray, shape (row, column, 8)
+        Place, direction and angles of each.
+    """
+    up, low = _between(nodes.rows, rows), _between(nodes.columns, columns)
+    values = nodes.values.astype(float)
+    top = values[up[0]][:, low[0]], values[up[0]][:, low[1]]
+    bottom = values[up[1]][:, low[0]], values[up[1]][:, low[1]]
+    across, along = low[2][None, :, None], up[2][:, None, None]
+    first = top[0] * (1 - across) + top[1] * across
+    second = bottom[0] * (1 - across) + bottom[1] * across
+    result: Floats = first * (1 - along) + second * along
+    return result
+
+
+def _between(nodes: Numbers, at: Numbers) -> tuple[Numbers, Numbers, Floats]:
+    """Return the node before, the node after, and the share of the second."""
+    before = np.clip(np.searchsorted(nodes, at, side="right") - 1, 0, len(nodes) - 1)
+    after = np.minimum(before + 1, len(nodes) - 1)
+    width = np.maximum(nodes[after] - nodes[before], 1)
+    return before, after, (at - nodes[before]) / width
+
+
+def _grid(read: BeamReader, shape: tuple[int, int], step: int) -> Nodes:
+    rows, columns = (_places(size, step) for size in shape)
+    return Nodes(rows, columns, read(rows, columns).astype(np.float32))
+
+
+def _places(size: int, step: int) -> Numbers:
+    return np.unique(np.append(np.arange(0, size, step), size - 1))
+
+
+def _error(
+    read: BeamReader, shape: tuple[int, int], nodes: Nodes, farthest: float
+) -> float:
+    """Return the largest shift of a point, at the nearest and the farthest range."""
+    rows, columns = (np.arange(size) for size in shape)
+    thin = max(1, int(np.ceil(np.sqrt(rows.size * columns.size / _CHECKED))))
+    rows, columns = rows[::thin], columns[::thin]
+    shift = interpolated(nodes, rows, columns) - read(rows, columns)
+    far = shift[..., :3] + farthest * shift[..., 3:6]
+    return float(max(np.abs(far).max(), np.abs(shift[..., :3]).max()))
 
 
 class Picture(Protocol):
@@ -38,7 +202,7 @@ class Picture(Protocol):
     def values(self, variable: str, stride: int) -> NDArray[Any]:
         """Return every so many rows and columns of a variable."""
 
-    def beams(self) -> beams.BeamReader:
+    def beams(self) -> BeamReader:
         """Return what reads the beams."""
 
     def around(self, rows: list[int], columns: list[int]) -> xr.Dataset:
@@ -87,9 +251,9 @@ class MemoryPicture:
         """Return every so many rows and columns of a variable."""
         return np.asarray(self.image[variable].values[::stride, ::stride])
 
-    def beams(self) -> beams.BeamReader:
+    def beams(self) -> BeamReader:
         """Return what reads the beams."""
-        return beams.reader_of(self.image)
+        return reader_of(self.image)
 
     def around(self, rows: list[int], columns: list[int]) -> xr.Dataset:
         """Return the whole image."""
@@ -119,3 +283,250 @@ class Channel:
         picture = self.after or self.before
         assert picture is not None
         return picture
+
+
+#: Smaller files are read at once [byte].
+_LARGE = 64_000_000
+_BAND = 256
+#: Rows and columns that stand for the scan beside the pixels that are measured [1].
+_MESH = 128
+#: Behind the file a digest of it stands, see `amulor.io.netcdf` [byte].
+_SEAL_LENGTH = 80
+
+
+def is_large(path: Path) -> bool:
+    """Return whether a file is a range image that is better read in bands.
+
+    Parameters
+    ----------
+    path : pathlib.Path
+        Any file.
+
+    Returns
+    -------
+    bool
+        False also for what is no file at all: the reader of small ones explains it.
+    """
+    try:
+        if path.stat().st_size < _LARGE:
+            return False
+        with h5py.File(path, "r") as file:
+            level = file.attrs.get("level", b"")
+            text = level.decode() if isinstance(level, bytes) else str(level)
+            return text == "range_image"
+    except OSError:
+        return False
+
+
+def large_picture(path: Path) -> LargePicture:
+    """Open a range image of any size.
+
+    Parameters
+    ----------
+    path : pathlib.Path
+        File of level `range_image`.
+
+    Returns
+    -------
+    LargePicture
+        Reads what is asked for, and keeps nothing.
+
+    Raises
+    ------
+    FormatError
+        If its bytes are not the ones that amulor wrote.
+    """
+    digest = hashlib.sha256()
+    with path.open("rb") as file:
+        file.seek(-_SEAL_LENGTH, 2)
+        left = file.tell()
+        seal = file.read()
+        file.seek(0)
+        while left > 0 and (part := file.read(min(left, 1 << 22))):
+            digest.update(part)
+            left -= len(part)
+    # What another program wrote has no seal.
+    said = f"\namulor sha256:{digest.hexdigest()}\n".encode()
+    if seal.startswith(b"\namulor sha256:") and seal != said:
+        raise FormatError(
+            f"{path} is damaged: its bytes are not the ones that amulor wrote; copy it "
+            "again, or make it again"
+        )
+    return LargePicture(path)
+
+
+class LargePicture:
+    """A range image in a file.
+
+    Parameters
+    ----------
+    path : pathlib.Path
+        File of level `range_image`.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        self._lock = threading.Lock()
+        self._file = h5py.File(path, "r", rdcc_nbytes=1 << 20)
+        rows, columns = self._file["slant_range"].shape
+        self.shape: tuple[int, int] = (int(rows), int(columns))
+        self.attributes = _plain(self._file.attrs)
+        self.geometry = _plain(self._file["geometry"].attrs)
+        # Files of before say it by their flags alone.
+        first = self._read("quality_flag", slice(0, _BAND), slice(None))
+        flags = {"quality_flag": (("row", "column"), first)}
+        self.error_unknown = error_unknown(xr.Dataset(flags, attrs=self.attributes))
+
+    def has(self, variable: str) -> bool:
+        """Return whether there is a variable."""
+        return variable in self._file
+
+    def values(self, variable: str, stride: int) -> NDArray[Any]:
+        """Return every so many rows and columns of a variable, floats in 32 bits."""
+        rows, columns = (-(-size // stride) for size in self.shape)
+        kind = self._read(variable, slice(0, 1), slice(0, 1)).dtype.kind
+        out = np.empty((rows, columns), np.uint16 if kind in "iu" else np.float32)
+        # A band is a whole number of steps, so that each begins where it should.
+        band = max(1, _BAND // stride) * stride
+        for first in range(0, self.shape[0], band):
+            part = self._read(variable, slice(first, first + band), slice(None))
+            at = first // stride
+            part = part[::stride, ::stride]
+            out[at : at + len(part)] = part
+        return out
+
+    def beams(self) -> BeamReader:
+        """Return what reads the beams."""
+
+        def read(rows: Numbers, columns: Numbers) -> Floats:
+            names = [name for name in _BEAM_NAMES if name in self._file]
+            return values_of(self._part(names, rows, columns))
+
+        return read
+
+    def around(self, rows: list[int], columns: list[int]) -> xr.Dataset:
+        """Return an image of the rows and columns asked for and a mesh of others."""
+        self._kept = [
+            np.union1d(
+                np.linspace(0, size - 1, min(size, _MESH)).astype(np.intp),
+                np.asarray(wanted, dtype=np.intp),
+            )
+            for size, wanted in zip(self.shape, (rows, columns), strict=True)
+        ]
+        names = [
+            str(name)
+            for name, variable in self._file.items()
+            if getattr(variable, "ndim", 0) == 2 and variable.shape == self.shape
+        ]
+        return without_unknown_errors(self._part(names, *self._kept))
+
+    def place(self, row: int, column: int) -> tuple[int, int]:
+        """Return where a pixel of the scan is in the last image of `around`."""
+        first, second = (
+            int(np.searchsorted(kept, value))
+            for kept, value in zip(self._kept, (row, column), strict=True)
+        )
+        return first, second
+
+    def whole(self) -> xr.Dataset:
+        """Refuse: what is read band by band is not held at once."""
+        raise CubeError(
+            f"{self._path.name} is too large for products beside a page: "
+            f"{self.shape[0]} x {self.shape[1]} pixels; use amulor export, or "
+            "amulor report"
+        )
+
+    def _part(self, names: list[str], rows: Numbers, columns: Numbers) -> xr.Dataset:
+        variables = {
+            name: (
+                ("row", "column"),
+                np.concatenate(
+                    [
+                        self._read(name, slice(first, first + _BAND), slice(None))[
+                            rows[(rows >= first) & (rows < first + _BAND)] - first
+                        ][:, columns]
+                        for first in range(0, self.shape[0], _BAND)
+                        if np.any((rows >= first) & (rows < first + _BAND))
+                    ]
+                ),
+                _plain(self._file[name].attrs),
+            )
+            for name in names
+        }
+        coordinates = {
+            name: variables.pop(name)
+            for name in (*_BEAM_NAMES, "time")
+            if name in variables
+        }
+        return xr.Dataset(
+            variables,
+            {**coordinates, "geometry": ((), np.int32(0), self.geometry)},
+            self.attributes,
+        )
+
+    def _read(self, name: str, rows: slice, columns: slice) -> NDArray[Any]:
+        try:
+            with self._lock:
+                return np.asarray(self._file[name][rows, columns])
+        except (OSError, KeyError, RuntimeError) as error:
+            raise FormatError(
+                f"{self._path} can no longer be read: {error}; open it again"
+            ) from error
+
+
+_BEAM_NAMES = ("azimuth", "elevation", "origin_x", "origin_y", "origin_z")
+_STRUCTURE = ("DIMENSION", "CLASS", "NAME", "REFERENCE", "_Netcdf4", "_FillValue")
+
+
+def _plain(attributes: Any) -> dict[str, Any]:
+    """Return attributes as Python has them."""
+    found: dict[str, Any] = {}
+    for name, value in attributes.items():
+        if name.startswith(_STRUCTURE):
+            continue
+        if isinstance(value, bytes):
+            value = value.decode()
+        elif isinstance(value, h5py.Empty):
+            value = ""
+        elif isinstance(value, np.ndarray) and value.shape == (1,):
+            value = value[0]
+        found[name] = value
+    return found
+
+
+def sharing_of(picture: Picture) -> dict[str, Any] | None:
+    """Return how errors of two pixels correlate, for the page to work it out alone.
+
+    Parameters
+    ----------
+    picture : Picture
+        A range image.
+
+    Returns
+    -------
+    dict or None
+        `alike` and `of_water`, names of the maps of terms; `scale`, means and factors
+        of azimuth and elevation; `powers` of their monomials, and `matrix` that turns
+        those into the basis of the reference. None if the image knows no shared part,
+        or states no error.
+    """
+    if not picture.has("slant_range_common_uncertainty") or picture.error_unknown:
+        return None
+    names = {
+        kind: [
+            MAPS[f"slant_range_uncertainty_{term}"].name
+            for term in terms
+            if picture.has(f"slant_range_uncertainty_{term}")
+        ]
+        for kind, terms in (
+            ("alike", ALIKE_TERMS),
+            ("of_water", WATER_TERMS),
+        )
+    }
+    basis: dict[str, Any] = {}
+    if "open_water_degree" in picture.attributes:
+        thin = max(1, int(np.sqrt(picture.shape[0] * picture.shape[1] / 250_000)))
+        angles = [picture.values(name, thin) for name in ("azimuth", "elevation")]
+        degree = int(np.max(picture.attributes["open_water_degree"]))
+        basis = reference_basis(*angles, degree=degree)
+    return {**names, **basis}

@@ -1,16 +1,16 @@
-"""How far a scan has come, from the samples of its journal."""
+"""Progress of a scan from its journal, drift of the open water, and advice."""
 
 from __future__ import annotations
 
 import math
 import tomllib
 from collections import Counter, deque
-from collections.abc import Callable, Mapping
-from dataclasses import asdict
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass, field
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from amulor.acquisition import plan
 from amulor.acquisition.journal.record import Record
@@ -18,8 +18,227 @@ from amulor.acquisition.plan import Key
 from amulor.acquisition.sampler import SPOILED, SampleFlag
 from amulor.acquisition.settings import Procedure
 from amulor.survey import Survey
-from amulor.view.page.advice import Going, advice
-from amulor.view.page.drift import Drift, drift_of
+
+#: With fewer directions their scatter says too little [1].
+_FEWEST = 3
+#: Contrasts that are tested at each round: a straight line, the newest round [1].
+_CONTRASTS = 2
+
+
+@dataclass(frozen=True, kw_only=True)
+class Change:
+    """Relative change of the open water."""
+
+    size: float = 0.0
+    """Per unit of the water signal [1]."""
+    error: float = math.inf
+    """Standard error [1]."""
+    chance: float = 1.0
+    """Largest probability that a scan in steady water ever shows such a change [1]."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Drift:
+    """Change of the open water over the complete rounds of shots."""
+
+    elapsed: Sequence[float] = ()
+    """Time of each round, of the scan's clock [s]."""
+    change: Sequence[float] = ()
+    """Of each round from the mean of all rounds, per unit of the water signal [1]."""
+    error: Sequence[float] = ()
+    """Standard error of each [1]."""
+    total: Change = field(default_factory=Change)
+    """From the first to the last round, along a straight line over time."""
+    newest: Change = field(default_factory=Change)
+    """Of the newest round from the mean of all before it."""
+
+
+def drift_of(
+    signal: ArrayLike, *, cluster: ArrayLike, elapsed: ArrayLike, rounds: int
+) -> Drift:
+    """Return the change of the open water between rounds of shots.
+
+    Parameters
+    ----------
+    signal : array_like, shape (series, rounds)
+        Shots of one frequency, channel and direction in each row [V].
+    cluster : array_like, shape (series,)
+        Equal where series were measured in the same direction and channel: the water
+        fluctuates for all their frequencies together.
+    elapsed : array_like, shape (rounds,)
+        Time of each round, ascending [s].
+    rounds : int
+        Number of rounds of the whole scan: each of them but the first is tested [1].
+
+    Returns
+    -------
+    Drift
+        Empty with fewer than two rounds or three directions.
+
+    Notes
+    -----
+    Each series has a level of its own, the mean of all its rounds, so that no round is
+    the one that all others are compared with. Changes of a round are the same in all
+    series per unit of their level (least squares). The error follows from the scatter
+    of the directions: of all rounds together, or of the contrast itself if that is
+    larger, as with a single shot that is far off. Chances are those of Student's t,
+    times the number of tests of the scan (Bonferroni).
+    """
+    shots = np.asarray(signal, dtype=complex)
+    times = np.asarray(elapsed, dtype=float)
+    _, members = np.unique(np.asarray(cluster), return_inverse=True)
+    count = shots.shape[1]
+    level = shots.mean(axis=1)
+    size = np.abs(level)
+    weight = np.bincount(members, size**2)
+    power = float(weight.sum())
+    share = weight / power if power > 0 else weight
+    if count < 2 or np.count_nonzero(share) < _FEWEST:
+        return Drift()
+    # Projected on the level, times its size: the score of each shot.
+    score = (shots * level.conj()[:, np.newaxis]).real - (size**2)[:, np.newaxis]
+    scores = np.zeros((weight.size, count))
+    np.add.at(scores, members, score)
+    change = scores.sum(axis=0) / power
+    rest = scores - weight[:, np.newaxis] * change
+    # Fluctuations are in proportion to the level; so much of them is left in the rest.
+    square = float(share @ share)
+    left = 1 - 2 * float(np.sum(share**3)) / square + square
+    freedom = (count - 1) * (square**2 / float(np.sum(share**4)) - 1)
+    variance = float(np.sum(rest**2)) / ((count - 1) * left) / power**2
+
+    def tested(contrast: NDArray[np.float64]) -> Change:
+        found = float(contrast @ change)
+        own = float(np.sum((rest @ contrast) ** 2)) / left / power**2
+        error = math.sqrt(max(float(contrast @ contrast) * variance, own))
+        tests = _CONTRASTS * (max(rounds, count) - 1)
+        return Change(
+            size=found,
+            error=error,
+            chance=min(1.0, tests * _two_sided(found, error, freedom)),
+        )
+
+    line = times - times.mean()
+    if not line @ line > 0:
+        line = np.arange(count) - (count - 1) / 2
+    newest = np.full(count, -1 / (count - 1))
+    newest[-1] = 1.0
+    return Drift(
+        elapsed=[float(time) for time in times],
+        change=[float(value) for value in change],
+        error=[math.sqrt(variance * (1 - 1 / count))] * count,
+        total=tested(line * (line[-1] - line[0]) / (line @ line)),
+        newest=tested(newest),
+    )
+
+
+def _two_sided(value: float, error: float, freedom: float) -> float:
+    """Return how probable chance makes a value at least as far from zero."""
+    from scipy.special import stdtr
+
+    if value == 0:
+        return 1.0
+    if error == 0:
+        return 0.0
+    return 2 * float(stdtr(freedom, -abs(value) / error))
+
+
+#: Water that changed by this part is worth a reference, if chance did not do it [1].
+WORTH_A_REFERENCE = 0.02
+#: Chance does it if more than this share of scans in steady water show as much [1].
+CHANCE = 1e-3
+#: Share of samples with a flag that is worth a word [1].
+WORTH_A_WORD = 0.01
+#: Without a sample for so many times as long as one takes, something may be wrong.
+_PATIENCE = 20.0
+_SHORTEST = 15.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class Going:
+    """How a scan goes."""
+
+    running: bool
+    """Whether a part of it has begun and not ended."""
+    done: int
+    """Samples in the journal [1]."""
+    scanned: int
+    """Those of them that are of the scan itself [1]."""
+    open_water: int
+    """Those that are of open water [1]."""
+    dark: int
+    """Those without light [1]."""
+    flagged: dict[str, int] = field(default_factory=dict)
+    """How many samples carry each flag [1]."""
+    rate: float = math.nan
+    """Samples a second [1/s]."""
+    silent: float = 0.0
+    """Time since the last sample [s]."""
+    drift: Drift = field(default_factory=Drift)
+    """Of the open water."""
+    total: int = 0
+    """Samples that a finished scan has [1]."""
+    resume: str | None = None
+    """Command that goes on with a scan to which no program writes."""
+    reason: str = ""
+    """How its last part ended."""
+
+
+_FLAGS = {
+    "overload": "overload the lock-in or the detector: less power, or a larger scale",
+    "off position": "stand off the commanded direction: check the scanner",
+    "off frequency": "are detected at another frequency than commanded",
+    "no light": "are without light: check laser and shutter",
+    "repeated": "lost the reference and were taken again: check its cable",
+}
+
+
+def advice(going: Going) -> list[str]:
+    """Return what is worth doing, the most important first.
+
+    Parameters
+    ----------
+    going : Going
+        How the scan goes.
+
+    Returns
+    -------
+    list of str
+        One sentence each; empty if all is well.
+    """
+    said = []
+    if going.resume is not None:
+        said.append(
+            f"stopped ({going.reason}) at {going.done:,} of {going.total:,} samples; "
+            f"resume with: {going.resume}"
+        )
+    patience = _SHORTEST
+    if going.rate > 0:
+        patience = max(_SHORTEST, _PATIENCE / going.rate)
+    if going.running and going.silent > patience:
+        said.append(
+            f"no sample for {going.silent:.0f} s: see whether the instrument still runs"
+        )
+    for change, words in (
+        (going.drift.total, "open water drifted"),
+        (going.drift.newest, "the newest shots of open water jumped"),
+    ):
+        if abs(change.size) >= WORTH_A_REFERENCE and change.chance < CHANCE:
+            said.append(
+                f"{words} {change.size * 100:+.1f} % (± {change.error * 100:.2g} %): "
+                "take a reference"
+            )
+            break
+    for name, words in _FLAGS.items():
+        share = going.flagged.get(name, 0) / max(going.done, 1)
+        if share >= WORTH_A_WORD:
+            said.append(f"{share:.0%} of the samples {words}")
+    if going.scanned and not going.open_water:
+        said.append("no open-water shots so far: the water cannot be taken out yet")
+    if going.scanned and not going.dark:
+        said.append("no dark readings: offsets of the instrument stay in the samples")
+    return said
+
 
 #: Frequency, channel, row and column of shots in one direction.
 Series = tuple[float, str, int, int]

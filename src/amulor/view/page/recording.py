@@ -1,32 +1,130 @@
-"""What the page shows of one file: pictures of each channel, before and after."""
+"""Pictures of each channel of one file, before and after rejection."""
 
 from __future__ import annotations
 
+import math
 import threading
+from collections.abc import Mapping
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
+from amulor import cube as cubes
 from amulor import imaging, rejection
-from amulor.cube import WATER_NOT_REMOVED
+from amulor.cube import WATER_NOT_REMOVED, without_groups
 from amulor.cube.terms import RANGE_PREFIX, TERMS
-from amulor.errors import CubeError
+from amulor.errors import AmulorError, CubeError
 from amulor.imaging.common import own_variance
 from amulor.imaging.edges import STEP_MARGIN, steps
-from amulor.view.page import beams
-from amulor.view.page.layers import (
-    BEFORE,
-    MAPS,
-    STEPS,
-    Layer,
-    described,
-    flag_words,
+from amulor.io import read_cube
+from amulor.view.page.layers import BEFORE, MAPS, STEPS, Layer, described, flag_words
+from amulor.view.page.pictures import (
+    Channel,
+    MemoryPicture,
+    Nodes,
+    Picture,
+    is_large,
+    large_picture,
+    nodes_of,
+    sharing_of,
 )
-from amulor.view.page.pictures import Channel, MemoryPicture, Picture
-from amulor.view.page.sharing import sharing_of
+
+Cubes = Mapping[str, xr.Dataset | None]
+
+
+def spectrum(
+    cubes: Cubes, channel: str, row: int, column: int
+) -> dict[str, Any] | None:
+    """Return amplitude and phase of a pixel over the modulation frequency.
+
+    Parameters
+    ----------
+    cubes : mapping
+        `before`, level `samples`, and `after`, level `target_signal`.
+    channel : str
+        Polarization channel.
+    row, column : int
+        Pixel.
+
+    Returns
+    -------
+    dict or None
+        `frequency` [Hz] and, for each of `before`, `after` and `water` that is
+        known, `amplitude` and `uncertainty` [V] and `phase` [rad].
+    """
+    parts: dict[str, Any] = {}
+    frequency: NDArray[np.float64] | None = None
+    for name, cube in cubes.items():
+        if cube is None or channel not in cube.amulor.polarizations:
+            continue
+        one = cube.sel(polarization=channel).isel(row=row, column=column)
+        frequency = np.atleast_1d(cube["modulation_frequency"].values)
+        signal = one["in_phase"].values + 1j * one["quadrature"].values
+        error = np.hypot(
+            one["in_phase_uncertainty"].values,
+            one["quadrature_uncertainty"].values,
+        )
+        parts[name] = _line(signal, error / math.sqrt(2))
+        if name == "after":
+            water = one["water_in_phase"].values + 1j * one["water_quadrature"].values
+            parts["water"] = _line(water, None)
+    if frequency is None:
+        return None
+    return {"frequency": frequency.tolist(), **parts}
+
+
+def spectra(cubes: Cubes, channel: str, *, most: int) -> dict[str, NDArray[np.float32]]:
+    """Return all spectra of a channel for a page that has no server.
+
+    Parameters
+    ----------
+    cubes : mapping
+        `before`, level `samples`, and `after`, level `target_signal`.
+    channel : str
+        Polarization channel.
+    most : int
+        Empty if there are more numbers than this [1].
+
+    Returns
+    -------
+    dict
+        `before` and `after` as far as they are known, arrays over (part,
+        frequency, row, column) with in phase, quadrature and uncertainty [V].
+    """
+    found = {}
+    for name, cube in cubes.items():
+        if cube is None or channel not in cube.amulor.polarizations:
+            continue
+        one = cube.sel(polarization=channel)
+        if 6 * one["in_phase"].size > most:
+            return {}
+        error = np.hypot(
+            one["in_phase_uncertainty"].values,
+            one["quadrature_uncertainty"].values,
+        )
+        parts = one["in_phase"].values, one["quadrature"].values, error / 2**0.5
+        found[name] = np.stack(parts).astype("<f4")
+    return found
+
+
+def _line(
+    signal: NDArray[np.complex128], error: NDArray[np.float64] | None
+) -> dict[str, Any]:
+    """Return amplitude and phase of a spectrum as lists."""
+    signal = np.atleast_1d(signal)
+    line = {"amplitude": np.abs(signal), "phase": np.angle(signal)}
+    if error is not None:
+        line["uncertainty"] = np.atleast_1d(error)
+    return {name: _listed(values) for name, values in line.items()}
+
+
+def _listed(values: NDArray[np.float64]) -> list[float | None]:
+    return [float(value) if np.isfinite(value) else None for value in values]
+
 
 Interval = tuple[float, float] | None
 
@@ -76,7 +174,7 @@ class Recording:
         self._interval = interval
         self._channels: dict[str, Channel] = {}
         self._kept: xr.Dataset | None = None
-        self._nodes: dict[str, beams.Nodes] = {}
+        self._nodes: dict[str, Nodes] = {}
         self._lock = threading.Lock()
 
     @property
@@ -214,18 +312,18 @@ class Recording:
         _, picture, variable = known[name]
         return picture.values(variable, stride) if variable else _steps(picture, stride)
 
-    def nodes(self, channel: str) -> beams.Nodes:
+    def nodes(self, channel: str) -> Nodes:
         """Return the beams of a channel on a coarse grid."""
         if channel not in self._nodes:
             self._nodes[channel] = self._nodes_of(channel)
         return self._nodes[channel]
 
-    def _nodes_of(self, channel: str) -> beams.Nodes:
+    def _nodes_of(self, channel: str) -> Nodes:
         picture = self.channel(channel).shown
         stride = self.stride(channel)
         ranges = picture.values("slant_range", stride)
         finite = ranges[np.isfinite(ranges)]
-        return beams.nodes_of(
+        return nodes_of(
             picture.beams(),
             picture.shape,
             farthest=float(finite.max()) if finite.size else 1.0,
@@ -306,3 +404,153 @@ def _notes(pictures: Channel) -> list[str]:
         listed = ", ".join(word.replace("_", " ") for word in unknown.split())
         notes.append(f"Not in the uncertainty, because nobody knows it: {listed}.")
     return notes
+
+
+def opened(
+    path: Path, *, samples: Path | None = None, interval: Interval = None
+) -> Recording:
+    """Open a file for the page.
+
+    Parameters
+    ----------
+    path : pathlib.Path
+        Cube of level `samples`, `target_signal` or `range_image`.
+    samples : pathlib.Path, optional
+        Samples or target signal that a range image was made from; with them the page
+        shows the picture before rejection, and spectra.
+    interval : tuple of float, optional
+        Nearest and farthest slant range that are possible [m].
+
+    Returns
+    -------
+    Recording
+        Pictures are made when they are asked for.
+
+    Raises
+    ------
+    FormatError
+        If a file is damaged or is none of these.
+    CubeError
+        If what it holds cannot be shown.
+    """
+    if is_large(path):
+        return Recording(path.name, image=large_picture(path), interval=interval)
+    cube = read_cube(path)
+    if samples is None:
+        return recording_of(cube, name=path.name, interval=interval)
+    beside = read_cube(samples)
+    return recording_of(cube, name=path.name, samples=beside, interval=interval)
+
+
+def recording_of(
+    cube: xr.Dataset,
+    *,
+    name: str = "cube",
+    samples: xr.Dataset | None = None,
+    interval: Interval = None,
+) -> Recording:
+    """Return a cube in memory as the page sees it.
+
+    Parameters
+    ----------
+    cube : xarray.Dataset
+        Level `samples`, `target_signal` or `range_image`.
+    name : str
+        What the page calls it.
+    samples : xarray.Dataset, optional
+        Samples or target signal that a range image was made from.
+    interval : tuple of float, optional
+        Nearest and farthest slant range that are possible [m].
+
+    Returns
+    -------
+    Recording
+        Its pictures.
+
+    Raises
+    ------
+    CubeError
+        If the cube has another level, or the two are not of one scan.
+    """
+    level = str(cube.attrs.get("level"))
+    if level == "range_image":
+        found = Recording(name, image=cube, interval=interval)
+        if samples is not None:
+            own = ("row", "column")
+            if any(samples.sizes.get(axis) != cube.sizes[axis] for axis in own):
+                raise CubeError(
+                    f"the samples have {dict(samples.sizes)}, {name} has "
+                    f"{dict(cube.sizes)}; name the cube that the image was made from"
+                )
+            raw, target = _levels(samples, found.notes)
+            return Recording(
+                name, image=cube, target=target, samples=raw, interval=interval
+            )
+        return found
+    if level not in ("samples", "target_signal"):
+        raise CubeError(
+            f"{name} is of level {level!r}; the page shows samples, target_signal and "
+            "range_image"
+        )
+    notes: list[str] = []
+    raw, target = _levels(cube, notes)
+    return Recording(name, target=target, samples=raw, interval=interval, notes=notes)
+
+
+def _levels(cube: xr.Dataset, notes: list[str]) -> tuple[xr.Dataset, xr.Dataset | None]:
+    """Return samples with the water in them, and the target signal if there is one."""
+    if cube.attrs["level"] == "target_signal":
+        return _with_water(cube), cube
+    if cube.amulor.open_water is None:
+        notes.append(
+            "No open-water shots in this file: the water is still in the ranges."
+        )
+        return cube, None
+    try:
+        return cube, _rejected(cube)
+    except AmulorError as error:
+        notes.append(f"The water could not be taken out: {error}.")
+        return cube, None
+
+
+def _rejected(cube: xr.Dataset) -> xr.Dataset:
+    """Return samples less their open water, of a scan that goes on channel by channel.
+
+    A target that one channel has not seen yet would count as none at all.
+    """
+    there = np.isfinite(cube["in_phase"].values).all(axis=0)
+    if bool((there == there[:1]).all()):
+        return rejection.open_water(cube)
+    begun = [
+        name
+        for name, seen in zip(cube.amulor.polarizations, there, strict=True)
+        if seen.any()
+    ]
+    parts = [rejection.open_water(cube.sel(polarization=[name])) for name in begun]
+    return xr.concat(
+        parts,
+        dim="polarization",
+        data_vars="minimal",
+        coords="minimal",
+        compat="override",
+        join="override",
+        combine_attrs="override",
+    )
+
+
+def _with_water(target: xr.Dataset) -> xr.Dataset:
+    """Return the samples that a target signal was, water and target together."""
+    names = [
+        str(name)
+        for name in cubes.LEVELS["samples"].variables
+        if name in target and name not in ("in_phase", "quadrature")
+    ]
+    samples = without_groups(target)[names].assign(
+        {
+            name: (target[name] + target[f"water_{name}"]).assign_attrs(
+                target[name].attrs
+            )
+            for name in ("in_phase", "quadrature")
+        }
+    )
+    return samples.assign_attrs({**target.attrs, "level": "samples"})

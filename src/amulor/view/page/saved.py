@@ -15,11 +15,9 @@ import numpy as np
 
 from amulor.errors import FormatError
 from amulor.io.files import atomic_output
-from amulor.view.page.layers import stored
-from amulor.view.page.packing import packed
-from amulor.view.page.recording import MOST_PIXELS, Recording
+from amulor.view.page.layers import packed, stored
+from amulor.view.page.recording import MOST_PIXELS, Recording, spectra
 from amulor.view.page.space import Space
-from amulor.view.page.spectra import spectra
 
 #: Files of the page, in the order in which nothing comes before what it needs.
 TYPES = {

@@ -13,7 +13,7 @@ from amulor import rejection
 from amulor.simulation import simulate
 from amulor.survey import Survey
 from amulor.view import page
-from amulor.view.page.web.server import application
+from amulor.view.page.server import application
 
 with warnings.catch_warnings():
     # Newer versions would rather have another name of the package that it needs.

@@ -17,9 +17,13 @@ from amulor import acquisition, simulation
 from amulor.acquisition.journal.journal import Journal
 from amulor.acquisition.settings import Settings
 from amulor.survey import Survey
-from amulor.view.page.advice import CHANCE, WORTH_A_REFERENCE
-from amulor.view.page.drift import Drift, drift_of
-from amulor.view.page.progress import Progress
+from amulor.view.page.progress import (
+    CHANCE,
+    WORTH_A_REFERENCE,
+    Drift,
+    Progress,
+    drift_of,
+)
 
 #: Two blocks of ten rounds each, 18 minutes apart [s].
 BLOCKS = np.concatenate([3.3 * np.arange(10), 1070 + 3.3 * np.arange(10)])

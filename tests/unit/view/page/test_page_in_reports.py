@@ -14,7 +14,7 @@ import xarray as xr
 
 from amulor import imaging
 from amulor.view import Interactive, image_report, write_report
-from amulor.view.page.packing import unpacked
+from amulor.view.page.layers import unpacked
 
 
 @pytest.mark.slow

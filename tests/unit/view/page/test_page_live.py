@@ -26,10 +26,8 @@ from amulor.acquisition.settings import Settings
 from amulor.errors import FormatError
 from amulor.survey import Survey
 from amulor.view import page
-from amulor.view.page.advice import Going, advice
-from amulor.view.page.drift import Change, Drift
 from amulor.view.page.live import Live
-from amulor.view.page.progress import Progress
+from amulor.view.page.progress import Change, Drift, Going, Progress, advice
 
 TOKEN = "a-token-for-tests"
 OWN = {"host": "127.0.0.1:8000", "origin": "http://127.0.0.1:8000"}
@@ -187,7 +185,7 @@ def test_the_websocket_brings_status_and_rows(
 
 def test_a_row_travels_as_numbers_behind_a_head() -> None:
     from amulor.view.page.live import Rows
-    from amulor.view.page.web.feed import message_of
+    from amulor.view.page.server import message_of
 
     sent = message_of(Rows(1, "VV", 3, {"range": np.array([1.0, 2.0])}))
     (size,) = struct.unpack_from("<I", sent)

@@ -23,7 +23,7 @@ from amulor.cli import main
 from amulor.errors import CubeError
 from amulor.handover import page as page_products
 from amulor.view import page
-from amulor.view.page import large
+from amulor.view.page import pictures
 
 TOKEN = "a-token-for-tests"
 
@@ -283,7 +283,7 @@ def test_an_image_that_is_read_in_bands_says_which_command_to_use(
 ) -> None:
     path = tmp_path / "large.nc"
     files.write_cube(imaging.range_image(target, polarization="VV"), path)
-    shown = page.Recording("large.nc", image=large.large_picture(path))
+    shown = page.Recording("large.nc", image=pictures.large_picture(path))
     answer = ask(served(shown, products=maker), product="cloud")
     assert answer.status_code == 422
     assert "use amulor export" in answer.json()["error"]

@@ -11,7 +11,7 @@ from starlette.websockets import WebSocketDisconnect
 
 from amulor.errors import FormatError
 from amulor.view import page
-from amulor.view.page.web.security import LARGEST_BODY, host_of, new_token
+from amulor.view.page.security import LARGEST_BODY, host_of, new_token
 
 TOKEN = "a-token-for-tests"
 

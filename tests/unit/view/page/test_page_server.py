@@ -19,10 +19,9 @@ from amulor.cube import QualityFlag
 from amulor.errors import CubeError
 from amulor.imaging.geometry import beams_of
 from amulor.view import page
-from amulor.view.page import beams, large
+from amulor.view.page import pictures
 from amulor.view.page import recording as recordings
-from amulor.view.page.layers import WORDS
-from amulor.view.page.packing import packed, unpacked
+from amulor.view.page.layers import WORDS, packed, unpacked
 from amulor.view.page.saved import static_files
 
 TOKEN = "a-token-for-tests"
@@ -69,7 +68,7 @@ def test_points_of_the_page_are_those_of_the_cloud(
 ) -> None:
     image = imaging.range_image(target, polarization="VV")
     nodes = recording.nodes("VV")
-    found = beams.interpolated(nodes, np.arange(6), np.arange(12))
+    found = pictures.interpolated(nodes, np.arange(6), np.arange(12))
     points = found[..., :3] + image["slant_range"].values[..., None] * found[..., 3:6]
     beam = beams_of(image)
     exact = beam.entry + image["slant_range"].values[..., None] * beam.direction
@@ -87,9 +86,9 @@ def test_beams_that_jitter_keep_a_node_each() -> None:
         return values[np.ix_(rows, columns)]
 
     del rng
-    nodes = beams.nodes_of(read, (50, 60), farthest=2.0)
+    nodes = pictures.nodes_of(read, (50, 60), farthest=2.0)
     assert nodes.values.shape == (50, 60, 8)
-    smooth = beams.nodes_of(
+    smooth = pictures.nodes_of(
         lambda rows, columns: np.ones((len(rows), len(columns), 8)),
         (500, 600),
         farthest=2.0,
@@ -249,8 +248,8 @@ def test_a_large_file_is_read_in_bands_and_says_the_same(
     path = tmp_path / "large.nc"
     io.write_cube(image, path)
     small = page.opened(path)
-    monkeypatch.setattr(large, "_LARGE", 1)
-    monkeypatch.setattr(large, "_BAND", 4)
+    monkeypatch.setattr(pictures, "_LARGE", 1)
+    monkeypatch.setattr(pictures, "_BAND", 4)
     found = page.opened(path)
     assert found.channels == small.channels == ["VV"]
     for name in small.layers("VV"):
@@ -313,7 +312,7 @@ def test_a_file_that_is_damaged_while_it_is_open_gives_a_message(
 ) -> None:
     path = tmp_path / "large.nc"
     io.write_cube(imaging.range_image(target, polarization="VV"), path)
-    monkeypatch.setattr(large, "_LARGE", 1)
+    monkeypatch.setattr(pictures, "_LARGE", 1)
     client = served(page.opened(path))
     assert client.get(f"/{TOKEN}/scene").status_code == 200
     size = path.stat().st_size

@@ -1,4 +1,4 @@
-"""Serves the page until it is stopped."""
+"""Serve the page until it is stopped."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ import uvicorn
 from amulor.errors import FormatError
 from amulor.view.design.explorer import Explorer
 from amulor.view.page.live import Live
-from amulor.view.page.offers import Products
+from amulor.view.page.measuring import Products
 from amulor.view.page.recording import Recording
+from amulor.view.page.security import new_token
+from amulor.view.page.server import application
 from amulor.view.page.space import Space
-from amulor.view.page.web.security import new_token
-from amulor.view.page.web.server import application
 
 #: What a page says on a websocket is a word or two [byte].
 _LARGEST_MESSAGE = 4096

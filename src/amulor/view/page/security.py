@@ -1,4 +1,4 @@
-"""Who may ask the page's server: this computer's browser, with the token, and no other.
+"""Who may ask the page's server: this computer's browser with the token, nobody else.
 
 A page of another site must not reach it: not by a form or a script (`Origin`), not by a
 name that it lets point here (`Host`), and not without the token of the address.

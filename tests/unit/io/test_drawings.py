@@ -260,6 +260,21 @@ class TestSvg:
             )
 
 
+def test_letters_are_of_a_height_that_can_be_read(drawing, tmp_path):
+    ezdxf = pytest.importorskip("ezdxf")
+    write_svg(drawing, tmp_path / "d.svg", scale=10)
+    sizes = {
+        float(text.get("font-size"))
+        for text in ET.parse(tmp_path / "d.svg").iter(f"{SVG}text")
+        if text.get("font-size")
+    }
+    assert sizes
+    assert min(sizes) > 2  # millimetres of paper
+    write_dxf(drawing, tmp_path / "d.dxf")
+    texts = ezdxf.readfile(tmp_path / "d.dxf").modelspace().query("TEXT")
+    assert {text.dxf.height for text in texts} == {0.002}  # metres
+
+
 def test_a_table_is_read_with_its_header(tmp_path):
     path = tmp_path / "t.csv"
     write_table(
