@@ -17,10 +17,10 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from amulor.rejection.joint import (
-    model as joint_model,
+    normal as joint_model,
 )
 from amulor.rejection.joint import (
-    pixels as joint_pixels,
+    samples as joint_pixels,
 )
 from amulor.rejection.joint import (
     search as joint_search,
@@ -28,9 +28,9 @@ from amulor.rejection.joint import (
 from amulor.rejection.joint import (
     shared as joint_shared,
 )
-from amulor.rejection.joint.drift import trends_of
 from amulor.rejection.joint.estimate import joint
-from amulor.rejection.joint.overlap.frame import frame_of
+from amulor.rejection.joint.overlap import frame_of
+from amulor.rejection.joint.priors import trends_of
 from amulor.rejection.joint.samples import flat
 from amulor.simulation import simulate
 from amulor.survey import Survey

@@ -16,7 +16,7 @@ import pytest
 import xarray as xr
 
 from amulor import io
-from amulor.rejection.joint._kernels.threads import FEWEST
+from amulor.rejection.joint._kernels.compiled import FEWEST
 from amulor.simulation import simulate
 from amulor.survey import Survey
 

@@ -15,10 +15,17 @@ from amulor.cube import QualityFlag
 from amulor.optics import rays
 from amulor.rejection.build import target_cube
 from amulor.rejection.covariance import Covariance, covariance_of
-from amulor.rejection.joint.drift import change_of, change_uncertainty
-from amulor.rejection.joint.instrument import Instrument, late_echo, range_variance
-from amulor.rejection.joint.overlap.frame import Frame
-from amulor.rejection.joint.priors import DECISIVE, Shared, layout_of
+from amulor.rejection.joint.overlap import Frame
+from amulor.rejection.joint.priors import (
+    DECISIVE,
+    Instrument,
+    Shared,
+    change_of,
+    change_uncertainty,
+    late_echo,
+    layout_of,
+    range_variance,
+)
 from amulor.rejection.joint.search import Estimates
 from amulor.rejection.joint.solve import Result
 

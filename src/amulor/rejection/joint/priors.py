@@ -1,17 +1,309 @@
-"""Shared parameters, what is known of them beforehand, and their normal equations."""
+"""How well the instrument is known, and what that means for slant ranges."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import dataclasses
+from dataclasses import dataclass, replace
 
 import numpy as np
+import xarray as xr
+from numpy.polynomial import legendre
 from numpy.typing import NDArray
+from scipy.constants import speed_of_light
 from scipy.linalg import solve_triangular
 
-from amulor.rejection.joint.overlap.shape import COEFFICIENTS, Shape
-from amulor.rejection.joint.overlap.table import Table
+from amulor.cube import tiles
+from amulor.optics import rays
+from amulor.rejection.covariance import times
+from amulor.rejection.joint.overlap import COEFFICIENTS, Shape
+from amulor.rejection.joint.samples import Pixels
+from amulor.rejection.joint.tables import Table
 
 Floats = NDArray[np.float64]
+
+#: Standard uncertainty of the axis of a receiver about which nothing is said [rad].
+DIRECTION = float(np.radians(1.0))
+#: Standard uncertainty of what light that is scattered on its way adds to the range,
+#: over what small angles at a spread that grows with the depth would add [1].
+LATE_ECHO = 0.5
+#: Steps of path and position [m] and of the index [1] for derivatives.
+_STEP, _INDEX_STEP = 1e-5, 1e-6
+
+
+@dataclass(frozen=True, kw_only=True)
+class Instrument:
+    """Standard uncertainties of what the samples cannot tell about an instrument."""
+
+    delay: float
+    """Of the delay that all channels share [s]."""
+    group_index: float
+    """Of the group index of the water [1]."""
+    position: float
+    """Of the receiver to the right and down; forward it counts as delay [m]."""
+    direction: float
+    """Of the axis of the receiver, in azimuth and in elevation [rad]."""
+    late_echo: float
+    """Of the delay of scattered light, over `late_echo` [1]."""
+
+    @classmethod
+    def checked(
+        cls,
+        *,
+        delay: float,
+        group_index: float,
+        position: float,
+        direction: float,
+        late_echo: float,
+    ) -> Instrument:
+        """Return uncertainties that are finite and not below zero."""
+        given = {
+            "delay_uncertainty": delay,
+            "group_index_uncertainty": group_index,
+            "receiver_position_uncertainty": position,
+            "receiver_direction_uncertainty": direction,
+            "late_echo_uncertainty": late_echo,
+        }
+        for name, value in given.items():
+            if not (np.isfinite(value) and value >= 0):
+                raise ValueError(
+                    f"{name} must be a finite number not below 0, got {value:g}; it is "
+                    "a standard uncertainty, 0 where the survey is exact"
+                )
+        return cls(
+            delay=delay,
+            group_index=group_index,
+            position=position,
+            direction=direction,
+            late_echo=late_echo,
+        )
+
+
+def late_echo(depth: Floats, spread: float) -> Floats:
+    r"""Return what scattered light adds to the range, if it all counted [m].
+
+    Parameters
+    ----------
+    depth : ndarray
+        Way through the water to the target [m].
+    spread : float
+        Growth of the mean square angle of the light that is still in view, see
+        `Frame.late_spread` [rad^2/m].
+
+    Returns
+    -------
+    ndarray
+        Half the mean detour there and back.
+
+    Notes
+    -----
+    A path that is inclined by small angles of mean square :math:`\sigma^2 z` at the
+    depth z is longer by :math:`\int \theta^2 / 2 \, dz = \sigma^2 z^2 / 4`. Unscattered
+    light and a receiver that accepts small angles only make the echo less late: the
+    spread in view is such that half of this detour is what theory says.
+    """
+    late: Floats = 0.25 * spread * np.square(depth)
+    return late
+
+
+def range_variance(
+    instrument: Instrument,
+    path: Floats,
+    beam: rays.Beam,
+    receiver: Floats,
+    medium: rays.Medium,
+) -> Floats:
+    r"""Return the variance of slant ranges by what is not known of the instrument.
+
+    Parameters
+    ----------
+    instrument : Instrument
+        Standard uncertainties.
+    path : ndarray
+        Optical paths, out and back [m].
+    beam : Beam
+        Beams of the same shape.
+    receiver : ndarray, shape (3,)
+        Where the light is collected [m].
+    medium : Medium
+        What the light crosses.
+
+    Returns
+    -------
+    ndarray
+        Variance, which pixels have in common [m^2].
+
+    Notes
+    -----
+    To first order :math:`(c_0 u_\tau \partial r / \partial p)^2 + (u_n \partial r /
+    \partial n_g)^2 + u_x^2 |\partial r / \partial x|^2` with the two coordinates x of
+    the receiver across the scan, and with the path p held fixed. The phase of the
+    water signal holds delay and baseline too, but only as well as the model of the
+    water is right, so that it is not asked.
+    """
+
+    def to_range(
+        length: Floats, place: Floats = receiver, through: rays.Medium = medium
+    ) -> Floats:
+        return rays.slant_range_of_path(length, beam, place, medium=through)
+
+    here = to_range(path)
+    by_path = (to_range(path + _STEP) - here) / _STEP
+    other = dataclasses.replace(medium, group_index=medium.group_index + _INDEX_STEP)
+    by_index = (to_range(path, through=other) - here) / _INDEX_STEP
+    variance = (speed_of_light * instrument.delay * by_path) ** 2
+    variance += (instrument.group_index * by_index) ** 2
+    for axis in range(2):
+        step = np.zeros(3)
+        step[axis] = _STEP
+        by_place = (to_range(path, receiver + step) - here) / _STEP
+        variance += (instrument.position * by_place) ** 2
+    total: Floats = variance
+    return total
+
+
+#: Legendre's polynomials over the time of the scan that make up the change.
+TRENDS = 3
+#: Pixels below which no change is looked for.
+FEWEST = 96
+
+
+@dataclass(frozen=True, kw_only=True)
+class Clock:
+    """When a scan was measured."""
+
+    rows: int
+    """Rows of the scan."""
+    columns: int
+    """Columns of the scan."""
+    stated: bool
+    """Whether every pixel says its time; if not, they were measured row by row."""
+    begin: float
+    """Time of the first pixel [s], 0 where none is stated."""
+    length: float
+    """Time from the first to the last [s], or pixels."""
+
+
+def clock_of(source: tiles.Source) -> Clock:
+    """Return when a scan was measured.
+
+    Parameters
+    ----------
+    source : Source
+        Level `samples`.
+
+    Returns
+    -------
+    Clock
+        The same for whatever tiles the samples come in.
+    """
+    rows, columns = source.rows, source.columns
+    row_by_row = Clock(
+        rows=rows,
+        columns=columns,
+        stated=False,
+        begin=0.0,
+        length=float(max(rows * columns - 1, 0)),
+    )
+    first, last = np.inf, -np.inf
+    for begin, end in tiles.bands(source):
+        tile = source.tile(begin, end)
+        if "time" not in tile:
+            return row_by_row
+        time = tile["time"].values.astype(float)
+        if not np.isfinite(time).all():
+            return row_by_row
+        first, last = min(first, float(time.min())), max(last, float(time.max()))
+    return replace(row_by_row, stated=True, begin=first, length=last - first)
+
+
+def trends_of(
+    cube: xr.Dataset, clock: Clock | None = None, *, row: int = 0, column: int = 0
+) -> Floats:
+    """Return the polynomials that make up the change, at the time of each pixel.
+
+    Parameters
+    ----------
+    cube : xarray.Dataset
+        Level `samples`, a scan or a part of one. Without times the pixels are taken as
+        measured row by row.
+    clock : Clock, optional
+        Of the scan; by default the cube is all of it.
+    row, column : int, optional
+        Where in the scan the cube begins.
+
+    Returns
+    -------
+    ndarray, shape (pixel, trend)
+        Between -1 and 1, of mean zero over equal times [1].
+    """
+    clock = clock_of(tiles.InMemory(cube)) if clock is None else clock
+    shape = cube["azimuth"].shape
+    if clock.stated:
+        time = cube["time"].values.ravel().astype(float)
+    else:
+        first = np.arange(row, row + shape[0])[:, None] * clock.columns
+        time = (first + np.arange(column, column + shape[1])).ravel().astype(float)
+    if clock.rows * clock.columns < FEWEST or not clock.length > 0:
+        return np.zeros((time.size, 0))
+    place = 2 * (time - clock.begin) / clock.length - 1
+    return np.asarray(legendre.legvander(place, TRENDS)[:, 1:])
+
+
+def drifted(pixels: Pixels, trend: Floats) -> Pixels:
+    """Return pixels whose water is as strong as it was at their time.
+
+    Parameters
+    ----------
+    pixels : Pixels
+        As they were made, with the polynomials at their time.
+    trend : ndarray
+        Coefficients of the polynomials; none where no change is looked for [1].
+
+    Returns
+    -------
+    Pixels
+        With the strength of the water in their place within the scan.
+    """
+    if not len(trend):
+        return replace(pixels, trends=pixels.trends[:, :0])
+    if not np.any(trend):
+        return pixels
+    factor = 1 + times(pixels.trends, trend[:, None])[:, 0]
+    return replace(
+        pixels,
+        interpolation=pixels.interpolation * factor[:, None],
+        # By these the water, as it is then, changes with the coefficients.
+        trends=pixels.trends / factor[:, None],
+    )
+
+
+def change_of(trend: Floats) -> float:
+    """Return by how much the water has changed from first to last, relative [1]."""
+    return float(2 * np.sum(trend[::2]))
+
+
+def change_uncertainty(covariance: Floats, *, preferred: bool) -> float:
+    """Return the standard uncertainty of that change.
+
+    Parameters
+    ----------
+    covariance : ndarray, shape (trends, trends)
+        Of the coefficients [1].
+    preferred : bool
+        Whether the samples prefer a change over none.
+
+    Returns
+    -------
+    float
+        Infinite where no change was looked for or none is preferred: a receiver that
+        looks elsewhere may explain the samples as well [1].
+    """
+    if not len(covariance) or not preferred:
+        return np.inf
+    slope = np.where(np.arange(len(covariance)) % 2 == 0, 2.0, 0.0)
+    return float(np.sqrt(max(float(slope @ covariance @ slope), 0.0)))
+
+
 Complex = NDArray[np.complex128]
 #: Standard deviations of correction, departure, echo, departure of the shots and drift.
 Widths = tuple[float, float, float, float, float]

@@ -7,26 +7,30 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from amulor.rejection.joint.drift import drifted
-from amulor.rejection.joint.model import foreground, water_at
-from amulor.rejection.joint.normal import Fitted, Normal, normal_equations
-from amulor.rejection.joint.overlap.frame import Frame
-from amulor.rejection.joint.overlap.integral import table_of
-from amulor.rejection.joint.overlap.shape import COEFFICIENTS
-from amulor.rejection.joint.pixels import Pixels, weight
+from amulor.rejection.joint.normal import (
+    Fitted,
+    Normal,
+    foreground,
+    normal_equations,
+    water_at,
+)
+from amulor.rejection.joint.overlap import COEFFICIENTS, Frame
 from amulor.rejection.joint.priors import (
     NONE,
     Layout,
     Shared,
     Widths,
     cost_of,
+    drifted,
     inverse_of,
     layout_of,
     prior_of,
     widths_of,
 )
+from amulor.rejection.joint.samples import Pixels, weight
 from amulor.rejection.joint.scatter import Scatter, is_detected, scatter_of
 from amulor.rejection.joint.search import Estimates, estimate, without_foreground
+from amulor.rejection.joint.tables import table_of
 
 Floats = NDArray[np.float64]
 Complex = NDArray[np.complex128]

@@ -9,17 +9,19 @@ from numpy.typing import NDArray
 
 from amulor.rejection.joint._kernels import bundles
 from amulor.rejection.joint._kernels import search as kernels
-from amulor.rejection.joint._kernels.threads import spread
-from amulor.rejection.joint.model import foreground
-from amulor.rejection.joint.overlap.table import Table, from_pairs, to_pairs
-from amulor.rejection.joint.pixels import (
+from amulor.rejection.joint._kernels.compiled import spread
+from amulor.rejection.joint.normal import foreground, water_at
+from amulor.rejection.joint.priors import Shared, whitened_columns
+from amulor.rejection.joint.samples import (
     Pixels,
     echo_of,
     grid_of,
     phasors,
     places,
     samples,
+    weight,
 )
+from amulor.rejection.joint.tables import Table, from_pairs, to_pairs
 
 Floats = NDArray[np.float64]
 Complex = NDArray[np.complex128]
@@ -164,3 +166,299 @@ def without_foreground(
         return pixels
     light = foreground(pixels, table, phase_per_path)[:, None] * strength
     return replace(pixels, signal=np.where(pixels.usable, pixels.signal - light, 0.0))
+
+
+Bools = NDArray[np.bool_]
+
+#: Frequencies below which two surfaces are as good as anything [1].
+FEWEST = 3
+#: Pixels that fit one surface with a smaller p-value are asked, and those from which
+#: samples were left out [1].
+ASKED = 1e-3
+#: A second surface is real beyond this p-value of the likelihood ratio [1].
+REAL = 1e-4
+#: What explanations cost, in chi-square: a parameter and the choice of the pixel, for
+#: a surface; the choice of a sample and two parameters, for a spoiled one [1].
+_PARAMETER, _SURFACE, _SAMPLE = 5.0, 6.0, 14.0
+#: Differences of the two paths from which the search starts, over the length in which
+#: the phase of the highest frequency turns by 1 rad [1].
+_APART = (0.2, 0.8, 2.5, 6.0)
+_STEPS = 12
+#: Dampings of a step at first, least and most [1].
+_DAMPING, _LEAST, _MOST = 1e-2, 1e-6, 1e6
+#: Pixels looked at together: this bounds the memory.
+_AT_ONCE = 512
+_TINY = 1e-12
+
+
+@dataclass(frozen=True)
+class Pair:
+    """Two surfaces for each of some pixels."""
+
+    cost: Floats
+    """Sum of squared errors in units of their standard deviation [1]."""
+    near: Floats
+    """Optical path to the nearer one [m]."""
+    far: Floats
+    """Optical path to the farther one [m]."""
+
+
+def two_surfaces(
+    pixels: Pixels,
+    path: Floats,
+    shared: Shared,
+    *,
+    transfer: Complex,
+    phase_per_path: Floats,
+) -> Pair:
+    """Return the two surfaces that explain pixels best.
+
+    Parameters
+    ----------
+    pixels : Pixels
+        Samples.
+    path : ndarray, shape (pixel,)
+        Optical path of the single surface that explains them best [m].
+    shared : Shared
+        What all pixels share.
+    transfer : ndarray of complex, shape (frequency,)
+        What an echo has beyond its delay, as known [1].
+    phase_per_path : ndarray, shape (frequency,)
+        2 pi f / c_0 [rad/m].
+
+    Returns
+    -------
+    Pair
+        The best of a few starts.
+
+    Notes
+    -----
+    Levenberg's and Marquardt's steps on both paths, with the amplitudes of both in
+    each channel fitted anew at every step, none below zero. The water ends at the
+    nearer surface.
+    """
+    parts = [
+        _pair(
+            pixels.part(slice(begin, begin + _AT_ONCE)),
+            path[begin : begin + _AT_ONCE],
+            shared,
+            transfer * (1 + shared.echo),
+            phase_per_path,
+        )
+        for begin in range(0, max(len(pixels), 1), _AT_ONCE)
+    ]
+    return Pair(
+        *(
+            np.concatenate([getattr(part, name) for part in parts])
+            for name in ("cost", "near", "far")
+        )
+    )
+
+
+def asked(estimates: Estimates, detected: Bools, left_out: Bools) -> Bools:
+    """Return the pixels that may see two surfaces.
+
+    Parameters
+    ----------
+    estimates : Estimates
+        Solutions with one surface and all samples.
+    detected : ndarray of bool
+        Pixels with a target.
+    left_out : ndarray of bool
+        Pixels from which samples were left out.
+
+    Returns
+    -------
+    ndarray of bool
+        Those that one surface does not explain; none with fewer than three frequencies.
+    """
+    from scipy.stats import chi2
+
+    if estimates.influence.shape[2] < FEWEST:
+        return np.zeros(len(detected), dtype=bool)
+    freedom = np.maximum(estimates.used - 1 - estimates.amplitude.shape[1], 1)
+    poor = chi2.sf(estimates.cost, freedom) < ASKED
+    return np.asarray(detected & (poor | left_out))
+
+
+def are_two(
+    pair: Pair, one: Estimates, rest: Estimates, number_left_out: NDArray[np.intp]
+) -> Bools:
+    """Return which pixels see two surfaces rather than spoiled samples or one surface.
+
+    Parameters
+    ----------
+    pair : Pair
+        Two surfaces, from all samples.
+    one : Estimates
+        One surface, from all samples.
+    rest : Estimates
+        One surface, without the samples that disagree.
+    number_left_out : ndarray of int
+        How many these are.
+
+    Returns
+    -------
+    ndarray of bool
+        Where the likelihood ratio of two to one is beyond chance 1e-4, two fit, and
+        spoiled samples explain less than they cost.
+    """
+    from scipy.stats import chi2
+
+    channels = one.amplitude.shape[1]
+    extra = channels + 1
+    freedom = np.maximum(one.used - 2 * extra, 1)
+    is_real = one.cost - pair.cost > chi2.isf(REAL, extra)
+    fits = chi2.sf(pair.cost, freedom) > REAL
+    two = pair.cost + _SURFACE + _PARAMETER * extra
+    spoiled = rest.cost + _SAMPLE * number_left_out
+    return np.asarray(is_real & fits & (two < spoiled))
+
+
+def _pair(
+    pixels: Pixels, path: Floats, shared: Shared, transfer: Complex, rate: Floats
+) -> Pair:
+    """Return the best of all starts, for pixels that are looked at together."""
+    best = Pair(np.full(len(path), np.inf), path.copy(), path.copy())
+    if not len(pixels):
+        return best
+    front = foreground(pixels, shared.table, rate)
+    deviation = None
+    if shared.fluctuation > 0:
+        _, water, _ = water_at(pixels, path, shared.table, rate)
+        deviation = shared.fluctuation * shared.water_signal(water, front)
+    inverse = weight(pixels, deviation, shared.noise_scale)
+    for apart in _APART:
+        half = 0.5 * apart / rate.max()
+        ends = np.stack([path - half, path + half], axis=1)
+        cost, ends = _descend(pixels, ends, inverse, front, shared, transfer, rate)
+        better = cost < best.cost
+        best = Pair(
+            np.where(better, cost, best.cost),
+            np.where(better, ends.min(axis=1), best.near),
+            np.where(better, ends.max(axis=1), best.far),
+        )
+    return best
+
+
+def _descend(
+    pixels: Pixels,
+    ends: Floats,
+    inverse: Floats,
+    front: Complex,
+    shared: Shared,
+    transfer: Complex,
+    rate: Floats,
+) -> tuple[Floats, Floats]:
+    """Return chi-square and both paths where it is smallest."""
+    damping = np.full(len(ends), _DAMPING)
+    cost, step_of = _linearised(pixels, ends, inverse, front, shared, transfer, rate)
+    farthest = 0.5 / rate.max()
+    for _ in range(_STEPS):
+        move = np.clip(step_of(damping), -farthest, farthest)
+        tried = np.clip(ends + move, pixels.shortest[:, None], pixels.longest[:, None])
+        new, new_step = _linearised(
+            pixels, tried, inverse, front, shared, transfer, rate
+        )
+        better = new < cost
+        ends = np.where(better[:, None], tried, ends)
+        damping = np.clip(np.where(better, damping / 10, damping * 10), _LEAST, _MOST)
+        cost = np.where(better, new, cost)
+        step_of = new_step.where(better, step_of)
+    return cost, ends
+
+
+@dataclass(frozen=True)
+class _Step:
+    """Normal equations of two paths, the amplitudes eliminated."""
+
+    matrix: Floats
+    """Information, (pixel, 2, 2)."""
+    vector: Floats
+    """Half the downhill slope, (pixel, 2)."""
+
+    def __call__(self, damping: Floats) -> Floats:
+        """Return the damped step of both paths [m]."""
+        diagonal = np.einsum("nii->ni", self.matrix)
+        damped = self.matrix + np.einsum(
+            "ni,ij->nij", damping[:, None] * diagonal + _TINY, np.eye(2)
+        )
+        step: Floats = np.linalg.solve(damped, self.vector[..., None])[..., 0]
+        return step
+
+    def where(self, chosen: Bools, other: _Step) -> _Step:
+        """Return this one for some pixels and another one for the rest."""
+        return _Step(
+            np.where(chosen[:, None, None], self.matrix, other.matrix),
+            np.where(chosen[:, None], self.vector, other.vector),
+        )
+
+
+def _linearised(
+    pixels: Pixels,
+    ends: Floats,
+    inverse: Floats,
+    front: Complex,
+    shared: Shared,
+    transfer: Complex,
+    rate: Floats,
+) -> tuple[Floats, _Step]:
+    """Return chi-square with the best amplitudes, and the equations of the paths."""
+    count, channels, frequencies = pixels.signal.shape
+    near = ends.argmin(axis=1)
+    _, water, slope = water_at(pixels, ends.min(axis=1), shared.table, rate)
+    signal = np.where(
+        pixels.usable, pixels.signal - shared.water_signal(water, front), 0
+    )
+    echo = np.exp(1j * ends[:, None, :] * rate[:, None]) * transfer[:, None]
+    columns = np.broadcast_to(echo[:, None], (count, channels, frequencies, 2))
+    outputs = 2 * frequencies
+
+    def by_channel(values: Complex) -> Floats:
+        """Return columns in units of the errors, (pixel, channel, output, column)."""
+        wide = whitened_columns(inverse, values)
+        return wide.reshape(count, channels, outputs, values.shape[-1])
+
+    own = by_channel(columns)
+    left = by_channel(signal[..., None])[..., 0]
+    gram = np.einsum("ncok,ncol->nckl", own, own)
+    along = np.einsum("ncok,nco->nck", own, left)
+    amplitude = _not_below_zero(gram, along)
+    left = left - np.einsum("ncok,nck->nco", own, amplitude)
+    by_path = 1j * rate[:, None] * columns * amplitude[:, :, None, :]
+    by_end = np.zeros((count, channels, frequencies, 2), dtype=complex)
+    rows = np.arange(count)
+    by_end[rows, :, :, near] = shared.strength[:, None] * slope[:, None]
+    paths = by_channel(by_path + by_end)
+    # Amplitudes that are held at zero have no columns of their own.
+    free = (amplitude > 0).astype(float)
+    mixed = np.einsum("ncok,ncol->nckl", own * free[:, :, None, :], paths)
+    gram = gram * free[..., None] * free[..., None, :]
+    size = np.einsum("nckk->nck", gram)
+    gram = gram + np.einsum("nck,kl->nckl", 1e-9 * size + (free == 0), np.eye(2))
+    solved = np.linalg.solve(gram, mixed)
+    matrix = np.einsum("ncok,ncol->nkl", paths, paths)
+    matrix = matrix - np.einsum("nckl,nckm->nlm", mixed, solved)
+    vector = np.einsum("ncok,nco->nk", paths, left)
+    return np.einsum("nco,nco->n", left, left), _Step(matrix, vector)
+
+
+def _not_below_zero(gram: Floats, along: Floats) -> Floats:
+    """Return two amplitudes of least squares, neither below zero, (..., 2)."""
+    a, b, d = gram[..., 0, 0], gram[..., 0, 1], gram[..., 1, 1]
+    u, v = along[..., 0], along[..., 1]
+    determinant = a * d - b * b
+    regular = determinant > _TINY * a * d
+    safe = np.where(regular, determinant, 1.0)
+    first, second = (d * u - b * v) / safe, (a * v - b * u) / safe
+    one = np.where(a > 0, np.maximum(u, 0) / np.where(a > 0, a, 1.0), 0.0)
+    other = np.where(d > 0, np.maximum(v, 0) / np.where(d > 0, d, 1.0), 0.0)
+    both = regular & (first > 0) & (second > 0)
+    first_alone = one * u >= other * v
+    return np.stack(
+        [
+            np.where(both, first, np.where(first_alone, one, 0.0)),
+            np.where(both, second, np.where(first_alone, 0.0, other)),
+        ],
+        axis=-1,
+    )

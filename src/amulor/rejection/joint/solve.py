@@ -8,21 +8,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from amulor.rejection.covariance import Covariance, times
-from amulor.rejection.joint import model as joint_model
-from amulor.rejection.joint import pixels as joint_pixels
+from amulor.rejection.joint import normal as joint_model
+from amulor.rejection.joint import samples as joint_pixels
 from amulor.rejection.joint import search as joint_search
-from amulor.rejection.joint._kernels import common as kernels
+from amulor.rejection.joint._kernels import normal as kernels
 from amulor.rejection.joint._kernels.bundles import Covariances, WaterModel
-from amulor.rejection.joint._kernels.threads import spread
-from amulor.rejection.joint.drift import drifted
-from amulor.rejection.joint.outliers import Kept, part_of, without_outliers
-from amulor.rejection.joint.overlap.frame import Frame
-from amulor.rejection.joint.pixels import Pixels
-from amulor.rejection.joint.priors import Shared, layout_of
-from amulor.rejection.joint.samples import FEWEST_FREQUENCIES
-from amulor.rejection.joint.scatter import is_detected
-from amulor.rejection.joint.search import Estimates
-from amulor.rejection.joint.surfaces import are_two, asked, two_surfaces
+from amulor.rejection.joint._kernels.compiled import spread
+from amulor.rejection.joint.overlap import Frame
+from amulor.rejection.joint.priors import Shared, drifted, layout_of
+from amulor.rejection.joint.samples import FEWEST_FREQUENCIES, Pixels
+from amulor.rejection.joint.scatter import Kept, is_detected, part_of, without_outliers
+from amulor.rejection.joint.search import Estimates, are_two, asked, two_surfaces
 
 Floats = NDArray[np.float64]
 Complex = NDArray[np.complex128]

@@ -14,8 +14,7 @@ from amulor import cube as cubes
 from amulor.errors import CubeError
 from amulor.optics import low_pass
 from amulor.rejection.joint import shared as joint_shared
-from amulor.rejection.joint.overlap.frame import Frame
-from amulor.rejection.joint.overlap.shape import COEFFICIENTS, Shape
+from amulor.rejection.joint.overlap import COEFFICIENTS, Frame, Shape
 from amulor.rejection.joint.priors import Shared
 from amulor.rejection.joint.samples import open_water_samples
 

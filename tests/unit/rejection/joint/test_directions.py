@@ -7,7 +7,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 from amulor.errors import CubeError
-from amulor.rejection.joint.overlap.directions import directions_of
+from amulor.rejection.joint.overlap import directions_of
 
 AZIMUTH = np.radians([-9.5, 9.5])
 ELEVATION = np.radians([-2.0, 2.0])

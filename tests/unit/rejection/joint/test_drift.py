@@ -9,15 +9,15 @@ import xarray as xr
 from numpy.testing import assert_allclose
 
 from amulor.rejection.covariance import Covariance
-from amulor.rejection.joint.drift import (
+from amulor.rejection.joint.estimate import joint
+from amulor.rejection.joint.priors import (
     TRENDS,
     change_of,
     change_uncertainty,
     drifted,
     trends_of,
 )
-from amulor.rejection.joint.estimate import joint
-from amulor.rejection.joint.pixels import Pixels
+from amulor.rejection.joint.samples import Pixels
 from amulor.simulation import simulate
 from amulor.survey import Survey
 

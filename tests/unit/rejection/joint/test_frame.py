@@ -14,11 +14,10 @@ from numpy.testing import assert_allclose
 from amulor.optics import small_angle, small_angle_diffusion
 from amulor.optics.phase_functions.phase_function import PhaseFunction
 from amulor.rejection.covariance import Covariance
-from amulor.rejection.joint.model import water_at
-from amulor.rejection.joint.overlap.frame import frame_of
-from amulor.rejection.joint.overlap.integral import table_of
-from amulor.rejection.joint.overlap.shape import Shape
-from amulor.rejection.joint.pixels import Pixels
+from amulor.rejection.joint.normal import water_at
+from amulor.rejection.joint.overlap import Shape, frame_of
+from amulor.rejection.joint.samples import Pixels
+from amulor.rejection.joint.tables import table_of
 from amulor.survey import Survey, WaterProperties, water_properties
 from amulor.survey.view import View, kernel_arguments, medium, view
 from amulor.survey.waters.whole_function import whole_function_arguments

@@ -12,7 +12,7 @@ from scipy.constants import speed_of_light
 from amulor import simulate
 from amulor.optics import rays
 from amulor.rejection import joint
-from amulor.rejection.joint.instrument import Instrument, late_echo, range_variance
+from amulor.rejection.joint.priors import Instrument, late_echo, range_variance
 from amulor.studies.trust.case import Case
 from amulor.studies.trust.scenes import knowledge, samples
 from amulor.studies.trust.scenes.knowledge import believing

@@ -25,17 +25,15 @@ from amulor.rejection.joint._kernels.bundles import (
     WaterModel,
     WaterTable,
 )
-from amulor.rejection.joint._kernels.common import common
 from amulor.rejection.joint._kernels.model import (
     fill_phasors,
     integrate,
     interpolate,
     water_at,
 )
-from amulor.rejection.joint._kernels.normal import accumulate
-from amulor.rejection.joint._kernels.search import estimate
-from amulor.rejection.joint._kernels.start import starting_costs
-from amulor.rejection.joint.pixels import phasors
+from amulor.rejection.joint._kernels.normal import accumulate, common
+from amulor.rejection.joint._kernels.search import estimate, starting_costs
+from amulor.rejection.joint.samples import phasors
 
 Results = dict[str, np.ndarray]
 PIXELS, CHANNELS, FREQUENCIES, NODES, COMPONENTS = 6, 2, 5, 12, 2

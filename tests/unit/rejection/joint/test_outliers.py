@@ -9,15 +9,15 @@ import pytest
 from scipy.constants import speed_of_light
 
 from amulor.rejection.covariance import Covariance
-from amulor.rejection.joint.outliers import (
+from amulor.rejection.joint.samples import Pixels, weight
+from amulor.rejection.joint.scatter import (
     Kept,
     disagrees,
     may_be_left_out,
     without_outliers,
 )
-from amulor.rejection.joint.overlap.table import Table
-from amulor.rejection.joint.pixels import Pixels, weight
 from amulor.rejection.joint.search import Estimates, estimate
+from amulor.rejection.joint.tables import Table
 
 FREQUENCIES = np.array([12e6, 31e6, 57e6, 83e6, 104e6, 139e6])
 RATE = 2 * np.pi * FREQUENCIES / speed_of_light

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.testing import assert_allclose
 
-from amulor.rejection.joint.overlap.shape import hats
+from amulor.rejection.joint.overlap import hats
 
 
 def test_knots_correlate_over_two_of_them() -> None:

@@ -11,9 +11,9 @@ from scipy.constants import speed_of_light
 
 from amulor.rejection.covariance import Covariance
 from amulor.rejection.joint._kernels.bundles import Echo
-from amulor.rejection.joint.overlap.table import Table
-from amulor.rejection.joint.pixels import Pixels, phasors, weight
+from amulor.rejection.joint.samples import Pixels, phasors, weight
 from amulor.rejection.joint.search import Estimates, estimate
+from amulor.rejection.joint.tables import Table
 
 FREQUENCIES = np.array([12e6, 31e6, 57e6, 83e6, 104e6, 139e6])
 

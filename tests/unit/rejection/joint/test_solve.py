@@ -6,7 +6,7 @@ import numpy as np
 from numpy.testing import assert_allclose
 
 from amulor.rejection.joint._kernels.bundles import Covariances, WaterModel
-from amulor.rejection.joint._kernels.common import common
+from amulor.rejection.joint._kernels.normal import common
 from amulor.rejection.joint.priors import inverse_of
 
 

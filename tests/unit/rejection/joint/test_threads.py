@@ -12,7 +12,7 @@ import pytest
 import xarray as xr
 
 from amulor.rejection import joint
-from amulor.rejection.joint._kernels.threads import FEWEST, spread
+from amulor.rejection.joint._kernels.compiled import FEWEST, spread
 
 INTERVAL = (0.8, 4.0)
 

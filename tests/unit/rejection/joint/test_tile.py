@@ -11,7 +11,7 @@ import xarray as xr
 
 from amulor.cube import tiles, without_groups
 from amulor.rejection import joint
-from amulor.rejection.joint import tile as joint_tile
+from amulor.rejection.joint import estimate as joint_tile
 from amulor.rejection.joint.estimate import prepared
 
 INTERVAL = (0.8, 4.0)

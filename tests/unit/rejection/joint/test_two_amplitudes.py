@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 from scipy.optimize import nnls
 
-from amulor.rejection.joint.surfaces import _not_below_zero
+from amulor.rejection.joint.search import _not_below_zero
 
 
 def _solved(matrix: np.ndarray, right: np.ndarray) -> np.ndarray:

@@ -1,8 +1,4 @@
-"""Compiled loops of the joint estimation: the search for the most likely path.
-
-Refine (Gauss-Newton steps from the minima on a grid of paths), profile (where the
-likelihood has fallen on either side).
-"""
+"""Compiled loops of joint estimation: search for the most likely path of a pixel."""
 
 from __future__ import annotations
 
@@ -14,27 +10,279 @@ from amulor._compiled import numba
 from amulor.rejection.joint._kernels.bundles import (
     Array,
     Candidates,
+    Echo,
     Grid,
     Model,
     Pixel,
     Places,
     Samples,
     Solutions,
+    WaterTable,
     Workspace,
 )
-from amulor.rejection.joint._kernels.grid import CANDIDATES, start
+from amulor.rejection.joint._kernels.compiled import LANES, inner
 from amulor.rejection.joint._kernels.model import (
+    depth_of,
     descent,
     misfit,
     misfit_at,
+    nearest_node,
     pixel_of,
     turn_by,
+    water_at_node,
     water_to,
     workspace_of,
 )
-from amulor.rejection.joint._kernels.options import inner
-from amulor.rejection.joint._kernels.outlying import most_outlying
-from amulor.rejection.joint._kernels.weights import fill_weights
+
+#: Local minima of the coarse likelihood that are looked at closely.
+CANDIDATES = 6
+
+
+@inner()
+def _keep(path: float, level: float, candidates: Candidates) -> bool:
+    """Put a minimum in the place of the highest one, if it is lower."""
+    worst = 0
+    for k in range(CANDIDATES):
+        if candidates.level[k] > candidates.level[worst]:
+            worst = k
+    if not level < candidates.level[worst]:
+        return False
+    candidates.path[worst], candidates.level[worst] = path, level
+    return True
+
+
+@inner()
+def _sort(candidates: Candidates) -> None:
+    """Sort minima by their level, the lowest first."""
+    paths, levels = candidates.path, candidates.level
+    for k in range(1, CANDIDATES):
+        path, level = paths[k], levels[k]
+        m = k
+        while m > 0 and levels[m - 1] > level:
+            paths[m], levels[m] = paths[m - 1], levels[m - 1]
+            m -= 1
+        paths[m], levels[m] = path, level
+
+
+@inner(fastmath=LANES)
+def start(
+    pixel: Pixel, model: Model, grid: Grid, work: Workspace, candidates: Candidates
+) -> int:
+    """Fill in the lowest local minima of chi-square on a grid; return their number.
+
+    On the grid the water ends at the nearest node of its table. A minimum is the vertex
+    of the parabola through three points. Compiled because all phases of a period have
+    to be tried in every ambiguity interval of the highest frequency.
+    """
+    spacing = grid.path[1] - grid.path[0]
+    shortest = pixel.limits.shortest - spacing
+    longest = pixel.limits.longest + spacing
+    before, level = np.inf, np.inf
+    filled = -1
+    count = 0
+    for j in range(grid.path.size + 1):
+        after = np.inf
+        if j < grid.path.size and shortest <= grid.path[j] <= longest:
+            depth, _ = depth_of(grid.path[j], pixel.limits)
+            node = nearest_node(depth, model.table)
+            if node != filled:
+                filled = node
+                water_at_node(node, model.table, pixel, work.water)
+            after = misfit(
+                pixel.signal, pixel.weight, model.gain, work.water, grid.phasor[j],
+                work.amplitude,
+            )  # fmt: skip
+        if level < np.inf and level <= before and level < after:
+            place, height = grid.path[j - 1], level
+            bend = before - 2 * level + after
+            if before < np.inf and after < np.inf and bend > 0:
+                shift = 0.5 * (before - after) / bend
+                place += shift * spacing
+                height -= 0.25 * (before - after) * shift
+            if _keep(place, height, candidates):
+                count = min(count + 1, CANDIDATES)
+        before, level = level, after
+    _sort(candidates)
+    return count
+
+
+@inner(fastmath=LANES)
+def fill_weights(path: float, stated: Pixel, model: Model, work: Workspace) -> None:
+    """Fill in the inverse covariance of samples whose water fluctuates.
+
+    (C + d d')^-1 by Sherman and Morrison, with the stated covariance C and the
+    deviation d = phi (s W + s d V) of water that ends at a path. The water up to a
+    target may be many times as strong as open water at high frequencies, where the
+    ends of the column interfere. Compiled because every pixel needs it twice.
+    """
+    water, weight = work.water, work.weight
+    depth = np.inf
+    if path < np.inf:
+        depth, _ = depth_of(path, stated.limits)
+    water_to(depth, model.table, stated.coefficient, water, work.change)
+    turn_by(water, stated.turn)
+    level = 0.0
+    for r in range(stated.coefficient.size):
+        level += stated.coefficient[r] * model.level[r]
+    size = model.fluctuation
+    for c in range(weight.shape[0]):
+        for f in range(weight.shape[2]):
+            g, h = model.gain[c, 0, f], model.gain[c, 1, f]
+            a, b = level * model.front[c, 0, f], level * model.front[c, 1, f]
+            p, q = stated.turn[0, f], stated.turn[1, f]
+            x = size * (g * water[0, f] - h * water[1, f] + a * p - b * q)
+            y = size * (g * water[1, f] + h * water[0, f] + a * q + b * p)
+            xx, xy, yy = (
+                stated.weight[c, 0, f],
+                stated.weight[c, 1, f],
+                stated.weight[c, 2, f],
+            )
+            u = xx * x + xy * y
+            v = xy * x + yy * y
+            share = 1 / (1 + x * u + y * v)
+            weight[c, 0, f] = xx - share * u * u
+            weight[c, 1, f] = xy - share * u * v
+            weight[c, 2, f] = yy - share * v * v
+
+
+#: A sample that leaves less than this of its variance to its residual decides alone
+#: what is fitted to it, and cannot be judged [1].
+_LEAST_REST = 1e-3
+
+
+@inner(fastmath=LANES)
+def most_outlying(
+    rate: float, information: float, pixel: Pixel, model: Model, work: Workspace
+) -> tuple[float, float, int]:
+    """Return what chi-square falls by without one sample: most, second, and which.
+
+    r' S^-1 r with the residual r of a sample and the covariance S = V - J C J' that
+    is left of its own, V, when the path and the amplitude are fitted to it too; exact
+    where the model is linear in them. The workspace holds model and amplitudes at the
+    path, `rate` is dz/dp. Compiled because every pixel is asked.
+    """
+    signal, weight, gain = pixel.signal, pixel.weight, model.gain
+    water, change, phasor = work.water, work.change, work.phasor
+    wavenumber = model.echo.phase_per_path
+    most, second, which = 0.0, 0.0, 0
+    frequencies = signal.shape[2]
+    by_path = work.influence
+    for c in range(signal.shape[0]):
+        cross, fit = 0.0, 0.0
+        a = work.amplitude[c]
+        for f in range(frequencies):
+            xx, xy, yy = weight[c, 0, f], weight[c, 1, f], weight[c, 2, f]
+            g, h = gain[c, 0, f], gain[c, 1, f]
+            e, i = phasor[0, f], phasor[1, f]
+            p = -a * wavenumber[f] * i + rate * (g * change[0, f] - h * change[1, f])
+            q = a * wavenumber[f] * e + rate * (g * change[1, f] + h * change[0, f])
+            by_path[c, 0, f], by_path[c, 1, f] = p, q
+            cross += p * (xx * e + xy * i) + q * (xy * e + yy * i)
+            fit += xx * e * e + 2 * xy * e * i + yy * i * i
+        has_echo = a > 0 and fit > 0
+        ratio = cross / fit if has_echo else 0.0
+        variance = 1 / fit if has_echo else 0.0
+        for f in range(frequencies):
+            xx, xy, yy = weight[c, 0, f], weight[c, 1, f], weight[c, 2, f]
+            determinant = xx * yy - xy * xy
+            if not determinant > 0:
+                continue
+            g, h = gain[c, 0, f], gain[c, 1, f]
+            e, i = phasor[0, f], phasor[1, f]
+            u = signal[c, 0, f] - g * water[0, f] + h * water[1, f] - a * e
+            v = signal[c, 1, f] - g * water[1, f] - h * water[0, f] - a * i
+            p = by_path[c, 0, f] - ratio * e
+            q = by_path[c, 1, f] - ratio * i
+            sxx = yy / determinant - variance * e * e - p * p / information
+            sxy = -xy / determinant - variance * e * i - p * q / information
+            syy = xx / determinant - variance * i * i - q * q / information
+            left = sxx * syy - sxy * sxy
+            if not (sxx > 0 and left * determinant > _LEAST_REST):
+                continue
+            gain_in_fit = (syy * u * u - 2 * sxy * u * v + sxx * v * v) / left
+            if gain_in_fit > most:
+                second, most = most, gain_in_fit
+                which = c * frequencies + f
+            elif gain_in_fit > second:
+                second = gain_in_fit
+    return most, second, which
+
+
+#: Two columns that are this close to each other cannot be told apart [1].
+_DEPENDENT = 1e-12
+
+
+@inner()
+def two_amplitudes(
+    signal: Array, weight: Array, echo: Array, water: Array
+) -> tuple[float, float]:
+    """Return chi-square and the strength of the water in one channel.
+
+    Linear least squares on echo and water, neither below zero. Arrays are (2,
+    frequency), the weight (3, frequency).
+    """
+    ee, ew, ww, ye, yw, yy = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    for f in range(signal.shape[1]):
+        a, b, d = weight[0, f], weight[1, f], weight[2, f]
+        u, v = signal[0, f], signal[1, f]
+        e, i = echo[0, f], echo[1, f]
+        w, x = water[0, f], water[1, f]
+        yy += a * u * u + 2 * b * u * v + d * v * v
+        ye += e * (a * u + b * v) + i * (b * u + d * v)
+        yw += w * (a * u + b * v) + x * (b * u + d * v)
+        ee += a * e * e + 2 * b * e * i + d * i * i
+        ew += e * (a * w + b * x) + i * (b * w + d * x)
+        ww += a * w * w + 2 * b * w * x + d * x * x
+    determinant = ee * ww - ew * ew
+    s, t = 0.0, 0.0
+    if determinant > _DEPENDENT * ee * ww:
+        t = (ye * ww - yw * ew) / determinant
+        s = (yw * ee - ye * ew) / determinant
+    if t <= 0 or s <= 0:
+        t, s = max(ye, 0.0) / ee if ee > 0 else 0.0, 0.0
+        if ww > 0 and yw > 0 and yw * yw / ww > t * ye:
+            t, s = 0.0, yw / ww
+    return yy - t * ye - s * yw, s
+
+
+@numba.njit(cache=True, error_model="numpy")
+def starting_costs(
+    samples: Samples,
+    places: Places,
+    table: WaterTable,
+    echo: Echo,
+    grid: Grid,
+    best: Array,
+    strength: Array,
+) -> None:
+    """Fill in chi-square of each pixel with a water signal of its own strength.
+
+    For every path on the grid the amplitudes A_c of the target and s_c of the water are
+    fitted channel by channel; `strength` holds s_c at the best path. Compiled because
+    it is done for every shape of W that is tried.
+    """
+    channels, frequencies = samples.signal.shape[1], samples.signal.shape[3]
+    water = np.empty((2, frequencies))
+    turn = np.empty((2, frequencies))
+    trial = np.empty(channels)
+    for n in range(samples.signal.shape[0]):
+        pixel = pixel_of(samples, places, n, echo.phase_per_path, turn)
+        best[n] = np.inf
+        for j in range(grid.path.size):
+            if not pixel.limits.shortest <= grid.path[j] <= pixel.limits.longest:
+                continue
+            depth, _ = depth_of(grid.path[j], pixel.limits)
+            water_at_node(nearest_node(depth, table), table, pixel, water)
+            total = 0.0
+            for c in range(channels):
+                cost, trial[c] = two_amplitudes(
+                    pixel.signal[c], pixel.weight[c], grid.phasor[j], water
+                )
+                total += cost
+            if total < best[n]:
+                best[n] = total
+                strength[n] = trial
+
 
 #: A minimum is out of the race when it is this much higher [1], and by this fraction of
 #: what the target explains, which the coarse grid may miss.

@@ -1,0 +1,699 @@
+"""Overlap of the receiver's view with the light: geometry, shape, scattered light."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+import xarray as xr
+from numpy.polynomial import chebyshev, legendre
+from numpy.typing import NDArray
+from scipy.constants import speed_of_light
+from scipy.special import j0
+
+from amulor.errors import CubeError, SurveyError
+from amulor.optics import rays, small_angle_diffusion
+from amulor.optics.late_echo import late_echo
+from amulor.optics.phase_functions.phase_function import PhaseFunction
+from amulor.rejection.joint._kernels import model as kernels
+from amulor.survey import Survey, WaterProperties, water_properties
+from amulor.survey.view import (
+    beam_arguments,
+    kernel_arguments,
+    medium,
+    seen_from_water,
+    view,
+)
+from amulor.survey.waters.whole_function import whole_phase_function
+
+Floats = NDArray[np.float64]
+
+#: What the interpolation over the scan may miss, of the largest overlap [1].
+_MISSED = 1e-4
+#: Steps of the degree over one angle, and the largest number of nodes.
+_FIRST, _ANGLE_STEP, MOST = 2, 2, 400
+#: Where between the ends of an angle it is tried [1].
+_TRIED = np.array([-0.83, -0.31, 0.12, 0.57, 0.94])
+#: Angles that differ by less are one [rad].
+_ONE = 1e-9
+
+
+@dataclass(frozen=True)
+class Directions:
+    """Chebyshev nodes over azimuth and elevation."""
+
+    azimuth: Floats
+    """Nodes of azimuth [rad]."""
+    elevation: Floats
+    """Nodes of elevation [rad]."""
+    middle: tuple[float, float]
+    """Middle of the scan [rad]."""
+
+    @property
+    def mesh(self) -> tuple[Floats, Floats]:
+        """Azimuth and elevation of all nodes, flat [rad]."""
+        both = np.meshgrid(self.azimuth, self.elevation, indexing="ij")
+        return both[0].ravel(), both[1].ravel()
+
+    def interpolation(self, azimuth: Floats, elevation: Floats) -> Floats:
+        """Return how the nodes make up given directions.
+
+        Parameters
+        ----------
+        azimuth, elevation : ndarray, shape (n,)
+            Directions [rad].
+
+        Returns
+        -------
+        ndarray, shape (n, nodes)
+            Lagrange polynomials over azimuth and elevation [1].
+        """
+        parts = [
+            _lagrange(node, place)
+            for node, place in ((self.azimuth, azimuth), (self.elevation, elevation))
+        ]
+        product: Floats = np.einsum("ni,nj->nij", *parts).reshape(len(azimuth), -1)
+        return product
+
+    @property
+    def centre(self) -> Floats:
+        """How the nodes make up the middle of the scan, (nodes,) [1]."""
+        place = (np.array([angle]) for angle in self.middle)
+        nodes: Floats = self.interpolation(*place)[0]
+        return nodes
+
+
+def directions_of(
+    azimuth: Floats, elevation: Floats, overlap: Callable[[Floats, Floats], Floats]
+) -> Directions:
+    """Return the fewest nodes over a scan that follow the overlap.
+
+    Parameters
+    ----------
+    azimuth, elevation : ndarray
+        Directions that will be asked for, of any shape [rad].
+    overlap : callable
+        From directions, (n,), to what is interpolated, (n, depths).
+
+    Returns
+    -------
+    Directions
+        The degree over each angle by itself: that one is raised which helps more.
+
+    Raises
+    ------
+    CubeError
+        If that would take far too many.
+    """
+    box = [
+        (float(np.min(values)), float(np.max(values)))
+        for values in (azimuth, elevation)
+    ]
+    middle = (0.5 * sum(box[0]), 0.5 * sum(box[1]))
+    at = np.stack(np.meshgrid(_TRIED, _TRIED), axis=-1).reshape(-1, 2)
+    tried = [
+        middle[axis] + 0.5 * (high - low) * at[:, axis]
+        for axis, (low, high) in enumerate(box)
+    ]
+    exact = overlap(tried[0], tried[1])
+
+    def missed(degrees: tuple[int, int]) -> tuple[float, Directions]:
+        axes = [
+            _chebyshev(*ends, degree) for ends, degree in zip(box, degrees, strict=True)
+        ]
+        found = Directions(axes[0], axes[1], middle)
+        error = found.interpolation(tried[0], tried[1]) @ overlap(*found.mesh) - exact
+        largest, level = float(np.max(np.abs(error))), float(np.max(exact))
+        if largest == 0:
+            return 0.0, found
+        return (largest / level if level > 0 else np.inf), found
+
+    degrees = (_FIRST, _FIRST)
+    error, found = missed(degrees)
+    while error > _MISSED:
+        ways = [
+            (degrees[0] + _ANGLE_STEP, degrees[1]),
+            (degrees[0], degrees[1] + _ANGLE_STEP),
+        ]
+        results = [(*missed(way), way) for way in ways]
+        error, found, degrees = min(results, key=lambda result: result[0])
+        if found.azimuth.size * found.elevation.size > MOST:
+            raise CubeError(
+                "the water signal changes too quickly over the scan to be tabulated "
+                f"({error:.1g} of it is missed between {MOST} directions); split the "
+                "scan into smaller ones"
+            )
+    return found
+
+
+def _chebyshev(low: float, high: float, degree: int) -> Floats:
+    """Return the nodes of a degree over an angle; one where it does not change."""
+    count = degree + 1 if high - low > _ONE else 1
+    node = np.cos(np.pi * (np.arange(count) + 0.5) / count)
+    nodes: Floats = 0.5 * (low + high) + 0.5 * (high - low) * node
+    return nodes
+
+
+def _lagrange(node: Floats, place: Floats) -> Floats:
+    """Return Lagrange's polynomials at some places, (place, node)."""
+    part = np.ones((len(place), len(node)))
+    for j in range(len(node)):
+        for k in range(len(node)):
+            if k != j:
+                part[:, j] *= (place - node[k]) / (node[j] - node[k])
+    return part
+
+
+#: Knots over which departures of the overlap are alike.
+_CORRELATION = 2.0
+
+
+@dataclass(frozen=True)
+class Shape:
+    """What gives the water signal its shape, shared by all pixels of a scan."""
+
+    reduced_attenuation: float
+    """Reduced attenuation coefficient k' = a + b_d [1/m]."""
+    spread: float
+    """Growth b_f <theta^2> of the mean square angle of the light, which stretches the
+    phase function of the survey's water [rad^2/m]."""
+    forward_scattering: float
+    """Forward scattering b_f, above which some light is not scattered at all [1/m]."""
+    correction: Floats
+    """How the overlap departs from the model, in units of its prior's width [1]."""
+    knots: Floats
+    """Depths between which the logarithm of the departure is linear [m]."""
+    turn: Floats = field(default_factory=lambda: np.zeros(0))
+    """By how much the receiver looks past the direction that the survey states, in
+    azimuth and elevation; empty where it is taken as exact [rad]."""
+
+    @property
+    def size(self) -> int:
+        """Number of parameters."""
+        return COEFFICIENTS + len(self.turn) + len(self.knots)
+
+    def moved(self, step: Floats) -> Shape:
+        """Return the shape after a step in logarithms, turn and correction."""
+        loss, spread, forward = np.exp(step[:COEFFICIENTS])
+        smooth = COEFFICIENTS + len(self.turn)
+        return Shape(
+            float(self.reduced_attenuation * loss),
+            float(self.spread * spread),
+            float(self.forward_scattering * forward),
+            self.correction + step[smooth:],
+            self.knots,
+            self.turn + step[COEFFICIENTS:smooth],
+        )
+
+
+#: Coefficients of a shape, whose logarithms are estimated.
+COEFFICIENTS = 3
+
+
+def hats(depth: Floats, knots: Floats) -> Floats:
+    """Return smooth functions whose sum with normal coefficients is a smooth one.
+
+    Between the knots they are linear; from knot to knot their sum is a normal process
+    with a correlation of `_CORRELATION` knots and a variance of 1.
+    """
+    number = np.arange(len(knots))
+    covariance = np.exp(-(((number[:, None] - number) / _CORRELATION) ** 2) / 2)
+    covariance += 1e-6 * np.eye(len(knots))
+    values = np.linalg.cholesky(covariance) if len(knots) else covariance
+    return np.array([np.interp(depth, knots, row) for row in values.T]).reshape(
+        len(knots), depth.size
+    )
+
+
+#: Steps of asinh(z / length) between the nodes of depth, and the farthest node [m].
+_STEP, _FARTHEST = 0.04, 2.2e3
+#: Edges of panels of the spatial frequency, times the width of the view, with nodes
+#: each, and the turn of the oscillations that one panel follows [rad].
+_PANELS = np.array([0, 0.02, 0.06, 0.15, 0.4, 0.9, 1.8, 3.2, 5.0, 7.0, 10.0])
+_NODES, _PHASE = 10, 18.0
+#: Widths of the view beyond which no scattered light is counted [1].
+_ASIDE = 20.0
+#: Terms of the series over ln(1 + q) for each unit of it, and as many more.
+_PER_UNIT, _FEWEST = 9, 8
+#: Cells of the table of what is lost over the logarithm of x, for each unit of it,
+#: and between which x [1/rad].
+_CELLS, _LOWEST, _HIGHEST = 8, 0.02, 3e3
+
+
+class Scattered:
+    """Light that was scattered forward, by the small-angle form (29).
+
+    Parameters
+    ----------
+    function : PhaseFunction
+        Its forward part gives the shape.
+    split_angle : float
+        Where that ends [rad].
+    radius, angle : float
+        1/e radius [m] and semi-angle of receiver and beam together [rad].
+    standoff : float
+        Path in front of the water, as a depth of water [m].
+    """
+
+    def __init__(
+        self,
+        function: PhaseFunction,
+        split_angle: float,
+        *,
+        radius: float,
+        angle: float,
+        standoff: float,
+    ) -> None:
+        self.function, self.split_angle = function, split_angle
+        #: Fraction of the forward part, and its mean square angle as it is [rad^2].
+        self.fraction, self.moment = function.forward_split(split_angle)
+        self._lost = _lost(function, split_angle)
+        self._length = max(0.5 * radius / angle, 1e-3)
+        count = int(np.ceil(np.arcsinh(_FARTHEST / self._length) / _STEP))
+        depth = self._length * np.sinh(_STEP * np.arange(1, count + 1))
+        #: Nodes of depth [m].
+        self.depth: Floats = depth
+        self._path = depth + standoff
+        self._area = radius**2 + (angle * self._path) ** 2
+        self._peak = np.pi * (radius * angle) ** 2
+        self._low, self._high = np.empty(0), np.empty(0)
+        self._known: tuple[float, float, Floats] | None = None
+
+    def light(
+        self, depth: Floats, *, forward_scattering: float, spread: float, offset: Floats
+    ) -> Floats:
+        """Return the overlap of scattered light, without reduced attenuation [sr].
+
+        Parameters
+        ----------
+        depth : ndarray, shape (n,)
+            Where it turns back [m].
+        forward_scattering : float
+            Forward scattering b_f [1/m].
+        spread : float
+            Growth of its mean square angle: the phase function is stretched to have
+            it [rad^2/m].
+        offset : ndarray, shape (direction, node)
+            Distance of beam and axis of the receiver at the nodes of `depth` [m].
+
+        Returns
+        -------
+        ndarray, shape (direction, n)
+            Eq. (29) of Ricci et al. 2010, as rebuilt, less unscattered light.
+        """
+        aside = np.log1p(offset**2 / self._area)
+        self._reach(aside)
+        terms = self._terms(forward_scattering, spread)
+        at_nodes = np.empty(offset.shape)
+        place = (2 * aside - self._low - self._high) / (self._high - self._low)
+        kernels.along(np.clip(place, -1, 1), terms, at_nodes)
+        at_nodes[offset > _ASIDE * np.sqrt(self._area)] = 0.0
+        out = np.empty((len(offset), depth.size))
+        where = np.arcsinh(depth / self._length) / _STEP
+        # Nothing is scattered before the water begins.
+        begun = np.concatenate([np.zeros((len(offset), 1)), at_nodes], axis=1)
+        kernels.between(begun, where, out)
+        return np.maximum(out, 0.0)
+
+    def _terms(self, forward_scattering: float, spread: float) -> Floats:
+        """Return the series over the offset at every node of depth, or the last one."""
+        known = self._known
+        if known is not None and known[:2] == (forward_scattering, spread):
+            return known[2]
+        stretch = 0.5 * np.log(spread / (forward_scattering * self.moment))
+        thickness = 2 * forward_scattering * self.depth
+        terms = np.empty(self._rule.shape[:2])
+        kernels.series(
+            thickness, self._place, stretch * _CELLS, self._lost, self._rule, terms
+        )
+        self._known = forward_scattering, spread, terms
+        return terms
+
+    def _reach(self, aside: Floats) -> None:
+        """Make the rule anew where beams are further aside than it reaches."""
+        low, high = aside.min(axis=0), aside.max(axis=0)
+        if self._low.size and np.all((low >= self._low) & (high <= self._high)):
+            return
+        spare = 0.1 + 0.5 * (high - low)
+        if self._low.size:
+            low, high = np.minimum(low, self._low), np.maximum(high, self._high)
+        most = np.log1p(_ASIDE**2)
+        self._low = np.clip(low - spare, 0, most - 0.1)
+        self._high = np.minimum(high + spare, most)
+        self._make_rule()
+
+    def _make_rule(self) -> None:
+        """Set the nodes of the spatial frequency, and what they weigh in each term."""
+        width = self._high - self._low
+        count = _FEWEST + int(np.ceil(_PER_UNIT * width.max()))
+        place = np.cos(np.pi * (np.arange(count) + 0.5) / count)
+        aside = self._low[:, None] + 0.5 * width[:, None] * (place + 1)
+        # In widths of the view.
+        offset = np.sqrt(np.expm1(aside))
+        rate, weight = _frequencies(float(offset.max()))
+        self._place = (
+            np.log(rate * (self.depth / np.sqrt(self._area))[:, None] / _LOWEST)
+            * _CELLS
+        )
+        weight = 0.5 * weight * rate * np.exp(-(rate**2) / 4)
+        value = j0(offset[:, :, None] * rate) * weight
+        value *= (self._peak / self._area)[:, None, None]
+        series = chebyshev.chebvander(place, count - 1) * 2 / count
+        series[:, 0] /= 2
+        self._rule = np.ascontiguousarray(series.T @ value)
+        self._known = None
+
+
+def _frequencies(aside: float) -> tuple[Floats, Floats]:
+    """Return nodes and weights of the spatial frequency, times the width of the view.
+
+    For beams that are up to so many widths of the view aside.
+    """
+    edges = [np.zeros(1)]
+    for low, high in itertools.pairwise(_PANELS):
+        parts = max(int(np.ceil((high - low) * aside / _PHASE)), 1)
+        edges.append(np.linspace(low, high, parts + 1)[1:])
+    edge = np.concatenate(edges)
+    node, weight = legendre.leggauss(_NODES)
+    half = 0.5 * np.diff(edge)[:, None]
+    rate = edge[:-1, None] + half * (node + 1)
+    return rate.ravel(), (half * weight).ravel()
+
+
+@lru_cache(maxsize=8)
+def _lost(function: PhaseFunction, split_angle: float) -> Floats:
+    """Return the logarithm of 1 less the mean transform up to x, over ln x."""
+    count = int(np.ceil(np.log(_HIGHEST / _LOWEST) * _CELLS)) + 1
+    edge = _LOWEST * np.exp(np.arange(count) / _CELLS)
+    node, weight = legendre.leggauss(2)
+    half = 0.5 * np.diff(edge)[:, None]
+    x = edge[:-1, None] + half * (node + 1)
+    flat = function.hankel(x.ravel(), split_angle=split_angle).reshape(x.shape)
+    part = ((1 - flat) * weight * half).sum(axis=1)
+    # In front of the first node it grows with the square.
+    start = (1 - flat[0, 0]) * edge[0] ** 3 / x[0, 0] ** 2 / 3
+    total = start + np.append(0.0, np.cumsum(part))
+    found: Floats = np.log(total / edge)
+    return found
+
+
+Complex = NDArray[np.complex128]
+
+#: Depths behind which less than this fraction of the water signal is left [1].
+_NOTHING_LEFT = 1e-7
+#: Standard uncertainty of the logarithm of the scattering that a survey states [1].
+_STATED = 0.7
+#: Directions of the receiver whose arguments are kept.
+_KEPT = 8
+
+
+class Frame:
+    """How the receiver looks at a scan: what tables of the water signal need.
+
+    Parameters
+    ----------
+    survey : Survey
+        Receiver and scan count, and the end of the water; the optical properties of
+        the water do not, but for its indices.
+    azimuth, elevation : ndarray
+        Directions that will be asked for, of any shape [rad].
+    modulation_frequency : ndarray
+        Modulation frequencies [Hz].
+    """
+
+    def __init__(
+        self,
+        survey: Survey,
+        azimuth: Floats,
+        elevation: Floats,
+        *,
+        modulation_frequency: Floats,
+    ) -> None:
+        properties = water_properties(survey)
+        self.survey = survey
+        self.medium = medium(survey, properties)
+        #: Phase per optical path, 2 pi f / c_0 [rad/m].
+        self.phase_per_path = 2 * np.pi * modulation_frequency / speed_of_light
+        end = survey.water.column_end
+        self.end = np.inf if end is None else end
+        self._properties = properties
+        self._scattered = _scattered_light(survey, properties, self.medium)
+        self._turned: dict[tuple[float, ...], dict[str, Any]] = {}
+        shape = Shape(0.3, 0.02, 0.4, np.zeros(0), np.zeros(0))
+        depth = np.linspace(0.02, 12.0, 240)
+        #: Directions between which everything is interpolated.
+        self.directions = directions_of(
+            azimuth,
+            elevation,
+            lambda az, el: self._overlap(depth, shape, self._arguments(az, el)),
+        )
+        self._nodes = self._arguments(*self.directions.mesh)
+
+    def _nodes_of(self, shape: Shape) -> dict[str, Any]:
+        """Return the arguments at the nodes for a receiver turned as a shape says."""
+        if not np.any(shape.turn):
+            return self._nodes
+        turn = tuple(float(value) for value in shape.turn)
+        if turn not in self._turned:
+            if len(self._turned) >= _KEPT:
+                self._turned.clear()
+            instrument = self.survey.instrument
+            receiver = instrument.receiver.model_copy(
+                update={
+                    "azimuth": instrument.receiver.azimuth + turn[0],
+                    "elevation": instrument.receiver.elevation + turn[1],
+                }
+            )
+            turned = self.survey.model_copy(
+                update={
+                    "instrument": instrument.model_copy(update={"receiver": receiver})
+                }
+            )
+            self._turned[turn] = self._arguments(*self.directions.mesh, turned)
+        return self._turned[turn]
+
+    def _arguments(
+        self, azimuth: Floats, elevation: Floats, survey: Survey | None = None
+    ) -> dict[str, Any]:
+        """Return the arguments of the overlap, without those of the water."""
+        survey = self.survey if survey is None else survey
+        where = view(survey, azimuth, elevation, medium=self.medium)
+        arguments = kernel_arguments(survey, self._properties, where)
+        for name in (
+            "absorption",
+            "forward_scattering",
+            "diffuse_scattering",
+            "second_moment",
+        ):
+            del arguments[name]
+        radius, angle = _widths(survey, self._properties, where.acceptance)
+        return arguments | {"receiver_radius": radius, "acceptance_angle": angle}
+
+    def optical_offset(self, azimuth: Floats, elevation: Floats) -> Floats:
+        """Return the optical path before the water, out and back [m]."""
+        where = view(self.survey, azimuth, elevation, medium=self.medium)
+        return np.broadcast_to(where.optical_offset, azimuth.shape)
+
+    def beam(self, azimuth: Floats, elevation: Floats) -> rays.Beam:
+        """Return the beams of given directions."""
+        return rays.enter_water(
+            self.survey.instrument.emitter.position,
+            rays.direction(azimuth, elevation),
+            medium=self.medium,
+        )
+
+    @property
+    def receiver(self) -> Floats:
+        """Where the light is collected [m]."""
+        return np.asarray(self.survey.instrument.receiver.position, dtype=float)
+
+    def overlap(self, depth: Floats, shape: Shape) -> Floats:
+        """Return the overlap at the nodes, (node, depth), without the correction."""
+        return self._overlap(depth, shape, self._nodes_of(shape))
+
+    def _overlap(self, depth: Floats, shape: Shape, where: dict[str, Any]) -> Floats:
+        """Return the overlap of (direction, depth), without the correction.
+
+        (29) of Ricci et al. 2010, as rebuilt, with the phase function of the survey's
+        water, stretched to the spread of the shape. Where it has none, (43) for the
+        light that was scattered and again, without spread, for the light that was not;
+        together they have the spread of the model. Scattering without bounds leaves
+        (43) itself.
+        """
+        straight = np.exp(-2 * shape.forward_scattering * depth)
+        # The smallest number keeps the start of the water in range.
+        bent = np.maximum(1 - straight, np.finfo(float).tiny)
+        geometry = {name: np.asarray(v)[..., None] for name, v in where.items()}
+        common = {"absorption": shape.reduced_attenuation, "diffuse_scattering": 0.0}
+
+        def overlap(spread: Floats | float) -> Floats:
+            return small_angle_diffusion.overlap(
+                depth[None, :],
+                forward_scattering=spread,
+                second_moment=1.0,
+                **common,
+                **geometry,
+            )
+
+        light: Floats
+        if self._scattered is not None:
+            scattered = self._scattered.light(
+                depth,
+                forward_scattering=shape.forward_scattering,
+                spread=shape.spread,
+                offset=self._offset(where),
+            )
+            lost = np.exp(-2 * shape.reduced_attenuation * depth)
+            light = straight * overlap(0.0) + lost * scattered
+            return light
+        spread = np.where(depth > 0, shape.spread / bent, 0.0)
+        light = straight * overlap(0.0) + bent * overlap(spread)
+        return light
+
+    def _offset(self, where: dict[str, Any]) -> Floats:
+        """Return how far aside the beams are, at the depths of scattered light [m]."""
+        assert self._scattered is not None
+        path = self._scattered.depth + np.asarray(where["standoff"])[:, None]
+        along = where["baseline"][:, None] - where["tilt"][:, None] * path
+        offset: Floats = np.hypot(along, where["cross_tilt"][:, None] * path)
+        return offset
+
+    def late_spread(self, depth: float, spread: float, error: float) -> float:
+        """Return the spread whose mean detour is twice what an echo is late [rad^2/m].
+
+        In the middle of the scan, by `optics.late_echo`, for water of the survey's
+        phase function with a given spread, of some relative error: the mean of it and
+        of the survey's, which counts as known to a factor of two. Where the survey has
+        no phase function, the given spread.
+        """
+        light = self._scattered
+        if light is None or not depth > 0:
+            return spread
+        azimuth, elevation = self.directions.middle
+        where = self._arguments(np.array([azimuth]), np.array([elevation]))
+        stated = self._properties.scattering
+        found = spread / (light.moment * light.fraction)
+        trust = _STATED**2 / (_STATED**2 + error**2)
+        late = late_echo(
+            0.0,
+            depth=depth,
+            scattering=found**trust * stated ** (1 - trust),
+            phase_function=light.function,
+            split_angle=light.split_angle,
+            group_index=self.medium.group_index,
+            **where,
+        )
+        seen = 8 * float(late[0]) / depth**2
+        return seen if np.isfinite(seen) else spread
+
+    def nothing_left(self, shape: Shape) -> float:
+        """Return the depth that all but a trace of the water signal comes from [m]."""
+        depth = np.geomspace(1e-2, 2e3, 1500)
+        light = self.overlap(depth, shape).max(axis=0)
+        left = np.cumsum((light * depth)[::-1])[::-1]
+        if left[0] < SMALLEST_STRENGTH:
+            raise unseen()
+        return float(depth[np.argmax(left <= _NOTHING_LEFT * left[0])])
+
+    def quantiles(self, shape: Shape, fraction: Floats) -> Floats:
+        """Return the depths in front of which given fractions of the light arise."""
+        depth = np.linspace(0, min(self.nothing_left(shape), self.end), 4000)
+        light = self.overlap(depth, shape).mean(axis=0)
+        total = np.cumsum(light)
+        return np.asarray(np.interp(fraction, total / total[-1], depth))
+
+    def middle(self, depth: Floats, shape: Shape) -> Floats:
+        """Return the overlap in the middle of the scan, with the correction [sr]."""
+        factor = np.exp(shape.correction @ hats(depth, shape.knots))
+        overlap: Floats = self.directions.centre @ self.overlap(depth, shape) * factor
+        return overlap
+
+
+def _widths(
+    survey: Survey, properties: WaterProperties, acceptance: float
+) -> tuple[float, float]:
+    """Return radius [m] and semi-angle [rad] of receiver and beam together."""
+    beam = beam_arguments(survey, properties)
+    return (
+        float(np.hypot(survey.instrument.receiver.radius, beam.get("beam_radius", 0))),
+        float(np.hypot(acceptance, beam.get("beam_divergence", 0))),
+    )
+
+
+def _scattered_light(
+    survey: Survey, properties: WaterProperties, medium: rays.Medium
+) -> Scattered | None:
+    """Return the small-angle form for the survey's water, None where it has none."""
+    if (
+        properties.layers
+        or properties.forward_scattering * properties.second_moment == 0
+    ):
+        return None
+    # What is sent straight back does not count: the strength of the water is free.
+    forward = replace(properties, backscatter_vsf=0.0)
+    try:
+        function = whole_phase_function(forward)
+    except SurveyError:
+        return None
+    standoff, acceptance = seen_from_water(survey, medium)
+    radius, angle = _widths(survey, properties, acceptance)
+    return Scattered(
+        function,
+        properties.split_angle,
+        radius=radius,
+        angle=angle,
+        standoff=standoff,
+    )
+
+
+#: A receiver that takes in less than this sees no beam [sr m].
+SMALLEST_STRENGTH = 1e-100
+
+
+def unseen() -> CubeError:
+    """Return the error that says that no light comes back from any depth."""
+    return CubeError(
+        "the receiver does not see the beam at any depth, so there is no water "
+        "signal to estimate; check position and axis of the receiver in the survey of "
+        "the cube, or reject nothing (keep_water)"
+    )
+
+
+def frame_of(cube: xr.Dataset, azimuth: Floats, elevation: Floats) -> Frame:
+    """Return the frame of a cube whose survey describes the receiver.
+
+    Parameters
+    ----------
+    cube : xarray.Dataset
+        With the attribute `survey`.
+    azimuth, elevation : ndarray
+        Directions that will be asked for [rad].
+
+    Returns
+    -------
+    Frame
+        What tables of the water signal need.
+
+    Raises
+    ------
+    CubeError
+        If the cube has no survey.
+    """
+    text = cube.attrs.get("survey")
+    if not text:
+        raise CubeError(
+            "the cube has no attribute 'survey', from which the geometry of the "
+            "receiver is taken; add the text of a survey file that describes the "
+            "instrument, or use the open-water method"
+        )
+    survey = Survey.from_text(text, name="survey in the cube")
+    return Frame(
+        survey,
+        azimuth,
+        elevation,
+        modulation_frequency=cube["modulation_frequency"].values,
+    )

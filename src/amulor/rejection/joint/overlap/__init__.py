@@ -1,1 +1,0 @@
-"""How receiver and light overlap: geometry, tables and integrals of a scan."""
