@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from amulor._progress import tell
 from amulor.cube.tiles import Span
+from amulor.optics.ambiguity import Choices
 from amulor.rejection.covariance import Covariance, covariance_of
 from amulor.rejection.reference import column
 from amulor.rejection.reference.column_fraction import Column
@@ -36,6 +37,8 @@ class WaterFit:
     """Interpolation of the shots over the scan."""
     told: Turbidity | None
     """What the shots tell of the survey's water; None without a survey."""
+    choices: Choices | None
+    """Choices between frequencies for the optical path; None without a survey."""
     column: Column | None
     """Fractions of the open water from behind the targets; None without a survey."""
     steeper: Column | None
@@ -104,6 +107,7 @@ def water_before_target(
     difference = subtract(samples, water)
     text = cube.attrs.get("survey")
     survey, told, turbidity, hidden, steeper = None, None, None, None, None
+    choices = None if fit is None else fit.choices
     behind = None if fit is None else fit.column
     steeper_behind = None if fit is None else fit.steeper
     path = np.full(samples.shape[2:], np.nan)
@@ -117,7 +121,9 @@ def water_before_target(
             turbidity, survey = told, told.survey
         errors = covariance_of(cube) + common
         tell("water behind the targets", 0.6)
-        depth, path = column.depth(cube, difference, errors, survey, interval=interval)
+        depth, path, choices = column.depth(
+            cube, difference, errors, survey, interval=interval, fit=choices
+        )
         paper = turbidity is not None and turbidity.paper
         hidden, behind = column.hidden_fraction(
             cube, survey, depth, paper=paper, fit=behind
@@ -144,7 +150,13 @@ def water_before_target(
         fluctuation=fluctuation_of(fits, signal),
         common=common,
         path=path,
-        fit=WaterFit(shots=by_shots, told=told, column=behind, steeper=steeper_behind),
+        fit=WaterFit(
+            shots=by_shots,
+            told=told,
+            choices=choices,
+            column=behind,
+            steeper=steeper_behind,
+        ),
     )
 
 

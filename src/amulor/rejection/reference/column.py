@@ -8,7 +8,6 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from amulor._decisions import fitted_once
 from amulor.optics import ambiguity, detection, rays
 from amulor.rejection.covariance import Covariance, along, isotropic
 from amulor.rejection.reference import column_fraction
@@ -111,37 +110,19 @@ def depth(
     survey: Survey,
     *,
     interval: tuple[float, float] | None,
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return how much water stands in front of the target, and the optical path.
+    fit: ambiguity.Choices | None = None,
+) -> tuple[NDArray[np.float64], NDArray[np.float64], ambiguity.Choices | None]:
+    """Return the depth of water in front of the target, the optical path and choices.
 
-    Parameters
-    ----------
-    cube : xarray.Dataset
-        Samples.
-    signal : ndarray, shape (modulation_frequency, polarization, row, column)
-        Target signal so far, from whose phase the distance is taken [V].
-    uncertainty : Covariance
-        Its errors.
-    survey : Survey
-        Its instrument and the indices of its water count.
-    interval : tuple of float, optional
-        Nearest and farthest slant range that are possible [m].
-
-    Returns
-    -------
-    tuple of two ndarrays, shape (row, column)
-        Depth, and optical path out and back; NaN where the distance is not settled [m].
-
-    Raises
-    ------
-    ValueError
-        If the interval is empty or holds far too many ambiguity intervals.
+    Both lengths over (row, column), NaN where the distance is not settled [m]; and the
+    choices between frequencies that all pixels share, `fit` if it is given. The signal
+    is that of the target so far, from whose phase the distance is taken [V].
     """
     shape = signal.shape[2:]
     if interval is None and unsettled_interval(
         survey, modulation_frequency=cube["modulation_frequency"].values
     ):
-        return np.full(shape, np.nan), np.full(shape, np.nan)
+        return np.full(shape, np.nan), np.full(shape, np.nan), fit
     water = water_properties(survey)
     surroundings = medium(survey, water)
     beam = rays.enter_water(
@@ -176,14 +157,17 @@ def depth(
         # What is behind the target is still in the phases: they may disagree.
         "doubt": np.inf,
     }
-    path = fitted_once(
-        "optical path",
-        lambda: ambiguity.fit(**arguments),
-        lambda choices: ambiguity.optical_path(**arguments, choices=choices),
-    )
+    if fit is None:
+        path, fit = ambiguity.fit(**arguments)
+    else:
+        path = ambiguity.optical_path(**arguments, choices=fit)
     slant_range = rays.slant_range_of_path(
         path.length, beam, receiver, medium=surroundings
     )
     found = np.maximum(slant_range - beam.length_before, 0.0)
     settled = seen & path.settled
-    return np.where(settled, found, np.nan), np.where(settled, path.length, np.nan)
+    return (
+        np.where(settled, found, np.nan),
+        np.where(settled, path.length, np.nan),
+        fit,
+    )
