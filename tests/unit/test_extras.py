@@ -65,6 +65,15 @@ def test_the_demo_writes_what_it_can_and_says_what_it_leaves_out(
     assert "No E57 files: pip install 'amulor[" in said
 
 
+def test_a_page_is_saved_without_the_packages_of_the_server(bare, tmp_path, capsys):
+    cloud, out = tmp_path / "cloud.xyz", tmp_path / "page.html"
+    cloud.write_text("0 0 1\n0.1 0 1\n0 0.1 1\n")
+    assert main(["view", str(cloud)]) == 1
+    assert "amulor[view]" in capsys.readouterr().err
+    assert main(["view", str(cloud), "--save", str(out)]) == 0
+    assert "<html" in out.read_text()
+
+
 @pytest.mark.parametrize(
     ("words", "extras"),
     [

@@ -68,7 +68,8 @@ def view(
         interval_of,
     )
 
-    _extras.require("view", purpose="the page")
+    if save is None:  # a page saved as one file has no server
+        _extras.require("view", purpose="the page")
     if all(one is None for one in (samples, nearest, farthest, against, unit, save)):
         check_inputs(path)
 
