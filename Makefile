@@ -23,6 +23,7 @@ help:
 	@echo "make soak      hours of a scan in simulated time, with faults, pages, commands"
 	@echo "make bench     speed against peers and limits, measured in one run"
 	@echo "make package   build wheel and sdist, and use the wheel alone"
+	@echo "make installs  install the wheel in fresh environments and run the main commands in each"
 	@echo "make oldest    tests with the oldest dependencies that are allowed"
 	@echo "make constraints  write constraints.txt anew, with the newest dependencies"
 	@echo "make surface   list the public names anew"
@@ -102,6 +103,9 @@ bench: .venv/installed-test
 package: .venv/installed-test
 	$(BIN)/python tools/package.py
 
+installs: .venv/installed-test
+	$(BIN)/python tools/try_installs.py
+
 # On Python 3.11, whose oldest versions the bounds are; in a virtual environment of its own.
 # TESTS=tests runs all of them.
 TESTS = $(addprefix tests/unit/,cube io/drawings io/test_netcdf.py rejection/test_methods.py imaging/test_budget.py cli/test_cli.py)
@@ -126,4 +130,4 @@ clean:
 	rm -rf .venv .venv-oldest dist amulor-demo foam-transients .coverage*
 	rm -rf docs/_build docs/api docs/gallery/examples docs/gallery/backreferences
 
-.PHONY: help demo style types contracts lint test check study soak docs coverage bench package oldest surface clean linkcheck mutate constraints
+.PHONY: help demo style types contracts lint test check study soak docs coverage bench package installs oldest surface clean linkcheck mutate constraints
