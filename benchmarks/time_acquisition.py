@@ -6,8 +6,8 @@ import tempfile
 from pathlib import Path
 
 from amulor import Survey, acquisition
+from amulor.acquisition import run as keeper
 from amulor.acquisition.connect import connect
-from amulor.acquisition.journal import keeper
 from amulor.acquisition.journal.journal import Journal
 from amulor.acquisition.plan import SCAN
 from amulor.acquisition.settings import Settings

@@ -11,11 +11,10 @@ import time
 from pathlib import Path
 
 from amulor.acquisition.journal import file as journal_file
-from amulor.acquisition.journal.checks import CHECKSUM
 from amulor.acquisition.journal.file import explained
 from amulor.acquisition.journal.journal import Journal
 from amulor.acquisition.journal.record import Record
-from amulor.acquisition.journal.schema import TABLES
+from amulor.acquisition.journal.rows import CHECKSUM, TABLES
 from amulor.acquisition.plan import SCAN, Key
 
 RECORD = Record(

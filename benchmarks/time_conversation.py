@@ -12,13 +12,12 @@ from collections.abc import Callable
 from pathlib import Path
 
 from amulor import Survey, acquisition
+from amulor.acquisition import run as keeper
 from amulor.acquisition.clock import VirtualClock
-from amulor.acquisition.connect import simulated_bench
+from amulor.acquisition.connect import LockInGate, simulated_bench
 from amulor.acquisition.devices import Devices
 from amulor.acquisition.drivers.pi_gcs import PiController, PiScanner, PiTargetStage
 from amulor.acquisition.drivers.stanford_sr865a import Sr865a
-from amulor.acquisition.gate import LockInGate
-from amulor.acquisition.journal import keeper
 from amulor.acquisition.journal.journal import Journal
 from amulor.acquisition.plan import SCAN
 from amulor.acquisition.settings import Settings

@@ -13,7 +13,7 @@ import time
 from pathlib import Path
 
 from amulor import Survey, acquisition
-from amulor.acquisition.journal import keeper
+from amulor.acquisition import run as keeper
 from amulor.acquisition.plan import SCAN
 from amulor.acquisition.settings import Settings
 from amulor.simulation import scene_light

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from amulor.acquisition.clock import VirtualClock
-from amulor.acquisition.connect import simulated_bench
+from amulor.acquisition.connect import LockInGate, simulated_bench
 from amulor.acquisition.devices import Devices
 from amulor.acquisition.drivers.analog import AnalogScanner, LockInOutputs
 from amulor.acquisition.drivers.digitiser import DigitiserLockIn
@@ -21,18 +21,17 @@ from amulor.acquisition.drivers.pi_gcs import (
 )
 from amulor.acquisition.drivers.stanford_sr865a import Sr865a
 from amulor.acquisition.drivers.zurich import ZurichLockIn
-from amulor.acquisition.gate import LockInGate
 from amulor.acquisition.settings import LaserSettings, ScannerSettings, Settings
-from amulor.acquisition.settings.analog import AnalogSettings
+from amulor.acquisition.settings.parts import AnalogSettings
 from amulor.acquisition.simulated.bench import SCAN_SPEED, Bench
 from amulor.acquisition.simulated.devices import (
+    SimulatedDigitiser,
     SimulatedLaser,
     SimulatedLockIn,
     SimulatedMount,
     SimulatedScanner,
     SimulatedTargetStage,
 )
-from amulor.acquisition.simulated.digitiser import SimulatedDigitiser
 from amulor.acquisition.simulated.pelco_head import SimulatedPelcoHead
 from amulor.acquisition.simulated.pi import SimulatedPiController
 from amulor.acquisition.simulated.sr865a import SimulatedSr865a

@@ -1,11 +1,11 @@
-"""From the devices file to connected devices."""
+"""A laser whose enable input is wired to an auxiliary output of the lock-in."""
 
 from __future__ import annotations
 
 import contextlib
 import json
 from collections.abc import Callable
-from typing import Any, cast
+from typing import Any, Protocol, cast
 
 from amulor.acquisition.clock import Clock, RealClock, VirtualClock
 from amulor.acquisition.devices import Devices
@@ -13,12 +13,11 @@ from amulor.acquisition.drivers import chosen
 from amulor.acquisition.drivers.ophyd_async import OphydLaser
 from amulor.acquisition.drivers.pi_gcs import PiTargetStage
 from amulor.acquisition.drivers.scpi import ScpiLaser
-from amulor.acquisition.gate import LockInGate
 from amulor.acquisition.links.exclusive import hold
-from amulor.acquisition.links.opening import linked, open_link
-from amulor.acquisition.operator import OperatorTargetStage
+from amulor.acquisition.links.lines import linked, open_link
 from amulor.acquisition.protocols import Laser, LockIn, TargetStage
 from amulor.acquisition.settings import Settings, TargetSettings
+from amulor.acquisition.settings.parts import LaserSettings
 from amulor.acquisition.simulated.bench import Bench
 from amulor.acquisition.simulated.devices import (
     SimulatedLaser,
@@ -32,6 +31,119 @@ from amulor.errors import InstrumentError
 from amulor.survey import Survey
 
 __all__ = ["connect", "open_link", "simulated_bench"]
+
+
+#: Largest voltage that counts as off; an enable input of TTL levels needs 0.8 V [V].
+_OFF = 0.1
+
+
+class _HasOutputs(Protocol):
+    def identity(self) -> str: ...
+
+    def set_output(self, number: int, voltage: float) -> float: ...
+
+    def input(self, number: int) -> float: ...
+
+    def reconnect(self) -> None: ...
+
+
+class LockInGate:
+    """The laser behind an auxiliary output.
+
+    Parameters
+    ----------
+    lock_in : object
+        A lock-in whose driver has `set_output`, which returns the voltage read back.
+    settings : LaserSettings
+        Which output, and the voltage that lets light out.
+    """
+
+    def __init__(self, lock_in: _HasOutputs, settings: LaserSettings) -> None:
+        self._lock_in = lock_in
+        self._settings = settings
+
+    def identity(self) -> str:
+        """Return which output of which lock-in it is."""
+        return f"output {self._settings.output} of {self._lock_in.identity()}"
+
+    def on(self) -> None:
+        """Let light out, if the interlock is closed."""
+        self.check()
+        self._lock_in.set_output(self._settings.output, self._settings.on_voltage)
+
+    def off(self) -> None:
+        """Let no light out, and read back that it is so."""
+        left = self._lock_in.set_output(self._settings.output, 0.0)
+        if abs(left) > _OFF:
+            raise InstrumentError(
+                f"output {self._settings.output} of the lock-in stands at {left:g} V "
+                "and not at 0 V: the laser may be on; switch it off by hand"
+            )
+
+    def check(self) -> None:
+        """Raise if the interlock is open."""
+        own = self._settings
+        if own.interlock_input is None:
+            return
+        voltage = self._lock_in.input(own.interlock_input)
+        if not voltage >= own.interlock_voltage:
+            raise InstrumentError(
+                f"the interlock of the laser is open: input {own.interlock_input} of "
+                f"the lock-in stands at {voltage:g} V, closed it has at least "
+                f"{own.interlock_voltage:g} V; see who opened it, and close it"
+            )
+
+    def make_safe(self) -> None:
+        """Let no light out, over a new link if the old one is lost."""
+        try:
+            self.off()
+        except InstrumentError:
+            self._lock_in.reconnect()
+            self.off()
+
+    def close(self) -> None:
+        """Do nothing: the link is the lock-in's."""
+
+
+class OperatorTargetStage:
+    """Asks for what a motor would do.
+
+    Parameters
+    ----------
+    ask : callable or None
+        Shows a text and returns when it has been done; None if nobody is there.
+    """
+
+    def __init__(self, ask: Callable[[str], None] | None) -> None:
+        self._ask = ask
+
+    def identity(self) -> str:
+        """Return that it is an operator."""
+        return "operator"
+
+    def bring_in(self, *, timeout: float) -> None:
+        """Ask for the target."""
+        self._request("The laser is off. Put the target into the beam")
+
+    def take_out(self, *, timeout: float) -> None:
+        """Ask for open water."""
+        self._request(
+            "The laser is off. Take the target out: only water is to be in the beam"
+        )
+
+    def make_safe(self) -> None:
+        """Do nothing."""
+
+    def close(self) -> None:
+        """Do nothing."""
+
+    def _request(self, text: str) -> None:
+        if self._ask is None:
+            raise InstrumentError(
+                "open-water shots need somebody who moves the target, but this is no "
+                "terminal; run it on one, or give target.driver a stage"
+            )
+        self._ask(text)
 
 
 def connect(

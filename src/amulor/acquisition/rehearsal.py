@@ -14,9 +14,12 @@ from amulor.acquisition.settings import Settings
 from amulor.acquisition.simulated.bench import Bench
 from amulor.acquisition.simulated.pi import SimulatedPiController
 from amulor.acquisition.simulated.scene import Scene
-from amulor.acquisition.simulated.sr844 import SimulatedSr844
 from amulor.acquisition.simulated.sr865a import SimulatedSr865a
-from amulor.acquisition.simulated.stanford import INTERLOCK_INPUT, SimulatedStanford
+from amulor.acquisition.simulated.stanford import (
+    INTERLOCK_INPUT,
+    SimulatedSr844,
+    SimulatedStanford,
+)
 from amulor.survey import Survey
 
 #: What the simulated lock-in is wired to, by the model.

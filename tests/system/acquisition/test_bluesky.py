@@ -35,8 +35,10 @@ from amulor.acquisition.drivers.ophyd_async import (  # noqa: E402
     OphydLockIn,
     OphydScanner,
 )
-from amulor.acquisition.links.async_loop import AsyncLoop  # noqa: E402
-from amulor.acquisition.links.ophyd_device import OphydDevice  # noqa: E402
+from amulor.acquisition.links.ophyd_device import (  # noqa: E402
+    AsyncLoop,
+    OphydDevice,
+)
 
 PAGE = Path(__file__).parents[3] / "docs" / "how-to" / "add-an-instrument.md"
 ONE_FREQUENCY = {

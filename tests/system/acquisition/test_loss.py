@@ -23,8 +23,8 @@ from driven_devices import devices_of
 
 from amulor import acquisition
 from amulor.acquisition import plan
+from amulor.acquisition import run as keeper
 from amulor.acquisition.bluesky import ScanDevice
-from amulor.acquisition.journal import keeper
 from amulor.acquisition.journal.file import FILE_NAME
 from amulor.acquisition.journal.journal import Journal
 from amulor.acquisition.journal.record import Record

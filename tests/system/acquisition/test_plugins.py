@@ -20,9 +20,9 @@ from amulor.acquisition.links.tcp import DeviceServer
 from amulor.acquisition.plugins import Wiring, make, names
 from amulor.acquisition.rehearsal import rehearse
 from amulor.acquisition.settings import Settings
-from amulor.acquisition.settings.light import LaserSettings, SourceSettings
+from amulor.acquisition.settings.parts import LaserSettings, SourceSettings
 from amulor.acquisition.simulated.bench import SCAN_SPEED, Bench
-from amulor.acquisition.simulated.laser_driver import SimulatedLaserDriver
+from amulor.acquisition.simulated.devices import SimulatedLaserDriver
 from amulor.errors import InstrumentError
 from amulor.simulation import scene_light, simulate
 
@@ -146,7 +146,7 @@ def test_a_digitiser_of_the_page_is_a_lock_in(tmp_path, monkeypatch) -> None:
     (info / "METADATA").write_text("Metadata-Version: 2.1\nName: card\nVersion: 1.0\n")
     (info / "entry_points.txt").write_text("[amulor.digitisers]\nmy_card = card:Card\n")
     (tmp_path / "card.py").write_text(
-        "from amulor.acquisition.simulated.digitiser import SimulatedDigitiser\n"
+        "from amulor.acquisition.simulated.devices import SimulatedDigitiser\n"
         "class Card(SimulatedDigitiser):\n"
         "    def __init__(self, wiring):\n"
         "        super().__init__(None, memory=wiring.options['memory'])\n"

@@ -12,9 +12,9 @@ import xarray as xr
 from patient_links import links_are_patient  # noqa: F401  it is used by itself
 
 from amulor import acquisition
+from amulor.acquisition import run as keeper
 from amulor.acquisition.clock import VirtualClock
 from amulor.acquisition.devices import Devices
-from amulor.acquisition.journal import keeper
 from amulor.acquisition.journal.journal import Journal
 from amulor.acquisition.settings import Settings
 from amulor.survey import Survey

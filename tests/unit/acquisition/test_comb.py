@@ -11,10 +11,9 @@ import pytest
 
 from amulor import acquisition
 from amulor.acquisition import plan
-from amulor.acquisition.connect import connect, simulated_bench
+from amulor.acquisition.connect import LockInGate, connect, simulated_bench
 from amulor.acquisition.devices import Devices
 from amulor.acquisition.drivers.zurich import ZurichLockIn
-from amulor.acquisition.gate import LockInGate
 from amulor.acquisition.journal.journal import Journal
 from amulor.acquisition.plan import SCAN
 from amulor.acquisition.sampler import SampleFlag

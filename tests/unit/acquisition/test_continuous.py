@@ -209,7 +209,7 @@ def test_what_the_beam_passes_stays_in_the_filter(edges) -> None:
 
 def test_the_way_is_divided_where_the_nearest_place_changes(edges) -> None:
     light = scene_light(edges)
-    from amulor.acquisition.simulated.places import Places
+    from amulor.acquisition.simulated.scene import Places
 
     places = Places(light.with_target)
     start, end = complex(-0.03, 0.011), complex(0.035, -0.004)

@@ -7,10 +7,9 @@ import pytest
 
 from amulor import acquisition
 from amulor.acquisition.connect import connect
-from amulor.acquisition.darkness import DarkLevel
 from amulor.acquisition.journal.journal import Journal
 from amulor.acquisition.plan import DARK, OPEN_WATER, SCAN
-from amulor.acquisition.sampler import SampleFlag
+from amulor.acquisition.sampler import DarkLevel, SampleFlag
 from amulor.errors import InstrumentError
 from amulor.simulation import scene_light
 

@@ -22,12 +22,12 @@ from amulor.acquisition.protocols import Overload
 from amulor.acquisition.sampler import SampleFlag
 from amulor.acquisition.settings import Settings
 from amulor.acquisition.simulated.devices import (
+    SimulatedDigitiser,
     SimulatedLaser,
     SimulatedMount,
     SimulatedScanner,
     SimulatedTargetStage,
 )
-from amulor.acquisition.simulated.digitiser import SimulatedDigitiser
 from amulor.errors import InstrumentError
 from amulor.simulation import scene_light, simulate
 from amulor.survey import Survey

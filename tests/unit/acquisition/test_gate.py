@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from amulor.acquisition.gate import LockInGate
+from amulor.acquisition.connect import LockInGate
 from amulor.acquisition.settings import LaserSettings
 from amulor.errors import InstrumentError
 

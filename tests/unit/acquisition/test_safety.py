@@ -9,9 +9,8 @@ import pytest
 
 from amulor import acquisition
 from amulor.acquisition import plan, run
-from amulor.acquisition.connect import connect
+from amulor.acquisition.connect import OperatorTargetStage, connect
 from amulor.acquisition.journal.journal import Journal
-from amulor.acquisition.operator import OperatorTargetStage
 from amulor.acquisition.plan import SCAN
 from amulor.errors import FormatError, InstrumentError, SurveyError
 from amulor.simulation import scene_light

@@ -10,7 +10,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from amulor.acquisition.clock import Clock
-from amulor.acquisition.settings.analog import AnalogSettings, MirrorSettings
+from amulor.acquisition.settings.parts import AnalogSettings, MirrorSettings
 from amulor.errors import InstrumentError
 
 #: Measured angles from which on a curve, not a line, is fitted.

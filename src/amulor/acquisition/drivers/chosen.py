@@ -17,14 +17,11 @@ from amulor.acquisition.drivers.pi_gcs import (
     PiScanner,
 )
 from amulor.acquisition.drivers.pymeasure import PymeasureLockIn
-from amulor.acquisition.drivers.scpi import ScpiSource
-from amulor.acquisition.drivers.scpi_lock_in import ScpiLockIn
-from amulor.acquisition.drivers.stanford_sr844 import Sr844
+from amulor.acquisition.drivers.scpi import ScpiLockIn, ScpiSource
+from amulor.acquisition.drivers.stanford import Sr844
 from amulor.acquisition.drivers.stanford_sr865a import INPUT_RANGES, Sr865a
 from amulor.acquisition.drivers.zurich import ZurichLockIn
-from amulor.acquisition.links.octets import OctetLink
-from amulor.acquisition.links.opening import linked
-from amulor.acquisition.links.visa import SerialPort
+from amulor.acquisition.links.lines import OctetLink, SerialPort, linked
 from amulor.acquisition.protocols import (
     LockIn,
     RotationMount,

@@ -8,7 +8,7 @@ from typing import Protocol
 
 from amulor.acquisition.clock import Clock, Deadline
 from amulor.acquisition.settings import ScannerSettings
-from amulor.acquisition.settings.pan_tilt import PanTiltSettings
+from amulor.acquisition.settings.parts import PanTiltSettings
 from amulor.errors import InstrumentError
 
 _SYNC, _LENGTH = 0xFF, 7

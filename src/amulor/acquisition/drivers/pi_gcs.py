@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping, Sequence
 
 from amulor.acquisition.clock import Clock, Deadline
-from amulor.acquisition.links.visa import Conversation
+from amulor.acquisition.links.lines import Conversation
 from amulor.acquisition.settings import ScannerSettings, TargetSettings
 from amulor.errors import InstrumentError
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from amulor.acquisition.clock import Clock, Deadline
 from amulor.acquisition.drivers.stanford import Stanford
-from amulor.acquisition.links.visa import Conversation
+from amulor.acquisition.links.lines import Conversation
 from amulor.acquisition.protocols import Overload, Reading, Recorded
 from amulor.errors import InstrumentError
 

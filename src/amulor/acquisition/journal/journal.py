@@ -10,15 +10,20 @@ from pathlib import Path
 from typing import Any
 
 from amulor.acquisition.journal import file as journal_file
-from amulor.acquisition.journal.description import checked, with_checksums
-from amulor.acquisition.journal.file import FILE_NAME, explained
+from amulor.acquisition.journal.file import (
+    FILE_NAME,
+    checked,
+    explained,
+    with_checksums,
+)
 from amulor.acquisition.journal.record import EXTRA, Record
-from amulor.acquisition.journal.rows import Rows, columns_of
-from amulor.acquisition.journal.schema import (
+from amulor.acquisition.journal.rows import (
     INSERT,
     KEY_NAMES,
     SCHEMA_VERSION,
     TABLES,
+    Rows,
+    columns_of,
     refuse_another,
     row_of,
 )

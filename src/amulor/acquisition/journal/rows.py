@@ -1,17 +1,266 @@
-"""Rows of a journal as they were written; damaged ones are told and left out."""
+"""Whether a row of a journal is what was written: its checksum, types and ranges."""
 
 from __future__ import annotations
 
 import contextlib
+import functools
+import json
+import math
+import operator
 import sqlite3
-from collections.abc import Callable, Iterator, Mapping
+import struct
+import zlib
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
-from amulor.acquisition.journal.checks import CHECKSUM, RowCheck
-from amulor.acquisition.journal.record import Record
-from amulor.acquisition.journal.schema import RECORD_FIELDS
-from amulor.acquisition.plan import Key
+from amulor.acquisition.journal.record import OPTIONAL, QUANTITIES, WHOLE, Record
+from amulor.acquisition.plan import DARK, OPEN_WATER, SCAN, Key
+from amulor.errors import FormatError, InstrumentError, SurveyError
 from amulor.survey import Survey
+
+#: The column of the checksum.
+CHECKSUM = "crc"
+_TEXTS = ("kind", "polarization")
+_WHOLE = WHOLE | {"row", "column", "repeat"}
+#: Smallest and largest value of each number of a row, both included.
+_RANGES: dict[str, tuple[float, float]] = {
+    "row": (0, 20_000),
+    "column": (0, 20_000),
+    "frequency": (1e-6, 1e15),
+    "repeat": (0, 2**62),
+    **{name: quantity.within for name, quantity in QUANTITIES.items()},
+}
+
+
+@functools.lru_cache(maxsize=256)
+def _pattern(
+    names: tuple[str, ...], kinds: tuple[type, ...]
+) -> tuple[int, struct.Struct, list[int], list[int]]:
+    """Return the checksum of the names of numbers, what packs them, and places."""
+    texts = [place for place, kind in enumerate(kinds) if kind is str]
+    numbers = [
+        place for place, kind in enumerate(kinds) if kind not in (str, type(None))
+    ]
+    start = zlib.crc32("\0".join([names[place] for place in numbers]).encode())
+    return start, struct.Struct(f"<{len(numbers)}d"), numbers, texts
+
+
+def checksum(names: Sequence[str], values: Sequence[Any]) -> int:
+    """Return the CRC-32 of a row.
+
+    Parameters
+    ----------
+    names : sequence of str
+        Columns, without number and checksum.
+    values : sequence
+        Texts, numbers, and None for what is not there; in the same order.
+
+    Returns
+    -------
+    int
+        Of the names and values of what is there, so that columns that another version
+        has beside them change nothing. Not a number counts as not there, and -0 as 0:
+        so they come back from the journal.
+    """
+    kinds = tuple(map(type, values))
+    start, packed, numbers, texts = _pattern(tuple(names), kinds)
+    found = [values[place] + 0.0 for place in numbers]
+    if math.isnan(sum(found)):
+        there = [None if value != value else value for value in values]
+        if there != [*values]:  # not the difference of two infinite ones
+            return checksum(names, there)
+    after = zlib.crc32(packed.pack(*found), start)
+    text = "\0".join([f"{values[place]}\0{names[place]}" for place in texts])
+    return zlib.crc32(text.encode("utf-8", "replace"), after)
+
+
+def refuse_infinite(key: Key, record: Record) -> None:
+    """Raise if something infinite is to be written, which no instrument measures."""
+    for name, value in (*key._asdict().items(), *vars(record).items()):
+        if value in (math.inf, -math.inf):
+            raise FormatError(
+                f"sample {tuple(key)}: {name} is infinite; look at what the instrument "
+                "answers. Nothing was written"
+            )
+
+
+class RowCheck:
+    """Says what is wrong with rows of one journal.
+
+    Parameters
+    ----------
+    survey : Survey or None
+        Of the scan, None where the journal has none.
+    columns : sequence of str
+        Of the table, without number and checksum.
+    """
+
+    def __init__(self, survey: Survey | None, columns: Sequence[str]) -> None:
+        self._columns = tuple(columns)
+        self._frequencies: tuple[float, ...] | None = None
+        self._pairs: tuple[str, ...] = ()
+        self._grids: dict[str, tuple[int, int]] = {DARK: (1, 1)}
+        if survey is not None:
+            plan = survey.scan.open_water
+            self._frequencies = tuple(survey.instrument.modulation_frequencies)
+            self._pairs = tuple(survey.instrument.polarizations)
+            self._grids[SCAN] = (survey.scan.rows, survey.scan.columns)
+            self._grids[OPEN_WATER] = (
+                (0, 0) if plan is None else (plan.rows, plan.columns)
+            )
+
+    def wrong_with(self, values: Sequence[Any], stored: Any) -> str | None:
+        """Describe the damage of a row with a stored checksum; None if it is sound."""
+        row = dict(zip(self._columns, values, strict=True))
+        wrong = (
+            self._wrong_type(row) or self._wrong_value(row) or self._not_planned(row)
+        )
+        if wrong is not None:
+            return wrong
+        if stored != checksum(self._columns, values):
+            return "its checksum is that of other numbers"
+        return None
+
+    def _wrong_type(self, row: Mapping[str, Any]) -> str | None:
+        for name, value in row.items():
+            if name in _TEXTS:
+                if not isinstance(value, str) or "\ufffd" in value:
+                    return f"{name} is no readable text"
+            elif value is None:
+                if name in _RANGES and name not in OPTIONAL:
+                    return f"{name} is missing"
+            elif type(value) not in (int, float):
+                return f"{name} is no number"
+            elif name in _WHOLE and type(value) is not int:
+                return f"{name} = {value:.6g} is no whole number"
+        return None
+
+    def _wrong_value(self, row: Mapping[str, Any]) -> str | None:
+        for name, value in row.items():
+            if name in _RANGES and value is not None:
+                low, high = _RANGES[name]
+                if not low <= value <= high:
+                    return f"{name} = {value:.6g} is not within {low:.6g} to {high:.6g}"
+            elif isinstance(value, float) and not math.isfinite(value):
+                return f"{name} is infinite"
+        return None
+
+    def _not_planned(self, row: Mapping[str, Any]) -> str | None:
+        if row["kind"] not in (SCAN, OPEN_WATER, DARK):
+            return f"there is no kind of sample {row['kind']!r}"
+        if self._frequencies is None:
+            return None
+        rows, columns = self._grids[row["kind"]]
+        if not (row["row"] < rows and row["column"] < columns):
+            return (
+                f"row = {row['row']}, column = {row['column']} of {row['kind']}: the "
+                f"survey has {rows} rows and {columns} columns of it"
+            )
+        if row["frequency"] not in self._frequencies:
+            return f"the survey has no frequency of {row['frequency']:.9g} Hz"
+        if row["polarization"] not in self._pairs:
+            return f"the survey has no polarization {row['polarization']!r}"
+        return None
+
+
+#: Raised when an older amulor must not write to a journal.
+SCHEMA_VERSION = "2"
+
+_KEY_COLUMNS = (
+    "kind TEXT NOT NULL, row INTEGER NOT NULL, column INTEGER NOT NULL, "
+    "frequency REAL NOT NULL, polarization TEXT NOT NULL, repeat INTEGER NOT NULL"
+)
+KEY_NAMES = ", ".join(Key._fields)
+RECORD_FIELDS = tuple(QUANTITIES)
+_RECORD_NAMES = ", ".join(RECORD_FIELDS)
+
+
+def _column(name: str) -> str:
+    """Declare the column of a recorded quantity in SQL."""
+    kind = "INTEGER" if name in WHOLE else "REAL"
+    return f"{name} {kind}" + ("" if name in OPTIONAL else " NOT NULL")
+
+
+_RECORD_COLUMNS = ", ".join(map(_column, RECORD_FIELDS))
+_VALUES = operator.attrgetter(*RECORD_FIELDS)
+_NAMES = (*Key._fields, *RECORD_FIELDS)
+_PLACES = ", ".join("?" * (len(_NAMES) + 1))
+INSERT = (
+    f"INSERT INTO samples ({KEY_NAMES}, {_RECORD_NAMES}, {CHECKSUM}) VALUES ({_PLACES})"
+)
+#: A journal is append-only: samples are inserted, never changed, never deleted.
+TABLES = (
+    "CREATE TABLE meta (key TEXT PRIMARY KEY, value TEXT)",
+    f"CREATE TABLE samples (number INTEGER PRIMARY KEY, {_KEY_COLUMNS}, "
+    f"{_RECORD_COLUMNS}, {CHECKSUM} INTEGER, UNIQUE ({KEY_NAMES}))",
+    "CREATE TABLE segments (number INTEGER PRIMARY KEY, started TEXT, ended TEXT, "
+    "reason TEXT)",
+)
+
+
+def row_of(key: Key, record: Record) -> tuple[Any, ...]:
+    """Return what `INSERT` takes."""
+    values = (*key, *_VALUES(record))
+    if math.inf in values or -math.inf in values:
+        refuse_infinite(key, record)
+    return (*values, checksum(_NAMES, values))
+
+
+def refuse_another(
+    folder: Path, path: Path, result: Mapping[str, str], meta: Mapping[str, str]
+) -> None:
+    """Raise unless a journal is of this schema, and of the scan that is meant.
+
+    Parameters
+    ----------
+    folder, path : pathlib.Path
+        Of the scan and of its journal, for messages.
+    result : mapping
+        What the journal says.
+    meta : mapping
+        What is known now; what is left out is not compared.
+
+    Raises
+    ------
+    FormatError
+        If the schema is another one.
+    SurveyError, InstrumentError
+        If the survey or the instrument is.
+    """
+    version = result.get("journal_schema")
+    if version != SCHEMA_VERSION:
+        raise FormatError(
+            f"{path}: the journal has schema {version!r}, this amulor knows "
+            f"{SCHEMA_VERSION!r}; use the amulor that began the scan"
+        )
+    same = {"survey_digest": "", "instrument_digest": "", **result, **meta}
+    if result.get("survey_digest", "") != same["survey_digest"]:
+        raise SurveyError(
+            f"{folder} holds a scan of another survey "
+            f"({result['survey_digest'][:15]}..., now "
+            f"{meta['survey_digest'][:15]}...); go on with the survey.toml in that "
+            "folder, or name a new folder"
+        )
+    if result.get("instrument_digest", "") != same["instrument_digest"]:
+        other = _differences(result["identities"], meta["identities"])
+        raise InstrumentError(
+            f"{folder} holds a scan by other devices or another procedure: "
+            f"{other}; go on with the devices.toml in that folder, or name a new "
+            "folder"
+        )
+
+
+def _differences(before: str, now: str) -> str:
+    """Say which device of a scan is another one than before."""
+    old, new = json.loads(before), json.loads(now)
+    changed = [
+        f"{name} was {old.get(name, 'not there')}, is {new.get(name, 'not there')}"
+        for name in dict.fromkeys([*old, *new])
+        if old.get(name) != new.get(name)
+    ]
+    return "; ".join(changed) or "each device is the same, what it is told is not"
+
 
 #: Rows that are tried behind a page that cannot be read, if nobody knows how many are.
 _SEARCHED = 100_000

@@ -8,8 +8,12 @@ from amulor.acquisition.settings.devices_file import (
     SimulationSettings,
     TargetSettings,
 )
-from amulor.acquisition.settings.light import LaserSettings, SourceSettings
-from amulor.acquisition.settings.lock_in import DigitiserSettings, LockInSettings
+from amulor.acquisition.settings.parts import (
+    DigitiserSettings,
+    LaserSettings,
+    LockInSettings,
+    SourceSettings,
+)
 
 __all__ = [
     "DigitiserSettings",

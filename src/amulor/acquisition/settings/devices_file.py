@@ -8,15 +8,17 @@ from typing import Annotated, Literal, Self
 
 from pydantic import Field, model_validator
 
-from amulor.acquisition.settings.analog import AnalogSettings
-from amulor.acquisition.settings.light import LaserSettings, SourceSettings
-from amulor.acquisition.settings.lock_in import DigitiserSettings, LockInSettings
-from amulor.acquisition.settings.pan_tilt import PanTiltSettings
 from amulor.acquisition.settings.parts import (
+    AnalogSettings,
     Axis,
+    DigitiserSettings,
+    LaserSettings,
     Linked,
+    LockInSettings,
     Options,
+    PanTiltSettings,
     Patience,
+    SourceSettings,
     known,
     need,
 )

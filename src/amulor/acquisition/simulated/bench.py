@@ -1,4 +1,4 @@
-"""A simulated instrument in front of a scene, and how its output moves with time."""
+"""Faults that simulated devices show on purpose, timed by the number of a reading."""
 
 from __future__ import annotations
 
@@ -7,19 +7,145 @@ import importlib
 import math
 import threading
 from collections import deque
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
 from amulor.acquisition.clock import Clock
 from amulor.acquisition.settings import SimulationSettings
-from amulor.acquisition.simulated.faults import Faults
-from amulor.acquisition.simulated.filtering import in_steps
-from amulor.acquisition.simulated.places import Places, Tone, mount_angles
-from amulor.acquisition.simulated.scene import Scene
+from amulor.acquisition.simulated.scene import Places, Scene, Tone, mount_angles
 from amulor.acquisition.uncertainty import reading_variance
 from amulor.survey import Survey
 from amulor.survey.counting import background_rate
+
+
+@dataclass(frozen=True)
+class Fault:
+    """One thing that goes wrong."""
+
+    kind: str
+    """overload, saturation, unlock, lost-link, timeout, stuck, darkness (the light is
+    blocked behind the laser) or interlock (it is open)."""
+    first: int
+    """Number of the reading that it begins at, counted from 1 [1]."""
+    count: int
+    """How many readings it lasts [1]."""
+
+
+@dataclass(frozen=True)
+class Faults:
+    """All faults of a simulated instrument."""
+
+    planned: tuple[Fault, ...] = ()
+    """In any order."""
+
+    @classmethod
+    def parse(cls, texts: Iterable[str]) -> Faults:
+        """Return the faults that texts such as "unlock@500x3" stand for.
+
+        Parameters
+        ----------
+        texts : iterable of str
+            Kind, first reading and, after an x, how many readings; one by default.
+
+        Returns
+        -------
+        Faults
+            In the same order.
+
+        Examples
+        --------
+        >>> Faults.parse(["unlock@500x3"]).active("unlock", 502)
+        True
+        """
+        result = []
+        for text in texts:
+            kind, _, when = text.partition("@")
+            first, _, count = when.partition("x")
+            result.append(Fault(kind, int(first), int(count or 1)))
+        return cls(tuple(result))
+
+    def active(self, kind: str, reading: int) -> bool:
+        """Return whether a fault of a kind shows at a reading.
+
+        Parameters
+        ----------
+        kind : str
+            As in `Fault`.
+        reading : int
+            Number of the reading, counted from 1 [1].
+
+        Returns
+        -------
+        bool
+            True if one does.
+        """
+        return any(
+            fault.kind == kind and fault.first <= reading < fault.first + fault.count
+            for fault in self.planned
+        )
+
+
+def in_steps(
+    tones: Sequence[Tone],
+    *,
+    start: float,
+    interval: float,
+    count: int,
+    time_constant: float,
+    spread: float,
+    settings: SimulationSettings,
+    rng: np.random.Generator,
+) -> list[list[complex]]:
+    """Let the filters of tones run on over evenly spaced moments.
+
+    Parameters
+    ----------
+    tones : sequence of Tone
+        What enters them, and what they hold; changed.
+    start : float
+        When they hold it [s].
+    interval : float
+        From there to the first moment, and between moments [s].
+    count : int
+        How many moments, at least 1 [1].
+    time_constant : float
+        Of all filters [s].
+    spread : float
+        Standard deviation of the noise behind them [V].
+    settings : SimulationSettings
+        Drift of the phase, and pickup.
+    rng : numpy.random.Generator
+        Where noise comes from.
+
+    Returns
+    -------
+    list of list of complex
+        A row for each moment, with the output of each tone [V].
+    """
+    from scipy.signal import lfilter
+
+    keep = math.exp(-interval / time_constant)
+    fresh = math.sqrt(max(1 - keep**2, 0.0)) * spread
+    moments = start + interval * np.arange(1, count + 1)
+    turn = np.exp(1j * settings.phase_drift * moments)
+    columns = []
+    for tone in tones:
+        aim = tone.input * turn + settings.pickup
+        drawn = rng.standard_normal((2, count))
+        for name, enters in (
+            ("level", (1 - keep) * aim),
+            ("noise", fresh * (drawn[0] + 1j * drawn[1])),
+        ):
+            held = [keep * getattr(tone, name)]
+            left, _ = lfilter([1.0], [1.0, -keep], enters, zi=held)
+            setattr(tone, name, complex(left[-1]))
+            columns.append(left)
+    shown = np.stack(columns[::2], axis=1) + np.stack(columns[1::2], axis=1)
+    rows: list[list[complex]] = shown.tolist()
+    return rows
+
 
 #: How fast the beam turns [rad/s].
 SCAN_SPEED = 5.0

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
+from amulor.optics.polarization import stokes
 from amulor.survey import Survey
 
 
@@ -55,3 +57,86 @@ class SceneLight(Protocol):
 #: devices are given it from outside: nothing of `amulor.acquisition` knows how light
 #: is simulated.
 Scene = Callable[[Survey], SceneLight]
+
+
+#: Directions nearer to each other than this count as one [rad].
+_SAME = 1e-5
+
+
+@dataclass
+class Tone:
+    """One modulation frequency: the light at it, and the filter behind its mixer."""
+
+    frequency: float
+    scan: Places
+    open_water: Places
+    channel: int
+    """Its place in that light [1]."""
+    level: complex = 0j
+    noise: complex = 0j
+    input: complex = 0j
+
+
+class Places:
+    """Light of one arrangement, and the place that is nearest to a direction."""
+
+    def __init__(self, light: LightByDirection) -> None:
+        self.light = light
+        self._direction = light.azimuth + 1j * light.elevation
+        # Places looked up before, by the direction in steps of `_SAME`.
+        self._known: dict[tuple[int, int], int] = {}
+
+    def nearest(self, azimuth: float, elevation: float) -> int:
+        """Return the number of the place nearest to a direction [rad]."""
+        key = (round(azimuth / _SAME), round(elevation / _SAME))
+        number = self._known.get(key)
+        if number is None:
+            away = np.abs(self._direction - complex(azimuth, elevation))
+            number = self._known[key] = int(np.argmin(away))
+        return number
+
+    def passed(self, start: complex, end: complex) -> list[tuple[float, int]]:
+        """Return what is seen along a straight way, after what is seen at its start.
+
+        Parameters
+        ----------
+        start, end : complex
+            Azimuth, and elevation as the imaginary part [rad].
+
+        Returns
+        -------
+        list of (float, int)
+            Part of the way at which the nearest place becomes another one, and the
+            number of that one. Squared distances differ by linear functions of the
+            part, so that the borders are exact.
+        """
+        towards, here = self._direction - start, end - start
+        level = np.abs(towards) ** 2
+        slope = -2 * (towards.real * here.real + towards.imag * here.imag)
+        least = 1e-12 * max(float(np.abs(slope).max(initial=0.0)), 1e-300)
+        part, number = 0.0, int(np.argmin(level))
+        found: list[tuple[float, int]] = []
+        while True:
+            fall = slope[number] - slope
+            nearer = np.flatnonzero(fall > least)
+            if nearer.size == 0:
+                return found
+            when = (level[nearer] - level[number]) / fall[nearer]
+            first = float(when.min())
+            if first >= 1:
+                return found
+            together = nearer[when <= first + 1e-12]
+            part = max(part, first)
+            number = int(together[np.argmin(slope[together])])
+            found.append((part, number))
+
+
+def mount_angles(
+    survey: Survey, launch: Mapping[str, float], analyser: Mapping[str, float]
+) -> list[complex]:
+    """Return launch + 1j * analyser angle of each pair, far off if not stated [rad]."""
+    pairs = []
+    for pair in survey.instrument.polarizations:
+        launched, analysed = stokes.pair_states(pair)
+        pairs.append(complex(launch.get(launched, 1e3), analyser.get(analysed, 1e3)))
+    return pairs

@@ -25,7 +25,7 @@ from amulor.acquisition.drivers.analog import (
 from amulor.acquisition.journal.journal import Journal
 from amulor.acquisition.plan import SCAN
 from amulor.acquisition.settings import Settings
-from amulor.acquisition.settings.analog import AnalogSettings, MirrorSettings
+from amulor.acquisition.settings.parts import AnalogSettings, MirrorSettings
 from amulor.acquisition.simulated.bench import SCAN_SPEED
 from amulor.errors import InstrumentError
 from amulor.simulation import scene_light

@@ -13,7 +13,7 @@ from amulor import acquisition
 from amulor.acquisition.clock import VirtualClock
 from amulor.acquisition.connect import simulated_bench
 from amulor.acquisition.drivers.pelco_d import PelcoHead, frame
-from amulor.acquisition.links.octets import OctetLink
+from amulor.acquisition.links.lines import OctetLink
 from amulor.acquisition.links.tcp import DeviceServer
 from amulor.acquisition.rehearsal import rehearse
 from amulor.acquisition.sampler import SampleFlag

@@ -10,16 +10,16 @@ from driven_devices import Lines
 from numpy.testing import assert_allclose
 
 from amulor.acquisition.clock import VirtualClock
-from amulor.acquisition.drivers.stanford_sr844 import (
+from amulor.acquisition.connect import LockInGate
+from amulor.acquisition.drivers.stanford import (
     SENSITIVITIES,
     TIME_CONSTANTS,
     Sr844,
 )
 from amulor.acquisition.drivers.stanford_sr865a import SCALES, Sr865a
-from amulor.acquisition.gate import LockInGate
 from amulor.acquisition.protocols import Overload
 from amulor.acquisition.settings import LaserSettings
-from amulor.acquisition.simulated.faults import Faults
+from amulor.acquisition.simulated.bench import Faults
 from amulor.acquisition.simulated.sr865a import SimulatedSr865a
 from amulor.errors import InstrumentError
 

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
+from amulor.acquisition.connect import LockInGate
 from amulor.acquisition.drivers.zurich import ZurichLockIn
-from amulor.acquisition.gate import LockInGate
 from amulor.acquisition.protocols import Overload
 from amulor.acquisition.settings import LaserSettings
 from amulor.errors import InstrumentError, MissingExtraError

@@ -16,10 +16,9 @@ import pytest
 
 from amulor import acquisition
 from amulor.acquisition.clock import VirtualClock
-from amulor.acquisition.connect import simulated_bench
+from amulor.acquisition.connect import LockInGate, simulated_bench
 from amulor.acquisition.devices import Devices
 from amulor.acquisition.drivers.zurich import ZurichLockIn
-from amulor.acquisition.gate import LockInGate
 from amulor.acquisition.protocols import Overload
 from amulor.acquisition.settings import LaserSettings, Settings
 from amulor.acquisition.simulated.devices import (

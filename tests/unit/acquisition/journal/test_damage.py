@@ -17,9 +17,9 @@ import pytest
 from journal_damage import copied, damage
 
 from amulor import acquisition
-from amulor.acquisition.journal.checks import checksum
 from amulor.acquisition.journal.file import FILE_NAME
 from amulor.acquisition.journal.journal import Journal
+from amulor.acquisition.journal.rows import checksum
 from amulor.acquisition.plan import SCAN
 from amulor.acquisition.settings import Settings
 from amulor.errors import AmulorError, FormatError

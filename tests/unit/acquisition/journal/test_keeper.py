@@ -27,7 +27,7 @@ def test_samples_are_told_after_they_are_written_whenever_that_is(
     small, settings, folder, monkeypatch, slow, where
 ) -> None:
     """Commits beside the next dwell keep order, and nothing is told too early."""
-    monkeypatch.setattr("amulor.acquisition.journal.keeper.SLOW", slow)
+    monkeypatch.setattr("amulor.acquisition.run.SLOW", slow)
     threads, told, there = set(), [], []
     commit = Journal.commit_together
 
@@ -58,7 +58,7 @@ def test_samples_are_told_after_they_are_written_whenever_that_is(
 def test_a_failure_beside_the_next_dwell_loses_nothing_that_was_told(
     small, settings, folder, monkeypatch, fails
 ) -> None:
-    monkeypatch.setattr("amulor.acquisition.journal.keeper.SLOW", 0.0)
+    monkeypatch.setattr("amulor.acquisition.run.SLOW", 0.0)
     commit, told, count = Journal.commit_together, [], 0
 
     def sometimes(journal: Journal, samples) -> None:

@@ -13,7 +13,7 @@ from amulor.acquisition.clock import VirtualClock
 from amulor.acquisition.connect import open_link
 from amulor.acquisition.drivers.scpi import ScpiLaser, ScpiSource
 from amulor.acquisition.settings import LockInSettings, ScannerSettings
-from amulor.acquisition.settings.light import LaserSettings, SourceSettings
+from amulor.acquisition.settings.parts import LaserSettings, SourceSettings
 from amulor.errors import InstrumentError
 
 #: Procedures of the core channel and errors, as the specification of VXI-11 has them.

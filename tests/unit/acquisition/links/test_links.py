@@ -12,8 +12,8 @@ import pytest
 
 from amulor.acquisition.clock import VirtualClock
 from amulor.acquisition.connect import connect, open_link, simulated_bench
+from amulor.acquisition.links.lines import Link
 from amulor.acquisition.links.tcp import DeviceServer, LinkLostError
-from amulor.acquisition.links.visa import Link
 from amulor.acquisition.rehearsal import rehearse
 from amulor.acquisition.settings import Settings
 from amulor.acquisition.simulated.pi import SimulatedPiController

@@ -10,10 +10,10 @@ import pytest
 
 from amulor.acquisition import connect as connecting
 from amulor.acquisition.drivers.pi_gcs import PiController
-from amulor.acquisition.drivers.stanford_sr844 import Sr844
+from amulor.acquisition.drivers.stanford import Sr844
 from amulor.acquisition.drivers.stanford_sr865a import Sr865a
-from amulor.acquisition.links import opening
-from amulor.acquisition.links.visa import Link, SerialPort
+from amulor.acquisition.links import lines as opening
+from amulor.acquisition.links.lines import Link, SerialPort
 from amulor.acquisition.settings import LockInSettings, ScannerSettings, Settings
 from amulor.errors import InstrumentError
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import pytest
 
 from amulor.acquisition.connect import simulated_bench
-from amulor.acquisition.simulated.sr844 import SimulatedSr844
 from amulor.acquisition.simulated.sr865a import SimulatedSr865a
+from amulor.acquisition.simulated.stanford import SimulatedSr844
 from amulor.simulation import scene_light
 
 
