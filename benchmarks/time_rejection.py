@@ -15,7 +15,7 @@ import time
 import numpy as np
 
 from amulor import rejection
-from amulor.rejection.reference import column_fraction
+from amulor.rejection.reference import column as columns
 from amulor.rejection.reference.before_target import subtract
 from amulor.simulation import simulate
 from amulor.survey import Survey
@@ -109,12 +109,12 @@ def column(pixels):
     depth = rng.uniform(1.4, 1.6, pixels)
     frequency = np.array([39e6])
     begin = time.perf_counter()
-    table = column_fraction.fractions(
+    table = columns.fractions(
         survey, azimuth, elevation, depth, modulation_frequency=frequency
     )
     middle = time.perf_counter()
     few = slice(0, 20_000)
-    exact = column_fraction.integrated(
+    exact = columns.integrated(
         survey,
         np.stack([azimuth[few], elevation[few], depth[few]]),
         frequency,

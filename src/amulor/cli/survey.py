@@ -35,7 +35,7 @@ def check(
     from dataclasses import asdict
 
     from amulor.optics import ranging
-    from amulor.rejection.channels.names import CROSS_POLARIZED
+    from amulor.rejection.channels import CROSS_POLARIZED
     from amulor.rejection.reference.grid import judge_plan
     from amulor.survey import Survey, water_properties
     from amulor.survey.properties import group_index_uncertainty
@@ -271,7 +271,7 @@ def _warn_of_state(
     survey: Survey, water: WaterProperties, reach: tuple[float, float] | None
 ) -> None:
     """Warn of what the water does not state and ranges or channels need."""
-    from amulor.rejection.channels.names import CROSS_POLARIZED
+    from amulor.rejection.channels import CROSS_POLARIZED
     from amulor.survey.properties import group_index_uncertainty
 
     stated = survey.water

@@ -435,12 +435,5 @@ def fit_on_sample(
     statistics that it used: `fit`, or where that is None those of the cube.
     """
     sample = without_groups(sample_of(source), "truth")
-    decisions = Decisions()
-    with deciding(decisions):
-        _, fit = step(sample, span=span_of(source), **options)
-
-    def of(rows: xr.Dataset, first: int) -> xr.Dataset:
-        with told(decisions):
-            return step(rows, fit=fit, **options)[0]
-
-    return of
+    _, fit = step(sample, span=span_of(source), **options)
+    return lambda rows, first: step(rows, fit=fit, **options)[0]

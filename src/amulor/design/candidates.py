@@ -16,7 +16,7 @@ from amulor.design.goal.parts import Box, Laser
 from amulor.design.goal.spread import Spread
 from amulor.design.methods import PREDICTED
 from amulor.errors import SurveyError
-from amulor.rejection.channels.names import PARTNERS
+from amulor.rejection.channels import PARTNERS
 from amulor.survey import Instrument, Plate, Receiver, Scan, Survey, water_properties
 from amulor.survey.instrument import Emitter
 from amulor.survey.mueller import matrix

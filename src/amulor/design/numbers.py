@@ -16,7 +16,7 @@ from amulor.design.methods import PREDICTED
 from amulor.errors import SurveyError
 from amulor.optics import detection
 from amulor.optics.polarization import mueller
-from amulor.rejection.channels.names import PARTNERS
+from amulor.rejection.channels import PARTNERS
 from amulor.survey import OpenWater, counting
 from amulor.survey.mueller import matrix
 

@@ -5,8 +5,6 @@ A method takes a cube of level `samples` and returns one of level `target_signal
 properties of the water instead, from its open-water shots.
 """
 
-from amulor.rejection.channels.analysers import stokes_vectors, unmix_stokes
-from amulor.rejection.channels.ratios import Ratio, target_ratio, water_ratio
 from amulor.rejection.combined import combined
 from amulor.rejection.compare import Caution, Comparison, Row, auto, compare
 from amulor.rejection.frequency import FrequencyChoice, choose_frequency, frequency
@@ -26,7 +24,10 @@ from amulor.rejection.polarization import (
     cross_polarized,
     keep_water,
     polarization,
+    stokes_vectors,
+    unmix_stokes,
 )
+from amulor.rejection.ratios import Ratio, target_ratio, water_ratio
 from amulor.rejection.reference.attach import with_open_water
 
 #: Name of the method `polarization` in version 0.1.0.

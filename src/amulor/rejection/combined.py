@@ -11,14 +11,13 @@ from numpy.typing import NDArray
 
 from amulor import cube as cubes
 from amulor.cube import QualityFlag, tiles
-from amulor.rejection import quality
+from amulor.rejection import channels, quality, ratios
 from amulor.rejection.build import present_terms, saturated_in_any, target_cube
-from amulor.rejection.channels import mixing, ratios
-from amulor.rejection.channels.names import pair_of
+from amulor.rejection.channels import pair_of
 from amulor.rejection.covariance import along
 from amulor.rejection.methods import Needs, method
 from amulor.rejection.open_water import cube_of, reference_attributes
-from amulor.rejection.reference.noise import with_noise_of_shots
+from amulor.rejection.reference.shots import with_noise_of_shots
 from amulor.rejection.subtraction import SubtractionFit, subtract_open_water
 
 Floats = NDArray[np.float64]
@@ -88,7 +87,7 @@ def _combine(
     )
     # What is wrong with the water is wrong in both channels, in their proportion.
     of_water = left.of_water.part(channel[0])
-    solved = mixing.unmix(
+    solved = channels.unmix(
         [left.target[index] for index in channel],
         [left.own.part(index) + left.reference.part(index) for index in channel],
         target_weights=[1.0, target_ratio],

@@ -14,7 +14,7 @@ from amulor.cube import QualityFlag, tiles
 from amulor.rejection import quality
 from amulor.rejection.build import present_terms, target_cube
 from amulor.rejection.methods import Needs, method
-from amulor.rejection.reference.noise import with_noise_of_shots
+from amulor.rejection.reference.shots import with_noise_of_shots
 from amulor.rejection.subtraction import (
     Subtraction,
     SubtractionFit,
@@ -117,13 +117,12 @@ def open_water(
     (55)-(58) of [1]_ as a difference of phasors, which has no branch to go wrong. A
     drift that is larger than chance makes it in 1 of 1000 scans counts as an error that
     is spread evenly over its size. Water that is stronger than its reference is told by
-    phases that disagree, see `amulor.rejection.reference.strength`. `WATER_RESIDUAL`
-    is flagged where, with two frequencies or channels at least, a remainder has the
-    shape of the water signal itself, and where at a single frequency the column behind
-    the target is as strong as a third of the target. Channels see the same distance:
-    where their phases disagree the sample is an `OUTLIER`, which a range image leaves
-    out where two thirds of the frequencies remain. `NO_TARGET` is decided
-    before any column is put back, see
+    phases that disagree. `WATER_RESIDUAL` is flagged where, with two frequencies or
+    channels at least, a remainder has the shape of the water signal itself, and where
+    at a single frequency the column behind the target is as strong as a third of the
+    target. Channels see the same distance: where their phases disagree the sample is
+    an `OUTLIER`, which a range image leaves out where two thirds of the frequencies
+    remain. `NO_TARGET` is decided before any column is put back, see
     `amulor.rejection.reference.presence.shows_target`.
 
     References

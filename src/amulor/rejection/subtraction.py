@@ -13,12 +13,13 @@ from amulor.cube.tiles import Span
 from amulor.rejection import quality
 from amulor.rejection.covariance import Covariance, along, covariance_of
 from amulor.rejection.reference.before_target import (
+    Strength,
     WaterBeforeTarget,
     WaterFit,
+    strength_of,
     water_before_target,
 )
 from amulor.rejection.reference.presence import CutColumns, shows_target
-from amulor.rejection.reference.strength import Strength, strength_of
 
 Floats = NDArray[np.float64]
 Complex = NDArray[np.complex128]

@@ -266,7 +266,7 @@ def test_input_is_not_changed(samples: xr.Dataset) -> None:
 
 def test_channels_are_sorted_by_what_an_ideal_mirror_does() -> None:
     from amulor.optics.polarization import mueller
-    from amulor.rejection.channels import names
+    from amulor.rejection import channels as names
 
     mirror = mueller.ideal_backscatter()
     for pair in names.CROSS_POLARIZED:

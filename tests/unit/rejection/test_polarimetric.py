@@ -16,8 +16,8 @@ from amulor import rejection
 from amulor.cube import QualityFlag
 from amulor.errors import CubeError
 from amulor.optics.polarization import mueller
-from amulor.rejection.channels import names as channels
-from amulor.rejection.channels.ratios import ratio_of
+from amulor.rejection import channels
+from amulor.rejection.ratios import ratio_of
 from amulor.simulation import simulate
 from amulor.survey import Survey
 

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from amulor.rejection.covariance import Covariance
 from amulor.rejection.quality import channels_disagree
-from amulor.rejection.reference.strength import DEPARTURE, strength_of
+from amulor.rejection.reference.before_target import DEPARTURE, strength_of
 
 SPEED = 299792458.0
 SHAPE = (12, 20)

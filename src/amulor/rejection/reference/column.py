@@ -2,18 +2,237 @@
 
 from __future__ import annotations
 
-from typing import Any
+from collections.abc import Callable
+from functools import partial
+from typing import Any, Protocol
 
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from amulor.optics import ambiguity, detection, rays
+from amulor._chebyshev import BoxSeries
+from amulor.optics import ambiguity, detection, ranging, rays
 from amulor.rejection.covariance import Covariance, along, isotropic
-from amulor.rejection.reference import column_fraction
+from amulor.rejection.reference.model import water_signal
 from amulor.survey import Survey, water_properties
 from amulor.survey.reach import unsettled_interval
 from amulor.survey.view import medium
+
+Floats = NDArray[np.float64]
+Complex = NDArray[np.complex128]
+_Function = Callable[[Floats], Complex]
+
+#: Largest error of an interpolated fraction, in parts of the open-water signal [1].
+LARGEST_ERROR = 1e-4
+#: Nodes along azimuth, elevation and depth of the tables that are tried in turn.
+_NODES = ((5, 5, 9), (5, 5, 17), (9, 9, 33), (17, 17, 65))
+#: Pixels at which a table is compared with the integral.
+_CHECKS = 192
+#: A table with more nodes than this fraction of the pixels would not pay [1].
+_WORTH = 0.5
+#: Pixels that are integrated one after the other, not by a table of their own.
+_ALONE = 32
+#: Numbers that one step of the work may hold; this bounds the memory.
+_AT_ONCE = 2_000_000
+
+
+class Column(Protocol):
+    """Fractions of the open-water signal behind the targets of a scan."""
+
+    def fractions(self, places: Floats) -> Complex:
+        """Return the fractions at azimuths, elevations and depths, (frequency, n)."""
+        ...
+
+
+def fractions(
+    survey: Survey,
+    azimuth: Floats,
+    elevation: Floats,
+    depth: Floats,
+    *,
+    modulation_frequency: Floats,
+    paper: bool = False,
+) -> Complex:
+    """Return which fraction of the open-water signal arises behind given depths.
+
+    Of beams of given azimuth and elevation [rad] and depth [m], shape (frequency, n),
+    exact or within `LARGEST_ERROR` [1]. `paper` is as for `model.water_signal`.
+    """
+    places = np.stack([azimuth, elevation, depth])
+    column = column_of(survey, places, modulation_frequency, paper=paper)
+    return column.fractions(places)
+
+
+def column_of(
+    survey: Survey, places: Floats, frequency: Floats, *, paper: bool
+) -> Column:
+    """Return the fractions behind targets at azimuths, elevations and depths.
+
+    The quotient of the water signal of `model.water_signal` from the depth on and as a
+    whole. Freed of the delay exp(2 i k z) it is smooth in direction and depth, so a
+    product of Chebyshev polynomials follows it. A table counts only if, at pixels
+    spread over the scan, it agrees with the integral to half of `LARGEST_ERROR`; if
+    none of four does, every pixel is integrated. The table with the fewest nodes that
+    is good enough is taken, if it pays.
+    """
+    count = places.shape[1]
+    exact: Complex | None = None
+    for nodes in _NODES if count else ():
+        table = _Table(survey, places, nodes, frequency, paper=paper)
+        if table.size > _WORTH * count:
+            break
+        table.fill()
+        if exact is None:
+            checks = places[:, _spread(places)]
+            exact = integrated(survey, checks, frequency, paper=paper)
+        if np.abs(table.fractions(checks) - exact).max() <= LARGEST_ERROR / 2:
+            return table
+    return _Listed(survey, places, frequency, paper=paper)
+
+
+class _Listed:
+    """Fractions at the pixels of a scan, integrated together.
+
+    Integrated in other company they would differ in their last digits.
+    """
+
+    def __init__(
+        self, survey: Survey, places: Floats, frequency: Floats, *, paper: bool
+    ) -> None:
+        self._survey, self._places, self._frequency = survey, places, frequency
+        self._paper = paper
+        self._values = self._integrated(places)
+        self._found: dict[bytes, int] | None = None
+
+    def fractions(self, places: Floats) -> Complex:
+        """Return the fractions at places, shape (frequencies, n)."""
+        if places is self._places:
+            return self._values
+        if self._found is None:
+            listed = np.ascontiguousarray(self._places.T)
+            self._found = {place.tobytes(): k for k, place in enumerate(listed)}
+        wanted = np.ascontiguousarray(places.T)
+        index = np.array(
+            [self._found.get(place.tobytes(), -1) for place in wanted], dtype=int
+        )
+        found = self._values[:, index] if self._values.size else None
+        if found is None or np.any(index < 0):
+            new = index < 0
+            whole = np.empty((len(self._frequency), len(index)), dtype=complex)
+            if found is not None:
+                whole[:, ~new] = found[:, ~new]
+            whole[:, new] = self._integrated(places[:, new])
+            return whole
+        return found
+
+    def _integrated(self, places: Floats) -> Complex:
+        return _in_parts(
+            lambda part: integrated(
+                self._survey, part, self._frequency, paper=self._paper
+            ),
+            places,
+            self._frequency,
+        )
+
+
+class _Table:
+    """Chebyshev series of a fraction over azimuth, elevation and depth.
+
+    Parameters
+    ----------
+    survey : Survey
+        Water and instrument.
+    places : ndarray, shape (3, n)
+        Where it will be evaluated: sets the box.
+    nodes : tuple of int
+        Nodes along the three axes; an axis without extent takes one.
+    frequency : ndarray
+        Modulation frequencies [Hz].
+    paper : bool
+        As for `fractions`.
+    """
+
+    def __init__(
+        self,
+        survey: Survey,
+        places: Floats,
+        nodes: tuple[int, int, int],
+        frequency: Floats,
+        *,
+        paper: bool,
+    ) -> None:
+        low, high = places.min(axis=1), places.max(axis=1)
+        self._low, self._high = low, high
+        self._survey, self._frequency, self._paper = survey, frequency, paper
+        self._phase_per_range = ranging.phase_per_range(
+            frequency, group_index=water_properties(survey).group_index
+        )
+        self._series = BoxSeries(low, high, nodes)
+        self.size = self._series.size
+
+    def fill(self) -> None:
+        """Integrate at the nodes and find the coefficients."""
+        places = self._series.places()
+        value = integrated(self._survey, places, self._frequency, paper=self._paper)
+        value *= np.exp(-1j * np.outer(self._phase_per_range, places[2]))
+        self._series.fill(value)
+
+    def fractions(self, places: Floats) -> Complex:
+        """Return the fractions at places, by integration beyond the box."""
+        inside = (places >= self._low[:, None]) & (places <= self._high[:, None])
+        within = inside.all(axis=0)
+        if within.all():
+            return self.at(places)
+        found = np.empty((len(self._frequency), places.shape[1]), dtype=complex)
+        found[:, within] = self.at(places[:, within])
+        # A few at a time: so they do not depend on each other.
+        outside = np.flatnonzero(~within)
+        for first in range(0, outside.size, _ALONE):
+            some = outside[first : first + _ALONE]
+            found[:, some] = integrated(self._survey, places[:, some], self._frequency)
+        return found
+
+    def at(self, places: Floats) -> Complex:
+        """Return the fractions at places in the box, shape (frequencies, n)."""
+        value = self._series.at(places)
+        value *= np.exp(1j * np.outer(self._phase_per_range, places[2]))
+        return value
+
+
+def _spread(places: Floats) -> NDArray[np.intp]:
+    """Return pixels spread over the scan, the extremes of each axis among them."""
+    count = places.shape[1]
+    even = np.linspace(0, count - 1, min(_CHECKS, count)).astype(int)
+    extremes = np.concatenate([places.argmin(axis=1), places.argmax(axis=1)])
+    return np.unique(np.concatenate([even, extremes]))
+
+
+def _in_parts(function: _Function, places: Floats, frequency: Floats) -> Complex:
+    """Evaluate a function of places part by part, so that memory stays bounded."""
+    count = places.shape[1]
+    out = np.empty((len(frequency), count), dtype=complex)
+    step = max(1, _AT_ONCE // len(frequency))
+    for first in range(0, count, step):
+        part = slice(first, first + step)
+        out[:, part] = function(places[:, part])
+    return out
+
+
+def integrated(
+    survey: Survey, places: Floats, frequency: Floats, *, paper: bool = False
+) -> Complex:
+    """Return the fractions by integration, pixel by pixel, shape (frequency, n) [1]."""
+    azimuth, elevation, depth = places
+    # Open water does not depend on the depth: once for each direction.
+    beams, own = np.unique(places[:2], axis=1, return_inverse=True)
+    form = partial(water_signal, survey, modulation_frequency=frequency, paper=paper)
+    whole = form(*beams)[:, own]
+    behind = whole - form(azimuth, elevation, end=depth)
+    # A receiver that sees no water has none behind the target either.
+    fraction: Complex = np.divide(
+        behind, whole, out=np.zeros_like(behind), where=whole != 0
+    )
+    return fraction
 
 
 def hidden_fraction(
@@ -22,8 +241,8 @@ def hidden_fraction(
     depth: NDArray[np.float64],
     *,
     paper: bool = False,
-    fit: column_fraction.Column | None = None,
-) -> tuple[NDArray[np.complex128], column_fraction.Column]:
+    fit: Column | None = None,
+) -> tuple[NDArray[np.complex128], Column]:
     """Return which part of the open-water signal comes from behind the target.
 
     Fraction of the open-water signal over (modulation_frequency, polarization, row,
@@ -37,7 +256,7 @@ def hidden_fraction(
     subtracted. That difference itself moves the distance by millimetres, and the
     fraction by a few tenths of a per cent of its value, which a second pass would not
     be worth. Large scans take the fraction from a table over directions and depths, see
-    `column_fraction.column_of`.
+    `column_of`.
     """
     settled = np.isfinite(depth)
     frequency = cube["modulation_frequency"].values
@@ -50,7 +269,7 @@ def hidden_fraction(
         ]
     )
     if fit is None:
-        fit = column_fraction.column_of(survey, places, frequency, paper=paper)
+        fit = column_of(survey, places, frequency, paper=paper)
     fraction[:, settled] = fit.fractions(places)
     shape = (frequency.size, cube.sizes["polarization"], *depth.shape)
     return np.broadcast_to(fraction[:, None], shape), fit

@@ -8,10 +8,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from amulor.errors import AmulorError
-from amulor.rejection.reference.places import FEWEST_SHOTS, HIGHEST_DEGREE
-from amulor.rejection.reference.shape import is_measure, models_for, open_water
+from amulor.rejection.reference.model import is_measure, models_for, open_water
 from amulor.rejection.reference.shots import BEYOND_AT_LEAST
-from amulor.rejection.reference.surface import expected_degrees, missed, noiseless
+from amulor.rejection.reference.surface import (
+    FEWEST_SHOTS,
+    HIGHEST_DEGREE,
+    expected_degrees,
+    missed,
+    noiseless,
+)
 from amulor.survey import OpenWater, Scan, Survey
 from amulor.survey.directions import open_water_directions
 from amulor.survey.properties import by_coefficients

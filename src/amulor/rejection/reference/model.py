@@ -1,16 +1,30 @@
-"""The model of the water that rejection takes where shots do not tell."""
+"""The model of the water, and how it varies with direction between the shots."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import lru_cache
+from dataclasses import dataclass
+from functools import lru_cache, partial
 
 import numpy as np
+import xarray as xr
 from numpy.typing import NDArray
+from scipy.constants import speed_of_light
 
-from amulor.errors import SurveyError
+from amulor._chebyshev import BoxSeries
+from amulor.cube.tiles import Span
+from amulor.errors import AmulorError, SurveyError
 from amulor.optics import small_angle, small_angle_diffusion
+from amulor.rejection.covariance import Covariance
+from amulor.rejection.reference.surface import (
+    FEWEST_SHOTS,
+    noise_of,
+    noiseless,
+    places_of,
+    surface_of,
+)
 from amulor.survey import Survey, WaterProperties, water_properties
+from amulor.survey.properties import by_coefficients
 from amulor.survey.view import kernel_arguments, medium, view
 from amulor.survey.waters.whole_function import (
     whole_function_arguments,
@@ -85,3 +99,238 @@ def _has_phase_function(water: WaterProperties) -> bool:
     except SurveyError:
         return False
     return True
+
+
+Model = Callable[[Floats, Floats], Complex]
+
+#: A polynomial of the signal itself that misses less of the survey's own water between
+#: the shots needs no model, in parts of the largest signal: as much as ten shots
+#: scatter [1].
+_SMOOTH = 0.005
+#: Directions along azimuth and elevation at which it is looked for.
+_CHECKS = 9
+#: A model that varies more than by this factor is no measure of a signal [1].
+_LARGEST_RATIO = 1e6
+#: Factors of the survey's a and b that are tried.
+_FACTORS = (1.0, 0.5, 0.7, 1.4, 2.0)
+#: Nodes along azimuth and elevation of the table that pixels look up.
+_NODES = 33
+
+
+@dataclass(frozen=True)
+class Shape:
+    """Water signal of a model at one frequency, in any unit."""
+
+    at_shots: Complex
+    """Over the shots."""
+    at_pixels: Complex
+    """Over the pixels."""
+
+    def part(self, use: NDArray[np.bool_]) -> Shape:
+        """Return the same for some of the shots."""
+        return Shape(self.at_shots[use], self.at_pixels)
+
+
+@dataclass(frozen=True)
+class ModelBehindShots:
+    """The model of the water relative to which the shots are interpolated."""
+
+    model: Model
+    """From directions between the corners of the scan to its water signal."""
+    at_shots: Complex
+    """Its water signal at the shots, shape (frequency, shot)."""
+
+    def over(self, pixels: Floats, frequency: Floats) -> list[Shape]:
+        """Return the model at the shots and at pixels, frequency by frequency."""
+        return [
+            Shape(own, over)
+            for own, over in zip(
+                self.at_shots, self.model(pixels, frequency), strict=True
+            )
+        ]
+
+
+def model_behind_shots(
+    cube: xr.Dataset,
+    shots: Floats,
+    *,
+    signal: Complex,
+    errors: Covariance,
+    span: Span,
+) -> ModelBehindShots | None:
+    """Return the model of the water that foretells the shots best.
+
+    None where the survey says nothing of the water, where a polynomial follows its
+    water from direction to direction well enough, or follows the shots better than any
+    model. `signal` is that of the shots, shape (frequency, channel, shot).
+
+    Open water by `model.water_signal` in the survey's turbidity and in others, and by
+    the diffusion form (46) of Ricci et al. 2010, as rebuilt, each with the delay of
+    every direction. The one is taken whose ratio to the shots, as a polynomial over the
+    directions, foretells directions that are left out best, all frequencies and
+    channels together. The pixels take it from a product of Chebyshev polynomials.
+    """
+    text = cube.attrs.get("survey")
+    if not text:
+        return None
+    survey = Survey.from_text(str(text), name="survey in the cube")
+    frequency = cube["modulation_frequency"].values
+    places = places_of(shots)
+    first = np.unique(places.group, return_index=True)[1]
+    directions = shots[first]
+    candidates = models_for(
+        survey, directions, frequency, repeats=len(shots) // len(directions)
+    )
+    if candidates is None:
+        return None
+    seen = [each(directions, frequency) for each in candidates]
+    usable = np.isfinite(signal + errors.in_phase + errors.quadrature + errors.cross)
+    scores = [_left_out(None, shots, signal, errors, usable)]
+    scores += [
+        _left_out(each[:, places.group], shots, signal, errors, usable) for each in seen
+    ]
+    best = int(np.argmin(scores)) - 1
+    if best < 0:
+        return None
+    low, high = np.array([span.azimuth, span.elevation]).T
+    model = _Tabled(candidates[best], low, high, frequency).at
+    return ModelBehindShots(model, seen[best][:, places.group])
+
+
+def models_for(
+    survey: Survey, directions: Floats, frequency: Floats, *, repeats: int
+) -> list[Model] | None:
+    """Return the models that open water may be interpolated relative to.
+
+    Parameters
+    ----------
+    survey : Survey
+        Its water and instrument count.
+    directions : ndarray, shape (n, 2)
+        Azimuth and elevation of the shots, each direction once [rad].
+    frequency : ndarray, shape (m,)
+        Modulation frequencies [Hz].
+    repeats : int
+        Shots in each direction.
+
+    Returns
+    -------
+    list of callable or None
+        From directions and frequencies to a water signal, that of the survey as it
+        stands first; None where the signal itself is interpolated.
+    """
+    if len(directions) < 2 or survey.scan.moves == "both":
+        return None
+    try:
+        if _is_smooth(survey, directions, frequency, repeats):
+            return None
+        candidates: list[Model] = [
+            partial(
+                open_water,
+                by_coefficients(survey, factor=factor) if factor != 1 else survey,
+            )
+            for factor in _FACTORS
+        ]
+        candidates.append(partial(open_water, survey, paper=True))
+        for each in candidates:
+            each(directions[:1], frequency)
+    except AmulorError:
+        return None
+    return candidates
+
+
+def _is_smooth(
+    survey: Survey, directions: Floats, frequency: Floats, repeats: int
+) -> bool:
+    """Return whether a polynomial follows the water of a survey between the shots.
+
+    What leaving out single shots misses does not tell: all shots of three rows agree
+    on a parabola.
+    """
+    low, high = directions.min(axis=0), directions.max(axis=0)
+    axes = [
+        np.unique(np.linspace(*ends, _CHECKS)) for ends in zip(low, high, strict=True)
+    ]
+    checks = np.stack([each.ravel() for each in np.meshgrid(*axes)], axis=1)
+    at_shots, truth = (
+        open_water(survey, places, frequency) for places in (directions, checks)
+    )
+    off = np.abs(noiseless(at_shots, repeats, directions, checks) - truth)
+    return bool(np.all(off.max(axis=1) < _SMOOTH * np.abs(truth).max(axis=1)))
+
+
+def is_measure(model: Complex) -> bool:
+    """Return whether a model varies little enough to measure a signal by it."""
+    strength = np.abs(model)
+    return bool(strength.min() * _LARGEST_RATIO > strength.max())
+
+
+def _left_out(
+    model: Complex | None,
+    shots: Floats,
+    signal: Complex,
+    errors: Covariance,
+    usable: NDArray[np.bool_],
+) -> float:
+    """Return how badly a model foretells directions that are left out."""
+    if model is not None and not is_measure(model):
+        return np.inf
+    total = 0.0
+    for index in np.ndindex(signal.shape[:2]):
+        use = usable[index]
+        if use.sum() < FEWEST_SHOTS:
+            continue
+        places = places_of(shots[use])
+        own, instrument = signal[index][use], errors.part(index).part(use)
+        total += surface_of(
+            own,
+            instrument,
+            places,
+            noise=noise_of(own, instrument, places),
+            model=None if model is None else model[index[0]][use],
+        ).left_out
+    return total
+
+
+def open_water(
+    survey: Survey, places: Floats, frequency: Floats, *, paper: bool = False
+) -> Complex:
+    """Return the open water of a survey with the delay before the water.
+
+    Parameters
+    ----------
+    survey : Survey
+        Its water and instrument count.
+    places : ndarray, shape (n, 2)
+        Azimuth and elevation [rad].
+    frequency : ndarray, shape (m,)
+        Modulation frequencies [Hz].
+    paper : bool
+        Whether by the diffusion form of the paper.
+
+    Returns
+    -------
+    ndarray of complex, shape (m, n)
+        Water signal, in any unit.
+    """
+    water = water_properties(survey)
+    where = view(survey, *places.T, medium=medium(survey, water))
+    response = water_signal(
+        survey, *places.T, modulation_frequency=frequency, paper=paper
+    )
+    turn = 2j * np.pi * frequency[:, None] * where.optical_offset / speed_of_light
+    return np.asarray(response * np.exp(turn))
+
+
+class _Tabled:
+    """A model from a table over the directions between two corners of a scan."""
+
+    def __init__(
+        self, model: Model, low: Floats, high: Floats, frequency: Floats
+    ) -> None:
+        self._series = BoxSeries(low, high, (_NODES, _NODES))
+        self._series.fill(model(self._series.places().T, frequency))
+
+    def at(self, places: Floats, frequency: Floats) -> Complex:
+        """Return the water signal at places, for the frequencies of the table."""
+        return self._series.at(places.T)

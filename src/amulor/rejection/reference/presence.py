@@ -17,7 +17,7 @@ from amulor.rejection.covariance import (
     covariance_of,
     isotropic,
 )
-from amulor.rejection.reference import column_fraction
+from amulor.rejection.reference import column as columns
 from amulor.rejection.reference.before_target import WaterBeforeTarget
 from amulor.rejection.reference.shots import fluctuation_of
 from amulor.survey import Survey, water_properties
@@ -271,7 +271,7 @@ def _cut_columns(
     depth = np.linspace(nearest, max(deepest, nearest), count)
     elevation, azimuth = (_nodes(*ends) for ends in (span.elevation, span.azimuth))
     grid = np.meshgrid(depth, elevation, azimuth, indexing="ij")
-    fractions = column_fraction.fractions(
+    fractions = columns.fractions(
         survey,
         grid[2].ravel(),
         grid[1].ravel(),

@@ -1,4 +1,4 @@
-"""The open-water shots of a cube: their fit at its pixels, and what it refuses."""
+"""The open-water shots of a cube: their noise, drift and signal at the pixels."""
 
 from __future__ import annotations
 
@@ -14,18 +14,222 @@ from amulor.rejection.covariance import (
     Covariance,
     common_covariance_of,
     covariance_of,
+    isotropic,
     stacked,
+    times,
 )
-from amulor.rejection.reference import fit as reference
-from amulor.rejection.reference.drift import NO_DRIFT, Drift
-from amulor.rejection.reference.places import FEWEST_SHOTS
-from amulor.rejection.reference.scatter import fluctuation
-from amulor.rejection.reference.shape import ModelBehindShots, model_behind_shots
-from amulor.rejection.reference.surface import Surface
+from amulor.rejection.reference.model import ModelBehindShots, Shape, model_behind_shots
+from amulor.rejection.reference.surface import (
+    FEWEST_SHOTS,
+    Places,
+    Surface,
+    design_of,
+    disagreement,
+    fluctuation,
+    noise_of,
+    places_of,
+    surface_of,
+)
 from amulor.survey import Survey
 
 Floats = NDArray[np.float64]
 Complex = NDArray[np.complex128]
+
+
+@dataclass(frozen=True)
+class Drift:
+    """Relative change of the water signal from the first to the last shot."""
+
+    change: complex
+    """Change, radial + 1j * tangential, per unit of the water signal [1]."""
+    uncertainty: complex
+    """Standard uncertainty of its two parts, likewise [1]."""
+    chance: float
+    """Probability that steady water shows as much [1]."""
+
+
+#: What shots tell that cannot be compared with each other.
+NO_DRIFT = Drift(0j, complex(np.inf, np.inf), 1.0)
+
+
+def drift_of(shots: Complex, level: Complex, where: Floats) -> Drift:
+    """Return how the shots of the same direction change with their order.
+
+    A straight line over the order, each direction with a mean of its own: what the
+    polynomial over the directions misses is no drift. Directions that are repeated
+    first and last tell it well, repeats in a row badly, single shots not at all.
+    """
+    from scipy.special import stdtr
+
+    _, group, size = np.unique(
+        np.round(where, 9), axis=0, return_inverse=True, return_counts=True
+    )
+    group = group.ravel()
+
+    def own_of(values: Floats) -> Floats:
+        mean: Floats = np.bincount(group, values) / size
+        return values - mean[group]
+
+    freedom = len(shots) - len(size) - 1
+    order = own_of(np.linspace(-0.5, 0.5, len(shots)))
+    square = float(order @ order)
+    if freedom < 1 or np.abs(level).min() == 0 or square < 1e-9 * len(shots):
+        return NO_DRIFT
+    relative = (shots - level) / level
+    parts, errors, chances = [], [], []
+    for values in (relative.real, relative.imag):
+        slope = float(order @ values) / square
+        rest = own_of(values) - slope * order
+        error = float(np.sqrt(rest @ rest / freedom / square))
+        parts.append(slope)
+        errors.append(error)
+        steady = 1.0 if slope == 0 else 0.0
+        chances.append(
+            2 * float(stdtr(freedom, -abs(slope) / error)) if error > 0 else steady
+        )
+    # Either part may show it: the smaller chance of two.
+    chance = min(1.0, 2 * min(chances))
+    return Drift(complex(*parts), complex(*errors), chance)
+
+
+#: Pixels at which the polynomial is evaluated at once; this bounds the memory.
+_AT_ONCE = 16_384
+
+
+@dataclass(frozen=True, kw_only=True)
+class Reference:
+    """Water signal at each pixel, and how well it is known."""
+
+    signal: Complex
+    """Expected water signal [V]."""
+    common: Covariance
+    """Error of that expectation: the pixels share it."""
+    relative: NDArray[np.float64]
+    """(Radial, tangential) covariance of one sample, per squared signal [1]."""
+    degree: int
+    """Degree of the polynomial over the scan directions."""
+    drift: Drift
+    """What changed from the first shot to the last."""
+    surface: Surface
+    """The polynomial through the shots."""
+    modelled: bool = False
+    """Whether a model of the water stands behind the polynomial."""
+
+
+def fit_channel(
+    shots: Complex,
+    instrument: Covariance,
+    shot_direction: Floats,
+    pixel_direction: Floats,
+    *,
+    shape: Shape | None = None,
+    surface: Surface | None = None,
+) -> Reference:
+    """Fit the open-water shots of one channel and evaluate the fit at the pixels.
+
+    Parameters
+    ----------
+    shots : ndarray of complex, shape (n,)
+        Samples without a target [V].
+    instrument : Covariance
+        Their stated errors.
+    shot_direction : ndarray, shape (n, 2)
+        Azimuth and elevation of the shots; all equal if they are not known [rad].
+    pixel_direction : ndarray, shape (m, 2)
+        Azimuth and elevation of the pixels [rad].
+    shape : Shape, optional
+        How a model of the water varies over shots and pixels.
+    surface : Surface, optional
+        The polynomial through these shots, if it is known.
+
+    Returns
+    -------
+    Reference
+        Arrays over the m pixels.
+
+    Raises
+    ------
+    ValueError
+        If there are fewer than `FEWEST_SHOTS`.
+
+    Notes
+    -----
+    Least squares of a polynomial, one degree above the lowest whose misfit, against
+    the scatter of repeated shots, passes an F test: a misfit that the test does not
+    see is as large as the error itself, and the next degree takes most of it. What
+    the shots scatter beyond their stated error is a fluctuation of the water, taken as
+    proportional to its signal. How far the polynomial may be off between the shots is
+    told by a second one through their logarithms: the difference of the two counts as
+    a standard error, see `disagreement`.
+
+    With a `shape` the polynomial stands for the ratio of the water to that model, which
+    varies less. Where no degree passes the test, what the means of directions are off
+    the surface beyond their scatter counts as an error of the reference in every
+    direction (Birge ratio).
+    """
+    if len(shots) < FEWEST_SHOTS:
+        raise ValueError(f"a reference needs {FEWEST_SHOTS} shots, got {len(shots)}")
+    places = places_of(shot_direction)
+    found = surface
+    if found is None:
+        found = surface_of(
+            shots,
+            instrument,
+            places,
+            noise=noise_of(shots, instrument, places),
+            model=None if shape is None else shape.at_shots,
+        )
+    # One product of real matrices for all: coefficients, logarithms, covariances.
+    second = found.logarithm
+    along = np.zeros(len(found.powers), dtype=complex) if second is None else second[0]
+    table = np.hstack(
+        [
+            found.coefficients.real[:, None],
+            found.coefficients.imag[:, None],
+            along.real[:, None],
+            along.imag[:, None],
+            *found.spreads,
+        ]
+    )
+    signal = np.empty(len(pixel_direction), dtype=complex)
+    common = [np.empty(len(pixel_direction)) for _ in found.spreads]
+    for first in range(0, len(pixel_direction), _AT_ONCE):
+        part = slice(first, first + _AT_ONCE)
+        design = design_of(places.scaled(pixel_direction[part]), found.powers)
+        product = times(design, table)
+        signal[part] = product[:, 0] + 1j * product[:, 1]
+        sides = product[:, 4:].reshape(len(design), len(found.spreads), -1)
+        for k, values in enumerate(common):
+            values[part] = np.einsum("ij,ij->i", sides[:, k], design)
+        if second is not None:
+            off = disagreement(
+                signal[part], product[:, 2] + 1j * product[:, 3], second[1]
+            )
+            common[0][part] += off.real**2
+            common[1][part] += off.imag**2
+            common[2][part] += off.real * off.imag
+    errors = Covariance(*common)
+    if shape is not None:
+        signal, errors = signal * shape.at_pixels, errors.turned(shape.at_pixels)
+    if found.excess > 0:
+        # By so much more than chance each direction is off by itself.
+        own = isotropic(np.full(signal.shape, _typical(instrument)))
+        own = own + fluctuation(found.relative, signal)
+        errors = errors + own.scaled(found.excess * len(places.size) / len(shots))
+    return Reference(
+        signal=signal,
+        common=errors,
+        relative=found.relative,
+        degree=int(found.powers.sum(axis=1).max()),
+        drift=drift_of(shots, found.level, places.where),
+        surface=found,
+        modelled=shape is not None,
+    )
+
+
+def _typical(instrument: Covariance) -> float:
+    return float(np.sqrt(np.mean(instrument.in_phase + instrument.quadrature)))
+
 
 #: Drift of the reference that chance makes in less than 1 of 1000 scans is real [1].
 _REAL_DRIFT = 1e-3
@@ -81,7 +285,7 @@ def fit_shots(
     *,
     fit: ShotsFit | None = None,
     span: Span | None = None,
-) -> tuple[list[reference.Reference], ShotsFit]:
+) -> tuple[list[Reference], ShotsFit]:
     """Return the water signal of the shots at the pixels of a cube, and their fit.
 
     Modulation frequency by frequency, channel by channel. CubeError if too few shots of
@@ -111,7 +315,7 @@ def fit_shots(
     shapes = None
     if model is not None:
         shapes = model.over(pixels, cube["modulation_frequency"].values)
-    fits: list[reference.Reference] = []
+    fits: list[Reference] = []
     for index in np.ndindex(signal.shape[:2]):
         use = usable[index]
         if use.sum() < FEWEST_SHOTS:
@@ -121,7 +325,7 @@ def fit_shots(
             )
         own = errors.part(index).part(use)
         shape = None if shapes is None else shapes[index[0]].part(use)
-        one = reference.fit(
+        one = fit_channel(
             signal[index][use],
             own,
             places[use],
@@ -156,7 +360,7 @@ def directions_of(cube: xr.Dataset, shots: xr.Dataset) -> Floats:
 
 
 def expected_at_pixels(
-    fits: list[reference.Reference], shape: tuple[int, ...]
+    fits: list[Reference], shape: tuple[int, ...]
 ) -> tuple[Complex, Covariance]:
     """Return the open-water signal of every sample, and the error of its expectation.
 
@@ -166,9 +370,7 @@ def expected_at_pixels(
     return signal, stacked([fit.common for fit in fits], shape)
 
 
-def fluctuation_of(
-    fits: list[reference.Reference], water_signal: Complex
-) -> Covariance:
+def fluctuation_of(fits: list[Reference], water_signal: Complex) -> Covariance:
     """Return how a water signal fluctuates from sample to sample."""
     levels = water_signal.reshape(-1, *water_signal.shape[2:])
     return stacked(
@@ -180,7 +382,7 @@ def fluctuation_of(
     )
 
 
-def drift_of(fits: list[reference.Reference], shape: tuple[int, ...]) -> Complex:
+def real_drift_of(fits: list[Reference], shape: tuple[int, ...]) -> Complex:
     """Return the drift from the first shot to the last, zero where it may be chance.
 
     Per unit of the water signal, shape (modulation_frequency, polarization, 1, 1) [1].
@@ -238,12 +440,12 @@ def _place(cube: xr.Dataset, index: tuple[int, ...]) -> str:
     return f"{frequency:g} MHz in channel {cube['polarization'].values[index[1]]}"
 
 
-def _is_real(drift: Drift, fits: list[reference.Reference]) -> bool:
+def _is_real(drift: Drift, fits: list[Reference]) -> bool:
     return drift.chance * len(fits) < _REAL_DRIFT
 
 
 def _refuse_strong_drift(
-    cube: xr.Dataset, fits: list[reference.Reference], shape: tuple[int, ...]
+    cube: xr.Dataset, fits: list[Reference], shape: tuple[int, ...]
 ) -> None:
     sure = [
         abs(fit.drift.change) - _SURE * abs(fit.drift.uncertainty)
@@ -282,3 +484,151 @@ def _refuse_a_scan_beyond_the_shots(
             f"beyond the open-water shots in {('azimuth', 'elevation')[axis]}, where "
             "the water signal is not known; record shots at the edges of the scan"
         )
+
+
+#: Attribute that says the factor.
+NOISE_SCALE = "open_water_noise_scale"
+#: The excess must stand out of chance by this many standard errors [1].
+_SURE_OF_NOISE = 4.0
+#: A direction whose scatter is this many standard errors off holds a spike [1].
+_SPIKE = 6.0
+#: Noise of directions that are alike to this cannot be told from a fluctuation [1].
+_ALIKE = 1e-6
+#: Steps of the fit, each with the weights of the one before.
+_STEPS = 12
+
+
+def with_noise_of_shots(
+    cube: xr.Dataset, scale: float | None = None
+) -> tuple[xr.Dataset, float]:
+    """Return samples whose stated errors are as large as those of their shots.
+
+    The stated errors of samples and shots times `scale`, by default that of
+    `noise_scale`, which the attribute `open_water_noise_scale` says; the cube as it is,
+    if that is 1 or was done. Also return the scale.
+    """
+    if scale is None:
+        scale = _scale_of(cube)
+    if scale == 1:
+        return cube, scale
+    larger = {}
+    for name, values in cube.data_vars.items():
+        if not str(name).startswith(("truth_", "user_")):
+            if str(name).endswith(("in_phase_uncertainty", "quadrature_uncertainty")):
+                larger[name] = values.copy(data=scale * values.values)
+            elif str(name).endswith("in_phase_quadrature_covariance"):
+                larger[name] = values.copy(data=scale**2 * values.values)
+    return cube.assign(larger).assign_attrs({NOISE_SCALE: scale}), scale
+
+
+def _scale_of(cube: xr.Dataset) -> float:
+    """Return the factor of the stated errors of a cube, 1 if they have been scaled."""
+    shots: xr.Dataset | None = cube.amulor.open_water
+    if shots is None or shots.sizes["shot"] < FEWEST_SHOTS or NOISE_SCALE in cube.attrs:
+        return 1.0
+    signal, errors = shots.amulor.signal.values, covariance_of(shots)
+    usable = np.isfinite(signal + errors.in_phase + errors.quadrature + errors.cross)
+    directions = directions_of(cube, shots)
+    parts = [
+        scatter_of(signal[index][use], errors.part(index).part(use), places)
+        for index in np.ndindex(signal.shape[:2])
+        if (use := usable[index]).any() and (places := places_of(directions[use]))
+    ]
+    return noise_scale([each for part in parts for each in part])
+
+
+#: Of the directions of one channel: scatter and what is stated [V^2], squared signal
+#: [V^2], degrees of freedom.
+Scatter = tuple[Floats, Floats, Floats, Floats]
+
+
+def scatter_of(
+    shots: Complex, instrument: Covariance, places: Places
+) -> tuple[Scatter, Scatter]:
+    """Return how the shots of each direction scatter along their mean and across it.
+
+    Parameters
+    ----------
+    shots : ndarray of complex, shape (n,)
+        Samples without a target, of one channel [V].
+    instrument : Covariance
+        Their stated errors.
+    places : Places
+        Their directions.
+
+    Returns
+    -------
+    tuple of two tuples
+        Variance about the mean, stated variance, squared mean and degrees of freedom of
+        the directions that were repeated, radial and tangential.
+    """
+    mean = places.mean_of(shots)
+    size = np.abs(mean)
+    turn = np.exp(1j * np.angle(mean))
+    turned = instrument.turned(np.conj(turn)[places.group])
+    rest = (shots - mean[places.group]) / turn[places.group]
+    often = places.size > 1
+    freedom = np.asarray(places.size[often] - 1, dtype=float)
+    parts = []
+    for values, stated in (
+        (rest.real, turned.in_phase),
+        (rest.imag, turned.quadrature),
+    ):
+        variance = places.sum_of(values**2)[often] / freedom
+        own = places.sum_of(stated)[often] / places.size[often]
+        parts.append((variance, own, size[often] ** 2, freedom))
+    return parts[0], parts[1]
+
+
+def noise_scale(scatters: list[Scatter]) -> float:
+    r"""Return by which factor the noise of shots exceeds what is stated.
+
+    Parameters
+    ----------
+    scatters : list of Scatter
+        From `scatter_of`, of all channels and frequencies.
+
+    Returns
+    -------
+    float
+        At least 1; 1 where chance or a fluctuation of the water explains the excess.
+
+    Notes
+    -----
+    Shots of a direction scatter by :math:`s^2 u^2 + r\,|W|^2`: noise, which is stated
+    as u, and a fluctuation of the water in proportion to its signal W, one r for each
+    channel along W and across it. Where directions or channels differ in |W|, the two
+    can be told apart; s is one number for the cube. Maximum likelihood of the sample
+    variances by weighted least squares with weights of the step before; directions
+    that scatter far more than the rest are left out.
+    """
+    known = [each for each in scatters if each[0].size and each[1].min() > 0]
+    if not known:
+        return 1.0
+    # From above, so that no direction is taken for a spike that only noise spreads.
+    square = float(np.median(np.concatenate([each[0] / each[1] for each in known])))
+    found, information = 0.0, 0.0
+    ratio = [0.0] * len(known)
+    for _ in range(_STEPS):
+        score = information = 0.0
+        for k, (variance, stated, power, freedom) in enumerate(known):
+            expected = square * stated + ratio[k] * power
+            unsure = expected * np.sqrt(2 / freedom)
+            weight = np.where(variance - expected < _SPIKE * unsure, unsure**-2, 0.0)
+            own = float(np.sum(weight * power**2))
+            # At a fixed s the fluctuation follows; it is not below zero.
+            left = float(np.sum(weight * power * (variance - square * stated)))
+            ratio[k] = max(left / own, 0.0) if own > 0 else 0.0
+            # What of the noise no fluctuation could be, of either sign.
+            shared = float(np.sum(weight * stated * power)) / own if own > 0 else 0.0
+            across = stated - shared * power
+            if np.abs(across).max() < _ALIKE * stated.max():
+                continue
+            information += float(np.sum(weight * across * stated))
+            score += float(np.sum(weight * across * variance))
+        if not information > 0:
+            return 1.0
+        found = score / information
+        square = max(found, 0.1)
+    error = information**-0.5
+    return float(np.sqrt(found)) if found > 1 + _SURE_OF_NOISE * error else 1.0

@@ -1,24 +1,280 @@
-"""A smooth surface through open-water shots, or through their ratio to a model."""
+"""Smooth surfaces through open-water shots, and the scatter of shots about them."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from amulor.rejection.covariance import Covariance
-from amulor.rejection.reference import interpolation
-from amulor.rejection.reference.places import (
-    HIGHEST_DEGREE,
-    Places,
-    design_of,
-    places_of,
-)
-from amulor.rejection.reference.scatter import fluctuation, relative_fluctuation
 
 Floats = NDArray[np.float64]
 Complex = NDArray[np.complex128]
+
+#: Highest degree of the polynomial over azimuth and elevation.
+HIGHEST_DEGREE = 4
+#: Shots beyond the coefficients of the polynomial, to judge how much they scatter.
+FREEDOM = 4
+#: A constant, and enough shots to judge it.
+FEWEST_SHOTS = 1 + FREEDOM
+
+
+@dataclass(frozen=True, kw_only=True)
+class Places:
+    """Directions of shots on -1 to 1, and which of them are repeats."""
+
+    centre: Floats
+    """Azimuth and elevation in the middle [rad]."""
+    scale: Floats
+    """Half of what they span, 1 where that is nothing [rad]."""
+    where: Floats
+    """Of every shot, shape (n, 2) [1]."""
+    distinct: Floats
+    """Of every direction, shape (groups, 2) [1]."""
+    group: NDArray[np.intp]
+    """Number of the direction of every shot."""
+    size: NDArray[np.intp]
+    """Shots in every direction."""
+    powers: NDArray[np.intp]
+    """Exponents that the directions can tell apart, shape (terms, 2)."""
+
+    def scaled(self, direction: Floats) -> Floats:
+        """Return directions on the scale of the shots."""
+        return np.asarray((direction - self.centre) / self.scale)
+
+    def sum_of(self, values: NDArray[Any]) -> NDArray[Any]:
+        """Return sums over the shots of each direction."""
+        if not np.iscomplexobj(values):
+            return np.asarray(np.bincount(self.group, values))
+        real, imaginary = (self.sum_of(part) for part in (values.real, values.imag))
+        return np.asarray(real + 1j * imaginary)
+
+    def mean_of(self, values: Complex) -> Complex:
+        """Return means over the shots of each direction."""
+        return np.asarray(self.sum_of(values) / self.size)
+
+    def up_to(self, degree: int) -> NDArray[np.intp]:
+        """Return the exponents of a polynomial of some degree."""
+        return np.asarray(self.powers[self.powers.sum(axis=1) <= degree])
+
+    def highest(self, shots: int) -> int:
+        """Return the highest degree that leaves shots to judge their scatter."""
+        order = self.powers.sum(axis=1)
+        return max(
+            d
+            for d in range(int(order.max()) + 1)
+            if d == 0 or shots - int(np.sum(order <= d)) >= FREEDOM
+        )
+
+
+def places_of(direction: Floats) -> Places:
+    """Return the places of shots; channels of a cube share them.
+
+    Parameters
+    ----------
+    direction : ndarray, shape (n, 2)
+        Azimuth and elevation [rad].
+
+    Returns
+    -------
+    Places
+        Directions within a billionth of the span count as one.
+    """
+    return _remembered(np.ascontiguousarray(direction).tobytes())
+
+
+@lru_cache(maxsize=8)
+def _remembered(directions: bytes) -> Places:
+    direction = np.frombuffer(directions).reshape(-1, 2)
+    low, high = direction.min(axis=0), direction.max(axis=0)
+    centre, scale = (low + high) / 2, np.where(high > low, (high - low) / 2, 1.0)
+    where = (direction - centre) / scale
+    distinct, group, size = np.unique(
+        np.round(where, 9), axis=0, return_inverse=True, return_counts=True
+    )
+    count = [len(np.unique(np.round(column, 9))) for column in where.T]
+    powers = np.array(
+        [
+            (i, j)
+            for i in range(min(count[0], HIGHEST_DEGREE + 1))
+            for j in range(min(count[1], HIGHEST_DEGREE + 1))
+            if i + j <= HIGHEST_DEGREE
+        ]
+    )
+    return Places(
+        centre=centre,
+        scale=scale,
+        where=where,
+        distinct=distinct,
+        group=group.ravel(),
+        size=size,
+        powers=powers,
+    )
+
+
+def design_of(where: Floats, powers: NDArray[np.intp]) -> Floats:
+    """Return the monomials of directions.
+
+    Parameters
+    ----------
+    where : ndarray, shape (n, 2)
+        Directions on -1 to 1 [1].
+    powers : ndarray of int, shape (terms, 2)
+        Exponents.
+
+    Returns
+    -------
+    ndarray, shape (n, terms)
+        Products of powers [1].
+    """
+    # Powers by repeated products: a general power costs ten times as much.
+    tables = []
+    for axis, highest in zip(where.T, powers.max(axis=0), strict=True):
+        table = np.ones((int(highest) + 1, len(axis)))
+        for power in range(1, int(highest) + 1):
+            table[power] = table[power - 1] * axis
+        tables.append(table)
+    columns: Floats = (tables[0][powers[:, 0]] * tables[1][powers[:, 1]]).T
+    return np.ascontiguousarray(columns)
+
+
+def relative_fluctuation(
+    shots: Complex, level: Complex, instrument: Covariance, *, freedom: int
+) -> NDArray[np.float64]:
+    """Return the covariance of (radial, tangential) changes per unit of water signal.
+
+    The stated instrument error is taken off; what is left is made a covariance again
+    where chance drove it below zero. No water signal has no fluctuation.
+    """
+    size = np.abs(level)
+    power = float(np.sum(size**2))
+    if freedom < 1 or power == 0:
+        return np.zeros((2, 2))
+    turn = np.where(size > 0, level, 1) / np.where(size > 0, size, 1)
+    rest = (shots - level) / turn
+    c, s = turn.real, turn.imag
+    radial = c**2 * instrument.in_phase + s**2 * instrument.quadrature
+    radial = radial + 2 * c * s * instrument.cross
+    tangential = s**2 * instrument.in_phase + c**2 * instrument.quadrature
+    tangential = tangential - 2 * c * s * instrument.cross
+    crossed = c * s * (instrument.quadrature - instrument.in_phase)
+    crossed = crossed + (c**2 - s**2) * instrument.cross
+    parts = np.stack([rest.real, rest.imag])
+    stated = np.array([[radial, crossed], [crossed, tangential]]).sum(axis=2)
+    excess = (parts @ parts.T * len(shots) / freedom - stated) / power
+    values, vectors = np.linalg.eigh(excess)
+    kept: NDArray[np.float64] = (vectors * np.maximum(values, 0)) @ vectors.T
+    return kept
+
+
+def fluctuation(relative: NDArray[np.float64], level: Complex) -> Covariance:
+    """Turn a relative covariance into one of the outputs at a given water signal.
+
+    Parameters
+    ----------
+    relative : ndarray, shape (2, 2)
+        Covariance of radial and tangential changes per squared signal [1].
+    level : ndarray of complex
+        Water signal [V].
+
+    Returns
+    -------
+    Covariance
+        Arrays of the shape of the signal.
+    """
+    a, b = level.real, level.imag
+    radial, crossed, tangential = relative[0, 0], relative[0, 1], relative[1, 1]
+    return Covariance(
+        radial * a**2 + tangential * b**2 - 2 * crossed * a * b,
+        radial * b**2 + tangential * a**2 + 2 * crossed * a * b,
+        (radial - tangential) * a * b + crossed * (a**2 - b**2),
+    )
+
+
+#: The error of the first surface over its distance from the second, where that is
+#: large. Unscattered light stands as a peak on the rest, so that the logarithm is no
+#: polynomial either [1].
+_BEYOND = 3.0
+#: Distance from which on it is large, in parts of the signal [1].
+_LARGE = 0.02
+#: A logarithm needs a signal that stands this many standard errors off zero.
+_SURE = 5.0
+
+
+def logarithms(
+    shots: Complex, variance: Floats, group: NDArray[np.intp]
+) -> tuple[Complex, complex] | None:
+    r"""Return logarithms of the means over directions, and what they are relative to.
+
+    Parameters
+    ----------
+    shots : ndarray of complex, shape (n,)
+        Samples without a target [V].
+    variance : ndarray, shape (n,)
+        Variance of each, in phase and quadrature together [V^2].
+    group : ndarray of int, shape (n,)
+        Number of the direction that each shot has, from 0 on.
+
+    Returns
+    -------
+    tuple of ndarray and complex, or None
+        :math:`\ln (S_g / S_0)` for each direction [1], and :math:`S_0` [V]; None where
+        a mean does not stand clear of its error, so that it has no logarithm, or the
+        phase turns by more than a right angle over the scan.
+    """
+    count = np.bincount(group)
+    mean = (
+        np.bincount(group, shots.real) + 1j * np.bincount(group, shots.imag)
+    ) / count
+    error = np.sqrt(np.bincount(group, variance)) / count
+    if np.any(np.abs(mean) < _SURE * error) or np.any(mean == 0):
+        return None
+    middle = complex(mean.sum())
+    if middle == 0:
+        return None
+    middle *= float(np.abs(mean).max()) / abs(middle)
+    ratio = mean / middle
+    if np.any(ratio.real <= 0):
+        return None
+    return np.log(ratio), middle
+
+
+def disagreement(signal: Complex, logarithm: Complex, middle: complex) -> Complex:
+    r"""Return how far two smooth surfaces through the same shots lie apart.
+
+    Parameters
+    ----------
+    signal : ndarray of complex
+        Polynomial at the pixels [V].
+    logarithm : ndarray of complex
+        Polynomial of the same degree, fitted to the logarithms, at the pixels [1].
+    middle : complex
+        What the logarithms are relative to [V].
+
+    Returns
+    -------
+    ndarray of complex
+        Difference :math:`S_0 e^{q} - p`, up to three times [V].
+
+    Notes
+    -----
+    What a receiver with a Gaussian field of view sees falls off as a Gaussian of the
+    direction, whose logarithm is a polynomial of the second degree, and which is none
+    itself. Where the shots are dense enough both surfaces agree; where three rows
+    stand for nineteen degrees their difference is of the size of the error of the
+    interpolation, and up to three times less where light that was not scattered makes
+    a peak.
+    """
+    # Beyond the shots a polynomial may run away: no farther than ten times the signal.
+    bounded = np.minimum(logarithm.real, np.log(10.0)) + 1j * logarithm.imag
+    difference: Complex = middle * np.exp(bounded) - signal
+    size, whole = np.abs(difference), np.abs(signal)
+    large = np.divide(size, _LARGE * whole, out=np.ones(size.shape), where=whole > 0)
+    return np.asarray(difference * (1 + (_BEYOND - 1) * np.minimum(large, 1.0)))
+
 
 #: A degree fits when its misfit is no larger than chance makes in 1 of 20 cases.
 _SIGNIFICANCE = 0.05
@@ -79,7 +335,7 @@ def surface_of(
     Returns
     -------
     Surface
-        Of the degree that `amulor.rejection.reference.fit.fit` explains.
+        Of the degree that `amulor.rejection.reference.shots.fit` explains.
     """
     ratio = shots if model is None else shots / model
     power: Floats = np.ones(len(shots)) if model is None else np.abs(model) ** 2
@@ -185,7 +441,7 @@ def _logarithmic(
     """Return the polynomial of the logarithms, and what they are relative to."""
     if len(places.distinct) < max(2, len(powers)):
         return None
-    found = interpolation.logarithms(ratio, variance, places.group)
+    found = logarithms(ratio, variance, places.group)
     if found is None:
         return None
     design = design_of(places.distinct, powers)

@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 
 from amulor.rejection.covariance import Covariance
-from amulor.rejection.reference.noise import (
+from amulor.rejection.reference.shots import (
     NOISE_SCALE,
     noise_scale,
     scatter_of,
     with_noise_of_shots,
 )
-from amulor.rejection.reference.places import places_of
+from amulor.rejection.reference.surface import places_of
 from amulor.simulation import simulate
 from amulor.studies.trust.surveys import survey
 

@@ -8,8 +8,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 
-from amulor.rejection.reference import fit as reference
-from amulor.rejection.reference.fit import Covariance
+from amulor.rejection.covariance import Covariance
+from amulor.rejection.reference import shots as reference
 
 X, Y = (axis.ravel() for axis in np.meshgrid(np.linspace(-1, 1, 7), [-0.4, 0.0, 0.4]))
 PLACES = np.stack([X, Y], axis=1) * 0.03
@@ -35,7 +35,7 @@ def _shots(
 
 def test_a_smooth_signal_is_followed_between_the_shots() -> None:
     shots, stated, places, truth = _shots(np.random.default_rng(1), repeats=400)
-    found = reference.fit(shots, stated, places, PLACES)
+    found = reference.fit_channel(shots, stated, places, PLACES)
     assert found.degree >= 2
     error = found.signal - truth
     distance = found.common.mahalanobis(error)
@@ -50,7 +50,7 @@ def test_the_stated_error_of_the_reference_is_true(stray: float) -> None:
     z = []
     for _ in range(150):
         shots, stated, places, truth = _shots(rng, repeats=6, stray=stray)
-        found = reference.fit(shots, stated, places, PLACES)
+        found = reference.fit_channel(shots, stated, places, PLACES)
         z.append(found.common.mahalanobis(found.signal - truth) / 2)
     # The mean of 150 chi-squares of 2 over 2 has standard error 0.08 at one place. A
     # degree that is chosen from the data adds a little misfit that no covariance knows.
@@ -64,8 +64,10 @@ def test_turning_and_scaling_the_shots_turns_and_scales_the_reference(
 ) -> None:
     shots, stated, places, _ = _shots(np.random.default_rng(3), repeats=5, stray=0.05)
     factor = size * np.exp(1j * turn)
-    plain = reference.fit(shots, stated, places, PLACES)
-    moved = reference.fit(shots * factor, stated.scaled(size**2), places, PLACES)
+    plain = reference.fit_channel(shots, stated, places, PLACES)
+    moved = reference.fit_channel(
+        shots * factor, stated.scaled(size**2), places, PLACES
+    )
     assert_allclose(moved.signal, plain.signal * factor, rtol=1e-6)
     # Radial and tangential strays per unit of signal are the same.
     assert_allclose(moved.relative, plain.relative, rtol=1e-5, atol=1e-9)
@@ -75,7 +77,7 @@ def test_the_fluctuation_is_found_and_points_along_the_signal() -> None:
     shots, stated, places, truth = _shots(
         np.random.default_rng(4), repeats=300, stray=0.05
     )
-    found = reference.fit(shots, stated, places, PLACES)
+    found = reference.fit_channel(shots, stated, places, PLACES)
     strays = reference.fluctuation(found.relative, truth)
     size = strays.in_phase + strays.quadrature
     # 6300 shots: the variance is known to sqrt(2 / 6300) = 1.8 %; three of them.
@@ -92,7 +94,7 @@ def test_the_fluctuation_is_found_and_points_along_the_signal() -> None:
 
 def test_quiet_water_has_no_fluctuation_beyond_chance() -> None:
     shots, stated, places, _ = _shots(np.random.default_rng(5), repeats=300)
-    found = reference.fit(shots, stated, places, PLACES)
+    found = reference.fit_channel(shots, stated, places, PLACES)
     # 1 % of noise on 6300 shots hides a fluctuation of 1 % * (2 / 6300)^(1/4) = 0.13 %.
     assert np.sqrt(np.trace(found.relative)) < 0.004
 
@@ -101,7 +103,7 @@ def test_shots_in_one_direction_make_a_constant() -> None:
     rng = np.random.default_rng(6)
     shots = 1 + 0.01 * (rng.standard_normal(50) + 1j * rng.standard_normal(50))
     flat = np.full(50, 1e-4)
-    found = reference.fit(
+    found = reference.fit_channel(
         shots, Covariance(flat, flat, 0 * flat), np.zeros((50, 2)), PLACES
     )
     assert found.degree == 0
@@ -125,7 +127,7 @@ def test_a_degree_leaves_shots_enough_to_judge_the_scatter() -> None:
         shots = 1 + 0.1 * rng.standard_normal(8)
         quiet = np.full(8, 1e-8)
         stated = Covariance(quiet, quiet, 0 * quiet)
-        found = reference.fit(shots + 0j, stated, places, places)
+        found = reference.fit_channel(shots + 0j, stated, places, places)
         assert found.degree <= 3
         # How far a further sample lies from the reference, in what is stated.
         sample = 1 + 0.1 * rng.standard_normal(8)
@@ -138,7 +140,7 @@ def test_a_degree_leaves_shots_enough_to_judge_the_scatter() -> None:
 def test_too_few_shots_are_refused() -> None:
     flat = np.ones(4)
     with pytest.raises(ValueError, match="needs 5 shots, got 4"):
-        reference.fit(
+        reference.fit_channel(
             flat + 0j, Covariance(flat, flat, 0 * flat), np.zeros((4, 2)), PLACES
         )
 
@@ -158,12 +160,12 @@ def test_a_drift_is_told_from_a_change_over_the_directions() -> None:
     order = np.concatenate([np.arange(0, 42, 2), np.arange(1, 42, 2)])
     shots, places = shots[order], places[order]
     changed = shots * np.repeat([1.0, 1.1], 21)
-    found = reference.fit(changed, stated, places, PLACES).drift
+    found = reference.fit_channel(changed, stated, places, PLACES).drift
     # Half of the scan lies between the two visits of a direction: 10 % there are 20 %
     # from the first shot to the last, relative to a level that lies between.
     assert found.change.real == pytest.approx(0.19, abs=4 * found.uncertainty.real)
     assert found.chance < 1e-6
-    steady = reference.fit(shots, stated, places, PLACES).drift
+    steady = reference.fit_channel(shots, stated, places, PLACES).drift
     assert abs(steady.change.real) < 4 * steady.uncertainty.real
 
 
@@ -171,6 +173,6 @@ def test_single_shots_across_the_scan_tell_no_drift() -> None:
     shots, stated, places, _ = _shots(np.random.default_rng(9), repeats=1)
     # A kink that no polynomial of the fit follows, in the order of the shots.
     bent = shots * np.where(np.arange(21) > 15, 2.0, 1.0)
-    found = reference.fit(bent, stated, places, PLACES).drift
+    found = reference.fit_channel(bent, stated, places, PLACES).drift
     assert found.chance == 1.0
     assert found.uncertainty.real == np.inf

@@ -11,9 +11,8 @@ import xarray as xr
 from amulor.cube import tiles
 from amulor.optics import rays
 from amulor.rejection.covariance import Covariance
-from amulor.rejection.reference import shape as shapes
-from amulor.rejection.reference.fit import Reference, fit
-from amulor.rejection.reference.shots import fit_shots, shots_of
+from amulor.rejection.reference import model as shapes
+from amulor.rejection.reference.shots import Reference, fit_channel, fit_shots, shots_of
 from amulor.simulation import simulate
 from amulor.simulation.models import DiffusionModel
 from amulor.studies.trust.surveys import scaled, survey
@@ -150,7 +149,8 @@ def test_photons_between_the_shots_agree() -> None:
     shape = model.over(pixels, cube["modulation_frequency"].values)
     missed = [
         np.abs(
-            fit(shots, instrument, places, pixels, shape=each).signal - signal[9:]
+            fit_channel(shots, instrument, places, pixels, shape=each).signal
+            - signal[9:]
         ).max()
         for each in (None, shape[0])
     ]

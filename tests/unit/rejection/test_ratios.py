@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from amulor.rejection.channels.ratios import _weighted_mean
+from amulor.rejection.ratios import _weighted_mean
 
 
 def test_the_mean_is_weighted_by_variances_and_its_error_grows_with_the_spread() -> (

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 
-from amulor.rejection.reference import column_fraction
+from amulor.rejection.reference import column
 from amulor.survey import Survey
 
 
@@ -38,9 +38,9 @@ def test_the_table_keeps_its_error_bound(
 ) -> None:
     places = _places(12_000, width=width, near=near, far=far)
     frequency = np.array([39e6, 146e6])
-    found = column_fraction.fractions(plate, *places, modulation_frequency=frequency)
-    exact = column_fraction.integrated(plate, places, frequency)
-    assert np.abs(found - exact).max() < column_fraction.LARGEST_ERROR
+    found = column.fractions(plate, *places, modulation_frequency=frequency)
+    exact = column.integrated(plate, places, frequency)
+    assert np.abs(found - exact).max() < column.LARGEST_ERROR
     # And it is a table: agreement to the last digit would be the integral itself.
     assert (np.abs(found - exact).max() > 1e-14) == tabulated
 
@@ -48,23 +48,23 @@ def test_the_table_keeps_its_error_bound(
 def test_many_pixels_close_together_share_a_table(plate: Survey) -> None:
     places = _places(2_500, width=0.01, near=1.45, far=1.5)
     frequency = np.array([39e6])
-    found = column_fraction.fractions(plate, *places, modulation_frequency=frequency)
-    error = np.abs(found - column_fraction.integrated(plate, places, frequency)).max()
-    assert 1e-14 < error < column_fraction.LARGEST_ERROR
+    found = column.fractions(plate, *places, modulation_frequency=frequency)
+    error = np.abs(found - column.integrated(plate, places, frequency)).max()
+    assert 1e-14 < error < column.LARGEST_ERROR
 
 
 def test_where_no_table_holds_every_pixel_is_integrated(plate: Survey) -> None:
     # 2 GHz over 6 m turn by 100 periods: no table of 65 depths follows from the start.
     places = _places(200, width=0.3, near=0.0, far=6.0)
     frequency = np.array([2e9])
-    found = column_fraction.fractions(plate, *places, modulation_frequency=frequency)
+    found = column.fractions(plate, *places, modulation_frequency=frequency)
     assert_allclose(
-        found, column_fraction.integrated(plate, places, frequency), rtol=0, atol=1e-15
+        found, column.integrated(plate, places, frequency), rtol=0, atol=1e-15
     )
 
 
 def test_at_the_surface_all_water_is_behind_and_far_away_none(plate: Survey) -> None:
-    fractions = column_fraction.fractions(
+    fractions = column.fractions(
         plate,
         np.zeros(2),
         np.zeros(2),
@@ -78,7 +78,7 @@ def test_at_the_surface_all_water_is_behind_and_far_away_none(plate: Survey) -> 
 def test_behind_the_wall_of_a_tank_there_is_nothing(plate_text: str) -> None:
     text = plate_text.replace("[water]", '[water]\ncolumn_end = "2 m"')
     depth = np.array([1.0, 2.0, 2.5])
-    fractions = column_fraction.fractions(
+    fractions = column.fractions(
         Survey.from_text(text),
         np.zeros(3),
         np.zeros(3),
@@ -91,7 +91,7 @@ def test_behind_the_wall_of_a_tank_there_is_nothing(plate_text: str) -> None:
 
 def test_no_pixel_needs_no_share(plate: Survey) -> None:
     nothing = np.empty(0)
-    found = column_fraction.fractions(
+    found = column.fractions(
         plate, nothing, nothing, nothing, modulation_frequency=np.array([39e6, 50e6])
     )
     assert found.shape == (2, 0)
@@ -103,7 +103,7 @@ def test_the_mean_share_shrinks_with_depth(
     plate: Survey, depth: float, step: float
 ) -> None:
     # At 1 kHz the delay is nothing: fractions of the mean light, all positive.
-    fractions = column_fraction.fractions(
+    fractions = column.fractions(
         plate,
         np.zeros(2),
         np.zeros(2),

@@ -8,8 +8,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 
-from amulor.rejection.channels import mixing
-from amulor.rejection.reference.fit import Covariance
+from amulor.rejection import channels
+from amulor.rejection.covariance import Covariance
 
 
 def _flat(variance: float, count: int = 1) -> Covariance:
@@ -20,7 +20,7 @@ def _flat(variance: float, count: int = 1) -> Covariance:
 def test_two_channels_without_prior_are_the_closed_form() -> None:
     target, water = np.array([1 + 2j]), np.array([-0.5 + 0.3j])
     a, b = target + water, 0.24 * target + 0.1 * water
-    found = mixing.unmix(
+    found = channels.unmix(
         [a, b],
         [_flat(1e-4), _flat(4e-4)],
         target_weights=[1.0, 0.24],
@@ -35,7 +35,7 @@ def test_two_channels_without_prior_are_the_closed_form() -> None:
 
 
 def test_without_water_the_channels_are_weighted_by_their_variances() -> None:
-    found = mixing.unmix(
+    found = channels.unmix(
         [np.array([1.0 + 0j]), np.array([2.0 + 0j])],
         [_flat(1.0), _flat(0.25)],
         target_weights=[1.0, 1.0],
@@ -55,8 +55,8 @@ def test_a_wide_prior_is_no_prior(target: float, water: float, noise: float) -> 
     signals = [rng.standard_normal(3) + 1j * rng.standard_normal(3) for _ in range(2)]
     errors = [_flat(1.0, 3), _flat(noise, 3)]
     weights = {"target_weights": [1.0, target], "water_weights": [1.0, water]}
-    free = mixing.unmix(signals, errors, **weights, water_prior=None)
-    wide = mixing.unmix(signals, errors, **weights, water_prior=_flat(1e6, 3))
+    free = channels.unmix(signals, errors, **weights, water_prior=None)
+    wide = channels.unmix(signals, errors, **weights, water_prior=_flat(1e6, 3))
     assert_allclose(wide.target, free.target, rtol=1e-2, atol=1e-2)
 
 
@@ -69,7 +69,7 @@ def test_turning_and_scaling_the_outputs_does_the_same_to_the_target(
     factor = size * np.exp(1j * turn)
 
     def solve(factor: complex) -> np.ndarray:
-        return mixing.unmix(
+        return channels.unmix(
             [signal * factor for signal in signals],
             [_flat(v * abs(factor) ** 2, 4) for v in (1.0, 2.0, 0.5)],
             target_weights=[1.0, 0.3, 0.6],
@@ -96,7 +96,7 @@ def test_the_stated_covariance_is_the_scatter() -> None:
         signals.append(share * (3 - 1j) + error[:, 0] + 1j * error[:, 1])
     water = rng.standard_normal(count) + 1j * rng.standard_normal(count)
     signals = [s + w * water for s, w in zip(signals, (1.0, 0.1), strict=True)]
-    found = mixing.unmix(
+    found = channels.unmix(
         signals,
         stated,
         target_weights=[1.0, 0.3],
@@ -121,9 +121,9 @@ def test_further_errors_and_changes_follow_the_gain() -> None:
         "water_prior": _flat(0.5, 2),
     }
     errors = [_flat(1.0, 2), _flat(0.2, 2)]
-    base = mixing.unmix(signals, errors, **arguments)
+    base = channels.unmix(signals, errors, **arguments)
     change = [np.array([0.1 + 0.2j, -0.3j]), np.array([0.5 + 0j, 0.1 - 0.1j])]
-    moved = mixing.unmix(
+    moved = channels.unmix(
         [s + c for s, c in zip(signals, change, strict=True)], errors, **arguments
     )
     assert_allclose(base.shift_by(change), moved.target - base.target, rtol=1e-9)
@@ -134,7 +134,7 @@ def test_further_errors_and_changes_follow_the_gain() -> None:
 
 
 def test_a_channel_that_is_missing_leaves_no_number() -> None:
-    found = mixing.unmix(
+    found = channels.unmix(
         [np.array([1.0 + 0j, np.nan]), np.array([0.3 + 0j, 0.3])],
         [_flat(1.0, 2), _flat(1.0, 2)],
         target_weights=[1.0, 0.3],
@@ -146,7 +146,7 @@ def test_a_channel_that_is_missing_leaves_no_number() -> None:
 
 
 def test_errors_of_zero_are_no_trouble() -> None:
-    found = mixing.unmix(
+    found = channels.unmix(
         [np.array([1.0 + 1j]), np.array([0.3 + 0.3j])],
         [_flat(0.0), _flat(0.0)],
         target_weights=[1.0, 0.3],

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from amulor.rejection.covariance import Covariance
-from amulor.rejection.reference import interpolation
-from amulor.rejection.reference.fit import fit
+from amulor.rejection.reference import surface
+from amulor.rejection.reference.shots import fit_channel
 
 
 def _directions(columns: int, rows: int, wide: float, tall: float) -> np.ndarray:
@@ -31,7 +31,9 @@ def test_the_error_between_three_rows_is_within_what_is_stated(tall: float) -> N
     shots = _gaussian(places, 1.0) + noise[0] + 1j * noise[1]
     variance = np.full(len(shots), 1e-6)
     pixels = _directions(21, 41, 0.5, tall)
-    found = fit(shots, Covariance(variance, variance, 0 * variance), places, pixels)
+    found = fit_channel(
+        shots, Covariance(variance, variance, 0 * variance), places, pixels
+    )
     off = found.signal - _gaussian(pixels, 1.0)
     stated = np.sqrt(found.common.in_phase + found.common.quadrature)
     # The exact curve lies next to the second polynomial: one sigma, and its noise.
@@ -47,7 +49,9 @@ def test_dense_shots_state_no_more_than_their_noise() -> None:
     shots = _gaussian(places, 1.0) + noise[0] + 1j * noise[1]
     variance = np.full(len(shots), 1e-6)
     pixels = _directions(21, 21, 0.2, 0.2)
-    found = fit(shots, Covariance(variance, variance, 0 * variance), places, pixels)
+    found = fit_channel(
+        shots, Covariance(variance, variance, 0 * variance), places, pixels
+    )
     stated = np.sqrt(found.common.in_phase)
     # 450 shots of 1e-3 for up to 15 coefficients.
     assert np.median(stated) < 3e-4
@@ -57,8 +61,8 @@ def test_what_drowns_in_noise_has_no_logarithm() -> None:
     rng = np.random.default_rng(3)
     shots = rng.standard_normal(60) + 1j * rng.standard_normal(60)
     group = np.repeat(np.arange(6), 10)
-    assert interpolation.logarithms(shots, np.full(60, 2.0), group) is None
-    strong = interpolation.logarithms(shots + 100, np.full(60, 2.0), group)
+    assert surface.logarithms(shots, np.full(60, 2.0), group) is None
+    strong = surface.logarithms(shots + 100, np.full(60, 2.0), group)
     assert strong is not None
     np.testing.assert_allclose(
         strong[1] * np.exp(strong[0]), (shots + 100).reshape(6, 10).mean(axis=1)

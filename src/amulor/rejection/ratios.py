@@ -10,11 +10,11 @@ from numpy.typing import ArrayLike, NDArray
 
 from amulor import cube as cubes
 from amulor.errors import CubeError
-from amulor.rejection.channels.names import pair_of
+from amulor.rejection.channels import pair_of
 from amulor.rejection.covariance import common_covariance_of, covariance_of
 from amulor.rejection.open_water import open_water
-from amulor.rejection.reference.noise import with_noise_of_shots
-from amulor.rejection.reference.places import FEWEST_SHOTS
+from amulor.rejection.reference.shots import with_noise_of_shots
+from amulor.rejection.reference.surface import FEWEST_SHOTS
 
 Floats = NDArray[np.float64]
 Complex = NDArray[np.complex128]

@@ -7,7 +7,7 @@ from numpy.testing import assert_allclose
 
 from amulor import cube as cubes
 from amulor import rejection, samples
-from amulor.rejection.reference.size import not_smaller_than_usual
+from amulor.rejection.reference.before_target import not_smaller_than_usual
 
 
 def test_what_is_below_the_median_is_made_as_large_and_keeps_its_phase() -> None:

@@ -1,1 +1,0 @@
-"""Polarization channels: which there are, how they mix target and water."""
