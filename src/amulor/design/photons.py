@@ -13,7 +13,7 @@ from amulor.errors import SurveyError
 from amulor.optics import ranging
 from amulor.simulation import SmallAngleModel, geometry
 from amulor.simulation.geometry import Geometry
-from amulor.simulation.photon_runs import Place, Setting, run, way
+from amulor.simulation.photons import Place, Setting, run, way
 from amulor.survey import Survey, WaterProperties, water_properties
 from amulor.survey.view import beam_arguments, has_sharp_receiver, refuse_layers
 from amulor.survey.waters.whole_function import whole_phase_function

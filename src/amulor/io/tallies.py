@@ -221,7 +221,7 @@ def _loaded(content: bytes, path: Path) -> xr.Dataset:
 def _tally(dataset: xr.Dataset, path: Path) -> Tally:
     """Return the tally that a file holds, checked as far as numbers can tell."""
     # Brings the compiled loops with it, which other readers of files do not need.
-    from amulor.transport.path_record import PathRecord
+    from amulor.transport.contributions import PathRecord
     from amulor.transport.tally import Tally
 
     def real(name: str) -> NDArray[np.float64]:

@@ -25,7 +25,7 @@ from amulor.optics._bounds import (
     within,
 )
 from amulor.optics.small_angle import sharp_receiver as small_angle_sharp_receiver
-from amulor.optics.small_angle._tables import PhaseFunction
+from amulor.optics.small_angle._columns import PhaseFunction
 from amulor.optics.small_angle_closure.response import LARGEST_DEPARTURE
 
 __all__ = [

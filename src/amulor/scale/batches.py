@@ -17,7 +17,7 @@ from amulor._extras import require
 from amulor.io.files import atomic_output
 from amulor.scale.cluster import cluster_client
 from amulor.scale.pieces import in_order
-from amulor.transport._run.batches import Batch
+from amulor.transport._runs import Batch
 from amulor.transport.monte_carlo import Spread
 
 __all__ = ["spread_batches"]

@@ -1,20 +1,142 @@
-"""A simulated scan row by row, never in memory whole: the same bits as the whole."""
+"""The noise of a scan row by row: the numbers that one run of a generator gives it.
+
+A generator fills plane after plane of (row, column). Its state is kept where each
+plane begins; rows then go on from there, each plane with a generator of its own.
+"""
 
 from __future__ import annotations
 
+import copy
+from collections.abc import Sequence
+from dataclasses import dataclass
+
 import numpy as np
 import xarray as xr
+from numpy.typing import NDArray
 
 from amulor._progress import listening
 from amulor.cube import tiles
 from amulor.errors import SurveyError
 from amulor.simulation import lock_in, measurement
 from amulor.simulation.models import DEFAULT_MODEL, SignalModel, UncertainModel
-from amulor.simulation.row_noise import RowNoise
 from amulor.survey import Survey
 from amulor.survey.directions import scan_directions
 
-__all__ = ["SimulatedRows"]
+__all__ = ["RowNoise", "SimulatedRows"]
+
+
+Floats = NDArray[np.float64]
+#: Numbers that are drawn at once where they are not wanted.
+_AT_ONCE = 2**20
+
+
+@dataclass(kw_only=True)
+class _Plane:
+    """One plane of (row, column), of which some numbers are drawn."""
+
+    start: np.random.Generator
+    now: np.random.Generator
+    drawn: int
+
+
+class RowNoise:
+    """Numbers of the rows of a scan, which are asked for in the order of a whole scan.
+
+    Parameters
+    ----------
+    rng : numpy.random.Generator
+        Source of all numbers; goes on behind those of the whole scan.
+    draws : sequence of tuple of str and int
+        What is asked for, in its order: method, and number of planes.
+    shape : tuple of int
+        Rows and columns of the scan [1].
+    gamma : float, optional
+        Shape of the gamma distribution, where some draw has it [1].
+    """
+
+    def __init__(
+        self,
+        rng: np.random.Generator,
+        draws: Sequence[tuple[str, int]],
+        *,
+        shape: tuple[int, int],
+        gamma: float | None = None,
+    ) -> None:
+        self._draws, self._shape = list(draws), shape
+        self._gamma = 1.0 if gamma is None else gamma
+        self._planes: list[list[_Plane]] = []
+        self._rows, self._next = slice(0, 0), 0
+        for method, count in self._draws:
+            planes = []
+            for _ in range(count):
+                begin = copy.deepcopy(rng)
+                planes.append(_Plane(start=begin, now=copy.deepcopy(begin), drawn=0))
+                self._skip(rng, method, shape[0] * shape[1])
+            self._planes.append(planes)
+
+    def rows(self, begin: int, end: int) -> RowNoise:
+        """Return itself, ready to be asked for some rows.
+
+        Parameters
+        ----------
+        begin, end : int
+            The first row, and the one behind the last; rows that follow those before
+            cost nothing more.
+
+        Returns
+        -------
+        RowNoise
+            Asked for each draw once, in their order.
+        """
+        self._rows, self._next = slice(begin, end), 0
+        return self
+
+    def standard_normal(self, size: tuple[int, ...], /) -> Floats:
+        """Return normal numbers; see `amulor.simulation.lock_in.Noise`."""
+        return self._numbers("standard_normal", size)
+
+    def gamma(self, shape: float, scale: float, /, size: tuple[int, ...]) -> Floats:
+        """Return numbers of the gamma distribution; see there."""
+        if shape != self._gamma:
+            raise RuntimeError(f"gamma({shape:g}) is asked for, not {self._gamma:g}")
+        return self._numbers("gamma", size, scale)
+
+    def _numbers(
+        self, method: str, size: tuple[int, ...], scale: float = 1.0
+    ) -> Floats:
+        number, self._next = self._next, self._next + 1
+        planes = self._planes[number] if number < len(self._planes) else []
+        height = self._rows.stop - self._rows.start
+        wanted = (height, self._shape[1])
+        if not planes or self._draws[number][0] != method or size[-2:] != wanted:
+            raise RuntimeError(
+                f"draw {number + 1} of a scan is {method} of shape {size}, which is "
+                f"none of {self._draws}: let lock_in.draws say what is drawn"
+            )
+        out: Floats = np.empty(size)
+        flat = out.reshape(-1, height * self._shape[1])
+        first = self._rows.start * self._shape[1]
+        for plane, values in zip(planes, flat, strict=True):
+            if plane.drawn > first:
+                plane.now, plane.drawn = copy.deepcopy(plane.start), 0
+            self._skip(plane.now, method, first - plane.drawn)
+            values[:] = (
+                plane.now.standard_normal(values.size)
+                if method == "standard_normal"
+                else plane.now.gamma(self._gamma, scale, size=values.size)
+            )
+            plane.drawn = first + values.size
+        return out
+
+    def _skip(self, rng: np.random.Generator, method: str, count: int) -> None:
+        """Draw numbers that nobody wants."""
+        unwanted: Floats = np.empty(min(count, _AT_ONCE))
+        for first in range(0, count, _AT_ONCE):
+            part = unwanted[: min(count - first, _AT_ONCE)]
+            if method == "standard_normal":
+                rng.standard_normal(out=part)
+            else:
+                rng.standard_gamma(self._gamma, out=part)
 
 
 class SimulatedRows:

@@ -8,7 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from amulor.simulation import geometry as geometry_of
-from amulor.simulation import lock_in, signal
+from amulor.simulation import lock_in
+from amulor.simulation import lock_in as signal
 from amulor.simulation.models import DEFAULT_MODEL, SignalModel
 from amulor.survey import Survey, water_properties
 

@@ -15,7 +15,8 @@ from amulor._progress import part, tell
 from amulor.cube import tiles
 from amulor.optics.rays import Medium
 from amulor.simulation import geometry as geometry_of
-from amulor.simulation import lock_in, signal
+from amulor.simulation import lock_in
+from amulor.simulation import lock_in as signal
 from amulor.simulation.models import DEFAULT_MODEL, FittedModel, SignalModel
 from amulor.simulation.scene import Scene
 from amulor.survey import Survey, WaterProperties, water_properties

@@ -1,7 +1,8 @@
-"""The forward model that follows photons: all orders of scattering, late echoes too."""
+"""A function of beam and depth, known at a few places with errors, everywhere else."""
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -11,18 +12,362 @@ import numpy as np
 from numpy.typing import NDArray
 
 from amulor import _progress
+from amulor.optics.phase_functions.phase_function import PhaseFunction
 from amulor.simulation.models import Error, SmallAngleModel
-from amulor.simulation.photon_grid import Grid, grid_of
-from amulor.simulation.photon_runs import Light, Place, Setting, ends, follow, way
 from amulor.survey import Survey, WaterProperties
 from amulor.survey.view import View, refuse_beam_and_edges, refuse_layers
 from amulor.survey.waters.whole_function import whole_phase_function
-from amulor.transport import Progress
+from amulor.transport import (
+    GaussianReceiver,
+    Layer,
+    Medium,
+    PlaneTarget,
+    Progress,
+    Source,
+    Tally,
+    simulate,
+)
 
-__all__ = ["PhotonModel"]
+__all__ = [
+    "Axis",
+    "Grid",
+    "Light",
+    "PhotonModel",
+    "Place",
+    "Setting",
+    "follow",
+    "grid_of",
+    "run",
+    "way",
+]
+
 
 Complex = NDArray[np.complex128]
 Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Axis:
+    """Nodes along one quantity."""
+
+    nodes: Floats
+
+    def weights(self, value: Floats) -> Floats:
+        """Return the Lagrange polynomials of the nodes at values, shape (n, nodes)."""
+        apart = self.nodes[:, None] - self.nodes
+        out = np.ones((value.size, self.nodes.size))
+        for i, j in itertools.permutations(range(self.nodes.size), 2):
+            out[:, i] *= (value - self.nodes[j]) / apart[i, j]
+        return out
+
+
+@dataclass(frozen=True)
+class Grid:
+    """All combinations of the nodes of some axes."""
+
+    axes: tuple[Axis, ...]
+
+    @property
+    def places(self) -> Floats:
+        """The combinations, shape (places, axes)."""
+        each = np.meshgrid(*(axis.nodes for axis in self.axes), indexing="ij")
+        return np.stack([values.ravel() for values in each], axis=1)
+
+    def weights(self, where: Floats) -> Floats:
+        """Return how the places make up others.
+
+        Parameters
+        ----------
+        where : ndarray, shape (n, axes)
+            Places between the nodes.
+
+        Returns
+        -------
+        ndarray, shape (n, places)
+            Products of Lagrange polynomials [1].
+        """
+        out = np.ones((len(where), 1))
+        for axis, values in zip(self.axes, where.T, strict=True):
+            part = axis.weights(np.ascontiguousarray(values))
+            out = (out[:, :, None] * part[:, None, :]).reshape(len(where), -1)
+        return out
+
+    def between(self, count: int) -> Floats:
+        """Return places far from the nodes, for a check, shape (count, axes)."""
+        places = []
+        for number in range(count):
+            place = []
+            for position, axis in enumerate(self.axes):
+                if axis.nodes.size == 1:
+                    place.append(axis.nodes[0])
+                    continue
+                # Half way between two nodes, other ones for each axis and number.
+                left = (number + position) % (axis.nodes.size - 1)
+                place.append((axis.nodes[left] + axis.nodes[left + 1]) / 2)
+            places.append(place)
+        return np.array(places)
+
+
+def grid_of(values: Floats, *, least: Floats, most: NDArray[np.intp]) -> Grid:
+    """Return a grid that spans given places.
+
+    Parameters
+    ----------
+    values : ndarray, shape (n, axes)
+        Places.
+    least : ndarray, shape (axes,)
+        Range of an axis up to which one node stands for it; for each further node its
+        range is about three times as wide.
+    most : ndarray, shape (axes,)
+        Most nodes of an axis.
+
+    Returns
+    -------
+    Grid
+        Chebyshev-Lobatto nodes, the ends of each range among them.
+    """
+    axes = []
+    for low, high, small, limit in zip(
+        values.min(axis=0), values.max(axis=0), least, most, strict=True
+    ):
+        span = high - low
+        if span <= small:
+            axes.append(Axis(np.array([(low + high) / 2])))
+            continue
+        count = int(np.clip(1 + np.ceil(np.log(span / small) / np.log(3)), 2, limit))
+        turn = np.cos(np.pi * np.arange(count) / (count - 1))
+        axes.append(Axis((low + high) / 2 - span / 2 * turn))
+    return Grid(tuple(axes))
+
+
+@dataclass(frozen=True, kw_only=True)
+class Place:
+    """How the receiver looks at a beam, and where that beam ends."""
+
+    baseline: float
+    """Distance of receiver and beam where the depth is zero [m]."""
+    tilt: float
+    """Inclination of the beam against the receiver's axis, along the baseline [rad]."""
+    cross_tilt: float
+    """The inclination across the baseline [rad]."""
+    standoff: float
+    """Air and glass before the water, as a depth of water [m]."""
+    depth: float
+    """Where the surface stands, along the beam; infinite in open water [m]."""
+    reflectance: float
+    """Of the surface [1]."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Setting:
+    """What all places of a survey share."""
+
+    absorption: float
+    """Absorption coefficient [1/m]."""
+    scattering: float
+    """Scattering coefficient [1/m]."""
+    phase_function: PhaseFunction
+    """Phase function of the water."""
+    group_index: float
+    """Group index of the water [1]."""
+    receiver_radius: float
+    """1/e radius of the aperture [m]."""
+    acceptance_angle: float
+    """1/e semi-angle of the receiver in the water [rad]."""
+    beam_radius: float = 0.0
+    """1/e half-width of the beam at its start [m]."""
+    beam_divergence: float = 0.0
+    """1/e semi-angle of the beam in the water [rad]."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Light:
+    """Received per launched light at each frequency, with standard errors."""
+
+    water: Complex
+    """Light that met water only, shape (n,) [1]."""
+    water_error: Floats
+    """Its standard error, real and imaginary part together [1]."""
+    target: Complex
+    """Light that met the surface, scattered on its way or not [1]."""
+    target_error: Floats
+    """Its standard error [1]."""
+
+
+def follow(
+    setting: Setting,
+    place: Place,
+    frequency: Floats,
+    *,
+    relative_error: float,
+    histories: int,
+    seed: int,
+    progress: Callable[[Progress], None] | None = None,
+) -> Light:
+    """Follow photons at one place.
+
+    Parameters
+    ----------
+    setting, place, frequency, relative_error, histories, seed, progress
+        As in `run`.
+
+    Returns
+    -------
+    Light
+        With the phase counted from where the water begins.
+
+    Raises
+    ------
+    KeyboardInterrupt
+        If the run was stopped from the keyboard.
+    """
+    tally = run(
+        setting,
+        place,
+        frequency,
+        relative_error=relative_error,
+        histories=histories,
+        seed=seed,
+        progress=progress,
+    )
+    return Light(
+        water=tally.water_signal,
+        water_error=_error(tally.water_covariance),
+        target=tally.target_signal,
+        target_error=_error(tally.target_covariance),
+    )
+
+
+def run(
+    setting: Setting,
+    place: Place,
+    frequency: Floats,
+    *,
+    relative_error: float,
+    histories: int,
+    seed: int,
+    progress: Callable[[Progress], None] | None = None,
+) -> Tally:
+    """Follow photons at one place, and keep all that is known of their light.
+
+    Parameters
+    ----------
+    setting : Setting
+        Water and receiver.
+    place : Place
+        Beam and surface; the surface faces the beam.
+    frequency : ndarray
+        Modulation frequencies, the first one 0 [Hz].
+    relative_error : float
+        Of all light at the first frequency, where the photons stop [1].
+    histories : int
+        Where they stop in any case.
+    seed : int
+        Seed of the random numbers.
+    progress : callable, optional
+        Called after each batch.
+
+    Returns
+    -------
+    Tally
+        With the phase counted from where the water begins.
+
+    Raises
+    ------
+    KeyboardInterrupt
+        If the run was stopped from the keyboard.
+    """
+    layer = Layer(
+        absorption=setting.absorption,
+        scattering=setting.scattering,
+        phase_function=setting.phase_function,
+    )
+    gap = place.standoff
+    if gap > 0:
+        clear = Layer(
+            absorption=0.0,
+            scattering=0.0,
+            phase_function=setting.phase_function,
+            thickness=gap,
+        )
+        medium = Medium.layered([clear, layer], group_index=setting.group_index)
+    else:
+        medium = Medium(layers=(layer,), group_index=setting.group_index)
+    start, direction, point = ends(place)
+    target = None
+    if np.isfinite(place.depth):
+        target = PlaneTarget(
+            position=point,
+            normal=-direction,
+            reflectance=place.reflectance,
+        )
+    tally = simulate(
+        medium,
+        Source(
+            position=start,
+            direction=direction,
+            radius=setting.beam_radius,
+            divergence=setting.beam_divergence,
+        ),
+        GaussianReceiver(
+            position=(place.baseline, 0.0, 0.0),
+            radius=setting.receiver_radius,
+            acceptance_angle=setting.acceptance_angle,
+        ),
+        frequency,
+        histories=histories,
+        seed=seed,
+        target=target,
+        relative_error=relative_error,
+        progress=progress,
+    )
+    if tally.interrupted:
+        raise KeyboardInterrupt
+    return tally.delayed(-gap, group_index=setting.group_index) if gap else tally
+
+
+def ends(place: Place) -> tuple[Floats, Floats, Floats]:
+    """Return where a beam enters the water, its direction, and where it ends.
+
+    Parameters
+    ----------
+    place : Place
+        In front of a receiver that looks forwards.
+
+    Returns
+    -------
+    tuple of three ndarrays, shape (3,)
+        Start [m], unit vector, end [m]; without a surface the end is the start.
+    """
+    across = np.array([place.tilt, place.cross_tilt])
+    direction = np.append(across, np.sqrt(1.0 - across @ across))
+    start = place.standoff * np.append(across, 1.0)
+    depth = place.depth if np.isfinite(place.depth) else 0.0
+    return start, direction, start + depth * direction
+
+
+def way(place: Place) -> float:
+    """Return the way to the surface and back to the middle of the aperture [m].
+
+    Parameters
+    ----------
+    place : Place
+        With a surface.
+
+    Returns
+    -------
+    float
+        Less the gap between receiver and water.
+    """
+    _, _, point = ends(place)
+    back = np.linalg.norm(point - np.array([place.baseline, 0.0, 0.0]))
+    return place.depth + float(back) - place.standoff
+
+
+def _error(covariance: Floats) -> Floats:
+    """Return the root of the summed variances of real and imaginary part."""
+    return np.asarray(np.sqrt(np.trace(covariance, axis1=-2, axis2=-1)))
+
 
 #: Ranges of baseline [m], tilt [rad], squared cross tilt [rad^2] and depth [m] that one
 #: node stands for, and the most nodes of each.

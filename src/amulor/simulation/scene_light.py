@@ -7,7 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from amulor.simulation import geometry, signal
+from amulor.simulation import geometry
+from amulor.simulation import lock_in as signal
 from amulor.simulation.lock_in import expected_signal
 from amulor.simulation.models import DEFAULT_MODEL, SignalModel
 from amulor.survey import Survey, water_properties

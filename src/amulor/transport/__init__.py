@@ -1,9 +1,9 @@
 """Photon transport beyond single backscatter: all orders, full Stokes, modulated."""
 
+from amulor.transport.contributions import PathRecord
 from amulor.transport.medium import Layer, Medium
 from amulor.transport.mesh import MeshTarget
 from amulor.transport.monte_carlo import ErrorGoal, Progress, Technique, simulate
-from amulor.transport.path_record import PathRecord
 from amulor.transport.receiver import (
     DiscReceiver,
     GaussianReceiver,

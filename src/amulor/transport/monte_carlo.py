@@ -12,18 +12,19 @@ from numpy.typing import ArrayLike, NDArray
 
 from amulor.transport._kernels import batch as _batch_kernels
 from amulor.transport._kernels.types import Plan
-from amulor.transport._run.batches import Batch
-from amulor.transport._run.conduct import (
+from amulor.transport._problem import Problem, integrals_of
+from amulor.transport._runs import (
+    Batch,
     ErrorGoal,
     Limits,
     Progress,
+    Record,
     Spread,
     checked_seed,
     conduct,
     frequencies,
+    random_state,
 )
-from amulor.transport._run.problem import Problem, integrals_of
-from amulor.transport._run.record import Record, random_state
 from amulor.transport.medium import Medium
 from amulor.transport.mesh import MeshTarget
 from amulor.transport.receiver import PlaneTarget, Receiver, Source

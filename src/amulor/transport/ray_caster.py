@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from amulor.transport._kernels import hierarchy as _hierarchy
+from amulor.transport._kernels import mesh as _hierarchy
 from amulor.transport._kernels import mesh as _kernels
 from amulor.transport._kernels.mesh import EDGE_ONE, EDGE_TWO, NORMAL
 from amulor.transport._kernels.types import Mesh

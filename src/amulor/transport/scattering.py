@@ -17,7 +17,7 @@ from amulor.optics.phase_functions.models import rayleigh_phase
 from amulor.optics.phase_functions.phase_function import PhaseFunction
 from amulor.optics.polarization.depolarization import realizability_defect
 from amulor.optics.polarization.mueller import rayleigh
-from amulor.transport._kernels import angle as _cells
+from amulor.transport._kernels import sampling as _cells
 
 if TYPE_CHECKING:
     from amulor.optics.phase_functions.mie import Suspension

@@ -11,16 +11,17 @@ from numpy.typing import ArrayLike, NDArray
 
 from amulor.transport._kernels import slab as _slab_kernels
 from amulor.transport._kernels.types import Water
-from amulor.transport._run.batches import Batch
-from amulor.transport._run.conduct import (
+from amulor.transport._problem import digest_of, integrals_of, water_tables
+from amulor.transport._runs import (
+    Batch,
     Limits,
     Progress,
+    Record,
     checked_seed,
     conduct,
     frequencies,
+    random_state,
 )
-from amulor.transport._run.problem import digest_of, integrals_of, water_tables
-from amulor.transport._run.record import Record, random_state
 from amulor.transport.medium import Medium
 from amulor.transport.receiver import Source
 from amulor.transport.tally import Tally

@@ -12,11 +12,11 @@ from scipy.constants import speed_of_light
 from amulor.transport.contributions import (
     ANALYSERS,
     LIGHT,
+    PathRecord,
     analyser_vector,
     outweighs,
     together,
 )
-from amulor.transport.path_record import PathRecord
 
 __all__ = ["Tally"]
 

@@ -11,7 +11,7 @@ import pytest
 
 from amulor._compiled import loops_behind
 from amulor.cli._output import _Log
-from amulor.optics.small_angle import _many_kernels
+from amulor.optics.small_angle import _kernels as _many_kernels
 from amulor.studies import ladder
 
 #: Loops that no command calls.
@@ -20,7 +20,7 @@ LEFT_OUT = {
         "way_out", "meridian", "cross_layers", "add_exit", "add_directions",
         "follow_photon", "follow_photons", "run_slab",
     },
-    "amulor.transport._kernels.random": {"fill_uniform"},
+    "amulor.transport._kernels.sampling": {"fill_uniform"},
     "amulor.optics.small_angle._kernels": {"spread"},
 }  # fmt: skip
 LOOPS = """

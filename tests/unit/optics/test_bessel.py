@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy import special
 
-from amulor.optics._quadrature import bessel
+from amulor.optics import _quadrature as bessel
 
 
 def _error(x: np.ndarray) -> np.ndarray:

@@ -23,8 +23,7 @@ from amulor.simulation import (
     scene_light,
     simulate,
 )
-from amulor.simulation.by_rows import SimulatedRows
-from amulor.simulation.row_noise import RowNoise
+from amulor.simulation.by_rows import RowNoise, SimulatedRows
 from amulor.survey import Survey
 
 #: What the noise and the way of the light depend on, over a plate in a tank.

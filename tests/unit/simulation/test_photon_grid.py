@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 
-from amulor.simulation.photon_grid import grid_of
+from amulor.simulation.photons import grid_of
 
 LEAST = np.array([0.1, 0.1, 0.1])
 MOST = np.array([2, 3, 4])

@@ -14,9 +14,10 @@ from amulor.cli import main
 from amulor.io import read_cube
 from amulor.optics import rays
 from amulor.optics.phase_functions.models import henyey_greenstein_function
-from amulor.simulation import PhotonModel, SmallAngleModel, photons, signal, simulate
+from amulor.simulation import PhotonModel, SmallAngleModel, photons, simulate
+from amulor.simulation import lock_in as signal
 from amulor.simulation.geometry import trace
-from amulor.simulation.photon_runs import Light
+from amulor.simulation.photons import Light
 from amulor.survey import Survey, water_properties
 
 FREQUENCIES = (20e6, 60e6)
@@ -185,7 +186,7 @@ def test_an_interrupted_run_is_not_taken_for_a_result(
 ) -> None:
     from dataclasses import replace
 
-    from amulor.simulation import photon_runs
+    from amulor.simulation import photons as photon_runs
 
     real = photon_runs.simulate
 

@@ -15,10 +15,10 @@ from amulor.optics.phase_functions.models import (
     rayleigh_phase,
 )
 from amulor.optics.phase_functions.tables import petzold
-from amulor.transport._kernels import angle as kernels
+from amulor.transport._kernels import sampling as kernels
 from amulor.transport._kernels.batch import launch
 from amulor.transport._kernels.types import Beam
-from amulor.transport._run.record import random_state
+from amulor.transport._runs import random_state
 from amulor.transport.scattering import AngleCells, alias_table, cell_edges
 
 EDGES = cell_edges()

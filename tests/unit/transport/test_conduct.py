@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from amulor.transport._run.conduct import _in_order
+from amulor.transport._runs import _in_order
 
 
 @pytest.mark.parametrize("workers", [2, 3])

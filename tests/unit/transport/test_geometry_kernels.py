@@ -7,13 +7,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from amulor.transport._kernels.direct import face_and_acceptance, face_point
-from amulor.transport._kernels.geometry import cone_window, transmission_depth
+from amulor.transport._kernels.contributions import face_and_acceptance, face_point
+from amulor.transport._kernels.mesh import cone_window, transmission_depth
 from amulor.transport._kernels.polarization import any_frame
 from amulor.transport._kernels.slab import way_out
 from amulor.transport._kernels.trace import layer_of
 from amulor.transport._kernels.types import Face
-from amulor.transport._run.record import random_state
+from amulor.transport._runs import random_state
 
 EDGE = np.array([-1.0, 0.5, 2.0, 7.0])
 ATTENUATION = np.array([0.3, 2.0, 0.7])

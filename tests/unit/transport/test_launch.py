@@ -6,7 +6,7 @@ import numpy as np
 
 from amulor.transport._kernels.batch import launch
 from amulor.transport._kernels.types import Beam
-from amulor.transport._run.record import random_state
+from amulor.transport._runs import random_state
 
 CENTRE = np.array([0.3, -0.2, 0.1])
 AXIS = np.array([0.36, 0.48, 0.8])

@@ -16,7 +16,7 @@ from amulor.transport import (
     Source,
     simulate,
 )
-from amulor.transport._kernels import hierarchy as _hierarchy_kernels
+from amulor.transport._kernels import mesh as _hierarchy_kernels
 from amulor.transport._kernels import mesh as _mesh_kernels
 from amulor.transport.mesh import distance_to_triangles
 from amulor.transport.ray_caster import RayCaster, hierarchy

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from amulor.transport.path_record import PathRecord
+from amulor.transport.contributions import PathRecord
 
 SPEED = 299792458.0
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from amulor.transport._kernels import random as kernels
-from amulor.transport._run.record import random_state
+from amulor.transport._kernels import sampling as kernels
+from amulor.transport._runs import random_state
 
 # First outputs of the authors' C program xoshiro256plusplus.c (Blackman, Vigna,
 # doi:10.1145/3460772) from the state 1, 2, 3, 4. The first two follow by hand:

@@ -8,9 +8,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.constants import speed_of_light
 
-from amulor.transport._kernels import record as kernels
+from amulor.transport._kernels import contributions as kernels
 from amulor.transport._kernels.types import Record as Deposits
-from amulor.transport._run.record import Record
+from amulor.transport._runs import Record
 from amulor.transport.tally import Tally
 
 NODES, SPACING = 64, 0.1

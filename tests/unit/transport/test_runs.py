@@ -28,18 +28,16 @@ from amulor.transport import (
     simulate,
 )
 from amulor.transport._kernels import batch as _batch_kernels
-from amulor.transport._kernels import direct as _direct_kernels
-from amulor.transport._kernels import geometry as _geometry_kernels
-from amulor.transport._kernels import join as _join_kernels
+from amulor.transport._kernels import contributions as _direct_kernels
+from amulor.transport._kernels import contributions as _join_kernels
+from amulor.transport._kernels import mesh as _geometry_kernels
 from amulor.transport._kernels import mesh as _mesh_kernels
 from amulor.transport._kernels import polarization as _polarization_kernels
 from amulor.transport._kernels import slab as _slab_kernels
 from amulor.transport._kernels import trace as _trace_kernels
 from amulor.transport._kernels.types import Record as Deposits
-from amulor.transport._run.batches import Batch
-from amulor.transport._run.conduct import CHECKS, Limits, conduct
-from amulor.transport._run.problem import Problem
-from amulor.transport._run.record import random_state
+from amulor.transport._problem import Problem
+from amulor.transport._runs import CHECKS, Batch, Limits, conduct, random_state
 from amulor.transport.tally import MOST_BATCHES
 
 FREQUENCY = np.array([0.0, 30e6, 90e6])
@@ -505,7 +503,7 @@ def test_rows_of_paths_that_are_full_become_more(peaked_water):
 
 
 def test_the_uncompiled_slab_gives_the_same_record(monkeypatch):
-    from amulor.transport._run.problem import water_tables
+    from amulor.transport._problem import water_tables
 
     layers = tuple(
         Layer(

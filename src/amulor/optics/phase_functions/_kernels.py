@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from amulor._compiled import numba
-from amulor.optics._quadrature.bessel import j0
+from amulor.optics._quadrature import j0
 
 __all__ = ["NODES", "SLOW", "narrow_panels"]
 

@@ -151,7 +151,7 @@ class Panels:
         total: NDArray[np.float64] = self._innermost() * (1 - curvature * reach**2)
         if np.any(narrow):
             # Loads the compiler, which those who integrate nothing do without.
-            from amulor.optics._quadrature.bessel import bessel
+            from amulor.optics._quadrature import bessel
             from amulor.optics.phase_functions import _kernels
 
             nodes = _kernels.NODES

@@ -1,26 +1,442 @@
-"""Columns of water in the small-angle form, taken from arguments of any shape."""
+"""Tables of a phase function, and of Bessel functions, for the small-angle model."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Hashable, Sequence
 from dataclasses import dataclass
+from functools import cache, lru_cache
 from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
+from numpy.polynomial import legendre
 from numpy.typing import ArrayLike, NDArray
+from scipy.special import j0, j1
 
 from amulor.optics import _bounds
+from amulor.optics._quadrature import ORDER, RULE, bessel, bessel_nodes, monomials
 from amulor.optics._water_column import (
     Receiver,
     checked,
     phase_per_depth,
     refuse_behind_receiver,
 )
-from amulor.optics.small_angle._tables import PhaseFunction, Table, table
+from amulor.optics.phase_functions.henyey_greenstein import forward_split
+from amulor.optics.small_angle import _kernels
+from amulor.optics.small_angle import _kernels as _many_kernels
 
-__all__ = ["Arguments", "Column", "fit_of", "looks", "overlap_of", "response_of"]
+__all__ = [
+    "FEWEST",
+    "Arguments",
+    "Column",
+    "Light",
+    "PhaseFunction",
+    "Shared",
+    "Table",
+    "depth_rule",
+    "disc",
+    "fit_of",
+    "integral",
+    "integrals",
+    "light_of",
+    "looks",
+    "overlap_of",
+    "panels",
+    "response_of",
+    "table",
+]
+
 
 Array = NDArray[np.float64]
+PhaseFunction = Callable[[Array], ArrayLike]
+
+_OCTAVES = 16  # of the table beyond its cells of equal width
+_SMALLEST = 1e-18  # angle below which a peak counts as forward [rad]
+
+
+class Table(NamedTuple):
+    """What the small-angle model needs to know of a phase function."""
+
+    split: float
+    fraction: float
+    cells: Array
+
+
+def table(phase_function: PhaseFunction, split_angle: float) -> Table:
+    """Return the table of a phase function, kept if it can be told from others."""
+    split = float(split_angle)
+    if isinstance(phase_function, Hashable):
+        return _kept_table(phase_function, split)
+    return _fresh_table(phase_function, split)
+
+
+def _fresh_table(phase_function: PhaseFunction, split: float) -> Table:
+    """Return forward fraction, and (1 - mean transform up to x) / x^2 in cells."""
+    fraction, _ = forward_split(phase_function, split_angle=split)
+    degree = 10
+    node = np.cos(np.pi * (np.arange(degree) + 0.5) / degree)
+    unit = _kernels.WIDTH / split
+    edge: Array = float(unit) * np.arange(_kernels.LINEAR + 1, dtype=np.float64)
+    octaves = np.arange(_OCTAVES * _kernels.PER_OCTAVE + 1)
+    grown = edge[-1] * 2.0 ** (octaves / _kernels.PER_OCTAVE)
+    edge = np.concatenate([edge[:-1], grown])
+    x: Array = edge[:-1, None] + np.diff(edge)[:, None] * (node + 1) / 2
+    ratio = 2 ** ((node + 1) / 2 / _kernels.PER_OCTAVE)
+    x[_kernels.LINEAR :] = edge[_kernels.LINEAR : -1, None] * ratio
+    transform = getattr(phase_function, "hankel", None)
+    if transform is None:
+        values = _spread_by_quadrature(phase_function, x, split)
+    else:
+        values = _spread_by_transform(transform, edge, x, split)
+    return Table(split, fraction, monomials(values))
+
+
+_kept_table = lru_cache(maxsize=32)(_fresh_table)
+
+
+def _spread_by_transform(
+    transform: Callable[..., ArrayLike], edge: Array, x: Array, split: float
+) -> Array:
+    """Return (1 - mean of the transform up to x) / x^2 at the nodes of the cells."""
+    node, weight = _gauss()
+    one = float(np.asarray(transform(np.zeros(1), split_angle=split))[0])
+    if not abs(one - 1) < 1e-6:
+        raise ValueError(
+            f"phase_function.hankel must be 1 at frequency 0, got {one:g}; divide "
+            "the forward part by its integral"
+        )
+    width = np.diff(edge)[:, None]
+    points = edge[:-1, None] + width * (node + 1) / 2
+    flat = np.asarray(transform(points.ravel(), split_angle=split), dtype=float)
+    # Legendre series of each cell, integrated from its start to its nodes and end.
+    order = np.arange(node.size)
+    series = legendre.legvander(node, node.size - 1) * weight[:, None] * (order + 0.5)
+    stops = np.concatenate([2 * (x - edge[:-1, None]) / width - 1, 1 + 0 * width], 1)
+    powers = legendre.legvander(stops, node.size)
+    integral = np.empty((*stops.shape, node.size))
+    integral[..., 0] = stops + 1
+    integral[..., 1:] = (powers[..., 2:] - powers[..., :-2]) / (2 * order[1:] + 1)
+    terms = (1 - flat.reshape(points.shape)) @ series * (width / 2)
+    lost = np.einsum("csn,cn->cs", integral, terms)
+    before = np.append(0.0, np.cumsum(lost[:-1, -1]))
+    return np.asarray((before[:, None] + lost[:, :-1]) / x**3)
+
+
+def _spread_by_quadrature(
+    phase_function: PhaseFunction, x: Array, split: float
+) -> Array:
+    """Return the same from the phase function itself."""
+    coarse = _angle_panels(phase_function, split)
+    angle, weight = _angle_rule(coarse[:-1], coarse[1:])
+    forward = np.sum(weight * _density(phase_function, angle))
+    whole, per = _kernels.LINEAR, _kernels.PER_OCTAVE
+    starts = [0, *range(whole, len(x), per)]
+    out = np.empty(x.shape)
+    for first, last in zip(starts, [*starts[1:], len(x)], strict=True):
+        group = np.ascontiguousarray(x[first:last])
+        # The oscillations of the transform are followed to the end of its table.
+        fine = 16 / group.max()
+        reach = min(_kernels.FAR / group.min(), split)
+        even = np.linspace(0, reach, int(np.ceil(reach / fine)) + 1)[1:]
+        edges = np.union1d(coarse, even)
+        angle, weight = _angle_rule(edges[:-1], edges[1:])
+        weight = weight * _density(phase_function, angle) / forward
+        flat = np.empty(group.size)
+        _kernels.spread(
+            group.ravel(), angle.ravel(), weight.ravel(), _mean_table(), flat
+        )
+        out[first:last] = flat.reshape(group.shape)
+    return out
+
+
+def _angle_panels(phase_function: PhaseFunction, split: float) -> Array:
+    """Return edges of panels in which a phase function is smooth [rad]."""
+    count = int(np.ceil(np.log(split / _SMALLEST)))
+    edges = np.geomspace(_SMALLEST, split, count + 1)
+    edges[-1] = split
+    left, right = edges[:-1], edges[1:]
+    kept = [np.array([_SMALLEST, split])]
+    for _ in range(40):
+        middle = np.sqrt(left * right)
+        whole, lower, upper = (
+            np.sum(weight * _density(phase_function, angle), axis=1)
+            for angle, weight in (
+                _angle_rule(low, high)
+                for low, high in ((left, right), (left, middle), (middle, right))
+            )
+        )
+        rough = np.abs(whole - lower - upper) > 1e-10
+        kept += [left, middle]
+        if not np.any(rough):
+            break
+        left, right = (
+            np.concatenate([left[rough], middle[rough]]),
+            np.concatenate([middle[rough], right[rough]]),
+        )
+    return np.unique(np.concatenate(kept))
+
+
+def _angle_rule(low: Array, high: Array) -> tuple[Array, Array]:
+    """Return angles and weights of panels that are even in the logarithm."""
+    node, weight = _gauss()
+    half = np.log(high / low)[:, None] / 2
+    angle = low[:, None] * np.exp(half * (node + 1))
+    angle = np.clip(angle, low[:, None], high[:, None])
+    return angle, weight * half * angle
+
+
+def _density(phase_function: PhaseFunction, angle: Array) -> Array:
+    """Return the phase function per angle, over all azimuths [1/rad]."""
+    value = np.asarray(phase_function(angle.ravel()), dtype=float)
+    return 2 * np.pi * value.reshape(angle.shape) * np.sin(angle)
+
+
+@cache
+def _gauss() -> tuple[Array, Array]:
+    """Return nodes and weights on -1..1 of a rule of 16 points."""
+    node, weight = legendre.leggauss(16)
+    return node, weight
+
+
+@cache
+def disc() -> Array:
+    """Return the table of 2 J1(x) / x in cells of width 1."""
+    return monomials(2 * j1(bessel_nodes()) / bessel_nodes())
+
+
+@cache
+def _mean_table() -> Array:
+    """Return the table of (1 - mean of J0 up to x) / x^2 in cells of width 1."""
+    gauss, weight = _gauss()
+    node = np.cos(np.pi * (np.arange(10) + 0.5) / 10)
+    stop = np.append((node + 1) / 2, 1.0)
+    start = np.arange(_kernels.FAR)[:, None, None]
+    y = start + stop[:, None] * (gauss + 1) / 2
+    half = y / 2
+    # 1 - J0 without loss of digits near 0.
+    series = half**2 * (1 - half**2 / 4 * (1 - half**2 / 9 * (1 - half**2 / 16)))
+    lost = np.where(y < 0.03, series, 1 - j0(y)) @ weight * stop / 2
+    before = np.append(0.0, np.cumsum(lost[:-1, -1]))
+    x = np.arange(_kernels.FAR)[:, None] + stop[:-1]
+    return monomials((before[:, None] + lost[:, :-1]) / x**3)
+
+
+_TOLERANCE = 1e-8  # of the response at zero frequency, for each panel
+_ROUNDING = 1e-11  # of the light on the axis, to which F(z) off the axis is known
+_MOST_PANELS = 2048  # waiting to be halved, before the integral counts as unsettled
+
+
+def integral(
+    phase_per_depth: Array, edges: Array, values: Array
+) -> NDArray[np.complex128]:
+    """Return the integrals of exp(i w z) times the values in panels."""
+    order = np.argsort(phase_per_depth)
+    sums = np.zeros((2, phase_per_depth.size))
+    _kernels.add_panels(edges, values, phase_per_depth[order], RULE, sums)
+    result = np.empty(phase_per_depth.size, dtype=complex)
+    result[order] = sums[0] + 1j * sums[1]
+    return result
+
+
+def panels(
+    light: Callable[[Array], Array],
+    on_axis: Callable[[Array], Array],
+    *,
+    loss: float,
+    length: float,
+    step: float,
+    end: float,
+    known: float,
+    breaks: Sequence[float] = (),
+) -> tuple[Array, Array, float]:
+    """Return edges of panels, F(z) at their nodes, and the integral of it.
+
+    light is F(z); on_axis is at least as large but for the loss, and falls with the
+    square of the depth beyond the length. The first panel is a step wide; at breaks
+    F(z) need not be smooth. What is known of the response adds to the scale.
+    """
+    node, weight, tail = depth_rule()
+
+    def rest(depth: float) -> float:
+        """Return more than what all water behind a depth can send."""
+        reach = min(depth + length, 1 / loss if loss > 0 else np.inf)
+        return float(on_axis(np.array(depth)) * np.exp(-loss * depth) * reach)
+
+    edges, values, total = np.empty((0, 2)), np.empty((0, node.size)), 0.0
+    start = 0.0
+    while start < end:
+        limits = [start]
+        for _ in range(4):
+            width = step if limits[-1] == 0 else 2 * limits[-1]
+            width = min(width, 12 / loss if loss > 0 else np.inf)
+            limits.append(min(limits[-1] + width, end))
+        inside = [depth for depth in breaks if start < depth < limits[-1]]
+        start = limits[-1]
+        each = np.unique(limits + inside)
+        waiting = np.stack([each[:-1], each[1:]], axis=1)
+        while waiting.size:
+            half = (waiting[:, 1] - waiting[:, 0]) / 2
+            depth = waiting[:, :1] + half[:, None] * (node + 1)
+            taken = light(depth.ravel()).reshape(depth.shape)
+            part = half * (taken @ weight)
+            unresolved = 2 * half * np.max(np.abs(taken @ tail), axis=1)
+            scale = known + total + abs(part.sum())
+            rounding = _ROUNDING * on_axis(waiting[:, 0]) * half
+            done = unresolved <= np.maximum(_TOLERANCE * scale, rounding)
+            edges = np.concatenate([edges, waiting[done]])
+            values = np.concatenate([values, taken[done]])
+            total += max(part[done].sum(), 0.0)
+            low, high = waiting[~done].T
+            middle = (low + high) / 2
+            waiting = np.concatenate(
+                [np.stack([low, middle], 1), np.stack([middle, high], 1)]
+            )
+            if len(waiting) > _MOST_PANELS:
+                raise ArithmeticError(
+                    f"the water column does not settle about {low[0]:g} m; "
+                    "receiver_radius or acceptance_angle may be far too small"
+                )
+        # What is sent from beyond this depth does not count.
+        enough = start
+        while enough < end and rest(enough) > _TOLERANCE * (known + total):
+            enough *= 1.25
+        end = min(end, enough)
+    return edges, values, total
+
+
+@cache
+def depth_rule() -> tuple[Array, Array, Array]:
+    """Return nodes and weights of a panel, and what gives its last Legendre terms."""
+    size = 2 * ORDER
+    node, weight = legendre.leggauss(size)
+    order = np.arange(size)
+    series = (order + 0.5) * legendre.legvander(node, size - 1) * weight[:, None]
+    return node, weight, np.ascontiguousarray(series[:, -4:])
+
+
+#: Columns from which on a table is less work than one after the other.
+FEWEST = 64
+_CELL = 0.5  # width of a cell in ln(1 + q)
+_MOST_CELLS = 40
+_DEGREE = 10
+
+
+class Shared(NamedTuple):
+    """What all columns have in common."""
+
+    water: _kernels.Water
+    """Water and receiver; its baseline and tilts do not count."""
+    cells: Array
+    """Table of the phase function."""
+    rule: Array
+    """Nodes and weights of a panel of spatial frequencies."""
+
+
+class Light(NamedTuple):
+    """The scattered light of one water at any depth and distance from the axis."""
+
+    edge: Array
+    """Panels of the depth in which it is smooth, shape (panel, 2) [m]."""
+    span: Array
+    """Start and width of the cells of ln(1 + q) at each node, shape (node, 2)."""
+    cells: Array
+    """Their polynomials, shape (node, cell, 10)."""
+
+
+def light_of(view: Array, shared: Shared, panels_of: Callable[[Array], Array]) -> Light:
+    """Return the light that columns look up.
+
+    A row of view is baseline, tilt, cross tilt and end of a column; `panels_of` gives
+    the edges of panels in which the light of one such row is smooth.
+    """
+    edge = _common(np.concatenate([panels_of(view[i]) for i in _spread(view)]))
+    node, _ = legendre.leggauss(2 * ORDER)
+    depth = (edge[:, :1] + np.diff(edge) * (node + 1) / 2).ravel()
+    return Light(edge, *_tables(depth, view, shared))
+
+
+def integrals(
+    phase_per_depth: Array, view: Array, shared: Shared, light: Light
+) -> NDArray[np.complex128]:
+    """Return the integrals of exp(i w z) times the scattered light, column by column.
+
+    A column is the same whatever others come with it.
+    """
+    edge, span, cells = light
+    size = 2 * ORDER
+    node, weight = legendre.leggauss(size)
+    order = np.argsort(phase_per_depth)
+    sums = np.zeros((len(view), 2, phase_per_depth.size))
+    degree = np.arange(size)
+    series = (degree + 0.5) * legendre.legvander(node, size - 1) * weight[:, None]
+    _many_kernels.add_columns(
+        np.ascontiguousarray(view),
+        edge,
+        span,
+        cells,
+        shared.water,
+        phase_per_depth[order],
+        (RULE, node, np.ascontiguousarray(series)),
+        sums,
+    )
+    result = np.empty((len(view), phase_per_depth.size), dtype=complex)
+    result[:, order] = sums[:, 0] + 1j * sums[:, 1]
+    return result
+
+
+def _spread(view: Array) -> NDArray[np.intp]:
+    """Return columns that stand for all: the extremes, and some between."""
+    extremes = np.concatenate([view.argmin(axis=0), view.argmax(axis=0)])
+    even = np.linspace(0, len(view) - 1, 3).astype(np.intp)
+    return np.unique(np.concatenate([extremes, even]))
+
+
+def _common(edges: Array) -> Array:
+    """Return panels none of which reaches over an edge of another, rising."""
+    each = np.unique(edges)
+    # Edges that are the same but for rounding, and slivers between two columns.
+    keep = np.append(True, np.diff(each) > 1e-6 * each[1:])
+    each = each[keep]
+    return np.stack([each[:-1], each[1:]], axis=1)
+
+
+def _tables(depth: Array, view: Array, shared: Shared) -> tuple[Array, Array]:
+    """Return the span of ln(1 + q) at each depth, and polynomials in cells of it."""
+    water = shared.water
+    path = depth[:, None] + water.standoff
+    area = water.radius_squared + water.angle_squared * path**2
+    low, high = np.full(depth.size, np.inf), np.full(depth.size, -np.inf)
+    # Not all columns at once, for the memory.
+    for first in range(0, len(view), 512):
+        baseline, tilt, cross, _ = view[first : first + 512].T
+        apart = (baseline - tilt * path) ** 2 + (cross * path) ** 2
+        found = np.log1p(apart / area)
+        low = np.minimum(low, found.min(axis=1))
+        high = np.maximum(high, found.max(axis=1))
+    count = int(np.clip(np.ceil(np.max(high - low) / _CELL), 1, _MOST_CELLS))
+    width = np.maximum((high - low) / count, 1e-9)
+    node = np.cos(np.pi * (np.arange(_DEGREE) + 0.5) / _DEGREE)
+    place = np.arange(count)[:, None] + (node + 1) / 2
+    apart = low[:, None, None] + width[:, None, None] * place
+    offset = np.sqrt(np.maximum(np.expm1(apart), 0.0) * area[:, :, None])
+    # Depth, baseline, tilts and standoff of receivers that look straight ahead.
+    look = np.zeros((offset.size, 5))
+    look[:, 0] = np.broadcast_to(depth[:, None, None], offset.shape).ravel()
+    look[:, 1] = offset.ravel()
+    look[:, 4] = water.standoff
+    out = np.empty(len(look))
+    _kernels.scattered(
+        look,
+        water,
+        shared.cells,
+        bessel(),
+        shared.rule,
+        out,
+    )
+    values = out.reshape(-1, _DEGREE)
+    cells = monomials(values).reshape(depth.size, count, _DEGREE)
+    return np.stack([low, width], axis=1), cells
+
+
 Complex = NDArray[np.complex128]
 Many = Callable[[Array, Array, "Column", Table], Complex]
 _Fitted = TypeVar("_Fitted")

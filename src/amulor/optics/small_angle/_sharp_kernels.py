@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from amulor._compiled import numba
-from amulor.optics._quadrature.bessel import NO_WAVE, j0, polynomial
+from amulor.optics._quadrature import NO_WAVE, j0, polynomial
 from amulor.optics.small_angle import _kernels
 
 __all__ = ["Tables", "Water", "collected"]

@@ -16,26 +16,26 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.constants import speed_of_light
 
 from amulor.optics import small_angle_diffusion
-from amulor.optics._quadrature.bessel import bessel
+from amulor.optics._quadrature import bessel
 from amulor.optics.small_angle import _kernels
 from amulor.optics.small_angle._columns import (
+    FEWEST,
     VIEW,
     Arguments,
     Column,
-    fit_of,
-    looks,
-    overlap_of,
-    response_of,
-)
-from amulor.optics.small_angle._depths import integral, panels
-from amulor.optics.small_angle._many import (
-    FEWEST,
     Light,
+    PhaseFunction,
     Shared,
+    Table,
+    fit_of,
+    integral,
     integrals,
     light_of,
+    looks,
+    overlap_of,
+    panels,
+    response_of,
 )
-from amulor.optics.small_angle._tables import PhaseFunction, Table
 
 __all__ = ["SharedLight", "fit", "overlap", "water_response"]
 

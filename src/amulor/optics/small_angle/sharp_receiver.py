@@ -13,17 +13,20 @@ import numpy as np
 from numpy.polynomial import legendre
 from numpy.typing import ArrayLike, NDArray
 
-from amulor.optics._quadrature.bessel import bessel
+from amulor.optics._quadrature import bessel
 from amulor.optics.small_angle import _sharp_kernels as _kernels
 from amulor.optics.small_angle._columns import (
     Arguments,
     Column,
+    PhaseFunction,
+    Table,
+    disc,
+    integral,
     looks,
     overlap_of,
+    panels,
     response_of,
 )
-from amulor.optics.small_angle._depths import integral, panels
-from amulor.optics.small_angle._tables import PhaseFunction, Table, disc
 
 __all__ = ["overlap", "water_response"]
 

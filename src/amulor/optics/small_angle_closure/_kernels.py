@@ -9,8 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from amulor._compiled import numba
-from amulor.optics._quadrature.bessel import j0
-from amulor.optics._quadrature.kernels import ORDER, Panel, add_panel
+from amulor.optics._quadrature import ORDER, Panel, add_panel, j0
 from amulor.optics.small_angle._kernels import (
     LINEAR,
     PER_OCTAVE,

@@ -14,18 +14,18 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from amulor.errors import AmulorWarning
-from amulor.optics._quadrature.bessel import bessel
-from amulor.optics._quadrature.rule import RULE
+from amulor.optics._quadrature import RULE, bessel
 from amulor.optics.small_angle import _kernels as small_angle_kernels
 from amulor.optics.small_angle._columns import (
     Arguments,
     Column,
+    PhaseFunction,
+    Table,
+    depth_rule,
     looks,
     overlap_of,
     response_of,
 )
-from amulor.optics.small_angle._depths import depth_rule
-from amulor.optics.small_angle._tables import PhaseFunction, Table
 from amulor.optics.small_angle_closure import _kernels
 
 __all__ = ["LARGEST_DEPARTURE", "departure", "overlap", "water_response"]

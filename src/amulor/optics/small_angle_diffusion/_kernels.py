@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from amulor._compiled import numba
-from amulor.optics._quadrature.kernels import ORDER, Panel, add_panel, expand
+from amulor.optics._quadrature import ORDER, Panel, add_panel, expand
 
 __all__ = ["water_column"]
 

@@ -10,20 +10,20 @@ import math
 
 import numpy as np
 
-from amulor.transport._kernels.compiled import allocating, entry, step
-from amulor.transport._kernels.direct import (
+from amulor.transport._kernels.contributions import (
     direct_from_segments,
     direct_from_touches,
     face_and_acceptance,
+    join_segments,
+    join_touches,
 )
-from amulor.transport._kernels.join import join_segments, join_touches
 from amulor.transport._kernels.polarization import (
     ADJOINT_COLUMNS,
     FORWARD_COLUMNS,
     cross,
     returning_frame,
 )
-from amulor.transport._kernels.random import exponential, uniform
+from amulor.transport._kernels.sampling import exponential, uniform
 from amulor.transport._kernels.trace import (
     SEGMENT_COLUMNS,
     TOUCH_COLUMNS,
@@ -42,6 +42,9 @@ from amulor.transport._kernels.types import (
     Record,
     Scene,
     States,
+    allocating,
+    entry,
+    step,
 )
 
 #: Rows that there is room for at first.

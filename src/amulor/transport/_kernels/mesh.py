@@ -1,10 +1,4 @@
-"""Rays and triangles in compiled loops: the nearest hit, and whether a way is free.
-
-Triangles lie in a hierarchy of boxes, in the order of a walk that takes a box before
-what is in it. Each box knows where the walk goes on if the ray misses it, so there is
-no stack. Möller and Trumbore, J. Graphics Tools 2, 21 (1997),
-doi:10.1080/10867651.1997.10487468. Compiled, as each flight of each path is such a ray.
-"""
+"""Hits of rays on triangles, the hierarchy of boxes about them, and directions."""
 
 from __future__ import annotations
 
@@ -13,8 +7,15 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from amulor.transport._kernels.compiled import entry, kernel
-from amulor.transport._kernels.types import Array, Integers, Mesh, Vector
+from amulor.transport._kernels.types import (
+    Array,
+    Integers,
+    Mesh,
+    Vector,
+    allocating_entry,
+    entry,
+    kernel,
+)
 
 # Columns of a box (its corners), of its link and of a triangle.
 LOW_X, LOW_Y, LOW_Z, HIGH_X, HIGH_Y, HIGH_Z = range(6)
@@ -143,3 +144,167 @@ def free_ways(
         place = (start[i, 0], start[i, 1], start[i, 2])
         other = (end[i, 0], end[i, 1], end[i, 2])
         free[i] = not blocked(place, other, float(own[i]), mesh)
+
+
+#: Triangles in a box without boxes, at most.
+LEAF = 4
+
+
+@kernel
+def widest(centre: Array, number: Integers, first: int, last: int) -> int:
+    """Return the axis along which the centres of some triangles spread the most."""
+    axis = 0
+    most = -1.0
+    for k in range(3):
+        low = high = centre[number[first], k]
+        for i in range(first + 1, last):
+            low = min(low, centre[number[i], k])
+            high = max(high, centre[number[i], k])
+        if high - low > most:
+            most = high - low
+            axis = k
+    return axis
+
+
+@kernel
+def part(
+    centre: Array, number: Integers, axis: int, first: int, last: int, middle: int
+) -> None:
+    """Order triangles so that none before the middle is beyond one after it.
+
+    C. A. R. Hoare's Find, Commun. ACM 4, 321 (1961), doi:10.1145/366622.366647.
+    """
+    low, high = first, last - 1
+    while low < high:
+        pivot = centre[number[middle], axis]
+        i, j = low, high
+        while i <= j:
+            while centre[number[i], axis] < pivot:
+                i += 1
+            while centre[number[j], axis] > pivot:
+                j -= 1
+            if i <= j:
+                number[i], number[j] = number[j], number[i]
+                i += 1
+                j -= 1
+        if j < middle:
+            low = i
+        if i > middle:
+            high = j
+
+
+@allocating_entry
+def split(centre: Array, number: Integers, link: Integers, sibling: Integers) -> int:
+    """Order triangles into boxes, fill links and siblings, and return how many boxes.
+
+    Boxes come before what is in them. sibling of a box is the second one of the two
+    in it.
+    """
+    # First and last triangle, and the box around, of what waits; one for each level.
+    waiting = np.empty((128, 3), dtype=np.int64)
+    parent = np.empty(len(sibling), dtype=np.int64)
+    waiting[0] = 0, len(number), -1
+    count, left = 0, 1
+    while left > 0:
+        left -= 1
+        first, last, above = waiting[left]
+        parent[count] = above
+        link[count, FIRST_TRIANGLE] = first
+        link[count, TRIANGLES] = 0
+        sibling[count] = -1
+        if above >= 0:
+            sibling[above] = count  # the second of the two comes last
+        if last - first <= LEAF:
+            link[count, TRIANGLES] = last - first
+        else:
+            middle = first + (last - first) // 2
+            axis = widest(centre, number, first, last)
+            part(centre, number, axis, first, last, middle)
+            waiting[left] = middle, last, count
+            waiting[left + 1] = first, middle, count
+            left += 2
+        count += 1
+    link[0, ESCAPE] = count
+    for k in range(1, count):
+        second = sibling[parent[k]]
+        link[k, ESCAPE] = link[parent[k], ESCAPE] if k == second else second
+    return count
+
+
+@kernel
+def enclose(
+    low: Array,
+    high: Array,
+    gap: float,
+    link: Integers,
+    sibling: Integers,
+    box: Array,
+) -> None:
+    """Fill the corners of boxes from those of triangles, a gap around them."""
+    for k in range(len(box) - 1, -1, -1):
+        for axis in range(3):
+            if sibling[k] < 0:
+                first = link[k, FIRST_TRIANGLE]
+                lower, upper = low[first, axis], high[first, axis]
+                for i in range(first + 1, first + link[k, TRIANGLES]):
+                    lower, upper = min(lower, low[i, axis]), max(upper, high[i, axis])
+                box[k, axis], box[k, 3 + axis] = lower - gap, upper + gap
+            else:
+                one, two = k + 1, sibling[k]
+                box[k, axis] = min(box[one, axis], box[two, axis])
+                box[k, 3 + axis] = max(box[one, 3 + axis], box[two, 3 + axis])
+
+
+@kernel
+def transmission_depth(
+    z_start: float, z_end: float, length: float, edge: Array, attenuation: Array
+) -> float:
+    """Return the optical thickness of a straight way between two depths."""
+    low, high = min(z_start, z_end), max(z_start, z_end)
+    if high - low < 1e-9 * length or attenuation.size == 1:
+        for k in range(attenuation.size):
+            if low < edge[k + 1] or k == attenuation.size - 1:
+                return float(attenuation[k] * length)
+    total = 0.0
+    for k in range(attenuation.size):
+        within = min(high, edge[k + 1]) - max(low, edge[k])
+        if within > 0.0:
+            total += attenuation[k] * within
+    return total * length / (high - low)
+
+
+@kernel
+def cone_window(
+    x: float,
+    y: float,
+    slope_x: float,
+    slope_y: float,
+    radius: float,
+    slope: float,
+    z_low: float,
+    z_high: float,
+) -> tuple[float, float]:
+    """Return the part of a line that lies in a cone which widens with z from z = 0.
+
+    The line is (x + slope_x z, y + slope_y z), the cone has the radius radius +
+    slope z. The part is empty if the second number is not above the first.
+    """
+    low, high = max(z_low, 0.0), z_high
+    a = slope_x * slope_x + slope_y * slope_y - slope * slope
+    b = x * slope_x + y * slope_y - radius * slope
+    c = x * x + y * y - radius * radius
+    inside = b * b - a * c
+    if abs(a) < 1e-14:
+        if abs(b) < 1e-300:
+            return (low, high) if c < 0 else (1.0, 0.0)
+        root = -0.5 * c / b
+        return (low, min(high, root)) if b > 0 else (max(low, root), high)
+    if inside <= 0.0:
+        return (1.0, 0.0) if a > 0 else (low, high)
+    # Roots without cancellation.
+    q = -(b + math.copysign(math.sqrt(inside), b))
+    first, second = q / a, c / q if q != 0.0 else q / a
+    smaller, larger = min(first, second), max(first, second)
+    if a > 0:
+        return max(low, smaller), min(high, larger)
+    return max(low, larger), high

@@ -11,8 +11,7 @@ from __future__ import annotations
 
 import math
 
-from amulor.transport._kernels.compiled import kernel
-from amulor.transport._kernels.types import Array, Stokes, Turn, Vector
+from amulor.transport._kernels.types import Array, Stokes, Turn, Vector, kernel
 
 #: Columns of the polarization of a forward segment or touch: frame and Stokes vector.
 FORWARD_COLUMNS = 7

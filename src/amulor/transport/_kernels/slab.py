@@ -12,8 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from amulor.transport._kernels.angle import cell_of, draw_height, height_between
-from amulor.transport._kernels.compiled import entry, inner, kernel, step
+from amulor.transport._kernels.contributions import add_at, add_beyond, add_point
 from amulor.transport._kernels.polarization import (
     any_frame,
     between_frames,
@@ -23,8 +22,13 @@ from amulor.transport._kernels.polarization import (
     scattered,
     turned_stokes,
 )
-from amulor.transport._kernels.random import exponential, uniform
-from amulor.transport._kernels.record import add_at, add_beyond, add_point
+from amulor.transport._kernels.sampling import (
+    cell_of,
+    draw_height,
+    exponential,
+    height_between,
+    uniform,
+)
 from amulor.transport._kernels.types import (
     Array,
     Arrival,
@@ -32,6 +36,10 @@ from amulor.transport._kernels.types import (
     States,
     Vector,
     Water,
+    entry,
+    inner,
+    kernel,
+    step,
 )
 
 #: Parts of the record: reflected, transmitted, and then the fixed directions.

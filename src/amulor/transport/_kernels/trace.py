@@ -14,8 +14,6 @@ import math
 
 import numpy as np
 
-from amulor.transport._kernels.angle import draw_height
-from amulor.transport._kernels.compiled import allocating, kernel, step
 from amulor.transport._kernels.mesh import facing_normal, first_hit
 from amulor.transport._kernels.polarization import (
     any_frame,
@@ -25,7 +23,7 @@ from amulor.transport._kernels.polarization import (
     scattered,
     see_through,
 )
-from amulor.transport._kernels.random import exponential, uniform
+from amulor.transport._kernels.sampling import draw_height, exponential, uniform
 from amulor.transport._kernels.types import (
     Array,
     Kind,
@@ -38,6 +36,9 @@ from amulor.transport._kernels.types import (
     Vector,
     Walk,
     Water,
+    allocating,
+    kernel,
+    step,
 )
 
 # Columns of a segment. X, Y and LENGTH are those at z = 0 on its straight line.

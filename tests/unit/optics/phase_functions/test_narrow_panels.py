@@ -5,7 +5,7 @@ import pytest
 from numpy.testing import assert_allclose
 from scipy import special
 
-from amulor.optics._quadrature.bessel import bessel
+from amulor.optics._quadrature import bessel
 from amulor.optics.phase_functions import _kernels
 from amulor.optics.phase_functions.integrals import Panels, gauss_legendre
 

@@ -7,10 +7,10 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 from amulor.optics import small_angle
-from amulor.optics._quadrature.bessel import bessel
+from amulor.optics._quadrature import bessel
 from amulor.optics.phase_functions import henyey_greenstein
 from amulor.optics.small_angle import _kernels as _small_angle_kernels
-from amulor.optics.small_angle._tables import table
+from amulor.optics.small_angle._columns import table
 
 PEAKED = partial(henyey_greenstein, asymmetry=0.95)
 WATER = {

@@ -10,7 +10,7 @@ from scipy.special import j0, j1
 from amulor.optics.phase_functions import henyey_greenstein
 from amulor.optics.small_angle import _sharp_kernels as kernels
 from amulor.optics.small_angle import sharp_receiver as small_angle_sharp_receiver
-from amulor.optics.small_angle._tables import disc, table
+from amulor.optics.small_angle._columns import disc, table
 from amulor.optics.small_angle.sharp_receiver import overlap, water_response
 
 PEAKED = partial(henyey_greenstein, asymmetry=0.95)

@@ -5,12 +5,10 @@ from __future__ import annotations
 import numpy as np
 from numpy.testing import assert_allclose
 
-from amulor.optics._quadrature.bessel import bessel
-from amulor.optics._quadrature.rule import RULE
+from amulor.optics._quadrature import RULE, bessel
 from amulor.optics.phase_functions.models import henyey_greenstein_function
-from amulor.optics.small_angle._depths import depth_rule
+from amulor.optics.small_angle._columns import depth_rule, table
 from amulor.optics.small_angle._kernels import Water
-from amulor.optics.small_angle._tables import table
 from amulor.optics.small_angle_closure import _kernels
 
 SPREAD = table(henyey_greenstein_function(asymmetry=0.95), np.pi / 2)

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from amulor.optics._quadrature import kernels as _panel_kernels
-from amulor.optics._quadrature.rule import RULE
+from amulor.optics import _quadrature as _panel_kernels
+from amulor.optics._quadrature import RULE
 from amulor.optics.small_angle_diffusion import _kernels
 
 
@@ -56,6 +56,8 @@ def _kernel_arguments(name):
             np.zeros((2, 9)),
             np.zeros((2, 9)),
         ),
+        "j0": (12.3, _panel_kernels.bessel()),
+        "polynomial": (_panel_kernels.bessel(), 3, 0.4),
         "_turns": (phases, 2e6, np.zeros(9)),
         "_add_column": (
             column,

@@ -17,7 +17,7 @@ from amulor.optics.phase_functions.phase_function import PhaseFunction
 from amulor.optics.phase_functions.tables import petzold
 from amulor.optics.polarization import mueller
 from amulor.simulation import lock_in, simulate
-from amulor.simulation.signal import Light
+from amulor.simulation.lock_in import Light
 from amulor.studies.trust.case import Case, Floats, case_of, lateness
 from amulor.studies.trust.surveys import FREQUENCIES, plate, scaled, survey
 from amulor.survey import Survey, water_properties

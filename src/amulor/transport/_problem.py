@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from amulor.transport._checks import axes_of, place, unit_vector
-from amulor.transport._kernels import angle as _cells
+from amulor.transport._kernels import sampling as _cells
 from amulor.transport._kernels.types import Beam, Face, Scene, Water
 from amulor.transport._kernels.types import Target as Surface
 from amulor.transport.medium import Layer, Medium
@@ -27,6 +27,7 @@ from amulor.transport.receiver import (
 from amulor.transport.scattering import AngleCells, ScatteringMatrix
 
 __all__ = ["Problem", "digest_of", "integrals_of", "water_tables"]
+
 
 Array = NDArray[np.float64]
 

@@ -1,21 +1,35 @@
-"""Compiled loops that integrate exp(i w z) times a polynomial over a panel.
-
-w is the phase that the modulation gains with the depth, 2 omega n_g / c, as in eq. (46)
-of docs/theory/water-signal.md. Compiled, as a sweep adds each panel to each frequency,
-and the sums over the terms of a series depend on each other.
-"""
+"""Quadrature of oscillating integrands: rules, Filon weights, Bessel function J0."""
 
 from __future__ import annotations
 
 import math
+from functools import cache
 from typing import NamedTuple
 
 import numpy as np
+from numpy.polynomial import chebyshev, legendre
 from numpy.typing import NDArray
+from scipy import special
+from scipy.special import jv
 
 from amulor._compiled import numba
 
-__all__ = ["ORDER", "SPLIT", "Panel", "add_panel", "expand", "sine_cosine"]
+__all__ = [
+    "NO_WAVE",
+    "ORDER",
+    "RULE",
+    "SPLIT",
+    "Panel",
+    "add_panel",
+    "bessel",
+    "bessel_nodes",
+    "expand",
+    "j0",
+    "monomials",
+    "polynomial",
+    "sine_cosine",
+]
+
 
 Array = NDArray[np.float64]
 
@@ -188,3 +202,84 @@ def add_panel(
             sums[0],
             sums[1],
         )
+
+
+NO_WAVE = 26  # argument up to which J0 comes from its table, in unit cells
+
+
+@numba.njit(cache=True, error_model="numpy", fastmath={"contract"})
+def polynomial(table: Array, cell: int, s: float) -> float:
+    """Return the polynomial of degree 9 of a cell at s from -1 to 1."""
+    j = np.uint64(cell)
+    t = s * s
+    even = table[j, 6] + t * table[j, 8]
+    even = table[j, 0] + t * (table[j, 2] + t * (table[j, 4] + t * even))
+    odd = table[j, 7] + t * table[j, 9]
+    odd = table[j, 1] + t * (table[j, 3] + t * (table[j, 5] + t * odd))
+    return float(even + s * odd)
+
+
+@numba.njit(cache=True, error_model="numpy", fastmath={"contract"})
+def j0(x: float, table: Array) -> float:
+    """Return the Bessel function of order 0 at x >= 0."""
+    if x < NO_WAVE:
+        cell = int(x)
+        return polynomial(table, cell, 2.0 * (x - cell) - 1.0)
+    y = 1.0 / (x * x)
+    p = 1.0 - y * (9 / 128 - y * (3675 / 32768 - y * (2401245 / 4194304)))
+    q = 1 / 8 - y * (75 / 1024 - y * (59535 / 262144 - y * (57972915 / 33554432)))
+    turn = x - 0.25 * math.pi
+    wave = p * math.cos(turn) + q / x * math.sin(turn)
+    return math.sqrt(2.0 / (math.pi * x)) * wave
+
+
+def monomials(values: Array) -> Array:
+    """Return polynomials on -1..1 through values at Chebyshev nodes, in cells."""
+    size = values.shape[1]
+    node = np.cos(np.pi * (np.arange(size) + 0.5) / size)
+    order = np.arange(size)
+    series = chebyshev.chebvander(node, size - 1) * (np.where(order, 2, 1) / size)
+    to_powers = np.zeros((size, size))
+    for i in order:
+        power = chebyshev.cheb2poly(np.eye(size)[i, : i + 1])
+        to_powers[i, : power.size] = power
+    return np.ascontiguousarray(values @ series @ to_powers)
+
+
+@cache
+def bessel() -> Array:
+    """Return the table of J0 in cells of width 1."""
+    return monomials(special.j0(bessel_nodes()))
+
+
+def bessel_nodes() -> Array:
+    """Return the Chebyshev nodes of the cells of the tables of Bessel functions."""
+    node = np.cos(np.pi * (np.arange(10) + 0.5) / 10)
+    return np.arange(NO_WAVE)[:, None] + (node + 1) / 2
+
+
+def _rule() -> NDArray[np.float64]:
+    """Return the tables that turn values at the nodes of a panel into its terms.
+
+    [0] and [1] give the factors of the spherical Bessel functions of even and odd
+    order in the moment of exp(i k s), [2] and [3] those of the Chebyshev
+    polynomials in k / SPLIT (Jacobi-Anger series), from the sums and differences
+    of the values right and left of the centre. [4] holds the right and the left
+    nodes, and the factors that continue the even and odd part to the end.
+    """
+    half = ORDER
+    node, weight = (part[half:] for part in legendre.leggauss(2 * half))
+    order = np.arange(2 * half)
+    sign = (-1.0) ** np.arange(half)
+    series = (2 * order + 1) * legendre.legvander(node, 2 * half - 1) * weight[:, None]
+    anger = 2 * jv(order, SPLIT * node[:, None]) * weight[:, None]
+    anger[:, 0] /= 2
+    rule = np.zeros((5, half, half))
+    rule[0], rule[1] = series[:, ::2] * sign, series[:, 1::2] * sign
+    rule[2], rule[3] = anger[:, ::2] * sign, anger[:, 1::2] * sign
+    rule[4, :2] = node, -node
+    rule[4, 2:4] = series[:, ::2].sum(axis=1) / 2, series[:, 1::2].sum(axis=1) / 2
+    return rule
+
+
+RULE = _rule()

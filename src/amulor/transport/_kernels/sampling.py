@@ -1,9 +1,4 @@
-"""Scattering angles in compiled loops: cells of an angle, drawn from and looked up.
-
-The angle enters as height h = sin^2(angle / 2), which is even in solid angle. Cells
-are even within each octave of h up to 1/2 and, from there, of 1 - h, so the cell of
-a height follows from the bits of the number, without a search.
-"""
+"""Random numbers and scattering angles of the compiled loops of photon transport."""
 
 from __future__ import annotations
 
@@ -12,9 +7,44 @@ from typing import Any
 
 import numpy as np
 
-from amulor.transport._kernels.compiled import kernel
-from amulor.transport._kernels.random import uniform
-from amulor.transport._kernels.types import Array, States
+from amulor.transport._kernels.types import Array, States, kernel
+
+_PER_UNIT = 2.0**-53
+
+
+@kernel
+def next_integer(state: States) -> Any:
+    """Return 64 random bits, and move the state of four such words on."""
+    total = state[0] + state[3]
+    value = ((total << np.uint64(23)) | (total >> np.uint64(41))) + state[0]
+    shifted = state[1] << np.uint64(17)
+    state[2] ^= state[0]
+    state[3] ^= state[1]
+    state[1] ^= state[2]
+    state[0] ^= state[3]
+    state[2] ^= shifted
+    state[3] = (state[3] << np.uint64(45)) | (state[3] >> np.uint64(19))
+    return value
+
+
+@kernel
+def uniform(state: States) -> float:
+    """Return a number from 0 to 1, 1 left out."""
+    return float(next_integer(state) >> np.uint64(11)) * _PER_UNIT
+
+
+@kernel
+def exponential(state: States) -> float:
+    """Return a number above or at 0, distributed as exp(-x)."""
+    return -math.log(1.0 - uniform(state))
+
+
+@kernel
+def fill_uniform(state: States, out: Array) -> None:
+    """Fill out with numbers from 0 to 1."""
+    for k in range(out.size):
+        out[k] = uniform(state)
+
 
 #: Cells in an octave, and octaves of h below 1/2 and of 1 - h below 1/2.
 PER_OCTAVE = 128

@@ -1,1 +1,0 @@
-"""Integrals of an oscillating function over the depth, panel by panel."""

@@ -1,0 +1,597 @@
+"""Contributions of photon paths: the direct estimate, joined paths, their record."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from amulor.transport._kernels.mesh import blocked, cone_window, transmission_depth
+from amulor.transport._kernels.polarization import (
+    connected,
+    received,
+    reflected,
+    returning_frame,
+)
+from amulor.transport._kernels.sampling import (
+    cell_of,
+    disc_point,
+    height_between,
+    uniform,
+)
+from amulor.transport._kernels.trace import (
+    FACE,
+    FRONT,
+    LAYER,
+    LENGTH,
+    NORMAL_X,
+    NORMAL_Y,
+    NORMAL_Z,
+    NX,
+    NY,
+    NZ,
+    ORDER,
+    PARTITION,
+    PER_Z,
+    SCALE,
+    SLOPE_X,
+    SLOPE_Y,
+    START,
+    TOUCH_LENGTH,
+    TOUCH_NX,
+    TOUCH_NY,
+    TOUCH_NZ,
+    TOUCH_ORDER,
+    TOUCH_X,
+    TOUCH_Y,
+    TOUCH_Z,
+    TOUCHES,
+    TRIANGLE,
+    USED_SEGMENTS,
+    USED_TOUCHES,
+    Z_HIGH,
+    Z_LOW,
+    X,
+    Y,
+)
+from amulor.transport._kernels.types import (
+    Array,
+    Arrival,
+    Complex,
+    Face,
+    Mesh,
+    Paths,
+    Plan,
+    Record,
+    Scene,
+    States,
+    Target,
+    Vector,
+    Water,
+    entry,
+    inner,
+    kernel,
+    step,
+)
+
+
+@kernel
+def add_at(
+    array: Array, part: int, scaled: float, component: int, light: float
+) -> None:
+    """Split light among four nodes around a place, with the weights of a cubic."""
+    node = max(int(scaled) - 1, 0)
+    a = scaled - node
+    b, c, d = a - 1.0, a - 2.0, a - 3.0
+    inner, outer = 0.5 * light * b * c, 0.5 * light * a * d
+    array[part, component, node] -= inner * d * (1.0 / 3.0)
+    array[part, component, node + 1] += outer * c
+    array[part, component, node + 2] -= outer * b
+    array[part, component, node + 3] += inner * a * (1.0 / 3.0)
+
+
+#: Rows of the sum of a group: light that met water only, and light of the target.
+WATER, TARGET = range(2)
+
+
+@kernel
+def add_to(total: Array, kind: int, light: Array) -> None:
+    """Add light to the sum of its kind."""
+    for k in range(light.size):
+        total[kind, k] += light[k]
+
+
+@kernel
+def add_beyond(
+    record: Record, part: int, low: float, high: float, light: Array
+) -> None:
+    """Add light spread over path lengths that are beyond the last node, exactly."""
+    beyond, wavenumber = record.beyond, record.wavenumber
+    for f in range(wavenumber.size):
+        q = wavenumber[f]
+        span = q * (high - low)
+        factor = np.exp(0.5 * q * (low + high))
+        if abs(span) > 1e-6:
+            factor *= 2.0 * np.sinh(0.5 * span) / span
+        for k in range(beyond.shape[1]):
+            beyond[part, k, f] += light[k] * factor
+
+
+@kernel
+def add_point(record: Record, part: int, length: float, light: Array) -> None:
+    """Add light of one path length; the light has as many components as the record."""
+    mass = record.mass
+    scaled = length / record.spacing
+    if scaled < mass.shape[2] - 3:
+        for k in range(mass.shape[1]):
+            add_at(mass, part, scaled, k, light[k])
+    else:
+        add_beyond(record, part, length, length, light)
+
+
+@kernel
+def add_range(record: Record, part: int, low: float, high: float, light: Array) -> None:
+    """Add light spread evenly over path lengths from low to high."""
+    edge, spacing = record.edge, record.spacing
+    if high - low < 0.05 * spacing:
+        add_point(record, part, 0.5 * (low + high), light)
+        return
+    scaled_low, scaled_high = low / spacing, high / spacing
+    if scaled_high < edge.shape[2] - 3:
+        per_length = 1.0 / (high - low)
+        for k in range(edge.shape[1]):
+            add_at(edge, part, scaled_low, k, light[k] * per_length)
+            add_at(edge, part, scaled_high, k, -light[k] * per_length)
+    else:
+        add_beyond(record, part, low, high, light)
+
+
+@entry
+def transform(
+    mass: Array, edge: Array, wavenumber: Complex, spacing: float, out: Complex
+) -> None:
+    """Add to out the integral of the record times exp(wavenumber x path length)."""
+    parts, components, nodes = mass.shape
+    last = np.zeros((parts, components), dtype=np.int64)
+    used = 0
+    for p in range(parts):
+        for k in range(components):
+            for n in range(nodes):
+                if mass[p, k, n] != 0.0 or edge[p, k, n] != 0.0:
+                    last[p, k] = n + 1
+            used = max(used, last[p, k])
+    point = np.empty(used, dtype=np.complex128)
+    ramp = np.empty(used, dtype=np.complex128)
+    for f in range(wavenumber.size):
+        q = wavenumber[f]
+        per_node = np.exp(q * spacing)
+        inverse = 0.0j if q == 0.0 else 1.0 / q
+        phasor = 1.0 + 0.0j
+        for n in range(used):
+            length = n * spacing
+            if n % 32 == 0:  # so that errors of the products do not grow
+                phasor = np.exp(q * length)
+            point[n] = phasor
+            # -(exp(q L) - 1) / q, for the edges of which the sum is zero.
+            if abs(q) * length < 1e-4:
+                ramp[n] = -length * (1.0 + 0.5 * q * length)
+            else:
+                ramp[n] = (1.0 - phasor) * inverse
+            phasor *= per_node
+        for p in range(parts):
+            for k in range(components):
+                total = 0.0 + 0.0j
+                for n in range(last[p, k]):
+                    total += mass[p, k, n] * point[n] + edge[p, k, n] * ramp[n]
+                out[p, k, f] += total
+
+
+@kernel
+def face_and_acceptance(state: States, face: Face) -> tuple[float, float]:
+    """Return radius and acceptance of a sharp receiver that stands for this one.
+
+    A Gaussian exp(-s^2 / w^2) is the mean of discs of radius w sqrt(-ln u) over u
+    from 0 to 1; so a Gaussian receiver is a sharp one of random size.
+    """
+    if not face.gaussian:
+        return face.radius, face.acceptance
+    radius = face.radius * math.sqrt(-math.log(1.0 - uniform(state)))
+    angle = face.acceptance * math.sqrt(-math.log(1.0 - uniform(state)))
+    return radius, min(angle, 0.5 * math.pi)
+
+
+@kernel
+def face_point(state: States, place: Vector, radius: float, slope: float) -> Vector:
+    """Draw a point of the face that sees a place, and return what it stands for.
+
+    Returns its two coordinates and the area it stands for, 0 if it does not see the
+    place.
+    """
+    x, y, z = place
+    visible = slope * z
+    if visible < radius:
+        dx, dy = disc_point(state, visible)
+        if (x + dx) ** 2 + (y + dy) ** 2 > radius * radius:
+            return 0.0, 0.0, 0.0
+        return x + dx, y + dy, math.pi * visible * visible
+    px, py = disc_point(state, radius)
+    if (px - x) ** 2 + (py - y) ** 2 > visible * visible:
+        return 0.0, 0.0, 0.0
+    return px, py, math.pi * radius * radius
+
+
+@step
+def way_to(place: Vector, px: float, py: float) -> tuple[float, Vector]:
+    """Return distance and direction of the way from a place to a point of the face."""
+    x, y, z = place
+    distance = math.sqrt((px - x) ** 2 + (py - y) ** 2 + z * z)
+    return distance, ((px - x) / distance, (py - y) / distance, -z / distance)
+
+
+@inner
+def direct_from_segments(
+    state: States,
+    forward: Paths,
+    scene: Scene,
+    plan: Plan,
+    record: Record,
+    arrival: Arrival,
+) -> None:
+    """Add the light scattered once more on each segment, straight to the receiver.
+
+    At z on a segment it is b p(theta) dz / |n_z| times the solid angle of the face,
+    the transmission and the weight w_k.
+    """
+    segment, water, out = forward.segment, scene.water, arrival.light
+    attenuation, albedo, value = water.attenuation, water.albedo, water.value
+    mesh = scene.target.mesh
+    has_mesh = mesh.box.shape[0] > 0
+    seen = arrival.seen
+    scale = 1.0 / plan.paths
+    total = arrival.total
+    for i in range(forward.used[USED_SEGMENTS]):
+        layer = int(segment[i, LAYER])
+        if segment[i, Z_HIGH] <= 0.0 or albedo[layer] == 0.0:
+            continue
+        radius, angle = face_and_acceptance(state, scene.face)
+        slope = math.tan(angle)
+        z_low, z_high = cone_window(
+            segment[i, X],
+            segment[i, Y],
+            segment[i, SLOPE_X],
+            segment[i, SLOPE_Y],
+            radius,
+            slope,
+            segment[i, Z_LOW],
+            segment[i, Z_HIGH],
+        )
+        if z_low >= z_high:
+            continue
+        z = z_low + (z_high - z_low) * uniform(state)
+        place = (
+            segment[i, X] + z * segment[i, SLOPE_X],
+            segment[i, Y] + z * segment[i, SLOPE_Y],
+            z,
+        )
+        px, py, area = face_point(state, place, radius, slope)
+        if area == 0.0:
+            continue
+        distance, m = way_to(place, px, py)
+        n = (segment[i, NX], segment[i, NY], segment[i, NZ])
+        cosine = n[0] * m[0] + n[1] * m[1] + n[2] * m[2]
+        at, cell = water.table[layer], cell_of(height_between(cosine))
+        kernel = attenuation[layer] * albedo[layer] * value[at, cell]
+        if kernel <= 0.0:
+            continue
+        if has_mesh and blocked(place, (px, py, 0.0), -1.0, mesh):
+            continue
+        own = abs(n[2] * m[2]) / kernel
+        weight = 1.0 / (segment[i, ORDER] + 1.0)
+        if plan.balanced:
+            weight = own / (segment[i, PARTITION] + own)
+        depth = transmission_depth(z, 0.0, distance, water.edge, attenuation)
+        factor = (
+            scale
+            * weight
+            * kernel
+            * (z_high - z_low)
+            * abs(segment[i, PER_Z])
+            * area
+            * -m[2]
+            / (distance * distance)
+            * math.exp(-depth)
+        )
+        if plan.polarized:
+            seen[0], seen[1], seen[2] = returning_frame(m)
+            connected(n, forward.light[i], m, seen, water.element, at, cell, out)
+            for k in range(4):
+                out[k] *= factor
+        else:
+            out[0] = factor
+        add_to(total, WATER, out)
+        length = segment[i, LENGTH] + z * segment[i, PER_Z] + distance
+        add_point(record, min(int(segment[i, ORDER]), record.orders - 1), length, out)
+
+
+@inner
+def direct_from_touches(
+    state: States,
+    forward: Paths,
+    scene: Scene,
+    plan: Plan,
+    record: Record,
+    arrival: Arrival,
+) -> None:
+    """Add the light that goes from each touch straight to the receiver.
+
+    It is (reflectance / pi) cos times the solid angle of the face and the
+    transmission, the cosine that between the target's normal and the way.
+    """
+    touch, water, target = forward.touch, scene.water, scene.target
+    out, seen, mesh = arrival.light, arrival.seen, target.mesh
+    has_mesh = mesh.box.shape[0] > 0
+    scale = 1.0 / plan.paths
+    total = arrival.total
+    for i in range(forward.used[USED_TOUCHES]):
+        place = (touch[i, TOUCH_X], touch[i, TOUCH_Y], touch[i, TOUCH_Z])
+        if place[2] <= 0.0:
+            continue
+        radius, angle = face_and_acceptance(state, scene.face)
+        px, py, area = face_point(state, place, radius, math.tan(angle))
+        if area == 0.0:
+            continue
+        distance, m = way_to(place, px, py)
+        leaving = (
+            touch[i, NORMAL_X] * m[0]
+            + touch[i, NORMAL_Y] * m[1]
+            + touch[i, NORMAL_Z] * m[2]
+        )
+        if leaving <= 0.0:
+            continue
+        if has_mesh and blocked(place, (px, py, 0.0), touch[i, TRIANGLE], mesh):
+            continue
+        depth = transmission_depth(
+            place[2], 0.0, distance, water.edge, water.attenuation
+        )
+        factor = (
+            scale
+            * target.reflectance
+            / math.pi
+            * leaving
+            * area
+            * -m[2]
+            / (distance * distance)
+            * math.exp(-depth)
+        )
+        if plan.polarized:
+            n = (touch[i, TOUCH_NX], touch[i, TOUCH_NY], touch[i, TOUCH_NZ])
+            frame = returning_frame(m)
+            seen[0], seen[1], seen[2] = frame
+            light = forward.touch_light[i]
+            vector = reflected(n, light, target.mueller, target.right, m, frame)
+            received(seen, vector, out)
+            for k in range(4):
+                out[k] *= factor
+        else:
+            out[0] = factor
+        add_to(total, TARGET, out)
+        direct = touch[i, TOUCH_ORDER] == 0 and touch[i, TOUCHES] == 0
+        length = touch[i, TOUCH_LENGTH] + distance
+        add_point(record, record.orders if direct else record.orders + 1, length, out)
+
+
+@inner
+def path_blocked(
+    adjoint: Array, row: int, end: Vector, start: float, mesh: Mesh
+) -> bool:
+    """Return whether the mesh is in the way of a shifted adjoint path.
+
+    end is the shift of the path over the face, and the depth z on its segment in row
+    at which it ends; start is the number of the triangle that it ends on, or -1.
+    """
+    z = end[2]
+    for k in range(row, int(adjoint[row, START]) - 1, -1):
+        if k < row:
+            z = adjoint[k, Z_HIGH] if adjoint[k, NZ] > 0.0 else adjoint[k, Z_LOW]
+            start = -1.0
+        begin = adjoint[k, Z_LOW] if adjoint[k, NZ] > 0.0 else adjoint[k, Z_HIGH]
+        x, y = end[0] + adjoint[k, X], end[1] + adjoint[k, Y]
+        slope_x, slope_y = adjoint[k, SLOPE_X], adjoint[k, SLOPE_Y]
+        if blocked(
+            (x + z * slope_x, y + z * slope_y, z),
+            (x + begin * slope_x, y + begin * slope_y, begin),
+            start,
+            mesh,
+        ):
+            return True
+    return False
+
+
+@step
+def meeting_depths(
+    forward: Array, i: int, adjoint: Array, j: int, target: Target
+) -> tuple[float, float]:
+    """Return the depths z from which to which two segments can meet.
+
+    At these both segments have a point, the shift rho(z) - rho'(z) is on the face of
+    the receiver, and the shifted scatterings are in front of the target's plane. There
+    are none if the second is not above the first.
+    """
+    z_low = max(forward[i, Z_LOW], adjoint[j, Z_LOW])
+    z_high = min(forward[i, Z_HIGH], adjoint[j, Z_HIGH])
+    if z_low >= z_high:
+        return 0.0, 0.0
+    face = adjoint[j, FACE]
+    # Place of the start of the adjoint path on the face: p + d z.
+    dx = forward[i, SLOPE_X] - adjoint[j, SLOPE_X]
+    dy = forward[i, SLOPE_Y] - adjoint[j, SLOPE_Y]
+    px = forward[i, X] - adjoint[j, X]
+    py = forward[i, Y] - adjoint[j, Y]
+    a = dx * dx + dy * dy
+    b = px * dx + py * dy
+    c = px * px + py * py - face * face
+    inside = b * b - a * c
+    if inside <= 0.0:
+        return 0.0, 0.0
+    if a < 1e-24:  # parallel: on the face for all z, as inside is above zero
+        if c >= 0.0:
+            return 0.0, 0.0
+    else:
+        root = math.sqrt(inside)
+        z_low = max(z_low, (-b - root) / a)
+        z_high = min(z_high, (-b + root) / a)
+        if z_low >= z_high:
+            return 0.0, 0.0
+    if target.has_plane and adjoint[j, ORDER] > 0:
+        normal = target.normal
+        over = normal[0] * px + normal[1] * py + adjoint[j, FRONT] - target.height
+        rise = normal[0] * dx + normal[1] * dy
+        if rise > 0:
+            z_low = max(z_low, -over / rise)
+        elif rise < 0:
+            z_high = min(z_high, -over / rise)
+        elif over < 0:
+            return 0.0, 0.0
+    return z_low, z_high
+
+
+@inner
+def join_segments(
+    state: States,
+    forward: Paths,
+    adjoint: Paths,
+    water: Water,
+    target: Target,
+    plan: Plan,
+    record: Record,
+    arrival: Arrival,
+) -> None:
+    """Join each forward with each adjoint segment, and add the light.
+
+    The light of a pair is Omega b p(theta) dz / |n_z n'_z| times its weight w_k. FACE
+    of an adjoint segment is the radius R of the face, SCALE is Omega over the number
+    of pairs.
+    """
+    first, second = forward.segment, adjoint.segment
+    attenuation, albedo, table = water.attenuation, water.albedo, water.table
+    value, mesh, out = water.value, target.mesh, arrival.light
+    has_mesh = mesh.box.shape[0] > 0
+    total = arrival.total
+    for j in range(adjoint.used[USED_SEGMENTS]):
+        if plan.direct and second[j, ORDER] == 0:
+            continue
+        for i in range(forward.used[USED_SEGMENTS]):
+            z_low, z_high = meeting_depths(first, i, second, j, target)
+            if z_low >= z_high:
+                continue
+            layer = int(first[i, LAYER])
+            n = (first[i, NX], first[i, NY], first[i, NZ])
+            m = (-second[j, NX], -second[j, NY], -second[j, NZ])
+            cosine = n[0] * m[0] + n[1] * m[1] + n[2] * m[2]
+            at, cell = table[layer], cell_of(height_between(cosine))
+            kernel = attenuation[layer] * albedo[layer] * value[at, cell]
+            if kernel <= 0.0:
+                continue
+            order = int(first[i, ORDER] + second[j, ORDER])
+            level = abs(n[2] * m[2])
+            if plan.balanced:
+                factor = second[j, SCALE] / (
+                    first[i, PARTITION] + second[j, PARTITION] + level / kernel
+                )
+            else:
+                factor = second[j, SCALE] * kernel / (level * (order + 1))
+            factor *= z_high - z_low
+            if has_mesh:
+                z_low += (z_high - z_low) * uniform(state)
+                z_high = z_low
+                dx = first[i, SLOPE_X] - second[j, SLOPE_X]
+                dy = first[i, SLOPE_Y] - second[j, SLOPE_Y]
+                px = first[i, X] - second[j, X] + dx * z_low
+                py = first[i, Y] - second[j, Y] + dy * z_low
+                if path_blocked(second, j, (px, py, z_low), -1.0, mesh):
+                    continue
+            if plan.polarized:
+                light, seen = forward.light[i], adjoint.light[j]
+                connected(n, light, m, seen, water.element, at, cell, out)
+                for k in range(4):
+                    out[k] *= factor
+            else:
+                out[0] = factor
+            add_to(total, WATER, out)
+            start = first[i, LENGTH] + second[j, LENGTH]
+            slope = first[i, PER_Z] + second[j, PER_Z]
+            one, other = start + slope * z_low, start + slope * z_high
+            part = min(order, record.orders - 1)
+            add_range(record, part, min(one, other), max(one, other), out)
+
+
+@inner
+def join_touches(
+    forward: Paths,
+    adjoint: Paths,
+    target: Target,
+    plan: Plan,
+    record: Record,
+    arrival: Arrival,
+) -> None:
+    """Join each touch of the target with each adjoint segment, and add the light.
+
+    The light of a pair is Omega (reflectance / pi) cos / |n'_z|, the cosine that
+    between the target's normal and the way to the receiver.
+    """
+    touch, second = forward.touch, adjoint.segment
+    normal, mesh, out = target.normal, target.mesh, arrival.light
+    has_mesh = mesh.box.shape[0] > 0
+    total = arrival.total
+    for i in range(forward.used[USED_TOUCHES]):
+        z = touch[i, TOUCH_Z]
+        for j in range(adjoint.used[USED_SEGMENTS]):
+            if (
+                (plan.direct and second[j, ORDER] == 0)
+                or z <= second[j, Z_LOW]
+                or z > second[j, Z_HIGH]
+            ):
+                continue
+            px = touch[i, TOUCH_X] - second[j, X] - z * second[j, SLOPE_X]
+            py = touch[i, TOUCH_Y] - second[j, Y] - z * second[j, SLOPE_Y]
+            if px * px + py * py > second[j, FACE] * second[j, FACE]:
+                continue
+            m = (-second[j, NX], -second[j, NY], -second[j, NZ])
+            leaving = (
+                touch[i, NORMAL_X] * m[0]
+                + touch[i, NORMAL_Y] * m[1]
+                + touch[i, NORMAL_Z] * m[2]
+            )
+            if leaving <= 0.0:
+                continue
+            if (
+                target.has_plane
+                and second[j, ORDER] > 0
+                and normal[0] * px + normal[1] * py + second[j, FRONT] < target.height
+            ):
+                continue
+            if has_mesh and path_blocked(
+                second, j, (px, py, z), touch[i, TRIANGLE], mesh
+            ):
+                continue
+            factor = (
+                second[j, SCALE] * target.reflectance / math.pi * leaving / abs(m[2])
+            )
+            if plan.polarized:
+                n = (touch[i, TOUCH_NX], touch[i, TOUCH_NY], touch[i, TOUCH_NZ])
+                seen = adjoint.light[j]
+                frame = (seen[0], seen[1], seen[2])
+                light = forward.touch_light[i]
+                vector = reflected(n, light, target.mueller, target.right, m, frame)
+                received(seen, vector, out)
+                for k in range(4):
+                    out[k] *= factor
+            else:
+                out[0] = factor
+            add_to(total, TARGET, out)
+            unscattered = touch[i, TOUCH_ORDER] + second[j, ORDER] == 0
+            length = touch[i, TOUCH_LENGTH] + second[j, LENGTH] + z * second[j, PER_Z]
+            direct = unscattered and touch[i, TOUCHES] == 0
+            add_point(
+                record, record.orders if direct else record.orders + 1, length, out
+            )

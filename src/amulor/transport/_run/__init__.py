@@ -1,1 +1,0 @@
-"""A transport run: the problem, its batches, what they leave."""
