@@ -70,7 +70,8 @@ def oren_nayar(
            \left[1 - \cos\varphi \left(\frac{2 \beta}{\pi}\right)^2\right].
 
     A fit to the integrals over the facets for :math:`\sigma` up to about 0.7; a smooth
-    surface is Lambert's.
+    surface is Lambert's. At a reflectance of 1 and slants up to 1.2 rad it sends back
+    up to 0.64 % more than it gets.
 
     Examples
     --------
