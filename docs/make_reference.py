@@ -12,7 +12,7 @@ from pydantic_core import PydanticUndefined
 
 from amulor import samples, survey
 from amulor.cube import schema
-from amulor.design.reach import WATERS, reach
+from amulor.design.evaluate import WATERS, reach
 from amulor.survey import presets
 from amulor.survey.water import WaterState
 from amulor.view import explanations

@@ -14,9 +14,9 @@ from amulor import imaging, rejection, simulate
 from amulor.cube import QualityFlag
 from amulor.studies.trust.scenes import models, samples
 from amulor.studies.trust.scenes.knowledge import believing
-from amulor.studies.trust.score import Score
 from amulor.studies.trust.study import run
 from amulor.studies.trust.surveys import plate, scaled, survey
+from amulor.studies.trust.table import Score
 
 
 def holds(score: Score, *, trusted: float) -> bool:

@@ -8,7 +8,7 @@ import pytest
 
 from amulor.studies.trust.methods import outcome
 from amulor.studies.trust.scenes.photons import photon_water
-from amulor.studies.trust.score import score
+from amulor.studies.trust.table import score
 
 
 @pytest.mark.slow

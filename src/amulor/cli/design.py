@@ -180,8 +180,7 @@ def reasons_of(found: Recommendation, *, confirm: bool) -> Reasons:
     from amulor import _progress
     from amulor.design.reasons.confirm import confirm as confirmed
     from amulor.design.reasons.sensitivity import sensitivity, uncertain
-    from amulor.design.reasons.trade import trade
-    from amulor.design.reasons.what_if import what_if
+    from amulor.design.reasons.trade import trade, what_if
     from amulor.view.design.report import Reasons
 
     goal, best = found.goal, found.best.parameters

@@ -187,7 +187,7 @@ def _by_rows(
 ) -> None:
     """Write a cloud tile by tile, and print what is in it."""
     from amulor.io.netcdf import open_rows
-    from amulor.scale.clouds import Selection, cloud_file
+    from amulor.scale.parts import Selection, cloud_file
 
     selection = Selection(good_only, largest, without_mixed)
     with progress_bar():

@@ -11,7 +11,7 @@ from cyclopts import Parameter
 from amulor.cli._output import print_json, print_table, progress_bar
 
 if TYPE_CHECKING:
-    from amulor.design.reach import Reach
+    from amulor.design.evaluate import Reach
 
 
 def presets(
@@ -74,7 +74,7 @@ def _print_reach(accuracy: float, reflectance: float | None, *, json: bool) -> N
     """Print the distances at which each preset meets an accuracy, water by water."""
     from dataclasses import asdict
 
-    from amulor.design.reach import WATERS, reach
+    from amulor.design.evaluate import WATERS, reach
     from amulor.survey import Survey
     from amulor.survey import presets as shipped
 

@@ -44,7 +44,7 @@ def recordings(
     from amulor.io.recording_map import RecordingMap
     from amulor.io.recordings import marked, read_recordings
     from amulor.survey import Survey
-    from amulor.survey.checks.memory import BY_ROWS, samples_of
+    from amulor.survey.directions import BY_ROWS, samples_of
 
     check_cube_output(output, overwrite=overwrite, inputs=[file, survey, columns])
     if tile_rows is not None and tile_rows < 1:

@@ -44,8 +44,8 @@ def run(
     from amulor.cli._arguments import UsageError
     from amulor.cli._output import print_json, progress_bar
     from amulor.errors import CubeError
-    from amulor.scale.cluster import LOCAL
     from amulor.scale.site_run import run_site
+    from amulor.scale.tasks import LOCAL
 
     if workers is not None and (workers < 1 or scheduler != LOCAL):
         raise UsageError("--workers is a number from 1 on, with --scheduler local")

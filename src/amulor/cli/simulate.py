@@ -70,7 +70,7 @@ def simulate(
     )
     from amulor.simulation import simulate as simulate_survey
     from amulor.survey import Survey
-    from amulor.survey.checks.memory import BY_ROWS, MOST_SAMPLES, samples_of
+    from amulor.survey.directions import BY_ROWS, MOST_SAMPLES, samples_of
     from amulor.survey.reach import unsettled_interval
 
     described = Survey.from_toml(survey)

@@ -12,9 +12,8 @@ if TYPE_CHECKING:
     import xarray as xr
 
     from amulor.site import Site
-    from amulor.site.change.distances import Change
+    from amulor.site.change.distances import Change, Region
     from amulor.site.change.moved import Motion
-    from amulor.site.change.regions import Region
     from amulor.site.merging.cloud import Merged
     from amulor.site.registration.result import Registration
     from amulor.site.registration.surface import ScanSurface
@@ -66,7 +65,7 @@ def check(
 def schema() -> None:
     """Print the JSON Schema of site files."""
     from amulor.cli._output import print_json
-    from amulor.site.description.site_file import json_schema
+    from amulor.site.description import json_schema
 
     print_json(json_schema())
 
@@ -211,7 +210,7 @@ def merge(
     from amulor._extras import require
     from amulor.cli._arguments import quantity_of
     from amulor.cli._output import print_json, print_next, progress_bar
-    from amulor.site.merging.clouds import scan_clouds
+    from amulor.site.merging.cloud import scan_clouds
     from amulor.site.merging.tiles import write_tiles
 
     as_e57 = output.suffix.lower() == ".e57"
@@ -298,7 +297,7 @@ def compare(
     from amulor.cli._arguments import check_ending
     from amulor.cli._output import print_json, progress_bar
     from amulor.site import Site
-    from amulor.site.change.table import write_change
+    from amulor.site.change.distances import write_change
 
     io.check_output(output, overwrite=overwrite, inputs=[site, poses])
     check_ending("--output", output, (".csv",))
@@ -501,9 +500,8 @@ def changes_between(
     import numpy as np
 
     from amulor import _progress
-    from amulor.site.change.distances import change
+    from amulor.site.change.distances import change, regions
     from amulor.site.change.moved import motion_of
-    from amulor.site.change.regions import regions
 
     with _progress.part(0.6, 0.8):
         result = change(

@@ -7,15 +7,13 @@ from amulor.cube.accessor import (
     group,
     without_groups,
 )
-from amulor.cube.build import build, open_water
 from amulor.cube.check import check, checked
-from amulor.cube.dimensions import restore_dimensions
 from amulor.cube.error import (
     WATER_NOT_REMOVED,
     error_unknown,
     without_unknown_errors,
 )
-from amulor.cube.provenance import attributes, digest, note
+from amulor.cube.provenance import attributes, build, digest, note, open_water
 from amulor.cube.schema import (
     DOUBTFUL,
     ERROR_UNKNOWN,
@@ -24,6 +22,7 @@ from amulor.cube.schema import (
     UNUSABLE,
     QualityFlag,
 )
+from amulor.cube.values import restore_dimensions
 
 __all__ = [
     "DOUBTFUL",

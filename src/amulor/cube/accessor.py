@@ -8,7 +8,7 @@ import numpy as np
 import xarray as xr
 
 from amulor.cube import schema
-from amulor.cube.dimensions import restore_dimensions
+from amulor.cube.values import restore_dimensions
 
 
 def group(cube: xr.Dataset, name: str) -> xr.Dataset | None:

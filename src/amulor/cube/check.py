@@ -10,8 +10,7 @@ import numpy as np
 import xarray as xr
 
 from amulor.cube import accessor, schema
-from amulor.cube.dimensions import restore_dimensions
-from amulor.cube.values import check_values
+from amulor.cube.values import check_values, restore_dimensions
 from amulor.errors import CubeError
 from amulor.optics.polarization import stokes
 

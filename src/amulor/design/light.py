@@ -9,8 +9,7 @@ from numpy.typing import NDArray
 
 from amulor.design import geometry
 from amulor.design._kernels import points as kernel
-from amulor.design.column import Columns, Looks, columns, overlaps
-from amulor.design.late import late_uncertainty
+from amulor.design.column import Columns, Looks, columns, late_uncertainty, overlaps
 from amulor.errors import SurveyError
 from amulor.survey import Survey, WaterProperties
 

@@ -24,11 +24,10 @@ from amulor.design.candidates import (
     survey_of,
 )
 from amulor.design.evaluate import TERMS, evaluate
-from amulor.design.exchange import Candidate
 from amulor.design.goal import Goal
 from amulor.design.requirements import Requirement, Shortfall
 from amulor.design.scores import draws_at
-from amulor.design.search import Found, search
+from amulor.design.search import Candidate, Found, search
 from amulor.design.shares import Shares, dwell_shares
 from amulor.survey import Survey
 

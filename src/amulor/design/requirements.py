@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 
 from amulor.design.candidates import Parameters
 from amulor.design.evaluate import TERMS
-from amulor.design.exchange import Candidate
 from amulor.design.goal import Goal
 from amulor.design.scores import Score
+from amulor.design.search import Candidate
 
 __all__ = [
     "Requirement",

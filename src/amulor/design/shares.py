@@ -10,7 +10,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from amulor.design._kernels.intervals import astray
+from amulor.design._kernels.points import astray
 from amulor.design.candidates import Parameters, survey_of
 from amulor.design.evaluate import evaluate
 from amulor.design.goal import Goal

@@ -10,8 +10,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from amulor.errors import CubeError
-from amulor.handover.order import Order
-from amulor.handover.statements import in_millimetres
+from amulor.handover.order import Order, in_millimetres
 from amulor.imaging import products
 from amulor.io import drawings as formats
 from amulor.io.files import atomic_output

@@ -2,12 +2,19 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
-from amulor import io
+import numpy as np
+import xarray as xr
+from numpy.typing import ArrayLike, NDArray
+
+from amulor import imaging, io
 from amulor.errors import FormatError
+from amulor.imaging import error_budget, products
+from amulor.imaging.frame import Frame
 
 Product = Literal[
     "cloud", "mesh", "orthoimage", "dem", "contours", "section", "deviation"
@@ -101,4 +108,109 @@ def product_of(
     known = dict.fromkeys(e for endings in ENDINGS.values() for e in endings)
     raise FormatError(
         f"{path}: the ending says the format; use one of {', '.join(known)}"
+    )
+
+
+def statements_of(image: xr.Dataset, frame: Frame) -> list[str]:
+    """Return what a product of a range image says of itself.
+
+    Parameters
+    ----------
+    image : xarray.Dataset
+        Level `range_image`.
+    frame : Frame
+        Frame of the product.
+
+    Returns
+    -------
+    list of str
+        One statement each, without line breaks.
+    """
+    budget = error_budget(image)
+    said = [f"Axes: {frame.axes}"]
+    if frame.name == "pose":
+        numbers = ", ".join(f"{v:.6g}" for v in frame.position)
+        said.append(f"Instrument at ({numbers}) m; pose as stated")
+    if frame.crs:
+        offset = ", ".join(f"{v:.12g}" for v in frame.crs_offset)
+        said.append(f"Reference system: {frame.crs}; add ({offset}) m")
+    if budget.error_unknown:
+        said.append(_sentence(budget.error_unknown))
+    if math.isfinite(budget.combined):
+        said.append(
+            "Uncertainties are standard uncertainties (GUM, k = 1); about 95 of 100 "
+            "errors lie within twice as much. Slant range: median "
+            f"{budget.combined * 1e3:.3g} mm, of which all pixels share "
+            f"{budget.common * 1e3:.3g} mm"
+        )
+    unknown = [term.name.replace("_", " ") for term in budget.unknown]
+    if frame.unknown:
+        unknown += [f"{name} of the pose" for name in frame.unknown]
+    unknown.append("directions of the beams, which count as known")
+    if math.isfinite(budget.combined):
+        said.append(f"Not in them: {', '.join(unknown)}")
+    geometry = image["geometry"].attrs
+    index = float(geometry["group_index"])
+    said.append(f"Metres of water range by the group index {index:.4f}")
+    if image.attrs.get("simulated"):
+        said.append("Simulated data; nothing here was measured")
+    history = str(image.attrs.get("history", "")).splitlines()
+    if history:
+        said.append(f"Last step: {history[-1]}")
+    return said
+
+
+def _sentence(words: str) -> str:
+    """Return words with a capital letter."""
+    return words[0].upper() + words[1:]
+
+
+def in_millimetres(values: ArrayLike) -> str:
+    """Return the median of uncertainties for a statement.
+
+    Parameters
+    ----------
+    values : array_like
+        Standard uncertainties; not a number where they are not known [m].
+
+    Returns
+    -------
+    str
+        Such as "0.93 mm (median)", or "not known".
+    """
+    known = np.asarray(values, dtype=float)
+    known = known[np.isfinite(known)]
+    return f"{np.median(known) * 1e3:.2g} mm (median)" if known.size else "not known"
+
+
+Floats = NDArray[np.float64]
+
+
+def write_mesh(
+    image: xr.Dataset,
+    path: Path,
+    surface: products.Surface,
+    *,
+    scalars: dict[str, tuple[Floats, str]] | None = None,
+    overwrite: bool,
+) -> None:
+    """Write the surface of a range image as a mesh with vertex uncertainties.
+
+    Parameters
+    ----------
+    image : xarray.Dataset
+        Level `range_image`.
+    path : pathlib.Path
+        File to make (PLY).
+    surface : amulor.imaging.products.Surface
+        Its surface.
+    scalars : dict, optional
+        Further properties of the vertices: name to values and what they are.
+    overwrite : bool
+        Whether an existing file is replaced.
+    """
+    chosen = imaging.leave_out(image, mixed=True)
+    cloud = imaging.point_cloud(chosen, frame=surface.frame)
+    io.write_ply(
+        cloud, path, faces=surface.triangles, scalars=scalars, overwrite=overwrite
     )

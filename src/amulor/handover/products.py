@@ -10,9 +10,13 @@ from amulor import imaging, io
 from amulor.cube import DOUBTFUL, error_unknown
 from amulor.errors import FormatError
 from amulor.handover import drawings, references
-from amulor.handover.mesh import write_mesh
-from amulor.handover.order import ENDINGS, Order
-from amulor.handover.statements import in_millimetres, statements_of
+from amulor.handover.order import (
+    ENDINGS,
+    Order,
+    in_millimetres,
+    statements_of,
+    write_mesh,
+)
 from amulor.imaging import products
 from amulor.imaging.frame import Frame
 from amulor.io import drawings as formats

@@ -13,8 +13,7 @@ from numpy.typing import NDArray
 from amulor import imaging, io
 from amulor.errors import CubeError, FormatError, MissingExtraError
 from amulor.handover import drawings
-from amulor.handover.mesh import write_mesh
-from amulor.handover.order import Order
+from amulor.handover.order import Order, write_mesh
 from amulor.imaging import products
 from amulor.imaging.frame import Frame
 from amulor.io import drawings as formats

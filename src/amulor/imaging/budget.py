@@ -11,7 +11,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from amulor.cube import error_unknown
-from amulor.cube.terms import RANGE_PREFIX, TERMS, Term
+from amulor.cube.schema import RANGE_PREFIX, TERMS, Term
 from amulor.imaging.calibration import (
     CALIBRATION_TERMS,
     calibration_age,
@@ -212,7 +212,7 @@ class ErrorBudget:
     """
 
     lines: tuple[BudgetLine, ...]
-    """All terms that are known, in the order of `amulor.cube.terms`."""
+    """All terms that are known, in the order of `amulor.cube.schema`."""
     combined: float
     """Combined standard uncertainty, median over the usable pixels; not a number where
     it is not known [m]."""

@@ -7,7 +7,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from amulor.cube import QualityFlag
-from amulor.cube.terms import ALIKE_TERMS, RANGE_PREFIX, SHARED_TERMS, TERMS
+from amulor.cube.schema import ALIKE_TERMS, RANGE_PREFIX, SHARED_TERMS, TERMS
 from amulor.optics import ranging
 
 Floats = NDArray[np.float64]

@@ -9,7 +9,7 @@ import xarray as xr
 from numpy.typing import ArrayLike, NDArray
 
 from amulor import cube as cubes
-from amulor.cube.terms import ALIKE_TERMS, RANGE_PREFIX, WATER_TERMS
+from amulor.cube.schema import ALIKE_TERMS, RANGE_PREFIX, WATER_TERMS
 from amulor.errors import CubeError
 from amulor.imaging.common import own_variance, phase_cosines
 

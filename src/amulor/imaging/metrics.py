@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from amulor import cube as cubes
 from amulor.cube import UNUSABLE
-from amulor.cube.terms import ALIKE_TERMS, RANGE_PREFIX, WATER_TERMS
+from amulor.cube.schema import ALIKE_TERMS, RANGE_PREFIX, WATER_TERMS
 from amulor.errors import CubeError
 from amulor.imaging.common import own_variance, phase_cosines
 from amulor.imaging.point_cloud import point_cloud

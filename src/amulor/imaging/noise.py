@@ -8,7 +8,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from amulor.cube.terms import PHASE_PREFIX
+from amulor.cube.schema import PHASE_PREFIX
 from amulor.optics import ambiguity, ranging
 
 Floats = NDArray[np.float64]

@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from amulor._decisions import decided
 from amulor.cube import UNUSABLE, QualityFlag
-from amulor.cube.pixels import JOINT_OUTLIERS, flags_of_pixels
-from amulor.cube.terms import PHASE_PREFIX, SHARED_TERMS, SIGNAL_TERMS
+from amulor.cube.error import JOINT_OUTLIERS, flags_of_pixels
+from amulor.cube.schema import PHASE_PREFIX, SHARED_TERMS, SIGNAL_TERMS
 from amulor.imaging.geometry import beams_of, medium_of, receivers_of
 from amulor.optics import ambiguity, detection, ranging, rays
 
@@ -278,7 +278,7 @@ def phase_errors(
     one : xarray.Dataset
         Level `target_signal` without the dimension polarization.
     most_outliers : float
-        As for `amulor.cube.pixels.flags_of_pixels`.
+        As for `amulor.cube.error.flags_of_pixels`.
 
     Returns
     -------

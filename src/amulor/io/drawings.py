@@ -26,7 +26,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from amulor.errors import FormatError, MissingExtraError
 from amulor.io.files import atomic_output
-from amulor.survey.reference_system import projected_code
+from amulor.survey.scan import projected_code
 
 Floats = NDArray[np.float64]
 

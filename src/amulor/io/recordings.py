@@ -28,13 +28,12 @@ from amulor.io.recording_samples import (
 from amulor.io.recording_table import read_table
 from amulor.optics import detection
 from amulor.survey import Survey, water_properties
-from amulor.survey.checks.memory import refuse_scans_beyond_memory
 from amulor.survey.counting import (
     counting_variance,
     integration_time,
     photon_noise_volt,
 )
-from amulor.survey.directions import scan_directions
+from amulor.survey.directions import refuse_scans_beyond_memory, scan_directions
 from amulor.survey.view import geometry_attributes, medium
 
 __all__ = ["read_recordings"]

@@ -10,7 +10,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from amulor import cube as cubes
-from amulor.cube.terms import PHASE_PREFIX
+from amulor.cube.schema import PHASE_PREFIX
 from amulor.rejection import quality
 from amulor.rejection.covariance import Covariance, phase_uncertainties
 
@@ -35,7 +35,7 @@ def target_cube(
     the errors that the pixels share, `proportional` the part that cannot make a target
     out of nothing (see `quality.flags`), `residual` the water signal that is estimated
     to be left in; `water_is_in` says that none was taken out. `terms` are the errors by
-    their terms, of `amulor.cube.terms.SIGNAL_TERMS`, chosen by `present_terms`.
+    their terms, of `amulor.cube.schema.SIGNAL_TERMS`, chosen by `present_terms`.
     """
     variables: dict[str, NDArray[Any]] = {
         "in_phase": target_signal.real,

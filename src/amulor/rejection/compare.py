@@ -14,7 +14,7 @@ from scipy.special import chdtri
 from amulor import cube as cubes
 from amulor._progress import part, tell
 from amulor.cube import UNUSABLE, QualityFlag, tiles
-from amulor.cube.pixels import JOINT_OUTLIERS, flags_of_pixels
+from amulor.cube.error import JOINT_OUTLIERS, flags_of_pixels
 from amulor.errors import AmulorError, CubeError
 from amulor.optics import ambiguity, detection, ranging
 from amulor.rejection.covariance import covariance_of

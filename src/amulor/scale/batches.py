@@ -15,8 +15,7 @@ import numpy as np
 from amulor import io
 from amulor._extras import require
 from amulor.io.files import atomic_output
-from amulor.scale.cluster import cluster_client
-from amulor.scale.pieces import in_order
+from amulor.scale.tasks import cluster_client, in_order
 from amulor.transport._runs import Batch
 from amulor.transport.monte_carlo import Spread
 

@@ -22,7 +22,6 @@ from amulor._progress import tell
 from amulor.cube.provenance import dated
 from amulor.errors import AmulorError
 from amulor.io.files import atomic_output
-from amulor.scale.cluster import RETRIES, cluster_client, set_up_worker
 from amulor.scale.parts import (
     chain,
     forget_parts,
@@ -31,7 +30,15 @@ from amulor.scale.parts import (
     splits,
     whole,
 )
-from amulor.scale.tasks import Done, Record, Task, tasks_of
+from amulor.scale.tasks import (
+    RETRIES,
+    Done,
+    Record,
+    Task,
+    cluster_client,
+    set_up_worker,
+    tasks_of,
+)
 from amulor.site import Site
 
 __all__ = ["Done", "Task", "is_made", "run_site", "work", "work_on_rows"]

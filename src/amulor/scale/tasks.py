@@ -3,17 +3,24 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
+import logging
+import os
+from collections import deque
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import lru_cache
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
+from amulor import io
 from amulor.cube.provenance import digest, software_versions
 from amulor.errors import FormatError
 from amulor.io.files import atomic_output
 from amulor.site import Site
 
-__all__ = ["RECORD", "Done", "Record", "Task", "tasks_of"]
+__all__ = ["RECORD", "Done", "Record", "Task", "Work", "in_order", "tasks_of"]
+
 
 #: Name of the file that says what is done, in the folder of each scan.
 RECORD = "steps.json"
@@ -233,3 +240,170 @@ def _unreadable(path: Path, error: OSError) -> FormatError:
 def _made_of(of: str, how: dict[str, Any]) -> str:
     version = software_versions()["amulor"]
     return json.dumps({"of": of, "how": how, "amulor": version}, sort_keys=True)
+
+
+#: How often a task is begun again whose worker has died.
+RETRIES = 3
+#: Word for a cluster of processes on this machine.
+LOCAL = "local"
+
+
+def set_up_worker() -> None:
+    """Give compiled loops the threads of the worker, and end its sampling profiler."""
+    try:
+        import distributed
+
+        dask: Any = distributed
+        worker = dask.get_worker()
+    except (ImportError, ValueError):
+        return
+    import numba
+
+    config: Any = numba.config
+    config.NUMBA_NUM_THREADS = max(int(worker.state.nthreads), 1)
+    # It holds the frames that it looks at, and so objects of HDF5 that were about to
+    # be closed: the same content then lies elsewhere in the file.
+    profiler = worker.periodic_callbacks.get("profile")
+    if profiler is not None:
+        worker.loop.add_callback(profiler.stop)
+
+
+@contextmanager
+def cluster_client(scheduler: str, workers: int | None) -> Iterator[Any]:
+    """Connect to a cluster, or start one on this machine."""
+    import distributed
+
+    # Its functions have no types.
+    dask: Any = distributed
+    if scheduler == LOCAL:
+        count = workers or os.cpu_count() or 1
+        with (
+            dask.LocalCluster(
+                n_workers=count,
+                threads_per_worker=1,
+                processes=True,
+                dashboard_address=None,
+                # What is at work when all is known is ended, which is no warning.
+                silence_logs=logging.ERROR,
+            ) as cluster,
+            dask.Client(cluster) as client,
+        ):
+            yield client
+        return
+    try:
+        client = dask.Client(scheduler, timeout="5s")
+    except (OSError, TimeoutError, ValueError) as error:
+        raise FormatError(
+            f"no dask scheduler answers at {scheduler}: {error}; start one with "
+            "`dask scheduler`, and name its address, such as tcp://node1:8786"
+        ) from error
+    with client:
+        yield client
+
+
+class Work(Protocol):
+    """Pieces of work by their numbers; it goes to the workers as it is."""
+
+    @property
+    def file(self) -> str:
+        """Name of the file of a piece, in a folder of its own."""
+
+    def made_of(self, number: int) -> dict[str, Any]:
+        """All that a piece follows from, as plain numbers and text."""
+
+    def write(self, number: int, path: Path) -> None:
+        """Do a piece, and write its file."""
+
+
+def in_order(
+    client: Any, folder: Path, work: Work, first: int, end: int
+) -> Iterator[Path]:
+    """Yield the files of pieces in the order of their numbers.
+
+    Parameters
+    ----------
+    client : distributed.Client
+        Of the cluster.
+    folder : pathlib.Path
+        Where each piece gets a folder; there for all workers.
+    work : Work
+        What is to be done.
+    first, end : int
+        Number of the first piece, and the one behind the last.
+
+    Yields
+    ------
+    pathlib.Path
+        Of a file that is whole.
+
+    Raises
+    ------
+    FormatError
+        If the cluster is lost, or a file does not appear here.
+    """
+    from concurrent.futures import CancelledError
+
+    import distributed.protocol
+
+    dask: Any = distributed
+    packed = dask.protocol.pickle.dumps(work)
+    waiting: deque[tuple[int, Any]] = deque()
+    following = first
+    try:
+        while waiting or following < end:
+            most = max(2 * sum(client.nthreads().values()), 2)
+            while following < end and len(waiting) < most:
+                words = packed, following, str(folder)
+                future = client.submit(_do, *words, pure=False, retries=RETRIES)
+                waiting.append((following, future))
+                following += 1
+            number, future = waiting.popleft()
+            try:
+                future.result()
+            except CancelledError as error:
+                raise FormatError(
+                    f"the cluster was lost at piece {number}; run the same again, "
+                    f"and what is whole in {folder} is kept"
+                ) from error
+            own = _own(folder, work, number)
+            made_of = work.made_of(number)
+            if not Record(own).is_made(work.file, of="", how=made_of):
+                raise FormatError(
+                    f"{own / work.file} is not what a worker has made there; workers "
+                    "need the disk of that folder, under the same name"
+                )
+            yield own / work.file
+    finally:
+        for _, future in waiting:
+            future.cancel()
+
+
+def _do(packed: bytes, number: int, folder: str) -> None:
+    """Make the file of a piece, unless it is there."""
+    set_up_worker()
+    work = _unpacked(packed)
+    own = _own(Path(folder), work, number)
+    io.make_folder(own)
+    record = Record(own)
+    record.tidy()
+    record.made(
+        work.file,
+        of="",
+        how=work.made_of(number),
+        make=lambda path: work.write(number, path),
+    )
+
+
+@lru_cache(maxsize=2)
+def _unpacked(packed: bytes) -> Work:
+    """Return work; what it remembers serves all pieces of a worker."""
+    import distributed.protocol
+
+    dask: Any = distributed
+    work: Work = dask.protocol.pickle.loads(packed)
+    return work
+
+
+def _own(folder: Path, work: Work, number: int) -> Path:
+    """Return the folder of a piece."""
+    return folder / f"{Path(work.file).stem}-{number:06d}"

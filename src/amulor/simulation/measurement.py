@@ -20,9 +20,13 @@ from amulor.simulation import lock_in as signal
 from amulor.simulation.models import DEFAULT_MODEL, FittedModel, SignalModel
 from amulor.simulation.scene import Scene
 from amulor.survey import Survey, WaterProperties, water_properties
-from amulor.survey.checks.memory import refuse_scans_beyond_memory
 from amulor.survey.counting import photon_noise_volt
-from amulor.survey.directions import Floats, open_water_directions, scan_directions
+from amulor.survey.directions import (
+    Floats,
+    open_water_directions,
+    refuse_scans_beyond_memory,
+    scan_directions,
+)
 from amulor.survey.view import geometry_attributes
 from amulor.survey.view import medium as medium_of
 from amulor.survey.view import view as view_of

@@ -1,6 +1,6 @@
 """From single scans to a site: one frame, one cloud, and what changed since."""
 
-from amulor.site.description.site_file import Site
+from amulor.site.description import Site
 
 __all__ = ["Site"]
 

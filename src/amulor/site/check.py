@@ -12,8 +12,7 @@ from amulor import io
 from amulor._progress import tell
 from amulor.cube import UNUSABLE, error_unknown
 from amulor.errors import AmulorError
-from amulor.site.description.parts import ScaleBar, SiteScan
-from amulor.site.description.site_file import Site
+from amulor.site.description import ScaleBar, Site, SiteScan
 from amulor.site.load import WHAT_TO_DO
 from amulor.survey import Survey
 

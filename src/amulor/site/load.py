@@ -7,7 +7,7 @@ import xarray as xr
 from amulor import cube as cubes
 from amulor import imaging, io, rejection
 from amulor.errors import CubeError
-from amulor.site.description.parts import Processing, SiteScan
+from amulor.site.description import Processing, SiteScan
 
 #: Remedy for a scan whose error is not known.
 WHAT_TO_DO = (

@@ -1,8 +1,8 @@
 """What is described before anything is measured: one TOML file, strictly checked."""
 
 from amulor.survey.calibration import Calibration
-from amulor.survey.daylight import Daylight
 from amulor.survey.instrument import (
+    Daylight,
     Detector,
     Emitter,
     Instrument,

@@ -13,7 +13,7 @@ from pydantic import Field, model_validator
 
 from amulor.errors import SurveyError
 from amulor.optics import reflection
-from amulor.survey import table_file
+from amulor.survey import files as table_file
 from amulor.survey.quantity import Angle, Description
 
 Floats = NDArray[np.float64]

@@ -9,12 +9,12 @@ from typing import Annotated, Any, Self
 from pydantic import Field, ValidationError, model_validator
 
 from amulor.errors import SurveyError
-from amulor.survey import files, messages, presets, toml_file
+from amulor.survey import files, presets, toml_file
+from amulor.survey import toml_file as messages
 from amulor.survey.calibration import Calibration
 from amulor.survey.changes import changed
-from amulor.survey.checks.limits import beyond
-from amulor.survey.daylight import Daylight
-from amulor.survey.instrument import Instrument
+from amulor.survey.instrument import Daylight, Instrument
+from amulor.survey.limits import beyond
 from amulor.survey.quantity import Description
 from amulor.survey.scan import Pose, Scan
 from amulor.survey.target import Target

@@ -1,17 +1,238 @@
-"""Reads descriptions from TOML files, with one line for each thing that is wrong."""
+"""Says what is wrong in a survey file: file, field, what was found, what is allowed."""
 
 from __future__ import annotations
 
+import difflib
+import json
 import os
 import tomllib
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, TypeVar, get_args
 
 from pydantic import BaseModel, ValidationError
 
+from amulor import units
 from amulor.errors import AmulorError
-from amulor.survey import messages
+
+
+def lines(
+    error: ValidationError,
+    content: Any,
+    *,
+    model: type[BaseModel],
+    name: str,
+    what: str = "a survey",
+) -> list[str]:
+    """Turn the findings of the validator into one line each.
+
+    Parameters
+    ----------
+    error : pydantic.ValidationError
+        What the validator found.
+    content : dict
+        The file as it was read.
+    model : type
+        The description that the file as a whole stands for.
+    name : str
+        The file.
+    what : str
+        What it describes, with its article.
+
+    Returns
+    -------
+    list of str
+        `file: field: what was found, what is allowed`, each line once.
+    """
+    problems = error.errors()
+    above = {one["loc"][:end] for one in problems for end in range(len(one["loc"]))}
+    result = [
+        _line(problem, content, model, name, what)
+        for problem in problems
+        # A list whose items are all wrong counts as empty, which it is not.
+        if problem["type"] != "too_short" or problem["loc"] not in above
+    ]
+    return list(dict.fromkeys(result))
+
+
+def _line(
+    problem: Mapping[str, Any],
+    content: Any,
+    model: type[BaseModel],
+    name: str,
+    what: str,
+) -> str:
+    location = _location(problem["loc"], content)
+    field = ".".join(str(part) for part in location) or what.partition(" ")[2]
+    kind, bounds = problem["type"], problem.get("ctx", {})
+    result = _found(location, content)
+    if kind == "extra_forbidden":
+        allowed = list(_table(location[:-1], content, model).model_fields)
+        close = difflib.get_close_matches(str(location[-1]), allowed, n=1)
+        hint = f"did you mean {close[0]!r}? " if close else ""
+        return (
+            f"{name}: {field}: is no field of {what}; {hint}"
+            f"allowed here: {', '.join(allowed)}"
+        )
+    if kind == "missing":
+        return f"{name}: {field}: is missing; {_needed(location, content, model)}"
+    if kind == "value_error":
+        return f"{name}: {field}: {bounds['error']}"
+    limit: Any = next(iter(bounds.values()), None)
+    if kind in _LIMITS:
+        bound = f"{_LIMITS[kind]} {_bound(_at(location, content), limit)}"
+        return f"{name}: {field}: found {result}, but it must be {bound}"
+    if kind == "literal_error":
+        return f"{name}: {field}: found {result}, but it must be {limit}"
+    if kind == "string_pattern_mismatch" and "polarizations" not in location:
+        return f"{name}: {field}: found {result}; {_meant(location, content, model)}"
+    if kind in ("union_tag_invalid", "union_tag_not_found"):
+        kinds = ", ".join(_kinds_at(location, content, model))
+        needed = f"it must be a table with kind = one of {kinds}"
+        return f"{name}: {field}: found {result}, but {needed}"
+    if kind in _NEEDED:
+        return f"{name}: {field}: found {result}, but {_NEEDED[kind]}"
+    text = str(problem["msg"])
+    return f"{name}: {field}: found {result}; {text[:1].lower()}{text[1:]}"
+
+
+_LIMITS = {
+    "greater_than": "above",
+    "greater_than_equal": "at least",
+    "less_than": "below",
+    "less_than_equal": "at most",
+}
+_NEEDED = {
+    "finite_number": "it must be finite",
+    "string_pattern_mismatch": (
+        'it must be "none" or two of the letters V, H, P, M, R, L'
+    ),
+    "too_short": "at least one is needed",
+    "tuple_type": "it must be a list, in square brackets",
+    "model_type": "it must be a table of fields",
+    "model_attributes_type": "it must be a table of fields",
+    "string_type": "it must be a text in quotation marks",
+    "int_from_float": "it must be a whole number",
+    "int_type": "it must be a whole number",
+    "float_type": "it must be a number",
+}
+
+
+def _location(loc: tuple[Any, ...], content: Any) -> list[Any]:
+    """Drop the parts of a location that name a choice of type, not a field."""
+    kept: list[Any] = []
+    here = content
+    for position, part in enumerate(loc):
+        last = position == len(loc) - 1
+        if isinstance(here, list) and isinstance(part, int):
+            kept.append(part)
+            here = here[part] if part < len(here) else None
+        elif isinstance(here, dict) and (part in here or last):
+            kept.append(part)
+            here = here.get(part)
+    return kept
+
+
+def _at(location: list[Any], content: Any) -> Any:
+    """Return what the file has at a place; nothing is None."""
+    here = content
+    for part in location:
+        try:
+            here = here[part]
+        except (KeyError, IndexError, TypeError):
+            return None
+    return here
+
+
+def _bound(found: Any, limit: float) -> str:
+    """Return a limit in the unit of what was found."""
+    if isinstance(found, str):
+        return units.write_like(limit, found)
+    return f"{limit:g} in SI units" if isinstance(found, float) else f"{limit:g}"
+
+
+def _found(location: list[Any], content: Any) -> str:
+    here = _at(location, content)
+    if here is None:
+        return "nothing"
+    text = json.dumps(here, default=str)
+    return text if len(text) <= 60 else text[:57] + "..."
+
+
+def _table(
+    location: list[Any], content: Any, model: type[BaseModel]
+) -> type[BaseModel]:
+    """Return the description class that a table of the file stands for."""
+    here = content
+    annotation: Any = model
+    for part in location:
+        here = here[part]
+        if not isinstance(part, int):  # an item of a list has the kinds of the list
+            annotation = model.model_fields[part].annotation
+        model = next(
+            (one for one in _models(annotation) if _is_of_kind(here, one)), model
+        )
+    return model
+
+
+def _models(annotation: Any) -> Iterator[type[BaseModel]]:
+    """Yield every description class that an annotation names, at any depth."""
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        yield annotation
+    for part in get_args(annotation):
+        yield from _models(part)
+
+
+def _is_of_kind(table: Any, model: type[BaseModel]) -> bool:
+    """Return whether a table of the file can stand for a class, by its `kind`."""
+    field = model.model_fields.get("kind")
+    if field is None or not isinstance(table, dict):
+        return True
+    if "kind" not in table:
+        return not field.is_required()
+    return table["kind"] in _kinds(model)
+
+
+def _kinds(model: type[BaseModel]) -> list[str]:
+    """Return what `kind` of a description class may be."""
+
+    def texts(annotation: Any) -> Iterator[str]:
+        for part in get_args(annotation):
+            if isinstance(part, str):
+                yield part
+            yield from texts(part)
+
+    return list(texts(model.model_fields["kind"].annotation))
+
+
+def _kinds_at(location: list[Any], content: Any, model: type[BaseModel]) -> list[str]:
+    """Return the kinds that a table of the file may have."""
+    fields = [part for part in location if not isinstance(part, int)]
+    above = location[: location.index(fields[-1])]
+    annotation = _table(above, content, model).model_fields[fields[-1]].annotation
+    return [
+        kind
+        for one in _models(annotation)
+        if "kind" in one.model_fields
+        for kind in _kinds(one)
+    ]
+
+
+def _needed(location: list[Any], content: Any, model: type[BaseModel]) -> str:
+    if isinstance(location[-1], int):
+        return f"needed are at least {location[-1] + 1} values"
+    return _meant(location, content, model)
+
+
+def _meant(location: list[Any], content: Any, model: type[BaseModel]) -> str:
+    """Return what a field is, or the one that a key or an item belongs to."""
+    for end in range(len(location) - 1, -1, -1):
+        fields = _table(location[:end], content, model).model_fields
+        if location[end] in fields:
+            text = fields[location[end]].description or "a value"
+            return "needed is: " + " ".join(text.split())
+    return "needed is a value"
+
 
 Model = TypeVar("Model", bound=BaseModel)
 
@@ -77,8 +298,8 @@ def described(
     try:
         model_of_text = model.model_validate(content, context={"from_text": True})
     except ValidationError as found:
-        lines = messages.lines(found, content, model=model, name=name, what=what)
-        raise error("\n".join(lines)) from None
+        complaints = lines(found, content, model=model, name=name, what=what)
+        raise error("\n".join(complaints)) from None
     for path in _paths(model_of_text.model_dump(mode="python")):
         # The operating system would refuse to look for it, in its own words.
         if "\0" in str(path) or any(len(os.fsencode(p)) > 255 for p in path.parts):

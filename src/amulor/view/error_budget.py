@@ -9,7 +9,7 @@ import xarray as xr
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from amulor.cube.terms import ALIKE_TERMS, SHARED_TERMS
+from amulor.cube.schema import ALIKE_TERMS, SHARED_TERMS
 from amulor.imaging import ErrorBudget, error_budget
 from amulor.imaging.budget import age_in_words
 from amulor.view.report import Heading, Paragraph, Part, Picture, Table

@@ -12,7 +12,7 @@ from typing import Literal
 
 from amulor.acquisition.sampler import SPOILED, SampleFlag
 from amulor.cube import DOUBTFUL, ERROR_UNKNOWN, UNUSABLE, QualityFlag
-from amulor.cube.terms import TERMS
+from amulor.cube.schema import TERMS
 from amulor.errors import FormatError
 
 Kind = Literal["pixel flag", "sample flag", "warning", "error term"]

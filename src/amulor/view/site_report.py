@@ -10,10 +10,9 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Circle, Ellipse
 from numpy.typing import NDArray
 
-from amulor.site.change.distances import Change
+from amulor.site.change.distances import Change, Region
 from amulor.site.change.moved import Motion
-from amulor.site.change.regions import Region
-from amulor.site.description.site_file import Site
+from amulor.site.description import Site
 from amulor.site.merging.cloud import Merged
 from amulor.site.registration.result import Registration, relative_covariance
 from amulor.view.report import Heading, Paragraph, Part, Picture, Table, write_report

@@ -18,7 +18,7 @@ from amulor.cli import COMMANDS, main
 from amulor.cli._output import print_table, progress_bar
 from amulor.io import netcdf
 from amulor.studies.ladder import survey_text
-from amulor.survey.checks import memory
+from amulor.survey import directions as memory
 
 RECORDINGS = ["import", "recordings", "none.csv"]
 TRANSIENTS = ["import", "transients", "none.npz", "--frequency", "9MHz", "-o", "b.nc"]

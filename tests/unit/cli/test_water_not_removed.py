@@ -17,10 +17,10 @@ from amulor import imaging, io, rejection
 from amulor.cli import main
 from amulor.cube import QualityFlag
 from amulor.errors import CubeError
-from amulor.handover.statements import statements_of
+from amulor.handover.order import statements_of
 from amulor.imaging import measure
 from amulor.simulation import simulate
-from amulor.site.description.parts import Processing
+from amulor.site.description import Processing
 from amulor.site.load import as_image
 from amulor.survey import Survey
 from amulor.view import page

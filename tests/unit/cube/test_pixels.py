@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from amulor.cube import QualityFlag
-from amulor.cube.pixels import JOINT_OUTLIERS, flags_of_pixels
+from amulor.cube.error import JOINT_OUTLIERS, flags_of_pixels
 
 FREQUENCIES = 6
 

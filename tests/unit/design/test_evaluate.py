@@ -10,7 +10,7 @@ from scipy.constants import Planck, speed_of_light
 
 from amulor.design import TERMS, evaluate
 from amulor.design._kernels.assess import assess
-from amulor.design._kernels.intervals import astray
+from amulor.design._kernels.points import astray
 from amulor.errors import SurveyError
 from amulor.optics import ambiguity
 from amulor.simulation import SmallAngleModel, expectation

@@ -9,7 +9,7 @@ import pytest
 
 from amulor.cli import main
 from amulor.design import evaluate
-from amulor.design.reach import WATERS, reach
+from amulor.design.evaluate import WATERS, reach
 from amulor.survey import Survey
 
 

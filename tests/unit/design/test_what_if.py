@@ -9,8 +9,7 @@ import paper_goal
 import pytest
 
 from amulor.design import Goal, Parameters, recommend
-from amulor.design.reasons.trade import trade
-from amulor.design.reasons.what_if import what_if
+from amulor.design.reasons.trade import trade, what_if
 from amulor.design.scores import Judge, merits
 
 

@@ -14,7 +14,7 @@ from scipy.constants import speed_of_light
 from amulor import cube as cubes
 from amulor import imaging, rejection
 from amulor.cube import QualityFlag
-from amulor.cube.terms import RANGE_PREFIX, TERMS
+from amulor.cube.schema import RANGE_PREFIX, TERMS
 from amulor.errors import SurveyError
 from amulor.imaging.budget import age_in_words
 from amulor.imaging.geometry import beams_of, medium_of, receivers_of

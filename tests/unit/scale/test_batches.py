@@ -132,7 +132,7 @@ def test_a_killed_worker_changes_nothing(tmp_path: Path) -> None:
 def test_a_worker_without_the_disk_is_told(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from amulor.scale import pieces
+    from amulor.scale import tasks as pieces
 
     monkeypatch.setattr(pieces, "_do", lambda *words: None)
     with (

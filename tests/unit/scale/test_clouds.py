@@ -15,8 +15,8 @@ from amulor import imaging, io
 from amulor.cli import main
 from amulor.cube import QualityFlag, provenance
 from amulor.errors import CubeError, FormatError
-from amulor.io import e57, e57_records, laz
-from amulor.scale.clouds import CloudSummary, Selection, cloud_file
+from amulor.io import e57, laz
+from amulor.scale.parts import CloudSummary, Selection, cloud_file
 
 #: When a cube was made; the only thing that differs.
 WHEN = re.compile(rb"\d{4}-\d\d-\d\dT\d\d:\d\d:\d\dZ")
@@ -68,7 +68,7 @@ def test_a_cloud_by_rows_is_that_of_the_whole(
     # Blocks that end within rows.
     monkeypatch.setattr(laz, "_BLOCK", 20)
     monkeypatch.setattr(e57, "BLOCK", 23)
-    monkeypatch.setattr(e57_records, "BLOCK", 23)
+    monkeypatch.setattr(e57, "BLOCK", 23)
     name, one, other = (tmp_path / n for n in ("i.nc", f"1.{ending}", f"2.{ending}"))
     io.write_cube(image, name)
     frame = imaging.frame_of(image, axes="z-up")

@@ -12,9 +12,8 @@ from site_scenes import scanning, shapes
 from amulor.errors import FormatError
 from amulor.imaging import flag_mixed, flag_outliers
 from amulor.site import Site
-from amulor.site.change.distances import Change, change
+from amulor.site.change.distances import Change, change, region_of, regions
 from amulor.site.change.moved import _best_place
-from amulor.site.change.regions import region_of, regions
 from amulor.site.merging.cloud import merge
 from amulor.site.registration.pose import ScanPose
 from amulor.site.registration.register import register, surface_of

@@ -14,15 +14,14 @@ from amulor.errors import CubeError
 from amulor.imaging import correlation, flag_mixed, flag_outliers
 from amulor.imaging.common import own_variance
 from amulor.site import Site
-from amulor.site.description.parts import SphereTarget
+from amulor.site.description import SphereTarget
 from amulor.site.registration.align import Alignment, align
 from amulor.site.registration.centres import centre_of
 from amulor.site.registration.network import KnownPose, Ties
 from amulor.site.registration.pair import compared
 from amulor.site.registration.pose import ScanPose
 from amulor.site.registration.register import register
-from amulor.site.registration.shared import shared_errors
-from amulor.site.registration.surface import ScanSurface, scan_surface
+from amulor.site.registration.surface import ScanSurface, scan_surface, shared_errors
 
 PLACES = {"a": (-1.2, -1.2, 1.6), "b": (1.3, -1.0, 1.7), "c": (0.2, 1.5, 1.8)}
 ERRORS = scanning.Errors(own=1e-3, delay=2e-3, index=5e-4, reference=1e-3)

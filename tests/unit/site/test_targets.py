@@ -12,7 +12,7 @@ from scipy.special import erf
 from site_scenes import scanning
 
 from amulor.errors import CubeError
-from amulor.site.description.parts import (
+from amulor.site.description import (
     CheckerboardTarget,
     DiscTarget,
     PointTarget,
@@ -28,8 +28,7 @@ from amulor.site.registration.network import (
     Ties,
 )
 from amulor.site.registration.pose import ScanPose
-from amulor.site.registration.shared import shared_errors
-from amulor.site.registration.surface import scan_surface
+from amulor.site.registration.surface import scan_surface, shared_errors
 
 ERRORS = scanning.Errors(own=5e-4, delay=1e-3, index=2e-4, reference=5e-4)
 ROWS, COLUMNS = 60, 78

@@ -12,7 +12,7 @@ from amulor import units
 from amulor.errors import SurveyError
 from amulor.simulation import simulate
 from amulor.survey import Survey
-from amulor.survey.checks.limits import LIMITS, beyond
+from amulor.survey.limits import LIMITS, beyond
 
 SLIPS = {
     "receiver far off": ('["7 cm",', '["70 m",', "at most 20.0 m: emitter and"),

@@ -5,10 +5,9 @@ import sys
 import pytest
 
 from amulor.errors import MissingExtraError, SurveyError
-from amulor.site.description.parts import SiteFrame
+from amulor.site.description import SiteFrame
 from amulor.survey import Pose
-from amulor.survey.reference_system import projected_code
-from amulor.survey.scan import read_pose
+from amulor.survey.scan import projected_code, read_pose
 
 WRONG = {
     "EPSG:99999": "EPSG has no system 99999",

@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from amulor.errors import SurveyError
-from amulor.survey import Survey, Tabulated, TabulatedSurface, table_file
+from amulor.survey import Survey, Tabulated, TabulatedSurface
+from amulor.survey import files as table_file
 from amulor.survey.surface import brightness
 from amulor.survey.waters.phase_function import phase_function
 

@@ -13,8 +13,7 @@ import pytest
 
 from amulor.design.reasons.confirm import Confirmation, Scans
 from amulor.design.reasons.sensitivity import Sensitivity, Uncertain
-from amulor.design.reasons.trade import Trade
-from amulor.design.reasons.what_if import Turn
+from amulor.design.reasons.trade import Trade, Turn
 from amulor.design.requirements import Requirement, Shortfall
 from amulor.view.design import report
 

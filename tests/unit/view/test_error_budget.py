@@ -14,7 +14,7 @@ from matplotlib.colors import to_hex
 
 from amulor import imaging, io, rejection
 from amulor.cli import main
-from amulor.cube.terms import ALIKE_TERMS, SHARED_TERMS
+from amulor.cube.schema import ALIKE_TERMS, SHARED_TERMS
 from amulor.simulation import simulate
 from amulor.survey import Survey
 from amulor.view import Picture, Table, image_report, write_report

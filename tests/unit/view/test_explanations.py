@@ -11,7 +11,7 @@ from scipy.stats import chi2, norm
 from amulor.acquisition.sampler import SampleFlag
 from amulor.cli import main
 from amulor.cube import UNUSABLE, QualityFlag
-from amulor.cube.terms import TERMS
+from amulor.cube.schema import TERMS
 from amulor.errors import FormatError
 from amulor.rejection import quality
 from amulor.view import explanations

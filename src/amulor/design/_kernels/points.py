@@ -2,10 +2,16 @@
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+
+from amulor._compiled import numba
+
+__all__ = ["Nodes", "astray", "fill_columns", "see"]
+
 
 Floats = NDArray[np.float64]
 Index = NDArray[np.intp]
@@ -155,3 +161,167 @@ class Scratch(NamedTuple):
     """Phase error by `SYSTEMATIC`, shape (frequency, 4) [rad]."""
     size: Floats
     """Modulus of what the phase is taken of, shape (frequency,) [1/s]."""
+
+
+_LIGHT_SPEED = 299792458.0
+
+
+@numba.njit(cache=True, error_model="numpy")
+def see(p: int, points: Points, light: Light, scratch: Scratch) -> float:
+    """Fill what a point sees, and return its mean output over the largest linear one.
+
+    Signals are rates of photoelectrons; the phase is that of the delay.
+    """
+    x = points.number[p]
+    look, reach, place = points.look[p], points.reach[p], points.place[p]
+    end = light.mean.shape[1] - 1
+    echo = x[ECHO] * light.overlap[look, reach]
+    still = x[PASSED] * light.mean[look, reach]
+    whole = x[PASSED] * light.mean[look, end]
+    loudest = 0.0
+    for c in range(points.target_fraction.shape[1]):
+        of_target, of_water = points.target_fraction[p, c], points.water_fraction[p, c]
+        scratch.laser_rate[c] = x[RATE] * (of_target * echo + of_water * still)
+        scratch.open_rate[c] = x[RATE] * of_water * whole
+        scratch.sky_rate[c] = x[SKY] * (0.5 if points.has_analyser[c] else 1.0)
+        rate = scratch.laser_rate[c] + scratch.sky_rate[c] + x[DARK]
+        loudest = max(loudest, rate)
+    for k in range(points.tone.shape[1]):
+        tone = points.tone[p, k]
+        scratch.to_range[k] = 0.0
+        if tone < 0:
+            continue
+        wave = 2 * math.pi * light.frequency[tone] / _LIGHT_SPEED
+        scratch.to_range[k] = light.slope[place, reach] / wave
+        phase = wave * light.path[place, reach]
+        turn = complex(math.cos(phase), math.sin(phase))
+        phase = wave * light.offset[place]
+        before = complex(math.cos(phase), math.sin(phase)) * x[PASSED]
+        for c in range(points.target_fraction.shape[1]):
+            unit = x[RATE] * x[DEPTH]
+            scratch.target[k, c] = unit * points.target_fraction[p, c] * echo * turn
+            unit = unit * points.water_fraction[p, c]
+            water = unit * before * light.water[0, look, reach, tone]
+            column = unit * before * light.water[0, look, end, tone]
+            scratch.water[k, c], scratch.open_water[k, c] = water, column
+            for v in range(1, light.water.shape[0]):
+                other = unit * before * light.water[v, look, reach, tone]
+                scratch.change[k, c, v - 1] = (other - water) / light.step
+                other = unit * before * light.water[v, look, end, tone]
+                scratch.change[k, c, v + 1] = (other - column) / light.step
+    return float(loudest * x[SATURATION])
+
+
+@numba.njit(cache=True, error_model="numpy")
+def across(value: complex, along: complex) -> float:
+    """Return by what phase a small signal turns another one [rad]."""
+    square = along.real * along.real + along.imag * along.imag
+    if square == 0.0:
+        return np.inf
+    return (value.imag * along.real - value.real * along.imag) / square
+
+
+#: Most intervals on either side that are looked at.
+_MOST = 400
+
+
+@numba.njit(cache=True, error_model="numpy")
+def astray(
+    to_range: Floats, variance: Floats, distance: float, near: float, far: float
+) -> tuple[float, float]:
+    """Return the probability of a wrong interval and the mean square error by it.
+
+    Phases of the given variances [rad^2] and ranges per phase [m/rad], 0 for those that
+    are not there. Candidates are the ranges that differ by whole intervals of the most
+    precise frequency; each is taken with the chance Q(D / 2) that normal errors move
+    the phases past the middle, D its distance in standard errors. Their sum is an upper
+    limit, and nearly the probability where it is small.
+    """
+    best = -1
+    total = 0.0
+    for k in range(to_range.size):
+        if to_range[k] <= 0.0 or not variance[k] < np.inf:
+            continue
+        precision = 1.0 / (to_range[k] ** 2 * max(variance[k], 1e-18))
+        total += precision
+        if best < 0 or precision > 1.0 / (
+            to_range[best] ** 2 * max(variance[best], 1e-18)
+        ):
+            best = k
+    if best < 0:
+        return 1.0, (far - near) ** 2 / 12
+    step = 2 * math.pi * to_range[best]
+    chance, square = 0.0, 0.0
+    for sign in (-1.0, 1.0):
+        room = (far - distance) if sign > 0 else (distance - near)
+        count = min(math.floor(max(room, 0.0) / step * (1 + 1e-9)), _MOST)
+        for m in range(1, count + 1):
+            offset = sign * m * step
+            first, second = 0.0, 0.0
+            for k in range(to_range.size):
+                if k == best or to_range[k] <= 0.0 or not variance[k] < np.inf:
+                    continue
+                own = 2 * math.pi * to_range[k]
+                rest = offset - own * round(offset / own)
+                precision = 1.0 / (to_range[k] ** 2 * max(variance[k], 1e-18))
+                first += precision * rest
+                second += precision * rest * rest
+            misfit = max(second - first * first / total, 0.0)
+            each = 0.5 * math.erfc(0.5 * math.sqrt(misfit) / math.sqrt(2.0))
+            chance += each
+            square += each * offset * offset
+    return min(chance, 1.0), square
+
+
+Array = NDArray[np.float64]
+
+
+class Nodes(NamedTuple):
+    """Depths at which the light of a column is summed up."""
+
+    segment: NDArray[np.intp]
+    """Piece of the spline that each one lies in, shape (node,)."""
+    within: Array
+    """Place in that piece, in logarithms of the depth, shape (node,)."""
+    weight: Array
+    """Width that each one stands for, shape (node,) [m]."""
+    turn: NDArray[np.complex128]
+    """Phase factor, shape (node, frequency) [1]."""
+    stop: NDArray[np.intp]
+    """Number of nodes in front of each distance, increasing, shape (distance,)."""
+
+
+@numba.njit(cache=True, error_model="numpy")
+def fill_columns(
+    piece: Array,
+    nodes: Nodes,
+    mean: Array,
+    water: NDArray[np.complex128],
+) -> None:
+    """Fill the light of columns up to each distance, and to the end as the last one.
+
+    `piece` is that of the logarithm of the overlap, (4, segment, look); `mean` has the
+    shape (look, distance + 1), `water` (look, distance + 1, frequency).
+    """
+    count = nodes.stop.size
+    sums = np.zeros(water.shape[2], dtype=np.complex128)
+    for look in range(water.shape[0]):
+        sums[:] = 0.0
+        total = 0.0
+        reached = 0
+        for m in range(nodes.segment.size + 1):
+            while reached < count and nodes.stop[reached] <= m:
+                mean[look, reached] = total
+                water[look, reached] = sums
+                reached += 1
+            if m == nodes.segment.size:
+                break
+            i, x = nodes.segment[m], nodes.within[m]
+            value = piece[0, i, look] * x + piece[1, i, look]
+            value = (value * x + piece[2, i, look]) * x + piece[3, i, look]
+            light = nodes.weight[m] * np.exp(value)
+            total += light
+            for k in range(sums.size):
+                sums[k] += light * nodes.turn[m, k]
+        mean[look, count] = total
+        water[look, count] = sums

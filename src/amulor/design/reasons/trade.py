@@ -3,22 +3,30 @@
 from __future__ import annotations
 
 import itertools
+import math
+from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from amulor import _progress
 from amulor.design.candidates import (
     Parameters,
     box_values,
+    cost_of,
     frequency_grid,
     laser_of,
+    middle,
     scan_time,
 )
 from amulor.design.goal import Goal
-from amulor.design.scores import Judge, grid_of
+from amulor.design.methods import PREDICTED
+from amulor.design.scores import Judge, grid_of, merits
 
-__all__ = ["Trade", "trade"]
+__all__ = ["Trade", "Turn", "trade", "what_if"]
+
 
 Floats = NDArray[np.float64]
 
@@ -96,3 +104,190 @@ def trade(goal: Goal, chosen: Parameters, *, draws: int = 24) -> Trade:
         best=grid.dwell.index(chosen.dwell) * len(listed)
         + listed.index(chosen.frequencies),
     )
+
+
+#: Factors up and down that are tried [1].
+_MOST = 10.0
+_STEPS = 4
+#: Halvings of the step in which another instrument begins to win.
+_HALVINGS = 5
+
+
+@dataclass(frozen=True, kw_only=True)
+class Turn:
+    """One assumption, and where it turns the answer."""
+
+    label: str
+    """What is assumed."""
+    value: float
+    """As the goal states it, in SI units; the middle of a range."""
+    unit: str
+    """SI unit."""
+    turns_at: float | None
+    """Value nearest to it at which the runner-up wins; None within a factor of ten."""
+    factor: float | None
+    """The one over the other [1]."""
+
+
+def what_if(
+    goal: Goal, best: Parameters, other: Parameters, *, draws: int = 16
+) -> tuple[Turn, ...]:
+    """Return at which value of each assumption another instrument wins.
+
+    Parameters
+    ----------
+    goal : Goal
+        What is asked and assumed.
+    best, other : Parameters
+        The instrument that wins, and the one that does not.
+    draws : int
+        Waters and targets that both are judged in.
+
+    Returns
+    -------
+    tuple of Turn
+        One for each assumption, those that turn first by the smallest factor.
+
+    Notes
+    -----
+    Both are judged as the search judges: those that meet all requirements before those
+    that do not, then by cost where the goal states prices, then by error. One
+    assumption is changed at a time, by up to ten times up and down; ranges are scaled
+    as a whole. Of several crossings the nearest is stated, to 5 %.
+    """
+    found = []
+    assumptions = _assumptions(goal, (best, other))
+    for number, (label, value, unit, scaled) in enumerate(assumptions):
+        _progress.tell(f"what if: {label}", number / len(assumptions))
+        factor = _crossing(goal, best, other, scaled, draws)
+        found.append(
+            Turn(
+                label=label,
+                value=value,
+                unit=unit,
+                turns_at=None if factor is None else value * factor,
+                factor=factor,
+            )
+        )
+    return tuple(
+        sorted(
+            found,
+            key=lambda one: (
+                math.inf if one.factor is None else abs(math.log(one.factor))
+            ),
+        )
+    )
+
+
+def _crossing(
+    goal: Goal,
+    best: Parameters,
+    other: Parameters,
+    scaled: Callable[[float], Goal | None],
+    draws: int,
+) -> float | None:
+    """Return the factor nearest to 1 at which the other wins, if there is one."""
+
+    def wins(logarithm: float) -> bool | None:
+        changed = scaled(math.exp(logarithm))
+        return None if changed is None else _wins(changed, best, other, draws)
+
+    if wins(0.0):
+        # With fewer draws the two may be as good; then nothing has to change.
+        return 1.0
+    step = math.log(_MOST) / _STEPS
+    for number in range(1, _STEPS + 1):
+        for side in (1, -1):
+            far = side * number * step
+            if not wins(far):
+                continue
+            near = side * (number - 1) * step
+            for _ in range(_HALVINGS):
+                middle = (near + far) / 2
+                if wins(middle):
+                    far = middle
+                else:
+                    near = middle
+            return math.exp(far)
+    return None
+
+
+def _wins(goal: Goal, best: Parameters, other: Parameters, draws: int) -> bool:
+    """Return whether the other is ordered before the best."""
+    return _key(goal, other, draws) < _key(goal, best, draws)
+
+
+def _key(goal: Goal, one: Parameters, draws: int) -> tuple[bool, float, float]:
+    score = Judge(goal, one.laser, draws=draws).of(one)
+    merit = float(merits(goal, score)[0])
+    done = merit <= 0
+    priced = any(
+        laser.price or laser.price_per_watt for laser in goal.components.lasers
+    )
+    return not done, cost_of(goal, one) if priced and done else 0.0, merit
+
+
+def _assumptions(
+    goal: Goal, chosen: tuple[Parameters, ...]
+) -> list[tuple[str, float, str, Callable[[float], Goal | None]]]:
+    """Return label, value, unit, and what gives the goal with it scaled."""
+    found: list[tuple[str, float, str, Callable[[float], Goal | None]]] = []
+
+    def number(label: str, part: str, name: str, unit: str, most: float) -> None:
+        holder = getattr(goal, part)
+        value = 0.0 if holder is None else float(getattr(holder, name))
+        if value <= 0:
+            return
+
+        def scaled(factor: float) -> Goal | None:
+            if value * factor > most:
+                return None
+            changed = holder.model_copy(update={name: value * factor})
+            return goal.model_copy(update={part: changed})
+
+        found.append((label, value, unit, scaled))
+
+    def spread(label: str, part: str, name: str, unit: str, most: float) -> None:
+        holder = getattr(goal, part)
+        own: Any = getattr(holder, name)
+        if own is None or own.low <= 0:
+            return
+
+        def scaled(factor: float) -> Goal | None:
+            if own.high * factor > most:
+                return None
+            wider = own.model_copy(
+                update={"low": own.low * factor, "high": own.high * factor}
+            )
+            changed = holder.model_copy(update={name: wider})
+            return goal.model_copy(update={part: changed})
+
+        found.append((label, middle(own), unit, scaled))
+
+    far = math.inf
+    spread("attenuation of the water", "waters", "attenuation", "1/m", far)
+    spread("absorption of the water", "waters", "absorption", "1/m", far)
+    spread("scattering of the water", "waters", "scattering", "1/m", far)
+    spread("fluctuation of the water signal", "waters", "fluctuation", "1", 1.0)
+    spread("polarization kept by the water", "waters", "m22", "1", 1.0)
+    spread("reflectance of the target", "targets", "reflectance", "1", 1.0)
+    spread("polarization kept by the target", "targets", "m22", "1", 1.0)
+    spread("texture of the target", "targets", "texture", "1", 1.0)
+    number("light that passes the optics", "detector", "optical_transmission", "1", 1.0)
+    number("phase floor", "lock_in", "phase_floor", "rad", 1.0)
+    number("dark counts", "detector", "dark_rate", "1/s", far)
+    number("daylight", "daylight", "radiance", "W/(m2 sr m)", far)
+    known = "assumptions"
+    methods = {one.method for one in chosen}
+    # What neither method depends on turns nothing.
+    used = {name for one in methods for name in PREDICTED[one].assumptions}
+    for label, name in (
+        ("change of the water since the shots", "water_change"),
+        ("water behind the target", "column_uncertainty"),
+        ("depolarization ratio of the water", "ratio_uncertainty"),
+        ("departure of the water from its model", "departure"),
+    ):
+        if name in used:
+            number(label, known, name, "1", 1.0)
+    number("accuracy that is asked for", "accuracy", "total_error", "m", far)
+    return found

@@ -10,7 +10,7 @@ from pathlib import Path, PurePosixPath
 import numpy as np
 
 from amulor.errors import FormatError
-from amulor.handover.archive import layout
+from amulor.handover.archive import project as layout
 
 #: Names that every file system and archive takes.
 _PORTABLE = re.compile(r"^[A-Za-z0-9][A-Za-z0-9._-]*$")

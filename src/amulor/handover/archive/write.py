@@ -18,7 +18,7 @@ from amulor import imaging, io
 from amulor._progress import tell
 from amulor.cube import DOUBTFUL
 from amulor.errors import CubeError, FormatError, SurveyError
-from amulor.handover.archive import layout
+from amulor.handover.archive import project as layout
 from amulor.handover.archive.check import missing_of
 from amulor.handover.archive.project import Project, ScanFiles
 from amulor.imaging import products

@@ -1,16 +1,18 @@
 """Lengths, angles, areas and shapes measured in range images, with their errors."""
 
-from amulor.imaging.measure.checks import Check, Checked, compared, read_checks
 from amulor.imaging.measure.figures import (
+    Check,
+    Checked,
     Measurement,
     angle,
     area,
+    compared,
     distance,
     height,
+    read_checks,
 )
 from amulor.imaging.measure.fits import Fit, circle, cylinder, plane, sphere
-from amulor.imaging.measure.points import Points, points_of
-from amulor.imaging.measure.sharing import reference_basis
+from amulor.imaging.measure.points import Points, points_of, reference_basis
 
 __all__ = [
     "Check",

@@ -3,12 +3,10 @@
 Each carries the standard uncertainty of its numbers and the frame of its coordinates.
 """
 
-from amulor.imaging.products.contours import Contour, contours
 from amulor.imaging.products.deviation import Deviation, deviation
-from amulor.imaging.products.plane import Plane, plane_of
-from amulor.imaging.products.raster import Raster, raster
+from amulor.imaging.products.raster import Contour, Raster, contours, raster
 from amulor.imaging.products.section import Section, section
-from amulor.imaging.products.surface import Surface, surface
+from amulor.imaging.products.surface import Plane, Surface, plane_of, surface
 
 __all__ = [
     "Contour",

@@ -8,8 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from amulor.errors import CubeError
-from amulor.imaging.products.plane import Plane
-from amulor.imaging.products.surface import Surface
+from amulor.imaging.products.surface import Plane, Surface
 
 Floats = NDArray[np.float64]
 

@@ -4,16 +4,20 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.sparse import coo_matrix
+from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 from scipy.stats import norm
 
 from amulor._discoveries import largest_discovered
 from amulor._progress import tell
 from amulor.errors import CubeError
-from amulor.site.description.site_file import Site
+from amulor.io.files import atomic_output
+from amulor.site.description import Site
 from amulor.site.merging.cloud import Merged, by_unknowns, unknowns_of
 from amulor.site.registration.result import Registration
 from amulor.site.registration.surface import ScanSurface
@@ -351,3 +355,147 @@ def _patches(
     own = np.sqrt(np.abs(back[:, 0, 0]) / np.maximum(scale, 1e-30)) * scatter
     good = (count >= _FEWEST) & (scatter < _ROUGH) & (back[:, 0, 0] < 0.5 * _FEWEST)
     return _Patches(solved[:, 0], own, share, good)
+
+
+#: Fewer points than these together are no region [1].
+_FEWEST_POINTS = 4
+#: Points of one region are no farther apart than so many spacings [1].
+_TOGETHER = 3.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class Region:
+    """A place that changed."""
+
+    members: NDArray[np.intp]
+    """Numbers of its points."""
+    centre: Floats
+    """Middle, shape (3,) [m]."""
+    reach: float
+    """Largest distance of a point from the middle [m]."""
+    area: float
+    """Surface [m^2]."""
+    mean: float
+    """Mean change along the normals, by area [m]."""
+    mean_uncertainty: float
+    """Its standard uncertainty [m]."""
+    largest: float
+    """Change of the largest size [m]."""
+    volume: float
+    """What came, less what went [m^3]."""
+    volume_uncertainty: float
+    """Its standard uncertainty [m^3]."""
+
+
+def regions(change: Change) -> tuple[Region, ...]:
+    """Return the places of a comparison that changed, the largest area first.
+
+    Parameters
+    ----------
+    change : Change
+        With its significant points.
+
+    Returns
+    -------
+    tuple of Region
+        Points that stand together. A few single ones are what chance leaves.
+    """
+    at = np.flatnonzero(change.significant)
+    if len(at) < _FEWEST_POINTS:
+        return ()
+    tree = cKDTree(change.position[at])
+    links = tree.query_pairs(_TOGETHER * change.spacing, output_type="ndarray")
+    ones = np.ones(len(links))
+    graph = coo_matrix((ones, (links[:, 0], links[:, 1])), shape=(len(at), len(at)))
+    _, label = connected_components(graph, directed=False)
+    found = [
+        region_of(change, at[label == number])
+        for number in range(label.max() + 1)
+        if int((label == number).sum()) >= _FEWEST_POINTS
+    ]
+    return tuple(sorted(found, key=lambda one: -one.area))
+
+
+def region_of(change: Change, members: NDArray[np.intp]) -> Region:
+    """Return area, change and volume of some points of a comparison.
+
+    Parameters
+    ----------
+    change : Change
+        The comparison.
+    members : ndarray of int
+        Numbers of its points; those without a change are left out.
+
+    Returns
+    -------
+    Region
+        With the errors that they share, and with noise that cylinders of neighbours
+        share, as many as overlap.
+    """
+    members = members[np.isfinite(change.value[members])]
+    place, area = change.position[members], change.area[members]
+    value = change.value[members]
+    total = float(area.sum())
+    centre = (area[:, None] * place).sum(axis=0) / total
+    # Cylinders closer than their width hold the same points.
+    near = cKDTree(place).query_pairs(change.radius, output_type="ndarray")
+    own = area * change.own[members]
+    variance = float((own**2).sum())
+    if len(near):
+        apart = np.linalg.norm(place[near[:, 0]] - place[near[:, 1]], axis=1)
+        common = np.clip(1 - apart / (2 * change.radius), 0, 1)
+        variance += float(2 * (own[near[:, 0]] * own[near[:, 1]] * common).sum())
+    shared = (area[:, None] * change.shared[members]).sum(axis=0)
+    sigma = float(np.sqrt(variance + (shared**2).sum()))
+    volume = float((area * value).sum())
+    return Region(
+        members=members,
+        centre=centre,
+        reach=float(np.linalg.norm(place - centre, axis=1).max()),
+        area=total,
+        mean=volume / total,
+        mean_uncertainty=sigma / total,
+        largest=float(value[np.argmax(np.abs(value))]),
+        volume=volume,
+        volume_uncertainty=sigma,
+    )
+
+
+def write_change(change: Change, path: str | Path, *, overwrite: bool = False) -> None:
+    """Write a comparison as CSV, a row for each place where both epochs were seen.
+
+    Parameters
+    ----------
+    change : Change
+        The comparison.
+    path : str or pathlib.Path
+        File to make.
+    overwrite : bool
+        Whether an existing file is replaced.
+
+    Raises
+    ------
+    FormatError
+        If the file exists and `overwrite` is not set, or cannot be written.
+    """
+    kept = np.isfinite(change.value)
+    columns = [
+        *(change.position[kept].T),
+        *(change.normal[kept].T),
+        change.value[kept],
+        change.uncertainty[kept],
+        change.own[kept],
+        change.chance[kept],
+        change.significant[kept],
+        change.area[kept],
+    ]
+    head = (
+        "x_m,y_m,z_m,normal_x,normal_y,normal_z,change_m,standard_uncertainty_m,"
+        "own_part_m,chance,significant,area_m2"
+    )
+    rows = [
+        ",".join([*(f"{v:.6g}" for v in row[:-2]), f"{row[-2]:.0f}", f"{row[-1]:.6g}"])
+        for row in np.stack([np.asarray(c, dtype=float) for c in columns], axis=1)
+    ]
+    with atomic_output(Path(path), overwrite=overwrite) as temporary:
+        temporary.write_text("\n".join([head, *rows]) + "\n")

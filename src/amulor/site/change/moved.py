@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from amulor.site.description.site_file import Site
+from amulor.site.description import Site
 from amulor.site.merging.cloud import corrected
-from amulor.site.registration.held import held_directions, mean_lever
+from amulor.site.registration.bodies import held_directions, mean_lever
 from amulor.site.registration.pair import Pair, compared, tree_of
 from amulor.site.registration.pose import ScanPose, cross_matrix
 from amulor.site.registration.result import Registration

@@ -1,4 +1,4 @@
-"""The cloud of all scans in the frame of the site, each point with its covariance."""
+"""Which points other scans confirm, and which they see through: fish, divers, weed."""
 
 from __future__ import annotations
 
@@ -11,13 +11,84 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from amulor._progress import tell
-from amulor.site.description.site_file import Site
-from amulor.site.merging.seen import seen_by_others
+from amulor.imaging import Frame, point_cloud
+from amulor.site.description import Site
+from amulor.site.registration.pair import on_grid
 from amulor.site.registration.pose import ScanPose, cross_matrix
 from amulor.site.registration.result import Registration
 from amulor.site.registration.surface import ScanSurface
 
 Floats = NDArray[np.float64]
+Counts = NDArray[np.int16]
+
+#: A scan sees through a point if it stands so many standard errors before its surface,
+#: and confirms it if it stands within fewer [1].
+_THROUGH, _CONFIRMED = 6.0, 4.0
+#: Beams that graze a surface tell little of what stands before it [1].
+_GRAZING = 0.15
+
+
+def seen_by_others(
+    name: str,
+    surfaces: Mapping[str, ScanSurface],
+    poses: Mapping[str, ScanPose],
+    point: Floats,
+    sigma: Floats,
+) -> tuple[Counts, Counts]:
+    """Return how many other scans confirm points of a scan, and see through them.
+
+    Parameters
+    ----------
+    name : str
+        The scan that the points are of.
+    surfaces : mapping of str to ScanSurface
+        Scans of one epoch.
+    poses : mapping of str to ScanPose
+        Their poses.
+    point : ndarray, shape (n, 3)
+        Points in the site [m].
+    sigma : ndarray, shape (n,)
+        Largest standard uncertainty of each, poses included [m].
+
+    Returns
+    -------
+    confirmed, through : ndarray of int, shape (n,)
+        Numbers of scans. Only beams that meet a smooth patch count, so that nothing is
+        said at edges; one that ends before the point is hidden from it.
+    """
+    confirmed = np.zeros(len(point), dtype=np.int16)
+    through = np.zeros(len(point), dtype=np.int16)
+    for other, surface in surfaces.items():
+        if other == name or not len(point):
+            continue
+        local = poses[other].back(point)
+        middle = surface.origin[surface.usable].mean(axis=0)
+        away = local - middle
+        distance = np.linalg.norm(away, axis=1)
+        pixels = np.flatnonzero(surface.usable)
+        tree = cKDTree(surface.direction.reshape(-1, 3)[pixels])
+        near, number = tree.query(
+            away / np.maximum(distance, 1e-9)[:, None],
+            distance_upper_bound=6 * surface.spacing / np.nanmedian(surface.distance),
+        )
+        met = np.flatnonzero(np.isfinite(near))
+        if not len(met):
+            continue
+        at = on_grid(surface, local[met], pixels[number[met]])
+        normal = surface.normal.reshape(-1, 3)[at.pixel]
+        facing = -np.einsum("ij,ij->i", np.nan_to_num(normal), at.direction)
+        good = at.inside & (facing > _GRAZING)
+        error = np.hypot(
+            sigma[met] / np.maximum(facing, _GRAZING), surface.own.ravel()[at.pixel]
+        )
+        score = at.distance / error
+        confirmed[met] += good & (np.abs(score) < _CONFIRMED)
+        # Before the surface by more than the relief of a patch as well.
+        before = at.distance < -3 * surface.spacing
+        through[met] += good & (score < -_THROUGH) & before
+    return confirmed, through
+
+
 Flags = NDArray[np.bool_]
 
 
@@ -235,3 +306,54 @@ def _shares(
                 total[met] += precision[theirs[nearest[met]]]
             share[mine] = precision[mine] / total
     return share
+
+
+def scan_clouds(
+    cloud: Merged, registration: Registration, images: dict[str, xr.Dataset]
+) -> list[xr.Dataset]:
+    """Return one point cloud for each scan, with its pose and its uncertainties.
+
+    Parameters
+    ----------
+    cloud : Merged
+        For places and uncertainties.
+    registration : Registration
+        For the poses.
+    images : dict of str to xarray.Dataset
+        Range images by scan.
+
+    Returns
+    -------
+    list of xarray.Dataset
+        Level `point_cloud`, in the order of the site file.
+    """
+    frame = cloud.site.frame
+    clouds = []
+    for number, scan in enumerate(cloud.site.scan):
+        pose = registration.poses[scan.name]
+        axes = Frame(
+            name="pose",
+            rotation=pose.rotation,
+            position=pose.position,
+            crs=frame.crs,
+            crs_offset=frame.crs_offset,
+        )
+        one = point_cloud(images[scan.name], frame=axes)
+        columns = int(one.attrs["scan_shape"][1])
+        pixel = one["row"].values.astype(int) * columns + one["column"].values
+        mine = np.flatnonzero(cloud.scan == number)
+        order = np.searchsorted(cloud.pixel[mine], pixel)
+        order = np.minimum(order, len(mine) - 1)
+        there = cloud.pixel[mine[order]] == pixel
+        one = one.isel(point=np.flatnonzero(there))
+        at = mine[order[there]]
+        changed = {}
+        for axis, name in enumerate("xyz"):
+            changed[name] = one[name].copy(data=cloud.position[at, axis])
+            changed[f"{name}_uncertainty"] = one[f"{name}_uncertainty"].copy(
+                data=cloud.sigma[at, axis]
+            )
+        one = one.assign(changed)
+        one.attrs["title"] = scan.name
+        clouds.append(one)
+    return clouds

@@ -15,8 +15,7 @@ from amulor.errors import CubeError
 from amulor.site.registration import network
 from amulor.site.registration.network import KnownPose, Layout, State, Ties
 from amulor.site.registration.pair import Pair, compared, tree_of
-from amulor.site.registration.pose import ScanPose
-from amulor.site.registration.rough import aligned
+from amulor.site.registration.pose import ScanPose, aligned
 from amulor.site.registration.surface import ScanSurface
 
 Floats = NDArray[np.float64]

@@ -11,7 +11,7 @@ from scipy import ndimage
 from scipy.optimize import OptimizeResult, least_squares
 
 from amulor.errors import CubeError
-from amulor.site.description.parts import (
+from amulor.site.description import (
     CheckerboardTarget,
     DiscTarget,
     PointTarget,

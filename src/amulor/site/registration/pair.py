@@ -16,9 +16,7 @@ from numpy.typing import NDArray
 from scipy import sparse
 from scipy.spatial import cKDTree
 
-from amulor.site.registration.bodies import Points
-from amulor.site.registration.held import held_directions, mean_lever
-from amulor.site.registration.outliers import counted
+from amulor.site.registration.bodies import Points, counted, held_directions, mean_lever
 from amulor.site.registration.pose import ScanPose
 from amulor.site.registration.surface import ScanSurface
 

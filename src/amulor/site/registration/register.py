@@ -12,8 +12,7 @@ from numpy.typing import NDArray
 
 from amulor._progress import part, tell
 from amulor.errors import CubeError
-from amulor.site.description.parts import ScaleBar, SiteScan
-from amulor.site.description.site_file import Site
+from amulor.site.description import ScaleBar, Site, SiteScan
 from amulor.site.load import range_image_of
 from amulor.site.registration.align import Alignment, align
 from amulor.site.registration.centres import centre_of
@@ -35,8 +34,7 @@ from amulor.site.registration.result import (
     Weakness,
     relative_covariance,
 )
-from amulor.site.registration.shared import shared_errors
-from amulor.site.registration.surface import ScanSurface, scan_surface
+from amulor.site.registration.surface import ScanSurface, scan_surface, shared_errors
 
 Floats = NDArray[np.float64]
 

@@ -234,8 +234,7 @@ def _spread_out(
 ) -> Iterator[tuple[_Task, list[_Outcome]]]:
     """Yield tasks with their outcomes, from files that workers of a cluster write."""
     require("scale", purpose="a cluster")
-    from amulor.scale.cluster import cluster_client
-    from amulor.scale.pieces import in_order
+    from amulor.scale.tasks import cluster_client, in_order
 
     together = _together(tasks)
     work = _Ends(

@@ -6,11 +6,10 @@ import argparse
 import sys
 from pathlib import Path
 
-from amulor.studies.trust.counts import counts, written
 from amulor.studies.trust.methods import METHODS
 from amulor.studies.trust.scenes.catalogue import SCENES
 from amulor.studies.trust.study import run
-from amulor.studies.trust.table import Row, line, text
+from amulor.studies.trust.table import Row, counts, line, text, written
 
 
 def main(arguments: list[str] | None = None) -> int:

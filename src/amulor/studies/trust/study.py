@@ -6,8 +6,7 @@ from collections.abc import Callable, Iterator, Sequence
 
 from amulor.studies.trust.methods import METHODS, outcome
 from amulor.studies.trust.scenes.catalogue import BY_NAME, SCENES
-from amulor.studies.trust.score import score
-from amulor.studies.trust.table import Row
+from amulor.studies.trust.table import Row, score
 
 
 def run(

@@ -1,12 +1,254 @@
-"""The study's results as a text table."""
+"""Counts what the pixels that a user would believe are worth."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
-from dataclasses import dataclass
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, replace
 
-from amulor.studies.trust.score import Score
+import numpy as np
+from numpy.typing import NDArray
+
+from amulor.studies.trust.case import Case
+from amulor.studies.trust.methods import Outcome
+
+Floats = NDArray[np.float64]
+
+#: Half widths of the intervals that hold 68 and 95 of 100 normal errors [1].
+ONE, TWO = 1.0, 1.96
+#: Beyond it lie 5 of 10,000 normal errors [1].
+FAR = 3.5
+
+
+@dataclass(frozen=True, kw_only=True)
+class Score:
+    """Figures of one method on one case; not a number where no pixel is trusted."""
+
+    pixels: int
+    """Judged pixels that see a surface."""
+    empty: int
+    """Judged pixels that see none."""
+    trusted: float
+    """Fraction of the former that is trusted [1]."""
+    phantoms: float
+    """Fraction of the latter that is trusted [1]."""
+    inside_68: float
+    """Fraction of the trusted whose 68 % interval holds the surface [1]."""
+    inside_95: float
+    """Fraction of the trusted whose 95 % interval does [1]."""
+    echo_95: float
+    """Fraction of the trusted whose 95 % interval holds the range of the echo [1]."""
+    worst: float
+    """Largest error over its standard uncertainty [1]."""
+    far: float
+    """Fraction of the trusted beyond 3.5 standard uncertainties [1]."""
+    rms: float
+    """Root mean square error of the trusted against the surface [m]."""
+    stated: float
+    """Median standard uncertainty of the trusted [m]."""
+    note: str
+    """Method that `auto` took, or why there is no image."""
+
+
+def score(case: Case, outcome: Outcome) -> Score:
+    """Judge an outcome by the truth.
+
+    Parameters
+    ----------
+    case : Case
+        Surfaces and judged pixels.
+    outcome : Outcome
+        Target signal and range image.
+
+    Returns
+    -------
+    Score
+        The interval of a pixel is `slant_range - slant_range_bias` plus or minus
+        `slant_range_uncertainty`. Trusted is a pixel of the image without any flag;
+        flags of the target signal go into it. Of several surfaces the nearest to the
+        result counts.
+    """
+    met = np.isfinite(case.surfaces).any(axis=0) & case.judged
+    empty = ~np.isfinite(case.surfaces).any(axis=0) & case.judged
+    trusted = _trusted(outcome, met.shape)
+    good = trusted & met
+    nan = math.nan
+    found = Score(
+        pixels=int(met.sum()),
+        empty=int(empty.sum()),
+        trusted=_mean(trusted[met]),
+        phantoms=_mean(trusted[empty]),
+        inside_68=nan,
+        inside_95=nan,
+        echo_95=nan,
+        worst=nan,
+        far=nan,
+        rms=nan,
+        stated=nan,
+        note=outcome.note,
+    )
+    if outcome.image is None or not good.any():
+        return found
+    distance = outcome.image["slant_range"].values
+    if "slant_range_bias" in outcome.image:
+        distance = distance - outcome.image["slant_range_bias"].values
+    sigma = outcome.image["slant_range_uncertainty"].values[good]
+    error = _nearest(distance - case.surfaces)[good]
+    echo = _nearest(distance - case.surfaces - case.late)[good]
+    off = np.abs(error) / sigma
+    return replace(
+        found,
+        inside_68=_mean(off < ONE),
+        inside_95=_mean(off < TWO),
+        echo_95=_mean(np.abs(echo) / sigma < TWO),
+        worst=float(off.max()),
+        far=_mean(off > FAR),
+        rms=float(np.sqrt(np.mean(error**2))),
+        stated=float(np.median(sigma)),
+    )
+
+
+def _trusted(outcome: Outcome, shape: tuple[int, ...]) -> NDArray[np.bool_]:
+    if outcome.target is None or outcome.image is None:
+        return np.zeros(shape, dtype=bool)
+    good = outcome.image["quality_flag"].values == 0
+    return np.asarray(good & np.isfinite(outcome.image["slant_range"].values))
+
+
+def _nearest(error: Floats) -> Floats:
+    """Return the error of the surface that is nearest, shape (row, column)."""
+    size = np.where(np.isfinite(error), np.abs(error), np.inf)
+    chosen = size.argmin(axis=0)
+    nearest: Floats = np.take_along_axis(error, chosen[None], axis=0)[0]
+    return nearest
+
+
+def _mean(values: NDArray[np.bool_]) -> float:
+    return float(values.mean()) if values.size else math.nan
+
+
+#: Scenes about which no method can be right: surfaces that share a pixel, instruments
+#: that are off by what no data show, repetitions that nobody states.
+_APART = (
+    "mixed 2 cm", "mixed 5 cm", "delay", "baseline", "axis", "index", "far", "far two"
+)  # fmt: skip
+_GROUPS = (
+    ("joint", ("joint", "joint, no shots")),
+    (
+        "open water, combination, polarization",
+        ("open-water", "combined", "polarization"),
+    ),
+    ("`auto`", ("auto",)),
+)
+#: Least share of trusted pixels, and of those in their 95 % interval [%].
+_TRUSTED, _INSIDE = 80.0, 93.0
+#: Largest share of them beyond 3.5 standard uncertainties [%].
+_FAR = 0.3
+
+
+@dataclass(frozen=True, kw_only=True)
+class Written:
+    """A row as it stands in a table, its figures not numbers where there are none."""
+
+    scene: str
+    """Name of the scene."""
+    method: str
+    """Name of the method."""
+    trusted: float
+    """Pixels with a surface that are trusted [%]."""
+    inside: float
+    """Of these, in their 95 % interval [%]."""
+    far: float
+    """Of these, beyond 3.5 standard uncertainties [%]."""
+    phantom: float
+    """Pixels without a surface that are trusted [%]."""
+    refused: bool
+    """Whether the method refused the scan."""
+
+
+def written(text: str) -> Iterator[Written]:
+    """Yield the rows of a table.
+
+    Parameters
+    ----------
+    text : str
+        As `amulor.studies.trust.table.text` writes it; words may follow a row.
+
+    Yields
+    ------
+    Written
+        Row by row.
+
+    Raises
+    ------
+    ValueError
+        If there is no table in it.
+    """
+    lines = iter(text.splitlines())
+    if not any(line.startswith("scene ") for line in lines):
+        raise ValueError("there is no table of the study; it begins with 'scene'")
+    for line in lines:
+        cells = line[METHOD_END:].split()
+        if len(cells) < 9:
+            continue
+        trusted, _, inside, _, _, far, _, _, phantom = (
+            math.nan if cell == "-" else float(cell) for cell in cells[:9]
+        )
+        yield Written(
+            scene=line[:SCENE_END].strip(),
+            method=line[COUNT_END:METHOD_END].strip(),
+            trusted=trusted,
+            inside=inside,
+            far=far,
+            phantom=phantom,
+            refused="refused" in line,
+        )
+
+
+def counts(rows: Iterable[Written]) -> str:
+    """Return how many rows have what is asked, as a table in Markdown.
+
+    Parameters
+    ----------
+    rows : iterable of Written
+        All of a table.
+
+    Returns
+    -------
+    str
+        One column for each group of methods.
+    """
+    known = [row for row in rows if not row.refused and row.scene not in _APART]
+    columns = []
+    for name, methods in _GROUPS:
+        own = [row for row in known if row.method in methods]
+        seen = [row for row in own if not math.isnan(row.trusted)]
+        empty = [row for row in own if math.isnan(row.trusted)]
+        columns.append(
+            (
+                name,
+                len(seen),
+                sum(row.trusted >= _TRUSTED for row in seen),
+                sum(row.inside >= _INSIDE for row in seen),
+                sum(row.far <= _FAR for row in seen),
+                len(empty),
+                sum(row.phantom > 0 for row in empty),
+            )
+        )
+    titles = (
+        "asked",
+        "rows with a target that some pixel can be right about",
+        f"{_TRUSTED:g} % trusted",
+        f"95 % interval holds the surface in {_INSIDE:g} % or more",
+        f"at most {_FAR:g} % beyond 3.5 standard uncertainties",
+        "rows of empty water",
+        "of these, with a phantom",
+    )
+    lines = [
+        f"| {' | '.join(str(cell) for cell in cells)} |"
+        for cells in zip(titles, *columns, strict=True)
+    ]
+    return "\n".join([lines[0], "|" + " --- |" * (len(_GROUPS) + 1), *lines[1:], ""])
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -11,7 +11,7 @@ from pydantic import Field, model_validator
 from amulor.errors import SurveyError
 from amulor.optics.phase_functions import mixture, models, tables
 from amulor.optics.phase_functions.phase_function import PhaseFunction
-from amulor.survey import table_file
+from amulor.survey import files as table_file
 from amulor.survey.quantity import Angle, Description, Fraction
 
 _Asymmetry = Annotated[float, Field(ge=-0.9999, le=0.999999)]

@@ -12,9 +12,8 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from amulor.design.evaluate import TERMS, evaluate
+from amulor.design.evaluate import TERMS, WATERS, evaluate
 from amulor.design.geometry import aim_of, with_receiver
-from amulor.design.reach import WATERS
 from amulor.errors import SurveyError
 from amulor.survey import Survey, water_properties
 from amulor.view.design.figures import CONTOURS, REGIONS

@@ -17,8 +17,7 @@ from amulor.design.evaluate import evaluate
 from amulor.design.goal import Goal
 from amulor.design.reasons.confirm import Confirmation
 from amulor.design.reasons.sensitivity import Sensitivity
-from amulor.design.reasons.trade import Trade
-from amulor.design.reasons.what_if import Turn
+from amulor.design.reasons.trade import Trade, Turn
 from amulor.design.recommend import Choice, Recommendation
 from amulor.design.requirements import parameters_text, written
 from amulor.survey import water_properties

@@ -10,7 +10,7 @@ from typing import Any, Literal
 import numpy as np
 
 from amulor.cube import UNUSABLE, QualityFlag
-from amulor.cube.terms import ALIKE_TERMS, RANGE_PREFIX, WATER_TERMS
+from amulor.cube.schema import ALIKE_TERMS, RANGE_PREFIX, WATER_TERMS
 
 
 @dataclass(frozen=True, kw_only=True)

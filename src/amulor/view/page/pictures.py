@@ -14,7 +14,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from amulor.cube import error_unknown, without_unknown_errors
-from amulor.cube.terms import ALIKE_TERMS, WATER_TERMS
+from amulor.cube.schema import ALIKE_TERMS, WATER_TERMS
 from amulor.errors import CubeError, FormatError
 from amulor.imaging.geometry import beams_of
 from amulor.imaging.measure import reference_basis

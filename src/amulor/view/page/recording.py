@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from amulor import cube as cubes
 from amulor import imaging, rejection
 from amulor.cube import WATER_NOT_REMOVED, without_groups
-from amulor.cube.terms import RANGE_PREFIX, TERMS
+from amulor.cube.schema import RANGE_PREFIX, TERMS
 from amulor.errors import AmulorError, CubeError
 from amulor.imaging.common import own_variance
 from amulor.imaging.edges import STEP_MARGIN, steps

@@ -8,9 +8,7 @@ from pathlib import Path
 import pytest
 
 from amulor.studies.trust.__main__ import main
-from amulor.studies.trust.counts import counts, written
-from amulor.studies.trust.score import Score
-from amulor.studies.trust.table import Row, text
+from amulor.studies.trust.table import Row, Score, counts, text, written
 
 
 def _row(scene: str, method: str, **figures: float | str) -> Row:

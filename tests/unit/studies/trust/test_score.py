@@ -14,9 +14,8 @@ from amulor.studies.trust.case import Case, lateness
 from amulor.studies.trust.methods import Outcome
 from amulor.studies.trust.scenes import samples
 from amulor.studies.trust.scenes.catalogue import BY_NAME
-from amulor.studies.trust.score import score
 from amulor.studies.trust.study import run
-from amulor.studies.trust.table import Row, text
+from amulor.studies.trust.table import Row, score, text
 
 SHAPE = (2, 4)
 

@@ -1,1 +1,0 @@
-"""What is stated of a site before it is put together: scans, targets, control."""
