@@ -119,9 +119,9 @@ def open_water(
     is spread evenly over its size. Water that is stronger than its reference is told by
     phases that disagree. `WATER_RESIDUAL` is flagged where, with two frequencies or
     channels at least, a remainder has the shape of the water signal itself, and where
-    at a single frequency the column behind the target is as strong as a third of the
-    target. Channels see the same distance: where their phases disagree the sample is
-    an `OUTLIER`, which a range image leaves out where two thirds of the frequencies
+    at a single frequency the column behind the target is stronger than 0.3 (30 %) of
+    the target. Channels see the same distance: where their phases disagree the sample
+    is an `OUTLIER`, which a range image leaves out where two thirds of the frequencies
     remain. `NO_TARGET` is decided before any column is put back, see
     `amulor.rejection.reference.presence.shows_target`.
 

@@ -197,9 +197,9 @@ def _circular(target: Complex, column: Complex, usual: Floats) -> NDArray[np.boo
     """Return where one frequency leaves target and column to explain each other.
 
     The distance that cuts the column off comes from what subtraction left. Where the
-    column is stronger than `_TOO_STRONG` of the target, it is the column that sets this
-    distance, and a single frequency cannot contradict it. In a shadow the column may
-    come out short: what other pixels usually have counts as well.
+    column is stronger than 0.3 (30 %, `_TOO_STRONG`) of the target, it is the column
+    that sets this distance, and a single frequency cannot contradict it. In a shadow
+    the column may come out short: what other pixels usually have counts as well.
     """
     size = np.maximum(np.abs(column), usual[..., None, None])
     return np.asarray((size > _TOO_STRONG * np.abs(target)).any(axis=(0, 1)))
