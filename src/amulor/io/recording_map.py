@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated, Literal, Self
 
-from pydantic import Field, model_validator
+from pydantic import Field, StringConstraints, model_validator
 
 from amulor.errors import FormatError
 from amulor.survey import toml_file
@@ -21,8 +21,10 @@ class TableSettings(Description):
     format: Literal["csv", "hdf5"] = "csv"
     """"csv": a line of names and a line for each sample; "hdf5": an array for each
     column, of one or two dimensions."""
-    delimiter: Annotated[str, Field(min_length=1, max_length=1)] = ","
-    """Between columns; ";" for LabOne."""
+    delimiter: Annotated[
+        str, StringConstraints(strip_whitespace=False, min_length=1, max_length=1)
+    ] = ","
+    """Between columns: ";" for LabOne, "\\t" for a tab, " " for one or more spaces."""
     comment: Annotated[str, Field(max_length=1)] = "#"
     """What a line begins with that holds no data; "%" for LabOne. The last of them
     before the data names the columns if no other line does."""
@@ -30,6 +32,15 @@ class TableSettings(Description):
     """Lines before the one with the names [1]."""
     decimal: Literal[".", ","] = "."
     """What stands before the fraction of a number."""
+
+    @model_validator(mode="after")
+    def _columns_can_be_told_apart(self) -> Self:
+        if self.delimiter in ('"', "\r", "\n"):
+            raise ValueError(
+                f"delimiter {self.delimiter!r} ends a text or a line; state what "
+                'separates columns, such as ",", ";", "\\t" or " "'
+            )
+        return self
 
 
 class ColumnSettings(Description):

@@ -151,7 +151,8 @@ def _csv(path: Path, described: RecordingMap, count: int | None) -> Iterator[Tab
     wanted = [name for _, name in described.columns if name is not None]
     texts = {described.columns.polarization, described.columns.what}
     with path.open(encoding="utf-8-sig", newline="") as file:
-        lines = itertools.islice(enumerate(file, start=1), own.skip, None)
+        plain = map(_with_single_spaces, file) if own.delimiter == " " else file
+        lines = itertools.islice(enumerate(plain, start=1), own.skip, None)
         names, first = _names(path, lines, own)
         _refuse_missing(path, wanted, names)
         places = {names.index(name): name for name in wanted}
@@ -163,6 +164,11 @@ def _csv(path: Path, described: RecordingMap, count: int | None) -> Iterator[Tab
             yield Table(path, columns, [number for number, _ in rows])
     if not begun:
         raise FormatError(f"{path}: holds no sample below the names of its columns")
+
+
+def _with_single_spaces(line: str) -> str:
+    """Return a line with one space between columns and none at its ends."""
+    return " ".join(filter(None, line.rstrip().split(" "))) + "\n"
 
 
 def _names(
@@ -179,6 +185,8 @@ def _names(
         cells = _cells(path, number, line, own)
         if own.comment and line.startswith(own.comment):
             names = [cells[0].lstrip(own.comment).strip(), *cells[1:]]
+            if own.delimiter == " " and not names[0]:
+                del names[0]  # the space behind the comment sign
         elif _is_number(cells[0], own.decimal):
             return names, [(number, line)]
         else:
@@ -208,8 +216,9 @@ def _cells(path: Path, number: int, line: str, own: TableSettings) -> list[str]:
     rows = csv.reader(
         [line.strip("\r\n")],
         delimiter=own.delimiter,
-        skipinitialspace=True,
-        strict=True,
+        skipinitialspace=own.delimiter != " ",
+        # Quotation marks in a comment may be those of prose.
+        strict=not (own.comment and line.startswith(own.comment)),
     )
     try:
         (cells,) = rows

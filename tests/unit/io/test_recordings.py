@@ -72,6 +72,18 @@ def written(cube: xr.Dataset, *, water: bool = True) -> list[list[str]]:
     return lines
 
 
+BETWEEN = """
+[table]
+delimiter = "{}"
+[columns]
+in_phase = "x"
+quadrature = "y"
+polarization = "pol"
+[constants]
+frequency = "30 MHz"
+"""
+
+
 def saved(path: Path, lines: list[list[str]], delimiter: str = ",") -> Path:
     path.write_text("\n".join(delimiter.join(line) for line in lines) + "\n")
     return path
@@ -322,6 +334,44 @@ def test_cells_are_read_as_they_are_written(tmp_path) -> None:
     assert np.isnan(table.numbers("y", decimal=",")).all()
     assert table.texts("pol").tolist() == ["01 # 2", "VV"]
     assert table.place(1) == f"{path}, line 4"
+
+
+@pytest.mark.parametrize(
+    ("stated", "content"),
+    [
+        (r"\t", "x\ty\tnote\tpol\n1\t-2e-3\t\tVV\n3\t4\ttwo words\tVH\n"),
+        (" ", "x y note pol\n1 -2e-3 - VV\n3 4 - VH\n"),
+        (
+            " ",
+            '# of "J. Doe", tank 3\r\n# x  y note   pol \r\n'
+            "   1   -2e-3 -  VV  \r\n\r\n  3 4  -  VH\r\n",
+        ),
+        (" ", '#x y note pol\n1 -2e-3 "two words"  VV\n3  4 "" VH\n'),
+    ],
+)
+def test_columns_between_tabs_or_spaces(tmp_path, stated: str, content: str) -> None:
+    path = tmp_path / "scan.txt"
+    path.write_bytes(content.encode())
+    table = read_table(path, mapped(tmp_path, BETWEEN.format(stated)))
+    assert table.numbers("x", decimal=".").tolist() == [1, 3]
+    assert table.numbers("y", decimal=".").tolist() == [-2e-3, 4]
+    assert table.texts("pol").tolist() == ["VV", "VH"]
+
+
+@pytest.mark.parametrize(("stated", "between"), [(r"\t", "\t"), (" ", "   ")])
+def test_a_line_between_tabs_or_spaces_that_is_too_short_is_refused(
+    tmp_path, stated: str, between: str
+) -> None:
+    lines = [["x", "y", "pol"], ["1", "2", "VV"], ["3", "VV"]]
+    path = saved(tmp_path / "scan.txt", lines, between)
+    with pytest.raises(FormatError, match="line 3: has 2 columns, needed are 3"):
+        read_table(path, mapped(tmp_path, BETWEEN.format(stated)))
+
+
+@pytest.mark.parametrize("stated", [r"\n", r"\r", r"\""])
+def test_a_delimiter_that_ends_a_line_or_a_text_is_refused(tmp_path, stated) -> None:
+    with pytest.raises(FormatError, match="ends a text or a line; state what"):
+        mapped(tmp_path, BETWEEN.format(stated))
 
 
 def test_shots_of_a_channel_that_were_left_out_are_named(
