@@ -26,15 +26,6 @@ _TOGETHER = 64
 class BoxSeries:
     """Interpolation of several complex functions by products of Chebyshev polynomials.
 
-    Parameters
-    ----------
-    low, high : ndarray, shape (d,)
-        Ends of the box, up to three axes.
-    nodes : sequence of int
-        Nodes along each axis; an axis without extent takes one.
-
-    Notes
-    -----
     A value does not depend on the places that are asked for with it. A smooth function
     has few coefficients that count: of a product of 17, 17 and 65 polynomials mostly
     less than a tenth.
@@ -63,13 +54,7 @@ class BoxSeries:
         return inside
 
     def fill(self, values: Complex) -> None:
-        """Find the coefficients.
-
-        Parameters
-        ----------
-        values : ndarray of complex, shape (m, size)
-            The functions at the nodes.
-        """
+        """Find the coefficients."""
         table = values.reshape(-1, *self._count)
         for axis, node in enumerate(self._axes, start=1):
             inverse = np.linalg.inv(chebyshev.chebvander(node, len(node) - 1))
@@ -88,18 +73,7 @@ class BoxSeries:
         self._terms = np.ascontiguousarray(np.hstack([chosen.real, chosen.imag]))
 
     def at(self, places: Floats) -> Complex:
-        """Return the functions at places.
-
-        Parameters
-        ----------
-        places : ndarray, shape (d, n)
-            Inside the box.
-
-        Returns
-        -------
-        ndarray of complex, shape (m, n)
-            Sums of the series.
-        """
+        """Return the functions at places."""
         scaled = np.zeros((3, places.shape[1]))
         scaled[: len(places)] = (places - self._centre[:, None]) / self._half[:, None]
         found = np.empty((self._terms.shape[1] // 2, places.shape[1]), dtype=complex)

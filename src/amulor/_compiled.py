@@ -60,11 +60,6 @@ def keep_fresh(package: Path) -> None:
     To be called before the functions are decorated with `numba.njit(cache=True)`.
     Functions of other packages are stored as numba does it. What is stored of former
     sources is removed when the function is compiled anew.
-
-    Parameters
-    ----------
-    package : pathlib.Path
-        Folder of the package.
     """
     # Before version 0.61 of numba the class had a private name; a numba that has
     # neither stores as it does.

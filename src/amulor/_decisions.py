@@ -20,13 +20,7 @@ _Choices = TypeVar("_Choices")
 
 
 class Decisions:
-    """What was decided on a sample, in the order in which it was asked for.
-
-    Parameters
-    ----------
-    **known
-        What was found from all of the scan before, by the name of the decision.
-    """
+    """What was decided on a sample, in the order in which it was asked for."""
 
     def __init__(self, **known: Any) -> None:
         self._found: dict[str, list[Any]] = {}
@@ -60,21 +54,7 @@ _asking: ContextVar[_Asking | None] = ContextVar("_asking", default=None)
 
 
 def decided(name: str, decide: Callable[[], _Value]) -> _Value:
-    """Return what is decided once for a scan.
-
-    Parameters
-    ----------
-    name : str
-        Of the decision. A step that asks several times for a name does so in the same
-        order in every tile, whatever it holds.
-    decide : callable
-        Decides, from all pixels; what it asks for itself it decides at once.
-
-    Returns
-    -------
-    object
-        Never changed by who gets it.
-    """
+    """Return what is decided once for a scan."""
     asking = _asking.get()
     if asking is None:
         return decide()
@@ -114,26 +94,14 @@ def fitted_once(
 
 @contextmanager
 def deciding(decisions: Decisions) -> Iterator[None]:
-    """Keep what a step decides inside.
-
-    Parameters
-    ----------
-    decisions : Decisions
-        Filled in.
-    """
+    """Keep what a step decides inside."""
     with _as(_Asking(decisions, is_sample=True)):
         yield
 
 
 @contextmanager
 def told(decisions: Decisions) -> Iterator[None]:
-    """Tell a step inside what was decided.
-
-    Parameters
-    ----------
-    decisions : Decisions
-        From `deciding`, of the same step.
-    """
+    """Tell a step inside what was decided."""
     with _as(_Asking(decisions, is_sample=False)):
         yield
 

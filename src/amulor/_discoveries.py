@@ -16,22 +16,7 @@ __all__ = ["largest_discovered"]
 def largest_discovered(
     chance: NDArray[np.float64], *, share: float, tests: int | None = None
 ) -> float:
-    """Return the largest p-value that is a discovery.
-
-    Parameters
-    ----------
-    chance : ndarray
-        p-values; those that are not a number are no tests.
-    share : float
-        Of the discoveries, at most so many are by chance on average [1].
-    tests : int, optional
-        How many there are, where the largest p-values are not handed over [1].
-
-    Returns
-    -------
-    float
-        Below 0 if there are no discoveries [1].
-    """
+    """Return the largest p-value that is a discovery."""
     order = np.sort(chance[np.isfinite(chance)], axis=None)
     tests = len(order) if tests is None else tests
     below = np.flatnonzero(order * tests <= share * np.arange(1, len(order) + 1))

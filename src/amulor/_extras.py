@@ -31,20 +31,7 @@ MODULES = {
 
 
 def require(*extras: str, purpose: str) -> None:
-    """Refuse work that would fail on its way for want of a package.
-
-    Parameters
-    ----------
-    *extras : str
-        Keys of `MODULES`.
-    purpose : str
-        What needs them, to begin a sentence with.
-
-    Raises
-    ------
-    MissingExtraError
-        If a package is not installed; names all of them and one line that installs all.
-    """
+    """Refuse work that would fail on its way for want of a package."""
     missing = {
         extra: [
             package
@@ -63,18 +50,7 @@ def require(*extras: str, purpose: str) -> None:
 
 
 def left_out(modules: Mapping[str, str]) -> dict[str, str]:
-    """Return what cannot be done here, and the extra that each of it needs.
-
-    Parameters
-    ----------
-    modules : mapping of str to str
-        Module that each thing is done with, one of `MODULES`.
-
-    Returns
-    -------
-    dict of str to str
-        Name of the extra by the name of the thing.
-    """
+    """Return what cannot be done here, and the extra that each of it needs."""
     return {
         thing: next(
             extra for extra, brought in MODULES.items() if name in brought.values()

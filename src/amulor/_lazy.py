@@ -26,27 +26,6 @@ def attach(
             __getattr__, __dir__ = _lazy.attach(
                 __name__, __all__, origin={"cut_off": "amulor.optics.low_pass"}
             )
-
-    Parameters
-    ----------
-    package : str
-        The package's `__name__`.
-    public : sequence of str
-        The package's `__all__`; a name that `origin` lacks is a module in the package,
-        or already there.
-    origin : mapping of str to str, optional
-        Module that each function, class or constant comes from.
-
-    Returns
-    -------
-    getter, lister : callable
-        For the package's `__getattr__` and `__dir__`.
-
-    Raises
-    ------
-    ValueError
-        If `origin` has a name that is not public, or one that is also the name of the
-        module it comes from: importing the module would hide it.
     """
     origin = dict(origin or {})
     for name, module in origin.items():

@@ -36,13 +36,7 @@ _ears: list[_Ear] = []
 
 @contextmanager
 def listening(listener: Listener) -> Iterator[None]:
-    """Tell a listener what is done inside, and nobody else.
-
-    Parameters
-    ----------
-    listener : callable
-        Takes what is done now and the share of the work done before it.
-    """
+    """Tell a listener what is done inside, and nobody else."""
     reached = 0.0
 
     def rising(step: str, share: float) -> None:
@@ -63,13 +57,7 @@ def listening(listener: Listener) -> Iterator[None]:
 
 @contextmanager
 def part(begin: float, end: float) -> Iterator[None]:
-    """Let what is told inside be a part of the work around it.
-
-    Parameters
-    ----------
-    begin, end : float
-        Shares of that work done before and after, from 0 to 1.
-    """
+    """Let what is told inside be a part of the work around it."""
     ear = _ear.get()
     if ear is None:
         yield
@@ -84,15 +72,7 @@ def part(begin: float, end: float) -> Iterator[None]:
 
 
 def tell(step: str, share: float) -> None:
-    """Say what is done now.
-
-    Parameters
-    ----------
-    step : str
-        A few words, such as "light of the water".
-    share : float
-        Share of the present part done before it, from 0 to 1.
-    """
+    """Say what is done now."""
     ear = _ear.get()
     if ear is not None:
         ear.steps[:] = [step]
@@ -100,13 +80,7 @@ def tell(step: str, share: float) -> None:
 
 
 def aside(step: str) -> None:
-    """Say what holds the present step up, or that it goes on, from any thread.
-
-    Parameters
-    ----------
-    step : str
-        A few words; empty once the step goes on.
-    """
+    """Say what holds the present step up, or that it goes on, from any thread."""
     ear = _ear.get() or (_ears[-1] if _ears else None)
     if ear is not None:
         ear.listener(step or "".join(ear.steps), 0.0)

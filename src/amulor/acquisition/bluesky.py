@@ -43,30 +43,6 @@ def scan(
 ) -> Generator[Any, Any, int]:
     """Run a scan as a plan of bluesky, into the journal of a folder and as documents.
 
-    Parameters
-    ----------
-    survey, folder, settings, resume, retake_flagged, devices, scene, ask
-        As for `amulor.acquisition.acquire`.
-    md : mapping, optional
-        What else the start document is to say.
-
-    Yields
-    ------
-    bluesky.Msg
-        For a RunEngine.
-
-    Returns
-    -------
-    int
-        How many events there were: samples of this run [1].
-
-    Raises
-    ------
-    MissingExtraError
-        If bluesky is not installed.
-    AmulorError
-        As for `amulor.acquisition.acquire`, as the reason of a `FailedStatus`.
-
     Notes
     -----
     A sample is in the journal before its event is emitted. A pause of the RunEngine
@@ -121,15 +97,6 @@ class ScanDevice:
     It is staged (devices are connected), set and read sample by sample, stopped (light
     off, all safe; the next set goes on) and unstaged (the scan ends where it is).
 
-    Parameters
-    ----------
-    survey, folder, settings, resume, retake_flagged, devices, scene, ask
-        As for `amulor.acquisition.acquire`.
-    patience : float
-        How long light stays on while no sample is asked for [s].
-
-    Notes
-    -----
     The scan is `acquire`, in a thread of its own that waits between two dwells. What is
     read is what the journal holds. To be set to a number twice, as a RunEngine does
     after a pause, takes nothing twice.

@@ -48,15 +48,7 @@ class _HasOutputs(Protocol):
 
 
 class LockInGate:
-    """The laser behind an auxiliary output.
-
-    Parameters
-    ----------
-    lock_in : object
-        A lock-in whose driver has `set_output`, which returns the voltage read back.
-    settings : LaserSettings
-        Which output, and the voltage that lets light out.
-    """
+    """The laser behind an auxiliary output."""
 
     def __init__(self, lock_in: _HasOutputs, settings: LaserSettings) -> None:
         self._lock_in = lock_in
@@ -106,13 +98,7 @@ class LockInGate:
 
 
 class OperatorTargetStage:
-    """Asks for what a motor would do.
-
-    Parameters
-    ----------
-    ask : callable or None
-        Shows a text and returns when it has been done; None if nobody is there.
-    """
+    """Asks for what a motor would do."""
 
     def __init__(self, ask: Callable[[str], None] | None) -> None:
         self._ask = ask
@@ -154,36 +140,7 @@ def connect(
     part: int = 0,
     ask: Callable[[str], None] | None = None,
 ) -> Devices:
-    """Connect the devices that a file names.
-
-    Parameters
-    ----------
-    survey : Survey
-        What embedded simulated devices stand in front of.
-    settings : Settings
-        Which devices, and where.
-    scene : callable, optional
-        Works out what embedded simulated devices see, such as
-        `amulor.simulation.scene_light`; they need it, others do not.
-    part : int
-        How many parts of the scan there were before; simulated noise is another one
-        in each [1].
-    ask : callable, optional
-        Asks an operator to do something and returns when it is done.
-
-    Returns
-    -------
-    Devices
-        All of them, with the laser off.
-
-    Raises
-    ------
-    InstrumentError
-        If one does not answer, or is another one than stated; if simulated devices
-        have no scene.
-    MissingExtraError
-        If the package that talks to one is not installed.
-    """
+    """Connect the devices that a file names."""
     if settings.simulated:
         devices = _simulated(survey, settings, scene, part)
     else:
@@ -199,26 +156,7 @@ def connect(
 def simulated_bench(
     survey: Survey, settings: Settings, *, scene: Scene, clock: Clock, part: int = 0
 ) -> Bench:
-    """Return the simulated instrument of a survey.
-
-    Parameters
-    ----------
-    survey : Survey
-        What it stands in front of.
-    settings : Settings
-        Imperfections, and the angles of the mounts.
-    scene : callable
-        Works out the light of a survey, such as `amulor.simulation.scene_light`.
-    clock : Clock
-        What it goes by.
-    part : int
-        Added to the seed [1].
-
-    Returns
-    -------
-    Bench
-        With the laser off.
-    """
+    """Return the simulated instrument of a survey."""
     simulation = settings.simulation
     return Bench(
         survey,

@@ -38,26 +38,6 @@ def demodulate(
 ) -> Tones:
     r"""Fit all frequencies of a comb to a record at once.
 
-    Parameters
-    ----------
-    record : array_like, shape (n,)
-        Equally spaced samples [V].
-    sample_rate : float
-        By the clock that the frequencies count by [1/s].
-    frequencies : sequence of float
-        Of the comb, different from one another, also beyond half the sample rate [Hz].
-
-    Returns
-    -------
-    Tones
-        With the phase at the first sample.
-
-    Raises
-    ------
-    ValueError
-        If the record is too short to tell the frequencies apart, or they alias onto
-        one another.
-
     Notes
     -----
     Least squares for
@@ -113,22 +93,6 @@ def clock_offset(
 ) -> float:
     r"""Return by how much the frequencies in a record are higher than stated.
 
-    Parameters
-    ----------
-    reference : array_like, shape (n,)
-        Record of what modulates the laser, strong against its noise.
-    sample_rate : float
-        As the digitiser counts it [1/s].
-    frequencies : sequence of float
-        As the generator counts them [Hz].
-
-    Returns
-    -------
-    float
-        Relative difference of the two clocks, up to 1e-4 either way [1].
-
-    Notes
-    -----
     From one half of a stretch to the other the phase falls by
     :math:`\omega \epsilon T / 2`. The first stretch is so short that this is below half
     a turn for the largest offset; each further one is four times as long, with what was

@@ -71,13 +71,7 @@ class Devices:
         return {name: device.identity() for name, device in self.all()}
 
     def make_safe(self) -> list[str]:
-        """Make every device safe, whatever the others do.
-
-        Returns
-        -------
-        list of str
-            What went wrong, device by device; empty if all are safe.
-        """
+        """Make every device safe, whatever the others do."""
         wrong = []
         for name, device in self.all():
             try:
@@ -97,22 +91,7 @@ class Devices:
 
 
 def digest(settings: Settings, identities: dict[str, str]) -> str:
-    """Return what changes when the instrument or the procedure is another one.
-
-    Parameters
-    ----------
-    settings : Settings
-        Devices and procedure.
-    identities : dict
-        What the devices say they are.
-
-    Returns
-    -------
-    str
-        SHA-256. Where a device is linked to and how long its answers may take do not
-        count, nor does the speed of a rehearsal, nor how much is put up with before a
-        scan stops.
-    """
+    """Return what changes when the instrument or the procedure is another one."""
     # What says nothing does not count: a later amulor knows more settings.
     content = settings.model_dump(
         mode="json", exclude={"simulation": True}, exclude_none=True
@@ -125,16 +104,5 @@ def digest(settings: Settings, identities: dict[str, str]) -> str:
 
 
 def is_simulated(identities: dict[str, str]) -> bool:
-    """Return whether any device says that it is simulated.
-
-    Parameters
-    ----------
-    identities : dict
-        What the devices say they are.
-
-    Returns
-    -------
-    bool
-        True for one simulated device among others, too.
-    """
+    """Return whether any device says that it is simulated."""
     return any(SIMULATOR in identity for identity in identities.values())

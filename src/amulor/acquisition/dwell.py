@@ -47,19 +47,6 @@ _MOST, _WEIGHT = 4.0, 0.1
 class Settling:
     r"""Waits until successive readings agree within their noise.
 
-    Parameters
-    ----------
-    survey : Survey
-        Detector, time constant and modulation depth.
-    procedure : Procedure
-        Longest waits, and that after more than a move.
-    ask : callable
-        Returns a reading of each frequency.
-    clock : Clock
-        What waits go by.
-
-    Notes
-    -----
     A one-pole filter that held :math:`y_0` on arrival and shows y after a time t still
     holds :math:`(y - y_0) / (e^{t / T} - 1)` of its last direction: the step response
     is known, and so is how much longer it takes until this is a quarter of the noise of
@@ -91,19 +78,7 @@ class Settling:
         self._excess = 1.0
 
     def wait(self, *, changed: bool) -> bool:
-        """Wait after a move; return whether readings came to agree.
-
-        Parameters
-        ----------
-        changed : bool
-            Whether more than the direction has changed: then what the output held says
-            nothing, and it is waited for as long as without judging.
-
-        Returns
-        -------
-        bool
-            False if they still differ after four times `procedure.settling`.
-        """
+        """Wait after a move; return whether readings came to agree."""
         start = self._clock.now()
         end = start + _MOST * self._settling * self._constant
         if changed:
@@ -141,22 +116,7 @@ class Settling:
     def unsettled_parts(
         self, entered: NDArray[np.complex128], mean: float, spacing: float
     ) -> int | None:
-        """Return how many of the first inputs of a known filter are not yet settled.
-
-        Parameters
-        ----------
-        entered : ndarray of complex, shape (n,)
-            Mean input over intervals, of white noise [V].
-        mean : float
-            Mean output of the detector, not a number where it is not wired [V].
-        spacing : float
-            Length of an interval [s].
-
-        Returns
-        -------
-        int or None
-            0 if all agree; None if those of the second half differ as well.
-        """
+        """Return how many of the first inputs of a known filter are not yet settled."""
         many = max(round(self._constant / spacing), 1)
         blocks = [entered[at : at + many] for at in range(0, entered.size, many)]
         if len(blocks) > 1 and blocks[-1].size < many:
@@ -262,19 +222,7 @@ def refuse_lacking(device: Device, setting: str, *words: str) -> None:
 
 
 class DwellReader:
-    """Reads dwells, after what must settle has settled.
-
-    Parameters
-    ----------
-    survey : Survey
-        Its dwell and its time constant count.
-    procedure : Procedure
-        How the lock-in is read.
-    lock_in : LockIn
-        What is read.
-    clock : Clock
-        What waits go by.
-    """
+    """Reads dwells, after what must settle has settled."""
 
     def __init__(
         self, survey: Survey, procedure: Procedure, lock_in: LockIn, clock: Clock
@@ -304,20 +252,7 @@ class DwellReader:
             refuse_lacking(lock_in, 'procedure.readings = "buffer"', "record")
 
     def take(self, *, several: bool, changed: bool) -> Dwell:
-        """Return what a dwell brings.
-
-        Parameters
-        ----------
-        several : bool
-            Whether there are several frequencies.
-        changed : bool
-            Whether more than the direction has changed.
-
-        Returns
-        -------
-        Dwell
-            One signal for each frequency.
-        """
+        """Return what a dwell brings."""
         if self._records:
             return self._recorded()
         self._several, settled = several, True

@@ -50,23 +50,6 @@ class Hazard:
 def permissible_irradiance(wavelength: float, *, exposure: float) -> float:
     r"""Return the maximum permissible exposure of an eye to a visible point source.
 
-    Parameters
-    ----------
-    wavelength : float
-        In air, from 400 nm to 700 nm [m].
-    exposure : float
-        How long the eye is in the beam, from 18 us to 30000 s [s].
-
-    Returns
-    -------
-    float
-        Mean irradiance over a pupil of 7 mm [W/m2].
-
-    Raises
-    ------
-    ValueError
-        Beyond these ranges.
-
     Notes
     -----
     IEC 60825-1:2014, table A.1, for an angular subtense of at most 1.5 mrad: by heat
@@ -100,25 +83,7 @@ def permissible_irradiance(wavelength: float, *, exposure: float) -> float:
 
 
 def pupil_irradiance(power: float, *, diameter: float) -> float:
-    r"""Return the irradiance of a Gaussian beam, as a mean over a pupil in its middle.
-
-    Parameters
-    ----------
-    power : float
-        Of the beam, not negative [W].
-    diameter : float
-        Of the beam, at 1/e of its largest irradiance, above zero [m].
-
-    Returns
-    -------
-    float
-        :math:`P (1 - e^{-(7\,\mathrm{mm} / d)^2})` over the area of the pupil [W/m2].
-
-    Raises
-    ------
-    ValueError
-        If one of them is out of its range.
-    """
+    r"""Irradiance of a Gaussian beam, as a mean over a pupil in its middle."""
     if not (power >= 0 and diameter > 0):
         raise ValueError(
             f"power must not be negative and diameter above 0, got {power:g} W and "
@@ -138,33 +103,6 @@ def hazard(
 ) -> Hazard:
     """Return how near to the instrument an eye in its beam is in danger.
 
-    Parameters
-    ----------
-    survey : Survey
-        Wavelength, power, modulation frequencies and water.
-    beam_diameter : float
-        Where the beam leaves the instrument, at 1/e of its largest irradiance [m]; that
-        at 1/e2 is larger by the square root of 2.
-    divergence : float
-        Full angle in air, likewise at 1/e [rad].
-    laser_class : str
-        What the maker of the laser states; it is not worked out.
-    exposure : float
-        How long an eye may be in the beam: 0.25 s where people look away [s].
-
-    Returns
-    -------
-    Hazard
-        For a beam that stands still, and an eye without telescope.
-
-    Raises
-    ------
-    ValueError
-        If the wavelength is not visible, the modulation so slow that each period would
-        count by itself, or an argument is out of its range.
-
-    Notes
-    -----
     The beam grows by its divergence, in water by that over the refractive index; water
     absorbs. What it scatters forward may still reach the eye, so scattering counts as
     no protection. A modulation period below 5 us is one pulse with its neighbours, so

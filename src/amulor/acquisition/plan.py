@@ -99,23 +99,7 @@ class Comb(NamedTuple):
 
 
 def steps(survey: Survey, procedure: Procedure) -> Iterator[Step]:
-    """Yield every planned sample.
-
-    Parameters
-    ----------
-    survey : Survey
-        Scan, frequencies and channels.
-    procedure : Procedure
-        How references are spread.
-
-    Yields
-    ------
-    Step
-        Reference blocks (dark, then open water, channel by channel) stand before the
-        scan, after it, and at row boundaries in between. The scan is taken channel by
-        channel, since a mount turns more slowly than the beam; frequencies that are
-        measured at once count as one channel.
-    """
+    """Yield every planned sample."""
     count = procedure.references
     rows = [
         (comb, row) for comb in combs(survey, procedure) for row in range(_rows(survey))
@@ -134,21 +118,7 @@ def steps(survey: Survey, procedure: Procedure) -> Iterator[Step]:
 
 
 def strips(steps: Iterable[Step], *, longest: int) -> Iterator[list[Step]]:
-    """Yield steps together that one motion along a row can take.
-
-    Parameters
-    ----------
-    steps : iterable of Step
-        In the order in which they are taken.
-    longest : int
-        Most steps in one motion [1].
-
-    Yields
-    ------
-    list of Step
-        Of the scan: neighbours in one row and channel, in one direction. All others
-        are alone.
-    """
+    """Yield steps together that one motion along a row can take."""
     strip: list[Step] = []
     for step in steps:
         if strip and not (len(strip) < longest and _goes_on(strip, step)):
@@ -181,23 +151,7 @@ def together(steps: Sequence[Step]) -> Step:
 def extra_reference(
     survey: Survey, procedure: Procedure, *, number: int
 ) -> Iterator[Step]:
-    """Yield the reference that is taken once more after a break.
-
-    Parameters
-    ----------
-    survey : Survey
-        Scan, frequencies and channels.
-    procedure : Procedure
-        How many dark readings make a block.
-    number : int
-        How many breaks there were before, counted from 0 [1].
-
-    Yields
-    ------
-    Step
-        One dark block and one open-water shot in each direction and channel, with
-        repeat numbers that follow the planned ones.
-    """
+    """Yield the reference that is taken once more after a break."""
     plan = survey.scan.open_water
     dark = procedure.references * procedure.dark_readings
     first = 0 if plan is None else plan.repeats
@@ -217,23 +171,7 @@ def extra_reference(
 def retakes(
     survey: Survey, procedure: Procedure, *, spoiled: Collection[Key]
 ) -> Iterator[Step]:
-    """Yield once more the samples of the scan that were spoiled.
-
-    Parameters
-    ----------
-    survey : Survey
-        Scan, frequencies and channels.
-    procedure : Procedure
-        How references are spread.
-    spoiled : collection of Key
-        The newest take of each.
-
-    Yields
-    ------
-    Step
-        In the order of the scan, with the repeat number after that of the take that
-        was spoiled: the key is a new one.
-    """
+    """Yield once more the samples of the scan that were spoiled."""
     repeats = {key._replace(repeat=0): key.repeat for key in spoiled}
     for step in steps(survey, procedure):
         again = [
@@ -246,22 +184,7 @@ def retakes(
 def reference_block(
     survey: Survey, procedure: Procedure, *, block: int
 ) -> Iterator[Step]:
-    """Yield the dark readings and open-water shots of one block.
-
-    Parameters
-    ----------
-    survey : Survey
-        Scan, frequencies and channels.
-    procedure : Procedure
-        How references are spread.
-    block : int
-        Number of the block, counted from 0 [1].
-
-    Yields
-    ------
-    Step
-        All dark readings before the first shot, so that the target moves once.
-    """
+    """Yield the dark readings and open-water shots of one block."""
     for comb in combs(survey, procedure):
         first = block * procedure.dark_readings
         repeats = range(first, first + procedure.dark_readings)
@@ -273,18 +196,7 @@ def reference_block(
 
 
 def channels(survey: Survey) -> list[tuple[float, str]]:
-    """Return modulation frequency [Hz] and polarization of every channel.
-
-    Parameters
-    ----------
-    survey : Survey
-        Its instrument counts.
-
-    Returns
-    -------
-    list of tuple
-        In the order of the scan: the polarization changes last.
-    """
+    """Return modulation frequency [Hz] and polarization of every channel."""
     return [
         (frequency, pair)
         for pair in survey.instrument.polarizations
@@ -293,26 +205,7 @@ def channels(survey: Survey) -> list[tuple[float, str]]:
 
 
 def combs(survey: Survey, procedure: Procedure) -> list[Comb]:
-    """Return what is measured dwell by dwell: frequencies at once, one polarization.
-
-    Parameters
-    ----------
-    survey : Survey
-        Its instrument counts.
-    procedure : Procedure
-        How many frequencies are measured at once.
-
-    Returns
-    -------
-    list of Comb
-        In the order of the scan: the polarization changes last.
-
-    Raises
-    ------
-    SurveyError
-        If the frequencies at once would modulate the laser by more than all of its
-        light.
-    """
+    """Return what is measured dwell by dwell: frequencies at once, one polarization."""
     many = procedure.frequencies_at_once or 1
     frequencies = survey.instrument.modulation_frequencies
     depth = survey.instrument.modulation_depth * min(many, len(frequencies))
@@ -333,20 +226,7 @@ def combs(survey: Survey, procedure: Procedure) -> list[Comb]:
 
 
 def count(survey: Survey, procedure: Procedure) -> int:
-    """Return how many samples a scan has, references included.
-
-    Parameters
-    ----------
-    survey : Survey
-        Scan, frequencies and channels.
-    procedure : Procedure
-        How references are spread.
-
-    Returns
-    -------
-    int
-        Number of planned steps [1].
-    """
+    """Return how many samples a scan has, references included."""
     plan = survey.scan.open_water
     shots = 0 if plan is None else plan.rows * plan.columns * plan.repeats
     dark = procedure.references * procedure.dark_readings
@@ -355,18 +235,7 @@ def count(survey: Survey, procedure: Procedure) -> int:
 
 
 def open_water_grid(survey: Survey) -> Mapping[tuple[int, int], tuple[float, float]]:
-    """Return the direction of every place of the open-water grid.
-
-    Parameters
-    ----------
-    survey : Survey
-        Its open-water plan counts.
-
-    Returns
-    -------
-    mapping
-        (row, column) to azimuth and elevation [rad]; empty without a plan.
-    """
+    """Return the direction of every place of the open-water grid."""
     plan = survey.scan.open_water
     if plan is None:
         return {}

@@ -52,38 +52,7 @@ def rehearse(
     host: str = "127.0.0.1",
     ports: tuple[int, int] = (0, 0),
 ) -> Iterator[Rehearsal]:
-    """Serve a simulated lock-in and stages for as long as a `with` block lasts.
-
-    Parameters
-    ----------
-    survey : Survey
-        What stands in front of the instrument.
-    settings : Settings, optional
-        Its part `simulation` says what is not ideal; procedure, axes and angles are
-        taken over.
-    scene : callable
-        Works out the light of a survey, such as `amulor.simulation.scene_light`.
-    model : str
-        Which lock-in.
-    speed : float
-        How much faster than real the simulated time goes [1].
-    host : str
-        Address to listen at.
-    ports : tuple of int
-        Of the lock-in and of the stages; any free ones by default [1].
-
-    Yields
-    ------
-    Rehearsal
-        With the addresses in its settings.
-
-    Raises
-    ------
-    ValueError
-        If the speed is not above zero, or a port is none.
-    OSError
-        If it cannot be listened there.
-    """
+    """Serve a simulated lock-in and stages for as long as a `with` block lasts."""
     if any(not 0 <= port <= _LAST_PORT for port in ports):
         raise ValueError(
             f"ports must be from 1 to {_LAST_PORT}, or 0 for any free one, got "

@@ -38,18 +38,7 @@ _WEIGHT = 0.1
 
 
 class Keeper:
-    """Keeps samples in the order in which they were taken, one commit at a time.
-
-    Parameters
-    ----------
-    journal : Journal
-        What they are written to.
-    told : callable
-        Called with a step, and how many samples it has brought, once they survive a
-        loss of power; in the thread that keeps and settles.
-    at_once : bool
-        Whether each commit is waited for.
-    """
+    """Keeps samples in the order in which they were taken, one commit at a time."""
 
     def __init__(
         self, journal: Journal, told: Callable[[Step, int], None], *, at_once: bool
@@ -69,20 +58,7 @@ class Keeper:
             self._thread.shutdown()
 
     def keep(self, step: Step, records: Sequence[Record]) -> None:
-        """Write the samples of a dwell, after all that were kept before.
-
-        Parameters
-        ----------
-        step : Step
-            Which they are.
-        records : sequence of Record
-            In the order of its keys.
-
-        Raises
-        ------
-        FormatError
-            If samples that were kept before, or these, could not be written.
-        """
+        """Write the samples of a dwell, after all that were kept before."""
         samples = [*zip(step.keys, records, strict=True)]
         self.settle()
         if self._at_once or self._took < SLOW:
@@ -95,13 +71,7 @@ class Keeper:
         self._pending = (future, step, len(samples))
 
     def settle(self) -> None:
-        """Wait until all that was kept is written, and tell it.
-
-        Raises
-        ------
-        FormatError
-            If it could not be written.
-        """
+        """Wait until all that was kept is written, and tell it."""
         if self._pending is None:
             return
         future, step, count = self._pending
@@ -121,22 +91,7 @@ class Keeper:
 
 
 def refuse_beyond_reach(survey: Survey, settings: Settings, devices: Devices) -> None:
-    """Raise if a stage that knows its travel cannot go where the scan needs it.
-
-    Parameters
-    ----------
-    survey : Survey
-        Its directions and polarizations count.
-    settings : Settings
-        Its angles of the mounts count.
-    devices : Devices
-        Those with a method `refuse_beyond_reach` are asked.
-
-    Raises
-    ------
-    InstrumentError
-        Of the first one whose travel is too short.
-    """
+    """Raise if a stage that knows its travel cannot go where the scan needs it."""
     azimuth, elevation = (angle.ravel() for angle in scan_directions(survey)[:2])
     if survey.scan.open_water is not None:
         shots = open_water_directions(survey)
@@ -374,18 +329,7 @@ def _in_step(control: Control) -> bool:
 
 
 def resume_command(folder: Path) -> str:
-    """Return the command that goes on with the scan of a folder.
-
-    Parameters
-    ----------
-    folder : pathlib.Path
-        Of the scan.
-
-    Returns
-    -------
-    str
-        For a shell.
-    """
+    """Return the command that goes on with the scan of a folder."""
     words = ["amulor", "acquire", str(folder / SURVEY_NAME), "-o", str(folder)]
     return shlex.join([*words, "--resume"])
 

@@ -37,36 +37,13 @@ class DarkLevel:
         self._readings: dict[str, deque[float]] = {}
 
     def add(self, polarization: str, means: Sequence[float]) -> None:
-        """Take note of dark readings.
-
-        Parameters
-        ----------
-        polarization : str
-            Launched and analysed state, or "none".
-        means : sequence of float
-            Mean output of each reading [V].
-        """
+        """Take note of dark readings."""
         kept = self._readings.setdefault(polarization, deque(maxlen=_KEPT))
         kept.extend(means)
 
     def is_dark(self, polarization: str, means: Sequence[float]) -> bool:
         r"""Return whether readings with the laser on show no light.
 
-        Parameters
-        ----------
-        polarization : str
-            Launched and analysed state, or "none".
-        means : sequence of float
-            Mean output of each reading [V].
-
-        Returns
-        -------
-        bool
-            True if their mean is not above the dark level d by more than five standard
-            errors; False if there is no reading, or no dark level.
-
-        Notes
-        -----
         With the standard deviation :math:`s` of one dark reading, n readings and m dark
         ones, dark is a mean of at most :math:`d + 5 s \sqrt{1 / n + 1 / m}`.
         """
@@ -122,17 +99,7 @@ _FREQUENCY_TOLERANCE = 1e-3
 
 
 class Sampler:
-    """Takes samples one after the other and remembers how the devices stand.
-
-    Parameters
-    ----------
-    survey : Survey
-        What is measured.
-    settings : Settings
-        How it is done.
-    devices : Devices
-        With what.
-    """
+    """Takes samples one after the other and remembers how the devices stand."""
 
     def __init__(self, survey: Survey, settings: Settings, devices: Devices) -> None:
         self._settings = settings
@@ -175,29 +142,7 @@ class Sampler:
         self._target_is_in: bool | None = None
 
     def take(self, step: Step, *, elapsed: float, segment: int) -> list[Record]:
-        """Take the samples of one dwell.
-
-        Parameters
-        ----------
-        step : Step
-            What to take.
-        elapsed : float
-            Time since the scan began, to be recorded [s].
-        segment : int
-            Part of the scan, to be recorded [1].
-
-        Returns
-        -------
-        list of Record
-            What was measured, in the order of the keys of the step. An overload that no
-            change of scale cured is flagged.
-
-        Raises
-        ------
-        InstrumentError
-            If a device fails, if the reference stays lost, or if too many samples in
-            a row are overloaded or show no light.
-        """
+        """Take the samples of one dwell."""
         self._arrange(step)
         azimuth, elevation = self._devices.scanner.move(
             step.azimuth, step.elevation, timeout=self._settings.scanner.move_timeout
@@ -219,28 +164,7 @@ class Sampler:
     def sweep(
         self, steps: Sequence[Step], *, elapsed: float, segment: int
     ) -> list[list[Record]]:
-        """Take the samples of neighbours in a row while the beam moves along them.
-
-        Parameters
-        ----------
-        steps : sequence of Step
-            Of the scan, as `amulor.acquisition.plan.strips` puts them together.
-        elapsed : float
-            Time since the scan began, to be recorded [s].
-        segment : int
-            Part of the scan, to be recorded [1].
-
-        Returns
-        -------
-        list of list of Record
-            For each step what `take` returns. A row in which something overloaded that
-            room can be made for, or the reference was lost, is taken again as a whole.
-
-        Raises
-        ------
-        InstrumentError
-            As `take`; and if the devices cannot do this.
-        """
+        """Take the samples of neighbours in a row while the beam moves along them."""
         assert self._sweeper is not None
         self._arrange(steps[0])
         start = self._devices.clock.now()
@@ -483,20 +407,7 @@ class Sampler:
             )
 
     def refuse_darkness(self, kind: str, flags: int) -> None:
-        """Raise if too many samples one after the other show no light.
-
-        Parameters
-        ----------
-        kind : str
-            What the sample is of.
-        flags : int
-            Its flags.
-
-        Raises
-        ------
-        InstrumentError
-            If more than `procedure.darkness_patience` of them do.
-        """
+        """Raise if too many samples one after the other show no light."""
         if kind == DARK:
             return
         if not flags & SampleFlag.NO_LIGHT:

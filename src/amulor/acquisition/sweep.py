@@ -91,23 +91,7 @@ class _Motion:
 
 
 def pitch_of(survey: Survey) -> float:
-    """Return the angle between two columns of a scan, which must have some.
-
-    Parameters
-    ----------
-    survey : Survey
-        Its scan counts.
-
-    Returns
-    -------
-    float
-        Above zero [rad].
-
-    Raises
-    ------
-    SurveyError
-        If there is one column, or no angle between them.
-    """
+    """Return the angle between two columns of a scan, which must have some."""
     scan = survey.scan
     if scan.columns < 2 or scan.azimuth_span == 0:
         raise SurveyError(
@@ -121,21 +105,6 @@ def pitch_of(survey: Survey) -> float:
 class SweepReader:
     r"""Reads rows while the beam moves along them.
 
-    Parameters
-    ----------
-    survey : Survey
-        Pixels, dwell and time constant.
-    procedure : Procedure
-        Run-up, and how long may be waited.
-    lock_in : LockIn
-        Must stream what it records.
-    scanner : Scanner
-        Must move at a rate that is asked for, and say where it is.
-    clock : Clock
-        What waits go by.
-
-    Notes
-    -----
     The beam moves by one column in one dwell, so that a sample is the mean over its
     pixel. The lock-in records without a gap; points of the record are told apart by
     where the beam was, known by a straight line through looks at the scanner in the
@@ -173,28 +142,7 @@ class SweepReader:
     def take(
         self, steps: Sequence[Step], *, timeout: float, watch: Callable[[], None]
     ) -> list[Swept]:
-        """Move along pixels that are neighbours, and return what they have brought.
-
-        Parameters
-        ----------
-        steps : sequence of Step
-            Of one row, in the order in which they are passed; the beam is at
-            `start_of` them.
-        timeout : float
-            How much longer than planned the scanner may take [s].
-        watch : callable
-            Called at every look; what it raises ends the row.
-
-        Returns
-        -------
-        list of Swept
-            In the order of the steps.
-
-        Raises
-        ------
-        InstrumentError
-            If the beam does not come along the row as it was asked to.
-        """
+        """Move along pixels that are neighbours, and return what they have brought."""
         start, end = self._ends(steps)
         duration = len(steps) * self._dwell + 2 * self._run_up
         self._lock_in.begin_stream(duration + timeout)

@@ -13,45 +13,13 @@ from amulor.survey.counting import counting_variance
 def reading_variance(
     survey: Survey, *, rate: ArrayLike, time_constant: float
 ) -> NDArray[np.float64]:
-    """Return the counting variance of one settled reading of either output.
-
-    Parameters
-    ----------
-    survey : Survey
-        Its detector counts.
-    rate : array_like
-        Photoelectrons by light, not negative [1/s].
-    time_constant : float
-        Time constant of the one-pole output filter, above zero [s].
-
-    Returns
-    -------
-    ndarray
-        Variance of the peak amplitude [V^2].
-    """
+    """Return the counting variance of one settled reading of either output."""
     time = detection.effective_integration_time(0.0, time_constant=time_constant)
     return counting_variance(survey, rate=rate, integration_time=float(time))
 
 
 def variance_ratio(readings: ArrayLike, *, spacing: ArrayLike) -> NDArray[np.float64]:
     r"""Return the variance of a mean of readings over that of one of them.
-
-    Parameters
-    ----------
-    readings : array_like of int
-        How many readings are averaged, at least 1 [1].
-    spacing : array_like
-        Time between them in time constants of the filter, above zero [1].
-
-    Returns
-    -------
-    ndarray
-        From 1 for one reading downwards [1].
-
-    Raises
-    ------
-    ValueError
-        If there is no reading, or no time between them.
 
     Notes
     -----
@@ -84,18 +52,7 @@ def variance_ratio(readings: ArrayLike, *, spacing: ArrayLike) -> NDArray[np.flo
 
 
 def intervals_of(survey: Survey) -> int:
-    """Return into how many parts a dwell is cut, none longer than a time constant.
-
-    Parameters
-    ----------
-    survey : Survey
-        Its dwell and its lock-in count.
-
-    Returns
-    -------
-    int
-        At least 1 [1].
-    """
+    """Return into how many parts a dwell is cut, none longer than a time constant."""
     parts = survey.scan.dwell / survey.instrument.lock_in.time_constant
     return max(1, int(np.ceil(parts - 1e-9)))
 
@@ -104,25 +61,6 @@ def filtered_input(
     outputs: ArrayLike, times: ArrayLike, *, time_constant: float
 ) -> complex:
     r"""Return the mean of what entered a one-pole filter, from what came out of it.
-
-    Parameters
-    ----------
-    outputs : array_like of complex, shape (n + 1,)
-        Output at n + 1 moments, at least two [V].
-    times : array_like, shape (n + 1,)
-        The moments, rising [s].
-    time_constant : float
-        Of the filter, above zero [s].
-
-    Returns
-    -------
-    complex
-        Mean over the n intervals, nothing of what was before the first moment [V].
-
-    Raises
-    ------
-    ValueError
-        If there are fewer than two moments, or they do not rise.
 
     Notes
     -----
@@ -156,20 +94,6 @@ def filtered_input(
 
 def edge_error(outputs: ArrayLike, times: ArrayLike, *, time_constant: float) -> float:
     r"""Return the error of `filtered_input` by edges of the input inside an interval.
-
-    Parameters
-    ----------
-    outputs : array_like of complex, shape (n + 1,)
-        Output at n + 1 moments, at least two [V].
-    times : array_like, shape (n + 1,)
-        The moments, rising, evenly spaced [s].
-    time_constant : float
-        Of the filter, above zero [s].
-
-    Returns
-    -------
-    float
-        Root mean square over all places that the edges may have in their intervals [V].
 
     Notes
     -----
@@ -207,23 +131,6 @@ def input_variance_ratio(
 ) -> NDArray[np.float64]:
     r"""Return the variance of `filtered_input` over that of one settled output.
 
-    Parameters
-    ----------
-    intervals : array_like of int
-        How many intervals there are, at least 1 [1].
-    spacing : array_like
-        Length of each in time constants, above zero [1].
-
-    Returns
-    -------
-    ndarray
-        :math:`\frac{1}{n} \frac{1 + r}{1 - r}` with :math:`r = e^{-s}` [1].
-
-    Raises
-    ------
-    ValueError
-        If there is no interval, or it has no length.
-
     Notes
     -----
     One settled output counts for two time constants, so n intervals count for
@@ -245,20 +152,7 @@ def input_variance_ratio(
 
 
 def readings_of(survey: Survey, *, settling: float) -> int:
-    """Return how many readings, one a time constant, fit into a dwell after settling.
-
-    Parameters
-    ----------
-    survey : Survey
-        Its dwell and its lock-in count.
-    settling : float
-        Wait before the first reading, in time constants [1].
-
-    Returns
-    -------
-    int
-        At least 1 [1].
-    """
+    """How many readings, one a time constant, fit into a dwell after settling."""
     constant = survey.instrument.lock_in.time_constant
     # A dwell of exactly so many time constants must not lose one to rounding.
     left = survey.scan.dwell / constant - settling

@@ -27,21 +27,7 @@ JOINT_OUTLIERS = 1 - 1e-9
 def flags_of_pixels(
     flag: NDArray[np.int16], *, most_outliers: float = BREAKDOWN
 ) -> tuple[NDArray[np.int16], NDArray[np.bool_]]:
-    """Return the flags of pixels, all frequencies together.
-
-    Parameters
-    ----------
-    flag : ndarray of int16, shape (modulation_frequency, row, column)
-        Those of the samples of one channel.
-    most_outliers : float
-        Fraction of the frequencies that outliers may have and are left out; where
-        there are more, the pixel is one [1].
-
-    Returns
-    -------
-    tuple of ndarrays
-        Flags over (row, column), and which samples are left out.
-    """
+    """Return the flags of pixels, all frequencies together."""
     unseen = (flag & QualityFlag.NO_TARGET) != 0
     # A target that half of the frequencies show is there: the others are left out.
     unseen &= unseen.mean(axis=0) <= _HALF

@@ -129,13 +129,7 @@ def _variable(
 
 @functools.cache
 def software_versions() -> dict[str, str]:
-    """Return the versions of amulor and of the packages that its numbers rest on.
-
-    Returns
-    -------
-    dict
-        Version by package name.
-    """
+    """Return the versions of amulor and of the packages that its numbers rest on."""
     packages = ("amulor", "numpy", "scipy", "numba", "xarray", "h5netcdf")
     return {package: importlib.metadata.version(package) for package in packages}
 
@@ -210,13 +204,7 @@ _time: ContextVar[datetime.datetime | None] = ContextVar("_time", default=None)
 
 @contextmanager
 def dated(time: datetime.datetime) -> Iterator[None]:
-    """Date all that is noted inside by one time, so that it comes out the same again.
-
-    Parameters
-    ----------
-    time : datetime.datetime
-        With its time zone, UTC.
-    """
+    """Give all history lines noted inside the same time, for reproducible files."""
     token = _time.set(time)
     try:
         yield

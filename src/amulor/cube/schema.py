@@ -147,13 +147,7 @@ DOUBTFUL = (
 
 
 def flag_attributes() -> dict[str, Any]:
-    """Return the CF attributes that explain a `quality_flag` variable.
-
-    Returns
-    -------
-    dict
-        `flag_masks`, `flag_values`, `flag_meanings`, `long_name` and `units`.
-    """
+    """Return the CF attributes that explain a `quality_flag` variable."""
     import numpy as np
 
     flags = [flag for flag in QualityFlag if flag]

@@ -97,20 +97,6 @@ _COMMON = (
 def check_values(variables: Mapping[Any, xr.DataArray], *, name: str) -> None:
     """Raise if signals or their errors hold what no measurement gives.
 
-    Parameters
-    ----------
-    variables : mapping of str to xarray.DataArray
-        Of a level, or of one of its groups.
-    name : str
-        How a message names the cube.
-
-    Raises
-    ------
-    CubeError
-        With the first variable that is wrong, and where.
-
-    Notes
-    -----
     NaN is a sample that is missing. An uncertainty of zero is none: what follows
     divides by it.
     """

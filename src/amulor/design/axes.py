@@ -89,26 +89,7 @@ class Arranged:
 def arranged(
     axes: Mapping[str, Any], frequencies: Sequence[Sequence[float]] | None
 ) -> Arranged:
-    """Arrange the arrays that a caller gives along dimensions.
-
-    Parameters
-    ----------
-    axes : mapping of str to array_like
-        Name of an axis to a number, to a one-dimensional array, which becomes a
-        dimension of that name, or to an `xarray.DataArray` with dimensions of its own.
-    frequencies : sequence of sequences of float, optional
-        Sets of frequencies along the dimension `frequency_set` [Hz].
-
-    Returns
-    -------
-    Arranged
-        What can be broadcast.
-
-    Raises
-    ------
-    SurveyError
-        If an axis is not known, or a value is outside of its range.
-    """
+    """Arrange the arrays that a caller gives along dimensions."""
     if "attenuation" in axes and {"absorption", "scattering"} & set(axes):
         raise SurveyError(
             "attenuation is the sum of absorption and scattering; state it alone, or "

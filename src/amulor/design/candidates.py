@@ -137,13 +137,7 @@ def first_choice(goal: Goal) -> Parameters:
 
 
 def fits(goal: Goal) -> Iterator[tuple[str, str]]:
-    """Yield the schemes and methods that go together.
-
-    Raises
-    ------
-    SurveyError
-        If none do.
-    """
+    """Yield the schemes and methods that go together."""
     parts = goal.components
     found = False
     for scheme, method in itertools.product(parts.polarizations, parts.methods):
@@ -182,21 +176,7 @@ def scan_time(goal: Goal, chosen: Parameters) -> float:
 
 
 def depolarizing(stated: Any, m22: float) -> tuple[tuple[float, ...], ...]:
-    """Return a Mueller matrix that keeps more or less of the polarization.
-
-    Parameters
-    ----------
-    stated : tuple or str
-        As in a survey.
-    m22 : float
-        Its element m22; all but m11 change in proportion. A matrix without any becomes
-        that of a mirror, weakened [1].
-
-    Returns
-    -------
-    tuple
-        Four rows.
-    """
+    """Return a Mueller matrix that keeps more or less of the polarization."""
     known = matrix(stated)
     if known[1, 1] == 0:
         known = np.diag([1.0, 1.0, -1.0, -1.0])
@@ -206,21 +186,7 @@ def depolarizing(stated: Any, m22: float) -> tuple[tuple[float, ...], ...]:
 
 
 def water_scale(goal: Goal, chosen: Parameters) -> dict[str, float]:
-    """Return water at the wavelength of an instrument over that of the ranges.
-
-    Parameters
-    ----------
-    goal : Goal
-        Its ranges of water hold at the wavelength of its first laser.
-    chosen : Parameters
-        Names the laser.
-
-    Returns
-    -------
-    dict of str to float
-        Of attenuation, absorption and scattering, where they are known and not zero;
-        empty for the first laser [1].
-    """
+    """Return water at the wavelength of an instrument over that of the ranges."""
     first = goal.components.lasers[0].name
     if chosen.laser == first:
         return {}
@@ -234,25 +200,7 @@ def water_scale(goal: Goal, chosen: Parameters) -> dict[str, float]:
 
 
 def survey_of(goal: Goal, chosen: Parameters) -> Survey:
-    """Return the survey of a choice, with a plate at the middle distance.
-
-    Parameters
-    ----------
-    goal : Goal
-        What is asked, and the fixed parts.
-    chosen : Parameters
-        The instrument.
-
-    Returns
-    -------
-    Survey
-        With the base of the waters, and the median of what else is spread.
-
-    Raises
-    ------
-    SurveyError
-        If the water is not known at the wavelength.
-    """
+    """Return the survey of a choice, with a plate at the middle distance."""
     laser = laser_of(goal, chosen.laser)
     detector = goal.detector
     if laser.quantum_efficiency is not None:

@@ -87,32 +87,6 @@ def columns(
 ) -> Columns:
     r"""Return the water light by the small-angle model, in front of all depths at once.
 
-    Parameters
-    ----------
-    survey : Survey
-        Its beam, the edge of its receiver and the end of its water count.
-    water : WaterProperties
-        Its phase function, backscatter and index count; absorption and scattering are
-        those of the looks.
-    looks : Looks
-        Waters and receivers.
-    depth : ndarray, shape (depth,)
-        Depths of water, increasing, above zero [m].
-    frequency : ndarray, shape (frequency,)
-        Modulation frequencies [Hz].
-
-    Returns
-    -------
-    Columns
-        Within about 1e-3 of the model that simulations use by default.
-
-    Raises
-    ------
-    SurveyError
-        If the water has layers, or states moments that no phase function has.
-
-    Notes
-    -----
     :math:`\ln F(z)` of eq. (29) of Ricci et al. 2010, as rebuilt, is computed at 64
     depths for each look and a cubic spline of :math:`\ln z` goes through them. The
     water is :math:`\beta_\pi \int F(z) e^{2 i \omega z / v} dz` by Gauss's rule on
@@ -160,18 +134,7 @@ def _log_overlap(
 def overlaps(
     survey: Survey, water: WaterProperties, looks: Looks, *, depth: Floats
 ) -> Floats:
-    """Return F of the ways out and back, by the small-angle model.
-
-    Parameters
-    ----------
-    survey, water, looks, depth
-        As in `columns`.
-
-    Returns
-    -------
-    ndarray, shape (look, depth)
-        Times reflectance over pi the echo of a plane across the way back [sr].
-    """
+    """Return F of the ways out and back, by the small-angle model."""
     echo = (
         target_echo.sharp_receiver_target_response
         if has_sharp_receiver(survey)
@@ -275,27 +238,6 @@ def late_uncertainty(
 ) -> Floats:
     """Return the standard uncertainty that imaging states for late light.
 
-    Parameters
-    ----------
-    survey : Survey
-        Its receiver and its calibration count.
-    water : WaterProperties
-        Its phase function counts.
-    looks : Looks
-        Waters and receivers.
-    places : list of Place
-        Where receivers stand; the water begins at the same place for all.
-    distance : ndarray, shape (distance,)
-        Slant ranges, increasing [m].
-
-    Returns
-    -------
-    ndarray, shape (look, distance)
-        Standard uncertainty after the middle estimate is taken off [m]; 0 where the
-        water scatters nothing forward, or by too large angles for an estimate.
-
-    Notes
-    -----
     As `amulor.imaging.late_light`: a rectangular distribution between the delay of
     the phase function and half of it, and 15 % of the middle for the model. The delay
     over the square of the distance is interpolated in the logarithm of the distance. It

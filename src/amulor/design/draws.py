@@ -19,18 +19,7 @@ _NINETY_FIVE, _CUT = 1.959964, 2 * 1.959964
 
 
 def spreads_of(goal: Goal) -> dict[str, Spread]:
-    """Return the ranges of a goal by the names of axes.
-
-    Parameters
-    ----------
-    goal : Goal
-        Its waters and targets count.
-
-    Returns
-    -------
-    dict of str to spread
-        Only those that the goal states.
-    """
+    """Return the ranges of a goal by the names of axes."""
     waters, targets = goal.waters, goal.targets
     stated = {
         "attenuation": waters.attenuation,
@@ -49,20 +38,6 @@ def spreads_of(goal: Goal) -> dict[str, Spread]:
 def drawn(goal: Goal, count: int | None = None) -> dict[str, Floats]:
     """Return waters and targets drawn from the ranges of a goal.
 
-    Parameters
-    ----------
-    goal : Goal
-        Its waters and targets count.
-    count : int, optional
-        How many; the first ones of the same sequence. `effort.draws` by default.
-
-    Returns
-    -------
-    dict of str to ndarray
-        Name of an axis to values over the draws, in SI units.
-
-    Notes
-    -----
     A scrambled Sobol' sequence with a fixed seed, through the inverse distributions:
     the same draws for the same ranges, and evenly spread over them.
     """
@@ -78,20 +53,7 @@ def drawn(goal: Goal, count: int | None = None) -> dict[str, Floats]:
 
 
 def values_at(spread: Spread, share: Floats) -> Floats:
-    """Return the values of a range at shares of its distribution.
-
-    Parameters
-    ----------
-    spread : spread
-        Range and distribution.
-    share : ndarray
-        From 0 to 1 [1].
-
-    Returns
-    -------
-    ndarray
-        Values in SI units, of the same shape.
-    """
+    """Return the values of a range at shares of its distribution."""
     low, high = spread.low, spread.high
     logarithm = spread.distribution.startswith("log")
     if logarithm:

@@ -202,21 +202,6 @@ def evaluate(
 def scheme_of(text: str) -> tuple[str, ...]:
     """Return the channels of a polarization scheme.
 
-    Parameters
-    ----------
-    text : str
-        Channels joined by a plus sign, such as "VV+VH".
-
-    Returns
-    -------
-    tuple of str
-        Channels.
-
-    Raises
-    ------
-    SurveyError
-        If a channel is not known.
-
     Examples
     --------
     >>> scheme_of("VV+VH")
@@ -368,27 +353,7 @@ def reach(
     reflectance: float | None = None,
     method: str = "open-water",
 ) -> Reach:
-    """Return how far an instrument meets an accuracy in a water.
-
-    Parameters
-    ----------
-    survey : Survey
-        The instrument; its target sends light back.
-    accuracy : float
-        Total error of one pixel that is allowed [m].
-    water : str
-        One of `WATERS`.
-    reflectance : float, optional
-        Reflectance of the target; that of the survey by default [1].
-    method : str
-        How the water is taken out, by the names of `evaluate`.
-
-    Returns
-    -------
-    Reach
-        From 160 distances between 0.3 and 60 m. The ambiguity interval is taken as
-        known; where the phases repeat is stated beside it.
-    """
+    """Return how far an instrument meets an accuracy in a water."""
     title, stated = WATERS[water]
     # A survey's own far wall is not part of another water.
     there = survey.with_({"water": stated})

@@ -7,27 +7,7 @@ from numpy.typing import ArrayLike, NDArray
 
 
 def front(cost: ArrayLike, error: ArrayLike) -> NDArray[np.intp]:
-    """Return which candidates no other one beats in both cost and error.
-
-    Parameters
-    ----------
-    cost : array_like
-        What each costs, such as the time of a scan [s] or its highest modulation
-        frequency [Hz], shape (candidate,).
-    error : array_like
-        Total error of each, shape (candidate,) [m].
-
-    Returns
-    -------
-    ndarray of int
-        Their numbers by rising cost and falling error; candidates that are not finite
-        are never among them. Of equal ones the first.
-
-    Raises
-    ------
-    ValueError
-        If the two are not of one length.
-    """
+    """Return which candidates no other one beats in both cost and error."""
     cost, error = np.asarray(cost, dtype=float), np.asarray(error, dtype=float)
     if cost.ndim != 1 or cost.shape != error.shape:
         raise ValueError(
@@ -45,20 +25,7 @@ def front(cost: ArrayLike, error: ArrayLike) -> NDArray[np.intp]:
 
 
 def knee(cost: ArrayLike, error: ArrayLike) -> int | None:
-    """Return where a front bends most: beyond it, more cost buys little.
-
-    Parameters
-    ----------
-    cost, error : array_like
-        The front, by rising cost and falling error, above zero, shape (candidate,).
-
-    Returns
-    -------
-    int or None
-        Number of the place that lies farthest below the line between both ends, with
-        both axes logarithmic and scaled to one; None where no place lies below it, or
-        there are fewer than three.
-    """
+    """Return where a front bends most: beyond it, more cost buys little."""
     x, y = (np.log(np.asarray(values, dtype=float)) for values in (cost, error))
     if len(x) < 3 or x[-1] <= x[0] or y[0] <= y[-1]:
         return None

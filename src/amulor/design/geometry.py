@@ -41,27 +41,7 @@ class Place:
 
 
 def place_of(survey: Survey, water: WaterProperties, distance: Floats) -> Place:
-    """Return the geometry of a survey's instrument at some slant ranges.
-
-    Parameters
-    ----------
-    survey : Survey
-        Instrument and scan count.
-    water : WaterProperties
-        Its indices count.
-    distance : ndarray, shape (distance,)
-        Slant ranges along the beam in the middle of the scan [m].
-
-    Returns
-    -------
-    Place
-        Arrays over the distances.
-
-    Raises
-    ------
-    SurveyError
-        If the receiver looks more than 60 degrees past the beam.
-    """
+    """Return the geometry of a survey's instrument at some slant ranges."""
     crossed = medium(survey, water)
     azimuth, elevation = np.array(survey.scan.azimuth), np.array(survey.scan.elevation)
     instrument = survey.instrument
@@ -89,20 +69,7 @@ def place_of(survey: Survey, water: WaterProperties, distance: Floats) -> Place:
 
 
 def aim_of(survey: Survey, water: WaterProperties) -> float:
-    """Return the distance at which receiver axis and beam are nearest.
-
-    Parameters
-    ----------
-    survey : Survey
-        Instrument and scan count.
-    water : WaterProperties
-        Its indices count.
-
-    Returns
-    -------
-    float
-        Infinite where they run apart or side by side [m].
-    """
+    """Return the distance at which receiver axis and beam are nearest."""
     seen = view(
         survey,
         np.array(survey.scan.azimuth),
@@ -118,25 +85,7 @@ def aim_of(survey: Survey, water: WaterProperties) -> float:
 def with_receiver(
     survey: Survey, water: WaterProperties, *, baseline: float, aim: float
 ) -> Survey:
-    """Return a survey whose receiver stands at some distance and looks at some place.
-
-    Parameters
-    ----------
-    survey : Survey
-        Its receiver stays on the same side of the emitter.
-    water : WaterProperties
-        Its indices count.
-    baseline : float
-        Distance of emitter and receiver, not negative [m].
-    aim : float
-        Distance along the beam, in the middle of the scan, at which the receiver's
-        axis meets it; infinite for side by side [m].
-
-    Returns
-    -------
-    Survey
-        With another position, azimuth and elevation of its receiver.
-    """
+    """Survey whose receiver stands at some distance and looks at some place."""
     instrument = survey.instrument
     start = np.asarray(instrument.emitter.position)
     side = np.asarray(instrument.receiver.position) - start

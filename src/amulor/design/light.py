@@ -71,26 +71,7 @@ def lit(
     joint: bool,
     late: bool = True,
 ) -> Lit:
-    """Return the light that does not depend on power, time, channels and method.
-
-    Parameters
-    ----------
-    case : Case
-        Survey and what it states.
-    values : dict of str to ndarray
-        As for `assessed`.
-    frequencies : ndarray
-        All that will be asked for; not-a-number is left out [Hz].
-    joint : bool
-        Whether derivatives of the water are needed.
-    late : bool
-        Whether light that scatters on its way comes later.
-
-    Returns
-    -------
-    Lit
-        For any number of calls of `assessed`.
-    """
+    """Return the light that does not depend on power, time, channels and method."""
     given = given_of(case, values)
     distance, reach = np.unique(values["distance"], return_inverse=True)
     places, place = _places(case, values, distance)
@@ -112,20 +93,7 @@ def lit(
 
 
 def given_of(case: Case, values: dict[str, Floats]) -> dict[str, Floats]:
-    """Return all axes, those that do not vary as the survey states them.
-
-    Parameters
-    ----------
-    case : Case
-        Survey and what it states.
-    values : dict of str to ndarray
-        Axis to values.
-
-    Returns
-    -------
-    dict of str to ndarray
-        With absorption and scattering in place of the attenuation.
-    """
+    """Return all axes, those that do not vary as the survey states them."""
     given = {name: np.asarray(each) for name, each in case.stated.items()} | values
     if "attenuation" in values:
         share = case.water.scattering / case.water.attenuation
@@ -135,20 +103,7 @@ def given_of(case: Case, values: dict[str, Floats]) -> dict[str, Floats]:
 
 
 def case_of(survey: Survey, water: WaterProperties) -> Case:
-    """Return what a survey states for each axis.
-
-    Parameters
-    ----------
-    survey : Survey
-        The first of its targets counts.
-    water : WaterProperties
-        Of this survey.
-
-    Returns
-    -------
-    Case
-        With what is assumed where the survey says nothing.
-    """
+    """Return what a survey states for each axis."""
     instrument = survey.instrument
     receiver = np.asarray(instrument.receiver.position)
     stated = {

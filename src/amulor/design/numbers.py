@@ -65,38 +65,7 @@ def assessed(
     late: bool = True,
     known: Lit | None = None,
 ) -> Assessed:
-    """Return the errors of candidates, all of them in one compiled loop.
-
-    Parameters
-    ----------
-    case : Case
-        Survey and what it states.
-    values : dict of str to ndarray
-        Axis to values that can be broadcast; `distance` is among them.
-    frequencies : ndarray, shape (K, ...)
-        Sets of frequencies, NaN where a set has fewer [Hz].
-    method : str
-        Of `amulor.design.methods.PREDICTED`.
-    pairs : tuple of str
-        Channels, a co-polarized one and its partner for methods that need a pair.
-    interval : tuple of float, optional
-        Nearest and farthest range that are possible [m]; from 0 to where the phases
-        repeat by default.
-    late : bool
-        Whether light that scatters on its way comes later.
-    known : Lit, optional
-        What `lit` gave for these looks, distances and frequencies, or more frequencies.
-
-    Returns
-    -------
-    Assessed
-        Arrays of the broadcast shape.
-
-    Raises
-    ------
-    SurveyError
-        If the channels do not fit the method, or the receiver looks past the beam.
-    """
+    """Return the errors of candidates, all of them in one compiled loop."""
     pairs = _ordered(method, pairs)
     given = given_of(case, values)
     shape = np.broadcast_shapes(

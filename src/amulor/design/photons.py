@@ -57,31 +57,6 @@ def follow_photons(
 ) -> Photons:
     r"""Follow photons along the middle beam of a survey to its target and back.
 
-    Parameters
-    ----------
-    survey : Survey
-        Water, instrument, and a target that the middle beam meets.
-    relative_error : float
-        Relative error of all light at which the photons stop [1].
-    histories : int
-        Most photons.
-    seed : int
-        Seed of the photons.
-    progress : callable, optional
-        Called with what is done and the share of the work done before it.
-
-    Returns
-    -------
-    Photons
-        Ratios to the small-angle model, by which designs are judged, with errors.
-
-    Raises
-    ------
-    SurveyError
-        If the middle beam meets no target, or photons cannot follow this water or beam.
-
-    Notes
-    -----
     A phase :math:`\Delta\varphi` more than that of the model shifts a range by
     :math:`v \Delta\varphi / 4 \pi f`: light that was scattered on its way is late.
     """

@@ -103,20 +103,7 @@ _SELDOM = 1e-8
 
 
 def written(name: str, value: float) -> str:
-    """Return a number as people read it.
-
-    Parameters
-    ----------
-    name : str
-        Parameter or requirement.
-    value : float
-        In SI units.
-
-    Returns
-    -------
-    str
-        With a unit.
-    """
+    """Return a number as people read it."""
     unit, factor = _READ[name]
     if name == "wrong interval" and 0 < value < _SELDOM:
         return f"below {_SELDOM * factor:g} {unit}"
@@ -124,22 +111,7 @@ def written(name: str, value: float) -> str:
 
 
 def table(goal: Goal, found: Candidate, errors: xr.Dataset) -> tuple[Requirement, ...]:
-    """Return each requirement with its margin and the term that binds.
-
-    Parameters
-    ----------
-    goal : Goal
-        What is asked.
-    found : Candidate
-        What is proposed.
-    errors : xarray.Dataset
-        Its errors over `distance` and `draw`, from `evaluate`.
-
-    Returns
-    -------
-    tuple of Requirement
-        Accuracy and interval at each distance first.
-    """
+    """Return each requirement with its margin and the term that binds."""
     score, accuracy = found.score, goal.accuracy
     rows = []
     for number, distance in enumerate(goal.asked):
@@ -184,24 +156,7 @@ def _row(name: str, value: float, limit: float, unit: str, binding: str) -> Requ
 
 
 def shortfalls(goal: Goal, best: Candidate, scores: Score) -> tuple[Shortfall, ...]:
-    """Return which requirements must give, by how much.
-
-    Parameters
-    ----------
-    goal : Goal
-        What no candidate meets.
-    best : Candidate
-        The one that comes nearest.
-    scores : Score
-        Figures of all candidates that were looked at.
-
-    Returns
-    -------
-    tuple of Shortfall
-        For each requirement the value that would make the goal possible if it alone
-        gave way, the smallest step first. If no single one would do, those that the
-        best candidate misses.
-    """
+    """Return which requirements must give, by how much."""
     ratios = _ratios(goal, scores)
     names = list(ratios)
     every = np.stack([ratios[name] for name in names])
@@ -261,36 +216,12 @@ def _shortfall(goal: Goal, name: str, factor: float, *, alone: bool) -> Shortfal
 
 
 def quantity_text(name: str, value: float) -> str:
-    """Return what a requirement reaches, or allows, as people read it.
-
-    Parameters
-    ----------
-    name : str
-        Of a `Requirement`, such as "total error at 2 m".
-    value : float
-        In SI units.
-
-    Returns
-    -------
-    str
-        With a unit.
-    """
+    """Return what a requirement reaches, or allows, as people read it."""
     return written(name.partition(" at ")[0], value)
 
 
 def parameters_text(chosen: Parameters) -> str:
-    """Return an instrument as one line.
-
-    Parameters
-    ----------
-    chosen : Parameters
-        The instrument.
-
-    Returns
-    -------
-    str
-        Laser, frequencies, receiver, scheme and method.
-    """
+    """Return an instrument as one line."""
     tones = ", ".join(f"{f * 1e-6:.4g}" for f in chosen.frequencies)
     return (
         f"{chosen.laser}, {written('power', chosen.power)}; {tones} MHz; baseline "

@@ -118,23 +118,7 @@ class Score:
 
 
 def merits(goal: Goal, score: Score, *, with_intervals: bool = True) -> Floats:
-    """Return by what candidates are ordered: the smaller the better.
-
-    Parameters
-    ----------
-    goal : Goal
-        Limits.
-    score : Score
-        Figures.
-    with_intervals : bool
-        Whether wrong intervals count.
-
-    Returns
-    -------
-    ndarray, shape (candidate,)
-        Logarithm of the largest error over the accuracy; each other requirement that
-        is missed adds ten times the logarithm by which it is.
-    """
+    """Return by what candidates are ordered: the smaller the better."""
     merit = _log(score.error.max(axis=1) / goal.accuracy.total_error)
     missed = [
         score.output,
@@ -160,42 +144,14 @@ def _log(ratio: Floats) -> Floats:
 def draws_at(
     goal: Goal, chosen: Parameters, count: int | None = None
 ) -> dict[str, Floats]:
-    """Return the drawn waters and targets at the wavelength of an instrument.
-
-    Parameters
-    ----------
-    goal : Goal
-        Its waters are stated at the wavelength of its first laser; those of others
-        are in the proportion of the base water.
-    chosen : Parameters
-        Names the laser.
-    count : int, optional
-        How many; all of the goal by default.
-
-    Returns
-    -------
-    dict of str to ndarray
-        By the names of axes, each of the same length.
-    """
+    """Return the drawn waters and targets at the wavelength of an instrument."""
     found = drawn(goal, count)
     scale = water_scale(goal, chosen) if found else {}
     return {name: values * scale.get(name, 1.0) for name, values in found.items()}
 
 
 class Judge:
-    """Judges candidates with one laser.
-
-    Parameters
-    ----------
-    goal : Goal
-        What is asked.
-    laser : str
-        Name of the laser.
-    draws : int, optional
-        How many waters and targets; all of the goal by default.
-    distances : sequence of float, optional
-        All asked ones by default [m].
-    """
+    """Judges candidates with one laser."""
 
     def __init__(
         self,

@@ -56,39 +56,13 @@ class Candidate:
 def allowed(
     sets: tuple[tuple[float, ...], ...], top: float | None
 ) -> tuple[tuple[float, ...], ...]:
-    """Return the sets that a laser can be modulated with; the lowest if none is.
-
-    Parameters
-    ----------
-    sets : tuple of tuples of float
-        Sets of frequencies [Hz].
-    top : float or None
-        Highest frequency of the laser [Hz].
-
-    Returns
-    -------
-    tuple of tuples of float
-        One at least.
-    """
+    """Return the sets that a laser can be modulated with; the lowest if none is."""
     good = tuple(one for one in sets if top is None or max(one) <= top)
     return good or (min(sets, key=max),)
 
 
 def candidate_of(judge: Judge, chosen: Parameters) -> Candidate:
-    """Return a candidate, judged in all draws at all distances.
-
-    Parameters
-    ----------
-    judge : Judge
-        Of its laser.
-    chosen : Parameters
-        The instrument.
-
-    Returns
-    -------
-    Candidate
-        With its figures.
-    """
+    """Return a candidate, judged in all draws at all distances."""
     score = judge.of(chosen)
     return Candidate(
         parameters=chosen,
@@ -98,24 +72,7 @@ def candidate_of(judge: Judge, chosen: Parameters) -> Candidate:
 
 
 def exchanged(goal: Goal, judge: Judge, start: Candidate) -> tuple[Candidate, int]:
-    """Return what exchanging frequencies makes of a candidate.
-
-    Parameters
-    ----------
-    goal : Goal
-        Frequencies and dwell times to choose from.
-    judge : Judge
-        Of the laser of the candidate.
-    start : Candidate
-        Where the exchange begins.
-
-    Returns
-    -------
-    candidate : Candidate
-        The start, if no exchange makes it better.
-    count : int
-        How many were looked at.
-    """
+    """Return what exchanging frequencies makes of a candidate."""
     modulation = goal.components.modulation
     if modulation.sets:
         return start, 0
@@ -185,24 +142,7 @@ def _dwells(
 
 
 def cheaper(goal: Goal, judge: Judge, start: Candidate) -> tuple[Candidate, int]:
-    """Return the cheapest candidate that meets all, a part exchanged at a time.
-
-    Parameters
-    ----------
-    goal : Goal
-        Its prices count.
-    judge : Judge
-        Of the laser of the candidate.
-    start : Candidate
-        One that meets all requirements.
-
-    Returns
-    -------
-    candidate : Candidate
-        The start, if nothing cheaper meets all.
-    count : int
-        How many were looked at.
-    """
+    """Return the cheapest candidate that meets all, a part exchanged at a time."""
     best, tried = start, 0
     for _ in range(_EXCHANGES):
         found: list[Candidate] = []
@@ -310,23 +250,6 @@ class Found:
 def search(goal: Goal) -> Found:
     """Search the components of a goal.
 
-    Parameters
-    ----------
-    goal : Goal
-        What is asked, and what may be chosen.
-
-    Returns
-    -------
-    Found
-        The same each time.
-
-    Raises
-    ------
-    SurveyError
-        If nothing fits together.
-
-    Notes
-    -----
     All combinations on a grid are judged with few draws and single frequencies (or
     the stated sets). From the best of each laser, scheme and method the frequencies
     are exchanged: one is added, dropped or put in the place of another, with the dwell

@@ -44,21 +44,6 @@ class Shares:
 def dwell_shares(goal: Goal, chosen: Parameters) -> Shares | None:
     """Return how the time of a pixel would best be shared between its frequencies.
 
-    Parameters
-    ----------
-    goal : Goal
-        Accuracy, draws and distances.
-    chosen : Parameters
-        The instrument.
-
-    Returns
-    -------
-    Shares or None
-        None for one frequency, and for methods that do not take the frequencies one
-        by one.
-
-    Notes
-    -----
     Every division into twentieths is judged by the error at the worst distance that
     the asked share of 16 draws reaches, among those with a probability of a wrong
     interval below the limit. Biases of the frequencies count as one sign, so that the

@@ -29,26 +29,7 @@ def write_section(
     *,
     overwrite: bool,
 ) -> str:
-    """Cut a surface and write the profile.
-
-    Parameters
-    ----------
-    surface, plane
-        What is cut, and the drawing that the line lies in.
-    path : pathlib.Path
-        File to make (DXF, SVG or CSV).
-    order : Order
-        With its line.
-    said : tuple
-        Title and statements.
-    overwrite : bool
-        Whether an existing file is replaced.
-
-    Returns
-    -------
-    str
-        What was written.
-    """
+    """Cut a surface and write the profile."""
     assert order.line is not None
     cut = products.section(surface, plane, start=order.line[:2], end=order.line[2:])
     pieces = int(cut.piece.max()) + 1
@@ -105,26 +86,7 @@ def write_section(
 def write_contours(
     raster: products.Raster, path: Path, order: Order, said: Said, *, overwrite: bool
 ) -> str:
-    """Write the contour lines of a raster.
-
-    Parameters
-    ----------
-    raster : amulor.imaging.products.Raster
-        Heights.
-    path : pathlib.Path
-        File to make (DXF, SVG or CSV).
-    order : Order
-        With the interval.
-    said : tuple
-        Title and statements.
-    overwrite : bool
-        Whether an existing file is replaced.
-
-    Returns
-    -------
-    str
-        What was written.
-    """
+    """Write the contour lines of a raster."""
     interval = order.contours if order.contours is not None else 0.01
     found = products.contours(raster, interval=interval)
     if not found:
@@ -180,20 +142,7 @@ def write_contours(
 
 
 def cell_of(order: Order, surface: products.Surface) -> float:
-    """Return the size of a cell: as stated, that of a dot, or of the pixels.
-
-    Parameters
-    ----------
-    order : Order
-        Its cell, scale and dots count.
-    surface : amulor.imaging.products.Surface
-        Its spacing counts.
-
-    Returns
-    -------
-    float
-        Size [m].
-    """
+    """Return the size of a cell: as stated, that of a dot, or of the pixels."""
     if order.cell is not None:
         return order.cell
     if order.product == "orthoimage":
@@ -205,18 +154,7 @@ def cell_of(order: Order, surface: products.Surface) -> float:
 
 
 def raster_statement(raster: products.Raster) -> str:
-    """Return what a raster says of its cells and heights.
-
-    Parameters
-    ----------
-    raster : amulor.imaging.products.Raster
-        Any.
-
-    Returns
-    -------
-    str
-        One statement.
-    """
+    """Return what a raster says of its cells and heights."""
     names = raster.plane.names
     return (
         f"Seen from the {raster.plane.side}; heights ({names[2]}) count towards the "
@@ -228,18 +166,7 @@ def raster_statement(raster: products.Raster) -> str:
 
 
 def relief_statement(raster: products.Raster) -> str:
-    """Return what may be read from the light on a raster, and what not.
-
-    Parameters
-    ----------
-    raster : amulor.imaging.products.Raster
-        Any.
-
-    Returns
-    -------
-    str
-        The smoothing, and the slope that noise alone makes.
-    """
+    """Return what may be read from the light on a raster, and what not."""
     apart = max(raster.surface.spacing, raster.cell)
     slope = float(np.nanmedian(raster.own)) * 2**0.5 / apart
     return (
@@ -250,20 +177,7 @@ def relief_statement(raster: products.Raster) -> str:
 
 
 def bands_of(raster: products.Raster, *, first: str) -> list[formats.Band]:
-    """Return the bands of a raster's GeoTIFF.
-
-    Parameters
-    ----------
-    raster : amulor.imaging.products.Raster
-        Any.
-    first : str
-        "orthoimage" puts the amplitude first, anything else the height.
-
-    Returns
-    -------
-    list of Band
-        Height, combined standard uncertainty, its own part, amplitude.
-    """
+    """Return the bands of a raster's GeoTIFF."""
     heights = [
         formats.Band(name="height towards the viewer", unit="m", values=raster.height),
         formats.Band(
@@ -289,21 +203,7 @@ def write_bands(
     *,
     overwrite: bool,
 ) -> None:
-    """Write bands of a raster as a GeoTIFF in its frame.
-
-    Parameters
-    ----------
-    raster : amulor.imaging.products.Raster
-        Its edges and frame count. Only a plan lies in a reference system.
-    bands : sequence of Band
-        Values.
-    path : pathlib.Path
-        File to make.
-    said : sequence of str
-        Statements.
-    overwrite : bool
-        Whether an existing file is replaced.
-    """
+    """Write bands of a raster as a GeoTIFF in its frame."""
     frame = raster.surface.frame
     plan = raster.plane.side == "top"
     formats.write_geotiff(
@@ -320,17 +220,7 @@ def write_bands(
 
 
 def save_sheet(figure: Figure, path: Path, *, overwrite: bool) -> None:
-    """Write a sheet as PDF, SVG or PNG in its size on paper.
-
-    Parameters
-    ----------
-    figure : matplotlib.figure.Figure
-        The sheet.
-    path : pathlib.Path
-        File to make.
-    overwrite : bool
-        Whether an existing file is replaced.
-    """
+    """Write a sheet as PDF, SVG or PNG in its size on paper."""
     kind = path.suffix.lower().removeprefix(".")
     plain = {"pdf": {"CreationDate": None}, "svg": {"Date": None}, "png": {}}
     with atomic_output(path, overwrite=overwrite) as temporary, style():

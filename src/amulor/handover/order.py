@@ -73,25 +73,7 @@ def product_of(
     against: object = None,
     contours: object = None,
 ) -> Product:
-    """Return the product that a file name and what else is stated mean.
-
-    Parameters
-    ----------
-    path : pathlib.Path
-        File to be written.
-    line, against, contours : object, optional
-        Whether a section, a comparison or contour lines are asked for.
-
-    Returns
-    -------
-    str
-        A key of `ENDINGS`.
-
-    Raises
-    ------
-    FormatError
-        If the ending names none.
-    """
+    """Return the product that a file name and what else is stated mean."""
     ending = path.suffix.lower()
     if line is not None:
         return "section"
@@ -112,20 +94,7 @@ def product_of(
 
 
 def statements_of(image: xr.Dataset, frame: Frame) -> list[str]:
-    """Return what a product of a range image says of itself.
-
-    Parameters
-    ----------
-    image : xarray.Dataset
-        Level `range_image`.
-    frame : Frame
-        Frame of the product.
-
-    Returns
-    -------
-    list of str
-        One statement each, without line breaks.
-    """
+    """Return what a product of a range image says of itself."""
     budget = error_budget(image)
     said = [f"Axes: {frame.axes}"]
     if frame.name == "pose":
@@ -166,18 +135,7 @@ def _sentence(words: str) -> str:
 
 
 def in_millimetres(values: ArrayLike) -> str:
-    """Return the median of uncertainties for a statement.
-
-    Parameters
-    ----------
-    values : array_like
-        Standard uncertainties; not a number where they are not known [m].
-
-    Returns
-    -------
-    str
-        Such as "0.93 mm (median)", or "not known".
-    """
+    """Return the median of uncertainties for a statement."""
     known = np.asarray(values, dtype=float)
     known = known[np.isfinite(known)]
     return f"{np.median(known) * 1e3:.2g} mm (median)" if known.size else "not known"
@@ -194,21 +152,7 @@ def write_mesh(
     scalars: dict[str, tuple[Floats, str]] | None = None,
     overwrite: bool,
 ) -> None:
-    """Write the surface of a range image as a mesh with vertex uncertainties.
-
-    Parameters
-    ----------
-    image : xarray.Dataset
-        Level `range_image`.
-    path : pathlib.Path
-        File to make (PLY).
-    surface : amulor.imaging.products.Surface
-        Its surface.
-    scalars : dict, optional
-        Further properties of the vertices: name to values and what they are.
-    overwrite : bool
-        Whether an existing file is replaced.
-    """
+    """Write the surface of a range image as a mesh with vertex uncertainties."""
     chosen = imaging.leave_out(image, mixed=True)
     cloud = imaging.point_cloud(chosen, frame=surface.frame)
     io.write_ply(

@@ -43,16 +43,6 @@ _OFFERS: dict[str, tuple[str, tuple[str, ...]]] = {
 class PageProducts:
     """Products of the range image that a page shows.
 
-    Parameters
-    ----------
-    against : pathlib.Path, optional
-        Mesh or earlier range image that deviations are taken from. The page cannot
-        name another one.
-    unit : str
-        Unit of that mesh.
-
-    Notes
-    -----
     A product is written into a folder of its own among the temporary ones, which
     nobody else can read and which is gone before the page gets its answer: the formats'
     libraries write files. One is made at a time.
@@ -76,30 +66,7 @@ class PageProducts:
         ]
 
     def make(self, image: xr.Dataset, wanted: dict[str, Any], *, stem: str) -> Made:
-        """Make a product of a range image.
-
-        Parameters
-        ----------
-        image : xarray.Dataset
-            Level `range_image`.
-        wanted : dict
-            `product`, `ending`, and where they mean something `side`, `scale`, `dpi`,
-            `show`, `axes`, `good_only`, and in metres `cell`, `contours`, `farthest`,
-            `largest_uncertainty`; of a section `pixels`, rows and columns of its ends.
-        stem : str
-            Name of the file without its ending.
-
-        Returns
-        -------
-        Made
-            The file.
-
-        Raises
-        ------
-        CubeError
-            If the request makes no sense, the image does not hold it or is too large,
-            or another product is being made.
-        """
+        """Make a product of a range image."""
         offers = {str(offer["product"]): offer for offer in self.offered()}
         product = str(wanted.get("product", ""))
         if product not in offers:

@@ -31,35 +31,7 @@ def hand_over(
     frame: Frame | None = None,
     overwrite: bool = False,
 ) -> str:
-    """Make a product of a range image and write it to a file.
-
-    Parameters
-    ----------
-    image : xarray.Dataset
-        Level `range_image`.
-    path : pathlib.Path
-        File to make, with an ending of the product's.
-    order : Order
-        What is wanted.
-    frame : Frame, optional
-        Its axes; the instrument's by default.
-    overwrite : bool
-        Whether an existing file is replaced.
-
-    Returns
-    -------
-    str
-        What was written, in a few words and numbers.
-
-    Raises
-    ------
-    CubeError
-        If the image holds nothing to be drawn, or the order does not fit it.
-    FormatError
-        If the file exists, has an ending of another product, or cannot be written.
-    MissingExtraError
-        If the package that writes the format is not installed.
-    """
+    """Make a product of a range image and write it to a file."""
     ending = path.suffix.lower()
     if ending not in ENDINGS[order.product]:
         raise FormatError(

@@ -36,28 +36,7 @@ def write_deviation(
     *,
     overwrite: bool,
 ) -> str:
-    """Compare a scan with a reference and write table, map or mesh.
-
-    Parameters
-    ----------
-    image : xarray.Dataset
-        Level `range_image`.
-    path : pathlib.Path
-        File to make.
-    order : Order
-        With the reference.
-    surface : amulor.imaging.products.Surface
-        Of the image.
-    said : tuple
-        Title and statements.
-    overwrite : bool
-        Whether an existing file is replaced.
-
-    Returns
-    -------
-    str
-        Mean deviation with its uncertainty, and how much is significant.
-    """
+    """Compare a scan with a reference and write table, map or mesh."""
     found = compare(surface, order)
     summary = summary_of(found)
     statements = [
@@ -96,25 +75,7 @@ def write_deviation(
 
 
 def compare(surface: products.Surface, order: Order) -> products.Deviation:
-    """Return how a scan deviates from the reference of an order.
-
-    Parameters
-    ----------
-    surface : amulor.imaging.products.Surface
-        The scan.
-    order : Order
-        With the reference.
-
-    Returns
-    -------
-    amulor.imaging.products.Deviation
-        For each vertex.
-
-    Raises
-    ------
-    FormatError
-        If the reference cannot be read.
-    """
+    """Return how a scan deviates from the reference of an order."""
     assert order.against is not None
     if order.against.suffix.lower() == ".nc":
         earlier = io.read_cube(order.against)
@@ -142,29 +103,7 @@ def _frame_of(earlier: xr.Dataset, frame: Frame) -> Frame:
 
 
 def read_mesh(path: Path, *, unit: float) -> tuple[Floats, NDArray[np.intp]]:
-    """Read the triangles of a mesh file.
-
-    Parameters
-    ----------
-    path : pathlib.Path
-        PLY, STL, OBJ, OFF or GLB.
-    unit : float
-        Metres of a unit of its coordinates [m].
-
-    Returns
-    -------
-    vertices : ndarray, shape (k, 3)
-        Positions [m].
-    faces : ndarray of int, shape (m, 3)
-        Triangles that have an area.
-
-    Raises
-    ------
-    FormatError
-        If there is no such file, or no triangle in it.
-    MissingExtraError
-        If trimesh is not installed.
-    """
+    """Read the triangles of a mesh file."""
     try:
         import trimesh
     except ImportError as error:
@@ -199,18 +138,7 @@ def read_mesh(path: Path, *, unit: float) -> tuple[Floats, NDArray[np.intp]]:
 
 
 def summary_of(found: products.Deviation) -> str:
-    """Return the numbers of a comparison in a sentence.
-
-    Parameters
-    ----------
-    found : amulor.imaging.products.Deviation
-        Any.
-
-    Returns
-    -------
-    str
-        Mean with its standard uncertainty, spread, and share that is significant.
-    """
+    """Return the numbers of a comparison in a sentence."""
     share = found.significant.sum() / found.compared
     known = math.isfinite(found.mean_uncertainty)
     error = f"{found.mean_uncertainty * 1e3:.2g} mm" if known else "not known"

@@ -32,25 +32,7 @@ _SHAPE_KNOWN = 4
 def completed(
     one: xr.Dataset, ranges: Ranges, *, survey: Survey | None
 ) -> tuple[Ranges, dict[str, Any]]:
-    """Return ranges with late light taken off and all terms that are known.
-
-    Parameters
-    ----------
-    one : xarray.Dataset
-        Level `target_signal`, one channel.
-    ranges : Ranges
-        What the phases say.
-    survey : Survey or None
-        Its water and its calibration count.
-
-    Returns
-    -------
-    ranges : Ranges
-        With more terms, which all pixels share.
-    attributes : dict
-        What the image says of late light, of the calibration, and which terms nobody
-        knows.
-    """
+    """Return ranges with late light taken off and all terms that are known."""
     seen = np.where(ranges.usable, ranges.slant_range, np.nan)
     light = late_light(one, seen, survey=survey, weight=ranges.weight)
     ranges, shared = _without_instrument(one, ranges)
@@ -157,19 +139,7 @@ def _unknown_of_water(one: xr.Dataset) -> list[str]:
 
 
 def uncertainties(ranges: Ranges) -> dict[str, Floats]:
-    """Return the variables of an image that hold its uncertainty.
-
-    Parameters
-    ----------
-    ranges : Ranges
-        Slant ranges with all terms.
-
-    Returns
-    -------
-    dict of str to ndarray
-        The combined standard uncertainty, the part that pixels share, and one variable
-        for each term; the squares of the terms add up to that of the combined one [m].
-    """
+    """Return the variables of an image that hold its uncertainty."""
     found = {"slant_range_uncertainty": ranges.total}
     if ranges.common is not None:
         found["slant_range_common_uncertainty"] = ranges.common
@@ -305,18 +275,7 @@ def error_budget(image: xr.Dataset) -> ErrorBudget:
 
 
 def age_in_words(days: float) -> str:
-    """Return how old a calibration was, to follow its date.
-
-    Parameters
-    ----------
-    days : float
-        From the calibration to the scan; not a number where that is not known.
-
-    Returns
-    -------
-    str
-        Such as `, 12 days before the scan`; empty where it is not known.
-    """
+    """Return how old a calibration was, to follow its date."""
     if math.isnan(days):
         return ""
     return f", {abs(days):.0f} days {'before' if days >= 0 else 'after'} the scan"

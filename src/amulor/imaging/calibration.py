@@ -30,25 +30,6 @@ def calibration_terms(
 ) -> dict[str, Floats]:
     """Return the standard uncertainties that the survey states of the instrument.
 
-    Parameters
-    ----------
-    one : xarray.Dataset
-        A cube with the geometry that its ranges were made with.
-    path : ndarray, shape (row, column)
-        Two-way optical path, not a number where there is none [m].
-    slope : ndarray, shape (row, column)
-        Derivative of the slant range by the path [1].
-    survey : Survey or None
-        Its calibration and, for the index, its water count.
-
-    Returns
-    -------
-    dict of str to ndarray
-        Term to standard uncertainty of the slant range, shape (row, column) [m]; a
-        term is left out if the calibration does not say all that it needs.
-
-    Notes
-    -----
     By central differences of the slant range of a fixed path: by the group index, by
     each coordinate of the receiver and by azimuth and elevation of the beams. The
     errors are one and the same for all pixels. The delay is as uncertain as on the day
@@ -77,21 +58,7 @@ def calibration_terms(
 def joint_instrument_terms(
     one: xr.Dataset, path: Floats, slope: Floats
 ) -> dict[str, Floats]:
-    """Return what a joint estimation has counted for the instrument, term by term.
-
-    Parameters
-    ----------
-    one : xarray.Dataset
-        Level `target_signal`; its attributes that begin with `joint_` count.
-    path, slope : ndarray, shape (row, column)
-        As in `calibration_terms`.
-
-    Returns
-    -------
-    dict of str to ndarray
-        As `calibration_terms`; empty if no joint estimation says so. The place of the
-        receiver counts to the right and down.
-    """
+    """Return what a joint estimation has counted for the instrument, term by term."""
     names = (
         "joint_delay_uncertainty_s",
         "joint_group_index_uncertainty",
@@ -110,21 +77,7 @@ def joint_instrument_terms(
 
 
 def calibration_age(one: xr.Dataset, calibration: Calibration | None) -> float | None:
-    """Return how old the calibration of the delay was in the middle of a scan.
-
-    Parameters
-    ----------
-    one : xarray.Dataset
-        A cube; its attributes `time_coverage_start` and `time_coverage_end` count.
-    calibration : Calibration or None
-        Its date counts, at noon UTC.
-
-    Returns
-    -------
-    float or None
-        Days, below 0 for a calibration after the scan; None where either date is not
-        known.
-    """
+    """Return how old the calibration of the delay was in the middle of a scan."""
     start = one.attrs.get(_COVERAGE[0])
     if calibration is None or calibration.date is None or start is None:
         return None

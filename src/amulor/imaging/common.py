@@ -17,19 +17,7 @@ _ROUNDED = 4 * np.finfo(float).eps
 
 
 def own_variance(image: xr.Dataset) -> Floats:
-    """Return the variance of slant ranges without what the pixels share.
-
-    Parameters
-    ----------
-    image : xarray.Dataset
-        Level `range_image`.
-
-    Returns
-    -------
-    ndarray, shape (row, column)
-        Not below what the difference of the two is rounded by; where the combined
-        uncertainty is not known, that of the terms that are each pixel's own [m^2].
-    """
+    """Return the variance of slant ranges without what the pixels share."""
     variance: Floats = image["slant_range_uncertainty"].values ** 2
     if "slant_range_common_uncertainty" in image:
         shared = image["slant_range_common_uncertainty"].values ** 2
@@ -52,42 +40,14 @@ def own_variance(image: xr.Dataset) -> Floats:
 def with_flag(
     image: xr.Dataset, flag: QualityFlag, where: NDArray[np.bool_] | bool
 ) -> xr.Dataset:
-    """Return a range image with one more flag.
-
-    Parameters
-    ----------
-    image : xarray.Dataset
-        Level `range_image`.
-    flag : QualityFlag
-        What to add.
-    where : ndarray of bool, shape (row, column), or bool
-        Pixels that get it.
-
-    Returns
-    -------
-    xarray.Dataset
-        The same data.
-    """
+    """Return a range image with one more flag."""
     old = image["quality_flag"]
     new = np.where(where, old.values | flag, old.values).astype(np.int16)
     return image.assign(quality_flag=old.copy(data=new))
 
 
 def phase_cosines(image: xr.Dataset, distance: Floats) -> Floats:
-    """Return the cosines of phases between distances, the mean of all frequencies.
-
-    Parameters
-    ----------
-    image : xarray.Dataset
-        Level `range_image`; its frequencies and its group index count.
-    distance : ndarray, shape (n,)
-        Slant ranges [m].
-
-    Returns
-    -------
-    ndarray, shape (n, n)
-        How much of an error of the water two distances share [1].
-    """
+    """Return the cosines of phases between distances, the mean of all frequencies."""
     group_index = float(image["geometry"].attrs["group_index"])
     frequency = np.atleast_1d(image.attrs["modulation_frequencies"])
     turn = np.zeros((len(distance), len(distance)))

@@ -11,18 +11,7 @@ from amulor.optics import rays
 
 
 def medium_of(cube: xr.Dataset) -> rays.Medium:
-    """Return what the light of a cube crosses, from its coordinate `geometry`.
-
-    Parameters
-    ----------
-    cube : xarray.Dataset
-        A cube of any level.
-
-    Returns
-    -------
-    amulor.optics.rays.Medium
-        Indices and window.
-    """
+    """Return what the light of a cube crosses, from its coordinate `geometry`."""
     geometry: dict[str, Any] = cube["geometry"].attrs
     names = (
         "window_distance",
@@ -39,18 +28,7 @@ def medium_of(cube: xr.Dataset) -> rays.Medium:
 
 
 def beams_of(cube: xr.Dataset) -> rays.Beam:
-    """Return the beam of every pixel as it travels in the water.
-
-    Parameters
-    ----------
-    cube : xarray.Dataset
-        With azimuth, elevation and, where the scan moves sideways, origins.
-
-    Returns
-    -------
-    amulor.optics.rays.Beam
-        Arrays over (row, column).
-    """
+    """Return the beam of every pixel as it travels in the water."""
     position = np.asarray(cube["geometry"].attrs["emitter_position"], dtype=float)
     starts = np.broadcast_to(position, (*cube["azimuth"].shape, 3)).copy()
     for axis, name in enumerate(("origin_x", "origin_y", "origin_z")):
@@ -64,18 +42,7 @@ def beams_of(cube: xr.Dataset) -> rays.Beam:
 
 
 def receivers_of(cube: xr.Dataset) -> np.ndarray:
-    """Return where the light of every pixel is collected [m].
-
-    Parameters
-    ----------
-    cube : xarray.Dataset
-        A cube; where its scan moves sideways, the receiver moves along.
-
-    Returns
-    -------
-    ndarray, shape (row, column, 3)
-        Positions [m].
-    """
+    """Return where the light of every pixel is collected [m]."""
     geometry = cube["geometry"].attrs
     receiver = np.asarray(geometry["receiver_position"], dtype=float)
     emitter = np.asarray(geometry["emitter_position"], dtype=float)

@@ -59,25 +59,6 @@ def late_light(
 ) -> LateLight:
     """Return how late the echoes of one channel are.
 
-    Parameters
-    ----------
-    one : xarray.Dataset
-        Level `target_signal`, one channel.
-    slant_range : ndarray, shape (row, column)
-        Distances along the beams, not a number where there is none [m].
-    survey : Survey or None
-        Its water and its receiver count.
-    weight : ndarray, shape (frequencies,)
-        How much each frequency counts in the range, 1 in all [1].
-
-    Returns
-    -------
-    LateLight
-        Zero without uncertainty where the survey does not describe the water; zero,
-        and known to be, for cubes simulated by a model without late light.
-
-    Notes
-    -----
     The water is that of the survey, a rectangular distribution between two ends: with
     an asymmetry between the Henyey-Greenstein function and half of its delay, since
     natural waters of the same asymmetry are less late; with moments of the forward
@@ -126,19 +107,6 @@ def dispersion(
 ) -> tuple[Floats, Floats] | None:
     """Return by how much late light turns the phases of frequencies differently.
 
-    Parameters
-    ----------
-    one, slant_range, survey, weight
-        As in `late_light`.
-
-    Returns
-    -------
-    tuple of two ndarrays, shape (frequencies, row, column), or None
-        Phase at each frequency beyond that of the delay which all of them share, and
-        its standard uncertainty [rad]; None where no late light is known.
-
-    Notes
-    -----
     The higher the frequency, the less light that took many ways counts: a delay that
     differs with the frequency, which is no other distance and no other interval.
     """

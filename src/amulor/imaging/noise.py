@@ -33,25 +33,6 @@ def noise_scale(
 ) -> float:
     r"""Return by which factor the noise of the phases exceeds what is stated.
 
-    Parameters
-    ----------
-    path : amulor.optics.ambiguity.Path
-        Optical paths over (row, column), with their residuals.
-    own : ndarray, shape (frequencies, row, column)
-        Stated phase error of each sample by itself, without what pixels share [rad].
-    modulation_frequency : ndarray, shape (frequencies,)
-        Modulation frequencies [Hz].
-    refit : callable
-        Returns the optical paths with errors of samples larger by a factor.
-
-    Returns
-    -------
-    float
-        At least 1; 1 with a single frequency, for too few pixels, and where chance
-        explains the excess.
-
-    Notes
-    -----
     Phases at n frequencies leave n - 1 residuals a pixel when the range is taken out.
     In the difference of two neighbours everything cancels that they share: water of
     another shape, late light, errors of the reference. What is left is noise, and the
@@ -103,20 +84,7 @@ def _factor(
 
 
 def with_noise_scaled(one: xr.Dataset, factor: float) -> xr.Dataset:
-    """Return a target signal whose samples have larger errors of their own.
-
-    Parameters
-    ----------
-    one : xarray.Dataset
-        Level `target_signal`, one channel.
-    factor : float
-        At least 1.
-
-    Returns
-    -------
-    xarray.Dataset
-        What pixels share stays as it is; the attribute `noise_scale` says the factor.
-    """
+    """Return a target signal whose samples have larger errors of their own."""
     if factor == 1:
         return one
     more = factor**2 - 1

@@ -201,22 +201,7 @@ def _read_survey(text: str) -> Survey | None:
 def image_of_path(
     one: xr.Dataset, path: ambiguity.Path, *, interval: tuple[float, float] | None
 ) -> xr.Dataset:
-    """Return the range image that belongs to optical paths.
-
-    Parameters
-    ----------
-    one : xarray.Dataset
-        Level `target_signal` without the dimension polarization.
-    path : amulor.optics.ambiguity.Path
-        Optical path of every pixel.
-    interval : tuple of float, optional
-        Limits of the slant range that were used [m].
-
-    Returns
-    -------
-    xarray.Dataset
-        Level `range_image`.
-    """
+    """Return the range image that belongs to optical paths."""
     return _image(one, ranges_of_path(one, path), interval=interval)
 
 
@@ -265,25 +250,7 @@ def _image(
 
 
 def channel_of(cube: xr.Dataset, polarization: str | None) -> xr.Dataset:
-    """Return one polarization channel of a cube.
-
-    Parameters
-    ----------
-    cube : xarray.Dataset
-        Level `target_signal`.
-    polarization : str, optional
-        Channel to take; needed if there are several.
-
-    Returns
-    -------
-    xarray.Dataset
-        Without the dimension polarization.
-
-    Raises
-    ------
-    CubeError
-        If the channel is not there, or has to be chosen.
-    """
+    """Return one polarization channel of a cube."""
     present = cube.amulor.polarizations
     if polarization is None and len(present) > 1:
         raise CubeError(

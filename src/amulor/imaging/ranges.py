@@ -53,20 +53,7 @@ class Ranges:
 
 
 def ranges_of_path(one: xr.Dataset, path: ambiguity.Path) -> Ranges:
-    """Return the ranges that belong to optical paths, with the errors of the phases.
-
-    Parameters
-    ----------
-    one : xarray.Dataset
-        Level `target_signal` without the dimension polarization.
-    path : amulor.optics.ambiguity.Path
-        Optical path of every pixel.
-
-    Returns
-    -------
-    Ranges
-        With the bias by water left in, where the cube estimates it.
-    """
+    """Return the ranges that belong to optical paths, with the errors of the phases."""
     frequency = one["modulation_frequency"].values
     flag, sigma, shift = phase_errors(one)
     usable = (flag & UNUSABLE) == 0
@@ -114,20 +101,7 @@ def ranges_of_path(one: xr.Dataset, path: ambiguity.Path) -> Ranges:
 
 
 def ranges_of_joint(one: xr.Dataset, *, interval: tuple[float, float] | None) -> Ranges:
-    """Return the ranges that the joint estimation found, with their errors.
-
-    Parameters
-    ----------
-    one : xarray.Dataset
-        Level `target_signal` of the joint estimation, one channel.
-    interval : tuple of float, optional
-        Nearest and farthest slant range that are possible [m].
-
-    Returns
-    -------
-    Ranges
-        Those of all channels and frequencies together; nothing is estimated anew.
-    """
+    """Return the ranges that the joint estimation found, with their errors."""
     found = {
         name: one[f"joint_{name}"].values
         for name in (
@@ -177,20 +151,7 @@ def ranges_of_joint(one: xr.Dataset, *, interval: tuple[float, float] | None) ->
 
 
 def first_ranges(one: xr.Dataset, path: ambiguity.Path) -> Floats:
-    """Return the slant ranges of optical paths, not a number where there is none.
-
-    Parameters
-    ----------
-    one : xarray.Dataset
-        Level `target_signal` without the dimension polarization.
-    path : amulor.optics.ambiguity.Path
-        Optical path of every pixel.
-
-    Returns
-    -------
-    ndarray, shape (row, column)
-        Distance from the emitter along the beam [m].
-    """
+    """Return the slant ranges of optical paths, not a number where there is none."""
     return rays.slant_range_of_path(
         path.length, beams_of(one), receivers_of(one), medium=medium_of(one)
     )
@@ -208,22 +169,7 @@ def _ranges_and_slopes(one: xr.Dataset, path: Floats) -> tuple[Floats, Floats]:
 
 
 def weight_of(frequency: Floats, sigma: Floats, usable: NDArray[np.bool_]) -> Floats:
-    """Return how much each frequency counts in the ranges of most pixels.
-
-    Parameters
-    ----------
-    frequency : ndarray, shape (frequencies,)
-        Modulation frequencies [Hz].
-    sigma : ndarray, shape (frequencies, row, column)
-        Phase errors [rad].
-    usable : ndarray of bool, shape (row, column)
-        Pixels that count.
-
-    Returns
-    -------
-    ndarray, shape (frequencies,)
-        1 in all [1].
-    """
+    """Return how much each frequency counts in the ranges of most pixels."""
 
     def weights() -> Floats:
         if not usable.any():
@@ -271,21 +217,7 @@ def _terms(
 def phase_errors(
     one: xr.Dataset, *, most_outliers: float = ambiguity.BREAKDOWN
 ) -> tuple[NDArray[np.int16], Floats, Floats]:
-    """Return flags, phase errors and phase shifts by water of one channel.
-
-    Parameters
-    ----------
-    one : xarray.Dataset
-        Level `target_signal` without the dimension polarization.
-    most_outliers : float
-        As for `amulor.cube.error.flags_of_pixels`.
-
-    Returns
-    -------
-    tuple of three ndarrays
-        Flags over (row, column), all frequencies together; phase error and shift by
-        the water left in, over (modulation_frequency, row, column) [rad].
-    """
+    """Return flags, phase errors and phase shifts by water of one channel."""
     signal = one.amulor.signal.values
     each = one["quality_flag"].values
     flag, left_out = flags_of_pixels(each, most_outliers=most_outliers)
@@ -295,18 +227,7 @@ def phase_errors(
 
 
 def own_phase_errors(one: xr.Dataset) -> Floats:
-    """Return the phase error of each sample without what the pixels share.
-
-    Parameters
-    ----------
-    one : xarray.Dataset
-        Level `target_signal` without the dimension polarization.
-
-    Returns
-    -------
-    ndarray, shape (modulation_frequency, row, column)
-        Infinite where a sample does not count [rad].
-    """
+    """Return the phase error of each sample without what the pixels share."""
     flag, sigma, _ = phase_errors(one)
     if "common_covariance" not in one:
         return sigma

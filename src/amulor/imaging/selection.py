@@ -70,25 +70,7 @@ def to_leave_out(
     largest_uncertainty: float | None,
     mixed: bool,
 ) -> tuple[NDArray[np.bool_], dict[str, int]]:
-    """Return which pixels `leave_out` takes, and how many for which reason.
-
-    Parameters
-    ----------
-    image, good_only, largest_uncertainty, mixed
-        As in `leave_out`.
-
-    Returns
-    -------
-    gone : ndarray of bool, shape (row, column)
-        Pixels.
-    counts : dict of str to int
-        By reason, each pixel once [1].
-
-    Raises
-    ------
-    ValueError
-        If the largest uncertainty is not above 0 m.
-    """
+    """Return which pixels `leave_out` takes, and how many for which reason."""
     if largest_uncertainty is not None and not largest_uncertainty > 0:
         raise ValueError(
             f"largest uncertainty must be above 0 m, got {largest_uncertainty:g} m"
@@ -117,22 +99,7 @@ def to_leave_out(
 def without(
     image: xr.Dataset, gone: NDArray[np.bool_], counts: dict[str, int]
 ) -> xr.Dataset:
-    """Return a range image without some pixels.
-
-    Parameters
-    ----------
-    image : xarray.Dataset
-        Level `range_image`.
-    gone : ndarray of bool, shape (row, column)
-        Pixels, from `to_leave_out`.
-    counts : dict of str to int
-        Of these, or of a scan that the image is a part of, for the history [1].
-
-    Returns
-    -------
-    xarray.Dataset
-        Those pixels flagged `MISSING`; the same image if none was counted.
-    """
+    """Return a range image without some pixels."""
     if not any(counts.values()):
         return image
     kept = {

@@ -47,28 +47,6 @@ def thinned(
 ) -> tuple[xr.Dataset, Whole]:
     """Return pixels of a range image that stand for all, and what is said of all.
 
-    Parameters
-    ----------
-    source : amulor.cube.tiles.Source
-        Range image, in memory or a file.
-    rows : int, optional
-        Rows that are read at once; the result is the same for any.
-    checks : sequence of Check
-        Known lengths; measured in the image itself, not in what is left of it.
-
-    Returns
-    -------
-    image : xarray.Dataset
-        All of an image of up to `LARGEST` pixels; of a larger one every row and column
-        of a step, at most `SHOWN` pixels.
-    whole : Whole
-        Of all pixels.
-
-    Raises
-    ------
-    CubeError
-        If it is no range image, or an end of a check holds no range.
-
     Examples
     --------
     >>> from amulor import imaging, rejection, samples

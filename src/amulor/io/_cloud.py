@@ -21,26 +21,7 @@ _LAST = {"row": 2**31 - 1, "column": 2**31 - 1, "quality_flag": 2**15 - 1}
 
 
 def checked_cloud(cloud: xr.Dataset, *, name: str) -> xr.Dataset:
-    """Return a point cloud with at least one point, all of them placed, or raise.
-
-    Parameters
-    ----------
-    cloud : xarray.Dataset
-        What is to be exported.
-    name : str
-        How a message names the cloud.
-
-    Returns
-    -------
-    xarray.Dataset
-        The cloud; of a single selected point, with the dimension put back.
-
-    Raises
-    ------
-    CubeError
-        If it is of another level or empty, if a point has no position or no
-        intensity, or if a row, a column or a flag is no whole number.
-    """
+    """Return a point cloud with at least one point, all of them placed, or raise."""
     cloud = cubes.checked(cloud, level="point_cloud", name=name)
     if cloud.sizes["point"] == 0:
         raise CubeError(
@@ -70,27 +51,7 @@ def checked_cloud(cloud: xr.Dataset, *, name: str) -> xr.Dataset:
 def checked_parts(
     parts: Iterable[xr.Dataset], count: int, *, name: str
 ) -> Iterator[xr.Dataset]:
-    """Yield the parts of a cloud that hold points, checked as by `checked_cloud`.
-
-    Parameters
-    ----------
-    parts : iterable of xarray.Dataset
-        Parts of a cloud.
-    count : int
-        Points that they hold together.
-    name : str
-        How a message names the cloud.
-
-    Yields
-    ------
-    xarray.Dataset
-        A part.
-
-    Raises
-    ------
-    CubeError
-        As `checked_cloud`, and if there are more or fewer points, or none.
-    """
+    """Yield the parts of a cloud that hold points, checked as by `checked_cloud`."""
     found = 0
     part = None
     for part in parts:
@@ -107,20 +68,7 @@ def checked_parts(
 
 
 def in_blocks(arrays: Iterable[NDArray[Any]], size: int) -> Iterator[NDArray[Any]]:
-    """Yield the elements of arrays in blocks of one size, the last one smaller.
-
-    Parameters
-    ----------
-    arrays : iterable of ndarray, shape (n,)
-        Of one type.
-    size : int
-        Elements of a block.
-
-    Yields
-    ------
-    ndarray
-        The same blocks however the elements came.
-    """
+    """Yield the elements of arrays in blocks of one size, the last one smaller."""
     waiting: list[NDArray[Any]] = []
     count = 0
     for array in arrays:
@@ -135,18 +83,7 @@ def in_blocks(arrays: Iterable[NDArray[Any]], size: int) -> Iterator[NDArray[Any
 
 
 def provenance_lines(cloud: xr.Dataset) -> list[str]:
-    """Return what the cloud is and where it comes from, one statement a line.
-
-    Parameters
-    ----------
-    cloud : xarray.Dataset
-        A point cloud.
-
-    Returns
-    -------
-    list of str
-        "name: text", without line breaks; several lines for the history.
-    """
+    """Return what the cloud is and where it comes from, one statement a line."""
     named = ("title", "source", "history", "amulor_schema_version", "software_versions")
     lines = frame_lines(cloud.attrs)
     for key in named:
@@ -172,18 +109,7 @@ def provenance_lines(cloud: xr.Dataset) -> list[str]:
 
 
 def frame_lines(attributes: Mapping[Hashable, Any]) -> list[str]:
-    """Return what the coordinates of a product mean, one statement a line.
-
-    Parameters
-    ----------
-    attributes : mapping
-        Those of a point cloud or of what was made of it.
-
-    Returns
-    -------
-    list of str
-        Axes, the transformation from the instrument's, and the reference system.
-    """
+    """Return what the coordinates of a product mean, one statement a line."""
     lines = [f"axes: {attributes.get('frame_axes', _AXES)}"]
     if attributes.get("frame", "instrument") != "instrument":
         numbers = " ".join(f"{v:.12g}" for v in attributes["frame_matrix"])
@@ -197,18 +123,7 @@ def frame_lines(attributes: Mapping[Hashable, Any]) -> list[str]:
 
 
 def doubtful(cloud: xr.Dataset) -> NDArray[np.bool_]:
-    """Return which points have a range that is doubtful by itself.
-
-    Parameters
-    ----------
-    cloud : xarray.Dataset
-        A point cloud.
-
-    Returns
-    -------
-    ndarray of bool, shape (point,)
-        None without quality flags.
-    """
+    """Return which points have a range that is doubtful by itself."""
     if "quality_flag" not in cloud:
         return np.zeros(cloud.sizes["point"], dtype=bool)
     flags = cloud["quality_flag"].values.astype(np.int64)

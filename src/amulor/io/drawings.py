@@ -75,25 +75,7 @@ class Drawing:
 
 
 def checked(drawing: Drawing, *, name: str) -> Drawing:
-    """Return a drawing that has lines with finite points, or raise.
-
-    Parameters
-    ----------
-    drawing : Drawing
-        What is to be written.
-    name : str
-        How a message calls it.
-
-    Returns
-    -------
-    Drawing
-        The same.
-
-    Raises
-    ------
-    FormatError
-        If it has no line, or a point that is not finite.
-    """
+    """Return a drawing that has lines with finite points, or raise."""
     if not drawing.lines:
         raise FormatError(f"{name}: there is no line to draw")
     for line in drawing.lines:
@@ -103,18 +85,7 @@ def checked(drawing: Drawing, *, name: str) -> Drawing:
 
 
 def sides(line: Line) -> Floats | None:
-    """Return the outline of the band of a line, two standard uncertainties wide.
-
-    Parameters
-    ----------
-    line : Line
-        With or without a band.
-
-    Returns
-    -------
-    ndarray, shape (2 n, 2), or None
-        Along one side and back along the other [m].
-    """
+    """Return the outline of the band of a line, two standard uncertainties wide."""
     if line.band is None or len(line.points) < 2:
         return None
     step = np.gradient(line.points, axis=0)
@@ -140,25 +111,7 @@ def write_svg(
     scale: float,
     overwrite: bool = False,
 ) -> None:
-    """Write a line drawing to an SVG file whose millimetres are those of the paper.
-
-    Parameters
-    ----------
-    drawing : Drawing
-        Its lines.
-    path : path-like
-        File to make, by custom with the suffix `.svg`.
-    scale : float
-        Metres of the object to one of the paper; 20 for 1:20 [1].
-    overwrite : bool
-        Whether an existing file is replaced.
-
-    Raises
-    ------
-    FormatError
-        If there is no line, if the sheet would be too long, if the file exists and
-        `overwrite` is not set, or if it cannot be written.
-    """
+    """Write a line drawing to an SVG file whose millimetres are those of the paper."""
     drawing = checked(drawing, name=str(path))
     left, right, low, high = drawing.limits
     to_paper = 1000.0 / scale
@@ -226,21 +179,7 @@ def write_svg(
 
 
 def bar_length(extent: float, scale: float) -> float:
-    """Return a round length for a scale bar.
-
-    Parameters
-    ----------
-    extent : float
-        Width of what is drawn [m].
-    scale : float
-        Metres of the object to one of the paper [1].
-
-    Returns
-    -------
-    float
-        1, 2 or 5 times a power of ten: at most half of the extent, but at least 20 mm
-        on paper [m].
-    """
+    """Return a round length for a scale bar."""
     wanted = max(0.5 * extent, 0.02 * scale)
     power = 10.0 ** np.floor(np.log10(wanted))
     fitting = [step * power for step in (1.0, 2.0, 5.0) if step * power <= wanted]
@@ -288,25 +227,6 @@ def write_dxf(
 ) -> None:
     """Write a line drawing to a DXF file, in metres.
 
-    Parameters
-    ----------
-    drawing : Drawing
-        Its lines; heights of contours become elevations of their polylines.
-    path : path-like
-        File to make, by custom with the suffix `.dxf`.
-    overwrite : bool
-        Whether an existing file is replaced.
-
-    Raises
-    ------
-    FormatError
-        If there is no line, if the file exists and `overwrite` is not set, or if it
-        cannot be written.
-    MissingExtraError
-        If ezdxf is not installed.
-
-    Notes
-    -----
     AutoCAD 2010 format, light-weight polylines, a layer for each kind of line. The
     outline of the band of two standard uncertainties is on the layer "uncertainty";
     statements stand as text on the layer "notes" below the drawing.
@@ -393,36 +313,6 @@ def write_geotiff(
 ) -> None:
     """Write bands of one size to a GeoTIFF file.
 
-    Parameters
-    ----------
-    bands : sequence of Band
-        At least one.
-    path : path-like
-        File to make.
-    cell : float
-        Size of a cell [m].
-    left, top : float
-        Coordinates of the left and the upper edge [m].
-    crs : str
-        Reference system: "EPSG:" and a number of a projected one in metres. Any other
-        text is written as a citation of a local frame.
-    offset : tuple of float
-        What is added to the edges where the system is one of EPSG [m].
-    statements : sequence of str
-        What is to be said of it, for the description.
-    overwrite : bool
-        Whether an existing file is replaced.
-
-    Raises
-    ------
-    FormatError
-        If the file exists and `overwrite` is not set, or cannot be written, or the
-        reference system is not a projected one in metres.
-    MissingExtraError
-        If tifffile is not installed, or pyproj where there is a number of EPSG.
-
-    Notes
-    -----
     Single precision, which holds a metre to 60 nm; deflate; not a number is no data.
     Bands lie one after the other, with their names and units as GDAL reads them.
     """
@@ -504,26 +394,7 @@ def write_picture(
     texts: Mapping[str, str],
     overwrite: bool = False,
 ) -> None:
-    """Write a picture to a PNG file, with its resolution and texts inside.
-
-    Parameters
-    ----------
-    pixels : ndarray of uint8, shape (rows, columns, 4)
-        Red, green, blue and opacity.
-    path : path-like
-        File to make.
-    dots_per_metre : float
-        Pixels to a metre of paper, so that it prints at its scale [1/m].
-    texts : mapping of str to str
-        What is to be said of it, under keywords of at most 79 letters.
-    overwrite : bool
-        Whether an existing file is replaced.
-
-    Raises
-    ------
-    FormatError
-        If the file exists and `overwrite` is not set, or cannot be written.
-    """
+    """Write a picture to a PNG file, with its resolution and texts inside."""
     from PIL import Image, PngImagePlugin
 
     described = PngImagePlugin.PngInfo()
@@ -543,25 +414,7 @@ def write_table(
     statements: Sequence[str] = (),
     overwrite: bool = False,
 ) -> None:
-    """Write columns of numbers to a CSV file.
-
-    Parameters
-    ----------
-    columns : mapping of str to array_like
-        Name with its unit to values of one length; whole numbers are written as such,
-        others to seven digits, what is not a number as an empty field.
-    path : path-like
-        File to make.
-    statements : sequence of str
-        What is to be said of it, a comment line each.
-    overwrite : bool
-        Whether an existing file is replaced.
-
-    Raises
-    ------
-    FormatError
-        If the file exists and `overwrite` is not set, or cannot be written.
-    """
+    """Write columns of numbers to a CSV file."""
     arrays = {name: np.asarray(values) for name, values in columns.items()}
     texts = []
     for values in arrays.values():

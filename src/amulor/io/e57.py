@@ -117,25 +117,6 @@ def write_e57_parts(
 ) -> None:
     """Write the cloud of a scan that comes in parts, so that none is in memory whole.
 
-    Parameters
-    ----------
-    parts : callable
-        Gives the parts in the order of their rows, the same ones each time: once for
-        bounds and identifiers and once to write them.
-    count : int
-        Points that they hold together.
-    path, overwrite
-        As in `write_e57`.
-    shape : tuple of int
-        Rows and columns of the scan [1].
-
-    Raises
-    ------
-    CubeError, FormatError, MissingExtraError
-        As `write_e57`, and if there are more or fewer points.
-
-    Notes
-    -----
     The file is that of the whole cloud, byte for byte: records are handed over in
     blocks of the same size for whatever parts.
     """
@@ -349,24 +330,7 @@ def _write_points(libe57: Any, file: Any, node: Any, scan: Records) -> None:
 
 
 class Records:
-    """The records of one scan, and what stands beside them in a file.
-
-    Parameters
-    ----------
-    parts : callable
-        Gives the parts of the cloud in the order of their rows, none empty, the same
-        ones each time.
-    shape : tuple of int
-        Rows and columns of the scan [1].
-    name : str
-        How a message names the cloud.
-
-    Raises
-    ------
-    CubeError
-        If two points are in one pixel, a point is outside the scan, or parts are out of
-        order.
-    """
+    """The records of one scan, and what stands beside them in a file."""
 
     def __init__(
         self,

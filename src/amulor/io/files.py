@@ -14,24 +14,7 @@ from amulor.errors import FormatError
 
 
 def read_bytes(path: str | os.PathLike[str]) -> bytes:
-    """Return all that a file holds.
-
-    Parameters
-    ----------
-    path : path-like
-        An existing file.
-
-    Returns
-    -------
-    bytes
-        Its content, at least one byte.
-
-    Raises
-    ------
-    FormatError
-        If there is no such file, if it is a folder or empty, or if the operating
-        system does not let it be read.
-    """
+    """Return all that a file holds."""
     path = Path(path)
     try:
         if path.is_dir():
@@ -89,27 +72,6 @@ def atomic_output(
     path: str | os.PathLike[str], *, overwrite: bool = False
 ) -> Iterator[Path]:
     """Write a file that appears whole under its name, or not at all.
-
-    Parameters
-    ----------
-    path : path-like
-        File to make, in an existing folder. Through a symbolic link the file that
-        it points to is made.
-    overwrite : bool
-        Whether an existing file is replaced.
-
-    Yields
-    ------
-    pathlib.Path
-        An empty hidden file in the same folder and with the same suffix, to be
-        filled. It takes the place of `path` when the block ends well; after any
-        exception it is gone, and what stood at `path` is as it was.
-
-    Raises
-    ------
-    FormatError
-        If the file exists and `overwrite` is not set, if the name cannot be used,
-        or if the operating system refuses, for example on a full disk.
 
     Examples
     --------
@@ -216,14 +178,7 @@ def _synchronise(path: Path) -> None:
 
 
 def synchronise_folder(folder: Path) -> None:
-    """Wait until the names in a folder are on disk, where the system can do that.
-
-    Parameters
-    ----------
-    folder : pathlib.Path
-        An existing folder. Some file systems, and Windows, cannot; then nothing is
-        done.
-    """
+    """Wait until the names in a folder are on disk, where the system can do that."""
     with contextlib.suppress(OSError):
         handle = os.open(folder, os.O_RDONLY)
         try:

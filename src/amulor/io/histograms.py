@@ -304,27 +304,7 @@ BLOCK = 2**21
 def checked_frequency(
     histograms: Histograms, modulation_frequency: ArrayLike
 ) -> NDArray[np.float64]:
-    """Return modulation frequencies that the bins of the histograms can resolve.
-
-    Parameters
-    ----------
-    histograms : Histograms
-        Where the bins come from.
-    modulation_frequency : array_like
-        One frequency or several that increase [Hz].
-
-    Returns
-    -------
-    ndarray
-        The frequencies, shape (frequencies,) [Hz].
-
-    Raises
-    ------
-    FormatError
-        If one is not above zero, or is above one half per bin width, where a bin
-        is half a period long and takes a third off the amplitude, or if they do
-        not increase.
-    """
+    """Return modulation frequencies that the bins of the histograms can resolve."""
     path = histograms.path
     try:
         frequency = np.atleast_1d(np.asarray(modulation_frequency, dtype=float))
@@ -368,30 +348,6 @@ def weights(
 ) -> NDArray[np.complex128]:
     r"""Return what each count of a bin adds to the signal at each frequency.
 
-    Parameters
-    ----------
-    histograms : Histograms
-        Where the bins come from.
-    frequency : ndarray
-        Modulation frequencies, see `checked_frequency` [Hz].
-    time_of_emission : float
-        When the light left, on the clock on which bin 0 starts at zero [s].
-    background_bins : tuple of int, optional
-        First bin, and the one after the last, in which no light of the source
-        falls. Their mean count is then taken off each bin.
-
-    Returns
-    -------
-    ndarray
-        Weights, shape (frequencies, bins) [1].
-
-    Raises
-    ------
-    FormatError
-        If the background bins are not bins of the file.
-
-    Notes
-    -----
     :math:`g_k = e^{2 \pi i f t_k}` with :math:`t_k` the centre of bin k. With a
     background it is :math:`g_k - [k \in B] \sum_j g_j / |B|`: taking a mean off is
     linear in the counts, so the counting noise of the background needs no term of
@@ -427,18 +383,6 @@ class Coefficients:
 
 def transform(counts: NDArray[Any], weight: NDArray[np.complex128]) -> Coefficients:
     r"""Return the weighted sums of histograms and their Poisson covariance.
-
-    Parameters
-    ----------
-    counts : ndarray
-        Photons per bin, shape (..., bins) [1].
-    weight : ndarray
-        What a count adds, shape (frequencies, bins) [1].
-
-    Returns
-    -------
-    Coefficients
-        Of shape (frequencies, ...).
 
     Notes
     -----

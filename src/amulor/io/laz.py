@@ -129,23 +129,6 @@ def write_laz_parts(
 ) -> None:
     """Write a point cloud that comes in parts, so that none is in memory whole.
 
-    Parameters
-    ----------
-    parts : callable
-        Gives the parts in their order, the same ones each time: once for the extent of
-        the cloud and once to write it.
-    count : int
-        Points that they hold together.
-    path, overwrite
-        As in `write_laz`.
-
-    Raises
-    ------
-    CubeError, FormatError, MissingExtraError
-        As `write_laz`, and if there are more or fewer points.
-
-    Notes
-    -----
     The file is that of the whole cloud, byte for byte: points go to the compressor in
     blocks of the same size for whatever parts.
     """

@@ -494,23 +494,7 @@ class CubeRows:
         return self._columns
 
     def tile(self, begin: int, end: int) -> xr.Dataset:
-        """Return some rows, checked.
-
-        Parameters
-        ----------
-        begin, end : int
-            The first one, and the one behind the last.
-
-        Returns
-        -------
-        xarray.Dataset
-            In memory, with all of `head`.
-
-        Raises
-        ------
-        CubeError, FormatError
-            If the rows do not keep the schema, or are damaged.
-        """
+        """Return some rows, checked."""
         part = cubes.without_unknown_errors(self._read(self._cube, begin, end))
         cubes.check(part, name=f"{self._path}, rows {begin} to {end - 1}")
         return part
@@ -568,28 +552,7 @@ def _is_as_stored(variable: xr.Variable, stored: Any) -> bool:
 def open_rows(
     path: str | os.PathLike[str], *, check_digest: bool = True
 ) -> Iterator[CubeRows]:
-    """Open a cube to read rows of it.
-
-    Parameters
-    ----------
-    path : path-like
-        netCDF-4 file with a cube over rows and columns.
-    check_digest : bool
-        Whether all of the file is read before for its digest; if not, damage is found
-        by the checksums of its blocks as they are read.
-
-    Yields
-    ------
-    CubeRows
-        Until the block ends.
-
-    Raises
-    ------
-    FormatError
-        If the file is missing, damaged, or no netCDF-4 file.
-    CubeError
-        If it has no rows and columns.
-    """
+    """Open a cube to read rows of it."""
     load_hdf5()
     import h5netcdf
     import h5py
@@ -631,21 +594,7 @@ def open_rows(
 
 
 def is_large(path: str | os.PathLike[str], *, most: int | None = None) -> bool:
-    """Return whether a file should be worked on row by row.
-
-    Parameters
-    ----------
-    path : path-like
-        Any file; one that cannot be read is not large.
-    most : int, optional
-        Bytes of samples, or of ranges, of the largest file that is not; `LARGE` by
-        default [B].
-
-    Returns
-    -------
-    bool
-        True above these.
-    """
+    """Return whether a file should be worked on row by row."""
     load_hdf5()
     import h5py
 
@@ -724,22 +673,7 @@ class RowWriter:
         self._written = 0
 
     def put(self, tile: xr.Dataset, begin: int) -> None:
-        """Write some rows.
-
-        Parameters
-        ----------
-        tile : xarray.Dataset
-            A cube with the variables of the first tile, in the order of the rows; what
-            does not run over the rows is taken from the first tile.
-        begin : int
-            Which row its first one is.
-
-        Raises
-        ------
-        CubeError
-            If it does not keep the schema, has other variables than the first, or does
-            not follow the tile before.
-        """
+        """Write some rows."""
         tile = cubes.checked(tile, name=self._name)
         parts = {"": _root(tile)}
         for group in schema.GROUPS:
@@ -778,13 +712,7 @@ class RowWriter:
         self._written = end
 
     def end(self) -> None:
-        """Say that all rows are written.
-
-        Raises
-        ------
-        CubeError
-            If some are missing.
-        """
+        """Say that all rows are written."""
         if self._written != self._rows:
             raise CubeError(
                 f"{self._name}: {self._written} of {self._rows} {self._over}s are "
@@ -822,31 +750,7 @@ def row_writer(
     overwrite: bool = False,
     over: str = "row",
 ) -> Iterator[RowWriter]:
-    """Write a cube row by row; the file is there when all of it is written.
-
-    Parameters
-    ----------
-    path : path-like
-        File to make.
-    rows : int
-        Rows of the whole cube.
-    overwrite : bool
-        Whether an existing file is replaced.
-    over : str
-        The dimension that is written part by part: "row", or "point" of a cloud.
-
-    Yields
-    ------
-    RowWriter
-        Takes the tiles in order.
-
-    Raises
-    ------
-    FormatError
-        If the file exists and `overwrite` is not set, or cannot be written.
-    CubeError
-        If rows are missing at the end.
-    """
+    """Write a cube row by row; the file is there when all of it is written."""
     load_hdf5()
     import h5netcdf
 
@@ -862,18 +766,7 @@ def row_writer(
 
 
 def tile_rows(source: tiles.Source) -> int:
-    """Return how many rows a tile has: whole blocks of a file, within bounds.
-
-    Parameters
-    ----------
-    source : Source
-        Where the rows come from.
-
-    Returns
-    -------
-    int
-        As `amulor.cube.tiles.bands` takes by default, in whole blocks of the file.
-    """
+    """Return how many rows a tile has: whole blocks of a file, within bounds."""
     first, end = next(tiles.bands(source))
     block = max(1, CHUNK_VALUES // max(source.columns, 1))
     rows = end - first

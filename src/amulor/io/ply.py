@@ -120,22 +120,7 @@ def write_ply_parts(
     *,
     overwrite: bool = False,
 ) -> None:
-    """Write a point cloud that comes in parts; the same file as that of the whole.
-
-    Parameters
-    ----------
-    parts : iterable of xarray.Dataset
-        Cubes of level `point_cloud`; what the header says is that of the first.
-    count : int
-        Points of all of them.
-    path, overwrite
-        As in `write_ply`.
-
-    Raises
-    ------
-    CubeError, FormatError
-        As `write_ply`, and if there are not so many points.
-    """
+    """Write a point cloud that comes in parts; the same file as that of the whole."""
     checked = checked_parts(parts, count, name=f"the cloud for {path}")
     _write(checked, count, path, overwrite=overwrite)
 

@@ -144,23 +144,7 @@ class RecordingMap(Description):
 
     @classmethod
     def from_toml(cls, path: str | Path) -> Self:
-        """Read a map.
-
-        Parameters
-        ----------
-        path : str or pathlib.Path
-            TOML file.
-
-        Returns
-        -------
-        RecordingMap
-            In SI units.
-
-        Raises
-        ------
-        FormatError
-            With one line for each thing that is wrong.
-        """
+        """Read a map."""
         return toml_file.described(
             toml_file.text_of(path, error=FormatError),
             cls,

@@ -23,19 +23,7 @@ Line = tuple[int, str]
 
 
 class Table:
-    """Columns by name, all of one length.
-
-    Parameters
-    ----------
-    path : pathlib.Path
-        Where they come from, for messages.
-    columns : dict
-        Name to array of one dimension.
-    lines : sequence of int
-        Line of the file that each sample stands in; empty where there are none.
-    first : int
-        Samples of the file before the first one.
-    """
+    """Columns by name, all of one length."""
 
     def __init__(
         self,
@@ -57,13 +45,7 @@ class Table:
         return np.char.strip(self._columns[name].astype(str))
 
     def numbers(self, name: str, *, decimal: str = ".") -> Floats:
-        """Return a column as numbers, not a number where it is empty.
-
-        Raises
-        ------
-        FormatError
-            If something else stands in it.
-        """
+        """Return a column as numbers, not a number where it is empty."""
         values = self._columns[name]
         if values.dtype.kind in "fiub":
             return values.astype(float)
@@ -87,25 +69,7 @@ class Table:
 
 
 def read_table(path: Path, described: RecordingMap) -> Table:
-    """Read the columns that a map names.
-
-    Parameters
-    ----------
-    path : pathlib.Path
-        CSV or HDF5.
-    described : RecordingMap
-        Its columns are read, no others.
-
-    Returns
-    -------
-    Table
-        With at least one sample.
-
-    Raises
-    ------
-    FormatError
-        If the file cannot be read, a column is missing, or they differ in length.
-    """
+    """Read the columns that a map names."""
     (table,) = table_parts(path, described, None)
     return table
 
@@ -113,25 +77,7 @@ def read_table(path: Path, described: RecordingMap) -> Table:
 def table_parts(
     path: Path, described: RecordingMap, count: int | None
 ) -> Iterator[Table]:
-    """Read the columns that a map names, so many samples at a time.
-
-    Parameters
-    ----------
-    path, described
-        As in `read_table`.
-    count : int or None
-        Most samples of a part; None for all in one.
-
-    Yields
-    ------
-    Table
-        At least one, and at least one sample each.
-
-    Raises
-    ------
-    FormatError
-        As `read_table`, when the part is reached.
-    """
+    """Read the columns that a map names, so many samples at a time."""
     wanted = [name for _, name in described.columns if name is not None]
     try:
         if described.table.format == "hdf5":

@@ -79,35 +79,6 @@ def read_recordings(
 ) -> xr.Dataset:
     """Turn a recording of other software into a measurement cube.
 
-    Parameters
-    ----------
-    path : str or pathlib.Path
-        CSV or HDF5 file.
-    described : RecordingMap
-        Which column means what.
-    survey : Survey
-        Instrument and scan. Its frequencies and polarizations need not be those of the
-        recording, unless no column and no constant of the map states them.
-    temperature : float, optional
-        Which temperature, where there are several [degC].
-
-    Returns
-    -------
-    xarray.Dataset
-        Cube of level `samples`, with open-water shots where the map tells them. Places
-        that were not recorded are no numbers. Zero outputs, what is no number, and
-        breakdowns are marked in `user_sample_flag`; breakdowns are `saturated`, the
-        others no numbers. Samples of one place are averaged, without those that are no
-        numbers; `user_takes` counts them.
-
-    Raises
-    ------
-    FormatError
-        If the file or the map does not fit, a sample lies beyond the scan, or the
-        recording has several temperatures and none is chosen.
-
-    Notes
-    -----
     A breakdown of the detector stands alone: it is farther from each of its eight
     neighbours, and from each mixture of two of them, which a beam on an edge sees, than
     12 typical distances, than 8 of its standard uncertainties, and than twice what its

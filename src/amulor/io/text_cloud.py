@@ -87,22 +87,7 @@ def write_text_parts(
     *,
     overwrite: bool = False,
 ) -> None:
-    """Write a point cloud that comes in parts; the same file as that of the whole.
-
-    Parameters
-    ----------
-    parts : iterable of xarray.Dataset
-        Cubes of level `point_cloud`; what the header says is that of the first.
-    count : int
-        Points of all of them.
-    path, overwrite
-        As in `write_text`.
-
-    Raises
-    ------
-    CubeError, FormatError
-        As `write_text`, and if there are not so many points.
-    """
+    """Write a point cloud that comes in parts; the same file as that of the whole."""
     path = Path(path)
     comma = path.suffix.lower() == ".csv"
     mark = "," if comma else " "

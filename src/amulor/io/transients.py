@@ -35,18 +35,6 @@ _PARTS = 64
 def overlap_of(sums: Floats) -> Floats:
     r"""Return what of the bin-wise minimum of scenes is likely to be their echoes.
 
-    Parameters
-    ----------
-    sums : ndarray, shape (scenes, bins)
-        Histograms of the scenes, all pixels together, at least two.
-
-    Returns
-    -------
-    ndarray, shape (bins,)
-        Counts, at least 0; zero where the echoes do not meet.
-
-    Notes
-    -----
     Scenes :math:`B + E_1`, :math:`B + E_2` have the minimum
     :math:`B + \min(E_1, E_2)`: where one echo has not ended when the other begins, the
     minimum has a bump. Between two echoes, in the order in which they stand out of

@@ -15,16 +15,6 @@ from numpy.typing import NDArray
 def numbers(name: str) -> NDArray[np.float64]:
     """Return a table of numbers, not writable.
 
-    Parameters
-    ----------
-    name : str
-        File in the folder of tables; lines that begin with # are its notes.
-
-    Returns
-    -------
-    ndarray
-        Rows and columns of the file.
-
     Examples
     --------
     >>> print(numbers("pope_fry_1997.csv")[0])
@@ -39,16 +29,6 @@ def numbers(name: str) -> NDArray[np.float64]:
 @cache
 def rows(name: str) -> tuple[dict[str, str], ...]:
     """Return a table with a line of column names as texts.
-
-    Parameters
-    ----------
-    name : str
-        File in the folder of tables; lines that begin with # are its notes.
-
-    Returns
-    -------
-    tuple of dict
-        One for each row, by column name.
 
     Examples
     --------

@@ -20,23 +20,7 @@ PARTNERS = dict(zip(CO_POLARIZED, CROSS_POLARIZED, strict=True))
 
 
 def pair_of(cube: xr.Dataset) -> tuple[str, str]:
-    """Return a co-polarized channel and its cross-polarized partner.
-
-    Parameters
-    ----------
-    cube : xarray.Dataset
-        Level `samples`.
-
-    Returns
-    -------
-    tuple of str
-        The first pair that is there.
-
-    Raises
-    ------
-    CubeError
-        If there is none.
-    """
+    """Return a co-polarized channel and its cross-polarized partner."""
     present = cube.amulor.polarizations
     for co, cross in PARTNERS.items():
         if co in present and cross in present:
@@ -68,18 +52,7 @@ class Unmixed:
     (2, channels, 2, ...) [1]."""
 
     def error_of(self, channels: list[Covariance]) -> Covariance:
-        """Return what further errors of the channels make of the target signal.
-
-        Parameters
-        ----------
-        channels : list of Covariance
-            Errors that the channels do not share with each other [V^2].
-
-        Returns
-        -------
-        Covariance
-            Of the shape of the target signal.
-        """
+        """Return what further errors of the channels make of the target signal."""
         parts = [_turned(self.gain[:, c], errors) for c, errors in enumerate(channels)]
         total = parts[0]
         for part in parts[1:]:
@@ -89,36 +62,12 @@ class Unmixed:
     def error_of_water(
         self, weights: list[Floats | float], errors: Covariance
     ) -> Covariance:
-        """Return what water that the channels share makes of the target signal.
-
-        Parameters
-        ----------
-        weights : list of ndarray or float
-            What each channel holds of that water [1].
-        errors : Covariance
-            How far the water may be from zero [V^2].
-
-        Returns
-        -------
-        Covariance
-            Of the shape of the target signal.
-        """
+        """Return what water that the channels share makes of the target signal."""
         gain = sum(self.gain[:, c] * weight for c, weight in enumerate(weights))
         return _turned(np.asarray(gain), errors)
 
     def shift_by(self, channels: list[Complex]) -> Complex:
-        """Return by how much the target signal moves if the channels do.
-
-        Parameters
-        ----------
-        channels : list of ndarray of complex
-            Changes of the signals, each of the shape of the target signal [V].
-
-        Returns
-        -------
-        ndarray of complex
-            Of the shape of the target signal [V].
-        """
+        """Return by how much the target signal moves if the channels do."""
         moved = np.zeros((2, *self.target.shape))
         for c, change in enumerate(channels):
             moved += self.gain[:, c, 0] * change.real + self.gain[:, c, 1] * change.imag
@@ -135,26 +84,6 @@ def unmix(
 ) -> Unmixed:
     r"""Return the best linear unbiased estimate of the target signal.
 
-    Parameters
-    ----------
-    signals : list of ndarray of complex
-        Signal of each channel, all of one shape [V].
-    errors : list of Covariance
-        Their errors, independent from channel to channel.
-    target_weights, water_weights : list of ndarray or float
-        What each channel holds of target and of water, relative to the signals that
-        are sought [1].
-    water_prior : Covariance, optional
-        How far the water signal may be from zero; it is sought without any prior
-        knowledge if left out.
-
-    Returns
-    -------
-    Unmixed
-        NaN where a channel is NaN.
-
-    Notes
-    -----
     Generalised least squares of :math:`y_c = t_c T + w_c W` on the in-phase and
     quadrature outputs of all channels. Water with a prior of the covariance P adds
     :math:`w_c w_{c'} P` to the covariance of the channels, so that weights run from

@@ -84,19 +84,7 @@ class Covariance:
 
 
 def covariance_of(samples: xr.Dataset) -> Covariance:
-    """Return the stated errors of samples or shots.
-
-    Parameters
-    ----------
-    samples : xarray.Dataset
-        With `in_phase_uncertainty`, `quadrature_uncertainty` and perhaps
-        `in_phase_quadrature_covariance`.
-
-    Returns
-    -------
-    Covariance
-        Arrays of the shape of the samples.
-    """
+    """Return the stated errors of samples or shots."""
     cross = samples.get("in_phase_quadrature_covariance")
     in_phase = samples["in_phase_uncertainty"].values ** 2
     return Covariance(
@@ -107,18 +95,7 @@ def covariance_of(samples: xr.Dataset) -> Covariance:
 
 
 def common_covariance_of(target: xr.Dataset) -> Covariance:
-    """Return the part of the errors that the pixels of a target signal share.
-
-    Parameters
-    ----------
-    target : xarray.Dataset
-        Level `target_signal`, with the `common_` variables.
-
-    Returns
-    -------
-    Covariance
-        Arrays of the shape of the samples.
-    """
+    """Return the part of the errors that the pixels of a target signal share."""
     return Covariance(
         target["common_in_phase_uncertainty"].values ** 2,
         target["common_quadrature_uncertainty"].values ** 2,
@@ -127,20 +104,7 @@ def common_covariance_of(target: xr.Dataset) -> Covariance:
 
 
 def along(signal: Complex, size: float) -> Covariance:
-    """Return the covariance of an error that stretches a signal by a random factor.
-
-    Parameters
-    ----------
-    signal : ndarray of complex
-        What is stretched [V].
-    size : float
-        Standard deviation of the factor [1].
-
-    Returns
-    -------
-    Covariance
-        Arrays of the shape of the signal.
-    """
+    """Return the covariance of an error that stretches a signal by a random factor."""
     return Covariance(
         (size * signal.real) ** 2,
         (size * signal.imag) ** 2,
@@ -159,20 +123,6 @@ _LARGEST = 2**17
 def times(rows: Floats, matrix: Floats) -> Floats:
     """Return a product whose rows do not depend on how many of them come together.
 
-    Parameters
-    ----------
-    rows : ndarray, shape (n, m)
-        Real numbers.
-    matrix : ndarray, shape (m, k)
-        Real numbers.
-
-    Returns
-    -------
-    ndarray, shape (n, k)
-        Their product.
-
-    Notes
-    -----
     Libraries of linear algebra choose the order of their sums by the shape of what they
     are given; here that is always the same.
     """
@@ -188,37 +138,13 @@ def times(rows: Floats, matrix: Floats) -> Floats:
 
 
 def isotropic(size: Floats) -> Covariance:
-    """Return the covariance of an error of a given size in any direction.
-
-    Parameters
-    ----------
-    size : ndarray
-        Root mean square of the error, both outputs together [V].
-
-    Returns
-    -------
-    Covariance
-        Arrays of the shape of the size.
-    """
+    """Return the covariance of an error of a given size in any direction."""
     half = size**2 / 2
     return Covariance(half, half, np.zeros(half.shape))
 
 
 def stacked(parts: list[Covariance], shape: tuple[int, ...]) -> Covariance:
-    """Put the covariances of frequencies and channels together.
-
-    Parameters
-    ----------
-    parts : list of Covariance
-        Modulation frequency by frequency, channel by channel.
-    shape : tuple of int
-        Shape of the whole.
-
-    Returns
-    -------
-    Covariance
-        Arrays of that shape.
-    """
+    """Put the covariances of frequencies and channels together."""
     return Covariance(
         *(
             np.array([getattr(part, name) for part in parts]).reshape(shape)
@@ -230,21 +156,7 @@ def stacked(parts: list[Covariance], shape: tuple[int, ...]) -> Covariance:
 def phase_uncertainties(
     signal: Complex, terms: Mapping[str, Covariance]
 ) -> dict[str, NDArray[np.float32]]:
-    """Return what errors make of the phase of a signal, each by itself.
-
-    Parameters
-    ----------
-    signal : ndarray of complex
-        What has the phase [V].
-    terms : mapping of str to Covariance
-        Errors of the signal, of its shape [V^2].
-
-    Returns
-    -------
-    dict of str to ndarray
-        Standard uncertainty of the phase, of the shape of the signal [rad]; not a
-        number where the signal is zero. Single precision: they are many.
-    """
+    """Return what errors make of the phase of a signal, each by itself."""
     flat = signal.reshape(-1)
     parts = {
         name: [

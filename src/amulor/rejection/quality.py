@@ -29,31 +29,7 @@ def flags(
     proportional: Covariance | None = None,
     water_is_in: bool = False,
 ) -> NDArray[np.int16]:
-    """Return the quality flag of every sample.
-
-    Parameters
-    ----------
-    samples : xarray.Dataset
-        What was measured; missing samples are NaN.
-    target_signal : ndarray of complex
-        What is left for the target [V].
-    uncertainty : Covariance
-        Its errors.
-    residual : ndarray of complex, optional
-        Water signal that is estimated to be left in [V]; where it is NaN,
-        it is not known, and flagged as if it were large.
-    proportional : Covariance, optional
-        The part of the errors that cannot make a target out of nothing: in proportion
-        to the target signal, such as that of its depolarization ratio, or to water that
-        was looked at before, by `amulor.rejection.reference.presence`.
-    water_is_in : bool
-        True if no water signal was taken out at all.
-
-    Returns
-    -------
-    ndarray of int16
-        Sums of `QualityFlag`, of the shape of the target signal.
-    """
+    """Return the quality flag of every sample."""
     flag = np.zeros(target_signal.shape, dtype=np.int16)
     missing = ~np.isfinite(target_signal)
     if "saturated" in samples:
@@ -87,22 +63,7 @@ def moves_the_phase(
     residual: NDArray[np.complex128],
     uncertainty: Covariance,
 ) -> NDArray[np.bool_]:
-    """Return where water left in turns a phase by more than its uncertainty.
-
-    Parameters
-    ----------
-    target_signal : ndarray of complex
-        Signal with the water in it [V].
-    residual : ndarray of complex
-        That water [V]; where it is NaN, it is not known.
-    uncertainty : Covariance
-        All other errors.
-
-    Returns
-    -------
-    ndarray of bool
-        True also where the residual is not known.
-    """
+    """Return where water left in turns a phase by more than its uncertainty."""
     own = phase_error(target_signal, uncertainty, np.isfinite(target_signal))
     shift = np.abs(ranging.phase_shift(target_signal, residual=residual))
     still = (residual == 0) | (shift <= own)
@@ -117,27 +78,6 @@ def looks_like_water(
 ) -> NDArray[np.bool_]:
     """Return where what is left of samples has the shape of the water signal.
 
-    Parameters
-    ----------
-    samples : xarray.Dataset
-        What was measured; saturated samples do not count.
-    left : ndarray, shape (modulation_frequency, polarization, row, column)
-        What a subtraction left [V].
-    water_signal : ndarray of the same shape
-        What was subtracted [V].
-    uncertainty : Covariance
-        Errors of what is left.
-
-    Returns
-    -------
-    ndarray of bool, shape (row, column)
-        True where a real multiple of the water signal explains what is left, at all
-        frequencies and channels at once, and is clearly not zero: open water of
-        another strength than the reference. With a single sample a pixel tells
-        nothing.
-
-    Notes
-    -----
     Least squares with the covariances of the samples: the multiple stands five
     standard errors off zero and the rest is no larger than chance makes it in 1 of
     1000 cases. A target agrees only if it has the phase and the strength of the water
@@ -285,23 +225,7 @@ def _product(
 
 
 def add(cube: xr.Dataset, flag: QualityFlag, where: NDArray[np.bool_]) -> xr.Dataset:
-    """Return a target-signal cube with one more flag.
-
-    Parameters
-    ----------
-    cube : xarray.Dataset
-        Level `target_signal`.
-    flag : QualityFlag
-        What to add.
-    where : ndarray of bool
-        Samples, or pixels with all their samples; those that are missing or show no
-        target stay as they are.
-
-    Returns
-    -------
-    xarray.Dataset
-        The same data.
-    """
+    """Return a target-signal cube with one more flag."""
     old = cube["quality_flag"].values
     seen = (old & (QualityFlag.MISSING | QualityFlag.NO_TARGET)) == 0
     new = np.where(seen & where, old | flag, old).astype(np.int16)
@@ -311,22 +235,7 @@ def add(cube: xr.Dataset, flag: QualityFlag, where: NDArray[np.bool_]) -> xr.Dat
 def phase_error(
     signal: NDArray[np.complex128], uncertainty: Covariance, seen: NDArray[np.bool_]
 ) -> NDArray[np.float64]:
-    """Return the phase error where a signal is seen.
-
-    Parameters
-    ----------
-    signal : ndarray of complex
-        Any signal [V].
-    uncertainty : Covariance
-        Its errors.
-    seen : ndarray of bool
-        Where they are numbers; elsewhere the result is a number without meaning.
-
-    Returns
-    -------
-    ndarray
-        Standard uncertainty of the phase [rad].
-    """
+    """Return the phase error where a signal is seen."""
     return detection.phase_uncertainty(
         np.where(seen & (signal != 0), signal, 1.0),
         in_phase_variance=np.where(seen, uncertainty.in_phase, 1.0),

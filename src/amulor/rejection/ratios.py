@@ -41,25 +41,7 @@ class Ratio:
 
 
 def possible(ratio: Ratio, *, name: str) -> float:
-    """Return a ratio, or the end of 0 to 1 that it is within its error of.
-
-    Parameters
-    ----------
-    ratio : Ratio
-        An estimate; noise carries it beyond 0 or 1 where the truth is there.
-    name : str
-        Of the argument that states it instead.
-
-    Returns
-    -------
-    float
-        Between 0 and 1 [1].
-
-    Raises
-    ------
-    CubeError
-        If it is beyond 0 or 1 by more than chance.
-    """
+    """Return a ratio, or the end of 0 to 1 that it is within its error of."""
     nearest = min(max(ratio.value, 0.0), 1.0)
     # An estimate that is not a number is not possible either.
     if not abs(ratio.value - nearest) <= _BY_CHANCE * ratio.uncertainty:
@@ -197,23 +179,7 @@ def target_ratio(
 
 
 def ratio_of(left: xr.Dataset) -> Ratio:
-    """Estimate the depolarization ratio from what open water leaves.
-
-    Parameters
-    ----------
-    left : xarray.Dataset
-        Level `target_signal`, with a co-polarized channel and its partner.
-
-    Returns
-    -------
-    Ratio
-        As `target_ratio`.
-
-    Raises
-    ------
-    CubeError
-        If no pixel shows a target in both channels.
-    """
+    """Estimate the depolarization ratio from what open water leaves."""
     co, cross = pair_of(left)
     first, second = left.sel(polarization=co), left.sel(polarization=cross)
     flags = first["quality_flag"].values | second["quality_flag"].values

@@ -42,30 +42,6 @@ def spread_batches(
 ) -> Iterator[Spread]:
     """Have the batches of a photon transport run worked on by a cluster.
 
-    Parameters
-    ----------
-    folder : path-like
-        Folder for the batches, made if it is not there, which all workers see under
-        this name. Batches in it that are whole, and of the same run, are kept.
-    scheduler : str
-        Address of a dask scheduler, such as "tcp://node1:8786", or "local" for
-        processes on this machine.
-    workers : int, optional
-        Number of processes of "local"; one for each processor by default.
-
-    Yields
-    ------
-    callable
-        For the argument `spread` of `amulor.transport.simulate`.
-
-    Raises
-    ------
-    MissingExtraError
-        If dask is not installed.
-    FormatError
-        If the folder cannot be made, nobody answers at the address, or the cluster is
-        lost.
-
     Notes
     -----
     The numbers of histories and the random numbers of a batch follow from the run and

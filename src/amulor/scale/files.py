@@ -50,30 +50,7 @@ def run_file(
     rows: int | None = None,
     overwrite: bool = False,
 ) -> Summary:
-    """Run a step from a file to another one, tile by tile.
-
-    Parameters
-    ----------
-    step : TiledStep
-        What is done.
-    source, output : path-like
-        Cube to read, and file to make (netCDF).
-    rows : int, optional
-        Rows of a tile; by default a quarter of a million samples of each variable, in
-        whole blocks of the file.
-    overwrite : bool
-        Whether an existing file is replaced.
-
-    Returns
-    -------
-    Summary
-        Of what is written. The file is there when all of it is.
-
-    Raises
-    ------
-    AmulorError, ValueError
-        As the step, and if a file cannot be read or written.
-    """
+    """Run a step from a file to another one, tile by tile."""
     with open_rows(Path(source)) as cube:
         return _run(step, cube, output, rows, overwrite=overwrite)
 
@@ -124,29 +101,7 @@ def reject_file(
     overwrite: bool = False,
     **options: Any,
 ) -> Summary:
-    """Take the water signal out of a file of samples, tile by tile.
-
-    Parameters
-    ----------
-    source, output, rows, overwrite
-        As in `run_file`.
-    method : str
-        One of `amulor.rejection.names`.
-    open_water : path-like, optional
-        Cube with the shots, which is in memory whole.
-    **options
-        Options of the method.
-
-    Returns
-    -------
-    Summary
-        Of the target signal.
-
-    Raises
-    ------
-    AmulorError, ValueError
-        As `run_file`, and as the method.
-    """
+    """Take the water signal out of a file of samples, tile by tile."""
     chosen = rejection.load(method)
     with open_rows(Path(source)) as samples:
         cube: tiles.Source = samples
@@ -170,24 +125,6 @@ def image_file(
     overwrite: bool = False,
     **options: Any,
 ) -> Summary:
-    """Turn a file with a target signal into a range image, tile by tile.
-
-    Parameters
-    ----------
-    source, output, rows, overwrite
-        As in `run_file`.
-    **options
-        Arguments of `amulor.imaging.range_image`.
-
-    Returns
-    -------
-    Summary
-        Of the range image, with its edges and outliers marked.
-
-    Raises
-    ------
-    AmulorError, ValueError
-        As `run_file`, and as `range_image`.
-    """
+    """Turn a file with a target signal into a range image, tile by tile."""
     step = image_step(**options)
     return run_file(step, source, output, rows=rows, overwrite=overwrite)

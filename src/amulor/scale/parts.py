@@ -143,33 +143,7 @@ def cloud_file(
     rows: int | None = None,
     overwrite: bool = False,
 ) -> CloudSummary:
-    """Write the point cloud of a range image, tile by tile.
-
-    Parameters
-    ----------
-    source, output : path-like
-        Range image (netCDF), and a file with an ending of `BY_ROWS`.
-    frame : Frame, optional
-        Axes of the points; the instrument's by default.
-    selection : Selection, optional
-        Pixels that are left out; none by default.
-    rows : int, optional
-        Rows of a tile; by default 131,072 pixels.
-    overwrite : bool
-        Whether an existing file is replaced.
-
-    Returns
-    -------
-    CloudSummary
-        Of the file, which is that of `amulor.imaging.point_cloud` of the whole image.
-
-    Raises
-    ------
-    CubeError
-        If the image holds no point, or is none.
-    FormatError
-        If a file cannot be read or written, or the ending is another one.
-    """
+    """Write the point cloud of a range image, tile by tile."""
     ending = Path(output).suffix.lower()
     if ending not in _WRITERS:
         raise FormatError(
@@ -252,25 +226,7 @@ class Step:
 
 
 def chain(task: Task) -> tuple[Step, ...]:
-    """Return the steps of a scan: samples, target signal, range image, cloud.
-
-    Parameters
-    ----------
-    task : Task
-        One scan.
-
-    Returns
-    -------
-    tuple of Step
-        In their order; those that its file needs.
-
-    Raises
-    ------
-    CubeError
-        If it needs a method and has none.
-    FormatError
-        If its file cannot be read.
-    """
+    """Return the steps of a scan: samples, target signal, range image, cloud."""
     steps: list[Step] = []
     folder, current = Path(task.folder), Path(task.file)
 
@@ -366,18 +322,7 @@ def _prepared(known: _Known) -> Prepared:
 
 
 def splits(task: Task) -> tuple[str, ...]:
-    """Return which files of a scan are worth being made in parts.
-
-    Parameters
-    ----------
-    task : Task
-        One scan.
-
-    Returns
-    -------
-    tuple of str
-        Names of files; none of a small scan, or if its file cannot be read here.
-    """
+    """Return which files of a scan are worth being made in parts."""
     try:
         steps = chain(task)
         sizes = _sizes(steps[0])
@@ -408,20 +353,7 @@ def _sizes(step: Step) -> tiles.Source:
 
 
 def parts_of(task: Task, name: str) -> list[tuple[int, int]]:
-    """Return in which rows a file of a scan is made.
-
-    Parameters
-    ----------
-    task : Task
-        One scan.
-    name : str
-        Of the file.
-
-    Returns
-    -------
-    list of tuple of int
-        First row, and the one behind the last; whole tiles each.
-    """
+    """Return in which rows a file of a scan is made."""
     step = _step(task, name)
     source = _sizes(step)
     size = _size(step, source)
@@ -444,22 +376,7 @@ def _step(task: Task, name: str) -> Step:
 
 
 def make_part(task: Task, name: str, begin: int, end: int) -> None:
-    """Make some rows of a file of a scan, unless they are there.
-
-    Parameters
-    ----------
-    task : Task
-        One scan.
-    name : str
-        Of the file.
-    begin, end : int
-        As `parts_of` says.
-
-    Raises
-    ------
-    AmulorError, ValueError
-        As the step.
-    """
+    """Make some rows of a file of a scan, unless they are there."""
     step = _step(task, name)
     folder = step.folder / f"{begin:08d}"
     folder.mkdir(parents=True, exist_ok=True)
@@ -479,20 +396,7 @@ def make_part(task: Task, name: str, begin: int, end: int) -> None:
 
 
 def whole(step: Step, path: Path) -> None:
-    """Make a file: of its parts if all are there, from the beginning if not.
-
-    Parameters
-    ----------
-    step : Step
-        Which file.
-    path : pathlib.Path
-        Where it goes.
-
-    Raises
-    ------
-    AmulorError, ValueError
-        As the step.
-    """
+    """Make a file: of its parts if all are there, from the beginning if not."""
     if step.name == "cloud.ply":
         cloud_file(step.of, path, rows=step.task.tile_rows, overwrite=True)
         return
@@ -531,13 +435,7 @@ def _in_order(file: Path) -> list[str]:
 
 
 def forget_parts(step: Step) -> None:
-    """Remove the parts of a file that is there.
-
-    Parameters
-    ----------
-    step : Step
-        Which file.
-    """
+    """Remove the parts of a file that is there."""
     shutil.rmtree(step.folder, ignore_errors=True)
     folder = step.folder.parent
     if folder.is_dir() and not any(folder.iterdir()):

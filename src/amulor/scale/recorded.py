@@ -78,30 +78,6 @@ def import_file(
 ) -> RecordedSummary:
     """Turn a recording of any size into a measurement cube, tile by tile.
 
-    Parameters
-    ----------
-    path, described, survey, temperature
-        As in `amulor.io.read_recordings`.
-    output : path-like
-        File to make (netCDF).
-    rows : int, optional
-        Rows of a tile; by default a quarter of a million samples.
-    overwrite : bool
-        Whether an existing file is replaced.
-
-    Returns
-    -------
-    RecordedSummary
-        Of the file, which holds what `read_recordings` returns, bit for bit.
-
-    Raises
-    ------
-    FormatError
-        As `read_recordings`; if the file exists and `overwrite` is not set, or cannot
-        be written.
-
-    Notes
-    -----
     Beside the file that is made, about 200 bytes for each sample stand on its disk
     until it is whole. Open-water shots and the frequencies that differ are in memory.
     """

@@ -38,34 +38,7 @@ def simulate_file(
     rows: int | None = None,
     overwrite: bool = False,
 ) -> SimulatedSummary:
-    """Simulate a survey of any size into a file, tile by tile.
-
-    Parameters
-    ----------
-    survey : Survey
-        What is measured, and with what.
-    output : path-like
-        File to make (netCDF).
-    rng, model
-        As in `amulor.simulate`; a model that takes the scan whole, as photons do, is
-        refused.
-    rows : int, optional
-        Rows of a tile; by default a quarter of a million samples.
-    overwrite : bool
-        Whether an existing file is replaced.
-
-    Returns
-    -------
-    SimulatedSummary
-        Of the file, which holds what `amulor.simulate` returns, bit for bit.
-
-    Raises
-    ------
-    SurveyError, MissingExtraError
-        As `amulor.simulate`.
-    FormatError
-        If the file exists and `overwrite` is not set, or cannot be written.
-    """
+    """Simulate a survey of any size into a file, tile by tile."""
     tell("what all rows share", 0.0)
     source = SimulatedRows(survey, rng=rng, model=model)
     size = tile_rows(source) if rows is None else rows

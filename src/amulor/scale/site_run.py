@@ -45,20 +45,7 @@ __all__ = ["Done", "Task", "is_made", "run_site", "work", "work_on_rows"]
 
 
 def work(task: Task, until: str | None = None) -> Done:
-    """Take a scan through its steps: samples, target signal, range image, cloud.
-
-    Parameters
-    ----------
-    task : Task
-        One scan.
-    until : str, optional
-        Name of the last file to be made; all by default.
-
-    Returns
-    -------
-    Done
-        With the reason if a step refuses its data.
-    """
+    """Take a scan through its steps: samples, target signal, range image, cloud."""
     set_up_worker()
     record = Record(Path(task.folder))
     record.tidy()
@@ -71,20 +58,7 @@ def work(task: Task, until: str | None = None) -> Done:
 
 
 def is_made(task: Task, name: str) -> bool:
-    """Return whether a file of a scan is there, whole and made of the same.
-
-    Parameters
-    ----------
-    task : Task
-        One scan.
-    name : str
-        Of the file.
-
-    Returns
-    -------
-    bool
-        False as well if what it is made of is not there.
-    """
+    """Return whether a file of a scan is there, whole and made of the same."""
     try:
         (step,) = (step for step in chain(task) if step.name == name)
         return Record(Path(task.folder)).is_made(name, of=step.of, how=step.how)
@@ -93,22 +67,7 @@ def is_made(task: Task, name: str) -> bool:
 
 
 def work_on_rows(task: Task, name: str, begin: int, end: int) -> str:
-    """Make some rows of a file of a scan, which `work` puts together.
-
-    Parameters
-    ----------
-    task : Task
-        One scan.
-    name : str
-        Of the file.
-    begin, end : int
-        The first row, and the one behind the last.
-
-    Returns
-    -------
-    str
-        Why it stopped; empty if the rows are there.
-    """
+    """Make some rows of a file of a scan, which `work` puts together."""
     set_up_worker()
     try:
         with dated(datetime.datetime.fromisoformat(task.started)):
@@ -137,39 +96,6 @@ def run_site(
 ) -> tuple[Done, ...]:
     """Take all scans of a site through their steps.
 
-    Parameters
-    ----------
-    path : path-like
-        Site file (TOML).
-    output : path-like
-        Folder for the results, made if it is not there; that of a run before is taken
-        up. On a cluster all workers see it under this name.
-    scheduler : str, optional
-        Address of a dask scheduler, such as "tcp://node1:8786", or "local" for
-        processes on this machine; by default one scan after the other, here.
-    workers : int, optional
-        Number of processes of "local"; one for each processor by default.
-    tile_rows : int, optional
-        Rows that are worked on at once, and on a cluster by one task; by default a
-        quarter of a million samples, and tasks of a million pixels of scans of more
-        than four.
-
-    Returns
-    -------
-    tuple of Done
-        In the order of the site file.
-
-    Raises
-    ------
-    SurveyError
-        If the site file is wrong.
-    MissingExtraError
-        If dask is needed and not installed.
-    FormatError
-        If the folder cannot be made, or nobody answers at the address.
-
-    Notes
-    -----
     Files have the same bytes wherever they are made: all of a run is dated by its first
     start, which stands in `run.json`. A scan whose worker dies is begun again on
     another one, from its last whole file.

@@ -17,41 +17,12 @@ HALO = 8
 
 
 def reject_step(method: str, **options: Any) -> TiledStep:
-    """Return a method of rejection as a step over rows.
-
-    Parameters
-    ----------
-    method : str
-        One of `amulor.rejection.names`.
-    **options
-        Options of the method.
-
-    Returns
-    -------
-    TiledStep
-        From samples to the target signal.
-
-    Raises
-    ------
-    CubeError
-        If there is no such method.
-    """
+    """Return a method of rejection as a step over rows."""
     return TiledStep(prepare=partial(rejection.load(method).fit, **options))
 
 
 def image_step(**options: Any) -> TiledStep:
-    """Return the step to a range image, with its edges and outliers marked.
-
-    Parameters
-    ----------
-    **options
-        Arguments of `amulor.imaging.range_image`.
-
-    Returns
-    -------
-    TiledStep
-        From the target signal to the range image.
-    """
+    """Return the step to a range image, with its edges and outliers marked."""
     ranges = decided_once(partial(imaging.range_image, **options))
     flags = decided_once(
         lambda image: imaging.flag_outliers(imaging.flag_mixed(image)), spans=False

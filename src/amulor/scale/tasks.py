@@ -70,24 +70,7 @@ class Done:
 def tasks_of(
     site: Site, output: Path, *, started: str, tile_rows: int | None = None
 ) -> tuple[Task, ...]:
-    """Return one task for each scan of a site.
-
-    Parameters
-    ----------
-    site : Site
-        With whole paths.
-    output : pathlib.Path
-        Folder that gets one for each scan.
-    started : str
-        When the run began for the first time (ISO 8601).
-    tile_rows : int, optional
-        Rows that are worked on at once.
-
-    Returns
-    -------
-    tuple of Task
-        In the order of the site file.
-    """
+    """Return one task for each scan of a site."""
     tasks = []
     for scan in site.scan:
         how = scan.processing
@@ -114,13 +97,7 @@ def tasks_of(
 
 
 class Record:
-    """What is done of a scan, or of some rows of it, in a file beside the results.
-
-    Parameters
-    ----------
-    folder : pathlib.Path
-        Where the results are; need not be there.
-    """
+    """What is done of a scan, or of some rows of it, in a file beside the results."""
 
     def __init__(self, folder: Path) -> None:
         self._folder = folder
@@ -147,24 +124,7 @@ class Record:
         how: dict[str, Any],
         make: Callable[[Path], Any],
     ) -> Path:
-        """Return a file, made now unless it is there, whole, and made of the same.
-
-        Parameters
-        ----------
-        name : str
-            Of the file.
-        of : pathlib.Path or str
-            The file that it is made of, or what tells that one from others.
-        how : dict
-            Step and arguments.
-        make : callable
-            Makes it under a path.
-
-        Returns
-        -------
-        pathlib.Path
-            Of the file.
-        """
+        """Return a file, made now unless it is there, whole, and made of the same."""
         path = self._folder / name
         made_of = _made_of(_identified(of), how)
         if self._is_whole(name, made_of):
@@ -180,18 +140,7 @@ class Record:
         return path
 
     def identity(self, path: Path) -> str:
-        """Return what tells a file from others, without reading all of it.
-
-        Parameters
-        ----------
-        path : pathlib.Path
-            One that the record knows by its digest, or any other.
-
-        Returns
-        -------
-        str
-            Its digest, or its size and when it was written.
-        """
+        """Return what tells a file from others, without reading all of it."""
         if path.parent == self._folder and path.name in self._steps:
             return self._steps[path.name]["digest"]
         try:
@@ -318,29 +267,7 @@ class Work(Protocol):
 def in_order(
     client: Any, folder: Path, work: Work, first: int, end: int
 ) -> Iterator[Path]:
-    """Yield the files of pieces in the order of their numbers.
-
-    Parameters
-    ----------
-    client : distributed.Client
-        Of the cluster.
-    folder : pathlib.Path
-        Where each piece gets a folder; there for all workers.
-    work : Work
-        What is to be done.
-    first, end : int
-        Number of the first piece, and the one behind the last.
-
-    Yields
-    ------
-    pathlib.Path
-        Of a file that is whole.
-
-    Raises
-    ------
-    FormatError
-        If the cluster is lost, or a file does not appear here.
-    """
+    """Yield the files of pieces in the order of their numbers."""
     from concurrent.futures import CancelledError
 
     import distributed.protocol

@@ -32,17 +32,7 @@ class TiledStep:
 
 
 class Prepared:
-    """A step that knows what all rows of a scan share.
-
-    Parameters
-    ----------
-    step : TiledStep
-        What is done.
-    source : Source
-        The scan; only looked at, so rows may come from another opening of its file.
-    rows : int
-        Rows of a tile.
-    """
+    """A step that knows what all rows of a scan share."""
 
     def __init__(self, step: TiledStep, source: tiles.Source, rows: int) -> None:
         self.rows, self.halo = rows, step.halo
@@ -57,15 +47,7 @@ class Prepared:
 
 
 class Made(tiles.Derived):
-    """The rows that a step makes of a scan.
-
-    Parameters
-    ----------
-    prepared : Prepared
-        The step.
-    source : Source
-        The scan.
-    """
+    """The rows that a step makes of a scan."""
 
     def __init__(self, prepared: Prepared, source: tiles.Source) -> None:
         super().__init__(prepared.input(source))
@@ -81,15 +63,7 @@ class Made(tiles.Derived):
 
 
 class _Kept(tiles.Derived):
-    """Rows of which the last tile is kept: its end is the halo of the next one.
-
-    Parameters
-    ----------
-    source : Source
-        Where rows come from that are not kept.
-    rows : int
-        As many of them at once.
-    """
+    """Rows of which the last tile is kept: its end is the halo of the next one."""
 
     def __init__(self, source: tiles.Source, rows: int) -> None:
         super().__init__(source)
@@ -118,22 +92,7 @@ class _Kept(tiles.Derived):
 
 
 def window(step: TiledStep, source: tiles.Source, rows: int | None = None) -> int:
-    """Return how many rows a step makes at once.
-
-    Parameters
-    ----------
-    step : TiledStep
-        What is done.
-    source : Source
-        Where the rows come from.
-    rows : int, optional
-        Rows of a tile, as somebody wants them.
-
-    Returns
-    -------
-    int
-        That; by default those of `tile_rows`, or as many times that as a halo needs.
-    """
+    """Return how many rows a step makes at once."""
     if rows is not None:
         return rows
     few = tile_rows(source)
@@ -143,28 +102,7 @@ def window(step: TiledStep, source: tiles.Source, rows: int | None = None) -> in
 def run_step(
     step: TiledStep, source: tiles.Source, *, rows: int | None = None
 ) -> Iterator[tuple[int, xr.Dataset]]:
-    """Run a step tile by tile.
-
-    Parameters
-    ----------
-    step : TiledStep
-        What is done.
-    source : Source
-        Where the rows come from.
-    rows : int, optional
-        Rows of a tile; by default a quarter of a million samples of each variable, in
-        whole blocks of a file.
-
-    Yields
-    ------
-    tuple of int and xarray.Dataset
-        The first row of a tile, and the tile; the same rows for whatever tiles.
-
-    Raises
-    ------
-    AmulorError, ValueError
-        As the step.
-    """
+    """Run a step tile by tile."""
     if rows is not None and rows < 1:
         raise ValueError(f"a tile has 1 row at least, got {rows}")
     tell("what all pixels share", 0.0)
@@ -176,16 +114,5 @@ def run_step(
 
 
 def decided_once(function: Step, *, spans: bool = True) -> TiledStep:
-    """Return a step whose scan-wide statistics are estimated on a sample of the scan.
-
-    Parameters
-    ----------
-    function, spans
-        As in `amulor.cube.tiles.fitted`.
-
-    Returns
-    -------
-    TiledStep
-        The same for whatever rows come together.
-    """
+    """Step whose scan-wide statistics are estimated on a sample of the scan."""
     return TiledStep(prepare=lambda source: tiles.fitted(function, source, spans=spans))

@@ -20,20 +20,6 @@ def diffusion_response(
 ) -> NDArray[np.complex128]:
     """Return the open-water signal at the middle of the scan, form of the paper.
 
-    Parameters
-    ----------
-    survey : Survey
-        Water and instrument count; targets and polarizers do not.
-    modulation_frequency : array_like
-        Frequencies of the intensity modulation [Hz].
-
-    Returns
-    -------
-    ndarray of complex
-        Received power per launched power [1].
-
-    Notes
-    -----
     (46) of Ricci et al. 2010, as rebuilt.
     """
     return _response(survey, modulation_frequency, DiffusionModel())
@@ -44,26 +30,6 @@ def small_angle_response(
 ) -> NDArray[np.complex128]:
     """Return the open-water signal at the middle of the scan, small-angle model.
 
-    Parameters
-    ----------
-    survey : Survey
-        Water and instrument count; targets and polarizers do not. Water that states
-        moments only gets a phase function that has them.
-    modulation_frequency : array_like
-        Frequencies of the intensity modulation [Hz].
-
-    Returns
-    -------
-    ndarray of complex
-        Received power per launched power [1].
-
-    Raises
-    ------
-    SurveyError
-        If no phase function has the moments that are stated.
-
-    Notes
-    -----
     (29) of Ricci et al. 2010, as rebuilt, with the whole phase function: keeps the
     unscattered light and the shape of the forward peak.
     """
@@ -75,26 +41,6 @@ def closure_response(
 ) -> NDArray[np.complex128]:
     """Return the open-water signal at the middle of the scan, closure.
 
-    Parameters
-    ----------
-    survey : Survey
-        Water and instrument count; targets and polarizers do not. Water that states
-        moments only gets a phase function that has them.
-    modulation_frequency : array_like
-        Frequencies of the intensity modulation [Hz].
-
-    Returns
-    -------
-    ndarray of complex
-        Received power per launched power [1].
-
-    Raises
-    ------
-    SurveyError
-        If no phase function has the moments that are stated.
-
-    Notes
-    -----
     `amulor.optics.small_angle_closure`, the fast form of (29) of Ricci et al. 2010, as
     rebuilt.
     """

@@ -40,19 +40,7 @@ class _Plane:
 
 
 class RowNoise:
-    """Numbers of the rows of a scan, which are asked for in the order of a whole scan.
-
-    Parameters
-    ----------
-    rng : numpy.random.Generator
-        Source of all numbers; goes on behind those of the whole scan.
-    draws : sequence of tuple of str and int
-        What is asked for, in its order: method, and number of planes.
-    shape : tuple of int
-        Rows and columns of the scan [1].
-    gamma : float, optional
-        Shape of the gamma distribution, where some draw has it [1].
-    """
+    """Random numbers of the rows of a scan, in the order of the whole scan."""
 
     def __init__(
         self,
@@ -75,19 +63,7 @@ class RowNoise:
             self._planes.append(planes)
 
     def rows(self, begin: int, end: int) -> RowNoise:
-        """Return itself, ready to be asked for some rows.
-
-        Parameters
-        ----------
-        begin, end : int
-            The first row, and the one behind the last; rows that follow those before
-            cost nothing more.
-
-        Returns
-        -------
-        RowNoise
-            Asked for each draw once, in their order.
-        """
+        """Return itself, ready to be asked for some rows."""
         self._rows, self._next = slice(begin, end), 0
         return self
 
@@ -142,23 +118,6 @@ class RowNoise:
 class SimulatedRows:
     """The rows of a scan that is simulated as they are asked for.
 
-    Parameters
-    ----------
-    survey : Survey
-        What is measured, and with what; of any size.
-    rng : numpy.random.Generator or int
-        Source of the noise, as in `amulor.simulate`.
-    model : SignalModel
-        Forward model, as there; one whose light of a beam does not depend on the beams
-        that come with it.
-
-    Raises
-    ------
-    SurveyError
-        As `amulor.simulate`, and if the model takes the scan whole, as photons do.
-
-    Notes
-    -----
     The tiles are those of `amulor.simulate`, bit for bit: noise comes from the same
     numbers of the same generator, and the table of the light of water that columns look
     up is fitted once.
@@ -208,18 +167,7 @@ class SimulatedRows:
         return self._scan.columns
 
     def tile(self, begin: int, end: int) -> xr.Dataset:
-        """Return some rows.
-
-        Parameters
-        ----------
-        begin, end : int
-            The first one, and the one behind the last; quickest in their order.
-
-        Returns
-        -------
-        xarray.Dataset
-            Cube of level `samples`, with shots and truth.
-        """
+        """Return some rows."""
         setting = self._setting
         directions = scan_directions(setting.survey, rows=slice(begin, end))
         noise = self._noise.rows(begin, end)

@@ -54,29 +54,6 @@ def trace(
 ) -> Geometry:
     """Follow every beam of a scan to what it meets.
 
-    Parameters
-    ----------
-    survey : Survey
-        Targets, instrument and scan.
-    water : WaterProperties
-        Indices of the water.
-    directions : tuple of three ndarrays, shape (row, column), optional
-        Azimuth, elevation [rad] and time [s] of the beams; all of the scan by default.
-    scene : Scene, optional
-        The survey's targets, if they are known already.
-
-    Returns
-    -------
-    Geometry
-        Arrays over (row, column).
-
-    Raises
-    ------
-    SurveyError
-        If a beam meets a target behind the end of the water.
-
-    Notes
-    -----
     Another surface between the target and the receiver hides the echo in part: seven
     points stand for the receiver's aperture. With a window, that way is taken as
     straight, which is wrong by less than a pixel where the way back is steep.

@@ -51,24 +51,7 @@ def target_light(
     *,
     model: SignalModel = DEFAULT_MODEL,
 ) -> Light:
-    """Return the light that the targets send back.
-
-    Parameters
-    ----------
-    survey : Survey
-        Targets and instrument.
-    water : WaterProperties
-        The water in between.
-    geometry : Geometry
-        What each beam meets.
-    model : SignalModel
-        Forward model; the small-angle form with the whole phase function by default.
-
-    Returns
-    -------
-    Light
-        Over (modulation_frequency, polarization, row, column); 0 without a target.
-    """
+    """Return the light that the targets send back."""
     met = geometry.target >= 0
     reflectance = np.zeros(met.shape)
     fraction = np.zeros((len(survey.instrument.polarizations), *met.shape))
@@ -103,26 +86,7 @@ def water_light(
     end: NDArray[np.float64] | None = None,
     model: SignalModel = DEFAULT_MODEL,
 ) -> Light:
-    """Return the light that the water scatters back.
-
-    Parameters
-    ----------
-    survey : Survey
-        Instrument and water.
-    water : WaterProperties
-        Its optical numbers.
-    view : View
-        How the receiver looks at each beam.
-    end : ndarray, optional
-        Where the column ends, infinite where it meets nothing [m]; nowhere by default.
-    model : SignalModel
-        Forward model; the small-angle form with the whole phase function by default.
-
-    Returns
-    -------
-    Light
-        Over (modulation_frequency, polarization, and the shape of the view).
-    """
+    """Return the light that the water scatters back."""
     frequency, stop = _column_axes(survey, view, end)
     # The model counts the delay from where the water begins.
     turn = np.exp(2j * np.pi * frequency * view.optical_offset / speed_of_light)
@@ -198,20 +162,7 @@ class Samples:
 
 
 def expected_signal(survey: Survey, light: Light) -> NDArray[np.complex128]:
-    """Return the noiseless lock-in output of received light.
-
-    Parameters
-    ----------
-    survey : Survey
-        Its instrument counts.
-    light : Light
-        Received power per launched power.
-
-    Returns
-    -------
-    ndarray of complex
-        Peak amplitude of the modulation [V].
-    """
+    """Return the noiseless lock-in output of received light."""
     instrument = survey.instrument
     volt = instrument.detector.volt_per_photoelectron_rate
     return (
@@ -237,18 +188,7 @@ class Noise(Protocol):
 
 
 def draws(survey: Survey) -> list[tuple[str, int]]:
-    """Return what `sample` asks of a random generator, in its order.
-
-    Parameters
-    ----------
-    survey : Survey
-        Its frequencies, analysers and speckle count.
-
-    Returns
-    -------
-    list of tuple of str and int
-        Method of the generator, and how many planes of (row, column) [1].
-    """
+    """Return what `sample` asks of a random generator, in its order."""
     analysers = len(survey.instrument.polarizations)
     planes = len(survey.instrument.modulation_frequencies) * analysers
     speckled = survey.instrument.receiver.speckle_cells is not None
@@ -268,25 +208,6 @@ def sample(
 ) -> Samples:
     """Draw the lock-in samples of target and water light together.
 
-    Parameters
-    ----------
-    survey : Survey
-        Its instrument, its dwell and the fluctuation of its water count.
-    target, water : Light
-        Received power per launched power, of one shape.
-    rng : numpy.random.Generator or Noise
-        Source of all randomness; `draws` says what is asked of it.
-
-    Returns
-    -------
-    Samples
-        Of the same shape. The stated variance covers what the instrument knows:
-        shot and dark noise, that of daylight and the phase floor, not the fluctuation
-        of the water and not the speckle of the target; and the errors of a forward
-        model that states some.
-
-    Notes
-    -----
     A sample is the mean of the lock-in output over the dwell, after five time
     constants of settling. Counting noise spreads both outputs alike; the phase floor
     spreads the sample along its circle only, which is why the outputs covary.

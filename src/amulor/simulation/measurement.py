@@ -198,24 +198,7 @@ def measured(
     model: SignalModel,
     noise: lock_in.Noise,
 ) -> tuple[xr.Dataset, xr.Dataset]:
-    """Return the samples of some rows of a scan, and the truth of them.
-
-    Parameters
-    ----------
-    setting : Setting
-        What all rows share.
-    directions : tuple of three ndarrays
-        Of the rows, from `scan_directions`.
-    model : SignalModel
-        From `fit`.
-    noise : numpy.random.Generator or Noise
-        Source of the noise.
-
-    Returns
-    -------
-    tuple of two xarray.Dataset
-        For `joined`.
-    """
+    """Return the samples of some rows of a scan, and the truth of them."""
     survey = setting.survey
     geometry, target, column = _light(setting, directions, model=model)
     tell("noise of detector and lock-in", 0.7)
@@ -267,20 +250,7 @@ def _outputs(samples: lock_in.Samples) -> dict[str, NDArray[Any]]:
 
 
 def open_water(setting: Setting, *, rng: np.random.Generator) -> xr.Dataset | None:
-    """Return the open-water shots of a scan, if its survey plans some.
-
-    Parameters
-    ----------
-    setting : Setting
-        What they share with the scan.
-    rng : numpy.random.Generator
-        Source of the noise, which has given the scan its own.
-
-    Returns
-    -------
-    xarray.Dataset or None
-        For `joined`.
-    """
+    """Return the open-water shots of a scan, if its survey plans some."""
     survey = setting.survey
     if survey.scan.open_water is None:
         return None

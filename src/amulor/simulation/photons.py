@@ -74,18 +74,7 @@ class Grid:
         return np.stack([values.ravel() for values in each], axis=1)
 
     def weights(self, where: Floats) -> Floats:
-        """Return how the places make up others.
-
-        Parameters
-        ----------
-        where : ndarray, shape (n, axes)
-            Places between the nodes.
-
-        Returns
-        -------
-        ndarray, shape (n, places)
-            Products of Lagrange polynomials [1].
-        """
+        """Return how the places make up others."""
         out = np.ones((len(where), 1))
         for axis, values in zip(self.axes, where.T, strict=True):
             part = axis.weights(np.ascontiguousarray(values))
@@ -109,23 +98,7 @@ class Grid:
 
 
 def grid_of(values: Floats, *, least: Floats, most: NDArray[np.intp]) -> Grid:
-    """Return a grid that spans given places.
-
-    Parameters
-    ----------
-    values : ndarray, shape (n, axes)
-        Places.
-    least : ndarray, shape (axes,)
-        Range of an axis up to which one node stands for it; for each further node its
-        range is about three times as wide.
-    most : ndarray, shape (axes,)
-        Most nodes of an axis.
-
-    Returns
-    -------
-    Grid
-        Chebyshev-Lobatto nodes, the ends of each range among them.
-    """
+    """Return a grid that spans given places."""
     axes = []
     for low, high, small, limit in zip(
         values.min(axis=0), values.max(axis=0), least, most, strict=True
@@ -204,23 +177,7 @@ def follow(
     seed: int,
     progress: Callable[[Progress], None] | None = None,
 ) -> Light:
-    """Follow photons at one place.
-
-    Parameters
-    ----------
-    setting, place, frequency, relative_error, histories, seed, progress
-        As in `run`.
-
-    Returns
-    -------
-    Light
-        With the phase counted from where the water begins.
-
-    Raises
-    ------
-    KeyboardInterrupt
-        If the run was stopped from the keyboard.
-    """
+    """Follow photons at one place."""
     tally = run(
         setting,
         place,
@@ -248,35 +205,7 @@ def run(
     seed: int,
     progress: Callable[[Progress], None] | None = None,
 ) -> Tally:
-    """Follow photons at one place, and keep all that is known of their light.
-
-    Parameters
-    ----------
-    setting : Setting
-        Water and receiver.
-    place : Place
-        Beam and surface; the surface faces the beam.
-    frequency : ndarray
-        Modulation frequencies, the first one 0 [Hz].
-    relative_error : float
-        Of all light at the first frequency, where the photons stop [1].
-    histories : int
-        Where they stop in any case.
-    seed : int
-        Seed of the random numbers.
-    progress : callable, optional
-        Called after each batch.
-
-    Returns
-    -------
-    Tally
-        With the phase counted from where the water begins.
-
-    Raises
-    ------
-    KeyboardInterrupt
-        If the run was stopped from the keyboard.
-    """
+    """Follow photons at one place, and keep all that is known of their light."""
     layer = Layer(
         absorption=setting.absorption,
         scattering=setting.scattering,
@@ -327,18 +256,7 @@ def run(
 
 
 def ends(place: Place) -> tuple[Floats, Floats, Floats]:
-    """Return where a beam enters the water, its direction, and where it ends.
-
-    Parameters
-    ----------
-    place : Place
-        In front of a receiver that looks forwards.
-
-    Returns
-    -------
-    tuple of three ndarrays, shape (3,)
-        Start [m], unit vector, end [m]; without a surface the end is the start.
-    """
+    """Return where a beam enters the water, its direction, and where it ends."""
     across = np.array([place.tilt, place.cross_tilt])
     direction = np.append(across, np.sqrt(1.0 - across @ across))
     start = place.standoff * np.append(across, 1.0)
@@ -347,18 +265,7 @@ def ends(place: Place) -> tuple[Floats, Floats, Floats]:
 
 
 def way(place: Place) -> float:
-    """Return the way to the surface and back to the middle of the aperture [m].
-
-    Parameters
-    ----------
-    place : Place
-        With a surface.
-
-    Returns
-    -------
-    float
-        Less the gap between receiver and water.
-    """
+    """Return the way to the surface and back to the middle of the aperture [m]."""
     _, _, point = ends(place)
     back = np.linalg.norm(point - np.array([place.baseline, 0.0, 0.0]))
     return place.depth + float(back) - place.standoff

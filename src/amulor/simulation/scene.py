@@ -19,25 +19,7 @@ _CHANNELS = {"red": [0], "green": [1], "blue": [2], "mean": [0, 1, 2]}
 
 
 def load(target: Mesh) -> Any:
-    """Read a mesh file.
-
-    Parameters
-    ----------
-    target : Mesh
-        Description from a survey.
-
-    Returns
-    -------
-    trimesh.Trimesh
-        With at least one triangle that has an area.
-
-    Raises
-    ------
-    SurveyError
-        If it cannot be read or holds no surface.
-    MissingExtraError
-        If the extra `scene` is not installed.
-    """
+    """Read a mesh file."""
     try:
         import trimesh
     except ImportError:
@@ -74,38 +56,14 @@ def load(target: Mesh) -> Any:
 
 
 def solid(corners: Floats) -> NDArray[np.bool_]:
-    """Return which triangles have an area.
-
-    Parameters
-    ----------
-    corners : ndarray, shape (n, 3, 3)
-        Corners of each triangle [m].
-
-    Returns
-    -------
-    ndarray, shape (n,)
-        True where the three are not on one line.
-    """
+    """Return which triangles have an area."""
     across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     whole: NDArray[np.bool_] = np.linalg.norm(across, axis=1) > 0
     return whole
 
 
 def barycentric(corners: Floats, point: Floats) -> Floats:
-    """Return the shares of the corners of triangles in points on them.
-
-    Parameters
-    ----------
-    corners : ndarray, shape (n, 3, 3)
-        Corners of each triangle [m].
-    point : ndarray, shape (n, 3)
-        A point on each [m].
-
-    Returns
-    -------
-    ndarray, shape (n, 3)
-        Shares from 0 to 1 that add up to 1 [1].
-    """
+    """Return the shares of the corners of triangles in points on them."""
     one, other = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
     way = point - corners[:, 0]
     a, b, c = (
@@ -119,18 +77,7 @@ def barycentric(corners: Floats, point: Floats) -> Floats:
 
 
 class Texture:
-    """How bright a mesh is, by the colours of its vertices or by an image.
-
-    Parameters
-    ----------
-    target : Mesh
-        Description from a survey, with a texture.
-
-    Raises
-    ------
-    SurveyError
-        If its file has none of this kind.
-    """
+    """How bright a mesh is, by the colours of its vertices or by an image."""
 
     def __init__(self, target: Mesh) -> None:
         self._channel = _CHANNELS[target.texture_channel or "mean"]
@@ -159,20 +106,7 @@ class Texture:
             )
 
     def __call__(self, triangle: NDArray[np.intp], share: Floats) -> Floats:
-        """Return the brightness of points.
-
-        Parameters
-        ----------
-        triangle : ndarray, shape (n,)
-            Which triangle of the mesh each lies on.
-        share : ndarray, shape (n, 3)
-            Shares of its corners [1].
-
-        Returns
-        -------
-        ndarray, shape (n,)
-            From 0 to 1 [1].
-        """
+        """Return the brightness of points."""
         corners = np.asarray(self._values)[self._faces[triangle]]
         value = np.einsum("nc,nck->nk", share, corners)
         if self._image is not None:
@@ -208,13 +142,7 @@ class Hits:
 
 
 class Scene:
-    """All targets as one set of triangles.
-
-    Parameters
-    ----------
-    targets : sequence
-        Target descriptions of a survey.
-    """
+    """All targets as one set of triangles."""
 
     def __init__(self, targets: tuple[Plate | Staircase | Disc | Mesh, ...]) -> None:
         pieces = [triangles(target) for target in targets]
@@ -228,18 +156,7 @@ class Scene:
         self._caster = RayCaster(self._corners)
 
     def cast(self, start: NDArray[Any], direction: NDArray[Any]) -> Hits:
-        """Find the first surface that each ray meets.
-
-        Parameters
-        ----------
-        start, direction : ndarray, shape (n, 3)
-            Start [m] and unit vector [1] of each ray.
-
-        Returns
-        -------
-        Hits
-            Arrays over the n rays.
-        """
+        """Find the first surface that each ray meets."""
         count = len(start)
         target = np.full(count, -1)
         met = np.full(count, -1)
@@ -272,23 +189,7 @@ class Scene:
         )
 
     def texture(self, hits: Hits) -> NDArray[np.float64]:
-        """Return how bright the texture of a mesh is at each point that was met.
-
-        Parameters
-        ----------
-        hits : Hits
-            Points on the scene.
-
-        Returns
-        -------
-        ndarray, shape (n,)
-            From 0 to 1, and 1 where there is no texture [1].
-
-        Raises
-        ------
-        SurveyError
-            If a mesh file has no such texture.
-        """
+        """Return how bright the texture of a mesh is at each point that was met."""
         bright = np.ones(len(hits.target))
         for number, target in enumerate(self._targets):
             own = np.flatnonzero(hits.target == number)
@@ -305,22 +206,7 @@ class Scene:
     def visible_fraction(
         self, hits: Hits, aperture: NDArray[Any], weight: NDArray[Any]
     ) -> NDArray[np.float64]:
-        """Return how much of the receiver's aperture sees each point that was met.
-
-        Parameters
-        ----------
-        hits : Hits
-            Points on the scene.
-        aperture : ndarray, shape (m, 3)
-            Points of the aperture [m].
-        weight : ndarray, shape (m,)
-            Their shares of the aperture, which add up to 1 [1].
-
-        Returns
-        -------
-        ndarray, shape (n,)
-            Fraction that no other surface hides, 0 where a beam met nothing [1].
-        """
+        """Return how much of the receiver's aperture sees each point that was met."""
         fraction = np.zeros(len(hits.target))
         met = np.flatnonzero(hits.target >= 0)
         start, triangle = hits.point[met], hits.triangle[met]
@@ -336,22 +222,6 @@ def aperture_points(
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return points and weights that stand for a Gaussian aperture.
 
-    Parameters
-    ----------
-    position : ndarray, shape (3,)
-        Centre [m].
-    radius : float
-        1/e half-width [m].
-
-    Returns
-    -------
-    points : ndarray, shape (7, 3)
-        Points in the plane across the forward axis [m].
-    weights : ndarray, shape (7,)
-        Shares that add up to 1 [1].
-
-    Notes
-    -----
     The centre with weight 1/2 and six points at sqrt(2) radii with 1/12 each: exact
     for the Gaussian mean of every polynomial up to the fifth degree.
     """
@@ -366,24 +236,7 @@ def aperture_points(
 
 
 def triangles(target: Plate | Staircase | Disc | Mesh) -> NDArray[np.float64]:
-    """Return a described target as triangles in its place.
-
-    Parameters
-    ----------
-    target : Plate, Staircase, Disc or Mesh
-        Description from a survey.
-
-    Returns
-    -------
-    ndarray, shape (n, 3, 3)
-        Corners of each triangle (right, down, forward) [m].
-
-    Raises
-    ------
-    SurveyError
-        If a mesh file cannot be read or holds no surface, or if it would be more than
-        50 m across and its unit is not stated.
-    """
+    """Return a described target as triangles in its place."""
     from scipy.spatial.transform import Rotation
 
     shape = {Plate: _plate, Staircase: _staircase, Disc: _disc, Mesh: _mesh}[

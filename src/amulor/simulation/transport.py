@@ -43,37 +43,6 @@ def monte_carlo_response(
 ) -> Tally:
     """Return the open-water signal at the middle of the scan by photon transport.
 
-    Parameters
-    ----------
-    survey : Survey
-        Water and instrument count; targets and polarizers do not. Water that states
-        moments only gets a phase function that has them.
-    modulation_frequency : array_like
-        Frequencies of the intensity modulation; the first one decides on the error,
-        so it should be 0 [Hz].
-    relative_error : float
-        Relative error to reach at the first frequency [1].
-    seed : int
-        Seed of the random numbers.
-    progress : callable, optional
-        Called with the state of the run after each batch.
-    spread : callable, optional
-        Has batches worked on elsewhere, as for `amulor.transport.simulate`.
-
-    Returns
-    -------
-    Tally
-        Received power per launched power, with the phase counted from where the water
-        begins, and errors.
-
-    Raises
-    ------
-    SurveyError
-        If no phase function has the moments that are stated, or the receiver looks
-        through a window at an angle.
-
-    Notes
-    -----
     `amulor.transport.simulate` with the phase function of
     `amulor.survey.waters.whole_function.phase_function_of`, the Gaussian receiver of
     eq. (38) of Ricci et al. 2010, as rebuilt, and a thin beam. Behind a window the
@@ -175,26 +144,7 @@ def _layers(water: WaterProperties) -> tuple[Layer, ...]:
 
 
 def half_power(tally: Tally) -> tuple[float, float]:
-    r"""Return the cut-off of a run, and its standard error.
-
-    Parameters
-    ----------
-    tally : Tally
-        Run with rising frequencies, of which the first is 0.
-
-    Returns
-    -------
-    cut_off : float
-        Where the modulus falls to :math:`1/\sqrt 2` of that at zero frequency, by
-        a straight line between neighbours; nan if it does not fall so far [Hz].
-    standard_error : float
-        From the scatter of the batches [Hz].
-
-    Raises
-    ------
-    ValueError
-        If the first frequency is not 0 or they do not rise.
-    """
+    r"""Return the cut-off of a run, and its standard error."""
     frequency = tally.modulation_frequency
     if frequency[0] != 0 or not np.all(np.diff(frequency) > 0):
         raise ValueError("the frequencies must rise from 0 Hz")
@@ -216,19 +166,7 @@ def half_power(tally: Tally) -> tuple[float, float]:
 
 
 def relative_amplitude_uncertainty(tally: Tally) -> NDArray[np.float64]:
-    """Return the standard errors of the moduli over that at zero frequency.
-
-    Parameters
-    ----------
-    tally : Tally
-        Run of which the first frequency is 0.
-
-    Returns
-    -------
-    ndarray
-        Standard errors, shape (n,) [1]. The error of the light at zero frequency is
-        shared by both, and so cancels in part.
-    """
+    """Return the standard errors of the moduli over that at zero frequency."""
     along, modulus = _moduli(tally), np.abs(tally.signal)
     ratio = (along - along[:, :1] * modulus / modulus[0]) / modulus[0]
     error: NDArray[np.float64] = np.sqrt(tally.covariance_of(ratio)[:, 0, 0])

@@ -37,19 +37,7 @@ class Findings:
 
 
 def check(site: Site) -> Findings:
-    """Look for mistakes in a site.
-
-    Parameters
-    ----------
-    site : Site
-        With whole paths of files.
-
-    Returns
-    -------
-    Findings
-        Files that are none, places outside of scans, scans that nothing ties to the
-        others, uncertainties that are not known.
-    """
+    """Look for mistakes in a site."""
     mistakes: list[str] = []
     remarks: list[str] = []
     shapes: dict[str, tuple[int, int]] = {}

@@ -306,24 +306,7 @@ class Site(Description):
 
     @classmethod
     def from_toml(cls, path: str | Path) -> Self:
-        """Read a site file.
-
-        Parameters
-        ----------
-        path : str or pathlib.Path
-            TOML file; the files that it names are looked for beside it.
-
-        Returns
-        -------
-        Site
-            In SI units, with whole paths of files.
-
-        Raises
-        ------
-        SurveyError
-            With one line for each thing that is wrong: file, field, what was found,
-            what is allowed.
-        """
+        """Read a site file."""
         path = Path(path)
         text = toml_file.text_of(path, error=SurveyError)
         return cls.from_text(text, name=str(path), folder=path.parent)
@@ -332,46 +315,14 @@ class Site(Description):
     def from_text(
         cls, text: str, *, name: str = "site", folder: Path | None = None
     ) -> Self:
-        """Read a site from the text of its file.
-
-        Parameters
-        ----------
-        text : str
-            TOML.
-        name : str
-            What messages call it.
-        folder : pathlib.Path, optional
-            Where the files that it names are looked for; the working folder by
-            default.
-
-        Returns
-        -------
-        Site
-            In SI units, with whole paths of files.
-
-        Raises
-        ------
-        SurveyError
-            As `from_toml`.
-        """
+        """Read a site from the text of its file."""
         site = toml_file.described(
             text, cls, name=name, what="a site", error=SurveyError
         )
         return site._settled(folder or Path(), where=name)
 
     def scans_of(self, epoch: str) -> tuple[SiteScan, ...]:
-        """Return the scans of one visit, in the order of the file.
-
-        Parameters
-        ----------
-        epoch : str
-            Name of the visit.
-
-        Returns
-        -------
-        tuple of SiteScan
-            None for a name that no scan has.
-        """
+        """Return the scans of one visit, in the order of the file."""
         return tuple(one for one in self.scan if one.epoch == epoch)
 
     def _settled(self, folder: Path, *, where: str) -> Self:
@@ -445,13 +396,7 @@ def _unknown(name: str, allowed: Sequence[str], what: str) -> str:
 
 
 def json_schema() -> dict[str, Any]:
-    """Return the JSON Schema of site files, for editors that check while typing.
-
-    Returns
-    -------
-    dict
-        JSON Schema, draft 2020-12.
-    """
+    """Return the JSON Schema of site files, for editors that check while typing."""
     return {
         "$schema": "https://json-schema.org/draft/2020-12/schema",
         **Site.model_json_schema(),

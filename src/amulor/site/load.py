@@ -17,54 +17,14 @@ WHAT_TO_DO = (
 
 
 def range_image_of(scan: SiteScan) -> xr.Dataset:
-    """Return the range image of a scan, edges and outliers marked.
-
-    Parameters
-    ----------
-    scan : SiteScan
-        With the whole path of its file.
-
-    Returns
-    -------
-    xarray.Dataset
-        Level `range_image`, in memory.
-
-    Raises
-    ------
-    CubeError
-        If the file holds something else and no `processing` is stated, or nothing that
-        can be placed.
-    FormatError
-        If the file cannot be read.
-    """
+    """Return the range image of a scan, edges and outliers marked."""
     return as_image(io.read_cube(scan.file), processing=scan.processing, name=scan.name)
 
 
 def as_image(
     cube: xr.Dataset, *, processing: Processing | None, name: str
 ) -> xr.Dataset:
-    """Return the range image of a cube of any level before it, or of one.
-
-    Parameters
-    ----------
-    cube : xarray.Dataset
-        Level `samples`, `target_signal` or `range_image`.
-    processing : Processing or None
-        How it becomes an image; not looked at for a range image.
-    name : str
-        What messages call the scan.
-
-    Returns
-    -------
-    xarray.Dataset
-        Level `range_image`; a new one has mixed pixels and outliers marked.
-
-    Raises
-    ------
-    CubeError
-        If it is no range image and no processing is stated, it has another level, or
-        the error of its ranges is not known.
-    """
+    """Return the range image of a cube of any level before it, or of one."""
     level = str(cube.attrs.get("level", ""))
     if level == "range_image":
         return _with_errors(cubes.checked(cube, "range_image"), name)

@@ -85,18 +85,7 @@ class Case:
 
 
 def treads(survey: Survey) -> NDArray[np.intp]:
-    """Return which tread each pixel looks at, counted 1, 2, ... from the left.
-
-    Parameters
-    ----------
-    survey : Survey
-        Its first target is a staircase that faces the emitter.
-
-    Returns
-    -------
-    ndarray of int, shape (row, column)
-        0 near the edges of the treads.
-    """
+    """Return which tread each pixel looks at, counted 1, 2, ... from the left."""
     stairs = survey.targets[0]
     assert isinstance(stairs, Staircase)
     scan = survey.scan
@@ -113,22 +102,7 @@ def treads(survey: Survey) -> NDArray[np.intp]:
 def evaluate(
     survey: Survey, image: xr.Dataset, *, water: str, channel: str, stage: str
 ) -> Case:
-    """Compare a range image of the ladder with the ladder.
-
-    Parameters
-    ----------
-    survey : Survey
-        What was simulated.
-    image : xarray.Dataset
-        Its range image, with the truth in it.
-    water, channel, stage : str
-        Which case it is.
-
-    Returns
-    -------
-    Case
-        Steps, bias and noise.
-    """
+    """Compare a range image of the ladder with the ladder."""
     stairs = survey.targets[0]
     assert isinstance(stairs, Staircase)
     number = treads(survey)
@@ -158,18 +132,7 @@ def evaluate(
 
 
 def summary(cases: list[Case]) -> list[dict[str, object]]:
-    """Return the numbers of all cases for other programs.
-
-    Parameters
-    ----------
-    cases : list of Case
-        What `run` returns.
-
-    Returns
-    -------
-    list of dict
-        Lengths in metres; None for an uncertainty that is not known.
-    """
+    """Return the numbers of all cases for other programs."""
     return [
         {
             "water": case.water,
@@ -205,21 +168,7 @@ def write(
     *,
     overwrite: bool,
 ) -> None:
-    """Write the report of the study as one HTML file.
-
-    Parameters
-    ----------
-    path : pathlib.Path
-        File to write.
-    cases : list of Case
-        All waters, channels and stages.
-    surveys : mapping of str to str
-        Water to its survey file.
-    samples : mapping of str to xarray.Dataset
-        Water to its cube of samples.
-    overwrite : bool
-        Whether a file that is there may be replaced.
-    """
+    """Write the report of the study as one HTML file."""
     names = list(dict.fromkeys(case.name for case in cases))
     images = {
         name: {case.stage: case.image for case in cases if case.name == name}
@@ -352,18 +301,7 @@ _WRITERS = {"laz": "lazrs", "e57": "pye57"}
 
 
 def survey_text(water: str) -> str:
-    """Return the survey file of one of the two waters.
-
-    Parameters
-    ----------
-    water : str
-        "clear" or "milk".
-
-    Returns
-    -------
-    str
-        TOML.
-    """
+    """Return the survey file of one of the two waters."""
     folder = resources.files("amulor.survey") / "examples"
     return (folder / f"ladder_{water}.toml").read_text(encoding="utf-8")
 
@@ -378,29 +316,6 @@ def run(
     """Scan the ladder in both waters and write all that comes of it.
 
     Point clouds are in PLY, and in LAZ and E57 where there is a package for these.
-
-    Parameters
-    ----------
-    folder : pathlib.Path
-        Where surveys, cubes, range images, point clouds, `steps.json` and
-        `report.html` go; made if it is not there.
-    rng : numpy.random.Generator or int
-        Source of the noise; a whole number is a seed: of the first water, and one more
-        of each that follows.
-    overwrite : bool
-        Whether files that are there may be replaced.
-    progress : callable, optional
-        Called with a step and the fraction of the work done before it.
-
-    Returns
-    -------
-    list of Case
-        Two waters, two channels, before and after rejection.
-
-    Raises
-    ------
-    FormatError
-        If a file exists, or the folder cannot be written.
     """
     io.make_folder(folder)
     for name in output_names():
@@ -458,13 +373,7 @@ def run(
 
 
 def output_names() -> list[str]:
-    """Return the names of all files that `run` writes.
-
-    Returns
-    -------
-    list of str
-        Names in the folder.
-    """
+    """Return the names of all files that `run` writes."""
     names = ["report.html", "steps.json"]
     for water in WATERS:
         stem = f"ladder_{water}"
@@ -476,13 +385,7 @@ def output_names() -> list[str]:
 
 
 def left_out() -> dict[str, str]:
-    """Return the formats of point clouds that cannot be written here.
-
-    Returns
-    -------
-    dict of str to str
-        Extra of the package that each format needs.
-    """
+    """Return the formats of point clouds that cannot be written here."""
     return _extras.left_out(_WRITERS)
 
 

@@ -11,26 +11,6 @@ from amulor.errors import SurveyError
 def changed(content: Any, changes: Mapping[str, Any], *, name: str) -> Any:
     """Return the content of a description with other values in some places.
 
-    Parameters
-    ----------
-    content : dict
-        Tables and lists, as a file is read or a description dumped. Left as it is.
-    changes : mapping of str to object
-        Path, such as "water.absorption" or "targets.0.reflectance", to the new value.
-        None takes an optional field out.
-    name : str
-        What messages call the description.
-
-    Returns
-    -------
-    dict
-        Tables and lists of its own.
-
-    Raises
-    ------
-    SurveyError
-        If a path leads through something that is not there, or two paths meet.
-
     Examples
     --------
     >>> changed({"water": {"salinity": 0}}, {"water.salinity": 35}, name="survey")

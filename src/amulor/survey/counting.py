@@ -12,19 +12,7 @@ from amulor.survey.view import medium, seen_from_water
 
 
 def integration_time(survey: Survey) -> float:
-    """Return over how long one sample counts photoelectrons, in effect [s].
-
-    Parameters
-    ----------
-    survey : Survey
-        Its dwell and its lock-in count.
-
-    Returns
-    -------
-    float
-        Noise-equivalent time. Whatever the dwell leaves after settling is averaged; a
-        dwell that leaves nothing still takes one reading.
-    """
+    """Return over how long one sample counts photoelectrons, in effect [s]."""
     return float(
         detection.settled_integration_time(
             survey.scan.dwell, time_constant=survey.instrument.lock_in.time_constant
@@ -33,18 +21,7 @@ def integration_time(survey: Survey) -> float:
 
 
 def full_rate(survey: Survey) -> float:
-    """Return photoelectrons per second if all launched light came back [1/s].
-
-    Parameters
-    ----------
-    survey : Survey
-        Its laser and its detector count.
-
-    Returns
-    -------
-    float
-        What received power per launched power is multiplied with.
-    """
+    """Return photoelectrons per second if all launched light came back [1/s]."""
     instrument, detector = survey.instrument, survey.instrument.detector
     return float(
         detection.photoelectron_rate(
@@ -56,19 +33,7 @@ def full_rate(survey: Survey) -> float:
 
 
 def background_rate(survey: Survey) -> NDArray[np.float64]:
-    """Return photoelectrons per second by daylight, behind each analyser.
-
-    Parameters
-    ----------
-    survey : Survey
-        Its daylight, receiver and detector count.
-
-    Returns
-    -------
-    ndarray, shape (polarization,)
-        Rate; half of the light, which is taken as unpolarized, passes an analyser
-        [1/s]. 0 without daylight.
-    """
+    """Return photoelectrons per second by daylight, behind each analyser."""
     instrument, light = survey.instrument, survey.daylight
     pairs = instrument.polarizations
     if light is None:
@@ -95,22 +60,7 @@ def background_rate(survey: Survey) -> NDArray[np.float64]:
 def counting_variance(
     survey: Survey, *, rate: ArrayLike, integration_time: float
 ) -> NDArray[np.float64]:
-    """Return the variance of either output by counting photoelectrons.
-
-    Parameters
-    ----------
-    survey : Survey
-        Its detector counts.
-    rate : array_like
-        Photoelectrons by light, not negative [1/s].
-    integration_time : float
-        Integration time of white noise, above zero [s].
-
-    Returns
-    -------
-    ndarray
-        Variance of the peak amplitude, of the shape of the rate [V^2].
-    """
+    """Return the variance of either output by counting photoelectrons."""
     detector = survey.instrument.detector
     return np.asarray(
         detector.volt_per_photoelectron_rate**2
@@ -124,18 +74,7 @@ def counting_variance(
 
 
 def photon_noise_volt(survey: Survey) -> float:
-    """Return V such that an amplitude A has the counting variance V * A / m [V].
-
-    Parameters
-    ----------
-    survey : Survey
-        Its detector, its dwell and its lock-in count.
-
-    Returns
-    -------
-    float
-        `amulor.optics.detection.photon_noise` of one sample.
-    """
+    """Return V such that an amplitude A has the counting variance V * A / m [V]."""
     volt = survey.instrument.detector.volt_per_photoelectron_rate
     time = integration_time(survey)
     return float(detection.photon_noise(time, volt_per_photoelectron_rate=volt))

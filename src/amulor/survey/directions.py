@@ -18,36 +18,14 @@ BY_ROWS = 2**21
 
 
 def samples_of(survey: Survey) -> int:
-    """Return how many samples a scan has [1].
-
-    Parameters
-    ----------
-    survey : Survey
-        Its scan, frequencies and analysers count.
-
-    Returns
-    -------
-    int
-        Pixels times frequencies times analysers.
-    """
+    """Return how many samples a scan has [1]."""
     instrument = survey.instrument
     channels = len(instrument.modulation_frequencies) * len(instrument.polarizations)
     return survey.scan.rows * survey.scan.columns * channels
 
 
 def refuse_scans_beyond_memory(survey: Survey) -> None:
-    """Refuse a scan that is too large for what needs all of it at once.
-
-    Parameters
-    ----------
-    survey : Survey
-        Its scan counts.
-
-    Raises
-    ------
-    SurveyError
-        If it has more than `MOST_SAMPLES` samples.
-    """
+    """Refuse a scan that is too large for what needs all of it at once."""
     samples = samples_of(survey)
     if samples > MOST_SAMPLES:
         scan = survey.scan
@@ -67,25 +45,7 @@ Which = slice | NDArray[np.intp]
 def scan_directions(
     survey: Survey, *, rows: Which = slice(None), columns: Which = slice(None)
 ) -> tuple[Floats, Floats, Floats]:
-    """Return azimuth, elevation [rad] and start time [s] of every pixel.
-
-    Parameters
-    ----------
-    survey : Survey
-        Its scan counts.
-    rows, columns : slice or ndarray of int
-        Which of its rows and columns; all by default.
-
-    Returns
-    -------
-    tuple of three ndarrays, shape (rows, columns)
-        The first row is the upper one, the first column the left one.
-
-    Raises
-    ------
-    SurveyError
-        If all of a scan is asked for that has too many samples for memory.
-    """
+    """Return azimuth, elevation [rad] and start time [s] of every pixel."""
     scan = survey.scan
     if isinstance(rows, slice) and rows == columns == slice(None):
         refuse_scans_beyond_memory(survey)
@@ -103,23 +63,7 @@ def scan_directions(
 
 
 def open_water_directions(survey: Survey) -> tuple[Floats, Floats]:
-    """Return azimuth and elevation [rad] of every open-water shot.
-
-    Parameters
-    ----------
-    survey : Survey
-        Its open-water plan must be there.
-
-    Returns
-    -------
-    tuple of two ndarrays, shape (shots,)
-        Directions, each as often as it is repeated.
-
-    Raises
-    ------
-    SurveyError
-        If the survey plans no open-water shots.
-    """
+    """Return azimuth and elevation [rad] of every open-water shot."""
     plan = survey.scan.open_water
     if plan is None:
         raise SurveyError(

@@ -19,45 +19,12 @@ class NamesFile(Protocol):
     """A description that names a file."""
 
     def settled(self, folder: Path, *, where: str) -> Any:
-        """Return the same, for whoever is in another folder.
-
-        Parameters
-        ----------
-        folder : pathlib.Path
-            Where the file is looked for.
-        where : str
-            What messages call the description.
-
-        Returns
-        -------
-        Description
-            Of the same class.
-        """
+        """Return the same, for whoever is in another folder."""
         ...
 
 
 def settled(description: _Described, folder: Path, *, where: str) -> _Described:
-    """Return a description whose files are found, or read, wherever they are named.
-
-    Parameters
-    ----------
-    description : Description
-        A survey, or a part of one.
-    folder : pathlib.Path
-        Where its files are looked for.
-    where : str
-        What messages call it.
-
-    Returns
-    -------
-    Description
-        The same object if it names no file.
-
-    Raises
-    ------
-    SurveyError
-        If a file is not there or cannot be used.
-    """
+    """Return a description whose files are found, or read, wherever they are named."""
     found = _settled(description, folder, where=f"{where}: ", path="")
     return found  # type: ignore[no-any-return]
 
@@ -95,27 +62,7 @@ _SIZE_LIMIT = 1_000_000
 
 
 def columns(path: Path, *, count: int, where: str) -> list[list[float]]:
-    """Return the columns of a table of numbers.
-
-    Parameters
-    ----------
-    path : pathlib.Path
-        Text with commas or spaces between numbers and # before notes.
-    count : int
-        How many columns it must have.
-    where : str
-        What messages call the field that names it.
-
-    Returns
-    -------
-    list of list of float
-        As many as asked for.
-
-    Raises
-    ------
-    SurveyError
-        If there is no such file, or no such table in it.
-    """
+    """Return the columns of a table of numbers."""
     needed = f"needed is a text of {count} columns of numbers"
     try:
         if path.stat().st_size > _SIZE_LIMIT:
@@ -152,27 +99,7 @@ def columns(path: Path, *, count: int, where: str) -> list[list[float]]:
 
 
 def validated(model: type[_Model], content: Any, *, where: str) -> _Model:
-    """Return a description made of a table, its mistakes in one line.
-
-    Parameters
-    ----------
-    model : type
-        What is described.
-    content : dict
-        Its fields.
-    where : str
-        What messages call it.
-
-    Returns
-    -------
-    model
-        The description.
-
-    Raises
-    ------
-    SurveyError
-        If the table is not allowed.
-    """
+    """Return a description made of a table, its mistakes in one line."""
     try:
         return model.model_validate(content)
     except ValidationError as error:

@@ -119,18 +119,7 @@ LIMITS: Mapping[str, Limit] = {
 
 
 def beyond(content: Any) -> Iterator[tuple[str, str]]:
-    """Yield what of a survey is beyond what an instrument can have.
-
-    Parameters
-    ----------
-    content : mapping
-        Fields of a survey, numbers in SI units.
-
-    Yields
-    ------
-    tuple of str
-        Path of the field, and what was found, what is allowed and why.
-    """
+    """Yield what of a survey is beyond what an instrument can have."""
     for path, limit in LIMITS.items():
         for where, value in _at(content, path.split("."), ""):
             said = limit.broken(value)

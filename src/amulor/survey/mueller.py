@@ -28,18 +28,7 @@ SURFACES: dict[str, tuple[float, float, float]] = {
 
 
 def keeping(m22: float) -> tuple[float, float, float]:
-    """Return (m22, m33, m44) straight backwards of particles that lie at random.
-
-    Parameters
-    ----------
-    m22 : float
-        Of the reduced Mueller matrix, 1 / 3 to 1 [1].
-
-    Returns
-    -------
-    tuple of float
-        By symmetry m33 = -m22, and by reciprocity m44 = 1 - 2 m22 [1].
-    """
+    """Return (m22, m33, m44) straight backwards of particles that lie at random."""
     return m22, -m22, 1.0 - 2.0 * m22
 
 
@@ -52,19 +41,7 @@ SEA = keeping(2 * 0.66 / (1 + 0.66))
 
 
 def matrix(stated: Any) -> NDArray[np.float64]:
-    """Return the reduced Mueller matrix that a survey states.
-
-    Parameters
-    ----------
-    stated : tuple or str
-        (m22, m33, m44) of a diagonal matrix, or four rows of four, or a name of
-        `SURFACES`.
-
-    Returns
-    -------
-    ndarray, shape (4, 4)
-        Reduced matrix, upper left element 1 [1].
-    """
+    """Return the reduced Mueller matrix that a survey states."""
     if isinstance(stated, str):
         stated = SURFACES[stated]
     values = np.asarray(stated, dtype=float)

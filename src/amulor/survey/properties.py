@@ -142,22 +142,7 @@ _KEPT = (1.0, -1.0, -1.0)
 
 
 def by_coefficients(survey: Survey, *, factor: float = 1.0) -> Survey:
-    """Return a survey whose water is stated by its coefficients and moments.
-
-    Parameters
-    ----------
-    survey : Survey
-        With any water but layers.
-    factor : float
-        What absorption and scattering are multiplied with, above 0 [1].
-
-    Returns
-    -------
-    Survey
-        The same to models that take moments, and to those that take the whole phase
-        function, which it holds as a table; water that was stated by coefficients keeps
-        all else that it states.
-    """
+    """Return a survey whose water is stated by its coefficients and moments."""
     water = survey.water
     if isinstance(water, Water):
         changed = water.model_copy(
@@ -226,25 +211,7 @@ def _indices(survey: Survey) -> tuple[float, float]:
 
 
 def group_index_uncertainty(survey: Survey) -> float | None:
-    """Return the standard uncertainty of the group index of a survey's water.
-
-    Parameters
-    ----------
-    survey : Survey
-        Its water and its calibration.
-
-    Returns
-    -------
-    float or None
-        As the calibration states it, or from what temperature and salinity may be:
-        where one is not stated, from 0 to 30 degC and from fresh water to 40, all
-        alike. None where a stated index or state has no uncertainty [1].
-
-    Raises
-    ------
-    SurveyError
-        If the index does not follow from temperature and salinity.
-    """
+    """Return the standard uncertainty of the group index of a survey's water."""
     water, known = survey.water, survey.calibration
     if known is not None and known.group_index_uncertainty is not None:
         return known.group_index_uncertainty

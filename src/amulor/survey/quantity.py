@@ -44,26 +44,7 @@ class Description(BaseModel):
     def model_copy(
         self, *, update: Mapping[str, Any] | None = None, deep: bool = False
     ) -> Self:
-        """Return a copy, validated as a new description where fields are changed.
-
-        Parameters
-        ----------
-        update : mapping of str to object, optional
-            Field to its new value: a number in SI units, a text with a unit, or another
-            description.
-        deep : bool
-            Whether the copy shares nothing with this one.
-
-        Returns
-        -------
-        Description
-            Of the same class.
-
-        Raises
-        ------
-        ValueError
-            If a value is not allowed (a `pydantic.ValidationError`), as one of a file.
-        """
+        """Return a copy, validated as a new description where fields are changed."""
         copy = super().model_copy(deep=deep)
         if not update:
             return copy

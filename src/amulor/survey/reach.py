@@ -24,24 +24,6 @@ _BEAMS = 65
 def target_reach(survey: Survey) -> tuple[float, float] | None:
     """Return the nearest and the farthest slant range at which beams meet targets.
 
-    Parameters
-    ----------
-    survey : Survey
-        Its targets, its instrument and its scan count.
-
-    Returns
-    -------
-    tuple of float, or None
-        Nearest and farthest slant range [m]; None if no beam meets a target, or the
-        shape of one is in a file that cannot be read here.
-
-    Raises
-    ------
-    SurveyError
-        If the indices of the water cannot be computed.
-
-    Notes
-    -----
     Every target stands in one box or a few: a plate is one without depth, a staircase
     one for each tread, a disc one as deep as it is bent, a mesh one around all of it.
     The beams are followed through these boxes, so the reach of a mesh may come out
@@ -71,21 +53,6 @@ def unsettled_interval(
 ) -> str:
     """Return why phases alone do not tell how far the targets of a survey are.
 
-    Parameters
-    ----------
-    survey : Survey or None
-        What is known of the targets; None if nothing is.
-    modulation_frequency : array_like, shape (n,)
-        Modulation frequencies, increasing [Hz].
-
-    Returns
-    -------
-    str
-        Empty if all targets that the survey describes lie within the range that the
-        frequencies settle; else what is known and what is missing.
-
-    Notes
-    -----
     Phases repeat with the ambiguity interval of the smallest frequency, or of the
     smallest difference of two. Which of the repetitions is right must be known: from
     limits of the slant range that somebody states, or from the targets of the survey.
@@ -109,20 +76,7 @@ def unsettled_interval(
 
 
 def repetition(modulation_frequency: ArrayLike, *, group_index: float) -> float:
-    """Return the distance after which the phases at all frequencies repeat.
-
-    Parameters
-    ----------
-    modulation_frequency : array_like, shape (n,)
-        Modulation frequencies, increasing [Hz].
-    group_index : float
-        Group index of the water [1].
-
-    Returns
-    -------
-    float
-        Ambiguity interval of the smallest frequency or difference of two [m].
-    """
+    """Return the distance after which the phases at all frequencies repeat."""
     frequency = np.atleast_1d(np.asarray(modulation_frequency, dtype=float))
     smallest = np.min(np.append(np.diff(frequency), frequency[0]))
     return float(ranging.ambiguity_interval(smallest, group_index=group_index))

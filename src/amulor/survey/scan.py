@@ -38,15 +38,7 @@ def epsg_code(text: str) -> int | None:
 
 
 def projected_code(text: str) -> int | None:
-    """Return the number of a projected system in metres; None for a name.
-
-    Raises
-    ------
-    ValueError
-        If EPSG has no such system, or the system has degrees, feet or heights.
-    MissingExtraError
-        If there is a number to check, and pyproj is not installed.
-    """
+    """Return the number of a projected system in metres; None for a name."""
     code = epsg_code(text)
     if code is None:
         return None

@@ -174,29 +174,7 @@ def brightness(
     leaving: Floats,
     azimuth: Floats,
 ) -> Floats:
-    """Return the BRDF of a surface over that of Lambert's law.
-
-    Parameters
-    ----------
-    stated : Lambertian, OrenNayar, TabulatedSurface or None
-        Part of a target; None is Lambert's law.
-    reflectance : float
-        Of the target [1].
-    incidence, leaving : ndarray
-        Angles of the incident and of the reflected light against the normal [rad].
-    azimuth : ndarray
-        Angle about the normal between the two, 0 straight back, 0 to pi [rad].
-
-    Returns
-    -------
-    ndarray
-        1 for Lambert's law, of the shape of the angles [1].
-
-    Raises
-    ------
-    SurveyError
-        If a table does not reach these angles.
-    """
+    """Return the BRDF of a surface over that of Lambert's law."""
     if isinstance(stated, OrenNayar):
         found = reflection.oren_nayar(
             incidence=incidence,

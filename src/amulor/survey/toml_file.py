@@ -24,26 +24,7 @@ def lines(
     name: str,
     what: str = "a survey",
 ) -> list[str]:
-    """Turn the findings of the validator into one line each.
-
-    Parameters
-    ----------
-    error : pydantic.ValidationError
-        What the validator found.
-    content : dict
-        The file as it was read.
-    model : type
-        The description that the file as a whole stands for.
-    name : str
-        The file.
-    what : str
-        What it describes, with its article.
-
-    Returns
-    -------
-    list of str
-        `file: field: what was found, what is allowed`, each line once.
-    """
+    """Turn the findings of the validator into one line each."""
     problems = error.errors()
     above = {one["loc"][:end] for one in problems for end in range(len(one["loc"]))}
     result = [
@@ -238,20 +219,7 @@ Model = TypeVar("Model", bound=BaseModel)
 
 
 def text_of(path: str | Path, *, error: type[AmulorError]) -> str:
-    """Return the text of a TOML file.
-
-    Parameters
-    ----------
-    path : str or pathlib.Path
-        The file.
-    error : type
-        What is raised if it cannot be read.
-
-    Returns
-    -------
-    str
-        Without a byte order mark.
-    """
+    """Return the text of a TOML file."""
     path = Path(path)
     try:
         return path.read_text("utf-8-sig")
@@ -271,26 +239,7 @@ def described(
     what: str,
     error: type[AmulorError],
 ) -> Model:
-    """Return what the text of a TOML file describes.
-
-    Parameters
-    ----------
-    text : str
-        TOML.
-    model : type
-        What it stands for.
-    name : str
-        What messages call it, such as the file.
-    what : str
-        What it describes, with its article.
-    error : type
-        What is raised, with one line for each thing that is wrong.
-
-    Returns
-    -------
-    model
-        In SI units.
-    """
+    """Return what the text of a TOML file describes."""
     try:
         content = tomllib.loads(text)
     except tomllib.TOMLDecodeError as found:

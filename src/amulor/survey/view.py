@@ -41,20 +41,7 @@ class View:
 
 
 def medium(survey: Survey, water: WaterProperties) -> rays.Medium:
-    """Return what the light of a survey crosses.
-
-    Parameters
-    ----------
-    survey : Survey
-        Its window counts.
-    water : WaterProperties
-        Its indices count.
-
-    Returns
-    -------
-    amulor.optics.rays.Medium
-        Indices and window.
-    """
+    """Return what the light of a survey crosses."""
     window = survey.instrument.window
     if window is None:
         return rays.Medium(
@@ -71,22 +58,7 @@ def medium(survey: Survey, water: WaterProperties) -> rays.Medium:
 
 
 def seen_from_water(survey: Survey, medium: rays.Medium) -> tuple[float, float]:
-    """Return where the receiver seems to be from the water, and what it accepts.
-
-    Parameters
-    ----------
-    survey : Survey
-        Its receiver counts.
-    medium : amulor.optics.rays.Medium
-        Indices and window.
-
-    Returns
-    -------
-    standoff : float
-        Air and glass before the water, as a depth of water; 0 without a window [m].
-    acceptance : float
-        1/e half-width of the field of view, in the water [rad].
-    """
+    """Return where the receiver seems to be from the water, and what it accepts."""
     receiver = survey.instrument.receiver
     if medium.window_distance is None:
         return 0.0, receiver.acceptance
@@ -104,27 +76,6 @@ def view(
 ) -> View:
     """Return how the receiver looks at beams of given directions.
 
-    Parameters
-    ----------
-    survey : Survey
-        Positions and axes of its instrument count, and what its scan moves.
-    azimuth, elevation : ndarray
-        Directions of the beams [rad].
-    medium : amulor.optics.rays.Medium
-        Indices and window.
-
-    Returns
-    -------
-    View
-        Small-angle quantities over the beams.
-
-    Raises
-    ------
-    SurveyError
-        If the receiver looks more than 60 degrees past a beam.
-
-    Notes
-    -----
     The signal models are small-angle models. They also count the delay of the water
     along the beam, twice the depth, where the way back to a receiver aside is longer:
     by 0.3 degrees of phase at 39 MHz for a baseline of 7 cm, 1.2 degrees for 20 cm.
@@ -215,22 +166,7 @@ def _transmission(
 def kernel_arguments(
     survey: Survey, water: WaterProperties, view: View
 ) -> dict[str, Any]:
-    """Return what target and water signal both take from a survey.
-
-    Parameters
-    ----------
-    survey : Survey
-        Its receiver counts.
-    water : WaterProperties
-        Optical numbers of the water.
-    view : View
-        How the receiver looks at each beam.
-
-    Returns
-    -------
-    dict
-        Keyword arguments of `amulor.optics.small_angle_diffusion.overlap`.
-    """
+    """Return what target and water signal both take from a survey."""
     return {
         "absorption": water.absorption,
         "forward_scattering": water.forward_scattering,
@@ -246,21 +182,7 @@ def kernel_arguments(
 
 
 def beam_arguments(survey: Survey, water: WaterProperties) -> dict[str, float]:
-    """Return radius and divergence of the beam, where a survey states them.
-
-    Parameters
-    ----------
-    survey : Survey
-        Its emitter and window count.
-    water : WaterProperties
-        Its phase index counts.
-
-    Returns
-    -------
-    dict
-        `beam_radius` [m] and `beam_divergence` in the water [rad] of the small-angle
-        forms; empty for a thin beam.
-    """
+    """Return radius and divergence of the beam, where a survey states them."""
     emitter = survey.instrument.emitter
     arguments = {}
     if emitter.beam_radius:
@@ -272,36 +194,12 @@ def beam_arguments(survey: Survey, water: WaterProperties) -> dict[str, float]:
 
 
 def has_sharp_receiver(survey: Survey) -> bool:
-    """Return whether the receiver of a survey has sharp edges.
-
-    Parameters
-    ----------
-    survey : Survey
-        Its receiver counts.
-
-    Returns
-    -------
-    bool
-        False for the Gaussian receiver.
-    """
+    """Return whether the receiver of a survey has sharp edges."""
     return survey.instrument.receiver.edge == "sharp"
 
 
 def refuse_layers(water: WaterProperties, *, model: str) -> None:
-    """Refuse layered water in a model that knows uniform water only.
-
-    Parameters
-    ----------
-    water : WaterProperties
-        What it is to be used on.
-    model : str
-        What the message calls the model, with its article.
-
-    Raises
-    ------
-    SurveyError
-        If the water has layers.
-    """
+    """Refuse layered water in a model that knows uniform water only."""
     if water.layers:
         raise SurveyError(
             f"water.layers: {model} knows uniform water only; `amulor backscatter "
@@ -310,20 +208,7 @@ def refuse_layers(water: WaterProperties, *, model: str) -> None:
 
 
 def refuse_beam_and_edges(survey: Survey, *, model: str) -> None:
-    """Refuse what only the small-angle forms and photons know of an instrument.
-
-    Parameters
-    ----------
-    survey : Survey
-        Its emitter and receiver count.
-    model : str
-        What the message calls the model, with its article.
-
-    Raises
-    ------
-    SurveyError
-        If the beam has a width, or the receiver sharp edges.
-    """
+    """Refuse what only the small-angle forms and photons know of an instrument."""
     emitter = survey.instrument.emitter
     stated = [
         name
@@ -342,20 +227,7 @@ def refuse_beam_and_edges(survey: Survey, *, model: str) -> None:
 
 
 def geometry_attributes(survey: Survey, medium: rays.Medium) -> dict[str, Any]:
-    """Return what a cube says about indices, window and places of the instrument.
-
-    Parameters
-    ----------
-    survey : Survey
-        Its instrument and scan count.
-    medium : amulor.optics.rays.Medium
-        Indices and window.
-
-    Returns
-    -------
-    dict
-        Attributes of a measurement cube.
-    """
+    """Return what a cube says about indices, window and places of the instrument."""
     attributes: dict[str, Any] = {
         "group_index": medium.group_index,
         "refractive_index": medium.refractive_index,

@@ -61,18 +61,7 @@ SALINITIES, TEMPERATURES = (0.0, 40.0), (0.0, 30.0)
 
 
 def state_of(water: WaterState) -> dict[str, float]:
-    """Return temperature and salinity of a water, stated or the middle of its span.
-
-    Parameters
-    ----------
-    water : WaterState
-        Any description of water.
-
-    Returns
-    -------
-    dict of str to float
-        `temperature` [degC] and `salinity` [1].
-    """
+    """Return temperature and salinity of a water, stated or the middle of its span."""
     stated = {"temperature": water.temperature, "salinity": water.salinity}
     spans = {"temperature": TEMPERATURES, "salinity": SALINITIES}
     return {
@@ -173,18 +162,7 @@ _ORDER = (
 
 
 def refuse_clear(absorption: float, scattering: float) -> None:
-    """Refuse water that takes no light at all.
-
-    Parameters
-    ----------
-    absorption, scattering : float
-        Coefficients [1/m].
-
-    Raises
-    ------
-    ValueError
-        If both are zero.
-    """
+    """Refuse water that takes no light at all."""
     if absorption + scattering <= 0:
         raise ValueError(
             "absorption and scattering are both 0 1/m; even the clearest water "

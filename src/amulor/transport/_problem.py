@@ -40,13 +40,7 @@ _DEPTHS = 8.0
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Problem:
-    """Medium, source, receiver and target, checked against each other.
-
-    Raises
-    ------
-    ValueError
-        If they do not fit together.
-    """
+    """Medium, source, receiver and target, checked against each other."""
 
     medium: Medium
     source: Source

@@ -64,13 +64,7 @@ class Accumulator:
 
     @classmethod
     def start(cls, frame: Tally, resume: Tally | None) -> Self:
-        """Return an accumulator without batches, or with those of a run to go on.
-
-        Raises
-        ------
-        ValueError
-            If the run cannot go on, or is one of something else.
-        """
+        """Return an accumulator without batches, or with those of a run to go on."""
         if resume is None:
             return cls(frame=frame, full=frame.batch_size)
         if resume.problem != frame.problem or resume.parts != frame.parts:
@@ -109,13 +103,7 @@ class Accumulator:
         return sum(self.counts)
 
     def with_batch(self, batch: Batch) -> Self:
-        """Return the same with the next batch.
-
-        Raises
-        ------
-        ValueError
-            If it brings a record of path lengths and batches before it did not.
-        """
+        """Return the same with the next batch."""
         values, counts, full = [*self.values], [*self.counts], self.full
         if counts and counts[-1] < full:
             old, count = values[-1], counts[-1]
@@ -286,13 +274,7 @@ Spread = Callable[[Callable[[int], Batch], int, int], Iterator[Batch]]
 
 @dataclass(frozen=True, kw_only=True)
 class Limits:
-    """When a run ends, and where its batches are worked on.
-
-    Raises
-    ------
-    ValueError
-        If a number is out of its range.
-    """
+    """When a run ends, and where its batches are worked on."""
 
     histories: int
     error: ErrorGoal | None = None

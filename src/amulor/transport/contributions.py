@@ -41,32 +41,14 @@ _FEWEST = 30
 
 
 def analyser_vector(name: str) -> Array:
-    """Return what of I, Q, U and V an ideal analyser lets pass.
-
-    Raises
-    ------
-    ValueError
-        If there is no such state.
-    """
+    """Return what of I, Q, U and V an ideal analyser lets pass."""
     vector = _stokes.state(name)
     result: Array = vector if name == "none" else 0.5 * vector
     return result
 
 
 def sums_of(weight: Array) -> Array:
-    """Return sum, sum of squares and largest of contributions.
-
-    Parameters
-    ----------
-    weight : ndarray
-        Stokes vector or intensity of each group, from water and target, shape
-        (groups, 2, components) [1].
-
-    Returns
-    -------
-    ndarray
-        Shape (kinds of light, analysers, 3) [1].
-    """
+    """Return sum, sum of squares and largest of contributions."""
     light = np.stack([weight.sum(axis=1), weight[:, 0], weight[:, 1]])
     if weight.shape[2] == 4:
         vectors = np.stack([analyser_vector(name) for name in ANALYSERS], axis=-1)
@@ -91,25 +73,7 @@ def together(one: Array, other: Array) -> Array:
 
 
 def outweighs(sums: Array, *, groups: int, unseen: float = 0.0) -> bool:
-    """Return whether one group moves the mean by more than a standard error.
-
-    Parameters
-    ----------
-    sums : ndarray
-        Sum, sum of squares and largest of the contributions, shape (3,) [1].
-    groups : int
-        Number of groups.
-    unseen : float
-        Contribution that a group could bring by one event, which may not have
-        happened yet [1].
-
-    Returns
-    -------
-    bool
-        Whether the largest is further from the mean of all others than the error that
-        these alone would state, or the unseen one than that of all, or the relative
-        error is that of less than 30 equal contributions.
-    """
+    """Return whether one group moves the mean by more than a standard error."""
     if groups < 2:
         return False
     total, square, largest = (float(value) for value in sums)

@@ -23,11 +23,6 @@ RELATIVE_GAP = 1e-9
 class RayCaster:
     """Triangles that rays meet on both of their sides, in double precision.
 
-    Parameters
-    ----------
-    corners : ndarray, shape (n, 3, 3)
-        Corners of each triangle [m]. Those without an area are not met.
-
     Examples
     --------
     >>> corners = np.array([[[0, 0, 1], [1, 0, 1], [0, 1, 1]]], dtype=float)
@@ -47,18 +42,7 @@ class RayCaster:
         return self._mesh.least
 
     def first(self, start: Array, direction: Array) -> Integers:
-        """Return the number of the triangle that each ray meets first, -1 for none.
-
-        Parameters
-        ----------
-        start, direction : ndarray, shape (m, 3)
-            Start [m] and unit vector [1] of each ray.
-
-        Returns
-        -------
-        ndarray of int, shape (m,)
-            Numbers of triangles.
-        """
+        """Return the number of the triangle that each ray meets first, -1 for none."""
         met = np.full(len(start), -1, dtype=np.int64)
         _kernels.first_triangles(
             np.ascontiguousarray(start, dtype=float),
@@ -71,20 +55,7 @@ class RayCaster:
         return met
 
     def free(self, start: Array, end: Array, triangle: Integers) -> NDArray[np.bool_]:
-        """Return between which points there is no triangle.
-
-        Parameters
-        ----------
-        start, end : ndarray, shape (m, 3)
-            Points [m].
-        triangle : ndarray of int, shape (m,)
-            Numbers of the triangles on which the first points lie.
-
-        Returns
-        -------
-        ndarray of bool, shape (m,)
-            True where none of the other triangles is between the two.
-        """
+        """Return between which points there is no triangle."""
         free = np.empty(len(start), dtype=np.bool_)
         _kernels.free_ways(
             np.ascontiguousarray(start, dtype=float),
@@ -99,24 +70,6 @@ class RayCaster:
 def hierarchy(corner: Array) -> tuple[Mesh, Integers]:
     """Return boxes, links, triangles and least distance for the kernels.
 
-    Parameters
-    ----------
-    corner : ndarray
-        Corners of the triangles, shape (faces, 3, 3) [m].
-
-    Returns
-    -------
-    mesh : Mesh
-        Lower and upper corners of the boxes, shape (boxes, 6) [m]; for each, the box
-        that follows if it is missed, its first triangle and how many it has itself,
-        shape (boxes, 3); corner, two edges and unit normal of the triangles in the
-        order of the boxes, shape (faces, 12) [m]; and the least distance of a hit to
-        a ray that starts on a triangle [m].
-    number : ndarray of int, shape (faces,)
-        Which of the given triangles each of those is.
-
-    Notes
-    -----
     A box is split at the median of the triangles' centres along the axis on which
     those spread the most.
     """

@@ -88,14 +88,7 @@ class Source:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class _Receiver:
-    """Place, axis and size of a receiver.
-
-    Raises
-    ------
-    ValueError
-        If radius or acceptance are out of their range, or the direction is without
-        length or along the axis to the right.
-    """
+    """Place, axis and size of a receiver."""
 
     radius: float
     """Radius of the face [m]."""
@@ -150,13 +143,7 @@ class GaussianReceiver(_Receiver):
 def reflection_matrix(
     reflectance: float, mueller: ArrayLike | None
 ) -> NDArray[np.float64]:
-    """Return the reduced matrix of a surface, checked along with its reflectance.
-
-    Raises
-    ------
-    ValueError
-        If the reflectance is outside of 0 to 1, or the matrix cannot exist.
-    """
+    """Return the reduced matrix of a surface, checked along with its reflectance."""
     if not 0 <= reflectance <= 1:
         raise ValueError(f"reflectance must be from 0 to 1, got {reflectance!r}")
     given = np.diag([1.0, 0, 0, 0]) if mueller is None else mueller

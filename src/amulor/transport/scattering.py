@@ -237,13 +237,7 @@ class AngleCells:
 
     @cached_property
     def integral(self) -> float:
-        """Integral of the phase function over the sphere, by which it is divided [1].
-
-        Raises
-        ------
-        ValueError
-            If it is not 1 within 0.2 %, or the function below zero.
-        """
+        """Integral of the phase function over the sphere, its divisor [1]."""
         total = float(self._integrals.sum())
         if abs(total - 1) > INTEGRAL_TOLERANCE:
             raise ValueError(
@@ -254,13 +248,7 @@ class AngleCells:
 
     @cached_property
     def probability(self) -> NDArray[np.float64]:
-        """Probability that a scattering falls into each cell [1].
-
-        Raises
-        ------
-        ValueError
-            As for `integral`.
-        """
+        """Probability that a scattering falls into each cell [1]."""
         result: NDArray[np.float64] = self._integrals / self.integral
         return result
 

@@ -19,18 +19,7 @@ _MOST = 95.0
 
 
 def instrument_and_water(images: Mapping[str, xr.Dataset]) -> list[Part]:
-    """Return tables of the instrument and the water of range images.
-
-    Parameters
-    ----------
-    images : mapping of str to xarray.Dataset
-        Name to range image; those whose surveys are equal share a table.
-
-    Returns
-    -------
-    list of Part
-        Nothing for images without a survey.
-    """
+    """Return tables of the instrument and the water of range images."""
     groups: dict[str, list[str]] = {}
     for name, image in images.items():
         groups.setdefault(str(image.attrs.get("survey", "")), []).append(name)
@@ -48,18 +37,7 @@ def instrument_and_water(images: Mapping[str, xr.Dataset]) -> list[Part]:
 
 
 def registration(images: Mapping[str, xr.Dataset]) -> list[Part]:
-    """Return where the instrument stood, as the surveys of range images say.
-
-    Parameters
-    ----------
-    images : mapping of str to xarray.Dataset
-        Name to range image.
-
-    Returns
-    -------
-    list of Part
-        One table, or that nothing is known.
-    """
+    """Return where the instrument stood, as the surveys of range images say."""
     rows = []
     for name, image in images.items():
         survey = _survey(str(image.attrs.get("survey", "")))
@@ -103,20 +81,7 @@ def registration(images: Mapping[str, xr.Dataset]) -> list[Part]:
 def accuracy_statement(
     images: Mapping[str, xr.Dataset], checks: Mapping[str, Sequence[Checked]]
 ) -> list[Part]:
-    """Return how accurate range images are, in the terms of the GUM.
-
-    Parameters
-    ----------
-    images : mapping of str to xarray.Dataset
-        Name to range image.
-    checks : mapping of str to sequence of Checked
-        Check distances of each.
-
-    Returns
-    -------
-    list of Part
-        Statements with confidence level and coverage factor, and the check distances.
-    """
+    """Return how accurate range images are, in the terms of the GUM."""
     parts: list[Part] = [Heading("Accuracy")]
     rows = []
     said = []

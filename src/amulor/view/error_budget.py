@@ -20,18 +20,7 @@ _SHARED = {*ALIKE_TERMS, *SHARED_TERMS}
 
 
 def error_budgets(images: Mapping[str, xr.Dataset]) -> list[Part]:
-    """Return what a report says of the errors of range images, term by term.
-
-    Parameters
-    ----------
-    images : mapping of str to xarray.Dataset
-        Name to range image (level `range_image`).
-
-    Returns
-    -------
-    list of Part
-        A table for each image whose terms are known, and what is not known.
-    """
+    """Return what a report says of the errors of range images, term by term."""
     parts: list[Part] = [Heading("Where the uncertainty comes from")]
     for name, image in images.items():
         budget = error_budget(image)
@@ -58,18 +47,7 @@ def _key(budget: ErrorBudget) -> str:
 
 
 def budget_figure(budgets: Mapping[str, ErrorBudget]) -> Figure:
-    """Draw the terms of error budgets as bars.
-
-    Parameters
-    ----------
-    budgets : mapping of str to ErrorBudget
-        Name to budget, one panel each.
-
-    Returns
-    -------
-    matplotlib.figure.Figure
-        A bar for each term and for the combined standard uncertainty.
-    """
+    """Draw the terms of error budgets as bars."""
     most = max(len(b.lines) + len(b.unknown) + 1 for b in budgets.values())
     with style():
         figure = new_figure(6.4 * len(budgets), 0.5 + 0.24 * most)

@@ -39,35 +39,13 @@ class Explanation:
 
 
 def explanations() -> dict[str, Explanation]:
-    """Return all explanations by their names, pixel flags first.
-
-    Returns
-    -------
-    dict of str to Explanation
-        Limits and chances are those of the code that decides.
-    """
+    """Return all explanations by their names, pixel flags first."""
     all_of_them = [*_pixel_flags(), *_sample_flags(), *_warnings(), *_terms()]
     return {one.name: one for one in all_of_them}
 
 
 def find(words: str) -> list[Explanation]:
-    """Return the explanations that a name or a message asks for, the best first.
-
-    Parameters
-    ----------
-    words : str
-        Name of a flag in any spelling, or a message as it was printed.
-
-    Returns
-    -------
-    list of Explanation
-        All flags that are named in it, or else what is most alike.
-
-    Raises
-    ------
-    FormatError
-        If nothing is like it; the message lists the names.
-    """
+    """Return the explanations that a name or a message asks for, the best first."""
     known = explanations()
     plain = re.sub(r"[^a-z]+", "_", words.lower()).strip("_")
     if plain.upper() in known:
@@ -394,18 +372,7 @@ def _terms() -> list[Explanation]:
 
 
 def lines_of(one: Explanation) -> list[str]:
-    """Return an explanation as lines of text.
-
-    Parameters
-    ----------
-    one : Explanation
-        Any.
-
-    Returns
-    -------
-    list of str
-        Label and text; without those that are empty.
-    """
+    """Return an explanation as lines of text."""
     parts: Iterable[tuple[str, str]] = (
         ("means", one.meaning),
         ("compared", one.compared),
@@ -417,18 +384,7 @@ def lines_of(one: Explanation) -> list[str]:
 
 
 def hint(names: Iterable[str]) -> str:
-    """Return how to ask for the meaning of flags, for a message.
-
-    Parameters
-    ----------
-    names : iterable of str
-        Names of flags in any spelling; the first one is the example.
-
-    Returns
-    -------
-    str
-        Empty without names.
-    """
+    """Return how to ask for the meaning of flags, for a message."""
     first = next(iter(names), "")
     name = first.upper().replace(" ", "_")
     return f"amulor explain {name}" if name else ""

@@ -50,18 +50,7 @@ class Map:
 
 
 def draw_maps(maps: Sequence[tuple[xr.Dataset, Map]]) -> Figure:
-    """Draw maps of equal shape, as large as a page lets them be.
-
-    Parameters
-    ----------
-    maps : sequence of tuple
-        Cube with the directions of the scan, and what is drawn over them.
-
-    Returns
-    -------
-    matplotlib.figure.Figure
-        Tall scans stand side by side, wide ones over each other.
-    """
+    """Draw maps of equal shape, as large as a page lets them be."""
     ratio = max(_ratio(cube) for cube, _ in maps)
     rows, columns, width, height = _layout(len(maps), ratio)
     total = rows * (height + _ABOVE + _BELOW) + 0.04
@@ -83,38 +72,14 @@ def draw_maps(maps: Sequence[tuple[xr.Dataset, Map]]) -> Figure:
 
 
 def quality_map(image: xr.Dataset) -> Map:
-    """Return the map of good, doubtful and missing pixels.
-
-    Parameters
-    ----------
-    image : xarray.Dataset
-        With `quality_flag` over (row, column).
-
-    Returns
-    -------
-    Map
-        0 good, 1 doubtful, 2 no range.
-    """
+    """Return the map of good, doubtful and missing pixels."""
     flag = image["quality_flag"].values
     state = np.where(flag == 0, 0.0, np.where((flag & UNUSABLE) == 0, 1.0, 2.0))
     return Map(title="quality", values=state, label="", colours="quality")
 
 
 def usual_limits(values: Floats, margin: float = 0.0) -> tuple[float, float]:
-    """Return limits that a few stray pixels do not stretch.
-
-    Parameters
-    ----------
-    values : ndarray
-        Any numbers.
-    margin : float
-        Room beyond them, in parts of their difference [1].
-
-    Returns
-    -------
-    tuple of float
-        Low and high.
-    """
+    """Return limits that a few stray pixels do not stretch."""
     finite = values[np.isfinite(values)]
     if finite.size == 0:
         return 0.0, 1.0

@@ -162,20 +162,7 @@ def write_report(
 
 
 def png(figure: Figure, *, dots_per_inch: int = 160) -> bytes:
-    """Return a figure as the content of a PNG file.
-
-    Parameters
-    ----------
-    figure : matplotlib.figure.Figure
-        What is drawn.
-    dots_per_inch : int
-        Resolution.
-
-    Returns
-    -------
-    bytes
-        The file, the same for the same figure.
-    """
+    """Return a figure as the content of a PNG file."""
     buffer = io.BytesIO()
     with style():
         figure.savefig(

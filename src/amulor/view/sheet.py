@@ -70,27 +70,7 @@ class Sheet:
 def colours_of(
     raster: Raster, show: Shown, *, values: Floats | None = None
 ) -> tuple[NDArray[np.uint8], tuple[float, float], str]:
-    """Return a raster as a picture.
-
-    Parameters
-    ----------
-    raster : Raster
-        What is shown.
-    show : str
-        "amplitude" in grey, "height" and "uncertainty" in colours, "relief" as lit from
-        the upper left.
-    values : ndarray, shape (rows, columns), optional
-        What is shown instead, in colours about zero: deviations [m].
-
-    Returns
-    -------
-    pixels : ndarray of uint8, shape (rows, columns, 4)
-        Red, green, blue and opacity; clear where there is no surface.
-    limits : tuple of float
-        Values of the two ends of the colours, in `unit`.
-    unit : str
-        mV or mm, or none of relief.
-    """
+    """Return a raster as a picture."""
     if show == "relief":
         return _relief(raster), (0.0, 1.0), ""
     unit = "mV" if show == "amplitude" else "mm"
@@ -128,29 +108,7 @@ def colours_of(
 def sheet(
     raster: Raster, said: Sheet, *, show: Shown, values: Floats | None = None
 ) -> Figure:
-    """Draw a raster on the smallest ISO sheet that holds it at its scale.
-
-    Parameters
-    ----------
-    raster : Raster
-        What is drawn.
-    said : Sheet
-        Title, scale, statements and contours.
-    show : str
-        As `colours_of`.
-    values : ndarray, shape (rows, columns), optional
-        Deviations [m].
-
-    Returns
-    -------
-    matplotlib.figure.Figure
-        In its size on paper: a millimetre of the figure is one of the sheet.
-
-    Raises
-    ------
-    FormatError
-        If no sheet up to A0 holds it at this scale.
-    """
+    """Draw a raster on the smallest ISO sheet that holds it at its scale."""
     rows, columns = raster.height.shape
     wide = columns * raster.cell / said.scale * 1e3
     high = rows * raster.cell / said.scale * 1e3

@@ -42,32 +42,7 @@ def write(
     motions: Mapping[int, Motion] | None = None,
     overwrite: bool = False,
 ) -> None:
-    """Write the report of a site as one HTML file.
-
-    Parameters
-    ----------
-    path : str or pathlib.Path
-        File to write.
-    site : Site
-        What was put together.
-    registration : Registration
-        Poses of its scans.
-    cloud : Merged
-        All points.
-    change : Change, optional
-        What changed between two visits.
-    places : sequence of Region
-        Places that changed.
-    motions : mapping of int to Motion, optional
-        What moved, by number of the place.
-    overwrite : bool
-        Whether a file that is there may be replaced.
-
-    Raises
-    ------
-    FormatError
-        If the file exists, or cannot be written.
-    """
+    """Write the report of a site as one HTML file."""
     with style():
         parts: list[Part] = [Paragraph(_summary(site, registration, cloud))]
         parts += [
@@ -96,18 +71,7 @@ def write(
 
 
 def plan(site: Site, registration: Registration, cloud: Merged) -> Figure:
-    """Return the site from above.
-
-    Parameters
-    ----------
-    site, registration, cloud
-        As in `write`.
-
-    Returns
-    -------
-    matplotlib.figure.Figure
-        Heights, instruments and targets.
-    """
+    """Return the site from above."""
     figure = new_figure(7.0, 5.6)
     axes = figure.add_subplot()
     some = _thinned(np.flatnonzero(~cloud.moving))
@@ -159,18 +123,7 @@ def plan(site: Site, registration: Registration, cloud: Merged) -> Figure:
 
 
 def errors(cloud: Merged) -> Figure:
-    """Return the uncertainty of the points from above, and how often each occurs.
-
-    Parameters
-    ----------
-    cloud : Merged
-        All points.
-
-    Returns
-    -------
-    matplotlib.figure.Figure
-        Map and distribution.
-    """
+    """Return the uncertainty of the points from above, and how often each occurs."""
     figure = new_figure(7.0, 3.4)
     axes = figure.subplots(1, 2, width_ratios=(1.5, 1))
     some = _thinned(np.flatnonzero(~cloud.moving))
@@ -190,20 +143,7 @@ def errors(cloud: Merged) -> Figure:
 
 
 def change_map(change: Change, places: Sequence[Region]) -> Figure:
-    """Return the change from above, what is significant, and its distribution.
-
-    Parameters
-    ----------
-    change : Change
-        The comparison.
-    places : sequence of Region
-        Places that changed, which get a ring and a number.
-
-    Returns
-    -------
-    matplotlib.figure.Figure
-        Map of change, and of what chance leaves.
-    """
+    """Return the change from above, what is significant, and its distribution."""
     figure = new_figure(7.0, 3.6)
     axes = figure.subplots(1, 2, width_ratios=(1.5, 1))
     known = np.isfinite(change.value)

@@ -48,28 +48,11 @@ _SETTINGS: Any = {
 
 @contextmanager
 def style() -> Iterator[None]:
-    """Draw what is inside with the settings of amulor; nothing global stays changed.
-
-    Yields
-    ------
-    None
-        The settings hold until the block is left.
-    """
+    """Draw what is inside with the settings of amulor; nothing global stays changed."""
     with matplotlib.rc_context(rc=_SETTINGS):
         yield
 
 
 def new_figure(width: float, height: float) -> Figure:
-    """Return an empty figure that belongs to no window system.
-
-    Parameters
-    ----------
-    width, height : float
-        Size [inch].
-
-    Returns
-    -------
-    matplotlib.figure.Figure
-        Laid out so that labels do not overlap.
-    """
+    """Return an empty figure that belongs to no window system."""
     return Figure(figsize=(width, height), layout="constrained")

@@ -23,26 +23,7 @@ def figure(
     errors: Mapping[str, NDArray[np.float64]] | None = None,
     title: str = "",
 ) -> Figure:
-    """Draw relative amplitude and phase of the water signal.
-
-    Parameters
-    ----------
-    modulation_frequency : ndarray
-        Frequencies [Hz].
-    responses : mapping of str to ndarray of complex
-        Name to response over the one at zero frequency [1].
-    cut_off : float, optional
-        Where to mark the half-power point [Hz].
-    errors : mapping of str to ndarray, optional
-        Standard errors of relative amplitudes, drawn as a band [1].
-    title : str
-        Title of the figure.
-
-    Returns
-    -------
-    matplotlib.figure.Figure
-        Two panels above each other.
-    """
+    """Draw relative amplitude and phase of the water signal."""
     with style():
         drawn = new_figure(4.8, 4.4)
         top, bottom = drawn.subplots(2, 1, sharex=True)
@@ -88,22 +69,7 @@ def write(
     overwrite: bool = False,
     **options: Any,
 ) -> None:
-    """Write that figure as PNG or SVG.
-
-    Parameters
-    ----------
-    path : pathlib.Path
-        File to write, ending in .png or .svg.
-    modulation_frequency, responses, **options
-        As for `figure`.
-    overwrite : bool
-        Whether a file that is there may be replaced.
-
-    Raises
-    ------
-    FormatError
-        If the ending is another, the file exists, or it cannot be written.
-    """
+    """Write that figure as PNG or SVG."""
     kind = path.suffix.lower().removeprefix(".")
     if kind not in ("png", "svg"):
         raise FormatError(f"{path}: pictures are written as .png or .svg; rename it")

@@ -38,42 +38,13 @@ _UNITS = {layer.name: layer.unit for layer in MAPS.values()}
 
 
 def map_name(live: Live, channel: str, wanted: str) -> str:
-    """Return the name of a map, before rejection as long as there is none after it.
-
-    Parameters
-    ----------
-    live : Live
-        The scan.
-    channel : str
-        Polarization channel.
-    wanted : str
-        A key of `CHOICES`.
-
-    Returns
-    -------
-    str
-        As in `Live.now`.
-    """
+    """Return the name of a map, before rejection as long as there is none after it."""
     after = np.isfinite(live.now(channel, wanted)).any()
     return wanted if after else f"{wanted}_before"
 
 
 def shrunk(values: Floats, rows: int, columns: int) -> Floats:
-    """Return the means of blocks, of what is known in them.
-
-    Parameters
-    ----------
-    values : ndarray, shape (rows, columns)
-        A map; NaN where nothing is known.
-    rows, columns : int
-        Most rows and columns that there is room for.
-
-    Returns
-    -------
-    ndarray
-        Not larger than that, of the same aspect; NaN where a block knows nothing. A
-        small map is enlarged by a whole number, so that it can be seen.
-    """
+    """Return the means of blocks, of what is known in them."""
     times = min(rows // values.shape[0], columns // values.shape[1])
     if times > 1:
         return values.repeat(times, axis=0).repeat(times, axis=1)
@@ -101,22 +72,7 @@ def limits(values: Floats) -> tuple[float, float]:
 
 
 def picture(values: Floats, *, colours: str, plain: bool = False) -> Text:
-    """Return a map as lines of half blocks, two rows of pixels to a line.
-
-    Parameters
-    ----------
-    values : ndarray, shape (rows, columns)
-        As many rows and columns as there is room for; NaN stays empty.
-    colours : str
-        Name of a colour map.
-    plain : bool
-        Without colours, by letters from light to dark, a row of pixels to a line.
-
-    Returns
-    -------
-    rich.text.Text
-        To be printed.
-    """
+    """Return a map as lines of half blocks, two rows of pixels to a line."""
     from rich.text import Text
 
     low, high = limits(values)
@@ -157,20 +113,7 @@ def _colour(
 
 
 def signal_to_noise(live: Live, channel: str) -> float | None:
-    """Return the median amplitude over its standard uncertainty.
-
-    Parameters
-    ----------
-    live : Live
-        The scan.
-    channel : str
-        Polarization channel.
-
-    Returns
-    -------
-    float or None
-        Of the samples of the last picture [1]; None before there is one.
-    """
+    """Return the median amplitude over its standard uncertainty."""
     samples = live.recording.samples
     if samples is None or channel not in samples.amulor.polarizations:
         return None
@@ -185,22 +128,7 @@ def signal_to_noise(live: Live, channel: str) -> float | None:
 
 
 def going(status: Mapping[str, Any], *, ratio: float | None, now: datetime) -> str:
-    """Return how a scan goes in one line.
-
-    Parameters
-    ----------
-    status : mapping
-        Of `Live.status`.
-    ratio : float or None
-        Signal over noise [1].
-    now : datetime
-        For the time at which the scan ends.
-
-    Returns
-    -------
-    str
-        Share done, rate, time left and end, flags, signal over noise, drift.
-    """
+    """Return how a scan goes in one line."""
     done, total = int(status.get("done", 0)), int(status.get("total", 0))
     words = [str(status.get("state", "not begun"))]
     if words[0] == "running":
@@ -233,28 +161,7 @@ def screen(
     plain: bool,
     now: datetime,
 ) -> RenderableType:
-    """Return all that a terminal shows of a scan.
-
-    Parameters
-    ----------
-    live : Live
-        The scan.
-    channel : str
-        Polarization channel.
-    wanted : str
-        A key of `CHOICES`.
-    size : tuple of int
-        Columns and lines of the terminal.
-    plain : bool
-        Whether it has no colours.
-    now : datetime
-        Time.
-
-    Returns
-    -------
-    RenderableType
-        Name, picture with its scale, how it goes, and what is worth doing.
-    """
+    """Return all that a terminal shows of a scan."""
     from rich.console import Group
     from rich.text import Text
 

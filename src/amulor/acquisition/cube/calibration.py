@@ -138,31 +138,7 @@ def phase_correction(
     *,
     modulation_frequency: float,
 ) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
-    """Return what is to be taken off the phase of samples of one frequency.
-
-    Parameters
-    ----------
-    calibration : Calibration
-        Delays of the instrument.
-    amplitude : ndarray
-        Peak amplitudes of the samples, of any shape [V].
-    modulation_frequency : float
-        Of the samples [Hz].
-
-    Returns
-    -------
-    correction : ndarray
-        Delay of the instrument, linear in the logarithm of the amplitude [rad].
-    known : ndarray of bool
-        False where the amplitude lies outside of what was calibrated; the delay of
-        the nearest calibrated amplitude stands there. One amplitude alone is taken
-        to hold for all.
-
-    Raises
-    ------
-    FormatError
-        If the frequency was not calibrated.
-    """
+    """Return what is to be taken off the phase of samples of one frequency."""
     one = min(
         calibration.frequencies,
         key=lambda known: abs(known.modulation_frequency - modulation_frequency),

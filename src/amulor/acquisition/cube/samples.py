@@ -48,15 +48,7 @@ _EMPTY = (*(own.absent for own in QUANTITIES.values()), MISSING, np.nan, 0, -1)
 
 
 class Samples:
-    """Samples of one kind as one array over frequency, polarization and two places.
-
-    Parameters
-    ----------
-    survey : Survey
-        Its frequencies and channels are the first two axes.
-    first, second : int
-        Sizes of the other two [1].
-    """
+    """Samples of one kind as one array over frequency, polarization and two places."""
 
     def __init__(self, survey: Survey, first: int, second: int) -> None:
         instrument = survey.instrument
@@ -98,21 +90,7 @@ class Samples:
 
 
 def read_back_frequencies(samples: Samples, survey: Survey) -> Floats:
-    """Return the frequencies that the instrument said it used.
-
-    Parameters
-    ----------
-    samples : Samples
-        Those of the scan.
-    survey : Survey
-        Its modulation frequencies are what was asked for.
-
-    Returns
-    -------
-    ndarray
-        Median of what was read back, for each modulation frequency of the survey; what
-        was asked for where nothing was, or if two would come out as one [Hz].
-    """
+    """Return the frequencies that the instrument said it used."""
     asked = np.array(survey.instrument.modulation_frequencies)
     frequency = asked.copy()
     for number, values in enumerate(samples["modulation_frequency"]):
@@ -136,25 +114,7 @@ def procedure_of(journal: Journal) -> Procedure:
 
 
 def entry(journal: Journal, name: str) -> str:
-    """Return an entry of what a journal says about its scan.
-
-    Parameters
-    ----------
-    journal : Journal
-        Of a scan.
-    name : str
-        Of the entry.
-
-    Returns
-    -------
-    str
-        Its text.
-
-    Raises
-    ------
-    FormatError
-        If it is not there.
-    """
+    """Return an entry of what a journal says about its scan."""
     entries = journal.meta()
     if name not in entries:
         raise FormatError(
@@ -167,22 +127,7 @@ def entry(journal: Journal, name: str) -> str:
 def dark_output(
     survey: Survey, journal: Journal
 ) -> tuple[NDArray[np.complex128], Floats]:
-    """Return what the instrument puts out without light, channel by channel.
-
-    Parameters
-    ----------
-    survey : Survey
-        Frequencies and channels.
-    journal : Journal
-        Its dark readings count, but for those that overloaded.
-
-    Returns
-    -------
-    mean : ndarray
-        Of shape (frequency, polarization), 0 without a reading [V].
-    variance : ndarray
-        Of that mean, of the same shape [V^2].
-    """
+    """Return what the instrument puts out without light, channel by channel."""
     taken = [*journal.samples(plan.DARK)]
     # By how many there are, not by their numbers: those of a short scan can be high.
     numbers: dict[tuple[float, str], int] = {}
@@ -217,29 +162,7 @@ def correct(
     modulation_frequency: Floats,
     calibration: Calibration | None,
 ) -> NDArray[np.bool_]:
-    """Take off dark output and delay of the instrument.
-
-    Parameters
-    ----------
-    samples : Samples
-        Their signal is changed.
-    dark : tuple of ndarray
-        What `dark_output` returned [V], [V^2].
-    modulation_frequency : ndarray
-        Of the first axis of the samples [Hz].
-    calibration : Calibration or None
-        Delay against frequency and amplitude.
-
-    Returns
-    -------
-    ndarray of bool
-        Where the calibration does not reach.
-
-    Raises
-    ------
-    FormatError
-        If a frequency was not calibrated.
-    """
+    """Take off dark output and delay of the instrument."""
     samples["signal"][...] -= dark[0][:, :, None, None]
     outside = np.zeros(samples["signal"].shape, dtype=bool)
     if calibration is None:
@@ -256,23 +179,7 @@ def correct(
 
 
 def counting_variance(samples: Samples, survey: Survey, procedure: Procedure) -> Floats:
-    """Return the variance of each sample by counting photoelectrons.
-
-    Parameters
-    ----------
-    samples : Samples
-        Mean output, or, where that is not wired, the amplitude, which is a lower
-        limit.
-    survey : Survey
-        Its detector, its lock-in and its dwell count.
-    procedure : Procedure
-        Whether readings are settled, or what the filter holds was taken off.
-
-    Returns
-    -------
-    ndarray
-        Of either output [V^2].
-    """
+    """Return the variance of each sample by counting photoelectrons."""
     detector = survey.instrument.detector
     volt = detector.volt_per_photoelectron_rate
     lower = samples["raw_amplitude"] / (survey.instrument.modulation_depth * volt)

@@ -31,13 +31,7 @@ class Outputs(Protocol):
 
 
 class LockInOutputs:
-    """The auxiliary outputs of a lock-in, counted from 1; read back.
-
-    Parameters
-    ----------
-    lock_in : object
-        A lock-in whose driver has `set_output`.
-    """
+    """The auxiliary outputs of a lock-in, counted from 1; read back."""
 
     def __init__(self, lock_in: Any) -> None:
         if not hasattr(lock_in, "set_output"):
@@ -63,13 +57,7 @@ class LockInOutputs:
 
 
 class NidaqOutputs:
-    """Outputs of a card of National Instruments, by nidaqmx; not read back.
-
-    Parameters
-    ----------
-    limits : dict
-        Lowest and highest voltage of each channel, such as "Dev1/ao0" [V].
-    """
+    """Outputs of a card of National Instruments, by nidaqmx; not read back."""
 
     def __init__(self, limits: dict[str, tuple[float, float]]) -> None:
         package = _imported("nidaqmx", "mirrors on a card of National Instruments")
@@ -105,13 +93,7 @@ class NidaqOutputs:
 
 
 class LabjackOutputs:
-    """Outputs of a LabJack, by its package ljm; its registers are read back.
-
-    Parameters
-    ----------
-    address : str or None
-        Serial number, name or network address; any LabJack if None.
-    """
+    """Outputs of a LabJack, by its package ljm; its registers are read back."""
 
     def __init__(self, address: str | None) -> None:
         package = _imported("labjack.ljm", "mirrors on a LabJack")
@@ -149,13 +131,6 @@ class LabjackOutputs:
 class Mirror:
     """What the angle of a beam is at a voltage, from measured pairs.
 
-    Parameters
-    ----------
-    settings : MirrorSettings
-        Voltages and angles.
-
-    Notes
-    -----
     A line for three or four pairs, a parabola from five on, by least squares; `spread`
     is the standard deviation of what is left, the uncertainty of an angle.
     """
@@ -180,13 +155,7 @@ class Mirror:
         return float(self._fit(volts))
 
     def volts(self, angle: float) -> float:
-        """Return the voltage [V] of an angle [rad], between those that were measured.
-
-        Raises
-        ------
-        InstrumentError
-            If it lies beyond them.
-        """
+        """Voltage [V] of an angle [rad], between those that were measured."""
         low, high = self._own.volts[0], self._own.volts[-1]
         found = [
             float(root.real)
@@ -204,24 +173,7 @@ class Mirror:
 
 
 class AnalogScanner:
-    """Two mirrors on analog outputs.
-
-    Parameters
-    ----------
-    outputs : Outputs
-        That they hang on.
-    settings : AnalogSettings
-        Their outputs and angles.
-    clock : Clock
-        What waits go by.
-    tolerance : float
-        Largest error of a direction that is not flagged [rad].
-
-    Raises
-    ------
-    InstrumentError
-        If measured angles scatter more than that.
-    """
+    """Two mirrors on analog outputs."""
 
     def __init__(
         self,

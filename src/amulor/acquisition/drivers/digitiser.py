@@ -21,15 +21,6 @@ _PRESENT = 10.0
 class DigitiserLockIn:
     """A digitiser that sees the detector, and what modulates the laser as reference.
 
-    Parameters
-    ----------
-    digitiser : Digitiser
-        What records.
-    clock : Clock
-        What waits go by.
-
-    Notes
-    -----
     Phases are those of the detector against the reference, tone by tone, so that
     neither the start of a record nor a common trigger matters; a difference of the
     clocks of digitiser and generator is found in the reference and taken out. There is

@@ -34,17 +34,7 @@ _LASER_MORE = ("on", "off", "state", "interlock", "interlock_closed", "current",
 
 
 class OphydScanner:
-    """Two axes of ophyd-async that turn the beam; each has `set` and `locate`.
-
-    Parameters
-    ----------
-    device : OphydDevice
-        Whose parts they are.
-    settings : ScannerSettings
-        Zeros and turn per unit of the axes.
-    azimuth, elevation : str
-        Path of each axis.
-    """
+    """Two axes of ophyd-async that turn the beam; each has `set` and `locate`."""
 
     def __init__(
         self,
@@ -151,18 +141,7 @@ class OphydScanner:
 
 
 class OphydLockIn:
-    """A lock-in of ophyd-async; read after `trigger`, if it has that.
-
-    Parameters
-    ----------
-    device : OphydDevice
-        Whose parts are named.
-    options : mapping
-        Paths of x, y, frequency and time_constant, the number full_scale, and more: see
-        docs/how-to/add-an-instrument.md.
-    clock : Clock
-        What waits go by.
-    """
+    """A lock-in of ophyd-async; read after `trigger`, if it has that."""
 
     def __init__(
         self, device: OphydDevice, options: Mapping[str, Any], *, clock: Clock
@@ -283,16 +262,7 @@ class OphydLockIn:
 
 
 class OphydLaser:
-    """A laser or a shutter of ophyd-async: a part lets light out, one is read back.
-
-    Parameters
-    ----------
-    device : OphydDevice
-        Whose parts are named.
-    options : mapping
-        Path of `enable`, what it is set to (`on`, `off`), `state` to read back, and
-        more: see docs/how-to/add-an-instrument.md.
-    """
+    """A laser or a shutter of ophyd-async: a part lets light out, one is read back."""
 
     def __init__(self, device: OphydDevice, options: Mapping[str, Any]) -> None:
         self._own, self._options = device, options

@@ -53,20 +53,6 @@ class Octets(Protocol):
 def frame(number: int, command: int, value: int = 0) -> bytes:
     """Return a message: sync, number, two command bytes, two data bytes, checksum.
 
-    Parameters
-    ----------
-    number : int
-        Of the head [1].
-    command : int
-        Second command byte; the first is zero [1].
-    value : int
-        Data, the high byte first [1].
-
-    Returns
-    -------
-    bytes
-        Seven; the last is the sum of the five before it, modulo 256.
-
     Examples
     --------
     >>> frame(1, 0x51).hex(" ")
@@ -79,17 +65,6 @@ def frame(number: int, command: int, value: int = 0) -> bytes:
 class PelcoHead:
     """Pan and tilt of a head, which turns the whole instrument.
 
-    Parameters
-    ----------
-    link : Octets
-        An open link.
-    settings : ScannerSettings
-        Zeros of the axes [degrees], in `pan_tilt` the number and how they count.
-    clock : Clock
-        What waits go by.
-
-    Notes
-    -----
     Set positions are 0x4B and 0x4D, questions 0x51 and 0x53, answers 0x59 and 0x5B. A
     head says neither that it has arrived nor that it refuses: it has arrived where two
     looks in a row find it within 0.02 degrees of its goal, and one that no longer moves

@@ -35,13 +35,6 @@ class PiController:
 
     Lines end with a line feed; in an answer of several lines all but the last end with
     a space before it (chapter "GCS commands" of the manuals, such as MS249E, page 116).
-
-    Parameters
-    ----------
-    link : Conversation
-        An open link.
-    clock : Clock
-        What waits go by.
     """
 
     #: What a line ends with on a serial port.
@@ -62,13 +55,7 @@ class PiController:
         return self._identity
 
     def enable(self, axes: Sequence[str]) -> None:
-        """Close the servo loop of axes that know where they are.
-
-        Raises
-        ------
-        InstrumentError
-            If one has not been referenced: that move is for somebody who looks on.
-        """
+        """Close the servo loop of axes that know where they are."""
         self._link.send("SVO " + " ".join(f"{axis} 1" for axis in axes))
         self.raise_error()
         known = self._values("FRF?", axes)
@@ -80,18 +67,7 @@ class PiController:
                 )
 
     def refuse_beyond_reach(self, goals: Mapping[str, Sequence[float]]) -> None:
-        """Raise if an axis could not go where it will be sent.
-
-        Parameters
-        ----------
-        goals : mapping
-            Axis to positions, in the unit of the axis.
-
-        Raises
-        ------
-        InstrumentError
-            Of the first axis whose travel (TMN?, TMX?) is too short.
-        """
+        """Raise if an axis could not go where it will be sent."""
         low = self._values("TMN?", [*goals])
         high = self._values("TMX?", [*goals])
         for axis, positions in goals.items():
@@ -106,25 +82,7 @@ class PiController:
                 )
 
     def move(self, goals: Mapping[str, float], *, timeout: float) -> list[float]:
-        """Move axes and wait until they are on target.
-
-        Parameters
-        ----------
-        goals : mapping
-            Axis to position, in the unit of the axis.
-        timeout : float
-            How long it may take [s].
-
-        Returns
-        -------
-        list of float
-            Where they stand, in the same order.
-
-        Raises
-        ------
-        InstrumentError
-            If they do not arrive, or the controller refuses.
-        """
+        """Move axes and wait until they are on target."""
         axes = [*goals]
         listed = " ".join(axes)
         words = [f"{axis} {goal:.7f}" for axis, goal in goals.items()]
@@ -253,15 +211,7 @@ class _OnController:
 
 
 class PiScanner(_OnController):
-    """Two axes that turn the beam.
-
-    Parameters
-    ----------
-    controller : PiController
-        That both axes belong to.
-    settings : ScannerSettings
-        Axes, their zero, and the turn per unit.
-    """
+    """Two axes that turn the beam."""
 
     def __init__(self, controller: PiController, settings: ScannerSettings) -> None:
         self._settings = settings
@@ -376,15 +326,7 @@ def _refuse_elsewhere(what: str, stands: float, goal: float, *, near: float) -> 
 
 
 class PiMount(_OnController):
-    """One axis in degrees that turns a polarizer or a retarder.
-
-    Parameters
-    ----------
-    controller : PiController
-        That the axis belongs to.
-    axis : str
-        Its name.
-    """
+    """One axis in degrees that turns a polarizer or a retarder."""
 
     def __init__(self, controller: PiController, axis: str) -> None:
         super().__init__(controller, [axis])
@@ -403,15 +345,7 @@ class PiMount(_OnController):
 
 
 class PiTargetStage(_OnController):
-    """One axis in millimetres that carries the target.
-
-    Parameters
-    ----------
-    controller : PiController
-        That the axis belongs to.
-    settings : TargetSettings
-        Its name and the two positions.
-    """
+    """One axis in millimetres that carries the target."""
 
     def __init__(self, controller: PiController, settings: TargetSettings) -> None:
         self._settings = settings

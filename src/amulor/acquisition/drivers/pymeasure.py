@@ -23,14 +23,7 @@ _SAME = 0.01
 
 
 class PymeasureLockIn:
-    """An instrument of pymeasure behind the protocol of a lock-in.
-
-    Parameters
-    ----------
-    wiring : Wiring
-        Its options name the class, and the attributes for x, y [V rms], frequency [Hz],
-        time constant [s], mean output, status bits and outputs.
-    """
+    """An instrument of pymeasure behind the protocol of a lock-in."""
 
     def __init__(self, wiring: Wiring) -> None:
         own = wiring.options

@@ -19,15 +19,7 @@ from amulor.errors import InstrumentError
 
 
 class _Scpi:
-    """An instrument that says who it is when asked by ``*IDN?``.
-
-    Parameters
-    ----------
-    link : Conversation
-        An open link.
-    words : object
-        Its commands; `lock` is asked before anything is set.
-    """
+    """An instrument that says who it is when asked by ``*IDN?``."""
 
     def __init__(
         self, link: Conversation, words: ScpiLaserSettings | ScpiSourceSettings
@@ -67,17 +59,7 @@ class _Scpi:
 
 
 class ScpiSource(_Scpi):
-    """A signal generator that modulates the laser.
-
-    Parameters
-    ----------
-    link : Conversation
-        An open link.
-    settings : SourceSettings
-        Its commands, and the amplitude.
-    clock : Clock
-        What waits go by.
-    """
+    """A signal generator that modulates the laser."""
 
     def __init__(
         self, link: Conversation, settings: SourceSettings, *, clock: Clock
@@ -134,15 +116,7 @@ class ScpiSource(_Scpi):
 
 
 class ScpiLaser(_Scpi):
-    """A laser diode driver, or anything that lets light out by commands.
-
-    Parameters
-    ----------
-    link : Conversation
-        An open link.
-    settings : LaserSettings
-        Its commands.
-    """
+    """A laser diode driver, or anything that lets light out by commands."""
 
     def __init__(self, link: Conversation, settings: LaserSettings) -> None:
         assert settings.scpi is not None
@@ -220,19 +194,7 @@ _FINER_BELOW = 0.5
 
 
 class ScpiLockIn:
-    """A lock-in that is spoken to as a devices file says.
-
-    Parameters
-    ----------
-    link : Conversation
-        An open link.
-    words : ScpiLockInSettings
-        Its commands.
-    clock : Clock
-        What waits go by.
-    external : bool
-        Whether the frequency comes from a generator at the reference input.
-    """
+    """A lock-in that is spoken to as a devices file says."""
 
     def __init__(
         self,

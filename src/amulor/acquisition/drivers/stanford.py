@@ -15,19 +15,7 @@ _ERROR_BITS = 0b0011_0000
 
 
 class Stanford:
-    """A conversation with a Stanford lock-in, from identity to auxiliary outputs.
-
-    Parameters
-    ----------
-    link : Conversation
-        An open link.
-    mean_output_input : int or None
-        Auxiliary input that the mean output of the detector is wired to [1].
-    clock : Clock
-        What waits go by.
-    external : bool
-        Whether the frequency comes from a generator at the reference input.
-    """
+    """A conversation with a Stanford lock-in, from identity to auxiliary outputs."""
 
     model = ""
     #: What a line ends with on a serial port.
@@ -66,25 +54,7 @@ class Stanford:
         return self._identity
 
     def set_output(self, number: int, voltage: float) -> float:
-        """Set an auxiliary output, counted from 1 as on the panel [V]; read it back.
-
-        Parameters
-        ----------
-        number : int
-            Which one [1].
-        voltage : float
-            What it is set to [V].
-
-        Returns
-        -------
-        float
-            What the instrument says that it stands at [V].
-
-        Raises
-        ------
-        InstrumentError
-            If there is no such output, or the answer is none.
-        """
+        """Set an auxiliary output, counted from 1 as on the panel [V]; read it back."""
         if not 1 <= number <= self._outputs:
             raise InstrumentError(
                 f"{self.model} has auxiliary outputs 1 to {self._outputs}, asked for "
@@ -94,13 +64,7 @@ class Stanford:
         return self.number(f"{word} {code},{voltage:.3f};{word}? {code}")
 
     def input(self, number: int) -> float:
-        """Return the voltage at an auxiliary input, counted from 1 as on the panel [V].
-
-        Raises
-        ------
-        InstrumentError
-            If there is no such input, or the answer is none.
-        """
+        """Voltage at an auxiliary input, counted from 1 as on the panel [V]."""
         if not 1 <= number <= self._inputs:
             raise InstrumentError(
                 f"{self.model} has auxiliary inputs 1 to {self._inputs}, asked for was "

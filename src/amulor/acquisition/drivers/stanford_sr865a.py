@@ -60,21 +60,6 @@ class Sr865a(Stanford):
     4 are 0 to 3 in AUXV, as in the maker's own package srsinst.sr860. It counts in
     volts rms and its phase falls with delay; readings are peak amplitudes whose phase
     rises with delay.
-
-    Parameters
-    ----------
-    link : Conversation
-        An open link.
-    mean_output_input : int or None
-        Auxiliary input that the mean output of the detector is wired to [1].
-    modulation_amplitude : float
-        Root mean square of the modulation output [V].
-    input_range : float
-        One of `INPUT_RANGES`, which a scan begins with [V].
-    clock : Clock
-        What waits go by.
-    external : bool
-        Whether the frequency comes from a generator at the reference input.
     """
 
     model = "SR865A"

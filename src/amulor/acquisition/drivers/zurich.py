@@ -29,31 +29,6 @@ def streamed(
 ) -> list[dict[str, NDArray[Any]]]:
     """Return what nodes stream over a time that begins with this call.
 
-    Parameters
-    ----------
-    device : object
-        Of zhinst-toolkit.
-    nodes : sequence
-        Samples of demodulators that are subscribed to, all of one rate.
-    duration : float
-        How long; one sample at least [s].
-    interval : float
-        About the time between samples [s].
-    clock : Clock
-        What waits go by.
-
-    Returns
-    -------
-    list of dict
-        For each node its columns, equally long, and `time` from the first one on [s].
-
-    Raises
-    ------
-    InstrumentError
-        If no data come, or some are lost.
-
-    Notes
-    -----
     Data come late. What counts is the instrument's clock at the time of the call, which
     is asked for first, and the timestamps of the samples.
     """
@@ -175,20 +150,6 @@ def _explained(method: _Method) -> _Method:
 class ZurichLockIn:
     """The first input and output of a UHFLI, and as many oscillators as are asked for.
 
-    Parameters
-    ----------
-    device : object
-        A connected device of zhinst-toolkit.
-    mean_output_input : int or None
-        Auxiliary input, counted from 1, that the mean output of the detector is wired
-        to.
-    modulation_amplitude : float
-        Root mean square of the modulation output at each frequency, into 50 ohm [V].
-    clock : Clock
-        What waits go by.
-
-    Notes
-    -----
     Its demodulators count in volts rms, and their phase falls with delay. Several
     frequencies at once need the option MF: oscillator, demodulator and mixer channel n
     belong together. A record comes from the data server, which streams what it
@@ -221,32 +182,7 @@ class ZurichLockIn:
         modulation_amplitude: float,
         clock: Clock,
     ) -> ZurichLockIn:
-        """Connect to a device behind a LabOne data server.
-
-        Parameters
-        ----------
-        address : str
-            "server:device", such as "localhost:dev2006"; of an HF2LI
-            "hf2:server:device".
-        mean_output_input : int or None
-            As for the class.
-        modulation_amplitude : float
-            As for the class [V].
-        clock : Clock
-            As for the class.
-
-        Returns
-        -------
-        ZurichLockIn
-            Connected.
-
-        Raises
-        ------
-        MissingExtraError
-            If zhinst-toolkit is not installed.
-        InstrumentError
-            If the device cannot be reached.
-        """
+        """Connect to a device behind a LabOne data server."""
         hf2 = address.lower().startswith(_HF2)
         server, _, serial = address[len(_HF2) if hf2 else 0 :].partition(":")
         if not serial:

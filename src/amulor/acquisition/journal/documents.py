@@ -25,26 +25,6 @@ _UNITS = {
 def documents(journal: Journal) -> Iterator[tuple[str, dict[str, Any]]]:
     """Yield a scan as documents: start, descriptors, an event a sample, and stop.
 
-    Parameters
-    ----------
-    journal : Journal
-        Of a scan, finished or not.
-
-    Yields
-    ------
-    tuple of str and dict
-        Name of the document and its content, as callbacks of bluesky take them:
-        ``for name, document in documents(journal): callback(name, document)``. Streams
-        are `dark`, `open_water` and `scan`; key and record of a sample are its data,
-        with nan for what was not recorded. The identifiers are the same each time.
-
-    Raises
-    ------
-    FormatError
-        If the journal cannot be read.
-
-    Notes
-    -----
     The time of an event is that of the start of its part of the scan and what the clock
     of the scan has counted since.
     """

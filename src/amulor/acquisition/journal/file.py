@@ -21,18 +21,7 @@ _COPIES = {"survey": "survey.toml", "devices": "devices.toml"}
 
 
 def with_checksums(meta: Mapping[str, str]) -> dict[str, str]:
-    """Return entries with the checksums of all of them.
-
-    Parameters
-    ----------
-    meta : mapping
-        Name to text.
-
-    Returns
-    -------
-    dict
-        One entry more.
-    """
+    """Return entries with the checksums of all of them."""
     own = {name: text for name, text in meta.items() if name != CHECKSUMS}
     sums = {name: _sum(text) for name, text in own.items()}
     return {**own, CHECKSUMS: json.dumps(sums, sort_keys=True)}
@@ -45,27 +34,7 @@ def _sum(text: str) -> int:
 def checked(
     meta: Mapping[str, str], folder: Path, damaged: Callable[[str], None]
 ) -> dict[str, str]:
-    """Return entries, damaged ones from their copies in the folder.
-
-    Parameters
-    ----------
-    meta : mapping
-        As the journal has them.
-    folder : pathlib.Path
-        Of the scan.
-    damaged : callable
-        Told in a line about each entry that is not as it was written.
-
-    Returns
-    -------
-    dict
-        As they were written.
-
-    Raises
-    ------
-    FormatError
-        If the survey or the devices are others, and there is no copy of what they were.
-    """
+    """Return entries, damaged ones from their copies in the folder."""
     sums = _sums(meta, damaged)
     result = dict(meta)
     for name in sorted({*sums, *_digests(meta)}):
@@ -128,24 +97,7 @@ _AT_ONCE = 0.25
 
 
 def claimed(folder: Path) -> sqlite3.Connection:
-    """Return the right to write to the journal of a folder.
-
-    Parameters
-    ----------
-    folder : pathlib.Path
-        An existing folder.
-
-    Returns
-    -------
-    sqlite3.Connection
-        The right lasts until it is closed; that of a program that was killed is gone
-        with it.
-
-    Raises
-    ------
-    FormatError
-        If another program has it, or if the folder cannot be written.
-    """
+    """Return the right to write to the journal of a folder."""
     path = folder / _LOCK_NAME
     lock = None
     try:
@@ -166,18 +118,7 @@ def claimed(folder: Path) -> sqlite3.Connection:
 
 
 def in_use(folder: Path) -> bool:
-    """Return whether a program has the right to write to the journal of a folder.
-
-    Parameters
-    ----------
-    folder : pathlib.Path
-        Folder of a scan; nothing is written to it.
-
-    Returns
-    -------
-    bool
-        True also where the lock cannot be read.
-    """
+    """Return whether a program has the right to write to the journal of a folder."""
     path = folder / _LOCK_NAME
     if not path.exists():
         return False
@@ -192,22 +133,7 @@ def in_use(folder: Path) -> bool:
 
 
 def make(path: Path, *, tables: Sequence[str], meta: Mapping[str, str]) -> None:
-    """Make the file, so that one that exists under its name is whole.
-
-    Parameters
-    ----------
-    path : pathlib.Path
-        File that is not there yet.
-    tables : sequence of str
-        Statements that make the tables; one of them is `meta`.
-    meta : mapping
-        Content of that table.
-
-    Raises
-    ------
-    FormatError
-        If it cannot be written.
-    """
+    """Make the file, so that one that exists under its name is whole."""
     draft = path.with_name(f".{path.name}.new")
     with explained(path):
         try:
@@ -231,23 +157,7 @@ def make(path: Path, *, tables: Sequence[str], meta: Mapping[str, str]) -> None:
 
 
 def writer(path: Path) -> sqlite3.Connection:
-    """Open the file so that what is committed survives a loss of power.
-
-    Parameters
-    ----------
-    path : pathlib.Path
-        An existing journal.
-
-    Returns
-    -------
-    sqlite3.Connection
-        Each statement outside of a transaction is one of its own.
-
-    Raises
-    ------
-    FormatError
-        If it cannot be opened.
-    """
+    """Open the file so that what is committed survives a loss of power."""
     with explained(path):
         # One thread at a time writes: that of the scan, or one that commits for it.
         connection = sqlite3.connect(
@@ -273,23 +183,7 @@ def text_of(content: bytes) -> str:
 
 
 def reader(path: Path) -> sqlite3.Connection:
-    """Open the file for reading, also while it is written to.
-
-    Parameters
-    ----------
-    path : pathlib.Path
-        An existing journal.
-
-    Returns
-    -------
-    sqlite3.Connection
-        Every statement that writes raises.
-
-    Raises
-    ------
-    FormatError
-        If it cannot be opened.
-    """
+    """Open the file for reading, also while it is written to."""
     with explained(path):
         # One thread at a time reads: a page goes on with what its command began.
         connection = sqlite3.connect(
@@ -302,18 +196,7 @@ def reader(path: Path) -> sqlite3.Connection:
 
 @contextlib.contextmanager
 def explained(path: Path) -> Iterator[None]:
-    """Turn errors of SQLite and of the operating system into one that says what to do.
-
-    Parameters
-    ----------
-    path : pathlib.Path
-        The journal.
-
-    Raises
-    ------
-    FormatError
-        For each of them.
-    """
+    """Turn errors of SQLite and the operating system into one that names the remedy."""
     try:
         yield
     except sqlite3.IntegrityError as error:

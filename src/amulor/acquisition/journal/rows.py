@@ -47,22 +47,7 @@ def _pattern(
 
 
 def checksum(names: Sequence[str], values: Sequence[Any]) -> int:
-    """Return the CRC-32 of a row.
-
-    Parameters
-    ----------
-    names : sequence of str
-        Columns, without number and checksum.
-    values : sequence
-        Texts, numbers, and None for what is not there; in the same order.
-
-    Returns
-    -------
-    int
-        Of the names and values of what is there, so that columns that another version
-        has beside them change nothing. Not a number counts as not there, and -0 as 0:
-        so they come back from the journal.
-    """
+    """Return the CRC-32 of a row."""
     kinds = tuple(map(type, values))
     start, packed, numbers, texts = _pattern(tuple(names), kinds)
     found = [values[place] + 0.0 for place in numbers]
@@ -86,15 +71,7 @@ def refuse_infinite(key: Key, record: Record) -> None:
 
 
 class RowCheck:
-    """Says what is wrong with rows of one journal.
-
-    Parameters
-    ----------
-    survey : Survey or None
-        Of the scan, None where the journal has none.
-    columns : sequence of str
-        Of the table, without number and checksum.
-    """
+    """Says what is wrong with rows of one journal."""
 
     def __init__(self, survey: Survey | None, columns: Sequence[str]) -> None:
         self._columns = tuple(columns)
@@ -210,24 +187,7 @@ def row_of(key: Key, record: Record) -> tuple[Any, ...]:
 def refuse_another(
     folder: Path, path: Path, result: Mapping[str, str], meta: Mapping[str, str]
 ) -> None:
-    """Raise unless a journal is of this schema, and of the scan that is meant.
-
-    Parameters
-    ----------
-    folder, path : pathlib.Path
-        Of the scan and of its journal, for messages.
-    result : mapping
-        What the journal says.
-    meta : mapping
-        What is known now; what is left out is not compared.
-
-    Raises
-    ------
-    FormatError
-        If the schema is another one.
-    SurveyError, InstrumentError
-        If the survey or the instrument is.
-    """
+    """Raise unless a journal is of this schema, and of the scan that is meant."""
     version = result.get("journal_schema")
     if version != SCHEMA_VERSION:
         raise FormatError(
@@ -267,32 +227,13 @@ _SEARCHED = 100_000
 
 
 def columns_of(connection: sqlite3.Connection) -> list[str]:
-    """Return the columns of the samples.
-
-    Parameters
-    ----------
-    connection : sqlite3.Connection
-        To the journal.
-
-    Returns
-    -------
-    list of str
-        In the order of the table.
-    """
+    """Return the columns of the samples."""
     rows = connection.execute("PRAGMA table_info(samples)")
     return [str(name) for _, name, *_ in rows]
 
 
 class Rows:
-    """Reads rows of one journal.
-
-    Parameters
-    ----------
-    connection : sqlite3.Connection
-        To the journal.
-    damaged : callable
-        Told in a line about each row that is not as it was written.
-    """
+    """Reads rows of one journal."""
 
     def __init__(
         self, connection: sqlite3.Connection, damaged: Callable[[str], None]
@@ -304,23 +245,7 @@ class Rows:
     def sound(
         self, entries: Mapping[str, str], which: str, value: object
     ) -> Iterator[tuple[int, Key, Record]]:
-        """Yield number, key and record of sound rows.
-
-        Parameters
-        ----------
-        entries : mapping
-            What the journal says about the scan.
-        which : str
-            Condition with one place for a value. One by which rows are looked up in an
-            index would trust that.
-        value : object
-            For that place.
-
-        Yields
-        ------
-        tuple of (int, Key, Record)
-            In the order in which they were taken.
-        """
+        """Yield number, key and record of sound rows."""
         columns, check = self._checked_by(entries)
         places = {name: place for place, name in enumerate(columns)}
         keys = [places[name] for name in Key._fields]
@@ -334,13 +259,7 @@ class Rows:
                 yield number, key, Record(**content)
 
     def look_through(self, entries: Mapping[str, str]) -> None:
-        """Look at every row, and tell what is damaged or gone.
-
-        Parameters
-        ----------
-        entries : mapping
-            What the journal says about the scan.
-        """
+        """Look at every row, and tell what is damaged or gone."""
         columns, check = self._checked_by(entries)
         unread: set[int] = set()
         before = 0

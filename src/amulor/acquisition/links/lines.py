@@ -18,22 +18,7 @@ _LONGEST = 4096
 
 
 def connected(address: str, timeout: float, *, port: str) -> socket.socket:
-    """Return a socket that is connected to an instrument.
-
-    Parameters
-    ----------
-    address : str
-        "tcp://host:port".
-    timeout : float
-        How long connecting, and then one answer, may take [s].
-    port : str
-        A usual port, for the message.
-
-    Raises
-    ------
-    InstrumentError
-        If this is no address, or nothing can be reached there.
-    """
+    """Return a socket that is connected to an instrument."""
     host, _, stated = address.removeprefix(SCHEME).rpartition(":")
     if not host or not stated.isdigit():
         raise InstrumentError(
@@ -56,13 +41,6 @@ class DirectLink:
 
     Against the same link through PyVISA-py it takes a third of the time per question,
     and sees at once that the other end is gone.
-
-    Parameters
-    ----------
-    address : str
-        "tcp://host:port".
-    timeout : float
-        How long one answer may take [s].
     """
 
     def __init__(self, address: str, *, timeout: float) -> None:
@@ -154,21 +132,6 @@ class SerialPort:
 class Link:
     """A link over PyVISA: GPIB, serial port, USB or network.
 
-    Parameters
-    ----------
-    address : str
-        VISA resource name.
-    timeout : float
-        How long one answer may take [s].
-    manager : object
-        A `pyvisa.ResourceManager`.
-    serial : SerialPort
-        How characters go, if the address is that of a serial port.
-    lock : bool
-        Whether the instrument's own lock is taken, and held until the link is closed.
-
-    Notes
-    -----
     Lines end with a line feed everywhere but on a serial port of an instrument that
     ends them otherwise, as an SR844 does.
     """
@@ -201,31 +164,7 @@ class Link:
         serial: SerialPort = SerialPort(),
         lock: bool = False,
     ) -> Link:
-        """Open a link.
-
-        Parameters
-        ----------
-        address : str
-            VISA resource name.
-        timeout : float
-            How long one answer may take [s].
-        serial : SerialPort
-            How characters go, if the address is that of a serial port.
-        lock : bool
-            Whether the instrument's own lock is taken.
-
-        Returns
-        -------
-        Link
-            Open.
-
-        Raises
-        ------
-        MissingExtraError
-            If PyVISA is not installed.
-        InstrumentError
-            If nothing can be reached there, or another program has locked it.
-        """
+        """Open a link."""
         try:
             pyvisa = importlib.import_module("pyvisa")
         except ImportError:
@@ -337,17 +276,7 @@ def _reason(error: Exception) -> str:
 
 
 class OctetLink:
-    """A link over TCP (such as a serial server) or, through PyVISA, a serial port.
-
-    Parameters
-    ----------
-    address : str
-        "tcp://host:port", or the VISA resource name of a serial port.
-    timeout : float
-        How long an answer may take [s].
-    serial : SerialPort
-        Its bits per second and flow control.
-    """
+    """A link over TCP (such as a serial server) or, through PyVISA, a serial port."""
 
     def __init__(
         self,
@@ -371,13 +300,7 @@ class OctetLink:
                 self._port().write_raw(content)
 
     def receive(self, most: int) -> bytes:
-        """Return what has come, at least one byte and at most so many.
-
-        Raises
-        ------
-        InstrumentError
-            If nothing comes in time, or the link is lost.
-        """
+        """Return what has come, at least one byte and at most so many."""
         with self._explained():
             if self._socket is None:
                 return bytes(self._port().read_bytes(1))
@@ -449,31 +372,7 @@ def open_link(
     serial: SerialPort = SerialPort(),
     lock: bool = False,
 ) -> Conversation:
-    """Open the link that an address names.
-
-    Parameters
-    ----------
-    address : str
-        VISA resource name, or tcp://host:port for a socket without a VISA library.
-    timeout : float
-        How long one answer may take [s].
-    serial : SerialPort
-        How characters go, if the address is that of a serial port.
-    lock : bool
-        Whether the instrument's own lock is taken, over VXI-11 or HiSLIP.
-
-    Returns
-    -------
-    Conversation
-        Open.
-
-    Raises
-    ------
-    InstrumentError
-        If nothing can be reached there, or another program has locked it.
-    MissingExtraError
-        If PyVISA is needed and not installed.
-    """
+    """Open the link that an address names."""
     if address.startswith(SCHEME):
         return DirectLink(address, timeout=timeout)
     return Link.open(address, timeout=timeout, serial=serial, lock=lock)

@@ -19,14 +19,7 @@ _GRACE = 5.0
 
 
 class AsyncLoop:
-    """An event loop in another thread.
-
-    Parameters
-    ----------
-    loop : asyncio.AbstractEventLoop, optional
-        One that runs in another thread already, such as that of a RunEngine; it is not
-        stopped here. One of our own if left out.
-    """
+    """An event loop in another thread."""
 
     def __init__(self, loop: asyncio.AbstractEventLoop | None = None) -> None:
         self._thread: threading.Thread | None = None
@@ -37,25 +30,7 @@ class AsyncLoop:
         self._loop = loop
 
     def run(self, call: Callable[[], Any], *, timeout: float) -> Any:
-        """Call something in the loop, and wait for it if it is to be waited for.
-
-        Parameters
-        ----------
-        call : callable
-            Without arguments; what it returns may be an awaitable or not.
-        timeout : float
-            How long it may take [s].
-
-        Returns
-        -------
-        object
-            What came of it.
-
-        Raises
-        ------
-        TimeoutError
-            If it takes longer; it has been cancelled then.
-        """
+        """Call something in the loop, and wait for it if it is to be waited for."""
 
         async def awaited() -> Any:
             async with asyncio.timeout(timeout):
@@ -96,19 +71,7 @@ _EVERY = ("class", "arguments", "identity", "prepare")
 
 
 class OphydDevice:
-    """A device of ophyd-async and its parts, called from outside of its event loop.
-
-    Parameters
-    ----------
-    device : object
-        Connected.
-    loop : AsyncLoop
-        That it was connected in.
-    timeout : float
-        How long one answer may take [s].
-    identity : str, optional
-        Part whose value is recorded as what it says it is.
-    """
+    """A device of ophyd-async and its parts, called from outside of its event loop."""
 
     def __init__(
         self,
@@ -127,29 +90,7 @@ class OphydDevice:
     def made(
         cls, part: str, wiring: Wiring, *, needed: Sequence[str], more: Sequence[str]
     ) -> OphydDevice:
-        """Make and connect the device that a part of the devices file names.
-
-        Parameters
-        ----------
-        part : str
-            Of the devices file, for messages.
-        wiring : Wiring
-            Its options name the class, or a function that returns a device, and parts.
-        needed, more : sequence of str
-            Options that must and may be stated.
-
-        Returns
-        -------
-        OphydDevice
-            In an event loop of its own.
-
-        Raises
-        ------
-        InstrumentError
-            If options are missing, unknown or name nothing, or it cannot be connected.
-        MissingExtraError
-            If its package is not installed.
-        """
+        """Make and connect the device that a part of the devices file names."""
         own = wiring.options
         missing = [name for name in ("class", *needed) if name not in own]
         unknown = [name for name in own if name not in (*_EVERY, *needed, *more)]
@@ -202,13 +143,7 @@ class OphydDevice:
     def call(
         self, what: str, call: Callable[[], Any], *, timeout: float | None = None
     ) -> Any:
-        """Do something in the event loop, and say what failed.
-
-        Raises
-        ------
-        InstrumentError
-            If it fails, or takes longer than an answer may.
-        """
+        """Do something in the event loop, and say what failed."""
         limit = self._timeout if timeout is None else timeout
         try:
             return self._loop.run(call, timeout=limit)

@@ -23,13 +23,6 @@ class Speaker(Protocol):
 
         Text is ended by a line feed; bytes, such as a binary block, by nothing.
 
-        Raises
-        ------
-        LinkLostError
-            To break the link off instead.
-
-        Notes
-        -----
         A device with an attribute `at_once` (bytes) is handed each of these characters
         without the end of a line. One with a method `cutter`, which returns an object
         like `_Lines`, is handed what that makes of the bytes of one link.
@@ -41,13 +34,7 @@ def _sent(answer: str | bytes) -> bytes:
 
 
 class _Lines:
-    """Cuts what comes in into lines, and into characters that are commands alone.
-
-    Parameters
-    ----------
-    at_once : bytes
-        Characters that a device takes as soon as they come, without the end of a line.
-    """
+    """Cuts what comes in into lines, and into characters that are commands alone."""
 
     def __init__(self, at_once: bytes) -> None:
         self._at_once = at_once
@@ -113,17 +100,7 @@ class _Conversation(socketserver.StreamRequestHandler):
 
 
 class DeviceServer:
-    """Serves one simulated device to any number of links, each in a thread.
-
-    Parameters
-    ----------
-    speaker : Speaker
-        The device.
-    host : str
-        Address to listen at.
-    port : int
-        Port; any free one by default [1].
-    """
+    """Serves one simulated device to any number of links, each in a thread."""
 
     def __init__(
         self, speaker: Speaker, *, host: str = "127.0.0.1", port: int = 0

@@ -44,16 +44,6 @@ class Faults:
     def parse(cls, texts: Iterable[str]) -> Faults:
         """Return the faults that texts such as "unlock@500x3" stand for.
 
-        Parameters
-        ----------
-        texts : iterable of str
-            Kind, first reading and, after an x, how many readings; one by default.
-
-        Returns
-        -------
-        Faults
-            In the same order.
-
         Examples
         --------
         >>> Faults.parse(["unlock@500x3"]).active("unlock", 502)
@@ -67,20 +57,7 @@ class Faults:
         return cls(tuple(result))
 
     def active(self, kind: str, reading: int) -> bool:
-        """Return whether a fault of a kind shows at a reading.
-
-        Parameters
-        ----------
-        kind : str
-            As in `Fault`.
-        reading : int
-            Number of the reading, counted from 1 [1].
-
-        Returns
-        -------
-        bool
-            True if one does.
-        """
+        """Return whether a fault of a kind shows at a reading."""
         return any(
             fault.kind == kind and fault.first <= reading < fault.first + fault.count
             for fault in self.planned
@@ -98,32 +75,7 @@ def in_steps(
     settings: SimulationSettings,
     rng: np.random.Generator,
 ) -> list[list[complex]]:
-    """Let the filters of tones run on over evenly spaced moments.
-
-    Parameters
-    ----------
-    tones : sequence of Tone
-        What enters them, and what they hold; changed.
-    start : float
-        When they hold it [s].
-    interval : float
-        From there to the first moment, and between moments [s].
-    count : int
-        How many moments, at least 1 [1].
-    time_constant : float
-        Of all filters [s].
-    spread : float
-        Standard deviation of the noise behind them [V].
-    settings : SimulationSettings
-        Drift of the phase, and pickup.
-    rng : numpy.random.Generator
-        Where noise comes from.
-
-    Returns
-    -------
-    list of list of complex
-        A row for each moment, with the output of each tone [V].
-    """
+    """Let the filters of tones run on over evenly spaced moments."""
     from scipy.signal import lfilter
 
     keep = math.exp(-interval / time_constant)
@@ -174,19 +126,6 @@ class Bench:
     direction between the pixels sees what the nearest pixel or shot sees, also while
     the beam is on its way: the filter remembers all that it has passed. Safe to use
     from several threads.
-
-    Parameters
-    ----------
-    survey : Survey
-        What stands in front of the instrument, and the instrument.
-    settings : SimulationSettings
-        Seed, imperfections and faults.
-    scene : callable
-        Works out the light of a survey.
-    clock : Clock
-        What the devices go by.
-    launch, analyser : mapping
-        Angle of each mount for each state of polarization [rad].
     """
 
     def __init__(

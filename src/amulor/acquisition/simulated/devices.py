@@ -218,15 +218,7 @@ class SimulatedScanner(_Simulated):
 
 
 class SimulatedMount(_Simulated):
-    """A rotation mount of a bench.
-
-    Parameters
-    ----------
-    bench : Bench
-        Whose light it changes.
-    name : str
-        "launch" or "analyser".
-    """
+    """A rotation mount of a bench."""
 
     _kind = "rotation mount"
 
@@ -289,24 +281,7 @@ class SimulatedTargetStage(_Simulated):
 
 
 def wait_for(bench: Bench, name: str, *, what: str, timeout: float) -> None:
-    """Wait until one thing of a bench has arrived.
-
-    Parameters
-    ----------
-    bench : Bench
-        Where it moves.
-    name : str
-        What moves.
-    what : str
-        How a message calls it.
-    timeout : float
-        How long it may take [s].
-
-    Raises
-    ------
-    InstrumentError
-        If it has not arrived by then.
-    """
+    """Wait until one thing of a bench has arrived."""
     start = bench.clock.now()
     bench.clock.sleep(min(bench.arrival(name) - start, timeout))
     while not bench.arrived(name):
@@ -323,23 +298,7 @@ _REFERENCE, _REFERENCE_NOISE = 0.1, 1e-4
 
 
 class SimulatedDigitiser:
-    """Records the photodiode of a bench, and what modulates its laser.
-
-    Parameters
-    ----------
-    bench : Bench
-        What it sees.
-    sample_rate : float
-        As it says [1/s].
-    memory : int
-        Most samples of a record [1].
-    bits : int
-        Of its converter [1].
-    clock_offset : float
-        By how much its clock is too fast, in parts [1].
-    seed : int
-        Of its noise and of the moments at which records start [1].
-    """
+    """Records the photodiode of a bench, and what modulates its laser."""
 
     ranges: tuple[float, ...] = (0.01, 0.1, 1.0, 10.0)
     shows_mean = True
@@ -430,13 +389,7 @@ _WARMER, _WARMING = 0.5, 10.0
 
 
 class SimulatedLaserDriver:
-    """Current source and temperature controller; an open interlock switches off.
-
-    Parameters
-    ----------
-    bench : Bench
-        Whose laser it drives.
-    """
+    """Current source and temperature controller; an open interlock switches off."""
 
     def __init__(self, bench: Bench) -> None:
         self.bench = bench

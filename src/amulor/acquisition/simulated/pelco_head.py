@@ -39,15 +39,6 @@ class _Frames:
 class SimulatedPelcoHead:
     """A head that turns azimuth and elevation of a bench.
 
-    Parameters
-    ----------
-    bench : Bench
-        What it turns.
-    number : int
-        Its address; frames to others are not for it [1].
-
-    Notes
-    -----
     As heads do, it takes no notice of frames with another number, a wrong checksum or a
     command that it does not know, and acknowledges the others by four bytes. Beyond its
     limit stops it goes as far as they let it. Positions are told while it turns, too.

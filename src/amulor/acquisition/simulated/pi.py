@@ -53,15 +53,7 @@ class _RefusedError(Exception):
 
 
 class SimulatedPiController:
-    """Five axes: azimuth, elevation, launch, analyser and target.
-
-    Parameters
-    ----------
-    bench : Bench
-        What the axes move.
-    settings : Settings
-        Their names, units and zeros.
-    """
+    """Five axes: azimuth, elevation, launch, analyser and target."""
 
     def __init__(self, bench: Bench, settings: Settings) -> None:
         self.bench = bench

@@ -96,20 +96,7 @@ class Places:
         return number
 
     def passed(self, start: complex, end: complex) -> list[tuple[float, int]]:
-        """Return what is seen along a straight way, after what is seen at its start.
-
-        Parameters
-        ----------
-        start, end : complex
-            Azimuth, and elevation as the imaginary part [rad].
-
-        Returns
-        -------
-        list of (float, int)
-            Part of the way at which the nearest place becomes another one, and the
-            number of that one. Squared distances differ by linear functions of the
-            part, so that the borders are exact.
-        """
+        """Return what is seen along a straight way, after what is seen at its start."""
         towards, here = self._direction - start, end - start
         level = np.abs(towards) ** 2
         slope = -2 * (towards.real * here.real + towards.imag * here.imag)

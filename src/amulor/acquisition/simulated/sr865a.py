@@ -31,17 +31,7 @@ Answer = list[str] | list[bytes]
 
 
 class Capture:
-    """What the commands CAPTURE... do.
-
-    Parameters
-    ----------
-    bench : Bench
-        What is captured.
-    shown : callable
-        Turns an output of the bench into X, Y, R and theta.
-    time_constant : callable
-        Returns the time constant that is set [s].
-    """
+    """What the commands CAPTURE... do."""
 
     def __init__(
         self,

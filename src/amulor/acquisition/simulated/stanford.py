@@ -51,13 +51,7 @@ class Number(NamedTuple):
 
 
 class SimulatedStanford:
-    """What both models share: settings by code, the status that latches, the gate.
-
-    Parameters
-    ----------
-    bench : Bench
-        What the lock-in measures.
-    """
+    """What both models share: settings by code, the status that latches, the gate."""
 
     model = ""
     unlocked_bit = 0

@@ -42,15 +42,7 @@ _NODES: tuple[tuple[str, Any], ...] = (
 
 
 class SimulatedNode:
-    """One node: with a value it is set, without one it is read.
-
-    Parameters
-    ----------
-    device : SimulatedUhfli
-        Which it belongs to.
-    path : str
-        From the device on, without a leading slash.
-    """
+    """One node: with a value it is set, without one it is read."""
 
     def __init__(self, device: SimulatedUhfli, path: str) -> None:
         self._device, self._path = device, path
@@ -95,15 +87,6 @@ class _Polled(Mapping[Any, dict[str, Any]]):
 class SimulatedUhfli:
     """A UHFLI in front of a bench; the laser's gate is its first auxiliary output.
 
-    Parameters
-    ----------
-    bench : Bench
-        What it measures.
-    options : str
-        Installed options, one a line; "MF" for several frequencies.
-
-    Notes
-    -----
     A node that there is not raises, as the data server does. The bench modulates by
     each oscillator that the first output's mixer lets through, as deep as its survey
     says, whatever the amplitude; input 1 sees all of them.

@@ -112,33 +112,7 @@ def confirm(
     histories: int = 1_000_000,
     seed: int = 1,
 ) -> Confirmation:
-    """Simulate scans of an instrument, work on them, and follow photons through it.
-
-    Parameters
-    ----------
-    goal : Goal
-        Distances, water and target; their medians are taken.
-    chosen : Parameters
-        The instrument.
-    name : str
-        What it is called.
-    repeats : int
-        Scans of 16 x 9 pixels.
-    histories : int
-        Most photons.
-    seed : int
-        Seed of scans and photons.
-
-    Returns
-    -------
-    Confirmation
-        For the farthest asked distance.
-
-    Raises
-    ------
-    SurveyError
-        If the survey cannot be simulated.
-    """
+    """Simulate scans of an instrument, work on them, and follow photons through it."""
     distance = goal.asked[-1]
     survey = _small(goal, chosen, distance)
     with _progress.part(0.0, 0.6):
@@ -173,31 +147,7 @@ def scans(
     repeats: int = 12,
     seed: int = 1,
 ) -> Scans:
-    """Simulate scans, take the water out, and compare ranges with their prediction.
-
-    Parameters
-    ----------
-    survey : Survey
-        With a plate that all beams meet.
-    method : str
-        How the water is taken out, by the names of `evaluate`.
-    interval : tuple of float, optional
-        Nearest and farthest possible slant range [m].
-    repeats : int
-        Number of scans, at least 3.
-    seed : int
-        Seed of the first one.
-
-    Returns
-    -------
-    Scans
-        Predicted and achieved uncertainty of one pixel.
-
-    Raises
-    ------
-    ValueError
-        If there are fewer than three scans.
-    """
+    """Simulate scans, take the water out, and compare ranges with their prediction."""
     if repeats < 3:
         raise ValueError(f"at least 3 scans are needed, got {repeats}")
     errors: list[Floats] = []

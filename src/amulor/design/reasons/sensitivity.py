@@ -102,20 +102,7 @@ class Sensitivity:
 
 
 def uncertain(goal: Goal, chosen: Parameters) -> tuple[Uncertain, ...]:
-    """Return what is not known for sure about an instrument at work.
-
-    Parameters
-    ----------
-    goal : Goal
-        Ranges of waters and targets, and assumptions.
-    chosen : Parameters
-        The instrument.
-
-    Returns
-    -------
-    tuple of Uncertain
-        Ranges of the goal, then numbers that it assumes, a factor of two up and down.
-    """
+    """Return what is not known for sure about an instrument at work."""
     found = [
         Uncertain(
             axis=name, label=_LABELS[name], low=each.low, high=each.high, stated=True
@@ -158,29 +145,6 @@ def sensitivity(
 ) -> Sensitivity:
     r"""Return on which numbers the error of an instrument depends, and how surely.
 
-    Parameters
-    ----------
-    goal : Goal
-        Distances, ranges and assumptions.
-    chosen : Parameters
-        The instrument.
-    samples : int
-        Points of the base sample, a power of two; each number costs as many again.
-    seed : int
-        Seed of the sample and of the resampling.
-
-    Returns
-    -------
-    Sensitivity
-        For the logarithm of the total error at the worst asked distance.
-
-    Raises
-    ------
-    ValueError
-        If nothing is uncertain.
-
-    Notes
-    -----
     `scipy.stats.sobol_indices` after Saltelli 2010; numbers are independent, ranges of
     the goal as it states their distributions, assumed numbers log-uniform. The
     logarithm keeps a few very bad draws from standing for all. Total indices add up to

@@ -50,24 +50,7 @@ class Trade:
 
 
 def trade(goal: Goal, chosen: Parameters, *, draws: int = 24) -> Trade:
-    """Return the errors of an instrument with other dwells and frequencies.
-
-    Parameters
-    ----------
-    goal : Goal
-        Distances, ranges and limits; time and budget do not count here.
-    chosen : Parameters
-        The instrument; all but dwell and frequencies stays.
-    draws : int
-        Waters and targets that it is judged in.
-
-    Returns
-    -------
-    Trade
-        Its set of frequencies, and those that the goal states; without these, each
-        frequency alone, pairs of neighbours, and each above the lowest one of its set.
-        Each with dwells up to four times as short and as long as the goal allows.
-    """
+    """Return the errors of an instrument with other dwells and frequencies."""
     box = box_values(goal.components.dwell)
     dwells = np.geomspace(box[0] / _BEYOND, box[-1] * _BEYOND, _DWELLS)
     dwells = np.unique(np.append(dwells, chosen.dwell))
@@ -134,22 +117,6 @@ def what_if(
 ) -> tuple[Turn, ...]:
     """Return at which value of each assumption another instrument wins.
 
-    Parameters
-    ----------
-    goal : Goal
-        What is asked and assumed.
-    best, other : Parameters
-        The instrument that wins, and the one that does not.
-    draws : int
-        Waters and targets that both are judged in.
-
-    Returns
-    -------
-    tuple of Turn
-        One for each assumption, those that turn first by the smallest factor.
-
-    Notes
-    -----
     Both are judged as the search judges: those that meet all requirements before those
     that do not, then by cost where the goal states prices, then by error. One
     assumption is changed at a time, by up to ten times up and down; ranges are scaled

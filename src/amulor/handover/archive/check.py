@@ -21,23 +21,6 @@ _SIGNATURES = {".laz": b"LASF", ".las": b"LASF", ".e57": b"ASTM-E57"}
 def missing_of(folder: Path) -> list[str]:
     """Return what an archive lacks.
 
-    Parameters
-    ----------
-    folder : pathlib.Path
-        An archive, from `write_archive` or made by hand in its form.
-
-    Returns
-    -------
-    list of str
-        One line for each thing that is missing or wrong; empty for a whole archive.
-
-    Raises
-    ------
-    FormatError
-        If there is no such folder.
-
-    Notes
-    -----
     Looked for are: the tables with all their fields; for each scan its raw files, its
     registered clouds with as many points as are stated, its matrix, which must be a
     turn and a shift; a checksum of every file, and no file without; names that all file

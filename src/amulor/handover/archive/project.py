@@ -74,66 +74,22 @@ FILE_FIELDS = ("file", "format", "bytes", "what it is")
 
 
 def matrix_name(project: str, scan: str) -> str:
-    """Return where the matrix of a scan lies.
-
-    Parameters
-    ----------
-    project, scan : str
-        Their names.
-
-    Returns
-    -------
-    str
-        Path in the archive.
-    """
+    """Return where the matrix of a scan lies."""
     return f"registration/{project}_GRmatrices_{scan}.txt"
 
 
 def cloud_name(project: str, scan: str) -> str:
-    """Return where the registered cloud of a scan lies, without its ending.
-
-    Parameters
-    ----------
-    project, scan : str
-        Their names.
-
-    Returns
-    -------
-    str
-        Path in the archive.
-    """
+    """Return where the registered cloud of a scan lies, without its ending."""
     return f"registered/{project}_{scan}"
 
 
 def raw_folder(scan: str) -> str:
-    """Return where the raw files of a scan lie.
-
-    Parameters
-    ----------
-    scan : str
-        Its name.
-
-    Returns
-    -------
-    str
-        Path in the archive.
-    """
+    """Return where the raw files of a scan lie."""
     return f"raw/{scan}"
 
 
 def digest_of(path: Path) -> str:
-    """Return the SHA-256 of a file of any size.
-
-    Parameters
-    ----------
-    path : pathlib.Path
-        The file.
-
-    Returns
-    -------
-    str
-        64 hexadecimal digits.
-    """
+    """Return the SHA-256 of a file of any size."""
     with path.open("rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
 
@@ -245,23 +201,7 @@ class Project(Description):
 
 
 def read_project(path: Path) -> Project:
-    """Read the description of a project.
-
-    Parameters
-    ----------
-    path : pathlib.Path
-        TOML file; the files that it names are looked for beside it.
-
-    Returns
-    -------
-    Project
-        With whole paths.
-
-    Raises
-    ------
-    SurveyError
-        With one line for each thing that is wrong, or file that is not there.
-    """
+    """Read the description of a project."""
     text = toml_file.text_of(path, error=SurveyError)
     project = toml_file.described(
         text, Project, name=str(path), what="a project", error=SurveyError

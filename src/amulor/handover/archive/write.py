@@ -42,30 +42,6 @@ _FORMATS = {
 def write_archive(project: Project, folder: Path) -> dict[str, int]:
     """Write the folder that archives of heritage ask for.
 
-    Parameters
-    ----------
-    project : Project
-        From `read_project`.
-    folder : pathlib.Path
-        To be made; must not be there.
-
-    Returns
-    -------
-    dict
-        Number of `scans`, `points` and `files`.
-
-    Raises
-    ------
-    CubeError
-        If an image is no range image, or has no point.
-    FormatError
-        If the folder is there already, cannot be written, or would not be whole, such
-        as with names that not every file system takes.
-    MissingExtraError
-        If a package that writes clouds is not installed.
-
-    Notes
-    -----
     After the ADS / Digital Antiquity Guides to Good Practice for laser scanning: raw
     scans as recorded; the registered cloud of each scan as text, LAZ and E57; tables on
     project, scans and registration; a matrix for each scan; SHA-256 of all files.

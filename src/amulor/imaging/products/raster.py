@@ -166,21 +166,7 @@ def raster(
 
 
 def gains(surface: Surface, towards: Floats) -> Floats:
-    """Return how the surface moves along an axis when a range grows.
-
-    Parameters
-    ----------
-    surface : Surface
-        Its beams and normals count.
-    towards : ndarray, shape (3,)
-        Unit vector of the axis, in the frame [1].
-
-    Returns
-    -------
-    ndarray, shape (n,)
-        Shift along the axis at a fixed place across it, over that of the range; of a
-        vertex without a normal, and at most of one seen from its edge, limited [1].
-    """
+    """Return how the surface moves along an axis when a range grows."""
     along = surface.direction @ towards
     across = np.einsum("ij,ij->i", surface.direction, surface.normal)
     facing = surface.normal @ towards

@@ -16,20 +16,7 @@ _Array = NDArray[np.float64]
 
 
 def state(temperature: ArrayLike, salinity: ArrayLike) -> tuple[_Array, _Array]:
-    """Return temperature and salinity as arrays within the range of the fit.
-
-    Parameters
-    ----------
-    temperature : array_like
-        Water temperature, 0 to 30 [degC].
-    salinity : array_like
-        Salinity, 0 to 43, practical or in parts per thousand [1].
-
-    Returns
-    -------
-    tuple of ndarray
-        Both, as given.
-    """
+    """Return temperature and salinity as arrays within the range of the fit."""
     return (
         within(temperature, 0, 30, name="temperature", unit="degC"),
         within(salinity, 0, 43, name="salinity"),
@@ -37,40 +24,14 @@ def state(temperature: ArrayLike, salinity: ArrayLike) -> tuple[_Array, _Array]:
 
 
 def index(wavelength: _Array, *, temperature: _Array, salinity: _Array) -> _Array:
-    """Return the index relative to air.
-
-    Parameters
-    ----------
-    wavelength : ndarray
-        Wavelength in vacuum [m].
-    temperature, salinity : ndarray
-        State of the water [degC], [1].
-
-    Returns
-    -------
-    ndarray
-        Index, of the broadcast shape [1].
-    """
+    """Return the index relative to air."""
     inverse = 1e-9 / wavelength
     offset, slope = _terms(temperature, salinity)
     return offset + slope * inverse - 4382.0 * inverse**2 + 1.1455e6 * inverse**3
 
 
 def group_index(wavelength: _Array, *, temperature: _Array, salinity: _Array) -> _Array:
-    """Return n - L dn/dL: a term L^-p of the index counts 1 + p times in it.
-
-    Parameters
-    ----------
-    wavelength : ndarray
-        Wavelength in vacuum [m].
-    temperature, salinity : ndarray
-        State of the water [degC], [1].
-
-    Returns
-    -------
-    ndarray
-        Group index, of the broadcast shape [1].
-    """
+    """Return n - L dn/dL: a term L^-p of the index counts 1 + p times in it."""
     inverse = 1e-9 / wavelength
     offset, slope = _terms(temperature, salinity)
     curvature = -3 * 4382.0 * inverse**2 + 4 * 1.1455e6 * inverse**3
@@ -78,20 +39,7 @@ def group_index(wavelength: _Array, *, temperature: _Array, salinity: _Array) ->
 
 
 def salinity_slope(wavelength: _Array, *, temperature: _Array) -> _Array:
-    """Return dn/dS, which does not depend on the salinity.
-
-    Parameters
-    ----------
-    wavelength : ndarray
-        Wavelength in vacuum [m].
-    temperature : ndarray
-        Water temperature [degC].
-
-    Returns
-    -------
-    ndarray
-        Slope, of the broadcast shape [1].
-    """
+    """Return dn/dS, which does not depend on the salinity."""
     return _salt(temperature) + 0.01155 * 1e-9 / wavelength
 
 

@@ -74,27 +74,7 @@ def typical_of(
     shared: Shared,
     instrument: Instrument,
 ) -> tuple[float, float]:
-    """Return the spread by which echoes are late, and what the instrument leaves open.
-
-    Parameters
-    ----------
-    frame : Frame
-        How the receiver looks at the scan.
-    beam : Beam
-        Of the pixels.
-    result : Result
-        Of a sample of the pixels of the scan.
-    shared : Shared
-        What all share.
-    instrument : Instrument
-        How well it is known.
-
-    Returns
-    -------
-    tuple of float
-        At the median depth of the targets [rad^2/m], and the median of the standard
-        uncertainty of slant ranges by the instrument [m].
-    """
+    """Spread by which echoes are late, and what the instrument leaves open."""
     seen = result.detected
     typical = float(np.median(result.depth[seen])) if seen.any() else 0.0
     late_spread = shared.shape.spread
@@ -114,18 +94,7 @@ def refuses_its_echo(
     shared: Shared,
     instrument: Instrument,
 ) -> bool:
-    """Return whether most pixels are flagged since the echo is no pure delay.
-
-    Parameters
-    ----------
-    frame, beam, result, shared, instrument
-        As in `typical_of`; fitted without the shots.
-
-    Returns
-    -------
-    bool
-        False where the water departs from its model as well.
-    """
+    """Return whether most pixels are flagged since the echo is no pure delay."""
     if (
         shared.evidence <= DECISIVE
         or shared.water_departs
@@ -177,22 +146,7 @@ def _known(
 
 
 def cube_of(cube: xr.Dataset, scan: Scan, result: Result) -> xr.Dataset:
-    """Return the target-signal cube of some pixels.
-
-    Parameters
-    ----------
-    cube : xarray.Dataset
-        Their samples.
-    scan : Scan
-        What the pixels of the scan share.
-    result : Result
-        Estimates of these pixels.
-
-    Returns
-    -------
-    xarray.Dataset
-        Level `target_signal`, with the variables of joint estimation.
-    """
+    """Return the target-signal cube of some pixels."""
     frame, shared = scan.frame, scan.shared
     rows_columns = cube["azimuth"].shape
     shape = cube["in_phase"].shape

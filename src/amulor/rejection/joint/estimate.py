@@ -92,30 +92,7 @@ def common_of(
     transfer: Complex,
     instrument: Instrument,
 ) -> Common:
-    """Return what all pixels share, estimated from a sample of them.
-
-    Parameters
-    ----------
-    source : Source
-        Samples.
-    interval : tuple of float, optional
-        Nearest and farthest slant range [m].
-    transfer : ndarray of complex
-        What the echo has beyond its delay, as known [1].
-    instrument : Instrument
-        How well it is known.
-
-    Returns
-    -------
-    Common
-        The same for whatever tiles the samples come in.
-
-    Raises
-    ------
-    CubeError
-        If errors are zero, the scan moves towards its window, or no pixel has usable
-        samples at two frequencies.
-    """
+    """Return what all pixels share, estimated from a sample of them."""
     head = source.head
     frequency = head["modulation_frequency"].values
     extent = _extent_of(source)
@@ -191,22 +168,7 @@ def common_of(
 
 
 def of_rows(tile: xr.Dataset, common: Common, first: int = 0) -> xr.Dataset:
-    """Return the target signal of some rows of a scan.
-
-    Parameters
-    ----------
-    tile : xarray.Dataset
-        Level `samples`, whole rows.
-    common : Common
-        What all pixels share.
-    first : int, optional
-        Which row of the scan the first one is.
-
-    Returns
-    -------
-    xarray.Dataset
-        Level `target_signal`; the same for whatever rows come together.
-    """
+    """Return the target signal of some rows of a scan."""
     rows, columns = tile["azimuth"].shape
     wide = min(columns, _AT_ONCE)
     high = max(1, _AT_ONCE // wide)
@@ -476,30 +438,7 @@ def prepared(
     receiver_direction_uncertainty: float = DIRECTION,
     late_echo_uncertainty: float | None = None,
 ) -> Common:
-    """Return what all pixels share, for the joint estimation of any rows of a scan.
-
-    Parameters
-    ----------
-    source : Source
-        Level `samples`, checked; in memory, or a file.
-    interval, echo_transfer, delay_uncertainty, group_index_uncertainty
-        As in `joint`.
-    receiver_position_uncertainty, receiver_direction_uncertainty
-        As in `joint`.
-    late_echo_uncertainty
-        As in `joint`.
-
-    Returns
-    -------
-    Common
-        From 1,024 pixels that are spread over the scan, or all of a smaller one, and
-        as many shots.
-
-    Raises
-    ------
-    CubeError, ValueError
-        As `joint`.
-    """
+    """Return what all pixels share, for the joint estimation of any rows of a scan."""
     head = source.head
     refuse_what_cannot_be_told_apart(head)
     frequency = head["modulation_frequency"].values

@@ -29,24 +29,7 @@ Complex = NDArray[np.complex128]
 def water_at(
     pixels: Pixels, path: Floats, table: Table, phase_per_path: Floats
 ) -> tuple[Floats, Complex, Complex]:
-    """Return depth [m], water signal of unit strength, and its slope in the path.
-
-    Parameters
-    ----------
-    pixels : Pixels
-        Their places count.
-    path : ndarray, shape (pixel,)
-        Optical path; infinite for open water [m].
-    table : Table
-        Water signal against its end.
-    phase_per_path : ndarray, shape (frequency,)
-        2 pi f / c_0 [rad/m].
-
-    Returns
-    -------
-    tuple of ndarrays
-        Depth, signal [1] and slope [1/m], the latter over (pixel, frequency).
-    """
+    """Return depth [m], water signal of unit strength, and its slope in the path."""
     count, frequencies = len(pixels), phase_per_path.size
     out = Signals(
         np.empty(count),
@@ -61,22 +44,7 @@ def water_at(
 
 
 def foreground(pixels: Pixels, table: Table, phase_per_path: Floats) -> Complex:
-    """Return the signal of light that comes from in front of all targets.
-
-    Parameters
-    ----------
-    pixels : Pixels
-        Their places count.
-    table : Table
-        Water signal against its end.
-    phase_per_path : ndarray, shape (frequency,)
-        2 pi f / c_0 [rad/m].
-
-    Returns
-    -------
-    ndarray of complex, shape (pixel, frequency)
-        As strong as open water at frequency 0 is there [1].
-    """
+    """Return the signal of light that comes from in front of all targets."""
     level = times(coefficients(pixels, table), table.level[:, None])[:, 0]
     turn: Complex = np.exp(1j * pixels.offset[:, None] * phase_per_path)
     return level[:, None] * turn
@@ -85,26 +53,7 @@ def foreground(pixels: Pixels, table: Table, phase_per_path: Floats) -> Complex:
 def all_changes(
     pixels: Pixels, depth: Floats, water: Complex, table: Table, phase_per_path: Floats
 ) -> Complex:
-    """Return the derivatives of the water signal by its shape and by its drift.
-
-    Parameters
-    ----------
-    pixels : Pixels
-        Their places and times count.
-    depth : ndarray, shape (pixel,)
-        Where the water ends, infinite for open water [m].
-    water : ndarray of complex, shape (pixel, frequency)
-        Water signal there [1].
-    table : Table
-        Water signal against its end.
-    phase_per_path : ndarray, shape (frequency,)
-        2 pi f / c_0 [rad/m].
-
-    Returns
-    -------
-    ndarray of complex, shape (pixel, parameter, frequency)
-        Derivatives [1].
-    """
+    """Return the derivatives of the water signal by its shape and by its drift."""
     changes = shape_changes(pixels, depth, table, phase_per_path)
     if not pixels.trends.shape[1]:
         return changes
@@ -115,24 +64,7 @@ def all_changes(
 def shape_changes(
     pixels: Pixels, depth: Floats, table: Table, phase_per_path: Floats
 ) -> Complex:
-    """Return the derivatives of the water signal with respect to its shape.
-
-    Parameters
-    ----------
-    pixels : Pixels
-        Their places count.
-    depth : ndarray, shape (pixel,)
-        Where the water ends, infinite for open water [m].
-    table : Table
-        Water signal against its end.
-    phase_per_path : ndarray, shape (frequency,)
-        2 pi f / c_0 [rad/m].
-
-    Returns
-    -------
-    ndarray of complex, shape (pixel, parameter, frequency)
-        Derivatives [1].
-    """
+    """Return the derivatives of the water signal with respect to its shape."""
     shape = (len(pixels), len(table.change), phase_per_path.size)
     out = np.empty(shape, dtype=complex)
     spread(
@@ -215,24 +147,7 @@ class Modelled:
 def modelled(
     state: Shared, fitted: Fitted, *, transfer: Complex, phase_per_path: Floats
 ) -> Modelled:
-    """Return the parts of the model, and the residual.
-
-    Parameters
-    ----------
-    state : Shared
-        What the pixels share.
-    fitted : Fitted
-        Samples with paths and amplitudes.
-    transfer : ndarray of complex
-        What the echo has beyond its delay, as known [1].
-    phase_per_path : ndarray
-        2 pi f / c_0 of each frequency [rad/m].
-
-    Returns
-    -------
-    Modelled
-        Arrays over the pixels.
-    """
+    """Return the parts of the model, and the residual."""
     pixels = fitted.pixels
     depth, water, slope = water_at(pixels, fitted.path, state.table, phase_per_path)
     front = foreground(pixels, state.table, phase_per_path)
@@ -265,26 +180,7 @@ def normal_equations(
     transfer: Complex,
     phase_per_path: Floats,
 ) -> Normal:
-    """Return the normal equations of the first parameters about a state.
-
-    Parameters
-    ----------
-    state : Shared
-        What the pixels share.
-    fitted : Fitted
-        Samples with paths and amplitudes.
-    layout : Layout
-        Where the parameters stand.
-    used : int
-        Number of parameters: all of them, or the parametric ones.
-    transfer, phase_per_path : ndarray
-        As in `modelled`.
-
-    Returns
-    -------
-    Normal
-        With the paths and amplitudes eliminated (Schur complement).
-    """
+    """Return the normal equations of the first parameters about a state."""
     pixels = fitted.pixels
     parts = modelled(state, fitted, transfer=transfer, phase_per_path=phase_per_path)
     deviation = None

@@ -60,18 +60,7 @@ class Directions:
         return both[0].ravel(), both[1].ravel()
 
     def interpolation(self, azimuth: Floats, elevation: Floats) -> Floats:
-        """Return how the nodes make up given directions.
-
-        Parameters
-        ----------
-        azimuth, elevation : ndarray, shape (n,)
-            Directions [rad].
-
-        Returns
-        -------
-        ndarray, shape (n, nodes)
-            Lagrange polynomials over azimuth and elevation [1].
-        """
+        """Return how the nodes make up given directions."""
         parts = [
             _lagrange(node, place)
             for node, place in ((self.azimuth, azimuth), (self.elevation, elevation))
@@ -90,25 +79,7 @@ class Directions:
 def directions_of(
     azimuth: Floats, elevation: Floats, overlap: Callable[[Floats, Floats], Floats]
 ) -> Directions:
-    """Return the fewest nodes over a scan that follow the overlap.
-
-    Parameters
-    ----------
-    azimuth, elevation : ndarray
-        Directions that will be asked for, of any shape [rad].
-    overlap : callable
-        From directions, (n,), to what is interpolated, (n, depths).
-
-    Returns
-    -------
-    Directions
-        The degree over each angle by itself: that one is raised which helps more.
-
-    Raises
-    ------
-    CubeError
-        If that would take far too many.
-    """
+    """Return the fewest nodes over a scan that follow the overlap."""
     box = [
         (float(np.min(values)), float(np.max(values)))
         for values in (azimuth, elevation)
@@ -245,19 +216,7 @@ _CELLS, _LOWEST, _HIGHEST = 8, 0.02, 3e3
 
 
 class Scattered:
-    """Light that was scattered forward, by the small-angle form (29).
-
-    Parameters
-    ----------
-    function : PhaseFunction
-        Its forward part gives the shape.
-    split_angle : float
-        Where that ends [rad].
-    radius, angle : float
-        1/e radius [m] and semi-angle of receiver and beam together [rad].
-    standoff : float
-        Path in front of the water, as a depth of water [m].
-    """
+    """Light that was scattered forward, by the small-angle form (29)."""
 
     def __init__(
         self,
@@ -286,25 +245,7 @@ class Scattered:
     def light(
         self, depth: Floats, *, forward_scattering: float, spread: float, offset: Floats
     ) -> Floats:
-        """Return the overlap of scattered light, without reduced attenuation [sr].
-
-        Parameters
-        ----------
-        depth : ndarray, shape (n,)
-            Where it turns back [m].
-        forward_scattering : float
-            Forward scattering b_f [1/m].
-        spread : float
-            Growth of its mean square angle: the phase function is stretched to have
-            it [rad^2/m].
-        offset : ndarray, shape (direction, node)
-            Distance of beam and axis of the receiver at the nodes of `depth` [m].
-
-        Returns
-        -------
-        ndarray, shape (direction, n)
-            Eq. (29) of Ricci et al. 2010, as rebuilt, less unscattered light.
-        """
+        """Return the overlap of scattered light, without reduced attenuation [sr]."""
         aside = np.log1p(offset**2 / self._area)
         self._reach(aside)
         terms = self._terms(forward_scattering, spread)
@@ -412,18 +353,7 @@ _KEPT = 8
 
 
 class Frame:
-    """How the receiver looks at a scan: what tables of the water signal need.
-
-    Parameters
-    ----------
-    survey : Survey
-        Receiver and scan count, and the end of the water; the optical properties of
-        the water do not, but for its indices.
-    azimuth, elevation : ndarray
-        Directions that will be asked for, of any shape [rad].
-    modulation_frequency : ndarray
-        Modulation frequencies [Hz].
-    """
+    """How the receiver looks at a scan: what tables of the water signal need."""
 
     def __init__(
         self,
@@ -664,25 +594,7 @@ def unseen() -> CubeError:
 
 
 def frame_of(cube: xr.Dataset, azimuth: Floats, elevation: Floats) -> Frame:
-    """Return the frame of a cube whose survey describes the receiver.
-
-    Parameters
-    ----------
-    cube : xarray.Dataset
-        With the attribute `survey`.
-    azimuth, elevation : ndarray
-        Directions that will be asked for [rad].
-
-    Returns
-    -------
-    Frame
-        What tables of the water signal need.
-
-    Raises
-    ------
-    CubeError
-        If the cube has no survey.
-    """
+    """Return the frame of a cube whose survey describes the receiver."""
     text = cube.attrs.get("survey")
     if not text:
         raise CubeError(

@@ -81,21 +81,6 @@ class Instrument:
 def late_echo(depth: Floats, spread: float) -> Floats:
     r"""Return what scattered light adds to the range, if it all counted [m].
 
-    Parameters
-    ----------
-    depth : ndarray
-        Way through the water to the target [m].
-    spread : float
-        Growth of the mean square angle of the light that is still in view, see
-        `Frame.late_spread` [rad^2/m].
-
-    Returns
-    -------
-    ndarray
-        Half the mean detour there and back.
-
-    Notes
-    -----
     A path that is inclined by small angles of mean square :math:`\sigma^2 z` at the
     depth z is longer by :math:`\int \theta^2 / 2 \, dz = \sigma^2 z^2 / 4`. Unscattered
     light and a receiver that accepts small angles only make the echo less late: the
@@ -114,26 +99,6 @@ def range_variance(
 ) -> Floats:
     r"""Return the variance of slant ranges by what is not known of the instrument.
 
-    Parameters
-    ----------
-    instrument : Instrument
-        Standard uncertainties.
-    path : ndarray
-        Optical paths, out and back [m].
-    beam : Beam
-        Beams of the same shape.
-    receiver : ndarray, shape (3,)
-        Where the light is collected [m].
-    medium : Medium
-        What the light crosses.
-
-    Returns
-    -------
-    ndarray
-        Variance, which pixels have in common [m^2].
-
-    Notes
-    -----
     To first order :math:`(c_0 u_\tau \partial r / \partial p)^2 + (u_n \partial r /
     \partial n_g)^2 + u_x^2 |\partial r / \partial x|^2` with the two coordinates x of
     the receiver across the scan, and with the path p held fixed. The phase of the
@@ -184,18 +149,7 @@ class Clock:
 
 
 def clock_of(source: tiles.Source) -> Clock:
-    """Return when a scan was measured.
-
-    Parameters
-    ----------
-    source : Source
-        Level `samples`.
-
-    Returns
-    -------
-    Clock
-        The same for whatever tiles the samples come in.
-    """
+    """Return when a scan was measured."""
     rows, columns = source.rows, source.columns
     row_by_row = Clock(
         rows=rows,
@@ -219,23 +173,7 @@ def clock_of(source: tiles.Source) -> Clock:
 def trends_of(
     cube: xr.Dataset, clock: Clock | None = None, *, row: int = 0, column: int = 0
 ) -> Floats:
-    """Return the polynomials that make up the change, at the time of each pixel.
-
-    Parameters
-    ----------
-    cube : xarray.Dataset
-        Level `samples`, a scan or a part of one. Without times the pixels are taken as
-        measured row by row.
-    clock : Clock, optional
-        Of the scan; by default the cube is all of it.
-    row, column : int, optional
-        Where in the scan the cube begins.
-
-    Returns
-    -------
-    ndarray, shape (pixel, trend)
-        Between -1 and 1, of mean zero over equal times [1].
-    """
+    """Return the polynomials that make up the change, at the time of each pixel."""
     clock = clock_of(tiles.InMemory(cube)) if clock is None else clock
     shape = cube["azimuth"].shape
     if clock.stated:
@@ -250,20 +188,7 @@ def trends_of(
 
 
 def drifted(pixels: Pixels, trend: Floats) -> Pixels:
-    """Return pixels whose water is as strong as it was at their time.
-
-    Parameters
-    ----------
-    pixels : Pixels
-        As they were made, with the polynomials at their time.
-    trend : ndarray
-        Coefficients of the polynomials; none where no change is looked for [1].
-
-    Returns
-    -------
-    Pixels
-        With the strength of the water in their place within the scan.
-    """
+    """Return pixels whose water is as strong as it was at their time."""
     if not len(trend):
         return replace(pixels, trends=pixels.trends[:, :0])
     if not np.any(trend):
@@ -283,21 +208,7 @@ def change_of(trend: Floats) -> float:
 
 
 def change_uncertainty(covariance: Floats, *, preferred: bool) -> float:
-    """Return the standard uncertainty of that change.
-
-    Parameters
-    ----------
-    covariance : ndarray, shape (trends, trends)
-        Of the coefficients [1].
-    preferred : bool
-        Whether the samples prefer a change over none.
-
-    Returns
-    -------
-    float
-        Infinite where no change was looked for or none is preferred: a receiver that
-        looks elsewhere may explain the samples as well [1].
-    """
+    """Return the standard uncertainty of that change."""
     if not len(covariance) or not preferred:
         return np.inf
     slope = np.where(np.arange(len(covariance)) % 2 == 0, 2.0, 0.0)
@@ -391,19 +302,7 @@ class Shared:
         return gain.astype(complex)
 
     def water_signal(self, water: Complex, foreground: Complex) -> Complex:
-        """Return the water signal of pixels, (pixel, channel, frequency) [V].
-
-        Parameters
-        ----------
-        water, foreground : ndarray of complex, shape (pixel, frequency)
-            Water signal of unit strength: of the model, and from in front of all
-            targets [1].
-
-        Returns
-        -------
-        ndarray of complex
-            With its departure.
-        """
+        """Return the water signal of pixels, (pixel, channel, frequency) [V]."""
         return (
             self.strength[:, None] * water[:, None]
             + self.foreground * foreground[:, None]
@@ -430,20 +329,7 @@ class Shared:
         return float(np.exp(self.shot_change))
 
     def shot_signal(self, water_signal: Complex, foreground: Complex) -> Complex:
-        """Return the signal of open-water shots, which may be of other water [V].
-
-        Parameters
-        ----------
-        water_signal : ndarray of complex, shape (pixel, channel, frequency)
-            That of the water of the scan [V].
-        foreground : ndarray of complex, shape (pixel, frequency)
-            Light of unit strength from in front of all targets [1].
-
-        Returns
-        -------
-        ndarray of complex
-            With its change of strength and its departure.
-        """
+        """Return the signal of open-water shots, which may be of other water [V]."""
         signal: Complex = self.shot_factor * water_signal
         if self.shot_departure.size:
             own = self.strength[:, None] * self.shot_departure
@@ -600,22 +486,7 @@ def prior_of(state: Shared, layout: Layout, widths: Widths) -> tuple[Floats, Flo
 def widths_of(
     matrix: Floats, vector: Floats, state: Shared, layout: Layout
 ) -> tuple[Widths, float]:
-    """Return the widths of the priors with the highest evidence, and its gain.
-
-    Parameters
-    ----------
-    matrix, vector : ndarray
-        Normal equations of all parameters about the state.
-    state : Shared
-        Its widths are where the search starts; all are tried if there are none yet.
-    layout : Layout
-        Where the parameters stand.
-
-    Returns
-    -------
-    tuple of tuple and float
-        Widths, and twice the logarithm of how much the data prefer departures [1].
-    """
+    """Return the widths of the priors with the highest evidence, and its gain."""
     known: dict[Widths, float] = {}
 
     def value(widths: Widths) -> float:

@@ -49,21 +49,7 @@ _FURTHEST = 3.0
 
 
 class Problem:
-    """The samples of a fit, and its steps.
-
-    Parameters
-    ----------
-    frame : Frame
-        How the receiver looks at the scan.
-    targets : Pixels
-        Samples with or without a target.
-    shots : Pixels, optional
-        Samples that are known to be open water.
-    transfer : ndarray of complex
-        What the echo has beyond its delay, as known [1].
-    deepest : float
-        Depth beyond which no target stands [m].
-    """
+    """The samples of a fit, and its steps."""
 
     def __init__(
         self,

@@ -112,25 +112,7 @@ def shot_pixels(
 
 
 def open_water_samples(cube: xr.Dataset, *, no_target: bool) -> tuple[Frame, Pixels]:
-    """Return the open water of a cube as samples of the likelihood.
-
-    Parameters
-    ----------
-    cube : xarray.Dataset
-        Level `samples`.
-    no_target : bool
-        True to take the samples themselves, false to take the open-water shots.
-
-    Returns
-    -------
-    tuple of Frame and Pixels
-        How the receiver looks at them, and the samples.
-
-    Raises
-    ------
-    CubeError
-        If the cube has no survey, or states errors of zero.
-    """
+    """Return the open water of a cube as samples of the likelihood."""
     frequency = cube["modulation_frequency"].values
     if not no_target:
         shots = cube.amulor.open_water
@@ -277,28 +259,7 @@ def pixels_of(
     modulation_frequency: Floats,
     trends: Floats,
 ) -> Pixels:
-    """Return samples with all that their likelihood needs.
-
-    Parameters
-    ----------
-    frame : Frame
-        How the receiver looks at the scan.
-    signal, covariance, usable
-        As in `Pixels`.
-    azimuth, elevation : ndarray, shape (pixel,)
-        Directions [rad].
-    interval : tuple of float, optional
-        Nearest and farthest slant range [m].
-    modulation_frequency : ndarray
-        Modulation frequencies [Hz].
-    trends : ndarray, shape (pixel, trend)
-        As in `Pixels` [1].
-
-    Returns
-    -------
-    Pixels
-        The same samples.
-    """
+    """Return samples with all that their likelihood needs."""
     beam = frame.beam(azimuth, elevation)
     shortest, longest = rays.path_limits(
         interval,
@@ -334,23 +295,7 @@ def pixels_of(
 def weight(
     pixels: Pixels, deviation: Complex | None = None, scale: float = 1.0
 ) -> Floats:
-    """Return the inverse covariance of the samples.
-
-    Parameters
-    ----------
-    pixels : Pixels
-        Samples with their stated errors.
-    deviation : ndarray of complex, optional
-        One standard deviation of a random change of the water signal, along the
-        direction of that change [V].
-    scale : float, optional
-        How many times the stated errors are too small [1].
-
-    Returns
-    -------
-    ndarray, shape (pixel, channel, 3, frequency)
-        Elements (in phase, both, quadrature); 0 where a sample does not count [1/V^2].
-    """
+    """Return the inverse covariance of the samples."""
     errors = pixels.covariance
     xx, yy, xy = errors.in_phase, errors.quadrature, errors.cross
     if scale != 1:
@@ -365,25 +310,7 @@ def weight(
 
 
 def grid_of(pixels: Pixels, phase_per_path: Floats) -> Floats:
-    """Return the paths at which the likelihood is looked at first.
-
-    Parameters
-    ----------
-    pixels : Pixels
-        Their limits count.
-    phase_per_path : ndarray
-        2 pi f / c_0 of each frequency [rad/m].
-
-    Returns
-    -------
-    ndarray
-        Paths in equal steps, one beyond the limits on both sides [m].
-
-    Raises
-    ------
-    ValueError
-        If there would be far too many.
-    """
+    """Return the paths at which the likelihood is looked at first."""
     step = 2 * np.pi / phase_per_path.max() / _POINTS_PER_PERIOD
     # Whole numbers of steps: the same paths whichever pixels come together.
     first = int(np.floor(pixels.shortest.min() / step)) - 1

@@ -34,18 +34,7 @@ _TINY = 1e-300
 
 
 def is_detected(estimates: Estimates) -> NDArray[np.bool_]:
-    """Return which pixels have a target rather than open water.
-
-    Parameters
-    ----------
-    estimates : Estimates
-        Solutions of all pixels.
-
-    Returns
-    -------
-    ndarray of bool
-        True where a target explains the samples better by `DETECTION`.
-    """
+    """Return which pixels have a target rather than open water."""
     better = estimates.explained >= DETECTION
     is_positive = (estimates.amplitude > 0).any(axis=1)
     return np.asarray(np.isfinite(estimates.path) & better & is_positive)
@@ -56,16 +45,6 @@ def are_inliers(estimates: Estimates) -> NDArray[np.bool_]:
 
     Their misfit is compared with the median, whatever that is: a model that is wrong
     for all pixels makes none of them an outlier.
-
-    Parameters
-    ----------
-    estimates : Estimates
-        Solutions of all pixels.
-
-    Returns
-    -------
-    ndarray of bool
-        False where a pixel misfits far more than the others.
     """
     from scipy.stats import chi2
 
@@ -79,18 +58,7 @@ def are_inliers(estimates: Estimates) -> NDArray[np.bool_]:
 
 
 def typical_misfit(estimates: Estimates) -> float:
-    """Return the median of chi-square over what chance makes it, 1 or more.
-
-    Parameters
-    ----------
-    estimates : Estimates
-        Solutions of all pixels.
-
-    Returns
-    -------
-    float
-        Above 1 where the model or the stated errors are wrong for most pixels [1].
-    """
+    """Return the median of chi-square over what chance makes it, 1 or more."""
     from scipy.stats import chi2
 
     if not len(estimates.path):
@@ -127,27 +95,6 @@ def scatter_of(
 ) -> Scatter:
     r"""Return the scale of the noise and the fluctuation that explain the scatter.
 
-    Parameters
-    ----------
-    state : Shared
-        What the pixels share.
-    groups : list of Fitted
-        All samples with paths and amplitudes.
-    transfer : ndarray of complex
-        What the echo has beyond its delay, as known [1].
-    phase_per_path : ndarray
-        2 pi f / c_0 of each frequency [rad/m].
-    neighbours : bool, optional
-        Whether only what differs between neighbours is random. If not, all that the
-        model leaves is, such as a drift that follows the distance.
-
-    Returns
-    -------
-    Scatter
-        Scale 1 and fluctuation 0 where the stated errors explain the scatter alone.
-
-    Notes
-    -----
     Restricted maximum likelihood of :math:`s^2 C + \phi^2 w w^T` over the scale s and
     the fluctuation :math:`\phi`, with the stated covariance C and the water signal w,
     paths and amplitudes projected out. The sum of squares is that of differences
@@ -347,21 +294,7 @@ def part_of(estimates: Estimates, which: NDArray[np.intp]) -> Estimates:
 
 
 def disagrees(estimates: Estimates, typical: float = 1.0) -> Bools:
-    """Return in which pixels one sample disagrees with all others.
-
-    Parameters
-    ----------
-    estimates : Estimates
-        Solutions.
-    typical : float, optional
-        What chi-square is over its degrees of freedom in most pixels [1].
-
-    Returns
-    -------
-    ndarray of bool
-        Where chi-square falls by more without it than chance explains, at 1e-3 for a
-        pixel: 2 log(n / 1e-3) of n samples of two outputs.
-    """
+    """Return in which pixels one sample disagrees with all others."""
     samples = np.maximum(estimates.used / 2, 1)
     return np.asarray(estimates.outlying > 2 * typical * np.log(samples / CHANCE))
 
@@ -369,23 +302,7 @@ def disagrees(estimates: Estimates, typical: float = 1.0) -> Bools:
 def may_be_left_out(
     estimates: Estimates, shape: tuple[int, int], typical: float
 ) -> Bools:
-    """Return the samples that are not wrong in far too many pixels.
-
-    Parameters
-    ----------
-    estimates : Estimates
-        Solutions of many pixels.
-    shape : tuple of int
-        Channels and frequencies.
-    typical : float
-        As in `disagrees` [1].
-
-    Returns
-    -------
-    ndarray of bool, shape (channel, frequency)
-        False where one pixel in seven disagrees, or far more than elsewhere: there it
-        is the model that does. Particles and spikes prefer no frequency.
-    """
+    """Return the samples that are not wrong in far too many pixels."""
     wrong = estimates.which[disagrees(estimates, typical)]
     count = np.bincount(wrong, minlength=shape[0] * shape[1])
     usual = float(np.median(count))
@@ -404,26 +321,6 @@ def without_outliers(
 ) -> Kept:
     """Return pixels and estimates without the samples that disagree with the rest.
 
-    Parameters
-    ----------
-    pixels : Pixels
-        Samples.
-    estimates : Estimates
-        Their solutions.
-    again : callable
-        From pixels to new solutions.
-    allowed : ndarray of bool, shape (channel, frequency)
-        Samples that may be left out.
-    typical : float
-        As in `disagrees` [1].
-
-    Returns
-    -------
-    Kept
-        At most a third of the samples of a pixel is left out.
-
-    Notes
-    -----
     A spike, a particle or a fish is in one sample, since the frequencies are measured
     one after the other. The sample that lowers chi-square most by its absence goes
     first, then all is estimated anew, other ambiguity intervals included. The

@@ -74,36 +74,7 @@ def estimate(
     front: Complex | None = None,
     known: Floats | None = None,
 ) -> Estimates:
-    """Return the most likely path of each pixel for a given water signal.
-
-    Parameters
-    ----------
-    pixels : Pixels
-        Samples.
-    weights : ndarray
-        Their inverse covariance without the fluctuation, from `weight`.
-    table : Table
-        Water signal against its end.
-    gain : ndarray of complex, shape (channel, frequency)
-        Strength of the water signal [V].
-    transfer : ndarray of complex, shape (frequency,)
-        What the echo of the target has beyond its delay [1].
-    phase_per_path : ndarray, shape (frequency,)
-        2 pi f / c_0 [rad/m].
-    fluctuation : float, optional
-        Relative random change of the water signal from sample to sample [1].
-    front : ndarray of complex, shape (channel, frequency), optional
-        Light from in front of all targets in the middle of the scan, which was taken
-        off the samples and fluctuates as well [V].
-    known : ndarray, optional
-        Paths to start from instead of looking for the highest likelihood anywhere;
-        leaves the limits of the profile and other intervals alone [m].
-
-    Returns
-    -------
-    Estimates
-        Arrays over the pixels.
-    """
+    """Return the most likely path of each pixel for a given water signal."""
     count, channels, frequencies = pixels.signal.shape
     echo = echo_of(transfer, phase_per_path)
     path = grid_of(pixels, phase_per_path) if count else np.arange(2.0)
@@ -144,24 +115,7 @@ _SCALARS = (
 def without_foreground(
     pixels: Pixels, table: Table, *, strength: Complex, phase_per_path: Floats
 ) -> Pixels:
-    """Return samples less what the water sends from in front of all targets.
-
-    Parameters
-    ----------
-    pixels : Pixels
-        Samples.
-    table : Table
-        Water signal against its end.
-    strength : ndarray of complex, shape (channel, frequency)
-        That light in the middle of the scan [V].
-    phase_per_path : ndarray, shape (frequency,)
-        2 pi f / c_0 [rad/m].
-
-    Returns
-    -------
-    Pixels
-        The rest.
-    """
+    """Return samples less what the water sends from in front of all targets."""
     if not np.any(strength):
         return pixels
     light = foreground(pixels, table, phase_per_path)[:, None] * strength
@@ -213,26 +167,6 @@ def two_surfaces(
 ) -> Pair:
     """Return the two surfaces that explain pixels best.
 
-    Parameters
-    ----------
-    pixels : Pixels
-        Samples.
-    path : ndarray, shape (pixel,)
-        Optical path of the single surface that explains them best [m].
-    shared : Shared
-        What all pixels share.
-    transfer : ndarray of complex, shape (frequency,)
-        What an echo has beyond its delay, as known [1].
-    phase_per_path : ndarray, shape (frequency,)
-        2 pi f / c_0 [rad/m].
-
-    Returns
-    -------
-    Pair
-        The best of a few starts.
-
-    Notes
-    -----
     Levenberg's and Marquardt's steps on both paths, with the amplitudes of both in
     each channel fitted anew at every step, none below zero. The water ends at the
     nearer surface.
@@ -256,22 +190,7 @@ def two_surfaces(
 
 
 def asked(estimates: Estimates, detected: Bools, left_out: Bools) -> Bools:
-    """Return the pixels that may see two surfaces.
-
-    Parameters
-    ----------
-    estimates : Estimates
-        Solutions with one surface and all samples.
-    detected : ndarray of bool
-        Pixels with a target.
-    left_out : ndarray of bool
-        Pixels from which samples were left out.
-
-    Returns
-    -------
-    ndarray of bool
-        Those that one surface does not explain; none with fewer than three frequencies.
-    """
+    """Return the pixels that may see two surfaces."""
     from scipy.stats import chi2
 
     if estimates.influence.shape[2] < FEWEST:
@@ -284,25 +203,7 @@ def asked(estimates: Estimates, detected: Bools, left_out: Bools) -> Bools:
 def are_two(
     pair: Pair, one: Estimates, rest: Estimates, number_left_out: NDArray[np.intp]
 ) -> Bools:
-    """Return which pixels see two surfaces rather than spoiled samples or one surface.
-
-    Parameters
-    ----------
-    pair : Pair
-        Two surfaces, from all samples.
-    one : Estimates
-        One surface, from all samples.
-    rest : Estimates
-        One surface, without the samples that disagree.
-    number_left_out : ndarray of int
-        How many these are.
-
-    Returns
-    -------
-    ndarray of bool
-        Where the likelihood ratio of two to one is beyond chance 1e-4, two fit, and
-        spoiled samples explain less than they cost.
-    """
+    """Which pixels see two surfaces rather than spoiled samples or one surface."""
     from scipy.stats import chi2
 
     channels = one.amplitude.shape[1]

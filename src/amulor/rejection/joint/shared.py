@@ -50,26 +50,7 @@ def start(
     transfer: Complex,
     deepest: float,
 ) -> tuple[Shape, Floats]:
-    """Find a shape and strengths of the water signal from which to start.
-
-    Parameters
-    ----------
-    frame : Frame
-        How the receiver looks at the scan.
-    targets : Pixels
-        Samples with or without a target.
-    shots : Pixels, optional
-        Samples that are known to be open water; they decide alone if given.
-    transfer : ndarray of complex
-        What the echo has beyond its delay [1].
-    deepest : float
-        Depth beyond which no target stands [m].
-
-    Returns
-    -------
-    tuple of Shape and ndarray
-        The best of a grid, and the strength in each channel [V].
-    """
+    """Find a shape and strengths of the water signal from which to start."""
     lowest, best = np.inf, None
     if shots is None:
         few = np.linspace(0, len(targets) - 1, min(_STARTERS, len(targets)))
@@ -132,22 +113,7 @@ class Begun:
 
 
 def begin(whole: Problem, turn_width: float, *, by_shots: bool) -> Begun:
-    """Return coefficients without departures, from who is no outlier.
-
-    Parameters
-    ----------
-    whole : Problem
-        All samples.
-    turn_width : float
-        Standard uncertainty of the direction of the receiver, each way [rad].
-    by_shots : bool
-        Whether the open-water shots count beside the samples.
-
-    Returns
-    -------
-    Begun
-        What the departures are looked for from.
-    """
+    """Return coefficients without departures, from who is no outlier."""
     state = first(whole, turn_width, by_shots=by_shots)
     every = np.arange(len(whole.targets))
     few = every[np.linspace(0, len(every) - 1, min(_FIRST, len(every))).astype(int)]
@@ -163,20 +129,7 @@ def begin(whole: Problem, turn_width: float, *, by_shots: bool) -> Begun:
 
 
 def may_be_all(water: Problem, turn_width: float) -> bool:
-    """Return whether shots, of which some are looked at, are mostly water.
-
-    Parameters
-    ----------
-    water : Problem
-        Without targets.
-    turn_width : float
-        Standard uncertainty of the direction of the receiver, each way [rad].
-
-    Returns
-    -------
-    bool
-        False where water leaves more than a fiftieth of the samples' square.
-    """
+    """Return whether shots, of which some are looked at, are mostly water."""
     assert water.shots is not None
     count = len(water.shots)
     which = np.unique(np.linspace(0, count - 1, min(_LOOK, count)).astype(np.intp))
@@ -191,22 +144,7 @@ def may_be_all(water: Problem, turn_width: float) -> bool:
 
 
 def first(problem: Problem, turn_width: float, *, by_shots: bool) -> Shared:
-    """Return the first guess, without departures.
-
-    Parameters
-    ----------
-    problem : Problem
-        All samples.
-    turn_width : float
-        Standard uncertainty of the direction of the receiver, each way [rad].
-    by_shots : bool
-        Whether the open-water shots decide alone.
-
-    Returns
-    -------
-    Shared
-        The best of a coarse grid of shapes.
-    """
+    """Return the first guess, without departures."""
     chosen = problem.shots if by_shots else None
     shape, strength = start(
         problem.frame, problem.targets, chosen, transfer=problem.transfer,
@@ -259,29 +197,6 @@ def fit(
 ) -> Shared:
     """Estimate what the pixels share, by maximum likelihood over all of them.
 
-    Parameters
-    ----------
-    frame : Frame
-        How the receiver looks at the scan.
-    targets : Pixels
-        Samples with or without a target; a thousand or two say all there is to say.
-    shots : Pixels, optional
-        Samples that are known to be open water.
-    transfer : ndarray of complex
-        What the echo has beyond its delay, as known [1].
-    deepest : float
-        Depth beyond which no target stands [m].
-    turn_width : float, optional
-        Standard uncertainty of the direction of the receiver, each way; 0 takes that
-        of the survey as exact [rad].
-
-    Returns
-    -------
-    Shared
-        Estimate with its covariance.
-
-    Notes
-    -----
     Damped Gauss-Newton on the strengths, k', b_f <theta^2> and b_f and then, with
     normal priors, on what the model does not know: a smooth factor on the overlap,
     light from in front of all targets at each frequency, and departures of the echo,

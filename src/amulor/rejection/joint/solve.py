@@ -61,24 +61,7 @@ class Result:
 
 
 def solve(frame: Frame, pixels: Pixels, shared: Shared, transfer: Complex) -> Result:
-    """Return the estimates of some pixels with the shared ones known.
-
-    Parameters
-    ----------
-    frame : Frame
-        How the receiver looks at the scan.
-    pixels : Pixels
-        Samples.
-    shared : Shared
-        Strength and shape of the water signal, departures, fluctuation.
-    transfer : ndarray of complex, shape (frequency,)
-        What the echo has beyond its delay, as known [1].
-
-    Returns
-    -------
-    Result
-        To first order in the errors of what is shared.
-    """
+    """Return the estimates of some pixels with the shared ones known."""
     rate = frame.phase_per_path
     given = pixels.usable
     pixels = drifted(pixels, shared.trend)

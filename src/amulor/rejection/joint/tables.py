@@ -85,24 +85,6 @@ def table_of(
 ) -> Table:
     """Integrate the water signal up to every depth.
 
-    Parameters
-    ----------
-    frame : Frame
-        How the receiver looks at the scan.
-    shape : Shape
-        Shape of the water signal.
-    deepest : float
-        Depth beyond which no target stands [m].
-    derivatives : bool
-        Whether to add those with respect to the shape.
-
-    Returns
-    -------
-    Table
-        The last node stands for open water.
-
-    Notes
-    -----
     (29) of Ricci et al. 2010, as rebuilt and conjugated, by Gauss's rule with
     four points between neighbouring nodes.
     """

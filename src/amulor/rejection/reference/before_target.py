@@ -77,24 +77,6 @@ def turbidity_of(
 ) -> Turbidity:
     r"""Return the factor of a and b with which the model fits the open water best.
 
-    Parameters
-    ----------
-    cube : xarray.Dataset
-        Level `samples`; its frequencies and directions count.
-    survey : Survey
-        Water and instrument as the user describes them.
-    open_water : ndarray, shape (modulation_frequency, polarization, row, column)
-        Open-water signal at the pixels, from the shots [V].
-    errors : Covariance
-        Errors of that, of the same shape.
-
-    Returns
-    -------
-    Turbidity
-        With factors between a quarter and four.
-
-    Notes
-    -----
     Open water of the survey by `model.water_signal`, times a factor for
     each channel above zero, against the shots: the phases tell how deep the light
     comes from, at one frequency already, and the amplitudes how that is spread. The
@@ -163,20 +145,7 @@ def turbidity_of(
 
 
 def scaled(survey: Survey, factor: float) -> Survey:
-    """Return a survey with absorption and scattering times a factor.
-
-    Parameters
-    ----------
-    survey : Survey
-        What is described.
-    factor : float
-        Above 0 [1].
-
-    Returns
-    -------
-    Survey
-        The same, in water of another turbidity.
-    """
+    """Return a survey with absorption and scattering times a factor."""
     return by_coefficients(survey, factor=factor)
 
 
@@ -415,28 +384,6 @@ def strength_of(
 ) -> Strength:
     r"""Return by how much the water of a scan is stronger than its reference.
 
-    Parameters
-    ----------
-    target : ndarray, shape (modulation_frequency, polarization, row, column)
-        What subtraction left [V].
-    water_signal : ndarray of the same shape
-        The water in front of the target that was subtracted [V].
-    own, common : Covariance
-        Errors of the difference that are of each sample alone, and that the pixels
-        share [V^2].
-    modulation_frequency : ndarray, shape (modulation_frequency,)
-        Modulation frequencies [Hz].
-    path : ndarray, shape (row, column)
-        Optical path out and back, roughly; NaN where it is not known. One frequency
-        needs none [m].
-
-    Returns
-    -------
-    Strength
-        Zero, uncertain by `DEPARTURE`, where nothing can tell.
-
-    Notes
-    -----
     All channels and frequencies of a pixel see one path L. Water stronger by c turns
     their phases by :math:`c\, \mathrm{Im}(W / T)`, each by another angle, so that
 

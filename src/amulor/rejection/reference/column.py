@@ -136,21 +136,7 @@ class _Listed:
 
 
 class _Table:
-    """Chebyshev series of a fraction over azimuth, elevation and depth.
-
-    Parameters
-    ----------
-    survey : Survey
-        Water and instrument.
-    places : ndarray, shape (3, n)
-        Where it will be evaluated: sets the box.
-    nodes : tuple of int
-        Nodes along the three axes; an axis without extent takes one.
-    frequency : ndarray
-        Modulation frequencies [Hz].
-    paper : bool
-        As for `fractions`.
-    """
+    """Chebyshev series of a fraction over azimuth, elevation and depth."""
 
     def __init__(
         self,
@@ -284,23 +270,6 @@ def hidden_error(
 ) -> Covariance:
     """Return the error of the water that is put back behind targets.
 
-    Parameters
-    ----------
-    water_signal : ndarray of complex
-        The whole column [V].
-    fraction, steeper : ndarray of complex
-        Which part of it is behind the target, and the same in water that is more
-        turbid by one standard uncertainty [1].
-    misfit : float
-        Departure of the model from the open water, in parts of it [1].
-
-    Returns
-    -------
-    Covariance
-        Of the shape of the signal; zero where the fraction is not known [V^2].
-
-    Notes
-    -----
     The turbidity moves the column along a known direction. A model that is off by so
     much of the whole column is off by as much of a part of it, at most by all of that
     part; compared at the lowest frequency. With several frequencies all of it may

@@ -61,18 +61,6 @@ class Plan:
 def judge_plan(survey: Survey) -> Plan | None:
     """Return how well the planned open-water shots of a survey span its scan.
 
-    Parameters
-    ----------
-    survey : Survey
-        Its water, instrument and scan count.
-
-    Returns
-    -------
-    Plan or None
-        None if no shots are planned.
-
-    Notes
-    -----
     What the interpolation of `shape.shape_of` makes of shots without noise: a
     polynomial of the signal itself, or of its ratio to the model of the water that
     foretells directions left out best, of the degree that an F test would choose

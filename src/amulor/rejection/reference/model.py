@@ -46,27 +46,6 @@ def water_signal(
 ) -> Complex:
     """Return the light of the water up to some depth, in any unit.
 
-    Parameters
-    ----------
-    survey : Survey
-        Its water and its instrument count.
-    azimuth, elevation : ndarray, shape (n,)
-        Directions of the beams [rad].
-    modulation_frequency : ndarray, shape (m,)
-        Modulation frequencies [Hz].
-    end : array_like, shape (n,), optional
-        Depth at which the water ends; where the survey ends it by default, and there
-        at the latest [m].
-    paper : bool
-        Whether to take the diffusion form of the paper in any case.
-
-    Returns
-    -------
-    ndarray of complex, shape (m, n)
-        With the phase counted from where the water begins.
-
-    Notes
-    -----
     Eq. (29) of Ricci et al. 2010, as rebuilt, with the whole phase function of the
     water, within some percent of photons; water whose stated moments no phase function
     has by the diffusion form (46).
@@ -200,25 +179,7 @@ def model_behind_shots(
 def models_for(
     survey: Survey, directions: Floats, frequency: Floats, *, repeats: int
 ) -> list[Model] | None:
-    """Return the models that open water may be interpolated relative to.
-
-    Parameters
-    ----------
-    survey : Survey
-        Its water and instrument count.
-    directions : ndarray, shape (n, 2)
-        Azimuth and elevation of the shots, each direction once [rad].
-    frequency : ndarray, shape (m,)
-        Modulation frequencies [Hz].
-    repeats : int
-        Shots in each direction.
-
-    Returns
-    -------
-    list of callable or None
-        From directions and frequencies to a water signal, that of the survey as it
-        stands first; None where the signal itself is interpolated.
-    """
+    """Return the models that open water may be interpolated relative to."""
     if len(directions) < 2 or survey.scan.moves == "both":
         return None
     try:
@@ -295,24 +256,7 @@ def _left_out(
 def open_water(
     survey: Survey, places: Floats, frequency: Floats, *, paper: bool = False
 ) -> Complex:
-    """Return the open water of a survey with the delay before the water.
-
-    Parameters
-    ----------
-    survey : Survey
-        Its water and instrument count.
-    places : ndarray, shape (n, 2)
-        Azimuth and elevation [rad].
-    frequency : ndarray, shape (m,)
-        Modulation frequencies [Hz].
-    paper : bool
-        Whether by the diffusion form of the paper.
-
-    Returns
-    -------
-    ndarray of complex, shape (m, n)
-        Water signal, in any unit.
-    """
+    """Return the open water of a survey with the delay before the water."""
     water = water_properties(survey)
     where = view(survey, *places.T, medium=medium(survey, water))
     response = water_signal(

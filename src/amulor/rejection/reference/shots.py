@@ -127,33 +127,6 @@ def fit_channel(
 ) -> Reference:
     """Fit the open-water shots of one channel and evaluate the fit at the pixels.
 
-    Parameters
-    ----------
-    shots : ndarray of complex, shape (n,)
-        Samples without a target [V].
-    instrument : Covariance
-        Their stated errors.
-    shot_direction : ndarray, shape (n, 2)
-        Azimuth and elevation of the shots; all equal if they are not known [rad].
-    pixel_direction : ndarray, shape (m, 2)
-        Azimuth and elevation of the pixels [rad].
-    shape : Shape, optional
-        How a model of the water varies over shots and pixels.
-    surface : Surface, optional
-        The polynomial through these shots, if it is known.
-
-    Returns
-    -------
-    Reference
-        Arrays over the m pixels.
-
-    Raises
-    ------
-    ValueError
-        If there are fewer than `FEWEST_SHOTS`.
-
-    Notes
-    -----
     Least squares of a polynomial, one degree above the lowest whose misfit, against
     the scatter of repeated shots, passes an F test: a misfit that the test does not
     see is as large as the error itself, and the next degree takes most of it. What
@@ -545,23 +518,7 @@ Scatter = tuple[Floats, Floats, Floats, Floats]
 def scatter_of(
     shots: Complex, instrument: Covariance, places: Places
 ) -> tuple[Scatter, Scatter]:
-    """Return how the shots of each direction scatter along their mean and across it.
-
-    Parameters
-    ----------
-    shots : ndarray of complex, shape (n,)
-        Samples without a target, of one channel [V].
-    instrument : Covariance
-        Their stated errors.
-    places : Places
-        Their directions.
-
-    Returns
-    -------
-    tuple of two tuples
-        Variance about the mean, stated variance, squared mean and degrees of freedom of
-        the directions that were repeated, radial and tangential.
-    """
+    """Return how the shots of each direction scatter along their mean and across it."""
     mean = places.mean_of(shots)
     size = np.abs(mean)
     turn = np.exp(1j * np.angle(mean))
@@ -583,18 +540,6 @@ def scatter_of(
 def noise_scale(scatters: list[Scatter]) -> float:
     r"""Return by which factor the noise of shots exceeds what is stated.
 
-    Parameters
-    ----------
-    scatters : list of Scatter
-        From `scatter_of`, of all channels and frequencies.
-
-    Returns
-    -------
-    float
-        At least 1; 1 where chance or a fluctuation of the water explains the excess.
-
-    Notes
-    -----
     Shots of a direction scatter by :math:`s^2 u^2 + r\,|W|^2`: noise, which is stated
     as u, and a fluctuation of the water in proportion to its signal W, one r for each
     channel along W and across it. Where directions or channels differ in |W|, the two

@@ -71,18 +71,7 @@ class Places:
 
 
 def places_of(direction: Floats) -> Places:
-    """Return the places of shots; channels of a cube share them.
-
-    Parameters
-    ----------
-    direction : ndarray, shape (n, 2)
-        Azimuth and elevation [rad].
-
-    Returns
-    -------
-    Places
-        Directions within a billionth of the span count as one.
-    """
+    """Return the places of shots; channels of a cube share them."""
     return _remembered(np.ascontiguousarray(direction).tobytes())
 
 
@@ -116,20 +105,7 @@ def _remembered(directions: bytes) -> Places:
 
 
 def design_of(where: Floats, powers: NDArray[np.intp]) -> Floats:
-    """Return the monomials of directions.
-
-    Parameters
-    ----------
-    where : ndarray, shape (n, 2)
-        Directions on -1 to 1 [1].
-    powers : ndarray of int, shape (terms, 2)
-        Exponents.
-
-    Returns
-    -------
-    ndarray, shape (n, terms)
-        Products of powers [1].
-    """
+    """Return the monomials of directions."""
     # Powers by repeated products: a general power costs ten times as much.
     tables = []
     for axis, highest in zip(where.T, powers.max(axis=0), strict=True):
@@ -171,20 +147,7 @@ def relative_fluctuation(
 
 
 def fluctuation(relative: NDArray[np.float64], level: Complex) -> Covariance:
-    """Turn a relative covariance into one of the outputs at a given water signal.
-
-    Parameters
-    ----------
-    relative : ndarray, shape (2, 2)
-        Covariance of radial and tangential changes per squared signal [1].
-    level : ndarray of complex
-        Water signal [V].
-
-    Returns
-    -------
-    Covariance
-        Arrays of the shape of the signal.
-    """
+    """Turn a relative covariance into one of the outputs at a given water signal."""
     a, b = level.real, level.imag
     radial, crossed, tangential = relative[0, 0], relative[0, 1], relative[1, 1]
     return Covariance(
@@ -207,24 +170,7 @@ _SURE = 5.0
 def logarithms(
     shots: Complex, variance: Floats, group: NDArray[np.intp]
 ) -> tuple[Complex, complex] | None:
-    r"""Return logarithms of the means over directions, and what they are relative to.
-
-    Parameters
-    ----------
-    shots : ndarray of complex, shape (n,)
-        Samples without a target [V].
-    variance : ndarray, shape (n,)
-        Variance of each, in phase and quadrature together [V^2].
-    group : ndarray of int, shape (n,)
-        Number of the direction that each shot has, from 0 on.
-
-    Returns
-    -------
-    tuple of ndarray and complex, or None
-        :math:`\ln (S_g / S_0)` for each direction [1], and :math:`S_0` [V]; None where
-        a mean does not stand clear of its error, so that it has no logarithm, or the
-        phase turns by more than a right angle over the scan.
-    """
+    r"""Logarithms of the means over directions, and what they are relative to."""
     count = np.bincount(group)
     mean = (
         np.bincount(group, shots.real) + 1j * np.bincount(group, shots.imag)
@@ -245,22 +191,6 @@ def logarithms(
 def disagreement(signal: Complex, logarithm: Complex, middle: complex) -> Complex:
     r"""Return how far two smooth surfaces through the same shots lie apart.
 
-    Parameters
-    ----------
-    signal : ndarray of complex
-        Polynomial at the pixels [V].
-    logarithm : ndarray of complex
-        Polynomial of the same degree, fitted to the logarithms, at the pixels [1].
-    middle : complex
-        What the logarithms are relative to [V].
-
-    Returns
-    -------
-    ndarray of complex
-        Difference :math:`S_0 e^{q} - p`, up to three times [V].
-
-    Notes
-    -----
     What a receiver with a Gaussian field of view sees falls off as a Gaussian of the
     direction, whose logarithm is a polynomial of the second degree, and which is none
     itself. Where the shots are dense enough both surfaces agree; where three rows
@@ -316,27 +246,7 @@ def surface_of(
     noise: Covariance,
     model: Complex | None = None,
 ) -> Surface:
-    """Fit the shots of one channel.
-
-    Parameters
-    ----------
-    shots : ndarray of complex, shape (n,)
-        Samples without a target [V].
-    instrument : Covariance
-        Their stated errors.
-    places : Places
-        Their directions.
-    noise : Covariance
-        How they scatter about the means of their directions, from `noise_of`.
-    model : ndarray of complex, shape (n,), optional
-        Water signal of a model, in any unit, nowhere zero: the polynomial stands for
-        the ratio to it.
-
-    Returns
-    -------
-    Surface
-        Of the degree that `amulor.rejection.reference.shots.fit` explains.
-    """
+    """Fit the shots of one channel."""
     ratio = shots if model is None else shots / model
     power: Floats = np.ones(len(shots)) if model is None else np.abs(model) ** 2
     weight = np.ones(len(shots))
@@ -386,23 +296,7 @@ def surface_of(
 
 
 def noise_of(shots: Complex, instrument: Covariance, places: Places) -> Covariance:
-    """Return how shots scatter about the means of their directions.
-
-    Parameters
-    ----------
-    shots : ndarray of complex, shape (n,)
-        Samples without a target [V].
-    instrument : Covariance
-        Their stated errors.
-    places : Places
-        Their directions.
-
-    Returns
-    -------
-    Covariance
-        Stated errors and a fluctuation in proportion to the signal; the stated errors
-        alone where no direction was repeated [V^2].
-    """
+    """Return how shots scatter about the means of their directions."""
     mean = places.mean_of(shots)[places.group]
     relative = relative_fluctuation(
         shots, mean, instrument, freedom=len(shots) - len(places.size)
@@ -486,29 +380,7 @@ def noiseless(
     model: tuple[Complex, Complex] | None = None,
     degrees: list[int] | None = None,
 ) -> Complex:
-    """Return what a polynomial makes of shots without noise.
-
-    Parameters
-    ----------
-    signal : ndarray of complex, shape (k, n)
-        Water signals at directions that are all different [V].
-    repeats : int
-        Shots in each direction.
-    shot_direction : ndarray, shape (n, 2)
-        Azimuth and elevation of the shots [rad].
-    pixel_direction : ndarray, shape (m, 2)
-        Azimuth and elevation of the pixels [rad].
-    model : tuple of ndarray, shapes (k, n) and (k, m), optional
-        A model at shots and pixels, nowhere zero: the polynomial stands for the ratio.
-    degrees : list of int, optional
-        Degree of the polynomial for each signal; the highest that the shots allow if
-        that is lower, and by default.
-
-    Returns
-    -------
-    ndarray of complex, shape (k, m)
-        The water signals at the pixels [V].
-    """
+    """Return what a polynomial makes of shots without noise."""
     scaled = places_of(shot_direction).scaled(pixel_direction)
     found = np.empty((len(signal), len(pixel_direction)), dtype=complex)
     for k, own in enumerate(signal):
@@ -530,27 +402,7 @@ def missed(
     model: Complex | None = None,
     degrees: list[int] | None = None,
 ) -> Floats:
-    """Return how far such a polynomial is off the directions that it leaves out.
-
-    Parameters
-    ----------
-    signal : ndarray of complex, shape (k, n)
-        Water signals without noise at directions that are all different [V].
-    repeats : int
-        Shots in each direction.
-    direction : ndarray, shape (n, 2)
-        Azimuth and elevation [rad].
-    model : ndarray of complex, shape (k, n), optional
-        A model, nowhere zero: the polynomial stands for the ratio to it.
-    degrees : list of int, optional
-        As for `noiseless`.
-
-    Returns
-    -------
-    ndarray, shape (k, n)
-        Misses, of a lower degree where that has as many coefficients as there are
-        directions; 0 for a single direction [V].
-    """
+    """Return how far such a polynomial is off the directions that it leaves out."""
     if len(direction) == 1:
         return np.zeros(signal.shape)
     off = np.empty(signal.shape)
@@ -577,26 +429,7 @@ def expected_degrees(
     *,
     model: Complex | None = None,
 ) -> list[int]:
-    """Return the degree of the polynomial that a fit of such shots would choose.
-
-    Parameters
-    ----------
-    signal : ndarray of complex, shape (k, n)
-        Water signals without noise at directions that are all different [V].
-    error : ndarray, shape (k, n)
-        How much single shots scatter [V].
-    repeats : int
-        Shots in each direction.
-    direction : ndarray, shape (n, 2)
-        Azimuth and elevation [rad].
-    model : ndarray of complex, shape (k, n), optional
-        As for `missed`.
-
-    Returns
-    -------
-    list of int
-        One above the lowest whose misfit the F test is expected not to see.
-    """
+    """Return the degree of the polynomial that a fit of such shots would choose."""
     from scipy.special import fdtri
 
     count = len(direction)

@@ -79,29 +79,6 @@ def change(
 ) -> Change:
     r"""Compare two visits to a site.
 
-    Parameters
-    ----------
-    site : Site
-        Its `comparison` says how.
-    registration : Registration
-        Poses and shared errors with their covariance.
-    surfaces : mapping of str to ScanSurface
-        By scan.
-    cloud : Merged
-        All scans.
-    epochs : tuple of str, optional
-        Names of an earlier and a later visit; the first and the last by default.
-
-    Returns
-    -------
-    Change
-        On points that are about `spacing` apart.
-
-    Raises
-    ------
-    CubeError
-        If an epoch has no scans, or both see nothing together.
-
     Notes
     -----
     M3C2 [1]_, with patches of second degree instead of means: through the points of
@@ -388,18 +365,7 @@ class Region:
 
 
 def regions(change: Change) -> tuple[Region, ...]:
-    """Return the places of a comparison that changed, the largest area first.
-
-    Parameters
-    ----------
-    change : Change
-        With its significant points.
-
-    Returns
-    -------
-    tuple of Region
-        Points that stand together. A few single ones are what chance leaves.
-    """
+    """Return the places of a comparison that changed, the largest area first."""
     at = np.flatnonzero(change.significant)
     if len(at) < _FEWEST_POINTS:
         return ()
@@ -417,21 +383,7 @@ def regions(change: Change) -> tuple[Region, ...]:
 
 
 def region_of(change: Change, members: NDArray[np.intp]) -> Region:
-    """Return area, change and volume of some points of a comparison.
-
-    Parameters
-    ----------
-    change : Change
-        The comparison.
-    members : ndarray of int
-        Numbers of its points; those without a change are left out.
-
-    Returns
-    -------
-    Region
-        With the errors that they share, and with noise that cylinders of neighbours
-        share, as many as overlap.
-    """
+    """Return area, change and volume of some points of a comparison."""
     members = members[np.isfinite(change.value[members])]
     place, area = change.position[members], change.area[members]
     value = change.value[members]
@@ -462,22 +414,7 @@ def region_of(change: Change, members: NDArray[np.intp]) -> Region:
 
 
 def write_change(change: Change, path: str | Path, *, overwrite: bool = False) -> None:
-    """Write a comparison as CSV, a row for each place where both epochs were seen.
-
-    Parameters
-    ----------
-    change : Change
-        The comparison.
-    path : str or pathlib.Path
-        File to make.
-    overwrite : bool
-        Whether an existing file is replaced.
-
-    Raises
-    ------
-    FormatError
-        If the file exists and `overwrite` is not set, or cannot be written.
-    """
+    """Write a comparison as CSV, a row for each place where both epochs were seen."""
     kept = np.isfinite(change.value)
     columns = [
         *(change.position[kept].T),

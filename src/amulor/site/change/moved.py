@@ -70,28 +70,6 @@ def motion_of(
 ) -> Motion | None:
     """Return how the object at a place moved.
 
-    Parameters
-    ----------
-    site : Site
-        Its scans.
-    registration : Registration
-        Poses with their covariance.
-    surfaces : mapping of str to ScanSurface
-        By scan.
-    epochs : tuple of str
-        Earlier and later visit.
-    centre : ndarray, shape (3,)
-        About the middle of the object [m].
-    reach : float
-        Distance within which it lies [m].
-
-    Returns
-    -------
-    Motion or None
-        None if too little stands above the ground there, or was seen in either visit.
-
-    Notes
-    -----
     The object is what stands above the ground around it, a plane through the surfaces
     from its reach to one and a half of it. Its points in the second epoch are fitted to
     its surface in the first, as scans are to each other.

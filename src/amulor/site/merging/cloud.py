@@ -35,27 +35,7 @@ def seen_by_others(
     point: Floats,
     sigma: Floats,
 ) -> tuple[Counts, Counts]:
-    """Return how many other scans confirm points of a scan, and see through them.
-
-    Parameters
-    ----------
-    name : str
-        The scan that the points are of.
-    surfaces : mapping of str to ScanSurface
-        Scans of one epoch.
-    poses : mapping of str to ScanPose
-        Their poses.
-    point : ndarray, shape (n, 3)
-        Points in the site [m].
-    sigma : ndarray, shape (n,)
-        Largest standard uncertainty of each, poses included [m].
-
-    Returns
-    -------
-    confirmed, through : ndarray of int, shape (n,)
-        Numbers of scans. Only beams that meet a smooth patch count, so that nothing is
-        said at edges; one that ends before the point is hidden from it.
-    """
+    """Return how many other scans confirm points of a scan, and see through them."""
     confirmed = np.zeros(len(point), dtype=np.int16)
     through = np.zeros(len(point), dtype=np.int16)
     for other, surface in surfaces.items():
@@ -136,20 +116,7 @@ class Merged:
 
 
 def corrected(surface: ScanSurface, errors: Mapping[str, float]) -> Floats:
-    """Return the points of a scan less its shared errors as they are estimated.
-
-    Parameters
-    ----------
-    surface : ScanSurface
-        The scan.
-    errors : mapping of str to float
-        Shared errors, in standard deviations.
-
-    Returns
-    -------
-    ndarray, shape (row, column, 3)
-        In the axes of the instrument [m].
-    """
+    """Return the points of a scan less its shared errors as they are estimated."""
     known = np.array([errors.get(key, 0.0) for key in surface.shared.keys])
     off = np.tensordot(known, surface.shared.shapes, axes=1)
     distance = surface.distance - off
@@ -164,24 +131,7 @@ def unknowns_of(scan: str, surface: ScanSurface) -> tuple[str, ...]:
 def by_unknowns(
     surface: ScanSurface, pose: ScanPose, position: Floats, pixel: NDArray[np.intp]
 ) -> Floats:
-    """Return how points move with the pose and the shared errors of their scan.
-
-    Parameters
-    ----------
-    surface : ScanSurface
-        The scan.
-    pose : ScanPose
-        Where it stands.
-    position : ndarray, shape (n, 3)
-        Points in the site [m].
-    pixel : ndarray of int, shape (n,)
-        Their pixels.
-
-    Returns
-    -------
-    ndarray, shape (n, 3, 6 + k)
-        In the order of `unknowns_of`.
-    """
+    """Return how points move with the pose and the shared errors of their scan."""
     arm = position - pose.position
     beam = pose.turn(surface.direction.reshape(-1, 3)[pixel])
     shapes = surface.shared.shapes.reshape(len(surface.shared.keys), -1)[:, pixel]
@@ -203,22 +153,6 @@ def merge(
 ) -> Merged:
     r"""Merge all scans of a site.
 
-    Parameters
-    ----------
-    site : Site
-        Its scans, in this order.
-    registration : Registration
-        Poses and shared errors with their covariance.
-    surfaces, images : mapping
-        As of `amulor.site.registration.register.surfaces_of`.
-
-    Returns
-    -------
-    Merged
-        All usable points.
-
-    Notes
-    -----
     :math:`C_i = \sigma_i^2 d d^T + J_i \Sigma J_i^T` with the beam d, the pixel's own
     noise and the derivatives J by pose and shared errors, whose covariance
     :math:`\Sigma` is that of the registration, so that what the scans told each other
@@ -311,22 +245,7 @@ def _shares(
 def scan_clouds(
     cloud: Merged, registration: Registration, images: dict[str, xr.Dataset]
 ) -> list[xr.Dataset]:
-    """Return one point cloud for each scan, with its pose and its uncertainties.
-
-    Parameters
-    ----------
-    cloud : Merged
-        For places and uncertainties.
-    registration : Registration
-        For the poses.
-    images : dict of str to xarray.Dataset
-        Range images by scan.
-
-    Returns
-    -------
-    list of xarray.Dataset
-        Level `point_cloud`, in the order of the site file.
-    """
+    """Return one point cloud for each scan, with its pose and its uncertainties."""
     frame = cloud.site.frame
     clouds = []
     for number, scan in enumerate(cloud.site.scan):

@@ -45,33 +45,6 @@ def write_tiles(
 ) -> list[Path]:
     """Write a merged cloud as square LAZ tiles.
 
-    Parameters
-    ----------
-    cloud : Merged
-        The cloud.
-    folder : str or pathlib.Path
-        Folder to make or to fill.
-    size : float
-        Side of a tile, east and north [m].
-    epoch : str, optional
-        Visit to write; all by default.
-    overwrite : bool
-        Whether existing files are replaced.
-
-    Returns
-    -------
-    list of pathlib.Path
-        The tiles; `tiles.json` beside them says what is where.
-
-    Raises
-    ------
-    FormatError
-        If a file exists, or the site is too wide for the format.
-    MissingExtraError
-        If laspy is not installed.
-
-    Notes
-    -----
     LAS 1.4, point format 6, steps of 1e-5 m from one offset, the same for all tiles and
     epochs: that of the site's reference system, or whole metres near its middle.
     Millimetres are kept at coordinates in the millions, and two tiles can be

@@ -77,31 +77,7 @@ def align(
     voxel: float | None = None,
     guess: Mapping[str, ScanPose] | None = None,
 ) -> Alignment:
-    """Align all scans of a site.
-
-    Parameters
-    ----------
-    surfaces : mapping of str to ScanSurface
-        Scans by name.
-    ties : Ties
-        Start poses, targets, control points, scale bars.
-    overlap : float
-        Part of the pixels that two scans must share to be compared [1].
-    voxel : float, optional
-        Spacing of the points of the rough alignment; twice that of the pixels [m].
-    guess : mapping of str to ScanPose, optional
-        Poses to begin with where there is no start pose, as from targets.
-
-    Returns
-    -------
-    Alignment
-        Poses with a covariance.
-
-    Raises
-    ------
-    CubeError
-        If a scan has no pose to begin with, or nothing ties it to another.
-    """
+    """Align all scans of a site."""
     poses = _begin(surfaces, ties, voxel=voxel, guess=guess or {})
     names = list(surfaces)
     start = dict(ties.start)

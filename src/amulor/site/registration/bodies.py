@@ -16,20 +16,7 @@ _HELD = 6.0
 
 
 def mean_lever(lever: Floats, weight: Floats) -> float:
-    """Return how far points stand from a place, as a root mean square.
-
-    Parameters
-    ----------
-    lever : ndarray, shape (n, 3)
-        Points less the place [m].
-    weight : ndarray, shape (n,)
-        Of the points.
-
-    Returns
-    -------
-    float
-        Distance [m].
-    """
+    """Return how far points stand from a place, as a root mean square."""
     return float(np.sqrt(np.average((lever**2).sum(axis=1), weights=weight + 1e-300)))
 
 
@@ -38,24 +25,6 @@ def held_directions(
 ) -> tuple[Floats, tuple[Floats, ...]]:
     """Return a projection on what surfaces hold, and the directions they do not.
 
-    Parameters
-    ----------
-    matrix : ndarray, shape (6, 6)
-        Sum of the products of derivatives by shift and turn, weighted.
-    unsure : float
-        What noise of normals puts into such a sum, turns counted at `length` [1/m^2].
-    length : float
-        Mean distance of the points from where the turn is about [m].
-
-    Returns
-    -------
-    projection : ndarray, shape (6, 6)
-        To be multiplied with derivatives from the right.
-    loose : tuple of ndarray
-        Directions (shift [m], turn [rad]).
-
-    Notes
-    -----
     Noise of normals in both scans makes products whose mean is zero; a direction is
     held if its sum stands out of their scatter.
     """
@@ -126,24 +95,6 @@ def moved_bodies(
 ) -> Flags:
     r"""Return the points of bodies that moved against all else in the pair.
 
-    Parameters
-    ----------
-    points : Points
-        All that met a patch.
-    weight : ndarray, shape (n,)
-        One over the variance, 0 for what is not seen well [1/m^2].
-    kept : ndarray of bool, shape (n,)
-        Points that count so far: none that stands off by itself or with neighbours.
-    misfit : float
-        Scatter of the distances over what is stated [1].
-
-    Returns
-    -------
-    ndarray of bool, shape (n,)
-        Whole bodies: what hangs together in the scan. The largest is never among them.
-
-    Notes
-    -----
     The part of a body that stands off least passes for noise, pulls the scans along,
     and hides the motion; so a body counts as a whole. It moved if much of it stands
     off, or else by a test: with the sums :math:`g = Z^T W e` and :math:`N = Z^T W X` of
@@ -270,22 +221,7 @@ class Counted:
 
 
 def counted(points: Points, good: Flags, gate: float | None) -> Counted:
-    """Return weights without points of other surfaces, and the scatter over noise.
-
-    Parameters
-    ----------
-    points : Points
-        All that met a patch.
-    good : ndarray of bool, shape (n,)
-        Those seen well enough from both places.
-    gate : float or None
-        None where distances are as small as their noise, and tell of what moved.
-
-    Returns
-    -------
-    Counted
-        Weights, scatter, and what moved.
-    """
+    """Return weights without points of other surfaces, and the scatter over noise."""
     sigma = np.sqrt(points.variance.sum(axis=0))
     score = points.distance / sigma
     middle = np.median(score[good])

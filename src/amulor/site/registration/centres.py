@@ -37,31 +37,6 @@ def centre_of(
 ) -> tuple[Centre, Flags]:
     """Return the centre of a target in a scan, and the pixels that lie on it.
 
-    Parameters
-    ----------
-    target : SphereTarget, DiscTarget, CheckerboardTarget or PointTarget
-        What it is.
-    surface : ScanSurface
-        The scan.
-    image : xarray.Dataset
-        Its range image; a checkerboard is told by its intensity.
-    row, column : int
-        A pixel near the middle of the target.
-
-    Returns
-    -------
-    centre : Centre
-        In the axes of the instrument, with its noise and what shared errors do to it.
-    pixels : ndarray of bool, shape (row, column)
-        On the target.
-
-    Raises
-    ------
-    CubeError
-        If too few pixels lie on it, or they do not settle it.
-
-    Notes
-    -----
     Ranges are compared along their beams with those of the shape, so that noise does
     not pull a sphere towards the instrument. The uncertainty of a radius moves the
     centre along the line of sight, and is one error for all scans that see the target.

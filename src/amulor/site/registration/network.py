@@ -178,26 +178,7 @@ def step(
     *,
     steady: bool = False,
 ) -> Step:
-    """Return better estimates.
-
-    Parameters
-    ----------
-    state : State
-        Estimates so far.
-    pairs : sequence of Pair
-        Comparisons of scans at these estimates.
-    ties : Ties
-        What else is known.
-    trust : sequence of float
-        Weight of each pair, 1 unless it disagrees with the others [1].
-    steady : bool
-        Whether plain least squares are wanted, as far from the end.
-
-    Returns
-    -------
-    Step
-        Estimates after it.
-    """
+    """Return better estimates."""
     layout = Layout(state, ties.fixed)
     system = _system(state, pairs, ties, trust, layout, steady=steady)
     change = -np.asarray(system.factor().solve(system.gradient))  # type: ignore[attr-defined]
@@ -229,22 +210,6 @@ def covariance(
 ) -> tuple[Floats, Layout]:
     r"""Return the covariance of all estimates.
 
-    Parameters
-    ----------
-    state, pairs, ties, trust
-        As of the last `step`.
-    surfaces : mapping of str to ScanSurface
-        For the noise of their pixels.
-
-    Returns
-    -------
-    covariance : ndarray
-        Of all unknowns.
-    layout : Layout
-        Which stands where.
-
-    Notes
-    -----
     :math:`A^{-1} B A^{-T}` with the derivative A of the gradient and its variance B.
     The noise of each pixel is followed into the gradient, through every point, patch
     and pair that it takes part in, so that what neighbours share is not averaged away.
@@ -396,24 +361,7 @@ def _of_noise(
 def innovation(
     pair: Pair, state: State, surfaces: Mapping[str, ScanSurface]
 ) -> tuple[Floats, Floats]:
-    """Return by how much a pair by itself would move its source, and the covariance.
-
-    Parameters
-    ----------
-    pair : Pair
-        The comparison.
-    state : State
-        Estimates from all pairs.
-    surfaces : mapping of str to ScanSurface
-        For the noise of their pixels.
-
-    Returns
-    -------
-    change : ndarray, shape (6,)
-        Shift at the pivot [m] and turn about it [rad], 0 in directions not held.
-    covariance : ndarray, shape (6, 6)
-        By noise alone.
-    """
+    """Return by how much a pair by itself would move its source, and the covariance."""
     x, z = (rows[:, :6] @ pair.held for rows in (pair.by_target, pair.by_source))
     weighted = z * pair.weight[:, None]
     back = np.linalg.pinv(weighted.T @ x, rcond=1e-10)

@@ -89,26 +89,6 @@ def compared(
 ) -> Pair | None:
     r"""Compare the points of one scan with the patches of another.
 
-    Parameters
-    ----------
-    source, target : ScanSurface
-        The scans.
-    poses : tuple of ScanPose
-        Their poses so far.
-    gate : float or None
-        Larger distances are left out [m]; None for four standard errors.
-    errors : dict of str to float
-        Shared errors as they are estimated so far, in standard deviations.
-    tree : scipy.spatial.cKDTree, optional
-        Of the smooth points of the target, from `tree_of`.
-
-    Returns
-    -------
-    Pair or None
-        None if hardly any point of the source lies on the target.
-
-    Notes
-    -----
     A point p of the source lies on a beam of the target, between its pixels; there the
     patch has the range :math:`\hat\rho`, and the distance is :math:`e = \rho_p -
     \hat\rho`, with the gradient :math:`n / (n \cdot d)`. The pixel's range and the
@@ -217,18 +197,7 @@ def compared(
 
 
 def tree_of(surface: ScanSurface) -> cKDTree:
-    """Return the smooth points of a scan, to be looked up by place.
-
-    Parameters
-    ----------
-    surface : ScanSurface
-        The scan.
-
-    Returns
-    -------
-    scipy.spatial.cKDTree
-        In the order of their pixels.
-    """
+    """Return the smooth points of a scan, to be looked up by place."""
     return cKDTree(surface.position[surface.smooth])
 
 

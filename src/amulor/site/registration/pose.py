@@ -55,37 +55,13 @@ class ScanPose:
 
 
 def start_pose(start: StartPose) -> ScanPose:
-    """Return a stated start pose.
-
-    Parameters
-    ----------
-    start : StartPose
-        Heading, pitch and roll.
-
-    Returns
-    -------
-    ScanPose
-        The same as a matrix.
-    """
+    """Return a stated start pose."""
     frame = frame_of(xr.Dataset(), axes="pose", pose=start.as_pose())
     return ScanPose(frame.rotation, frame.position)
 
 
 def start_covariance(start: StartPose, pose: ScanPose) -> Floats:
-    """Return the covariance of a stated start pose.
-
-    Parameters
-    ----------
-    start : StartPose
-        With its uncertainties.
-    pose : ScanPose
-        The same as a matrix.
-
-    Returns
-    -------
-    ndarray, shape (6, 6)
-        Of east, north, up [m^2] and of the turns about these axes [rad^2].
-    """
+    """Return the covariance of a stated start pose."""
     covariance = np.zeros((6, 6))
     covariance[:3, :3] = start.position_uncertainty**2 * np.eye(3)
     heading = np.array([0.0, 0.0, 1.0])
@@ -107,18 +83,7 @@ def best_pose(from_points: Floats, to_points: Floats) -> ScanPose:
 
 
 def cross_matrix(vectors: Floats) -> Floats:
-    """Return the matrices that take the cross product with vectors from the left.
-
-    Parameters
-    ----------
-    vectors : ndarray, shape (..., 3)
-        The left factors.
-
-    Returns
-    -------
-    ndarray, shape (..., 3, 3)
-        Skew matrices.
-    """
+    """Return the matrices that take the cross product with vectors from the left."""
     zero = np.zeros(vectors.shape[:-1])
     x, y, z = np.moveaxis(vectors, -1, 0)
     return np.stack(
@@ -148,32 +113,6 @@ def aligned(
 ) -> ScanPose:
     """Return a pose that brings points onto others.
 
-    Parameters
-    ----------
-    points : ndarray, shape (n, 3)
-        Of the scan, in the axes of its instrument [m].
-    others : ndarray, shape (m, 3)
-        Of scans whose poses are known, in the site [m].
-    start : ScanPose
-        About where the instrument stood.
-    voxel : float
-        Spacing of the points that are compared at last; millimetres, not what is usual
-        for streets [m].
-    reach : float
-        How far points may be off at first [m].
-
-    Returns
-    -------
-    ScanPose
-        Good to a part of a voxel where the surfaces hold the scan.
-
-    Raises
-    ------
-    MissingExtraError
-        If small_gicp is not installed.
-
-    Notes
-    -----
     Planes to planes, from coarse voxels to fine ones. Its sum of squares
     is no information matrix (errors 40 to 85 times too small), so that nothing but the
     pose is taken from it.

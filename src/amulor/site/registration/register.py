@@ -43,20 +43,7 @@ _NO_BETTER = 0.5
 
 
 def surfaces_of(site: Site) -> tuple[dict[str, ScanSurface], dict[str, xr.Dataset]]:
-    """Return the surfaces and the range images of all scans of a site.
-
-    Parameters
-    ----------
-    site : Site
-        With whole paths of files.
-
-    Returns
-    -------
-    surfaces : dict of str to ScanSurface
-        By scan.
-    images : dict of str to xarray.Dataset
-        By scan.
-    """
+    """Return the surfaces and the range images of all scans of a site."""
     surfaces, images = {}, {}
     for number, scan in enumerate(site.scan):
         tell(f"reading {scan.name}", number / len(site.scan))
@@ -66,22 +53,7 @@ def surfaces_of(site: Site) -> tuple[dict[str, ScanSurface], dict[str, xr.Datase
 
 
 def surface_of(site: Site, scan: SiteScan, image: xr.Dataset) -> ScanSurface:
-    """Return the surface of one scan of a site.
-
-    Parameters
-    ----------
-    site : Site
-        Its settings count.
-    scan : SiteScan
-        The scan.
-    image : xarray.Dataset
-        Its range image.
-
-    Returns
-    -------
-    ScanSurface
-        With the errors that it shares with others.
-    """
+    """Return the surface of one scan of a site."""
     water = str(scan.water or _water_in(image) or scan.name)
     shared = shared_errors(
         image,
@@ -115,25 +87,7 @@ def register(
     surfaces: Mapping[str, ScanSurface] | None = None,
     images: Mapping[str, xr.Dataset] | None = None,
 ) -> Registration:
-    """Bring all scans of a site into one frame.
-
-    Parameters
-    ----------
-    site : Site
-        With whole paths of files.
-    surfaces, images : mapping, optional
-        As of `surfaces_of`, to read files once.
-
-    Returns
-    -------
-    Registration
-        Poses with the covariance of all, and what disagrees or is weak.
-
-    Raises
-    ------
-    CubeError
-        If a scan cannot be placed, or a target is not found.
-    """
+    """Bring all scans of a site into one frame."""
     if surfaces is None or images is None:
         with part(0.0, 0.3):
             surfaces, images = surfaces_of(site)

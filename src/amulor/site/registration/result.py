@@ -62,18 +62,7 @@ class Registration:
     """Scan whose axes are those of the site, where nothing ties it to the world."""
 
     def covariance_of(self, *names: str) -> Floats:
-        """Return the covariance of some unknowns, as named in `places`.
-
-        Parameters
-        ----------
-        *names : str
-            Such as "pose left" or "error delay: instrument"; what is fixed has zeros.
-
-        Returns
-        -------
-        ndarray
-            Six rows for a pose, three for a point, one for an error.
-        """
+        """Return the covariance of some unknowns, as named in `places`."""
         width = {"pose": 6, "point": 3, "error": 1}
         at = np.concatenate(
             [
@@ -90,20 +79,7 @@ class Registration:
 
 
 def relative_covariance(result: Registration, name: str, other: str) -> Floats:
-    """Return the covariance of a pose against that of another scan.
-
-    Parameters
-    ----------
-    result : Registration
-        Poses of both.
-    name, other : str
-        The scan, and the one that counts as known.
-
-    Returns
-    -------
-    ndarray, shape (6, 6)
-        Of shift and turn, without what both have in common.
-    """
+    """Return the covariance of a pose against that of another scan."""
     both = result.covariance_of(f"pose {name}", f"pose {other}")
     arm = result.poses[name].position - result.poses[other].position
     carried = np.eye(6)
@@ -115,22 +91,7 @@ def relative_covariance(result: Registration, name: str, other: str) -> Floats:
 def write_registration(
     result: Registration, path: str | Path, *, overwrite: bool = False
 ) -> None:
-    """Write a registration as JSON.
-
-    Parameters
-    ----------
-    result : Registration
-        What `register` returned.
-    path : str or pathlib.Path
-        File to make.
-    overwrite : bool
-        Whether an existing file is replaced.
-
-    Raises
-    ------
-    FormatError
-        If the file exists and `overwrite` is not set, or cannot be written.
-    """
+    """Write a registration as JSON."""
     content = {
         "kind": KIND,
         "software": f"amulor {provenance.software_versions()['amulor']}",
@@ -165,23 +126,7 @@ def write_registration(
 
 
 def read_registration(path: str | Path) -> Registration:
-    """Read the registration of a site.
-
-    Parameters
-    ----------
-    path : str or pathlib.Path
-        A file of `write_registration`.
-
-    Returns
-    -------
-    Registration
-        The same.
-
-    Raises
-    ------
-    FormatError
-        If it is none.
-    """
+    """Read the registration of a site."""
     try:
         content = json.loads(Path(path).read_text("utf-8"))
     except OSError as error:

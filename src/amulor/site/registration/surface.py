@@ -44,22 +44,6 @@ def shared_errors(
 ) -> Shared:
     r"""Return the errors that the pixels of a scan share.
 
-    Parameters
-    ----------
-    image : xarray.Dataset
-        Level `range_image`.
-    scan, instrument, water : str
-        What delay and geometry (instrument), group index and late light (water) and all
-        the rest (scan) are shared by.
-
-    Returns
-    -------
-    Shared
-        The sum of the outer products of the shapes is the covariance of
-        `amulor.imaging.correlation.covariance` without what pixels have by themselves.
-
-    Notes
-    -----
     A cosine of the difference of two phases is :math:`\cos a \cos b + \sin a \sin b`,
     so the correlations of reference and water are sums of products of shapes: those of
     the polynomial of the reference times the two parts of each frequency. Principal
@@ -238,30 +222,6 @@ def scan_surface(
 ) -> ScanSurface:
     r"""Return the surface of a range image.
 
-    Parameters
-    ----------
-    image : xarray.Dataset
-        Level `range_image`. Mixed pixels and outliers are left out.
-    name : str
-        What messages call the scan.
-    shared : Shared
-        What its pixels share.
-    window : int
-        Pixels across a patch, odd [1].
-
-    Returns
-    -------
-    ScanSurface
-        With a polynomial of fourth degree through the inverse ranges of each window,
-        of second if it is three pixels wide.
-
-    Raises
-    ------
-    CubeError
-        If hardly any window is smooth.
-
-    Notes
-    -----
     The inverse range of a plane is linear in the direction of the beam, so patches have
     no error by the angle of incidence. Those of second degree (Savitzky and Golay)
     leave out how a bend changes, which neighbours share: 0.03 mm, a third of the noise

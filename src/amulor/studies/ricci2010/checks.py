@@ -14,14 +14,7 @@ Role = Literal["test", "set", "own"]
 
 @dataclass(frozen=True, kw_only=True)
 class Check:
-    """A statement and whether it holds.
-
-    Raises
-    ------
-    ValueError
-        If a statement of the paper does not say where it stands there, or one of ours
-        does.
-    """
+    """A statement and whether it holds."""
 
     statement: str
     """What is stated, in a sentence."""
@@ -48,13 +41,7 @@ class Check:
             )
 
     def plain(self) -> dict[str, Any]:
-        """Return the check for other programs.
-
-        Returns
-        -------
-        dict
-            Texts, a number and a truth value.
-        """
+        """Return the check for other programs."""
         return dict(vars(self))
 
 
@@ -70,32 +57,7 @@ def within(
     uncertainty: float | None = None,
     role: Role | None = None,
 ) -> Check:
-    """Return the check that a number lies between two others.
-
-    Parameters
-    ----------
-    statement : str
-        What is stated.
-    value : float
-        What was found; not-a-number does not pass.
-    low, high : float
-        What would do, each of them infinite where there is no limit.
-    place : str
-        Where the paper says it; empty for a check of ours.
-    unit : str
-        Unit of all of them.
-    digits : int
-        Significant digits to show.
-    uncertainty : float, optional
-        Standard error of what was found.
-    role : {"test", "set", "own"}, optional
-        Worth of the statement; by default a test, or our own without a place.
-
-    Returns
-    -------
-    Check
-        With its texts.
-    """
+    """Return the check that a number lies between two others."""
     space = f" {unit}" if unit else ""
 
     def text(number: float) -> str:
@@ -128,26 +90,7 @@ def holds(
     wanted: str,
     role: Role | None = None,
 ) -> Check:
-    """Return the check of a statement that is no single number.
-
-    Parameters
-    ----------
-    statement : str
-        What is stated.
-    truth : bool
-        Whether it holds.
-    place : str
-        Where the paper says it; empty for a check of ours.
-    found, wanted : str
-        What was found and what would do.
-    role : {"test", "set", "own"}, optional
-        Worth of the statement; by default a test, or our own without a place.
-
-    Returns
-    -------
-    Check
-        With these texts.
-    """
+    """Return the check of a statement that is no single number."""
     return Check(
         statement=statement,
         found=found,

@@ -39,18 +39,7 @@ class Parameter:
 
 
 def load() -> dict[str, Parameter]:
-    """Return all numbers of the study.
-
-    Returns
-    -------
-    dict of str to Parameter
-        In the order of the file.
-
-    Raises
-    ------
-    ValueError
-        If an entry does not say all it must, or its value is outside its range.
-    """
+    """Return all numbers of the study."""
     text = (resources.files("amulor.studies.ricci2010") / "parameters.toml").read_text(
         encoding="utf-8"
     )
@@ -58,45 +47,14 @@ def load() -> dict[str, Parameter]:
 
 
 def parse(text: str) -> dict[str, Parameter]:
-    """Return the numbers that a text states.
-
-    Parameters
-    ----------
-    text : str
-        TOML, one table for each number.
-
-    Returns
-    -------
-    dict of str to Parameter
-        In the order of the text.
-
-    Raises
-    ------
-    ValueError
-        If an entry does not say all it must, or its value is outside its range.
-    """
+    """Return the numbers that a text states."""
     return {name: _entry(name, entry) for name, entry in tomllib.loads(text).items()}
 
 
 def varied(
     parameters: Mapping[str, Parameter], name: str, value: float
 ) -> dict[str, Parameter]:
-    """Return the numbers with one of them changed.
-
-    Parameters
-    ----------
-    parameters : mapping of str to Parameter
-        All numbers.
-    name : str
-        Which one.
-    value : float
-        Its new value, in the unit of `amulor.units.SI_UNITS`.
-
-    Returns
-    -------
-    dict of str to Parameter
-        A copy.
-    """
+    """Return the numbers with one of them changed."""
     return {**parameters, name: replace(parameters[name], value=value)}
 
 

@@ -20,22 +20,7 @@ FOREWORD = (
 
 
 def write(path: Path, results: Results, *, overwrite: bool) -> None:
-    """Write figures, checks, dependences and numbers as one HTML file.
-
-    Parameters
-    ----------
-    path : pathlib.Path
-        File to write.
-    results : Results
-        What `reproduce.run` returns.
-    overwrite : bool
-        Whether a file that is there may be replaced.
-
-    Raises
-    ------
-    FormatError
-        If the file exists, or cannot be written.
-    """
+    """Write figures, checks, dependences and numbers as one HTML file."""
     every = [check for figure in results.figures for check in figure.checks]
     parts: list[Part] = [Paragraph(FOREWORD), Paragraph(tables.tally(every))]
     for figure in results.figures:

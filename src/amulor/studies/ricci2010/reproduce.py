@@ -34,35 +34,7 @@ def run(
     folder: Path | None = None,
     progress: Progress = lambda step, done: None,
 ) -> Results:
-    """Redraw figures of the paper and check what it says of them.
-
-    Parameters
-    ----------
-    numbers : sequence of int
-        Which figures, of `FIGURES`.
-    quick : bool
-        Whether to take fewer points, pixels and photons: for a first look.
-    depend : bool
-        Whether to vary every number over its range, to see which conclusions flip.
-    rng : int
-        Seed of all synthetic noise: figures draw theirs in any order, each by its own
-        name, so no generator can be shared.
-    scheduler, folder : str and pathlib.Path, optional
-        Cluster that varies the numbers, and where it leaves its files, as for
-        `sensitivity`.
-    progress : callable, optional
-        Called with a step and the fraction of the work done before it.
-
-    Returns
-    -------
-    Results
-        Figures, checks and dependences.
-
-    Raises
-    ------
-    ValueError
-        If the paper has no such figure, or it is a drawing.
-    """
+    """Redraw figures of the paper and check what it says of them."""
     wrong = sorted(set(numbers) - set(FIGURES))
     if wrong:
         raise ValueError(
@@ -92,27 +64,7 @@ def run(
 
 
 def write(folder: Path, results: Results, *, overwrite: bool = False) -> list[str]:
-    """Write figures as PNG and SVG, all numbers as JSON, and a report.
-
-    Parameters
-    ----------
-    folder : pathlib.Path
-        Where to; made if it is not there.
-    results : Results
-        What `run` returns.
-    overwrite : bool
-        Whether files that are there may be replaced.
-
-    Returns
-    -------
-    list of str
-        Names of the files.
-
-    Raises
-    ------
-    FormatError
-        If a file exists, or the folder cannot be written.
-    """
+    """Write figures as PNG and SVG, all numbers as JSON, and a report."""
     numbers = [figure.number for figure in results.figures]
     check_outputs(folder, numbers, overwrite=overwrite)
     for figure in results.figures:
@@ -133,40 +85,14 @@ def write(folder: Path, results: Results, *, overwrite: bool = False) -> list[st
 
 
 def check_outputs(folder: Path, numbers: Sequence[int], *, overwrite: bool) -> None:
-    """Refuse a folder into which the study cannot be written, before the work.
-
-    Parameters
-    ----------
-    folder : pathlib.Path
-        Where to; made if it is not there.
-    numbers : sequence of int
-        Which figures.
-    overwrite : bool
-        Whether files that are there may be replaced.
-
-    Raises
-    ------
-    FormatError
-        If a file exists, or the folder cannot be made.
-    """
+    """Refuse a folder into which the study cannot be written, before the work."""
     io.make_folder(folder)
     for name in output_names(numbers):
         io.check_output(folder / name, overwrite=overwrite)
 
 
 def output_names(numbers: Sequence[int]) -> list[str]:
-    """Return the names of all files that `write` writes.
-
-    Parameters
-    ----------
-    numbers : sequence of int
-        Which figures.
-
-    Returns
-    -------
-    list of str
-        Names in the folder.
-    """
+    """Return the names of all files that `write` writes."""
     pictures = [
         f"{stem_of(number)}.{kind}" for number in numbers for kind in ("png", "svg")
     ]
@@ -174,18 +100,7 @@ def output_names(numbers: Sequence[int]) -> list[str]:
 
 
 def stem_of(number: int) -> str:
-    """Return the name of a figure's files and of its code.
-
-    Parameters
-    ----------
-    number : int
-        Its number in the paper.
-
-    Returns
-    -------
-    str
-        Such as "figure_07".
-    """
+    """Return the name of a figure's files and of its code."""
     return f"figure_{number:02d}"
 
 

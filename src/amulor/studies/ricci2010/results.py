@@ -40,13 +40,7 @@ class Results:
     """All numbers of the study."""
 
     def plain(self) -> dict[str, Any]:
-        """Return all but the pictures for other programs.
-
-        Returns
-        -------
-        dict
-            Texts, numbers, lists.
-        """
+        """Return all but the pictures for other programs."""
         return {
             "figures": [
                 {

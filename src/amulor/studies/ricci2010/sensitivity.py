@@ -68,13 +68,7 @@ class Dependence:
         return max(moved, key=lambda change: abs((change.value or 0.0) - start))
 
     def plain(self) -> dict[str, Any]:
-        """Return it for other programs.
-
-        Returns
-        -------
-        dict
-            Texts, numbers and truth values.
-        """
+        """Return it for other programs."""
         return {
             "figure": self.figure,
             "statement": self.check.statement,
@@ -96,30 +90,6 @@ def sensitivity(
 ) -> tuple[Dependence, ...]:
     """Vary every number that is not printed in the paper to both ends of its range.
 
-    Parameters
-    ----------
-    study : Study
-        Numbers as they are.
-    figures : mapping of int to callable
-        Number of each figure to its checks; with several workers, functions that
-        other processes can import.
-    workers : int
-        Processes at work at once, here.
-    scheduler : str, optional
-        Address of a dask scheduler, or "local"; then workers of that cluster do it.
-    folder : pathlib.Path, optional
-        With a scheduler: where the outcomes go, a file with its digest for each end of
-        each number, on a disk that all workers share; what is whole there is kept.
-    progress : callable, optional
-        Called with a step and the fraction of the work done before it.
-
-    Returns
-    -------
-    tuple of Dependence
-        One for each check, in order.
-
-    Notes
-    -----
     One number at a time; numbers that a figure does not read are left alone. The
     noise is the same in all, so that a flip is the number's doing.
     """

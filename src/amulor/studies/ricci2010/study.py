@@ -16,18 +16,6 @@ Result = TypeVar("Result")
 class Study:
     """Numbers of the study, and a memory of what was computed from them.
 
-    Parameters
-    ----------
-    parameters : mapping of str to Parameter, optional
-        Numbers; those of `parameters.toml` by default.
-    quick : bool
-        Whether to take fewer points, pixels and photons.
-    rng : int
-        Seed of all synthetic noise; `Study.rng` makes a generator of it for each
-        series.
-
-    Notes
-    -----
     `study["name"]` gives a number and notes that it was read. `study.once(function)`
     gives `function(study)`, computed again only if a number has changed that the
     function read; so figures share what they have in common, and the sensitivity study
@@ -54,50 +42,17 @@ class Study:
         return self.parameters[name].value
 
     def with_parameters(self, parameters: Mapping[str, Parameter]) -> Study:
-        """Return a study of other numbers that remembers the same results.
-
-        Parameters
-        ----------
-        parameters : mapping of str to Parameter
-            All numbers.
-
-        Returns
-        -------
-        Study
-            Of the same pace and seed.
-        """
+        """Return a study of other numbers that remembers the same results."""
         other = Study(parameters, quick=self.quick, rng=self.seed)
         other._known = self._known
         return other
 
     def rng(self, label: str) -> np.random.Generator:
-        """Return the generator of one series of synthetic noise.
-
-        Parameters
-        ----------
-        label : str
-            Names the series; other labels give independent noise.
-
-        Returns
-        -------
-        numpy.random.Generator
-            The same at each call.
-        """
+        """Return the generator of one series of synthetic noise."""
         return np.random.default_rng([self.seed, zlib.crc32(label.encode())])
 
     def once(self, function: Callable[[Study], Result]) -> Result:
-        """Return what a function makes of the study, computed once.
-
-        Parameters
-        ----------
-        function : callable
-            Takes the study; reads numbers by `study["name"]` only.
-
-        Returns
-        -------
-        object
-            Its result, which nobody may change.
-        """
+        """Return what a function makes of the study, computed once."""
         for numbers, result in self._known.setdefault(function, []):
             if all(self.parameters[n].value == v for n, v in numbers.items()):
                 for names in self._read:
@@ -109,20 +64,7 @@ class Study:
         return outcome
 
     def read_by(self, function: Callable[[Study], Result]) -> tuple[set[str], Result]:
-        """Return the names of the numbers that a function reads, and its result.
-
-        Parameters
-        ----------
-        function : callable
-            Takes the study.
-
-        Returns
-        -------
-        names : set of str
-            Names of numbers.
-        result : object
-            What it returned.
-        """
+        """Return the names of the numbers that a function reads, and its result."""
         names: set[str] = set()
         self._read.append(names)
         try:

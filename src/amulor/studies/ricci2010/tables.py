@@ -16,51 +16,18 @@ PARAMETER_HEADER = ("number", "value", "basis", "range", "why")
 
 
 def verdict(check: Check) -> str:
-    """Return the outcome of a check in a word or two.
-
-    Parameters
-    ----------
-    check : Check
-        Statement and outcome.
-
-    Returns
-    -------
-    str
-        "pass" or "FAIL", and whether a number was chosen for it, or it is ours.
-    """
+    """Return the outcome of a check in a word or two."""
     text = "pass" if check.passed else "FAIL"
     return text if check.role == "test" else f"{text} ({check.role})"
 
 
 def check_rows(checks: Iterable[Check]) -> Rows:
-    """Return one row for each check, under `CHECK_HEADER`.
-
-    Parameters
-    ----------
-    checks : iterable of Check
-        Statements and outcomes.
-
-    Returns
-    -------
-    list of list of str
-        Cells.
-    """
+    """Return one row for each check, under `CHECK_HEADER`."""
     return [[c.statement, c.place, c.found, c.wanted, verdict(c)] for c in checks]
 
 
 def dependence_rows(dependence: Iterable[Dependence]) -> Rows:
-    """Return one row for each conclusion that flips, under `DEPENDENCE_HEADER`.
-
-    Parameters
-    ----------
-    dependence : iterable of Dependence
-        All conclusions.
-
-    Returns
-    -------
-    list of list of str
-        Cells.
-    """
+    """Return one row for each conclusion that flips, under `DEPENDENCE_HEADER`."""
     return [
         [
             str(entry.figure),
@@ -74,18 +41,7 @@ def dependence_rows(dependence: Iterable[Dependence]) -> Rows:
 
 
 def parameter_rows(parameters: Mapping[str, Parameter]) -> Rows:
-    """Return one row for each number, under `PARAMETER_HEADER`.
-
-    Parameters
-    ----------
-    parameters : mapping of str to Parameter
-        All numbers.
-
-    Returns
-    -------
-    list of list of str
-        Cells.
-    """
+    """Return one row for each number, under `PARAMETER_HEADER`."""
     return [
         [
             entry.name,
@@ -99,18 +55,7 @@ def parameter_rows(parameters: Mapping[str, Parameter]) -> Rows:
 
 
 def tally(checks: Iterable[Check]) -> str:
-    """Return how many statements hold, in a sentence.
-
-    Parameters
-    ----------
-    checks : iterable of Check
-        Statements and outcomes.
-
-    Returns
-    -------
-    str
-        Tests, set statements and checks of ours are counted apart.
-    """
+    """Return how many statements hold, in a sentence."""
     every = list(checks)
 
     def count(role: Role) -> tuple[int, int]:

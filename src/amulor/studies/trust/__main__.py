@@ -13,18 +13,7 @@ from amulor.studies.trust.table import Row, counts, line, text, written
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Run the study as the command line says.
-
-    Parameters
-    ----------
-    arguments : list of str, optional
-        Those of the process by default.
-
-    Returns
-    -------
-    int
-        Exit code.
-    """
+    """Run the study as the command line says."""
     parser = argparse.ArgumentParser(prog="amulor.studies.trust", description=__doc__)
     names = [scene.name for scene in SCENES]
     parser.add_argument("--scene", action="append", choices=names, metavar="NAME")

@@ -40,26 +40,7 @@ def case_of(
     surfaces: Floats | None = None,
     judged: NDArray[np.bool_] | None = None,
 ) -> Case:
-    """Return the case of a simulated cube.
-
-    Parameters
-    ----------
-    samples : xarray.Dataset
-        Level `samples`, with its truth.
-    interval : tuple of float or None
-        Nearest and farthest slant range that the user states [m].
-    late : ndarray, shape (row, column), optional
-        Delay of the echo as a slant range [m]; 0 by default.
-    surfaces : ndarray, shape (surfaces, row, column), optional
-        Surfaces that the beams meet; those of the truth by default [m].
-    judged : ndarray of bool, shape (row, column), optional
-        Pixels that count; all by default.
-
-    Returns
-    -------
-    Case
-        The truth is taken out of the samples, so that no method can read it.
-    """
+    """Return the case of a simulated cube."""
     truth = samples.amulor.truth
     if surfaces is None:
         surfaces = truth["slant_range"].values[None]
@@ -80,25 +61,7 @@ def lateness(
     modulation_frequency: Floats,
     group_index: float,
 ) -> Floats:
-    r"""Return how much later than from the surface an echo arrives.
-
-    Parameters
-    ----------
-    echo : ndarray of complex, shape (frequencies, ...)
-        Signal of the target alone, without noise.
-    optical_path : ndarray, shape (...)
-        Group index times length to the surface and back [m].
-    modulation_frequency : ndarray, shape (frequencies,)
-        Modulation frequencies [Hz].
-    group_index : float
-        Group index of the water [1].
-
-    Returns
-    -------
-    ndarray, shape (...)
-        Mean of :math:`\delta\varphi\,v / 4\pi f` over the frequencies with the weights
-        :math:`f^2 |E|^2` of samples of equal noise [m].
-    """
+    r"""Return how much later than from the surface an echo arrives."""
     frequency = modulation_frequency.reshape(-1, *[1] * optical_path.ndim)
     turn = np.exp(-2j * np.pi * frequency * optical_path / speed_of_light)
     phase = np.angle(echo * turn)

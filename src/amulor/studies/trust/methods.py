@@ -41,20 +41,7 @@ class Outcome:
 
 
 def outcome(method: str, case: Case) -> Outcome:
-    """Run a method and make the range image.
-
-    Parameters
-    ----------
-    method : str
-        Of `METHODS`.
-    case : Case
-        What is measured.
-
-    Returns
-    -------
-    Outcome
-        A refusal is an outcome; a crash is one as well, and says so.
-    """
+    """Run a method and make the range image."""
     try:
         name, options = VARIANTS.get(method, (method, {}))
         target = rejection.reject(

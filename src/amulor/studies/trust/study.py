@@ -17,29 +17,7 @@ def run(
     seed: int = 1,
     done: Callable[[Row], None] | None = None,
 ) -> list[Row]:
-    """Run the study, or a part of it.
-
-    Parameters
-    ----------
-    scenes, methods : sequence of str, optional
-        Names; all by default.
-    counts : sequence of int, optional
-        Numbers of frequencies; all that a scene has by default.
-    seed : int
-        Seed of the noise.
-    done : callable, optional
-        Called with every row as it is finished.
-
-    Returns
-    -------
-    list of Row
-        Scene by scene, frequency count by count, method by method.
-
-    Raises
-    ------
-    ValueError
-        If there is no scene or method of a name.
-    """
+    """Run the study, or a part of it."""
     rows = []
     for row in _rows(
         [scene.name for scene in SCENES] if scenes is None else scenes,

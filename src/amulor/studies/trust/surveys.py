@@ -118,30 +118,7 @@ def survey(
     pairs: tuple[str, ...] = ("VV", "VH"),
     **others: Any,
 ) -> Survey:
-    """Return the survey of a scan of 24 x 16 pixels.
-
-    Parameters
-    ----------
-    count : int
-        Number of modulation frequencies, of `FREQUENCIES`.
-    *targets : str
-        Targets as TOML; none for empty water.
-    water : dict or str
-        Entries of the water, or a name of `WATERS`.
-    frequencies : tuple of float, optional
-        Other modulation frequencies [Hz].
-    pairs : tuple of str
-        Polarization pairs.
-    **others
-        `name`, `group_index`, `fluctuation` [%], `baseline` [cm], `azimuth` [deg] of
-        the receiver, `columns`, `rows`, `wide`, `tall` [deg], `shot_columns`,
-        `shot_rows`, `repeats`.
-
-    Returns
-    -------
-    Survey
-        Checked as a file of a user would be.
-    """
+    """Return the survey of a scan of 24 x 16 pixels."""
     properties = WATERS[water] if isinstance(water, str) else water
     chosen = FREQUENCIES[count] if frequencies is None else frequencies
     lines = [

@@ -51,23 +51,7 @@ class Score:
 
 
 def score(case: Case, outcome: Outcome) -> Score:
-    """Judge an outcome by the truth.
-
-    Parameters
-    ----------
-    case : Case
-        Surfaces and judged pixels.
-    outcome : Outcome
-        Target signal and range image.
-
-    Returns
-    -------
-    Score
-        The interval of a pixel is `slant_range - slant_range_bias` plus or minus
-        `slant_range_uncertainty`. Trusted is a pixel of the image without any flag;
-        flags of the target signal go into it. Of several surfaces the nearest to the
-        result counts.
-    """
+    """Judge an outcome by the truth."""
     met = np.isfinite(case.surfaces).any(axis=0) & case.judged
     empty = ~np.isfinite(case.surfaces).any(axis=0) & case.judged
     trusted = _trusted(outcome, met.shape)
@@ -167,23 +151,7 @@ class Written:
 
 
 def written(text: str) -> Iterator[Written]:
-    """Yield the rows of a table.
-
-    Parameters
-    ----------
-    text : str
-        As `amulor.studies.trust.table.text` writes it; words may follow a row.
-
-    Yields
-    ------
-    Written
-        Row by row.
-
-    Raises
-    ------
-    ValueError
-        If there is no table in it.
-    """
+    """Yield the rows of a table."""
     lines = iter(text.splitlines())
     if not any(line.startswith("scene ") for line in lines):
         raise ValueError("there is no table of the study; it begins with 'scene'")
@@ -206,18 +174,7 @@ def written(text: str) -> Iterator[Written]:
 
 
 def counts(rows: Iterable[Written]) -> str:
-    """Return how many rows have what is asked, as a table in Markdown.
-
-    Parameters
-    ----------
-    rows : iterable of Written
-        All of a table.
-
-    Returns
-    -------
-    str
-        One column for each group of methods.
-    """
+    """Return how many rows have what is asked, as a table in Markdown."""
     known = [row for row in rows if not row.refused and row.scene not in _APART]
     columns = []
     for name, methods in _GROUPS:
@@ -292,18 +249,7 @@ phantom  fraction of the pixels without a surface that are trusted [%]
 
 
 def line(row: Row) -> str:
-    """Return one row as text.
-
-    Parameters
-    ----------
-    row : Row
-        What to write.
-
-    Returns
-    -------
-    str
-        Without an end of line.
-    """
+    """Return one row as text."""
     found = row.score
     cells = [
         _begin(row.scene, row.count, row.method),
@@ -322,18 +268,7 @@ def line(row: Row) -> str:
 
 
 def text(rows: Iterable[Row]) -> str:
-    """Return the whole table.
-
-    Parameters
-    ----------
-    rows : iterable of Row
-        In order.
-
-    Returns
-    -------
-    str
-        Legend, header and one line a row.
-    """
+    """Return the whole table."""
     return "\n".join([LEGEND, _HEADER, *(line(row) for row in rows), ""])
 
 

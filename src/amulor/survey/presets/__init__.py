@@ -34,13 +34,7 @@ class Preset:
 
 
 def names() -> list[str]:
-    """Return the names of all presets.
-
-    Returns
-    -------
-    list of str
-        In alphabetical order.
-    """
+    """Return the names of all presets."""
     folder = resources.files("amulor.survey.presets")
     return sorted(
         entry.name.removesuffix(".toml")
@@ -51,23 +45,7 @@ def names() -> list[str]:
 
 @cache
 def preset(name: str) -> Preset:
-    """Return a preset with what it says about itself.
-
-    Parameters
-    ----------
-    name : str
-        One of `names`.
-
-    Returns
-    -------
-    Preset
-        Citation, counts and text.
-
-    Raises
-    ------
-    SurveyError
-        If there is none of this name.
-    """
+    """Return a preset with what it says about itself."""
     known = names()
     if name not in known:
         raise SurveyError(f"there is no preset {name!r}; there are {', '.join(known)}")

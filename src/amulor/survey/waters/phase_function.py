@@ -227,23 +227,7 @@ PhaseFunctionStated = Annotated[
 
 @lru_cache(maxsize=64)
 def phase_function(stated: PhaseFunctionStated) -> PhaseFunction:
-    """Return the phase function that a survey states, one object for one statement.
-
-    Parameters
-    ----------
-    stated : HenyeyGreenstein, TwoTerm, FournierForand, Petzold, Rayleigh or Tabulated
-        Part of a survey.
-
-    Returns
-    -------
-    PhaseFunction
-        Its transforms are kept with it, so it is the same object each time.
-
-    Raises
-    ------
-    SurveyError
-        If its file was not read yet.
-    """
+    """Return the phase function that a survey states, one object for one statement."""
     match stated:
         case HenyeyGreenstein():
             return models.henyey_greenstein_function(asymmetry=stated.asymmetry)

@@ -71,27 +71,7 @@ class WaterOptics:
 def resolved(
     water: WaterStated, *, wavelength: float, refractive_index: float
 ) -> WaterOptics:
-    """Return coefficients and phase function of a water, one object for one water.
-
-    Parameters
-    ----------
-    water : Water or one of the named waters
-        Part of a survey.
-    wavelength : float
-        Wavelength in vacuum [m].
-    refractive_index : float
-        Phase index of the water, for spheres in it [1].
-
-    Returns
-    -------
-    WaterOptics
-        Transforms are kept with the phase function, so it is the same object each time.
-
-    Raises
-    ------
-    SurveyError
-        If the water is not known at this wavelength.
-    """
+    """Return coefficients and phase function of a water, one object for one water."""
     try:
         return _resolved(water, wavelength, refractive_index)
     except ValueError as error:

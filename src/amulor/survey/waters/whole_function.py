@@ -39,27 +39,6 @@ Array = NDArray[np.float64]
 def phase_function_of(water: Water | WaterProperties) -> PhaseFunction:
     r"""Return the phase function of a survey's water, for photons to follow.
 
-    Parameters
-    ----------
-    water : WaterProperties or Water
-        What any water of a survey resolves to, or water by its coefficients: with a
-        whole phase function, or with forward fraction, second moment and phase function
-        at 180 degrees.
-
-    Returns
-    -------
-    PhaseFunction
-        The water's own, if it has one. If not, one that has the stated moments: below
-        the split angle Henyey-Greenstein's with the second moment, from there on to the
-        value at 180 degrees in a smooth curve that holds the rest of the scattering.
-
-    Raises
-    ------
-    SurveyError
-        If no such function has these moments.
-
-    Notes
-    -----
     With :math:`u = (\cos\theta_s - \cos\theta) / (\cos\theta_s + 1)`, from 0 at the
     split angle to 1 straight back, :math:`\ln p` goes from its value at the split angle
     to that at 180 degrees along a line in u (k = 0). With k above 0
@@ -101,27 +80,6 @@ def whole_function_arguments(
 ) -> dict[str, Any]:
     """Return what target and water signal both take in the small-angle model.
 
-    Parameters
-    ----------
-    survey : Survey
-        Its beam and its receiver count.
-    water : WaterProperties
-        Optical numbers and phase function of the water.
-    view : View
-        How the receiver looks at each beam.
-
-    Returns
-    -------
-    dict
-        Keyword arguments of `amulor.optics.small_angle.overlap`.
-
-    Raises
-    ------
-    SurveyError
-        If the water states moments that no phase function has, or has layers.
-
-    Notes
-    -----
     Water that states moments only gets the phase function that
     `phase_function_of` makes of them. Water that
     spreads nothing forward needs none: all that it scatters is lost.
@@ -155,23 +113,7 @@ def whole_function_arguments(
 
 @lru_cache(maxsize=8)
 def whole_phase_function(water: WaterProperties) -> PhaseFunction:
-    """Return the phase function of a water, one and the same each time.
-
-    Parameters
-    ----------
-    water : WaterProperties
-        As for `phase_function_of`.
-
-    Returns
-    -------
-    PhaseFunction
-        What the models have worked out for it is kept with it.
-
-    Raises
-    ------
-    SurveyError
-        If no phase function has the moments that are stated.
-    """
+    """Return the phase function of a water, one and the same each time."""
     if water.phase_function is None and water.backscatter_vsf == 0:
         # What small angles need is the forward part, which has a curve to join on to.
         water = replace(water, backscatter_vsf=_DARK * water.scattering)
@@ -231,25 +173,7 @@ def _joined(
 
 @lru_cache(maxsize=32)
 def asymmetry_of(moment: float, *, split: float) -> float:
-    """Return the asymmetry with a second moment below a split angle.
-
-    Parameters
-    ----------
-    moment : float
-        Mean square angle of what is scattered below the split angle [rad^2].
-    split : float
-        Split angle [rad].
-
-    Returns
-    -------
-    float
-        Asymmetry of a Henyey-Greenstein function [1].
-
-    Raises
-    ------
-    SurveyError
-        If none has this moment.
-    """
+    """Return the asymmetry with a second moment below a split angle."""
 
     def excess(g: float) -> float:
         value = phase_functions.henyey_greenstein_second_moment(

@@ -64,21 +64,7 @@ class Asked:
 
 
 class Explorer:
-    """An instrument whose numbers are dragged, and the map of its errors.
-
-    Parameters
-    ----------
-    survey : Survey
-        Where the sliders begin; its target sets how light is sent back.
-    method : str
-        How the water is taken out, by the names of `amulor.design.evaluate`.
-    asked : sequence of Asked
-        What is asked for.
-    interval : tuple of float, optional
-        Nearest and farthest possible slant range [m].
-    distances, attenuations : tuple of float, optional
-        Ends of the map [m], [1/m]; around what is asked for by default.
-    """
+    """An instrument whose numbers are dragged, and the map of its errors."""
 
     def __init__(
         self,
@@ -104,13 +90,7 @@ class Explorer:
         self._waters: dict[str, Survey] = {"own": survey}
 
     def describe(self) -> dict[str, Any]:
-        """Return what the page begins with.
-
-        Returns
-        -------
-        dict
-            Axes, sliders, waters, and what colours and hatches mean.
-        """
+        """Return what the page begins with."""
         channels = "+".join(self.survey.instrument.polarizations)
         light = f"{self.survey.instrument.wavelength * 1e9:.0f} nm"
         return {
@@ -134,26 +114,7 @@ class Explorer:
         }
 
     def map(self, settings: Mapping[str, Any], *, water: str = "own") -> dict[str, Any]:
-        """Return the errors of an instrument over the map.
-
-        Parameters
-        ----------
-        settings : mapping of str to float
-            Values of sliders in SI units; those of the survey where left out.
-        water : str
-            Name of a water; its scattering is scaled to each attenuation.
-
-        Returns
-        -------
-        dict
-            `error` [mm], `flags` and `term` for each attenuation and distance, one
-            after the other, and the time that it took [ms].
-
-        Raises
-        ------
-        SurveyError
-            If a setting is not known, or out of range.
-        """
+        """Return the errors of an instrument over the map."""
         begun = time.perf_counter()
         survey, common = self._asked_of(settings, water)
         found = evaluate(
@@ -176,18 +137,7 @@ class Explorer:
         }
 
     def as_survey(self, settings: Mapping[str, Any], *, water: str = "own") -> str:
-        """Return an instrument as the text of a survey file.
-
-        Parameters
-        ----------
-        settings, water
-            As in `map`.
-
-        Returns
-        -------
-        str
-            TOML.
-        """
+        """Return an instrument as the text of a survey file."""
         survey, axes = self._instrument(settings, water)
         frequencies = axes.pop(
             "frequencies", [survey.instrument.modulation_frequencies]
@@ -285,18 +235,7 @@ class Explorer:
     def met(
         self, settings: Mapping[str, Any], *, water: str = "own"
     ) -> list[dict[str, Any]]:
-        """Return whether an instrument meets what is asked for, place by place.
-
-        Parameters
-        ----------
-        settings, water
-            As in `map`.
-
-        Returns
-        -------
-        list of dict
-            `text`, and whether it is `met`.
-        """
+        """Return whether an instrument meets what is asked for, place by place."""
         if not self.asked:
             return []
         survey, common = self._asked_of(settings, water)

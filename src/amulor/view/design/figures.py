@@ -38,23 +38,7 @@ def error_map(
     asked: Sequence[tuple[float, float]] = (),
     title: str = "",
 ) -> Figure:
-    """Draw total error against distance and attenuation.
-
-    Parameters
-    ----------
-    found : xarray.Dataset
-        `total_error` [m] over `attenuation` [1/m] and `distance` [m], and the flags
-        `ambiguous`, `saturated` and `model_not_valid`.
-    asked : sequence of pairs
-        Distance [m] and attenuation [1/m] of what is asked for, which get a mark.
-    title : str
-        What stands above it.
-
-    Returns
-    -------
-    matplotlib.figure.Figure
-        Colours, lines at 1, 3 and 10 mm, hatched regions.
-    """
+    """Draw total error against distance and attenuation."""
     with style():
         figure = new_figure(5.6, 3.9)
         axes = figure.add_subplot()
@@ -72,20 +56,7 @@ def error_map(
 def error_maps(
     found: Mapping[str, xr.Dataset], *, asked: Sequence[tuple[float, float]] = ()
 ) -> Figure:
-    """Draw several maps beside each other, in the same colours.
-
-    Parameters
-    ----------
-    found : mapping of str to xarray.Dataset
-        Title to what `error_map` takes, all over the same places.
-    asked : sequence of pairs
-        As `error_map`.
-
-    Returns
-    -------
-    matplotlib.figure.Figure
-        One panel for each.
-    """
+    """Draw several maps beside each other, in the same colours."""
     with style():
         figure = new_figure(1.2 + 2.5 * len(found), 3.1)
         panels = figure.subplots(1, len(found), sharey=True, squeeze=False)[0]
@@ -185,27 +156,7 @@ def fronts(
     best: int,
     target: float | None = None,
 ) -> Figure:
-    """Draw the error of candidates against scan time and against top frequency.
-
-    Parameters
-    ----------
-    error : array_like
-        Total error of each candidate, shape (candidate,) [m].
-    scan_time : array_like
-        Time of its scan, shape (candidate,) [s].
-    top_frequency : array_like
-        Its highest modulation frequency, shape (candidate,) [Hz].
-    best : int
-        Number of the recommended one.
-    target : float, optional
-        The error that is asked for [m].
-
-    Returns
-    -------
-    matplotlib.figure.Figure
-        Two panels with all candidates, those that no other one beats, the knee of
-        these, and the recommended one.
-    """
+    """Draw the error of candidates against scan time and against top frequency."""
     error = np.asarray(error, dtype=float)
     with style():
         figure = new_figure(7.0, 3.0)
@@ -268,22 +219,7 @@ def _front(axes: Axes, cost: Floats, error: Floats, best: int) -> None:
 def sensitivity_bars(
     names: Sequence[str], shares: ArrayLike, errors: ArrayLike
 ) -> Figure:
-    """Draw which number the error depends on most: total Sobol indices.
-
-    Parameters
-    ----------
-    names : sequence of str
-        What is uncertain.
-    shares : array_like
-        Total index of each, shape (name,) [1].
-    errors : array_like
-        Standard error of each, shape (name,) [1].
-
-    Returns
-    -------
-    matplotlib.figure.Figure
-        Bars, the largest on top.
-    """
+    """Draw which number the error depends on most: total Sobol indices."""
     shares, errors = np.asarray(shares, dtype=float), np.asarray(errors, dtype=float)
     order = np.argsort(shares)
     with style():

@@ -53,20 +53,7 @@ class Reasons:
 
 
 def error_of(goal: Goal, chosen: Parameters) -> xr.Dataset:
-    """Return the errors of an instrument over distance and attenuation.
-
-    Parameters
-    ----------
-    goal : Goal
-        Medians of its ranges are taken.
-    chosen : Parameters
-        The instrument.
-
-    Returns
-    -------
-    xarray.Dataset
-        Of `amulor.design.evaluate`, around what is asked for.
-    """
+    """Return the errors of an instrument over distance and attenuation."""
     survey = survey_of(goal, chosen)
     held = {
         name: middle(each)
@@ -89,20 +76,7 @@ def error_of(goal: Goal, chosen: Parameters) -> xr.Dataset:
 
 
 def waters_of(goal: Goal, chosen: Parameters) -> tuple[float, float]:
-    """Return the least and the largest attenuation that is asked for.
-
-    Parameters
-    ----------
-    goal : Goal
-        Its waters count.
-    chosen : Parameters
-        Its laser counts: ranges hold at the wavelength of the first laser.
-
-    Returns
-    -------
-    tuple of float
-        At the wavelength of the chosen laser [1/m].
-    """
+    """Return the least and the largest attenuation that is asked for."""
     stated = goal.waters.attenuation
     if stated is None:
         own = water_properties(survey_of(goal, chosen)).attenuation
@@ -112,21 +86,7 @@ def waters_of(goal: Goal, chosen: Parameters) -> tuple[float, float]:
 
 
 def figures_of(found: Recommendation, reasons: Reasons) -> dict[str, Figure]:
-    """Return the figures of a recommendation.
-
-    Parameters
-    ----------
-    found : Recommendation
-        What is recommended.
-    reasons : Reasons
-        What was found out about it.
-
-    Returns
-    -------
-    dict of str to Figure
-        `map`, `runner-up-map` if there is a runner-up, `fronts`, and `sensitivity` if
-        anything is uncertain.
-    """
+    """Return the figures of a recommendation."""
     goal = found.goal
     drawn = {"map": _map(goal, found.best, "Recommended")}
     if found.runner_up is not None:
@@ -168,24 +128,7 @@ def write(
     *,
     overwrite: bool = False,
 ) -> None:
-    """Write the report of a design as one HTML file that needs nothing beside it.
-
-    Parameters
-    ----------
-    path : str or pathlib.Path
-        File to write.
-    found : Recommendation
-        What is recommended.
-    reasons : Reasons
-        What was found out about it.
-    overwrite : bool
-        Whether a file that is there may be replaced.
-
-    Raises
-    ------
-    FormatError
-        If the file exists, or cannot be written.
-    """
+    """Write the report of a design as one HTML file that needs nothing beside it."""
     drawn = figures_of(found, reasons)
     parts: list[Part] = [*_answer(found), *_edges(found)]
     parts += [

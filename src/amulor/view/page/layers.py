@@ -77,13 +77,7 @@ WORDS = {
 
 
 def flag_words() -> list[dict[str, Any]]:
-    """Return every quality flag with its bit, its name and its words.
-
-    Returns
-    -------
-    list of dict
-        `mask`, `name`, `words`, and `unusable` where the pixel holds no range.
-    """
+    """Return every quality flag with its bit, its name and its words."""
     return [
         {
             "mask": int(flag),
@@ -112,21 +106,7 @@ _LEVEL = 4
 
 
 def packed(content: bytes, *, width: int) -> str:
-    """Return bytes as text.
-
-    Parameters
-    ----------
-    content : bytes
-        Numbers of one width.
-    width : int
-        Bytes of one number. First bytes of all numbers come first, then the second
-        ones: those of neighbours are alike.
-
-    Returns
-    -------
-    str
-        Base64 of a zlib stream.
-    """
+    """Return bytes as text."""
     sorted_bytes = np.frombuffer(content, np.uint8).reshape(-1, width).T.tobytes()
     return base64.b64encode(zlib.compress(sorted_bytes, _LEVEL)).decode()
 

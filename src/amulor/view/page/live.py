@@ -39,22 +39,6 @@ def quick_layers(
 ) -> dict[str, NDArray[np.float64]]:
     """Return range and amplitude of a row that has just been measured.
 
-    Parameters
-    ----------
-    one : xarray.Dataset
-        Beams of the row, with its coordinates `modulation_frequency` and `geometry`.
-    signal : ndarray, shape (frequencies, column)
-        Signals [V].
-    ending : str
-        Put behind the names of the maps.
-
-    Returns
-    -------
-    dict
-        `range` [m] and `amplitude` [V], each of shape (column,).
-
-    Notes
-    -----
     Phases to paths to slant ranges as `amulor.imaging.range_image`, but all frequencies
     with one phase error, and without late light: within what that takes off, the same.
     """
@@ -102,20 +86,7 @@ class Rows:
 
 
 class Live:
-    """A scan folder whose journal is read while it grows, and never written.
-
-    Parameters
-    ----------
-    folder : pathlib.Path
-        Folder that `amulor acquire` was given.
-    clock : callable
-        Time, for rates [s].
-
-    Raises
-    ------
-    FormatError
-        If there is no journal, or if it is damaged.
-    """
+    """A scan folder whose journal is read while it grows, and never written."""
 
     def __init__(
         self, folder: Path, *, clock: Callable[[], float] = time.monotonic
@@ -263,20 +234,7 @@ class Live:
             return self.pictures, dict(self.status), sorted(rows, key=_by_version)
 
     def now(self, channel: str, name: str) -> Floats:
-        """Return a map as it is now, rows newer than the last picture included.
-
-        Parameters
-        ----------
-        channel : str
-            Polarization channel.
-        name : str
-            Name of the map, such as `range` or `range_before`.
-
-        Returns
-        -------
-        ndarray, shape (rows, columns)
-            NaN where nothing is measured yet.
-        """
+        """Return a map as it is now, rows newer than the last picture included."""
         with self._lock:
             recording, rows = self.recording, list(self._rows.values())
         values = np.full(recording.channel().shown.shape, np.nan)
@@ -293,20 +251,7 @@ def _by_version(one: Rows) -> int:
 
 
 def blank(survey: Survey, name: str) -> Recording:
-    """Return a scan of which nothing is measured yet.
-
-    Parameters
-    ----------
-    survey : Survey
-        What will be measured.
-    name : str
-        What the page calls it.
-
-    Returns
-    -------
-    Recording
-        All pixels missing, at their directions.
-    """
+    """Return a scan of which nothing is measured yet."""
     azimuth, elevation, _ = scan_directions(survey)
     nothing = np.full(azimuth.shape, np.nan)
     image = cubes.build(

@@ -37,27 +37,7 @@ class Products(Protocol):
         """Return products with their labels, endings and options, for the page."""
 
     def make(self, image: xr.Dataset, wanted: dict[str, Any], *, stem: str) -> Made:
-        """Make a product.
-
-        Parameters
-        ----------
-        image : xarray.Dataset
-            Level `range_image`.
-        wanted : dict
-            What the page asks for; nothing in it is trusted.
-        stem : str
-            Name of the file without its ending.
-
-        Returns
-        -------
-        Made
-            The file.
-
-        Raises
-        ------
-        CubeError
-            If the request makes no sense, or the image does not hold it.
-        """
+        """Make a product."""
 
 
 #: Pixels with one of these are no part of a surface.
@@ -76,29 +56,7 @@ _FIGURES = {"distance": 2, "height": 2, "angle": 3}
 
 
 def measured(recording: Recording, request: dict[str, Any]) -> dict[str, Any]:
-    """Measure what a page asks for.
-
-    Parameters
-    ----------
-    recording : Recording
-        What is shown.
-    request : dict
-        `kind`, `channel`, and `pixels` (rows and columns of the scan) or, for a fit,
-        `region` (first row, first column, last row, last column); `reach` and `axis`
-        where they mean something.
-
-    Returns
-    -------
-    dict
-        `kind`; `lines`, each with `label`, `value`, `uncertainty` and `unit`; what the
-        numbers rest on: `pixels`, `random` or `residual` and `misfit`, `group_index`.
-        A fit in `doubt` has no lines.
-
-    Raises
-    ------
-    CubeError
-        If it cannot be measured, with the reason.
-    """
+    """Measure what a page asks for."""
     kind = str(request.get("kind", ""))
     channel = str(request.get("channel", recording.channels[0]))
     picture = recording.channel(channel).shown

@@ -52,18 +52,7 @@ class Nodes:
 
 
 def reader_of(image: xr.Dataset) -> BeamReader:
-    """Return what reads the beams of a range image in memory.
-
-    Parameters
-    ----------
-    image : xarray.Dataset
-        With azimuth, elevation and geometry.
-
-    Returns
-    -------
-    callable
-        Takes rows and columns, returns an array of shape (row, column, 8).
-    """
+    """Return what reads the beams of a range image in memory."""
 
     def read(rows: Numbers, columns: Numbers) -> Floats:
         part = image.isel(row=rows, column=columns)
@@ -73,18 +62,7 @@ def reader_of(image: xr.Dataset) -> BeamReader:
 
 
 def values_of(part: xr.Dataset) -> Floats:
-    """Return the beams of a range image.
-
-    Parameters
-    ----------
-    part : xarray.Dataset
-        With azimuth, elevation and geometry.
-
-    Returns
-    -------
-    ndarray, shape (row, column, 8)
-        Place where the slant range is zero [m], direction [1], angles [rad].
-    """
+    """Return the beams of a range image."""
     beam = beams_of(part)
     base = beam.entry - beam.length_before[..., None] * beam.direction
     angles = np.stack([part["azimuth"].values, part["elevation"].values], axis=-1)
@@ -94,25 +72,7 @@ def values_of(part: xr.Dataset) -> Floats:
 def nodes_of(
     read: BeamReader, shape: tuple[int, int], *, farthest: float, stride: int = 1
 ) -> Nodes:
-    """Choose the coarsest grid of beams that keeps every point within a tolerance.
-
-    Parameters
-    ----------
-    read : callable
-        Reads beams, see `reader_of`.
-    shape : tuple of int
-        Rows and columns of the scan.
-    farthest : float
-        Largest slant range that is drawn [m].
-    stride : int
-        Only every so many rows and columns are drawn.
-
-    Returns
-    -------
-    Nodes
-        Points that are interpolated in it lie within `TOLERANCE` of their own beam,
-        unless the grid is as fine as the scan.
-    """
+    """Choose the coarsest grid of beams that keeps every point within a tolerance."""
     step = _FIRST_STEP
     while step > stride:
         nodes = _grid(read, shape, step)
@@ -123,20 +83,7 @@ def nodes_of(
 
 
 def interpolated(nodes: Nodes, rows: Numbers, columns: Numbers) -> Floats:
-    """Return beams between nodes, as the page works them out.
-
-    Parameters
-    ----------
-    nodes : Nodes
-        The coarse grid.
-    rows, columns : ndarray of int
-        Pixels.
-
-    Returns
-    -------
-    ndarray, shape (row, column, 8)
-        Place, direction and angles of each.
-    """
+    """Return beams between nodes, as the page works them out."""
     up, low = _between(nodes.rows, rows), _between(nodes.columns, columns)
     values = nodes.values.astype(float)
     top = values[up[0]][:, low[0]], values[up[0]][:, low[1]]
@@ -295,18 +242,7 @@ _SEAL_LENGTH = 80
 
 
 def is_large(path: Path) -> bool:
-    """Return whether a file is a range image that is better read in bands.
-
-    Parameters
-    ----------
-    path : pathlib.Path
-        Any file.
-
-    Returns
-    -------
-    bool
-        False also for what is no file at all: the reader of small ones explains it.
-    """
+    """Return whether a file is a range image that is better read in bands."""
     try:
         if path.stat().st_size < _LARGE:
             return False
@@ -319,23 +255,7 @@ def is_large(path: Path) -> bool:
 
 
 def large_picture(path: Path) -> LargePicture:
-    """Open a range image of any size.
-
-    Parameters
-    ----------
-    path : pathlib.Path
-        File of level `range_image`.
-
-    Returns
-    -------
-    LargePicture
-        Reads what is asked for, and keeps nothing.
-
-    Raises
-    ------
-    FormatError
-        If its bytes are not the ones that amulor wrote.
-    """
+    """Open a range image of any size."""
     digest = hashlib.sha256()
     with path.open("rb") as file:
         file.seek(-_SEAL_LENGTH, 2)
@@ -356,13 +276,7 @@ def large_picture(path: Path) -> LargePicture:
 
 
 class LargePicture:
-    """A range image in a file.
-
-    Parameters
-    ----------
-    path : pathlib.Path
-        File of level `range_image`.
-    """
+    """A range image in a file."""
 
     def __init__(self, path: Path) -> None:
         self._path = path
@@ -495,21 +409,7 @@ def _plain(attributes: Any) -> dict[str, Any]:
 
 
 def sharing_of(picture: Picture) -> dict[str, Any] | None:
-    """Return how errors of two pixels correlate, for the page to work it out alone.
-
-    Parameters
-    ----------
-    picture : Picture
-        A range image.
-
-    Returns
-    -------
-    dict or None
-        `alike` and `of_water`, names of the maps of terms; `scale`, means and factors
-        of azimuth and elevation; `powers` of their monomials, and `matrix` that turns
-        those into the basis of the reference. None if the image knows no shared part,
-        or states no error.
-    """
+    """Return how errors of two pixels correlate, for the page to work it out alone."""
     if not picture.has("slant_range_common_uncertainty") or picture.error_unknown:
         return None
     names = {

@@ -58,25 +58,6 @@ def drift_of(
 ) -> Drift:
     """Return the change of the open water between rounds of shots.
 
-    Parameters
-    ----------
-    signal : array_like, shape (series, rounds)
-        Shots of one frequency, channel and direction in each row [V].
-    cluster : array_like, shape (series,)
-        Equal where series were measured in the same direction and channel: the water
-        fluctuates for all their frequencies together.
-    elapsed : array_like, shape (rounds,)
-        Time of each round, ascending [s].
-    rounds : int
-        Number of rounds of the whole scan: each of them but the first is tested [1].
-
-    Returns
-    -------
-    Drift
-        Empty with fewer than two rounds or three directions.
-
-    Notes
-    -----
     Each series has a level of its own, the mean of all its rounds, so that no round is
     the one that all others are compared with. Changes of a round are the same in all
     series per unit of their level (least squares). The error follows from the scatter
@@ -194,18 +175,7 @@ _FLAGS = {
 
 
 def advice(going: Going) -> list[str]:
-    """Return what is worth doing, the most important first.
-
-    Parameters
-    ----------
-    going : Going
-        How the scan goes.
-
-    Returns
-    -------
-    list of str
-        One sentence each; empty if all is well.
-    """
+    """Return what is worth doing, the most important first."""
     said = []
     if going.resume is not None:
         said.append(
@@ -247,17 +217,7 @@ _RECENT = 400
 
 
 class Progress:
-    """Counts what comes, and keeps the signals of the scan.
-
-    Parameters
-    ----------
-    survey : Survey
-        What is measured.
-    meta : mapping
-        Of the journal.
-    clock : callable
-        Time [s].
-    """
+    """Counts what comes, and keeps the signals of the scan."""
 
     def __init__(
         self, survey: Survey, meta: Mapping[str, str], *, clock: Callable[[], float]
@@ -379,20 +339,7 @@ class Progress:
     def status(
         self, segments: list[dict[str, Any]], *, resume: str | None
     ) -> dict[str, Any]:
-        """Return how the scan goes, for the page.
-
-        Parameters
-        ----------
-        segments : list of dict
-            Parts of the scan, as the journal has them.
-        resume : str, optional
-            Command that goes on with the scan, if no program writes to its journal.
-
-        Returns
-        -------
-        dict
-            Numbers and words that JSON can hold.
-        """
+        """Return how the scan goes, for the page."""
         now = self._clock()
         last = segments[-1] if segments else {"ended": "", "reason": "not begun"}
         # Devices that are not safe may follow the word.

@@ -39,23 +39,7 @@ Cubes = Mapping[str, xr.Dataset | None]
 def spectrum(
     cubes: Cubes, channel: str, row: int, column: int
 ) -> dict[str, Any] | None:
-    """Return amplitude and phase of a pixel over the modulation frequency.
-
-    Parameters
-    ----------
-    cubes : mapping
-        `before`, level `samples`, and `after`, level `target_signal`.
-    channel : str
-        Polarization channel.
-    row, column : int
-        Pixel.
-
-    Returns
-    -------
-    dict or None
-        `frequency` [Hz] and, for each of `before`, `after` and `water` that is
-        known, `amplitude` and `uncertainty` [V] and `phase` [rad].
-    """
+    """Return amplitude and phase of a pixel over the modulation frequency."""
     parts: dict[str, Any] = {}
     frequency: NDArray[np.float64] | None = None
     for name, cube in cubes.items():
@@ -78,23 +62,7 @@ def spectrum(
 
 
 def spectra(cubes: Cubes, channel: str, *, most: int) -> dict[str, NDArray[np.float32]]:
-    """Return all spectra of a channel for a page that has no server.
-
-    Parameters
-    ----------
-    cubes : mapping
-        `before`, level `samples`, and `after`, level `target_signal`.
-    channel : str
-        Polarization channel.
-    most : int
-        Empty if there are more numbers than this [1].
-
-    Returns
-    -------
-    dict
-        `before` and `after` as far as they are known, arrays over (part,
-        frequency, row, column) with in phase, quadrature and uncertainty [V].
-    """
+    """Return all spectra of a channel for a page that has no server."""
     found = {}
     for name, cube in cubes.items():
         if cube is None or channel not in cube.amulor.polarizations:
@@ -137,23 +105,7 @@ LONGEST_SIDE = 8192
 
 
 class Recording:
-    """A file as the page sees it; pictures are made when they are asked for.
-
-    Parameters
-    ----------
-    name : str
-        Name of the file.
-    image : xarray.Dataset or Picture, optional
-        A range image that is there already.
-    target : xarray.Dataset, optional
-        Level `target_signal`.
-    samples : xarray.Dataset, optional
-        Level `samples`.
-    interval : tuple of float, optional
-        Nearest and farthest slant range that are possible [m].
-    notes : list of str, optional
-        What the page says of the file.
-    """
+    """A file as the page sees it; pictures are made when they are asked for."""
 
     def __init__(
         self,
@@ -231,21 +183,7 @@ class Recording:
         return MemoryPicture(imaging.flag_outliers(imaging.flag_mixed(image)))
 
     def one_row(self, channel: str, row: int) -> xr.Dataset | None:
-        """Return water signal and beams of one row.
-
-        Parameters
-        ----------
-        channel : str
-            Polarization channel.
-        row : int
-            Row of the scan.
-
-        Returns
-        -------
-        xarray.Dataset or None
-            Without dimension polarization; `water_in_phase` and `water_quadrature` if
-            the water is known. None without samples.
-        """
+        """Return water signal and beams of one row."""
         if self._samples is None or channel not in self._samples.amulor.polarizations:
             return None
         cube = self._samples
@@ -409,30 +347,7 @@ def _notes(pictures: Channel) -> list[str]:
 def opened(
     path: Path, *, samples: Path | None = None, interval: Interval = None
 ) -> Recording:
-    """Open a file for the page.
-
-    Parameters
-    ----------
-    path : pathlib.Path
-        Cube of level `samples`, `target_signal` or `range_image`.
-    samples : pathlib.Path, optional
-        Samples or target signal that a range image was made from; with them the page
-        shows the picture before rejection, and spectra.
-    interval : tuple of float, optional
-        Nearest and farthest slant range that are possible [m].
-
-    Returns
-    -------
-    Recording
-        Pictures are made when they are asked for.
-
-    Raises
-    ------
-    FormatError
-        If a file is damaged or is none of these.
-    CubeError
-        If what it holds cannot be shown.
-    """
+    """Open a file for the page."""
     if is_large(path):
         return Recording(path.name, image=large_picture(path), interval=interval)
     cube = read_cube(path)
@@ -449,29 +364,7 @@ def recording_of(
     samples: xr.Dataset | None = None,
     interval: Interval = None,
 ) -> Recording:
-    """Return a cube in memory as the page sees it.
-
-    Parameters
-    ----------
-    cube : xarray.Dataset
-        Level `samples`, `target_signal` or `range_image`.
-    name : str
-        What the page calls it.
-    samples : xarray.Dataset, optional
-        Samples or target signal that a range image was made from.
-    interval : tuple of float, optional
-        Nearest and farthest slant range that are possible [m].
-
-    Returns
-    -------
-    Recording
-        Its pictures.
-
-    Raises
-    ------
-    CubeError
-        If the cube has another level, or the two are not of one scan.
-    """
+    """Return a cube in memory as the page sees it."""
     level = str(cube.attrs.get("level"))
     if level == "range_image":
         found = Recording(name, image=cube, interval=interval)

@@ -51,24 +51,7 @@ def save_page(
     measurements: Sequence[Mapping[str, Any]] = (),
     overwrite: bool = False,
 ) -> None:
-    """Write a page as one file.
-
-    Parameters
-    ----------
-    recording : Recording or Space
-        What it shows.
-    path : str or pathlib.Path
-        File to write (HTML).
-    measurements : sequence of mapping
-        Measurements that the page begins with, as the page gave them.
-    overwrite : bool
-        Whether a file that is there may be replaced.
-
-    Raises
-    ------
-    FormatError
-        If the file exists, or cannot be written.
-    """
+    """Write a page as one file."""
     if isinstance(recording, Space):
         page = saved_space(recording, measurements=measurements)
     else:
@@ -80,21 +63,7 @@ def save_page(
 def saved_page(
     recording: Recording, *, measurements: Sequence[Mapping[str, Any]] = ()
 ) -> str:
-    """Return a page as one text.
-
-    Parameters
-    ----------
-    recording : Recording
-        What it shows. Of more than 10 million pixels, every second row and column is
-        taken, or every third, and so on; the page says so.
-    measurements : sequence of mapping
-        Measurements that the page begins with.
-
-    Returns
-    -------
-    str
-        HTML. Distances and heights can be measured in it; fits need the server.
-    """
+    """Return a page as one text."""
     files = static_files()
     scenes = {name: recording.describe(name) for name in _carried(recording)}
     content = {
@@ -116,20 +85,7 @@ def saved_page(
 
 
 def saved_space(space: Space, *, measurements: Sequence[Mapping[str, Any]] = ()) -> str:
-    """Return the page of a cloud or a mesh as one text.
-
-    Parameters
-    ----------
-    space : Space
-        What it shows.
-    measurements : sequence of mapping
-        Measurements that the page begins with.
-
-    Returns
-    -------
-    str
-        HTML, in which lengths can be measured as on the server's page.
-    """
+    """Return the page of a cloud or a mesh as one text."""
     scene = space.describe()
     content = {
         "scenes": {"space": scene},

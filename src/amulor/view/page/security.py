@@ -57,21 +57,7 @@ def _is_number(host: str) -> bool:
 
 
 class Guard:
-    """Refuses requests without the token, from elsewhere, or that are too large.
-
-    Parameters
-    ----------
-    app : callable
-        What answers the others; it sees paths without the token.
-    token : str
-        First part of every path.
-    hosts : collection of str
-        Names of this computer that are right besides those of itself. Where the server
-        listens beyond it, an address in numbers is right too: another site can let a
-        name of its own point here, but not a number.
-    beyond : bool
-        Whether the server listens to other computers.
-    """
+    """Refuses requests without the token, from elsewhere, or that are too large."""
 
     def __init__(
         self,

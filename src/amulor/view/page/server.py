@@ -35,13 +35,7 @@ _MOST_MEASUREMENTS = 500
 
 
 class Files:
-    """Answers with the files of the page, and with no other.
-
-    Parameters
-    ----------
-    first : str
-        The one that the address of the page itself gives.
-    """
+    """Answers with the files of the page, and with no other."""
 
     def __init__(self, first: str) -> None:
         self._first = first
@@ -112,21 +106,7 @@ async def explained(made: Awaitable[Response]) -> Response:
 
 
 async def follow(live: Live, socket: WebSocket) -> None:
-    """Send a page what is new in a scan until the page is gone.
-
-    Parameters
-    ----------
-    live : Live
-        The scan.
-    socket : WebSocket
-        Accepted. A page that is slow gets the newest of every row, and no queue
-        grows for it.
-
-    Raises
-    ------
-    WebSocketDisconnect
-        When the page is gone.
-    """
+    """Send a page what is new in a scan until the page is gone."""
     live.start()
     gone = asyncio.create_task(_until_gone(socket))
     sent_picture, sent_version = live.pictures, 0
@@ -171,19 +151,7 @@ def message_of(rows: Rows) -> bytes:
 
 
 def design_routes(shown: Explorer) -> list[Any]:
-    """Return what is answered of a design.
-
-    Parameters
-    ----------
-    shown : Explorer
-        What is dragged.
-
-    Returns
-    -------
-    list of Route
-        The page, its files, a description, maps, what is met, and the instrument as
-        a survey.
-    """
+    """Return what is answered of a design."""
     files = Files("design.html")
 
     async def scene(request: Request) -> Response:
@@ -231,18 +199,7 @@ def design_routes(shown: Explorer) -> list[Any]:
 
 
 def space_routes(space: Space) -> list[Any]:
-    """Return what is answered of a cloud or a mesh.
-
-    Parameters
-    ----------
-    space : Space
-        What is shown.
-
-    Returns
-    -------
-    list of Route
-        The page, its files, a description, numbers, and the page as one file.
-    """
+    """Return what is answered of a cloud or a mesh."""
     files = Files("space.html")
 
     async def scene(request: Request) -> Response:
@@ -277,26 +234,7 @@ def application(
     beyond: bool = False,
     products: Products | None = None,
 ) -> ASGIApp:
-    """Return the page of a file, a scan or a design as an ASGI application.
-
-    Parameters
-    ----------
-    shown : Recording, Live, Space or Explorer
-        What it shows.
-    token : str
-        First part of every address.
-    hosts : collection of str
-        Names of this computer besides localhost.
-    beyond : bool
-        Whether other computers are served, too.
-    products : Products, optional
-        Makes files of a range image, which the browser keeps; none without.
-
-    Returns
-    -------
-    callable
-        Starlette behind a `Guard`. Nothing it answers changes a file or moves a device.
-    """
+    """Return the page of a file, a scan or a design as an ASGI application."""
     if isinstance(shown, Space):
         routes = space_routes(shown)
     elif isinstance(shown, Explorer):

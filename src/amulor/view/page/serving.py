@@ -32,29 +32,7 @@ def serve(
     token: str | None = None,
     products: Products | None = None,
 ) -> None:
-    """Serve a page until Ctrl-C.
-
-    Parameters
-    ----------
-    shown : Recording, Live, Space or Explorer
-        What it shows.
-    host : str
-        Address to listen at; others than that of this computer let others in, who
-        need the whole address with its token.
-    port : int
-        Port to listen at, 0 for one that is free.
-    announce : callable
-        Is told the address, as soon as it answers.
-    token : str, optional
-        First part of every path; drawn at random by default.
-    products : Products, optional
-        Makes files of a range image, which the browser keeps; none without.
-
-    Raises
-    ------
-    FormatError
-        If the address cannot be listened at.
-    """
+    """Serve a page until Ctrl-C."""
     with contextlib.closing(_listener(host, port)) as listener:
         address, server = _server(shown, host, listener, token or new_token(), products)
         announce(address)
@@ -69,22 +47,7 @@ def background(
     token: str | None = None,
     products: Products | None = None,
 ) -> Iterator[str]:
-    """Serve a page beside what else runs, as in a notebook.
-
-    Parameters
-    ----------
-    shown : Recording, Live, Space or Explorer
-        What it shows.
-    token : str, optional
-        First part of every path; drawn at random by default.
-    products : Products, optional
-        Makes files of a range image, which the browser keeps; none without.
-
-    Yields
-    ------
-    str
-        The address; it answers until the block is left.
-    """
+    """Serve a page beside what else runs, as in a notebook."""
     with contextlib.closing(_listener("127.0.0.1", 0)) as listener:
         address, server = _server(
             shown, "127.0.0.1", listener, token or new_token(), products

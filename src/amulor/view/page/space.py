@@ -205,23 +205,7 @@ class Space:
         return found
 
     def values(self, name: str) -> bytes:
-        """Return numbers as they travel.
-
-        Parameters
-        ----------
-        name : str
-            "position", "faces", "colour", or the name of a layer.
-
-        Returns
-        -------
-        bytes
-            Floats of 32 bits, whole numbers of 32 bits, or bytes; little end.
-
-        Raises
-        ------
-        CubeError
-            If there is no such thing.
-        """
+        """Return numbers as they travel."""
         if name == "position":
             return self.position.tobytes()
         if name == "faces" and self.faces is not None:

@@ -30,16 +30,6 @@ def inner(**options: Any) -> Callable[[_Function], _Function]:
     and without a test for zero before every division, which ends a thread that has
     given up Python's lock in a `SystemError`; who divides by what may be zero looks
     first.
-
-    Parameters
-    ----------
-    **options
-        Further options of `numba.njit`.
-
-    Returns
-    -------
-    callable
-        Decorator.
     """
     compiled: Any = numba.njit(
         **{
@@ -123,20 +113,6 @@ def spread(
     wait, and two calls at once end the process under its layer "workqueue": no loop of
     amulor is compiled with `parallel=True`, so that any of them may be entered by many
     threads. Callers on several threads share the number of threads.
-
-    Parameters
-    ----------
-    kernel : callable
-        Called as kernel(begin, end, *arguments) for parts of the range, which it must
-        treat one by one.
-    count : int
-        Length of the range.
-    *arguments
-        Further arguments.
-    fewest : int
-        Part of the range that is worth a thread. Of these there are as many as the
-        environment variable NUMBA_NUM_THREADS says at most, by default one for each
-        processor.
     """
     config: Any = numba.config
     most = config.NUMBA_NUM_THREADS
@@ -162,18 +138,6 @@ def each(
     """Return what a function makes of items, several of them at a time, in order.
 
     What it calls takes no threads of its own: they have all been given out.
-
-    Parameters
-    ----------
-    function : callable
-        Treats one item without changing what others see.
-    items : iterable
-        Taken when there is room for another one, so that few are in memory.
-
-    Yields
-    ------
-    object
-        Result of each item.
     """
     config: Any = numba.config
     most = config.NUMBA_NUM_THREADS

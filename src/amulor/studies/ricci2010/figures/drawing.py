@@ -18,18 +18,7 @@ WIDE, NARROW = 7.2, 3.6
 
 
 def styled(draw: Callable[[Study], Figure]) -> Callable[[Study], Figure]:
-    """Return a function that draws with the settings of amulor.
-
-    Parameters
-    ----------
-    draw : callable
-        Takes the study, returns its figure.
-
-    Returns
-    -------
-    callable
-        The same, drawn inside `amulor.view.style.style`.
-    """
+    """Return a function that draws with the settings of amulor."""
 
     @wraps(draw)
     def drawn(study: Study) -> Figure:
@@ -40,27 +29,13 @@ def styled(draw: Callable[[Study], Figure]) -> Callable[[Study], Figure]:
 
 
 def letter(axes: Iterable[Axes], titles: Iterable[str]) -> None:
-    """Name panels (a), (b), ... as in the paper, with a short title each.
-
-    Parameters
-    ----------
-    axes : iterable of matplotlib.axes.Axes
-        Panels in order.
-    titles : iterable of str
-        What each shows.
-    """
+    """Name panels (a), (b), ... as in the paper, with a short title each."""
     for number, (axis, title) in enumerate(zip(axes, titles, strict=True)):
         axis.set_title(f"({chr(ord('a') + number)}) {title}")
 
 
 def mark_synthetic(figure: Figure) -> None:
-    """Say at the foot of a figure that its measurements are simulated.
-
-    Parameters
-    ----------
-    figure : matplotlib.figure.Figure
-        Figure with a constrained layout.
-    """
+    """Say at the foot of a figure that its measurements are simulated."""
     figure.supxlabel(
         "Measured series are synthetic: simulated, with the noise that the study says.",
         fontsize=6,

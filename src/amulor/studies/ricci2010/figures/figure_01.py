@@ -63,69 +63,23 @@ class Profile:
         return int(np.count_nonzero(np.diff(slope[slope != 0]) < 0))
 
     def fraction(self, integrand: Floats) -> Floats:
-        """Return how much of an integrand lies nearer than each depth.
-
-        Parameters
-        ----------
-        integrand : ndarray
-            One of both.
-
-        Returns
-        -------
-        ndarray
-            From 0 to 1 at the end of the tank.
-        """
+        """Return how much of an integrand lies nearer than each depth."""
         area: Floats = cumulative_trapezoid(integrand, self.depth, initial=0.0)
         fraction: Floats = area / area[-1]
         return fraction
 
     def reach(self, integrand: Floats) -> float:
-        """Return within what depth nine tenths of an integrand lie.
-
-        Parameters
-        ----------
-        integrand : ndarray
-            One of both.
-
-        Returns
-        -------
-        float
-            Depth [m].
-        """
+        """Return within what depth nine tenths of an integrand lie."""
         return float(np.interp(0.9, self.fraction(integrand), self.depth))
 
 
 def profile(study: Study, turbidity: Turbidity) -> Profile:
-    """Return the integrand of the water signal.
-
-    Parameters
-    ----------
-    study : Study
-        Its numbers.
-    turbidity : {"low", "high"}
-        Which of both.
-
-    Returns
-    -------
-    Profile
-        Down to the end of the tank.
-    """
+    """Return the integrand of the water signal."""
     return study.once(_PROFILE[turbidity])
 
 
 def checks(study: Study) -> list[Check]:
-    """Compare with what the text says of the figure.
-
-    Parameters
-    ----------
-    study : Study
-        Its numbers.
-
-    Returns
-    -------
-    list of Check
-        Statements of both turbidities.
-    """
+    """Compare with what the text says of the figure."""
     profiles = {t: profile(study, t) for t in TURBIDITIES}
     both = list(profiles.values())
     result = [
@@ -185,18 +139,7 @@ def checks(study: Study) -> list[Check]:
 
 
 def draw(study: Study) -> Figure:
-    """Draw integrand and share.
-
-    Parameters
-    ----------
-    study : Study
-        Its numbers.
-
-    Returns
-    -------
-    matplotlib.figure.Figure
-        Two panels.
-    """
+    """Draw integrand and share."""
     with style():
         figure = new_figure(WIDE, 2.7)
         left, right = figure.subplots(1, 2)

@@ -53,50 +53,17 @@ FITTED = "section 7, at (71), on figures 3 and 4"
 
 
 def checks(study: Study) -> list[Check]:
-    """Compare with what the text says of the figure.
-
-    Parameters
-    ----------
-    study : Study
-        Its numbers.
-
-    Returns
-    -------
-    list of Check
-        Statements.
-    """
+    """Compare with what the text says of the figure."""
     return sweep_checks(sweep(study, "low"))
 
 
 def draw(study: Study) -> Figure:
-    """Draw curves and cut-offs.
-
-    Parameters
-    ----------
-    study : Study
-        Its numbers.
-
-    Returns
-    -------
-    matplotlib.figure.Figure
-        Two panels.
-    """
+    """Draw curves and cut-offs."""
     return sweep_figure(sweep(study, "low"))
 
 
 def sweep_checks(found: Sweep) -> list[Check]:
-    """Compare a sweep with what the text says of figures 3 and 4.
-
-    Parameters
-    ----------
-    found : Sweep
-        Either of both.
-
-    Returns
-    -------
-    list of Check
-        Statements.
-    """
+    """Compare a sweep with what the text says of figures 3 and 4."""
     closed = (found.simple, found.realistic, found.small_angle)
     simple, realistic, photons = found.simple, found.realistic, found.monte_carlo
     starts = [float(curve.amplitude[0]) for curve in found.curves]
@@ -233,18 +200,7 @@ def _of_curve(curve: Curve, name: str) -> tuple[float, float]:
 
 
 def sweep_figure(found: Sweep) -> Figure:
-    """Draw figure 3 or 4.
-
-    Parameters
-    ----------
-    found : Sweep
-        Either of both.
-
-    Returns
-    -------
-    matplotlib.figure.Figure
-        Curves, and their cut-offs.
-    """
+    """Draw figure 3 or 4."""
     with style():
         figure = new_figure(WIDE, 3.3)
         left, right = figure.subplots(1, 2, width_ratios=(1.25, 1))

@@ -21,18 +21,7 @@ CAPTION = (
 
 
 def checks(study: Study) -> list[Check]:
-    """Compare with what the text says of the figure.
-
-    Parameters
-    ----------
-    study : Study
-        Its numbers.
-
-    Returns
-    -------
-    list of Check
-        Those of figure 3, and what is said of both figures together.
-    """
+    """Compare with what the text says of the figure."""
     low, high = sweep(study, "low"), sweep(study, "high")
     ratios = []
     for one, other in zip(low.curves, high.curves, strict=True):
@@ -70,16 +59,5 @@ def checks(study: Study) -> list[Check]:
 
 
 def draw(study: Study) -> Figure:
-    """Draw curves and cut-offs.
-
-    Parameters
-    ----------
-    study : Study
-        Its numbers.
-
-    Returns
-    -------
-    matplotlib.figure.Figure
-        Two panels.
-    """
+    """Draw curves and cut-offs."""
     return sweep_figure(sweep(study, "high"))

@@ -47,18 +47,7 @@ _SIDES = {
 
 
 def checks(study: Study) -> list[Check]:
-    """Return what the paper says of the figure, beside what was found.
-
-    Parameters
-    ----------
-    study : Study
-        Its numbers.
-
-    Returns
-    -------
-    list of Check
-        Cut-off and steps.
-    """
+    """Return what the paper says of the figure, beside what was found."""
     scan = study.once(unpolarized_clear)
     megahertz = study["frequency"] / 1e6
     image = scan.stated["none"]
@@ -102,18 +91,7 @@ def checks(study: Study) -> list[Check]:
 
 @styled
 def draw(study: Study) -> Figure:
-    """Draw the figure.
-
-    Parameters
-    ----------
-    study : Study
-        Its numbers.
-
-    Returns
-    -------
-    matplotlib.figure.Figure
-        Three panels.
-    """
+    """Draw the figure."""
     scan = study.once(unpolarized_clear)
     surface, scatter = median(
         relief(scan.stated["none"], origin=study["short_distance"])

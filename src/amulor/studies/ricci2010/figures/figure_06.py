@@ -49,18 +49,7 @@ _LIMITS = (-15.0, 85.0)
 
 
 def checks(study: Study) -> list[Check]:
-    """Return what the paper says of the figure, beside what was found.
-
-    Parameters
-    ----------
-    study : Study
-        Its numbers.
-
-    Returns
-    -------
-    list of Check
-        Cut-off, steps and errors.
-    """
+    """Return what the paper says of the figure, beside what was found."""
     scan, clear = study.once(unpolarized_turbid), study.once(unpolarized_clear)
     above = study["frequency"] / cut_off(scan.survey)
     left, taken = scan.steps(scan.raw["none"]), scan.steps(scan.subtracted["none"])
@@ -118,18 +107,7 @@ def checks(study: Study) -> list[Check]:
 
 @styled
 def draw(study: Study) -> Figure:
-    """Draw the figure.
-
-    Parameters
-    ----------
-    study : Study
-        Its numbers.
-
-    Returns
-    -------
-    matplotlib.figure.Figure
-        Two panels.
-    """
+    """Draw the figure."""
     scan = study.once(unpolarized_turbid)
     figure, cells = canvas(WIDE, 3.3, rows=1, columns=2)
     axes, scatters = [], []

@@ -42,18 +42,7 @@ _CROSSED, _PARALLEL = 3.0, 7.0
 
 
 def checks(study: Study) -> list[Check]:
-    """Return what the text says of figure 10.
-
-    Parameters
-    ----------
-    study : Study
-        Numbers.
-
-    Returns
-    -------
-    list of Check
-        In the order of the panels.
-    """
+    """Return what the text says of figure 10."""
     drift = {step: lines.line(study, step, "VV").drift for step in lines.TURBIDITIES}
     crossed_share = lines.rejected_share(study, "d", ("VH", "VV"))
     crossed = line_checks.drifts(
@@ -141,36 +130,14 @@ def _overlap(study: Study) -> Check:
 
 
 def needed_crossed_share(study: Study) -> float:
-    """Return the crossed share of the water's light that both drifts of (d) need.
-
-    Parameters
-    ----------
-    study : Study
-        Numbers.
-
-    Returns
-    -------
-    float
-        For drifts in the ratio of 3 to 7 degrees and small signals of the water [1].
-    """
+    """Return the crossed share of the water's light that both drifts of (d) need."""
     m22 = study["m22_target"]
     ratio = _CROSSED / _PARALLEL * (1 - m22) / (1 + m22)
     return ratio / (1 + ratio)
 
 
 def draw(study: Study) -> Figure:
-    """Return figure 10.
-
-    Parameters
-    ----------
-    study : Study
-        Numbers.
-
-    Returns
-    -------
-    matplotlib.figure.Figure
-        Four panels.
-    """
+    """Return figure 10."""
     with style():
         figure = new_figure(WIDE, 4.6)
         axes = figure.subplots(2, 2, sharex=True, sharey=True)

@@ -32,18 +32,7 @@ _AT = {
 
 
 def checks(study: Study) -> list[Check]:
-    """Return what the text says of figure 11.
-
-    Parameters
-    ----------
-    study : Study
-        Numbers.
-
-    Returns
-    -------
-    list of Check
-        In the order of the panels.
-    """
+    """Return what the text says of figure 11."""
     apart, error = lines.difference(study, "tap", ("RL", "RR"))
     turbid = lines.line(study, "d", "RR")
     return [
@@ -70,18 +59,7 @@ def checks(study: Study) -> list[Check]:
 
 
 def draw(study: Study) -> Figure:
-    """Return figure 11.
-
-    Parameters
-    ----------
-    study : Study
-        Numbers.
-
-    Returns
-    -------
-    matplotlib.figure.Figure
-        Four panels.
-    """
+    """Return figure 11."""
     with style():
         figure = new_figure(WIDE, 4.6)
         axes = figure.subplots(2, 2, sharex=True, sharey=True)

@@ -36,18 +36,7 @@ _CROWDED = 0.45
 
 
 def checks(study: Study) -> list[Check]:
-    """Return what the text says of figure 12.
-
-    Parameters
-    ----------
-    study : Study
-        Numbers.
-
-    Returns
-    -------
-    list of Check
-        One.
-    """
+    """Return what the text says of figure 12."""
     margin, error = lines.difference(study, "d", ("VH", "RR"))
     crossed, same = (abs(lines.line(study, "d", pair).drift) for pair in ("VH", "RR"))
     check = within(
@@ -75,18 +64,6 @@ def checks(study: Study) -> list[Check]:
 def echo_ratio(study: Study) -> float:
     """Return the echo of the plate behind RR over that behind VH.
 
-    Parameters
-    ----------
-    study : Study
-        Numbers.
-
-    Returns
-    -------
-    float
-        RR drifts by less than VH if the same ratio of the water's light is lower [1].
-
-    Notes
-    -----
     In light exactly back from particles without order reciprocity makes
     m44 = 1 - 2 m22, so that the ratio of the water is 2 there, at any order of
     scattering. The ratio of the plate reaches 2 where m44 is -0.22, the upper end of
@@ -96,18 +73,7 @@ def echo_ratio(study: Study) -> float:
 
 
 def draw(study: Study) -> Figure:
-    """Return figure 12, and beside it what other set-ups would give.
-
-    Parameters
-    ----------
-    study : Study
-        Numbers.
-
-    Returns
-    -------
-    matplotlib.figure.Figure
-        Two panels.
-    """
+    """Return figure 12, and beside it what other set-ups would give."""
     with style():
         figure = new_figure(WIDE, 3.6)
         left, right = figure.subplots(1, 2, width_ratios=(1, 1.15))

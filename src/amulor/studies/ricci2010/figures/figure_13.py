@@ -45,18 +45,7 @@ _SEEN = 0.9
 
 
 def checks(study: Study) -> list[Check]:
-    """Return what the paper says of the figure, beside what was found.
-
-    Parameters
-    ----------
-    study : Study
-        Its numbers.
-
-    Returns
-    -------
-    list of Check
-        Steps and range errors.
-    """
+    """Return what the paper says of the figure, beside what was found."""
     result: list[Check] = []
     noises: list[float] = []
     panels = zip("abcd", PANELS, _WANTED, _ROLES, strict=True)
@@ -174,18 +163,7 @@ def _phases(study: Study, panel: str, steps: Steps, *, place: str) -> list[Check
 
 @styled
 def draw(study: Study) -> Figure:
-    """Draw the figure.
-
-    Parameters
-    ----------
-    study : Study
-        Its numbers.
-
-    Returns
-    -------
-    matplotlib.figure.Figure
-        Four panels.
-    """
+    """Draw the figure."""
     figure = new_figure(WIDE, 4.3)
     axes = figure.subplots(2, 2, sharex=True, sharey=True)
     for axis, (_, scan_of, channel) in zip(axes.flat, PANELS, strict=True):

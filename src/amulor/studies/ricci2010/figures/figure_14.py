@@ -34,18 +34,7 @@ _LIMITS = (-25.0, 122.0)
 
 
 def checks(study: Study) -> list[Check]:
-    """Return what the paper says of the figure, beside what was found.
-
-    Parameters
-    ----------
-    study : Study
-        Its numbers.
-
-    Returns
-    -------
-    list of Check
-        Order of the surface errors.
-    """
+    """Return what the paper says of the figure, beside what was found."""
     milk = study.once(PANELS[2][1])
     crossed, parallel = (
         float(milk.steps(milk.raw[name]).heights.sum()) * 1e3 for name in ("VH", "VV")
@@ -84,18 +73,7 @@ def checks(study: Study) -> list[Check]:
 
 @styled
 def draw(study: Study) -> Figure:
-    """Draw the figure.
-
-    Parameters
-    ----------
-    study : Study
-        Its numbers.
-
-    Returns
-    -------
-    matplotlib.figure.Figure
-        Four panels.
-    """
+    """Draw the figure."""
     figure, cells = canvas(WIDE, 5.8, rows=2, columns=2)
     axes, titles = [], []
     for cell, (title, scan_of, channel) in zip(cells, PANELS, strict=True):

@@ -52,18 +52,7 @@ _SHADES = (-24.0, 32.0)
 
 
 def checks(study: Study) -> list[Check]:
-    """Return what the paper says of the figure, beside what was found.
-
-    Parameters
-    ----------
-    study : Study
-        Its numbers.
-
-    Returns
-    -------
-    list of Check
-        Outlines, contrast and range errors.
-    """
+    """Return what the paper says of the figure, beside what was found."""
     scan = study.once(bent_disc)
     result: list[Check] = []
     for stage, images in (
@@ -142,18 +131,7 @@ def _outlines(
 
 @styled
 def draw(study: Study) -> Figure:
-    """Draw the figure.
-
-    Parameters
-    ----------
-    study : Study
-        Its numbers.
-
-    Returns
-    -------
-    matplotlib.figure.Figure
-        Four panels.
-    """
+    """Draw the figure."""
     scan = study.once(bent_disc)
     figure, cells = canvas(WIDE, 5.6, rows=2, columns=len(_SIDES))
     rim = study["short_distance"] + _sag(study)

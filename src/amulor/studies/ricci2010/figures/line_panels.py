@@ -19,21 +19,7 @@ COLOUR = {"VV": COLOURS[0], "VH": COLOURS[1], "RL": COLOURS[2], "RR": COLOURS[3]
 def panel(
     study: Study, axis: Axes, step: str, pairs: tuple[str, str], *, subtracted: bool
 ) -> None:
-    """Draw two lines of one water.
-
-    Parameters
-    ----------
-    study : Study
-        Numbers.
-    axis : matplotlib.axes.Axes
-        Where to.
-    step : str
-        Water, a key of `TURBIDITIES`.
-    pairs : tuple of str
-        Launched and analysed state of the filled and of the open marks.
-    subtracted : bool
-        Whether to draw what is left after open-water subtraction.
-    """
+    """Draw two lines of one water."""
     pixel = np.arange(1, PIXELS + 1)
     for pair, filled in zip(pairs, (True, False), strict=True):
         result = line(study, step, pair)

@@ -32,22 +32,7 @@ PLACE = "section 8, on figures 8 and 9"
 
 
 def same_extrema(sweep: Sweep, value: Floats, name: str) -> Check:
-    """Return the check that a quantity turns where the amplitude does.
-
-    Parameters
-    ----------
-    sweep : Sweep
-        The experiment.
-    value : ndarray
-        The quantity at its frequencies.
-    name : str
-        What it is.
-
-    Returns
-    -------
-    Check
-        Largest shift, over the extrema of the quantity.
-    """
+    """Return the check that a quantity turns where the amplitude does."""
     limit = max(1.0, sweep.period / 1e7)
     of_value, of_amplitude = (
         extrema.find(sweep.frequency, smoothed(curve))
@@ -75,23 +60,7 @@ def same_extrema(sweep: Sweep, value: Floats, name: str) -> Check:
 
 
 def almost_monotonic(sweep: Sweep, value: Floats, name: str) -> Check:
-    """Return the check that a quantity rises without turning back by much.
-
-    Parameters
-    ----------
-    sweep : Sweep
-        The experiment.
-    value : ndarray
-        The quantity at its frequencies.
-    name : str
-        What it is.
-
-    Returns
-    -------
-    Check
-        How many maxima stand above both minima beside them by more than a tenth of
-        all that the quantity rises.
-    """
+    """Return the check that a quantity rises without turning back by much."""
     count = turns(sweep, value, depth=0.1 * float(np.ptp(smoothed(value))))
     return holds(
         f"experiment {sweep.number}: {name} rises almost monotonically (turns back by "
@@ -104,22 +73,7 @@ def almost_monotonic(sweep: Sweep, value: Floats, name: str) -> Check:
 
 
 def turns(sweep: Sweep, value: Floats, *, depth: float) -> int:
-    """Return how many maxima stand above both minima beside them.
-
-    Parameters
-    ----------
-    sweep : Sweep
-        The experiment.
-    value : ndarray
-        A quantity at its frequencies.
-    depth : float
-        By how much, in the unit of the quantity.
-
-    Returns
-    -------
-    int
-        Of the smoothed quantity.
-    """
+    """Return how many maxima stand above both minima beside them."""
     even = smoothed(value)
     result = extrema.find(sweep.frequency, even)
     level = np.interp(result.maxima, sweep.frequency, even)
@@ -133,24 +87,7 @@ def turns(sweep: Sweep, value: Floats, *, depth: float) -> int:
 
 
 def grows(sweep: Sweep, value: Floats, name: str) -> Check:
-    """Return the check that a quantity grows with frequency, period by period.
-
-    Parameters
-    ----------
-    sweep : Sweep
-        The experiment.
-    value : ndarray
-        The quantity at its frequencies.
-    name : str
-        What it is.
-
-    Returns
-    -------
-    Check
-        Means over successive periods of the interference, from the top of the sweep
-        down; over octaves, of which the lowest are shorter than a period, maxima and
-        minima would not cancel.
-    """
+    """Return the check that a quantity grows with frequency, period by period."""
     span = sweep.frequency[-1] - sweep.frequency[0]
     count = max(2, int(span / sweep.period))
     edges = sweep.frequency[-1] - sweep.period * np.arange(count, -1, -1.0)
@@ -178,28 +115,7 @@ def draw(
     level: float,
     logarithmic: bool,
 ) -> Figure:
-    """Draw a quantity of all experiments, before and after correction.
-
-    Parameters
-    ----------
-    sweeps : tuple of Sweep
-        The experiments.
-    raw, corrected : callable
-        Take the quantity of an experiment.
-    label : str
-        Its name on the axis.
-    names : tuple of str
-        Its symbol before and after.
-    level : float
-        Value at which echo and water balance.
-    logarithmic : bool
-        Whether its axis is.
-
-    Returns
-    -------
-    matplotlib.figure.Figure
-        Three panels.
-    """
+    """Draw a quantity of all experiments, before and after correction."""
     with style():
         figure = new_figure(WIDE, 2.5)
         axes = figure.subplots(1, 3, sharey=True)

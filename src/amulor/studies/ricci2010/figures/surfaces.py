@@ -48,20 +48,7 @@ class Relief:
 
 
 def relief(image: xr.Dataset, *, origin: float) -> Relief:
-    """Return the points of a range image as a surface.
-
-    Parameters
-    ----------
-    image : xarray.Dataset
-        Level `range_image`.
-    origin : float
-        Forward place from which heights are counted [m].
-
-    Returns
-    -------
-    Relief
-        In millimetres; pixels without a range keep their place in the plane.
-    """
+    """Return the points of a range image as a surface."""
     cloud = point_cloud(image)
     place = (cloud["row"].values, cloud["column"].values)
     right = origin * np.tan(image["azimuth"].values)
@@ -73,41 +60,12 @@ def relief(image: xr.Dataset, *, origin: float) -> Relief:
 
 
 def masked(surface: Relief, keep: NDArray[np.bool_]) -> Relief:
-    """Return a surface of some pixels only.
-
-    Parameters
-    ----------
-    surface : Relief
-        A surface.
-    keep : ndarray of bool, shape (row, column)
-        Which pixels.
-
-    Returns
-    -------
-    Relief
-        No numbers at the others.
-    """
+    """Return a surface of some pixels only."""
     return replace(surface, near=np.where(keep, surface.near, np.nan))
 
 
 def median(surface: Relief, *, size: int = 5) -> tuple[Relief, float]:
-    """Return the medians of a surface over small squares, and the scatter about them.
-
-    Parameters
-    ----------
-    surface : Relief
-        A surface.
-    size : int
-        Side of the squares, odd [pixels].
-
-    Returns
-    -------
-    surface : Relief
-        Of the same pixels: edges of steps stay sharp, spikes of single pixels go.
-    scatter : float
-        1.48 times the median of what pixels deviate from it, the standard deviation if
-        they do so normally [mm].
-    """
+    """Medians of a surface over small squares, and the scatter about them."""
     half = size // 2
     padded = np.pad(surface.near, half, constant_values=np.nan)
     windows = sliding_window_view(padded, (size, size))
@@ -133,22 +91,7 @@ def median(surface: Relief, *, size: int = 5) -> tuple[Relief, float]:
 def canvas(
     width: float, height: float, *, rows: int, columns: int
 ) -> tuple[Figure, list[SubplotSpec]]:
-    """Return an empty figure with room for the labels of panels in space.
-
-    Parameters
-    ----------
-    width, height : float
-        Size [inch].
-    rows, columns : int
-        Number of panels [1].
-
-    Returns
-    -------
-    figure : matplotlib.figure.Figure
-        Its layout does not see these labels, so that it needs wider margins.
-    cells : list of matplotlib.gridspec.SubplotSpec
-        Places of the panels, row by row.
-    """
+    """Return an empty figure with room for the labels of panels in space."""
     figure = new_figure(width, height)
     engine: Any = figure.get_layout_engine()
     engine.set(h_pad=0.13, w_pad=0.08)
@@ -168,32 +111,7 @@ def draw(
     spacing: float = 20.0,
     zoom: float = 1.0,
 ) -> Any:
-    """Draw a surface with the same scale along all three axes.
-
-    Parameters
-    ----------
-    figure : matplotlib.figure.Figure
-        Where it goes.
-    where : matplotlib.gridspec.SubplotSpec
-        Which part of it.
-    surface : Relief
-        What is drawn.
-    limits : tuple of float
-        Lowest and highest height; what lies outside is left out [mm].
-    shades : tuple of float, optional
-        Heights of the darkest and the lightest colour; the limits by default [mm].
-    elevation, azimuth : float
-        Direction of the viewer [degree].
-    spacing : float
-        Distance of the ticks along all axes [mm].
-    zoom : float
-        Size of the box in its panel [1].
-
-    Returns
-    -------
-    mpl_toolkits.mplot3d.axes3d.Axes3D
-        The panel.
-    """
+    """Draw a surface with the same scale along all three axes."""
     axis: Any = figure.add_subplot(where, projection="3d", computed_zorder=False)
     corners = np.stack([surface.right, surface.up, surface.near], axis=-1)
     quads, strips = _in_strips(_quads(corners))

@@ -78,34 +78,11 @@ class DiscScan:
     """Channel to range image with open water subtracted."""
 
     def contrast(self, image: xr.Dataset) -> metrics.Contrast:
-        """Compare the brightness of the disc with what is around it.
-
-        Parameters
-        ----------
-        image : xarray.Dataset
-            One of `raw` or `subtracted`.
-
-        Returns
-        -------
-        amulor.imaging.metrics.Contrast
-            1 if the surroundings are dark.
-        """
+        """Compare the brightness of the disc with what is around it."""
         return metrics.contrast(image, self.inside, self.outside)
 
     def error(self, image: xr.Dataset) -> tuple[float, float]:
-        """Return how far the ranges of the disc are off, and their mean.
-
-        Parameters
-        ----------
-        image : xarray.Dataset
-            One of `raw` or `subtracted`.
-
-        Returns
-        -------
-        rms, scatter : float
-            Root mean square of slant range less truth, and its standard deviation;
-            not numbers where no pixel has a range [m].
-        """
+        """Return how far the ranges of the disc are off, and their mean."""
         error = (image["slant_range"].values - self.truth)[self.inside]
         error = error[np.isfinite(error)]
         if error.size < 2:
@@ -113,35 +90,13 @@ class DiscScan:
         return float(np.sqrt(np.mean(error**2))), float(error.std(ddof=1))
 
     def moved(self, image: xr.Dataset) -> float:
-        """Return how much nearer than it is the disc appears.
-
-        Parameters
-        ----------
-        image : xarray.Dataset
-            One of `raw` or `subtracted`.
-
-        Returns
-        -------
-        float
-            Median of truth less slant range on the disc [m].
-        """
+        """Return how much nearer than it is the disc appears."""
         error = (self.truth - image["slant_range"].values)[self.inside]
         return float(np.nanmedian(error))
 
 
 def bent_disc(study: Study) -> DiscScan:
-    """Scan the bent disc with holes, crossed and parallel.
-
-    Parameters
-    ----------
-    study : Study
-        Its numbers.
-
-    Returns
-    -------
-    DiscScan
-        Channels VH and VV.
-    """
+    """Scan the bent disc with holes, crossed and parallel."""
     distance = study["short_distance"]
     # As fine as the scan of the ladder.
     ladder = 2 * distance * math.tan(study["scan_width"] / 2)
@@ -198,40 +153,14 @@ curvature_radius = "{write(study["disc_bend"], "length")}"
 
 
 def bright(image: xr.Dataset) -> Mask:
-    """Return which pixels are brighter than halfway between bright and dark ones.
-
-    Parameters
-    ----------
-    image : xarray.Dataset
-        Level `range_image`.
-
-    Returns
-    -------
-    ndarray of bool, shape (row, column)
-        True on the disc.
-    """
+    """Return which pixels are brighter than halfway between bright and dark ones."""
     intensity = image["intensity"].values
     over: Mask = intensity > _halfway(intensity)
     return over
 
 
 def outlines(image: xr.Dataset, *, distance: float) -> Outlines:
-    """Measure the outlines of the disc in the brightness of a picture.
-
-    Parameters
-    ----------
-    image : xarray.Dataset
-        Level `range_image`; the picture knows nothing of the disc but its distance.
-    distance : float
-        Forward distance of the middle of the disc [m].
-
-    Returns
-    -------
-    Outlines
-        Diameters of circles of the same area. The disc is the largest patch that is
-        brighter than halfway between bright and dark, its holes are the dark patches
-        that it surrounds.
-    """
+    """Measure the outlines of the disc in the brightness of a picture."""
     lit = bright(image)
     patches, count = ndimage.label(lit)
     if count == 0:

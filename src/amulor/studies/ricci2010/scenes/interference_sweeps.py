@@ -143,70 +143,24 @@ class Sweep:
 
 
 def shown(sweep: Sweep) -> slice:
-    """Return which samples of a sweep a figure shows, so that markers do not touch.
-
-    Parameters
-    ----------
-    sweep : Sweep
-        An experiment.
-
-    Returns
-    -------
-    slice
-        About 65 of them.
-    """
+    """Return which samples of a sweep a figure shows, so that markers do not touch."""
     return slice(None, None, max(1, len(sweep.frequency) // 65))
 
 
 def smoothed(value: Floats) -> Floats:
-    """Return a measured sweep without its noise, for finding extrema.
-
-    Parameters
-    ----------
-    value : ndarray, shape (n,)
-        Amplitude, ratio or contrast at the frequencies of the sweep.
-
-    Returns
-    -------
-    ndarray, shape (n,)
-        Local parabolas; they leave a sinusoid of the shortest period within 1 %.
-    """
+    """Return a measured sweep without its noise, for finding extrema."""
     count = round(_SMOOTHED * (len(value) - 1) / (LAST - FIRST))
     fitted: Floats = savgol_filter(value, count + 1 - count % 2, 2)
     return fitted
 
 
 def sweeps(study: Study) -> tuple[Sweep, ...]:
-    """Return all three experiments.
-
-    Parameters
-    ----------
-    study : Study
-        Its numbers.
-
-    Returns
-    -------
-    tuple of Sweep
-        In the order of the paper.
-    """
+    """Return all three experiments."""
     return tuple(study.once(_DIFFUSION[number]) for number in EXPERIMENTS)
 
 
 def small_angle_sweeps(study: Study) -> tuple[Sweep, ...]:
-    """Return the experiments again, in water that spreads light as form (29) says.
-
-    Parameters
-    ----------
-    study : Study
-        Its numbers; the ratios of water signal and echo are the same, and so are the
-        second moments, now those of Henyey-Greenstein phase functions.
-
-    Returns
-    -------
-    tuple of Sweep
-        In the order of the paper. Joint estimation assumes the diffusion form there,
-        too.
-    """
+    """Return the experiments again, in water that spreads light as form (29) says."""
     return tuple(study.once(_SMALL_ANGLE[number]) for number in EXPERIMENTS)
 
 

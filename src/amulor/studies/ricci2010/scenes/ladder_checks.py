@@ -15,40 +15,14 @@ from amulor.survey import Survey
 
 
 def cut_off(survey: Survey, *, end: float | None = None) -> float:
-    """Return the cut-off of the water signal in the middle of a scan.
-
-    Parameters
-    ----------
-    survey : Survey
-        Water and instrument.
-    end : float, optional
-        Where the water ends; nowhere by default, as in the paper's model [m].
-
-    Returns
-    -------
-    float
-        Half-power point of (46) of Ricci et al. 2010, as rebuilt [Hz].
-    """
+    """Return the cut-off of the water signal in the middle of a scan."""
     ended = survey.water.model_copy(update={"column_end": end})
     shown = survey.model_copy(update={"water": ended})
     return low_pass.cut_off(lambda f: backscatter.diffusion_response(shown, f))
 
 
 def phase_step(study: Study, height: float) -> float:
-    """Return the change of phase that a height stands for.
-
-    Parameters
-    ----------
-    study : Study
-        Frequency and index.
-    height : float
-        Height along the beam [m].
-
-    Returns
-    -------
-    float
-        (72) of Ricci et al. 2010, as rebuilt [rad].
-    """
+    """Return the change of phase that a height stands for."""
     interval = ranging.ambiguity_interval(
         study["frequency"], group_index=study["index"]
     )
@@ -58,24 +32,7 @@ def phase_step(study: Study, height: float) -> float:
 def steps_are_faithful(
     study: Study, statement: str, steps: Steps, *, place: str
 ) -> Check:
-    """Return the check that no step is off by more than the phase error stands for.
-
-    Parameters
-    ----------
-    study : Study
-        Its ladder and its phase error.
-    statement : str
-        What is stated.
-    steps : Steps
-        What was found.
-    place : str
-        Where the paper says it; empty for a check of ours.
-
-    Returns
-    -------
-    Check
-        Its value is the step farthest off [mm].
-    """
+    """Return the check that no step is off by more than the phase error stands for."""
     interval = ranging.ambiguity_interval(
         study["frequency"], group_index=study["index"]
     )
@@ -105,26 +62,7 @@ def steps_agree(
     place: str,
     significance: float = 3.0,
 ) -> Check:
-    """Return the check that the steps of the ladder are right.
-
-    Parameters
-    ----------
-    study : Study
-        Its ladder.
-    statement : str
-        What is stated.
-    steps : Steps
-        What was found.
-    place : str
-        Where the paper says it; empty for a check of ours.
-    significance : float
-        How many of its standard uncertainties each may be off.
-
-    Returns
-    -------
-    Check
-        Its value is the largest deviation in standard uncertainties.
-    """
+    """Return the check that the steps of the ladder are right."""
     true = np.array([study["first_step"], *[study["other_steps"]] * 3])
     off = np.abs(steps.heights - true) / steps.uncertainties
     result = ", ".join(

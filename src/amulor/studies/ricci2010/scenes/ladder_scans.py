@@ -68,52 +68,19 @@ class LadderScan:
     a bias, and pixels with too much water have no range. Without polarizers only."""
 
     def farthest(self, image: xr.Dataset) -> float:
-        """Return where the farthest tread stands in one of the images.
-
-        Parameters
-        ----------
-        image : xarray.Dataset
-            One of `raw`, `subtracted` or `stated`.
-
-        Returns
-        -------
-        float
-            Mean forward place of its points [m].
-        """
+        """Return where the farthest tread stands in one of the images."""
         cloud = imaging.point_cloud(image)
         tread = self.treads[cloud["row"].values, cloud["column"].values]
         return float(cloud["z"].values[tread == 1].mean())
 
     def off(self, image: xr.Dataset) -> Floats:
-        """Return how far the steps in one of the images are off.
-
-        Parameters
-        ----------
-        image : xarray.Dataset
-            One of `raw`, `subtracted` or `stated`.
-
-        Returns
-        -------
-        ndarray, shape (steps,)
-            Height found less height of the ladder [m].
-        """
+        """Return how far the steps in one of the images are off."""
         true = np.diff(np.concatenate([[0.0], _heights(self.survey)]))
         wrong: Floats = self.steps(image).heights - true
         return wrong
 
     def steps(self, image: xr.Dataset) -> Steps:
-        """Compare one of the images with the ladder.
-
-        Parameters
-        ----------
-        image : xarray.Dataset
-            One of `raw`, `subtracted` or `stated`.
-
-        Returns
-        -------
-        Steps
-            Not numbers where nothing can be said.
-        """
+        """Compare one of the images with the ladder."""
         on = self.treads > 0
         error = np.where(on, image["slant_range"].values - self.truth, np.nan)
         known = np.isfinite(error)
@@ -240,18 +207,7 @@ def _milk(study: Study) -> ScanWater:
 
 
 def unpolarized_clear(study: Study) -> LadderScan:
-    """Scan the ladder in clear water at 1.5 m without polarizers.
-
-    Parameters
-    ----------
-    study : Study
-        Its numbers.
-
-    Returns
-    -------
-    LadderScan
-        Channel "none".
-    """
+    """Scan the ladder in clear water at 1.5 m without polarizers."""
     survey = survey_of(
         study,
         name="Ladder in clear water, no polarizers",
@@ -269,18 +225,7 @@ def unpolarized_clear(study: Study) -> LadderScan:
 
 
 def unpolarized_turbid(study: Study) -> LadderScan:
-    """Scan the ladder in thin, turbid water at 3.7 m without polarizers.
-
-    Parameters
-    ----------
-    study : Study
-        Its numbers.
-
-    Returns
-    -------
-    LadderScan
-        Channel "none".
-    """
+    """Scan the ladder in thin, turbid water at 3.7 m without polarizers."""
     water = ScanWater(
         attenuation=study["ladder_attenuation"],
         second_moment=study["second_moment_low"],
@@ -306,34 +251,12 @@ def unpolarized_turbid(study: Study) -> LadderScan:
 
 
 def polarized_clear(study: Study) -> LadderScan:
-    """Scan the ladder in clear water, crossed and parallel.
-
-    Parameters
-    ----------
-    study : Study
-        Its numbers.
-
-    Returns
-    -------
-    LadderScan
-        Channels VH and VV.
-    """
+    """Scan the ladder in clear water, crossed and parallel."""
     return _polarized(study, _clear_water(study), name="clear water")
 
 
 def polarized_milk(study: Study) -> LadderScan:
-    """Scan the ladder in milk, crossed and parallel.
-
-    Parameters
-    ----------
-    study : Study
-        Its numbers.
-
-    Returns
-    -------
-    LadderScan
-        Channels VH and VV.
-    """
+    """Scan the ladder in milk, crossed and parallel."""
     return _polarized(study, _milk(study), name="milk")
 
 

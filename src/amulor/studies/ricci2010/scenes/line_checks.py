@@ -29,31 +29,7 @@ def drifts(
     place: str,
     role: Role | None = None,
 ) -> Check:
-    """Return the check of a drift.
-
-    Parameters
-    ----------
-    study : Study
-        Numbers.
-    statement : str
-        What is stated.
-    step : str
-        Water, a key of `TURBIDITIES`.
-    pair : str
-        Launched and analysed state.
-    low, high : float
-        What would do, at most [degrees].
-    place : str
-        Where the paper says it; empty for a check of ours.
-    role : {"test", "set", "own"}, optional
-        Whether a number of the study was chosen for it.
-
-    Returns
-    -------
-    Check
-        Of the drift without noise. What the fit to the synthetic measurement gives is
-        said beside it.
-    """
+    """Return the check of a drift."""
     result = line(study, step, pair)
     check = within(
         statement,
@@ -81,28 +57,7 @@ def stays_flat(
     place: str,
     role: Role | None = None,
 ) -> Check:
-    """Return the check that a drift stays within the phase error of the apparatus.
-
-    Parameters
-    ----------
-    study : Study
-        Numbers.
-    statement : str
-        What is stated.
-    step : str
-        Water, a key of `TURBIDITIES`.
-    pair : str
-        Launched and analysed state.
-    place : str
-        Where the paper says it; empty for a check of ours.
-    role : {"test", "set", "own"}, optional
-        Whether a number of the study was chosen for it.
-
-    Returns
-    -------
-    Check
-        Failed where the drift is above by more than twice its standard error.
-    """
+    """Return the check that a drift stays within the phase error of the apparatus."""
     result = line(study, step, pair)
     check = drifts(
         study, statement, step, pair, low=-FLAT, high=FLAT, place=place, role=role
@@ -111,24 +66,7 @@ def stays_flat(
 
 
 def is_straight(study: Study, step: str, pair: str, *, place: str) -> Check:
-    """Return the check that a line drifts evenly.
-
-    Parameters
-    ----------
-    study : Study
-        Numbers.
-    step : str
-        Water, a key of `TURBIDITIES`.
-    pair : str
-        Launched and analysed state.
-    place : str
-        Where the paper says it; empty for a check of ours.
-
-    Returns
-    -------
-    Check
-        Of the largest departure from the straight line, over the drift.
-    """
+    """Return the check that a line drifts evenly."""
     result = line(study, step, pair)
     check = within(
         f"({step}) {pair} drifts along a straight line: departure over drift",
@@ -142,26 +80,7 @@ def is_straight(study: Study, step: str, pair: str, *, place: str) -> Check:
 
 
 def moves(study: Study, statement: str, step: str, pair: str, *, place: str) -> Check:
-    """Return the check that a line drifts beyond the phase error of the apparatus.
-
-    Parameters
-    ----------
-    study : Study
-        Numbers.
-    statement : str
-        What is stated.
-    step : str
-        Water, a key of `TURBIDITIES`.
-    pair : str
-        Launched and analysed state.
-    place : str
-        Where the paper says it; empty for a check of ours.
-
-    Returns
-    -------
-    Check
-        Passed where the drift is above by more than twice its standard error.
-    """
+    """Return the check that a line drifts beyond the phase error of the apparatus."""
     result = line(study, step, pair)
     check = drifts(study, statement, step, pair, low=FLAT, high=np.inf, place=place)
     return surely(check, result.drift - SURE * result.error >= FLAT)

@@ -76,27 +76,7 @@ class LineLight:
 def scattered_more(
     study: Study, water: Medium, place: Array, *, histories: int, plate_there: bool
 ) -> dict[str, Complex]:
-    """Return what the water scatters more than once, by polarized Monte Carlo.
-
-    Parameters
-    ----------
-    study : Study
-        Numbers.
-    water : Medium
-        Water.
-    place : ndarray
-        Where the beam is aimed at on the plane of the plate, shape (n,) [m].
-    histories : int
-        Paths at each of them.
-    plate_there : bool
-        Whether the water ends at the plate.
-
-    Returns
-    -------
-    dict of str to ndarray
-        Pair of `PAIRS` to its light, shape (n, batches) [1]. All runs share their
-        random numbers, so differences are surer than values.
-    """
+    """Return what the water scatters more than once, by polarized Monte Carlo."""
     target = _plate(study) if plate_there else None
     return _traced(study, water, place, histories, water_parts, target=target)
 
@@ -104,25 +84,7 @@ def scattered_more(
 def reflected_and_scattered(
     study: Study, water: Medium, place: Array, *, histories: int
 ) -> dict[str, Complex]:
-    """Return what is scattered on the way to or from the plate.
-
-    Parameters
-    ----------
-    study : Study
-        Numbers.
-    water : Medium
-        Water.
-    place : ndarray
-        Where the beam is aimed at on the plate, shape (n,) [m].
-    histories : int
-        Paths at each of them.
-
-    Returns
-    -------
-    dict of str to ndarray
-        As of `scattered_more`. Its ratio to the unscattered echo is that of a receiver
-        that is `WIDER`.
-    """
+    """Return what is scattered on the way to or from the plate."""
     traced = _traced(
         study, water, place, histories, plate_parts, target=_plate(study), wider=WIDER
     )
@@ -137,24 +99,7 @@ def reflected_and_scattered(
 def returned_by_walls(
     study: Study, water: Medium, place: Array, *, histories: int
 ) -> dict[str, Complex]:
-    """Return what is scattered to the walls of the tank, and by them to the receiver.
-
-    Parameters
-    ----------
-    study : Study
-        Numbers.
-    water : Medium
-        Water.
-    place : ndarray
-        Where the beam is aimed at on the plane of the plate, shape (n,) [m].
-    histories : int
-        Paths at each of them.
-
-    Returns
-    -------
-    dict of str to ndarray
-        As of `scattered_more`. What walls send to the plate is left out.
-    """
+    """Trace the light scattered to the walls of the tank and by them to the receiver."""
     return _traced(study, water, place, histories, plate_parts, target=walls(study))
 
 
@@ -211,20 +156,6 @@ def plate_parts(name: str) -> bool:
 def line_light(study: Study, attenuation: float) -> dict[str, LineLight]:
     """Return the light along a line over the plate, at all pixels.
 
-    Parameters
-    ----------
-    study : Study
-        Numbers.
-    attenuation : float
-        Attenuation coefficient of the water [1/m].
-
-    Returns
-    -------
-    dict of str to LineLight
-        For each of `PAIRS`.
-
-    Notes
-    -----
     The Monte Carlo runs at Chebyshev's places, three of them if quick and five if not,
     and is joined by a parabola. What it adds varies slower along the line than the
     light scattered once, which is known at each pixel.
@@ -257,20 +188,7 @@ def line_light(study: Study, attenuation: float) -> dict[str, LineLight]:
 
 
 def open_water(study: Study, attenuation: float) -> dict[str, Complex]:
-    """Return the light along a line with the plate taken away.
-
-    Parameters
-    ----------
-    study : Study
-        Numbers.
-    attenuation : float
-        Attenuation coefficient of the water [1/m].
-
-    Returns
-    -------
-    dict of str to ndarray
-        Pair of `PAIRS` to its light, shape (pixels,) [1].
-    """
+    """Return the light along a line with the plate taken away."""
     water = medium(study, attenuation)
     nodes, join = _nodes(study)
     histories = 2_048 if study.quick else 32_768

@@ -32,24 +32,6 @@ def scattered_once(
 ) -> dict[str, Complex]:
     """Return the light that the water scatters once, by quadrature.
 
-    Parameters
-    ----------
-    study : Study
-        Numbers.
-    water : Medium
-        Water.
-    place : ndarray
-        Where the beam is aimed at on the plane of the plate, shape (n,) [m].
-    until : float
-        How far forward the water goes [m].
-
-    Returns
-    -------
-    dict of str to ndarray
-        Pair of `PAIRS` to its light, shape (n,) [1].
-
-    Notes
-    -----
     The frame is not turned on the way back: within the acceptance that changes what
     passes a crossed analyser by 1e-5 of what passes the parallel one.
     """
@@ -87,24 +69,7 @@ def scattered_once(
 def reflected_at_once(
     study: Study, water: Medium, place: Array, *, wider: float = 1.0
 ) -> dict[str, Complex]:
-    """Return the light that comes back from the plate unscattered, by quadrature.
-
-    Parameters
-    ----------
-    study : Study
-        Numbers.
-    water : Medium
-        Water.
-    place : ndarray
-        Where the beam falls on the plate, shape (n,) [m].
-    wider : float
-        Radius of the receiver over its true one [1].
-
-    Returns
-    -------
-    dict of str to ndarray
-        Pair of `PAIRS` to its light, shape (n,) [1].
-    """
+    """Return the light that comes back from the plate unscattered, by quadrature."""
     here = study.once(bench)
     receiver = widened(here.receiver, wider)
     point = np.stack([place, 0 * place, np.full_like(place, here.distance)], axis=-1)
@@ -123,22 +88,7 @@ def reflected_at_once(
 
 
 def interpolation(nodes: Array, at: Array, *, degree: int) -> Array:
-    """Return the matrix that joins values at nodes by a polynomial.
-
-    Parameters
-    ----------
-    nodes : ndarray
-        Where values are known, from -1 to 1.
-    at : ndarray
-        Where they are wanted.
-    degree : int
-        Degree of the polynomial, below the number of nodes.
-
-    Returns
-    -------
-    ndarray
-        Shape (at, nodes); least squares where there are nodes to spare.
-    """
+    """Return the matrix that joins values at nodes by a polynomial."""
     fit = np.linalg.pinv(chebyshev.chebvander(nodes, degree))
     matrix: Array = chebyshev.chebvander(at, degree) @ fit
     return matrix

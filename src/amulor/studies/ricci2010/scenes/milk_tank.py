@@ -68,18 +68,7 @@ class Bench:
 
 
 def bench(study: Study) -> Bench:
-    """Return the places of the short tank.
-
-    Parameters
-    ----------
-    study : Study
-        Numbers.
-
-    Returns
-    -------
-    Bench
-        The normal of the plate in the middle of the line is the forward axis.
-    """
+    """Return the places of the short tank."""
     baseline, distance = study["short_baseline"], study["short_distance"]
     fraction = study["plate_normal"]
     laser = np.array([-fraction * baseline, 0.0, 0.0])
@@ -94,37 +83,12 @@ def bench(study: Study) -> Bench:
 
 
 def places(count: int = PIXELS) -> Array:
-    """Return the places of pixels on the plate, to the right of its middle [m].
-
-    Parameters
-    ----------
-    count : int
-        Number of pixels.
-
-    Returns
-    -------
-    ndarray
-        From the side of the laser to that of the receiver: the text of section 9 says
-        that the receiver sees least of the beam's way through the water at the first
-        pixel, and all of it at the last.
-    """
+    """Return the places of pixels on the plate, to the right of its middle [m]."""
     return np.linspace(-LINE / 2, LINE / 2, count)
 
 
 def milk(study: Study) -> Milk:
-    """Return what the particles of milk scatter.
-
-    Parameters
-    ----------
-    study : Study
-        Numbers.
-
-    Returns
-    -------
-    Milk
-        Spheres of log-normal diameter: fat, or all that has one diameter, and casein
-        where it has a share.
-    """
+    """Return what the particles of milk scatter."""
     share = study["casein_share"]
     main = _spheres(study, study["milk_diameter"], study["milk_index"])
     if share == 0:
@@ -162,25 +126,6 @@ def _spheres(study: Study, diameter: float, index: float) -> mie.Suspension:
 def medium(study: Study, attenuation: float) -> Medium:
     """Return tap water with as much milk as an attenuation needs.
 
-    Parameters
-    ----------
-    study : Study
-        Numbers.
-    attenuation : float
-        Attenuation coefficient of the mixture, at least that of tap water [1/m].
-
-    Returns
-    -------
-    Medium
-        Molecules, spheres of milk, and absorption for the rest of the tap water.
-
-    Raises
-    ------
-    ValueError
-        If the attenuation is below that of tap water.
-
-    Notes
-    -----
     The matrix of anisotropic molecules is that of J. E. Hansen and L. D. Travis,
     Space Sci. Rev. 16, 527 (1974), eqs. (2.15) and (2.16). Milk absorbs less than a
     hundredth of what it scatters.
@@ -232,18 +177,7 @@ def water_matrix(angle: ArrayLike) -> Array:
 
 
 def walls(study: Study) -> MeshTarget:
-    """Return the four walls of the tank along the beam, from the window to the plate.
-
-    Parameters
-    ----------
-    study : Study
-        Numbers; the reflectance of the walls above 0.
-
-    Returns
-    -------
-    MeshTarget
-        An ideal depolarizer.
-    """
+    """Four walls of the tank along the beam, from the window to the plate."""
     half = study["tank_width"] / 2
     corners = np.array([(-half, -half), (half, -half), (half, half), (-half, half)])
     ends = (WALL_START, study["short_distance"])

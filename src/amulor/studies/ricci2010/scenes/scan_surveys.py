@@ -58,28 +58,7 @@ def survey_of(
     target: str,
     polarizations: Sequence[str],
 ) -> Survey:
-    """Return the survey of a scan with the instrument of the study.
-
-    Parameters
-    ----------
-    study : Study
-        Its instrument counts.
-    name : str
-        Title.
-    water : ScanWater
-        The water.
-    field : ScanField
-        Place and size of the scan.
-    target : str
-        Shape of the target in TOML; its paint is that of the ladder.
-    polarizations : sequence of str
-        Channels.
-
-    Returns
-    -------
-    Survey
-        Read from the text of a survey file.
-    """
+    """Return the survey of a scan with the instrument of the study."""
     fraction = study["absorption_share"]
     # A sphere straight backwards: m33 = -m22, m44 = 1 - 2 m22.
     matrix = [water.m22, -water.m22, 1 - 2 * water.m22]
@@ -140,38 +119,14 @@ repeats = {round(study["open_water_repeats"])}
 
 
 def around(distance: float) -> tuple[float, float]:
-    """Return the slant ranges that somebody who set up a target holds possible.
-
-    Parameters
-    ----------
-    distance : float
-        Forward distance of the target [m].
-
-    Returns
-    -------
-    nearest, farthest : float
-        Less than an ambiguity interval apart [m].
-    """
+    """Return the slant ranges that somebody who set up a target holds possible."""
     return max(distance - 1.0, 0.2), distance + 1.0
 
 
 def images(
     target: xr.Dataset, *, interval: tuple[float, float]
 ) -> dict[str, xr.Dataset]:
-    """Return the range images of all channels of a target signal.
-
-    Parameters
-    ----------
-    target : xarray.Dataset
-        Level `target_signal`.
-    interval : tuple of float
-        Nearest and farthest slant range that are possible [m].
-
-    Returns
-    -------
-    dict of str to xarray.Dataset
-        Channel to range image.
-    """
+    """Return the range images of all channels of a target signal."""
     return {
         channel: imaging.range_image(target, polarization=channel, interval=interval)
         for channel in map(str, target["polarization"].values)

@@ -72,22 +72,7 @@ OPEN_WATER = {step: _open_water_of(step) for step in TURBIDITIES}
 
 
 def line(study: Study, step: str, pair: str) -> Line:
-    """Return the phase along a line.
-
-    Parameters
-    ----------
-    study : Study
-        Numbers.
-    step : str
-        Water, a key of `TURBIDITIES`.
-    pair : str
-        Launched and analysed state, such as "VH".
-
-    Returns
-    -------
-    Line
-        With its drift.
-    """
+    """Return the phase along a line."""
     light = study.once(LIGHT[step])[pair]
     phase = advance_along(light.signal)
     sigma = float(np.degrees(study["phase_noise"]))
@@ -118,24 +103,7 @@ def standard_error(batches: Array) -> float:
 
 
 def difference(study: Study, step: str, pairs: tuple[str, str]) -> tuple[float, float]:
-    """Return how much more a line drifts than another, and its standard error.
-
-    Parameters
-    ----------
-    study : Study
-        Numbers.
-    step : str
-        Water, a key of `TURBIDITIES`.
-    pairs : tuple of str
-        Launched and analysed state of the one and of the other.
-
-    Returns
-    -------
-    drift : float
-        Size of the one drift less that of the other [degrees].
-    error : float
-        Both come from the same paths: less than both errors together [degrees].
-    """
+    """Return how much more a line drifts than another, and its standard error."""
     one, other = (line(study, step, pair).drift for pair in pairs)
     light, dark = (study.once(LIGHT[step])[pair].phase_batches for pair in pairs)
     sign = np.sign(one * other)
@@ -143,67 +111,21 @@ def difference(study: Study, step: str, pairs: tuple[str, str]) -> tuple[float, 
 
 
 def corrected(study: Study, step: str, pair: str) -> Array:
-    """Return the phase that is left after the signal of open water is subtracted.
-
-    Parameters
-    ----------
-    study : Study
-        Numbers.
-    step : str
-        Water, a key of `TURBIDITIES`.
-    pair : str
-        Launched and analysed state.
-
-    Returns
-    -------
-    ndarray
-        Without noise, from zero at the first pixel, shape (80,) [degrees]. Not zero:
-        open water goes on behind the place of the plate.
-    """
+    """Return the phase that is left after the signal of open water is subtracted."""
     light = study.once(LIGHT[step])[pair]
     water = study.once(OPEN_WATER[step])[pair]
     return advance_along(light.signal - water)
 
 
 def rejected_share(study: Study, step: str, pairs: tuple[str, str]) -> float:
-    """Return the fraction of the water's light that an analyser lets pass nevertheless.
-
-    Parameters
-    ----------
-    study : Study
-        Numbers.
-    step : str
-        Water, a key of `TURBIDITIES`.
-    pairs : tuple of str
-        Launched and analysed state that is to reject the water, and that which is not.
-
-    Returns
-    -------
-    float
-        Mean over the line [1].
-    """
+    """Fraction of the water's light that an analyser lets pass nevertheless."""
     light = study.once(LIGHT[step])
     little, much = (np.abs(light[pair].water) for pair in pairs)
     return float(np.mean(little / (little + much)))
 
 
 def water_over_plate(study: Study, step: str, pair: str) -> Array:
-    """Return the light of the water over that of the plate at each pixel.
-
-    Parameters
-    ----------
-    study : Study
-        Numbers.
-    step : str
-        Water, a key of `TURBIDITIES`.
-    pair : str
-        Launched and analysed state.
-
-    Returns
-    -------
-    ndarray
-        Ratio of amplitudes, shape (80,) [1].
-    """
+    """Return the light of the water over that of the plate at each pixel."""
     light = study.once(LIGHT[step])[pair]
     ratio: Array = np.abs(light.water) / np.abs(light.target)
     return ratio

@@ -84,18 +84,7 @@ SET_UPS = (
 
 
 def drifts(study: Study) -> tuple[Drifts, ...]:
-    """Return what all set-ups make of the lines.
-
-    Parameters
-    ----------
-    study : Study
-        Numbers that they do not change.
-
-    Returns
-    -------
-    tuple of Drifts
-        In the order of `SET_UPS`; every third of them if quick.
-    """
+    """Return what all set-ups make of the lines."""
     return tuple(
         drifts_of(study, set_up)
         for set_up in (SET_UPS[::3] if study.quick else SET_UPS)
@@ -103,21 +92,7 @@ def drifts(study: Study) -> tuple[Drifts, ...]:
 
 
 def drifts_of(study: Study, set_up: SetUp) -> Drifts:
-    """Return what one set-up makes of the lines.
-
-    Parameters
-    ----------
-    study : Study
-        Numbers that it does not change.
-    set_up : SetUp
-        Which one.
-
-    Returns
-    -------
-    Drifts
-        The reflectance of the plate is that which makes VV drift as stated: it scales
-        the light of the plate and leaves that of the water.
-    """
+    """Return what one set-up makes of the lines."""
     numbers = dict(study.parameters)
     for name, value in set_up.numbers.items():
         numbers = varied(numbers, name, value)

@@ -153,54 +153,17 @@ class Sweep:
 
 
 def water(study: Study, turbidity: Turbidity) -> Water:
-    """Return the water of one turbidity.
-
-    Parameters
-    ----------
-    study : Study
-        Its numbers.
-    turbidity : {"low", "high"}
-        Which of both.
-
-    Returns
-    -------
-    Water
-        With its phase function.
-    """
+    """Return the water of one turbidity."""
     return study.once(_WATER[turbidity])
 
 
 def sweep(study: Study, turbidity: Turbidity) -> Sweep:
-    """Return what figure 3 (low) or 4 (high) shows.
-
-    Parameters
-    ----------
-    study : Study
-        Its numbers.
-    turbidity : {"low", "high"}
-        Which of both.
-
-    Returns
-    -------
-    Sweep
-        Curves, cut-offs and synthetic measurement.
-    """
+    """Return what figure 3 (low) or 4 (high) shows."""
     return study.once(_SWEEP[turbidity])
 
 
 def receiver(study: Study) -> dict[str, float]:
-    """Return the receiver of the long tank, as the formulas take it.
-
-    Parameters
-    ----------
-    study : Study
-        Its numbers.
-
-    Returns
-    -------
-    dict of str to float
-        Baseline and radius [m] and acceptance [rad].
-    """
+    """Return the receiver of the long tank, as the formulas take it."""
     return {
         "baseline": study["long_baseline"],
         "receiver_radius": study["receiver_radius"],
@@ -209,25 +172,7 @@ def receiver(study: Study) -> dict[str, float]:
 
 
 def asymmetry(second_moment: float, *, split_angle: float) -> float:
-    """Return the asymmetry of Henyey-Greenstein for a second moment.
-
-    Parameters
-    ----------
-    second_moment : float
-        Second moment of the forward part, sin-weighted and renormalised [rad^2].
-    split_angle : float
-        Where the forward part ends [rad].
-
-    Returns
-    -------
-    float
-        Mean cosine g of all scattering [1].
-
-    Raises
-    ------
-    ValueError
-        If no asymmetry from 0 to 0.9999 has this moment.
-    """
+    """Return the asymmetry of Henyey-Greenstein for a second moment."""
 
     def excess(g: float) -> float:
         result = phase_functions.henyey_greenstein_second_moment(
@@ -239,20 +184,7 @@ def asymmetry(second_moment: float, *, split_angle: float) -> float:
 
 
 def forward_fraction(second_moment: float, *, split_angle: float) -> float:
-    """Return how much of Henyey-Greenstein of a second moment is forward.
-
-    Parameters
-    ----------
-    second_moment : float
-        Second moment of the forward part, sin-weighted and renormalised [rad^2].
-    split_angle : float
-        Where the forward part ends [rad].
-
-    Returns
-    -------
-    float
-        The share of b that all figures of the study call b_f [1].
-    """
+    """Return how much of Henyey-Greenstein of a second moment is forward."""
     g = asymmetry(second_moment, split_angle=split_angle)
     fraction, _ = henyey_greenstein_function(asymmetry=g).forward_split(split_angle)
     return float(fraction)

@@ -53,18 +53,7 @@ class Reflectance:
 
 
 def reflectances(study: Study) -> tuple[Reflectance, ...]:
-    """Return the reflectance that each experiment needs with milk in the water.
-
-    Parameters
-    ----------
-    study : Study
-        Its numbers: the phase function is that of its spheres of milk.
-
-    Returns
-    -------
-    tuple of Reflectance
-        By Monte Carlo with all orders of scattering, without polarization.
-    """
+    """Return the reflectance that each experiment needs with milk in the water."""
     return tuple(study.once(_OF[number]) for number in EXPERIMENTS)
 
 

@@ -34,20 +34,7 @@ class _BrokenOff:
 
 
 def plate_scanned(count: int, seed: int, *, broken: bool = False) -> Case:
-    """Return a leaning plate as the bench's lock-in and stages saw it.
-
-    Parameters
-    ----------
-    count, seed : int
-        Number of frequencies; seed of the bench.
-    broken : bool
-        Whether the scan ends in its middle and is taken up again.
-
-    Returns
-    -------
-    Case
-        Its surface is the plate of the survey in the directions that were read back.
-    """
+    """Return a leaning plate as the bench's lock-in and stages saw it."""
     made = survey(count, plate(_DISTANCE, lean=_LEAN))
     content = {
         "procedure": {"dark_readings": 2, "position_tolerance": "1 mrad"},

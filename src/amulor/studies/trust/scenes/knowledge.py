@@ -19,21 +19,7 @@ _TARGET = plate(2.6, lean=20)
 
 
 def believing(samples: xr.Dataset, believed: Survey) -> xr.Dataset:
-    """Return a cube that says it was measured as another survey has it.
-
-    Parameters
-    ----------
-    samples : xarray.Dataset
-        Level `samples`.
-    believed : Survey
-        What the user takes to be true.
-
-    Returns
-    -------
-    xarray.Dataset
-        The same samples; survey, indices and places of the instrument are those of
-        the user.
-    """
+    """Return a cube that says it was measured as another survey has it."""
     attributes = geometry_attributes(
         believed, medium(believed, water_properties(believed))
     )

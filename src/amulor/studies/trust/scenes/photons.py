@@ -60,24 +60,7 @@ class Photons:
 def photons(
     name: str, histories: int, reflectance: float, turbidity: float = 1.0
 ) -> Photons:
-    """Return echo and water signal against the distance of a plate.
-
-    Parameters
-    ----------
-    name : str
-        Of `PHASE_FUNCTIONS`.
-    histories : int
-        Histories for each distance; the open water takes four times as many.
-    reflectance : float
-        Of the plate: light goes to and fro between a bright one and the water [1].
-    turbidity : float
-        Absorption and scattering over those of the tank [1].
-
-    Returns
-    -------
-    Photons
-        From the fixed seeds, so that all scenes of a run see the same light.
-    """
+    """Return echo and water signal against the distance of a plate."""
     made = _survey(1, reflectance=0.1, turbidity=turbidity)
     seen, water = made.instrument.receiver, water_properties(made)
     receiver = GaussianReceiver(
@@ -123,24 +106,7 @@ def photon_water(
     turbidity: float = 1.0,
     histories: int = 400_000,
 ) -> Case:
-    """Return plates at eight distances under a fixed beam, in water made of photons.
-
-    Parameters
-    ----------
-    count, seed : int
-        Number of frequencies; seed of the noise.
-    function : str
-        Of `PHASE_FUNCTIONS`.
-    reflectance : float
-        Of the plates: the smaller, the more the water counts [1].
-    turbidity, histories : float, int
-        Of `photons`.
-
-    Returns
-    -------
-    Case
-        The survey says a and b rightly, and the moments of another phase function.
-    """
+    """Return plates at eight distances under a fixed beam, in water made of photons."""
     made = _survey(count, reflectance=reflectance, turbidity=turbidity)
     light = photons(function, histories, reflectance, turbidity)
     frequency = np.array(made.instrument.modulation_frequencies)
