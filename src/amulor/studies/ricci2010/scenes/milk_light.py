@@ -99,7 +99,7 @@ def reflected_and_scattered(
 def returned_by_walls(
     study: Study, water: Medium, place: Array, *, histories: int
 ) -> dict[str, Complex]:
-    """Trace the light scattered to the walls of the tank and by them to the receiver."""
+    """Trace the light scattered to and by the walls of the tank, up to the receiver."""
     return _traced(study, water, place, histories, plate_parts, target=walls(study))
 
 
