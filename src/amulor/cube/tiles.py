@@ -10,7 +10,6 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from amulor._decisions import Decisions, deciding, told
 from amulor.cube.accessor import without_groups
 from amulor.cube.schema import QualityFlag
 
@@ -25,7 +24,6 @@ __all__ = [
     "bands",
     "directions_of",
     "fit_on_sample",
-    "fitted",
     "sample_of",
     "span_of",
 ]
@@ -362,42 +360,6 @@ def _without(cube: xr.Dataset, **places: Indices) -> xr.Dataset:
     return cube
 
 
-def fitted(
-    function: Callable[[xr.Dataset], xr.Dataset], source: Source, *, spans: bool = True
-) -> OfRows:
-    """Fit a function of whole scans to one scan, for work on any rows of it.
-
-    Parameters
-    ----------
-    function : callable
-        From a cube to another one; asks `amulor._decisions.decided` for each statistic
-        of the scan.
-    source : Source
-        The scan.
-    spans : bool
-        Whether the function uses the ends of the directions, for which all rows are
-        read.
-
-    Returns
-    -------
-    callable
-        The same pixels for whatever rows come together.
-    """
-    decisions = Decisions()
-    if spans:
-        decisions.known.update(
-            {f"span_of_{name}": ends for name, ends in vars(span_of(source)).items()}
-        )
-    with deciding(decisions):
-        function(without_groups(sample_of(source), "truth"))
-
-    def of(rows: xr.Dataset, first: int) -> xr.Dataset:
-        with told(decisions):
-            return function(rows)
-
-    return of
-
-
 @dataclass(frozen=True)
 class Span:
     """Least and largest angles of the directions of a scan."""
@@ -427,13 +389,20 @@ def span_of(source: Source | xr.Dataset) -> Span:
 
 
 def fit_on_sample(
-    step: Callable[..., tuple[xr.Dataset, Any]], source: Source, **options: Any
+    step: Callable[..., tuple[xr.Dataset, Any]],
+    source: Source,
+    *,
+    needs_span: bool = True,
+    **options: Any,
 ) -> OfRows:
     """Estimate the statistics of a scan on a sample of it, for work on any rows.
 
     `step(cube, *, fit=None, span=None, **options)` returns its result and the
-    statistics that it used: `fit`, or where that is None those of the cube.
+    statistics that it used: `fit`, or where that is None those of the cube. A step
+    that does not need the span of the directions, for which all rows are read, has no
+    such argument.
     """
     sample = without_groups(sample_of(source), "truth")
-    _, fit = step(sample, span=span_of(source), **options)
+    spans = {"span": span_of(source)} if needs_span else {}
+    _, fit = step(sample, **spans, **options)
     return lambda rows, first: step(rows, fit=fit, **options)[0]

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from amulor.cube import error_unknown
 from amulor.cube.schema import RANGE_PREFIX, TERMS, Term
+from amulor.cube.tiles import Span
 from amulor.imaging.calibration import (
     CALIBRATION_TERMS,
     calibration_age,
@@ -19,7 +20,7 @@ from amulor.imaging.calibration import (
     joint_instrument_terms,
 )
 from amulor.imaging.geometry import beams_of
-from amulor.imaging.late_light import late_light
+from amulor.imaging.late_light import LateFit, late_light
 from amulor.imaging.ranges import Ranges
 from amulor.survey import Survey
 
@@ -30,11 +31,18 @@ _SHAPE_KNOWN = 4
 
 
 def completed(
-    one: xr.Dataset, ranges: Ranges, *, survey: Survey | None
-) -> tuple[Ranges, dict[str, Any]]:
-    """Return ranges with late light taken off and all terms that are known."""
+    one: xr.Dataset,
+    ranges: Ranges,
+    *,
+    survey: Survey | None,
+    fit: LateFit | None = None,
+    span: Span | None = None,
+) -> tuple[Ranges, dict[str, Any], LateFit]:
+    """Subtract late light and add all known terms; attributes, statistics used."""
     seen = np.where(ranges.usable, ranges.slant_range, np.nan)
-    light = late_light(one, seen, survey=survey, weight=ranges.weight)
+    light, fit = late_light(
+        one, seen, survey=survey, weight=ranges.weight, fit=fit, span=span
+    )
     ranges, shared = _without_instrument(one, ranges)
     if light.note == "taken off":
         ranges = _without_late_light(one, ranges)
@@ -73,6 +81,7 @@ def completed(
             others=others,
         ),
         attributes,
+        fit,
     )
 
 

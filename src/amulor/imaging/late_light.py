@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
-from functools import lru_cache, partial
+from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 from scipy.interpolate import RegularGridInterpolator
 
-from amulor._decisions import decided
+from amulor.cube.tiles import Span, span_of
 from amulor.errors import SurveyError
 from amulor.imaging.geometry import beams_of
 from amulor.optics import late_echo, ranging
@@ -39,6 +39,18 @@ _LARGEST_ASYMMETRY = 0.999
 
 
 @dataclass(frozen=True, kw_only=True)
+class LateFit:
+    """Statistics of a scan that the estimate of late light needs."""
+
+    depth: tuple[float, float] | None = None
+    """Least and largest distance of the echoes [m]; None where no pixel has one."""
+    span: Span | None = None
+    """Directions of the scan; None where no pixel has a range."""
+    in_view: bool = True
+    """Whether the receiver sees all echoes."""
+
+
+@dataclass(frozen=True, kw_only=True)
 class LateLight:
     """What scattering on the way does to the ranges of an image."""
 
@@ -56,8 +68,10 @@ def late_light(
     *,
     survey: Survey | None,
     weight: Floats,
-) -> LateLight:
-    """Return how late the echoes of one channel are.
+    fit: LateFit | None = None,
+    span: Span | None = None,
+) -> tuple[LateLight, LateFit]:
+    """Return how late the echoes of one channel are, and the statistics used.
 
     The water is that of the survey, a rectangular distribution between two ends: with
     an asymmetry between the Henyey-Greenstein function and half of its delay, since
@@ -67,35 +81,47 @@ def late_light(
     """
     nothing = np.zeros(slant_range.shape)
     if _has_no_late_light(one):
-        return LateLight(
-            late=nothing, uncertainty=nothing, note="absent from this simulation"
-        )
+        note = "absent from this simulation"
+        return LateLight(late=nothing, uncertainty=nothing, note=note), LateFit()
     if survey is None:
-        return _unknown(nothing, "no survey describes the water")
+        return _unknown(nothing, "no survey describes the water"), LateFit()
     usable = np.isfinite(slant_range)
+    used = fit
     try:
         water = water_properties(survey)
         known = _phase_functions(survey)
-        if not decided("some pixel has a range", lambda: bool(usable.any())):
-            return _unknown(nothing, "no pixel has a range")
+        if used is None:
+            used = _fit(one, slant_range, span)
+        if used.depth is None:
+            return _unknown(nothing, "no pixel has a range"), used
         lowest, highest = _between(
-            one, slant_range, survey=survey, water=water, weight=weight, known=known
+            one,
+            slant_range,
+            survey=survey,
+            water=water,
+            weight=weight,
+            known=known,
+            fit=used,
         )
     except SurveyError as error:
-        return _unknown(nothing, str(error))
-    seen = np.isfinite(lowest[usable]) & np.isfinite(highest[usable])
-    if not decided("echoes are in view", lambda: bool(np.all(seen))):
-        return _unknown(nothing, "the receiver looks past some of the echoes")
+        return _unknown(nothing, str(error)), used or LateFit()
+    if fit is None:
+        seen = np.isfinite(lowest[usable]) & np.isfinite(highest[usable])
+        used = replace(used, in_view=bool(np.all(seen)))
+    if not used.in_view:
+        why = "the receiver looks past some of the echoes"
+        return _unknown(nothing, why), used
     middle = np.where(usable, (lowest + highest) / 2, 0.0)
     calibration = survey.calibration
     own = None if calibration is None else calibration.scattering_uncertainty
     relative = math.hypot(late_echo.RELATIVE_UNCERTAINTY, own or 0.0)
     spread = np.where(usable, highest - lowest, 0.0) / math.sqrt(12)
-    return LateLight(
+    light = LateLight(
         late=middle,
         uncertainty=np.hypot(relative * middle, spread),
         note="taken off",
     )
+    return light, used
 
 
 def dispersion(
@@ -104,36 +130,54 @@ def dispersion(
     *,
     survey: Survey | None,
     weight: Floats,
-) -> tuple[Floats, Floats] | None:
+    fit: LateFit | None = None,
+    span: Span | None = None,
+) -> tuple[tuple[Floats, Floats] | None, LateFit]:
     """Return by how much late light turns the phases of frequencies differently.
 
     The higher the frequency, the less light that took many ways counts: a delay that
     differs with the frequency, which is no other distance and no other interval.
     """
-    usable = np.isfinite(slant_range)
     if len(weight) < 2 or survey is None or _has_no_late_light(one):
-        return None
-    if not decided("some pixel has a first range", lambda: bool(usable.any())):
-        return None
+        return None, LateFit()
+    used = fit
     try:
         water = water_properties(survey)
+        known = _phase_functions(survey)
+        if used is None:
+            used = _fit(one, slant_range, span)
+        if used.depth is None:
+            return None, used
         lowest, highest = _between(
             one,
             slant_range,
             survey=survey,
             water=water,
             weight=np.eye(len(weight)) - weight,
-            known=_phase_functions(survey),
+            known=known,
+            fit=used,
         )
     except SurveyError:
-        return None
+        return None, used or LateFit()
     to_phase = ranging.phase_per_range(
         one["modulation_frequency"].values[:, None, None],
         group_index=water.group_index,
     )
     turn = np.nan_to_num(to_phase * (lowest + highest) / 2)
     spread = np.nan_to_num(to_phase * (highest - lowest) / 2)
-    return turn, np.hypot(_DISPERSION_UNCERTAINTY * turn, spread)
+    return (turn, np.hypot(_DISPERSION_UNCERTAINTY * turn, spread)), used
+
+
+def _fit(one: xr.Dataset, slant_range: Floats, span: Span | None) -> LateFit:
+    """Reach of late light, and directions of the scan; nothing where no range is."""
+    if not np.isfinite(slant_range).any():
+        return LateFit()
+    depth = slant_range - beams_of(one).length_before
+    depth = depth[np.isfinite(depth) & (depth > 0)]
+    return LateFit(
+        depth=(float(np.min(depth)), float(np.max(depth))),
+        span=span_of(one) if span is None else span,
+    )
 
 
 def _unknown(nothing: Floats, why: str) -> LateLight:
@@ -156,6 +200,7 @@ def _between(
     water: WaterProperties,
     weight: Floats,
     known: tuple[tuple[PhaseFunction, float, float], ...],
+    fit: LateFit,
 ) -> tuple[Floats, Floats]:
     """Return least and largest delay of each pixel that the known water allows [m].
 
@@ -163,12 +208,11 @@ def _between(
     """
     depth = slant_range - beams_of(one).length_before
     usable = np.isfinite(depth) & (depth > 0)
-    ends = decided("reach of late light", lambda: _ends(depth[usable]))
+    assert fit.depth is not None
+    assert fit.span is not None
+    ends = fit.depth
     way = np.unique(np.geomspace(ends[0] * 0.999, ends[1] * 1.001, _DISTANCES))
-    sides = [
-        _spread(*decided(f"span_of_{name}", partial(_ends, one[name].values)))
-        for name in ("azimuth", "elevation")
-    ]
+    sides = [_spread(*fit.span.azimuth), _spread(*fit.span.elevation)]
     azimuth, elevation = np.meshgrid(*sides, indexing="ij")
     crossed = medium(survey, water)
     seen = view(survey, azimuth, elevation, medium=crossed)
@@ -207,11 +251,6 @@ def _between(
     if len(found) == 1:
         found.append(_LEAST_PART * found[0])
     return np.min(found, axis=0), np.max(found, axis=0)
-
-
-def _ends(values: Floats) -> tuple[float, float]:
-    """Return the smallest and the largest of some values."""
-    return float(np.min(values)), float(np.max(values))
 
 
 def _spread(low: float, high: float) -> Floats:

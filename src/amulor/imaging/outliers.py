@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 from scipy.special import ndtr
 
 from amulor import cube as cubes
-from amulor._decisions import decided
 from amulor._discoveries import largest_discovered
 from amulor.cube import QualityFlag
 from amulor.imaging.common import own_variance, with_flag
@@ -112,7 +111,13 @@ def outlying_pixels(
     >>> bool(imaging.outlying_pixels(image)[20, 50])
     True
     """
-    image = cubes.checked(image, "range_image")
+    return _outlying(cubes.checked(image, "range_image"), significance)[0]
+
+
+def _outlying(
+    image: xr.Dataset, significance: float, limits: tuple[float, ...] | None = None
+) -> tuple[NDArray[np.bool_], tuple[float, ...]]:
+    """Outlying pixels, and the largest chance [1] that counts in each round."""
     if not significance > 0:
         raise ValueError(f"significance must be above 0, got {significance:g}")
     distance = image["slant_range"].values
@@ -123,9 +128,14 @@ def outlying_pixels(
     above[above] = stand.least[above] > _ROUGHER * rough
     known = (image["quality_flag"].values & QualityFlag.OUTLIER) != 0
     found = known | above
-    for _ in range(_ROUNDS):  # one that is found no longer hides another beside it
-        found |= _more_than_chance(distance, variance, found)
-    return np.asarray(found & (above | ~known)) | _alone(image, distance, variance)
+    used = []
+    for number in range(_ROUNDS):  # one found no longer hides another beside it
+        limit = None if limits is None else limits[number]
+        more, limit = _more_than_chance(distance, variance, found, limit)
+        found |= more
+        used.append(limit)
+    outlying = found & (above | ~known)
+    return outlying | _alone(image, distance, variance), tuple(used)
 
 
 def _alone(image: xr.Dataset, distance: Floats, variance: Floats) -> NDArray[np.bool_]:
@@ -155,9 +165,9 @@ def _alone(image: xr.Dataset, distance: Floats, variance: Floats) -> NDArray[np.
 
 
 def _more_than_chance(
-    distance: Floats, variance: Floats, known: NDArray[np.bool_]
-) -> NDArray[np.bool_]:
-    """Return pixels of which so many stand off so far that few do by chance."""
+    distance: Floats, variance: Floats, known: NDArray[np.bool_], limit: float | None
+) -> tuple[NDArray[np.bool_], float]:
+    """Pixels of which so many stand off so far that few do by chance, and the limit."""
     stand = _standing(distance, variance, np.where(known, np.nan, distance))
     with np.errstate(invalid="ignore", divide="ignore"):
         score = stand.middle / np.sqrt(variance + _OF_MEDIAN * stand.spread)
@@ -173,14 +183,12 @@ def _more_than_chance(
     far &= score > _LEAST
     chance = np.where(far, 2 * ndtr(-score), np.nan)
     all_found = np.where(known, 0.0, chance)
-    limit = decided(
-        "chance of an excess that is more than chance",
-        lambda: largest_discovered(
+    if limit is None:
+        limit = largest_discovered(
             all_found, share=_BY_CHANCE, tests=int((judged | known).sum())
-        ),
-    )
+        )
     with np.errstate(invalid="ignore"):
-        return np.asarray(chance <= limit)
+        return np.asarray(chance <= limit), limit
 
 
 def _median_around(values: Floats, at: NDArray[np.bool_]) -> Floats:
@@ -222,10 +230,20 @@ def flag_outliers(image: xr.Dataset, *, significance: float = 3.0) -> xr.Dataset
     >>> QualityFlag.OUTLIER in QualityFlag(int(flagged["quality_flag"][20, 50]))
     True
     """
+    return fitted_outliers(image, significance=significance)[0]
+
+
+def fitted_outliers(
+    image: xr.Dataset,
+    *,
+    significance: float = 3.0,
+    fit: tuple[float, ...] | None = None,
+) -> tuple[xr.Dataset, tuple[float, ...]]:
+    """Range image with its outliers flagged, and the limits of chance used [1]."""
     image = cubes.checked(image, "range_image")
-    outlying = outlying_pixels(image, significance=significance)
+    outlying, fit = _outlying(image, significance, fit)
     image = with_flag(image, QualityFlag.OUTLIER, outlying)
-    return cubes.note(image, "outliers flagged")
+    return cubes.note(image, "outliers flagged"), fit
 
 
 @dataclass(frozen=True, kw_only=True)

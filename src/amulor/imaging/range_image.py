@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
 
@@ -10,17 +11,18 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from amulor import cube as cubes
-from amulor._decisions import decided, fitted_once
 from amulor._progress import tell
 from amulor.cube import UNUSABLE, QualityFlag
+from amulor.cube.tiles import Span
 from amulor.errors import CubeError, SurveyError
 from amulor.imaging import budget
 from amulor.imaging.common import with_flag
 from amulor.imaging.geometry import beams_of, medium_of, receivers_of
-from amulor.imaging.late_light import dispersion
+from amulor.imaging.late_light import LateFit, dispersion
 from amulor.imaging.noise import noise_scale, with_noise_scaled
 from amulor.imaging.ranges import (
     Ranges,
+    RangesFit,
     first_ranges,
     own_phase_errors,
     phase_errors,
@@ -33,6 +35,36 @@ from amulor.survey import Survey
 from amulor.survey.reach import unsettled_interval
 
 Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True, kw_only=True)
+class PathFit:
+    """Statistics of a scan that its optical paths need."""
+
+    first: ambiguity.Choices
+    """Choices before late light is removed."""
+    weight: Floats
+    """Weight of each frequency, 1 in all [1]."""
+    late: LateFit
+    """Late light that the first paths show."""
+    second: ambiguity.Choices | None = None
+    """Choices after that; None where no late light is removed."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class RangeImageFit:
+    """Statistics of a scan that its range image needs."""
+
+    ranges: RangesFit
+    """Weights of the frequencies, terms of the error."""
+    late: LateFit
+    """Late light in the final ranges."""
+    path: PathFit | None = None
+    """Optical paths; None after a joint estimation."""
+    noise_scale: float = 1.0
+    """Factor of the stated noise that the scatter of the phases shows [1]."""
+    rescaled: PathFit | None = None
+    """Optical paths with the noise enlarged."""
 
 
 def range_image(
@@ -95,49 +127,75 @@ def range_image(
     >>> print(f"{found:.2f} m, true {float(image['truth_slant_range'][20, 2]):.2f} m")
     1.49 m, true 1.50 m
     """
+    return fitted_range_image(cube, polarization=polarization, interval=interval)[0]
+
+
+def fitted_range_image(
+    cube: xr.Dataset,
+    *,
+    polarization: str | None = None,
+    interval: tuple[float, float] | None = None,
+    fit: RangeImageFit | None = None,
+    span: Span | None = None,
+) -> tuple[xr.Dataset, RangeImageFit]:
+    """Range image and the statistics used: `fit`, or by default those of the cube."""
     cube = cubes.checked(cube, "target_signal")
     joint = "joint_slant_range" in cube
     if joint and polarization is None:
         polarization = cube.amulor.polarizations[0]
     one = channel_of(cube, polarization)
+    of_ranges = None if fit is None else fit.ranges
+    of_path = None if fit is None else fit.path
+    rescaled = None if fit is None else fit.rescaled
+    factor = 1.0 if fit is None else fit.noise_scale
     if joint:
-        ranges = ranges_of_joint(one, interval=interval)
+        ranges, of_ranges = ranges_of_joint(one, interval=interval, fit=of_ranges)
     else:
         tell("ranges and their intervals", 0.0)
-        path = _settled_path(one, interval)
-        factor = decided(
-            "scale of the noise",
-            lambda: noise_scale(
+        path, of_path = _settled_path(one, interval, fit=of_path, span=span)
+        if fit is None:
+            factor = noise_scale(
                 path,
                 own_phase_errors(one),
                 modulation_frequency=one["modulation_frequency"].values,
                 refit=lambda factor: _settled_path(
                     with_noise_scaled(one, factor), interval
-                ),
-            ),
-        )
+                )[0],
+            )
         if factor > 1:
             tell("ranges with the noise that shows", 0.3)
             one = with_noise_scaled(one, factor)
-            path = _settled_path(one, interval)
-        ranges = ranges_of_path(one, path)
+            path, rescaled = _settled_path(one, interval, fit=rescaled, span=span)
+        ranges, of_ranges = ranges_of_path(one, path, fit=of_ranges)
     tell("error budget", 0.6)
-    image = _image(one, ranges, interval=interval)
+    late = None if fit is None else fit.late
+    image, late = _image(one, ranges, interval=interval, fit=late, span=span)
     reason = "" if interval is not None else _unsettled(one)
     if reason:
         image = with_flag(image, QualityFlag.RELATIVE, True)
         image = cubes.without_unknown_errors(image)
         image = image.assign_attrs(interval_unsettled=reason)
     step = f"image, channel {image.attrs['polarization']}"
-    return cubes.note(
+    image = cubes.note(
         image, f"{step}, ranges of the joint estimation" if joint else step
+    )
+    return image, RangeImageFit(
+        ranges=of_ranges,
+        late=late,
+        path=of_path,
+        noise_scale=factor,
+        rescaled=rescaled,
     )
 
 
 def _settled_path(
-    one: xr.Dataset, interval: tuple[float, float] | None
-) -> ambiguity.Path:
-    """Return the optical path that fits the phases of a channel best."""
+    one: xr.Dataset,
+    interval: tuple[float, float] | None,
+    *,
+    fit: PathFit | None = None,
+    span: Span | None = None,
+) -> tuple[ambiguity.Path, PathFit]:
+    """Optical path that fits the phases of a channel best, and the statistics used."""
     frequency = one["modulation_frequency"].values
     shortest, longest = rays.path_limits(
         interval,
@@ -151,7 +209,9 @@ def _settled_path(
     phase = np.where(usable, np.angle(one.amulor.signal.values), 0.0)
     doubt = np.nan_to_num(np.abs(shift), nan=np.inf)
 
-    def path_of(phase: Floats, doubt: Floats) -> ambiguity.Path:
+    def path_of(
+        phase: Floats, doubt: Floats, choices: ambiguity.Choices | None
+    ) -> tuple[ambiguity.Path, ambiguity.Choices]:
         arguments: dict[str, Any] = {
             "phase": phase,
             "uncertainty": sigma,
@@ -160,20 +220,25 @@ def _settled_path(
             "longest": longest,
             "doubt": doubt,
         }
-        return fitted_once(
-            "optical path",
-            lambda: ambiguity.fit(**arguments),
-            lambda choices: ambiguity.optical_path(**arguments, choices=choices),
-        )
+        if choices is None:
+            return ambiguity.fit(**arguments)
+        return ambiguity.optical_path(**arguments, choices=choices), choices
 
-    path = path_of(phase, doubt)
-    late = dispersion(
+    path, first = path_of(phase, doubt, None if fit is None else fit.first)
+    weight = weight_of(frequency, sigma, usable) if fit is None else fit.weight
+    late, late_fit = dispersion(
         one,
         np.where(usable, first_ranges(one, path), np.nan),
         survey=_survey_of(one),
-        weight=weight_of(frequency, sigma, usable),
+        weight=weight,
+        fit=None if fit is None else fit.late,
+        span=span,
     )
-    return path if late is None else path_of(phase - late[0], np.hypot(doubt, late[1]))
+    second = None
+    if late is not None:
+        second = None if fit is None else fit.second
+        path, second = path_of(phase - late[0], np.hypot(doubt, late[1]), second)
+    return path, PathFit(first=first, weight=weight, late=late_fit, second=second)
 
 
 def _unsettled(one: xr.Dataset) -> str:
@@ -202,14 +267,21 @@ def image_of_path(
     one: xr.Dataset, path: ambiguity.Path, *, interval: tuple[float, float] | None
 ) -> xr.Dataset:
     """Return the range image that belongs to optical paths."""
-    return _image(one, ranges_of_path(one, path), interval=interval)
+    return _image(one, ranges_of_path(one, path)[0], interval=interval)[0]
 
 
 def _image(
-    one: xr.Dataset, ranges: Ranges, *, interval: tuple[float, float] | None
-) -> xr.Dataset:
-    """Return the range image of a channel, with its whole error budget."""
-    ranges, said = budget.completed(one, ranges, survey=_survey_of(one))
+    one: xr.Dataset,
+    ranges: Ranges,
+    *,
+    interval: tuple[float, float] | None,
+    fit: LateFit | None = None,
+    span: Span | None = None,
+) -> tuple[xr.Dataset, LateFit]:
+    """Range image of a channel with its error budget, and the statistics used."""
+    ranges, said, fit = budget.completed(
+        one, ranges, survey=_survey_of(one), fit=fit, span=span
+    )
     usable = ranges.usable
     variables: dict[str, NDArray[Any]] = {
         "slant_range": ranges.slant_range,
@@ -246,7 +318,7 @@ def _image(
     if truth is not None:
         pixel_truth = truth[[n for n in truth if truth[n].dims == ("row", "column")]]
         image = cubes.attach(image, pixel_truth, "truth")
-    return cubes.without_unknown_errors(image)
+    return cubes.without_unknown_errors(image), fit
 
 
 def channel_of(cube: xr.Dataset, polarization: str | None) -> xr.Dataset:

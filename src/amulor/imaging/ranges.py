@@ -8,7 +8,6 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from amulor._decisions import decided
 from amulor.cube import UNUSABLE, QualityFlag
 from amulor.cube.error import JOINT_OUTLIERS, flags_of_pixels
 from amulor.cube.schema import PHASE_PREFIX, SHARED_TERMS, SIGNAL_TERMS
@@ -21,6 +20,16 @@ Floats = NDArray[np.float64]
 _DIFFERENCE = 1e-5
 #: A range may lie this many standard errors outside the interval: it was measured.
 _SLACK = 2.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class RangesFit:
+    """Statistics of a scan that its ranges need."""
+
+    weight: Floats
+    """Weight of each frequency in the ranges of most pixels, 1 in all [1]."""
+    has_rest: bool = False
+    """Whether some error belongs to none of the terms that are stored."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -52,8 +61,10 @@ class Ranges:
         return np.asarray((self.flag & UNUSABLE) == 0)
 
 
-def ranges_of_path(one: xr.Dataset, path: ambiguity.Path) -> Ranges:
-    """Return the ranges that belong to optical paths, with the errors of the phases."""
+def ranges_of_path(
+    one: xr.Dataset, path: ambiguity.Path, *, fit: RangesFit | None = None
+) -> tuple[Ranges, RangesFit]:
+    """Ranges that belong to optical paths, their errors, and the statistics used."""
     frequency = one["modulation_frequency"].values
     flag, sigma, shift = phase_errors(one)
     usable = (flag & UNUSABLE) == 0
@@ -82,26 +93,37 @@ def ranges_of_path(one: xr.Dataset, path: ambiguity.Path) -> Ranges:
         others["slant_range_bias"] = slope * np.sum(per_phase * shift, axis=0)
     if frequency.size > 1:
         others["slant_range_wrong_interval"] = path.wrong
-    return Ranges(
+    terms, rest = _terms(
+        one, per_phase, total, None if together is None else slope**2 * together
+    )
+    if fit is None:
+        fit = RangesFit(
+            weight=weight_of(frequency, sigma, usable),
+            has_rest=rest is not None and bool(np.any(rest > 0)),
+        )
+    if rest is not None and fit.has_rest:
+        terms["signal"] = np.sqrt(rest)
+    ranges = Ranges(
         slant_range=slant_range,
         path=path.length,
         slope=slope,
         flag=flag,
-        weight=weight_of(frequency, sigma, usable),
+        weight=fit.weight,
         total=total,
-        terms=_terms(
-            one,
-            per_phase,
-            total,
-            None if together is None else slope**2 * together,
-        ),
+        terms=terms,
         common=None if together is None else slope * np.sqrt(together),
         others=others,
     )
+    return ranges, fit
 
 
-def ranges_of_joint(one: xr.Dataset, *, interval: tuple[float, float] | None) -> Ranges:
-    """Return the ranges that the joint estimation found, with their errors."""
+def ranges_of_joint(
+    one: xr.Dataset,
+    *,
+    interval: tuple[float, float] | None,
+    fit: RangesFit | None = None,
+) -> tuple[Ranges, RangesFit]:
+    """Ranges that the joint estimation found, and the statistics used."""
     found = {
         name: one[f"joint_{name}"].values
         for name in (
@@ -132,14 +154,15 @@ def ranges_of_joint(one: xr.Dataset, *, interval: tuple[float, float] | None) ->
     _, slope = _ranges_and_slopes(one, path)
     with np.errstate(invalid="ignore"):
         own = np.sqrt(np.maximum(total**2 - common**2, 0.0))
-    return Ranges(
+    if fit is None:
+        frequency = one["modulation_frequency"].values
+        fit = RangesFit(weight=weight_of(frequency, sigma, (flag & UNUSABLE) == 0))
+    ranges = Ranges(
         slant_range=distance,
         path=path,
         slope=slope,
         flag=flag,
-        weight=weight_of(
-            one["modulation_frequency"].values, sigma, (flag & UNUSABLE) == 0
-        ),
+        weight=fit.weight,
         total=total,
         terms={"signal": own, "water_model": common},
         common=common,
@@ -148,6 +171,7 @@ def ranges_of_joint(one: xr.Dataset, *, interval: tuple[float, float] | None) ->
             "slant_range_bound": found["slant_range_bound"],
         },
     )
+    return ranges, fit
 
 
 def first_ranges(one: xr.Dataset, path: ambiguity.Path) -> Floats:
@@ -170,23 +194,20 @@ def _ranges_and_slopes(one: xr.Dataset, path: Floats) -> tuple[Floats, Floats]:
 
 def weight_of(frequency: Floats, sigma: Floats, usable: NDArray[np.bool_]) -> Floats:
     """Return how much each frequency counts in the ranges of most pixels."""
-
-    def weights() -> Floats:
-        if not usable.any():
-            return np.full(frequency.size, 1 / frequency.size)
-        error = np.maximum(np.median(sigma[:, usable], axis=1), 1e-9)
-        precision = (frequency / error) ** 2
-        return np.asarray(precision / precision.sum())
-
-    return decided("weights of the frequencies", weights)
+    if not usable.any():
+        return np.full(frequency.size, 1 / frequency.size)
+    error = np.maximum(np.median(sigma[:, usable], axis=1), 1e-9)
+    precision = (frequency / error) ** 2
+    return np.asarray(precision / precision.sum())
 
 
 def _terms(
     one: xr.Dataset, per_phase: Floats, total: Floats, together: Floats | None
-) -> dict[str, Floats]:
+) -> tuple[dict[str, Floats], Floats | None]:
     """Return the terms of a known total, in the proportion of their squares.
 
-    Terms that pixels and perhaps frequencies share divide what is `together`.
+    Terms that pixels and perhaps frequencies share divide what is `together`. Variance
+    that no term explains comes second [m^2]; None where no term is stored.
     """
     own: dict[str, Floats] = {}
     for name in SIGNAL_TERMS:
@@ -194,7 +215,7 @@ def _terms(
             phase = one[f"{PHASE_PREFIX}{name}"].values
             own[name] = np.sum((per_phase * phase) ** 2, axis=0)
     if not own:
-        return {"signal": total}
+        return {"signal": total}, None
     groups = [list(own)]
     amounts = [total**2]
     if together is not None:
@@ -209,9 +230,7 @@ def _terms(
             scale = np.where(whole > 0, amount / whole, 0.0)
         rest += np.where(whole > 0, 0.0, amount)
         terms |= {name: np.sqrt(own[name] * scale) for name in names}
-    found = {name: terms[name] for name in own}
-    has_rest = decided("a rest of the error", lambda: bool(np.any(rest > 0)))
-    return found | {"signal": np.sqrt(rest)} if has_rest else found
+    return {name: terms[name] for name in own}, rest
 
 
 def phase_errors(

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from functools import partial
 from typing import Any
 
+import xarray as xr
+
 from amulor import imaging, rejection
-from amulor.scale.tiled import TiledStep, decided_once
+from amulor.cube.tiles import fit_on_sample
+from amulor.imaging.outliers import fitted_outliers
+from amulor.imaging.range_image import fitted_range_image
+from amulor.scale.tiled import TiledStep
 
 __all__ = ["image_step", "reject_step"]
 
@@ -23,8 +27,13 @@ def reject_step(method: str, **options: Any) -> TiledStep:
 
 def image_step(**options: Any) -> TiledStep:
     """Return the step to a range image, with its edges and outliers marked."""
-    ranges = decided_once(partial(imaging.range_image, **options))
-    flags = decided_once(
-        lambda image: imaging.flag_outliers(imaging.flag_mixed(image)), spans=False
-    )
-    return replace(flags, of=ranges, halo=HALO)
+    ranges = partial(fit_on_sample, fitted_range_image, **options)
+    flags = partial(fit_on_sample, _flagged, needs_span=False)
+    return TiledStep(prepare=flags, of=TiledStep(prepare=ranges), halo=HALO)
+
+
+def _flagged(
+    image: xr.Dataset, *, fit: tuple[float, ...] | None = None
+) -> tuple[xr.Dataset, tuple[float, ...]]:
+    """Range image with edges and outliers flagged, and the limits of chance used."""
+    return fitted_outliers(imaging.flag_mixed(image), fit=fit)

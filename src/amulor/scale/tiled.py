@@ -11,9 +11,7 @@ from amulor._progress import tell
 from amulor.cube import tiles
 from amulor.io.netcdf import tile_rows
 
-__all__ = ["Made", "Prepared", "TiledStep", "decided_once", "run_step", "window"]
-
-Step = Callable[[xr.Dataset], xr.Dataset]
+__all__ = ["Made", "Prepared", "TiledStep", "run_step", "window"]
 
 #: Rows of a tile, in halos at least: so those that are worked on twice are few.
 _HALOS = 4
@@ -111,8 +109,3 @@ def run_step(
     for begin, end in tiles.bands(source, window(step, source, rows)):
         tell(f"row {begin:,} of {source.rows:,}", begin / source.rows)
         yield begin, made.tile(begin, end)
-
-
-def decided_once(function: Step, *, spans: bool = True) -> TiledStep:
-    """Step whose scan-wide statistics are estimated on a sample of the scan."""
-    return TiledStep(prepare=lambda source: tiles.fitted(function, source, spans=spans))

@@ -30,7 +30,7 @@ from amulor.optics.small_angle._columns import LOOK, Arguments
 from amulor.optics.small_angle._columns import Column as SmallAngleColumn
 from amulor.optics.small_angle_diffusion import _kernels as diffusion_kernels
 from amulor.optics.small_angle_diffusion import impulse_response
-from amulor.optics.small_angle_diffusion.response import Column as DiffusionColumn
+from amulor.optics.small_angle_diffusion.response import _Column as DiffusionColumn
 
 # No two values are alike, so that each exchange of two shows.
 RECEIVER = {

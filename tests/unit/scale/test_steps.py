@@ -12,10 +12,17 @@ import pytest
 import xarray as xr
 
 from amulor import imaging, io, rejection
-from amulor._decisions import Decisions, decided, deciding, told
 from amulor.cube import tiles, without_groups
 from amulor.errors import CubeError
-from amulor.scale import image_file, reject_file, reject_step, run_step, steps
+from amulor.rejection.compare import _Recommended
+from amulor.scale import (
+    TiledStep,
+    image_file,
+    reject_file,
+    reject_step,
+    run_step,
+    steps,
+)
 from amulor.simulation import simulate
 from amulor.survey import Survey
 
@@ -107,7 +114,11 @@ def test_auto_in_tiles_is_that_of_the_whole(
         assert_same(io.read_cube(output), whole)
     # A recommendation without the shots is carried out without them.
     chosen = replace(comparison, method="joint without shots", polarization="VV")
-    step = steps.auto_step(chosen, interval=INTERVAL)
+    step = TiledStep(
+        prepare=lambda source: _Recommended(
+            chosen, rejection.load(chosen.method).fit(source, interval=INTERVAL)
+        )
+    )
     whole = rejection.auto(cube, interval=INTERVAL, comparison=chosen)
     assert_same(in_tiles(step, cube, 4), whole)
 
@@ -199,21 +210,6 @@ def test_files_are_worked_on_by_rows(
 def test_methods_that_are_not_installed_are_refused() -> None:
     with pytest.raises(CubeError, match=r"no rejection method 'magic'.*open-water"):
         reject_step("magic")
-
-
-def test_what_was_not_decided_in_the_sample_is_an_error() -> None:
-    decisions = Decisions(width=3)
-    with deciding(decisions):
-        assert decided("size", lambda: decided("inner", lambda: 1) + 1) == 2
-        assert decided("size", lambda: 7) == 7
-        assert decided("width", lambda: 0) == 3
-    with told(decisions):
-        found = [decided("size", lambda: 0) for _ in range(2)]
-        assert found == [2, 7]
-        assert decided("width", lambda: 0) == 3
-        with pytest.raises(RuntimeError, match="'inner' is asked for"):
-            decided("inner", lambda: 0)
-    assert decided("size", lambda: 5) == 5
 
 
 @pytest.mark.parametrize("level", ["samples", "target_signal"])
