@@ -196,6 +196,7 @@ def _help() -> str:
 
 
 def _run(words: list[str]) -> int:
+    import logging
     from importlib import import_module
 
     from cyclopts import App, CycloptsError
@@ -203,6 +204,8 @@ def _run(words: list[str]) -> int:
     from amulor.cli._arguments import UsageError
     from amulor.errors import AmulorError
 
+    # Advice about its own settings folder, where no home can be written.
+    logging.getLogger("matplotlib").setLevel(logging.ERROR)
     app = App(
         name="amulor",
         help=_help().splitlines()[0],

@@ -78,15 +78,19 @@ def _print_reach(accuracy: float, reflectance: float | None, *, json: bool) -> N
     from amulor.survey import Survey
     from amulor.survey import presets as shipped
 
-    found = {}
+    found: dict[str, list[Reach]] = {}
     with progress_bar(quiet=json) as advance:
-        for number, name in enumerate(shipped.names()):
-            advance(name, number / len(shipped.names()))
-            survey = Survey.preset(name)
-            found[name] = [
-                reach(survey, accuracy=accuracy, water=water, reflectance=reflectance)
-                for water in WATERS
-            ]
+        rows = len(shipped.names()) * len(WATERS)
+        for name in shipped.names():
+            survey, found[name] = Survey.preset(name), []
+            for water in WATERS:
+                done = sum(map(len, found.values()))
+                advance(f"{name}, {water}", done / rows)
+                found[name].append(
+                    reach(
+                        survey, accuracy=accuracy, water=water, reflectance=reflectance
+                    )
+                )
     if json:
         print_json({name: [asdict(one) for one in row] for name, row in found.items()})
         return

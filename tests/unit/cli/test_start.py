@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -71,3 +72,19 @@ def test_what_flags_mean_is_told_without_what_draws_figures() -> None:
         [sys.executable, "-c", say], capture_output=True, text=True, check=True
     )
     assert done.stdout == "False\n"
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="permissions of another kind")
+@pytest.mark.parametrize("command", ["", "main(['samples']); "])
+def test_a_command_keeps_advice_of_matplotlib_back(command: str) -> None:
+    code = f"from amulor.cli import main; {command}import matplotlib; "
+    nowhere = dict.fromkeys(("HOME", "XDG_CONFIG_HOME", "XDG_CACHE_HOME"), "/proc/none")
+    kept = {k: v for k, v in os.environ.items() if k != "MPLCONFIGDIR"}
+    done = subprocess.run(
+        [sys.executable, "-c", f"{code}matplotlib.get_configdir()"],
+        env=kept | nowhere,
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    assert ("MPLCONFIGDIR" in done.stderr) is not bool(command)
