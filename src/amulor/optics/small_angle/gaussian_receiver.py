@@ -235,9 +235,20 @@ def fit(
         Frequency of the intensity modulation, not negative [Hz].
     farthest : float
         Depth up to which any column of the scan reaches, perhaps infinite [m].
-    group_index, phase_function, split_angle, backscatter_vsf, beam_radius, \
-    beam_divergence, tilt, cross_tilt, standoff, **arguments
-        As in `water_response`, of all columns or of some spread over the scan.
+    group_index : array_like
+        As in `water_response`, of all columns or of some spread over the scan [1].
+    phase_function : PhaseFunction
+        As in `water_response`.
+    split_angle : float
+        As in `water_response` [rad].
+    backscatter_vsf : array_like, optional
+        As in `water_response` [1/(m sr)].
+    beam_radius, beam_divergence : array_like, optional
+        As in `water_response` [m], [rad].
+    tilt, cross_tilt, standoff : array_like, optional
+        As in `water_response` [rad], [rad], [m].
+    **arguments : array_like
+        Absorption, scattering and receiver, as in `water_response`.
 
     Returns
     -------
