@@ -108,7 +108,7 @@ installs: .venv/installed-test
 
 # On Python 3.11, whose oldest versions the bounds are; in a virtual environment of its own.
 # TESTS=tests runs all of them.
-TESTS = $(addprefix tests/unit/,cube io/drawings io/test_netcdf.py rejection/test_methods.py imaging/test_budget.py cli/test_cli.py)
+TESTS = $(addprefix tests/unit/,cube io/test_drawings.py io/test_netcdf.py rejection/test_methods.py imaging/test_budget.py cli/test_cli.py)
 oldest: .venv/installed-test
 	$(BIN)/uv venv --quiet --clear --python 3.11 .venv-oldest
 	VIRTUAL_ENV=.venv-oldest $(BIN)/uv pip install --quiet --resolution lowest-direct --editable '.[$(EXTRAS)]' --group test
