@@ -157,18 +157,15 @@ def optical_path(
     >>> print(f"{found.length[0]:.4f} m", bool(found.settled[0]))
     8.0000 m True
     """
-    path, _ = _solved(
-        _phases(
-            phase,
-            uncertainty,
-            modulation_frequency=modulation_frequency,
-            shortest=shortest,
-            longest=longest,
-            doubt=doubt,
-        ),
-        choices,
-    )
-    return path
+    return _solved(
+        phase,
+        uncertainty,
+        modulation_frequency=modulation_frequency,
+        shortest=shortest,
+        longest=longest,
+        doubt=doubt,
+        choices=choices,
+    )[0]
 
 
 def fit(
@@ -208,19 +205,17 @@ def fit(
     14.99 m (1, 0)
     """
     return _solved(
-        _phases(
-            phase,
-            uncertainty,
-            modulation_frequency=modulation_frequency,
-            shortest=shortest,
-            longest=longest,
-            doubt=doubt,
-        ),
-        None,
+        phase,
+        uncertainty,
+        modulation_frequency=modulation_frequency,
+        shortest=shortest,
+        longest=longest,
+        doubt=doubt,
+        choices=None,
     )
 
 
-def _phases(
+def _solved(
     phase: Floats,
     uncertainty: Floats,
     *,
@@ -228,28 +223,24 @@ def _phases(
     shortest: Floats,
     longest: Floats,
     doubt: Floats | float,
-) -> _Phases:
-    """Return the phases with limits and doubts of their shape."""
-    return _Phases(
+    choices: Choices | None,
+) -> tuple[Path, Choices]:
+    """Return path and choices, the latter from these pixels if there are none yet."""
+    if choices is None:
+        order = _by_error(uncertainty, modulation_frequency)
+    else:
+        order = choices.order
+    phases = _Phases(
         phase=phase,
         uncertainty=uncertainty,
         modulation_frequency=modulation_frequency,
         shortest=np.broadcast_to(shortest, phase.shape[1:]),
         longest=np.broadcast_to(longest, phase.shape[1:]),
         doubt=np.broadcast_to(np.asarray(doubt, dtype=float), phase.shape),
-        order=(),
+        order=order,
     )
-
-
-def _solved(phases: _Phases, choices: Choices | None) -> tuple[Path, Choices]:
-    """Return path and choices, the latter from these pixels if there are none yet."""
-    if choices is None:
-        order = _by_error(phases.uncertainty, phases.modulation_frequency)
-    else:
-        order = choices.order
-    phases = replace(phases, order=order)
     path = _best_path(phases)
-    if len(phases.modulation_frequency) < 3:
+    if len(modulation_frequency) < 3:
         return path, Choices(order=order)
     usable = np.isfinite(path.length)
     unsettled = usable & ~path.settled
