@@ -110,10 +110,7 @@ def read_cube(path: str | os.PathLike[str]) -> xr.Dataset:
     except AmulorError:
         raise
     except Exception as error:  # h5py and what decodes the file raise many kinds
-        raise FormatError(
-            f"{path} cannot be read as a netCDF-4 file: {_reason(error)}; it is "
-            "damaged, or another program wrote it: copy it again, or make it again"
-        ) from error
+        raise _unreadable(path, error) from error
     return found
 
 
@@ -419,13 +416,23 @@ def _with_present_names(cube: xr.Dataset) -> xr.Dataset:
     return cube.rename_vars(former)
 
 
-def _opened(file: Any, group: str | None) -> xr.Dataset:
+def _opened(file: Any, group: str | None, *, by_rows: bool = False) -> xr.Dataset:
+    """Return a group of a file; by rows nothing that runs over the rows is read yet."""
     store = xr.backends.H5NetCDFStore(file, group=group)
     # Units such as "days since 2020-01-01" are left to the schema.
-    part = xr.open_dataset(store, decode_times=False).load().drop_encoding()
+    part = xr.open_dataset(store, decode_times=False, cache=not by_rows)
+    if by_rows:
+        few = {
+            name: variable.load()
+            for name, variable in part.variables.items()
+            if "row" not in variable.dims
+        }
+        part = part.assign({n: v for n, v in few.items() if n in part.data_vars})
+        part = part.assign_coords({n: v for n, v in few.items() if n in part.coords})
+    else:
+        part = part.load().drop_encoding()
     if "polarization" in part.coords:
-        names = part["polarization"].astype(object)
-        part = part.assign_coords(polarization=names)
+        part = part.assign_coords(polarization=part["polarization"].astype(object))
     return part
 
 
@@ -447,6 +454,14 @@ def _check_fits(part: xr.Dataset, cube: xr.Dataset, *, path: Path, group: str) -
 
 def _values(part: xr.Dataset, key: Hashable) -> NDArray[Any]:
     return np.asarray(part[key].values) if key in part.variables else np.empty(0)
+
+
+def _unreadable(path: Path, error: Exception) -> FormatError:
+    """Error for a file that h5py or what decodes it gives up on."""
+    return FormatError(
+        f"{path} cannot be read as a netCDF-4 file: {_reason(error)}; it is damaged, "
+        "or another program wrote it: copy it again, or make it again"
+    )
 
 
 def _reason(error: Exception) -> str:
@@ -571,20 +586,17 @@ def open_rows(
             file = stack.enter_context(
                 h5netcdf.File(storage, "r", decode_vlen_strings=True)
             )
-            cube = _opened_rows(file, None)
+            cube = _opened(file, None, by_rows=True)
             for group in schema.GROUPS:
                 if group in file.groups:
-                    part = _opened_rows(file, group)
+                    part = _opened(file, group, by_rows=True)
                     _check_fits(part, cube, path=path, group=group)
                     cube = cubes.attach(cube, part, group)
             cube = _with_present_names(cube)
         except AmulorError:
             raise
         except Exception as error:  # h5py and what decodes the file raise many kinds
-            raise FormatError(
-                f"{path} cannot be read as a netCDF-4 file: {_reason(error)}; it is "
-                "damaged, or another program wrote it: copy it again, or make it again"
-            ) from error
+            raise _unreadable(path, error) from error
         if not {"row", "column"} <= set(cube.sizes):
             raise CubeError(
                 f"{path} has the dimensions {', '.join(map(str, cube.sizes))}; rows "
@@ -605,22 +617,6 @@ def is_large(path: str | os.PathLike[str], *, most: int | None = None) -> bool:
             return found is not None and found.size * found.dtype.itemsize > limit
     except (OSError, RuntimeError, ValueError, KeyError, AttributeError):
         return False
-
-
-def _opened_rows(file: Any, group: str | None) -> xr.Dataset:
-    """Return a group of a file, of which nothing over the rows is read yet."""
-    store = xr.backends.H5NetCDFStore(file, group=group)
-    part = xr.open_dataset(store, decode_times=False, cache=False)
-    few = {
-        name: variable.load()
-        for name, variable in part.variables.items()
-        if "row" not in variable.dims
-    }
-    part = part.assign({name: v for name, v in few.items() if name in part.data_vars})
-    part = part.assign_coords({n: v for n, v in few.items() if n in part.coords})
-    if "polarization" in part.coords:
-        part = part.assign_coords(polarization=part["polarization"].astype(object))
-    return part
 
 
 def _check_digest(path: Path) -> None:
