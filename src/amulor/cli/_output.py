@@ -94,14 +94,12 @@ def print_flags(counts: Mapping[str, int], total: int) -> None:
     """Print the commonest flag, and what to do where nearly everything has it."""
     if not counts:
         return
+    from amulor.view.explanations import explanations, hint
+
     name = max(counts, key=lambda flag: counts[flag])
     share = counts[name] / total
-    meaning = f"amulor explain {name.upper()}"
-    print(f"commonest flag: {name} ({share:.1%}); what it means: {meaning}")
+    print(f"commonest flag: {name} ({share:.1%}); what it means: {hint([name])}")
     if share > _NEARLY_ALL:
-        # Slow to import, and needed only here.
-        from amulor.view.explanations import explanations
-
         known = explanations().get(name.upper())
         if known is not None:
             print(f"what to do: {known.remedy}")

@@ -10,7 +10,6 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Literal
 
-from amulor.acquisition.sampler import SPOILED, SampleFlag
 from amulor.cube import DOUBTFUL, ERROR_UNKNOWN, UNUSABLE, QualityFlag
 from amulor.cube.schema import TERMS
 from amulor.errors import FormatError
@@ -234,6 +233,8 @@ def _consequence(flag: QualityFlag) -> str:
 
 
 def _sample_flags() -> list[Explanation]:
+    from amulor.acquisition.sampler import SPOILED, SampleFlag
+
     words = {
         SampleFlag.OVERLOAD: (
             "The lock-in or the detector overloaded, and no more room could be made.",
