@@ -17,10 +17,10 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from amulor.rejection.joint import (
-    normal as joint_model,
+    normal as joint_normal,
 )
 from amulor.rejection.joint import (
-    samples as joint_pixels,
+    samples as joint_samples,
 )
 from amulor.rejection.joint import (
     search as joint_search,
@@ -98,7 +98,7 @@ class Problem:
         azimuth = self.cube["azimuth"].values.ravel()
         elevation = self.cube["elevation"].values.ravel()
         self.frame = frame_of(self.cube, azimuth, elevation)
-        self.pixels = joint_pixels.pixels_of(
+        self.pixels = joint_samples.pixels_of(
             self.frame,
             signal,
             errors,
@@ -123,7 +123,7 @@ class Problem:
         """Return the estimates of all pixels by the compiled solver."""
         return joint_search.estimate(
             self.pixels,
-            joint_pixels.weight(self.pixels),
+            joint_samples.weight(self.pixels),
             self.shared.table,
             gain=self.shared.gain,
             transfer=self.transfer * (1 + self.shared.echo),
@@ -133,7 +133,7 @@ class Problem:
     def residual(self, number):
         """Return the function that scipy minimises for one pixel."""
         pixel = self.pixels.part(np.array([number]))
-        weights = joint_pixels.weight(pixel)[0, 0]
+        weights = joint_samples.weight(pixel)[0, 0]
         root = np.sqrt(weights[0])
         slant = weights[1] / root
         rest = np.sqrt(weights[2] - slant**2)
@@ -141,7 +141,7 @@ class Problem:
 
         def function(parameter):
             path = np.array([parameter[1]])
-            _, water, _ = joint_model.water_at(
+            _, water, _ = joint_normal.water_at(
                 pixel, path, self.shared.table, self.frame.phase_per_path
             )
             echo = np.exp(1j * path[0] * self.frame.phase_per_path) * full

@@ -9,7 +9,6 @@ from numpy.typing import NDArray
 
 from amulor.simulation import geometry as geometry_of
 from amulor.simulation import lock_in
-from amulor.simulation import lock_in as signal
 from amulor.simulation.models import DEFAULT_MODEL, SignalModel
 from amulor.survey import Survey, water_properties
 
@@ -106,8 +105,8 @@ def expectation(survey: Survey, *, model: SignalModel = DEFAULT_MODEL) -> Expect
     )
     water = water_properties(few)
     geometry = geometry_of.trace(few, water)
-    echo = signal.target_light(few, water, geometry, model=model)
-    column = signal.water_light(
+    echo = lock_in.target_light(few, water, geometry, model=model)
+    column = lock_in.water_light(
         few, water, geometry.view, end=geometry.depth, model=model
     )
     samples = lock_in.sample(few, echo, column, rng=np.random.default_rng(0))

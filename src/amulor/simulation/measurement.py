@@ -16,7 +16,6 @@ from amulor.cube import tiles
 from amulor.optics.rays import Medium
 from amulor.simulation import geometry as geometry_of
 from amulor.simulation import lock_in
-from amulor.simulation import lock_in as signal
 from amulor.simulation.models import DEFAULT_MODEL, FittedModel, SignalModel
 from amulor.simulation.scene import Scene
 from amulor.survey import Survey, WaterProperties, water_properties
@@ -145,7 +144,7 @@ def fit(setting: Setting) -> SignalModel:
     farthest = np.inf if end is None else end
     if is_small:
         farthest = min(farthest, float(geometry.depth.max()))
-    return signal.fitted(
+    return lock_in.fitted(
         model,
         survey,
         setting.water,
@@ -175,17 +174,17 @@ def _traced(
 
 def _light(
     setting: Setting, directions: tuple[Floats, Floats, Floats], *, model: SignalModel
-) -> tuple[geometry_of.Geometry, signal.Light, signal.Light]:
+) -> tuple[geometry_of.Geometry, lock_in.Light, lock_in.Light]:
     """Return what beams meet, and the light of targets and water."""
     survey, water = setting.survey, setting.water
     tell("following the beams to the targets", 0.0)
     geometry = _traced(setting, directions)
     tell(f"light of the targets, {model.title}", 0.1)
     with part(0.1, 0.3):
-        target = signal.target_light(survey, water, geometry, model=model)
+        target = lock_in.target_light(survey, water, geometry, model=model)
     tell(f"light of the water, {model.title}", 0.3)
     with part(0.3, 0.7):
-        column = signal.water_light(
+        column = lock_in.water_light(
             survey, water, geometry.view, end=geometry.depth, model=model
         )
     return geometry, target, column
@@ -256,8 +255,8 @@ def open_water(setting: Setting, *, rng: np.random.Generator) -> xr.Dataset | No
         return None
     azimuth, elevation = open_water_directions(survey)
     view = view_of(survey, azimuth, elevation, medium=setting.medium)
-    light = signal.water_light(survey, setting.water, view, model=setting.model)
-    dark = signal.Light(np.zeros_like(light.modulated), np.zeros_like(light.mean))
+    light = lock_in.water_light(survey, setting.water, view, model=setting.model)
+    dark = lock_in.Light(np.zeros_like(light.modulated), np.zeros_like(light.mean))
     shots = lock_in.sample(survey, dark, light, rng=rng)
     return cube.open_water(
         {**_outputs(shots), "azimuth": azimuth, "elevation": elevation}
@@ -267,8 +266,8 @@ def open_water(setting: Setting, *, rng: np.random.Generator) -> xr.Dataset | No
 def _truth(
     survey: Survey,
     geometry: geometry_of.Geometry,
-    target: signal.Light,
-    water: signal.Light,
+    target: lock_in.Light,
+    water: lock_in.Light,
 ) -> xr.Dataset:
     sample = ("modulation_frequency", "polarization", "row", "column")
     pixel = ("row", "column")

@@ -7,8 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from amulor.simulation import geometry
-from amulor.simulation import lock_in as signal
+from amulor.simulation import geometry, lock_in
 from amulor.simulation.lock_in import expected_signal
 from amulor.simulation.models import DEFAULT_MODEL, SignalModel
 from amulor.survey import Survey, water_properties
@@ -107,8 +106,10 @@ def scene_light(
     with_target = _by_direction(
         survey,
         (scanned.azimuth, scanned.elevation),
-        signal.target_light(survey, water, scanned, model=model),
-        signal.water_light(survey, water, scanned.view, end=scanned.depth, model=model),
+        lock_in.target_light(survey, water, scanned, model=model),
+        lock_in.water_light(
+            survey, water, scanned.view, end=scanned.depth, model=model
+        ),
     )
     azimuth, elevation = scanned.azimuth.ravel(), scanned.elevation.ravel()
     if survey.scan.open_water is not None:
@@ -116,8 +117,8 @@ def scene_light(
         azimuth = np.concatenate([grid[0], azimuth])
         elevation = np.concatenate([grid[1], elevation])
     seen = view(survey, azimuth, elevation, medium=medium(survey, water))
-    light = signal.water_light(survey, water, seen, model=model)
-    none = signal.Light(np.zeros_like(light.modulated), np.zeros_like(light.mean))
+    light = lock_in.water_light(survey, water, seen, model=model)
+    none = lock_in.Light(np.zeros_like(light.modulated), np.zeros_like(light.mean))
     return SceneLight(
         with_target, _by_direction(survey, (azimuth, elevation), none, light)
     )
@@ -126,13 +127,13 @@ def scene_light(
 def _by_direction(
     survey: Survey,
     direction: tuple[Floats, Floats],
-    target: signal.Light,
-    water: signal.Light,
+    target: lock_in.Light,
+    water: lock_in.Light,
 ) -> LightByDirection:
-    def rate(light: signal.Light) -> Floats:
+    def rate(light: lock_in.Light) -> Floats:
         # Light that is modulated wholly gives the depth times the mean output.
         instrument = survey.instrument
-        wholly = signal.Light(light.mean.astype(complex), light.mean)
+        wholly = lock_in.Light(light.mean.astype(complex), light.mean)
         volts = expected_signal(survey, wholly).real
         volt = instrument.detector.volt_per_photoelectron_rate
         return volts / (instrument.modulation_depth * volt)

@@ -13,7 +13,7 @@ from pydantic import Field, model_validator
 
 from amulor.errors import SurveyError
 from amulor.optics import reflection
-from amulor.survey import files as table_file
+from amulor.survey import files
 from amulor.survey.quantity import Angle, Description
 
 Floats = NDArray[np.float64]
@@ -123,7 +123,7 @@ class TabulatedSurface(Description):
         """Return the same with the table of its file inside."""
         if self.file is None:
             return self
-        columns = table_file.columns(folder / self.file, count=4, where=where)
+        columns = files.columns(folder / self.file, count=4, where=where)
         axes = [sorted(set(column)) for column in columns[:3]]
         rows = dict(zip(zip(*columns[:3], strict=True), columns[3], strict=True))
         grid = [(i, r, a) for i in axes[0] for r in axes[1] for a in axes[2]]
@@ -140,7 +140,7 @@ class TabulatedSurface(Description):
             )
         }
         content |= {"kind": self.kind, "values": tuple(rows[at] for at in grid)}
-        return table_file.validated(type(self), content, where=where)
+        return files.validated(type(self), content, where=where)
 
 
 def _sent_back(incidence: Any, leaving: Any, azimuth: Any, values: Any) -> float:

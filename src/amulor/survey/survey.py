@@ -10,7 +10,6 @@ from pydantic import Field, ValidationError, model_validator
 
 from amulor.errors import SurveyError
 from amulor.survey import files, presets, toml_file
-from amulor.survey import toml_file as messages
 from amulor.survey.calibration import Calibration
 from amulor.survey.changes import changed
 from amulor.survey.instrument import Daylight, Instrument
@@ -201,7 +200,7 @@ class Survey(Description):
         try:
             survey = type(self).model_validate(content)
         except ValidationError as error:
-            lines = messages.lines(error, content, model=type(self), name="survey")
+            lines = toml_file.lines(error, content, model=type(self), name="survey")
             raise SurveyError("\n".join(lines)) from None
         return files.settled(survey, Path(), where="survey")
 

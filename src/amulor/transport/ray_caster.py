@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from amulor.transport._kernels import mesh as _hierarchy
 from amulor.transport._kernels import mesh as _kernels
 from amulor.transport._kernels.mesh import EDGE_ONE, EDGE_TWO, NORMAL
 from amulor.transport._kernels.types import Mesh
@@ -83,9 +82,9 @@ def hierarchy(corner: Array) -> tuple[Mesh, Integers]:
     # Boxes without boxes hold two triangles at least, so there are fewer than this.
     link = np.empty((len(corner) + 1, 3), dtype=np.int64)
     sibling = np.empty(len(corner) + 1, dtype=np.int64)
-    count = _hierarchy.split(centre, number, link, sibling)
+    count = _kernels.split(centre, number, link, sibling)
     box, link = np.empty((count, 6)), link[:count].copy()
-    _hierarchy.enclose(low[number], high[number], least, link, sibling, box)
+    _kernels.enclose(low[number], high[number], least, link, sibling, box)
     sorted_corner = corner[number]
     triangle = np.empty((len(corner), 12))
     one = sorted_corner[:, 1] - sorted_corner[:, 0]

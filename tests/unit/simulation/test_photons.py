@@ -14,8 +14,7 @@ from amulor.cli import main
 from amulor.io import read_cube
 from amulor.optics import rays
 from amulor.optics.phase_functions.models import henyey_greenstein_function
-from amulor.simulation import PhotonModel, SmallAngleModel, photons, simulate
-from amulor.simulation import lock_in as signal
+from amulor.simulation import PhotonModel, SmallAngleModel, lock_in, photons, simulate
 from amulor.simulation.geometry import trace
 from amulor.simulation.photons import Light
 from amulor.survey import Survey, water_properties
@@ -46,8 +45,8 @@ def test_drawn_pixels_are_those_of_photons_followed_directly(plate: Survey) -> N
     water = water_properties(survey)
     geometry = trace(survey, water)
     found = {
-        "target": signal.target_light(survey, water, geometry, model=model),
-        "water": signal.water_light(
+        "target": lock_in.target_light(survey, water, geometry, model=model),
+        "water": lock_in.water_light(
             survey, water, geometry.view, end=geometry.depth, model=model
         ),
     }

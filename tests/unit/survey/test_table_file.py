@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 from amulor.errors import SurveyError
-from amulor.survey import Survey, Tabulated, TabulatedSurface
-from amulor.survey import files as table_file
+from amulor.survey import Survey, Tabulated, TabulatedSurface, files
 from amulor.survey.surface import brightness
 from amulor.survey.waters.phase_function import phase_function
 
@@ -17,7 +16,7 @@ from amulor.survey.waters.phase_function import phase_function
 def test_commas_spaces_and_notes_are_read(tmp_path: Path) -> None:
     file = tmp_path / "table.txt"
     file.write_text("# angle, value\n0.1, 5e2\n\n 10\t3 # a note\n180,0.1\n")
-    assert table_file.columns(file, count=2, where="x") == [
+    assert files.columns(file, count=2, where="x") == [
         [0.1, 10.0, 180.0],
         [500.0, 3.0, 0.1],
     ]
@@ -43,7 +42,7 @@ def test_a_file_that_is_no_table_is_named(
     if content is not None:
         file.write_bytes(content)
     with pytest.raises(SurveyError, match=words) as caught:
-        table_file.columns(file, count=2, where="tank.toml: water")
+        files.columns(file, count=2, where="tank.toml: water")
     assert str(caught.value).startswith("tank.toml: water: ")
     assert "\n" not in str(caught.value)
 

@@ -273,17 +273,14 @@ def astray(
     return min(chance, 1.0), square
 
 
-Array = NDArray[np.float64]
-
-
 class Nodes(NamedTuple):
     """Depths at which the light of a column is summed up."""
 
     segment: NDArray[np.intp]
     """Piece of the spline that each one lies in, shape (node,)."""
-    within: Array
+    within: Floats
     """Place in that piece, in logarithms of the depth, shape (node,)."""
-    weight: Array
+    weight: Floats
     """Width that each one stands for, shape (node,) [m]."""
     turn: NDArray[np.complex128]
     """Phase factor, shape (node, frequency) [1]."""
@@ -293,9 +290,9 @@ class Nodes(NamedTuple):
 
 @numba.njit(cache=True, error_model="numpy")
 def fill_columns(
-    piece: Array,
+    piece: Floats,
     nodes: Nodes,
-    mean: Array,
+    mean: Floats,
     water: NDArray[np.complex128],
 ) -> None:
     """Fill the light of columns up to each distance, and to the end as the last one.

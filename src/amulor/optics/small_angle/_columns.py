@@ -22,7 +22,6 @@ from amulor.optics._water_column import (
 )
 from amulor.optics.phase_functions.henyey_greenstein import forward_split
 from amulor.optics.small_angle import _kernels
-from amulor.optics.small_angle import _kernels as _many_kernels
 
 __all__ = [
     "FEWEST",
@@ -368,7 +367,7 @@ def integrals(
     sums = np.zeros((len(view), 2, phase_per_depth.size))
     degree = np.arange(size)
     series = (degree + 0.5) * legendre.legvander(node, size - 1) * weight[:, None]
-    _many_kernels.add_columns(
+    _kernels.add_columns(
         np.ascontiguousarray(view),
         edge,
         span,

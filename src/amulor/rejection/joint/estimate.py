@@ -15,7 +15,7 @@ from amulor._progress import tell
 from amulor.cube import tiles
 from amulor.errors import CubeError
 from amulor.rejection.covariance import Covariance
-from amulor.rejection.joint import samples as joint_pixels
+from amulor.rejection.joint import samples as joint_samples
 from amulor.rejection.joint import shared as joint_shared
 from amulor.rejection.joint._kernels.compiled import each
 from amulor.rejection.joint.cube import (
@@ -223,7 +223,7 @@ def _pixels(
         signal, usable, trends = signal[which], usable[which], trends[which]
         azimuth, elevation = azimuth[which], elevation[which]
         errors = Covariance(*(each[which] for each in vars(errors).values()))
-    return joint_pixels.pixels_of(
+    return joint_samples.pixels_of(
         frame,
         signal,
         errors,

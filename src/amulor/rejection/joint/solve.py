@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from amulor.rejection.covariance import Covariance, times
-from amulor.rejection.joint import normal as joint_model
-from amulor.rejection.joint import samples as joint_pixels
+from amulor.rejection.joint import normal as joint_normal
+from amulor.rejection.joint import samples as joint_samples
 from amulor.rejection.joint import search as joint_search
 from amulor.rejection.joint._kernels import normal as kernels
 from amulor.rejection.joint._kernels.bundles import Covariances, WaterModel
@@ -78,9 +78,9 @@ def solve(frame: Frame, pixels: Pixels, shared: Shared, transfer: Complex) -> Re
     pixels, estimates = kept.pixels, kept.estimates
     detected = is_detected(estimates)
     path = np.where(detected, estimates.path, np.inf)
-    depth, water, _ = joint_model.water_at(pixels, path, shared.table, rate)
-    changes = joint_model.all_changes(pixels, depth, water, shared.table, rate)
-    foreground = joint_model.foreground(pixels, shared.table, rate)
+    depth, water, _ = joint_normal.water_at(pixels, path, shared.table, rate)
+    changes = joint_normal.all_changes(pixels, depth, water, shared.table, rate)
+    foreground = joint_normal.foreground(pixels, shared.table, rate)
     water_signal = shared.water_signal(water, foreground)
     deviation = None
     if shared.fluctuation > 0:
@@ -126,7 +126,7 @@ def _estimates(
         joint_search.without_foreground(
             pixels, shared.table, strength=shared.foreground, phase_per_path=rate
         ),
-        joint_pixels.weight(pixels, None, shared.noise_scale),
+        joint_samples.weight(pixels, None, shared.noise_scale),
         shared.table,
         gain=shared.gain,
         transfer=transfer * (1 + shared.echo),

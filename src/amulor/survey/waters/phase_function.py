@@ -11,7 +11,7 @@ from pydantic import Field, model_validator
 from amulor.errors import SurveyError
 from amulor.optics.phase_functions import mixture, models, tables
 from amulor.optics.phase_functions.phase_function import PhaseFunction
-from amulor.survey import files as table_file
+from amulor.survey import files
 from amulor.survey.quantity import Angle, Description, Fraction
 
 _Asymmetry = Annotated[float, Field(ge=-0.9999, le=0.999999)]
@@ -209,14 +209,14 @@ class Tabulated(Description):
         """Return the same with the table of its file inside."""
         if self.file is None:
             return self
-        columns = table_file.columns(folder / self.file, count=2, where=where)
+        columns = files.columns(folder / self.file, count=2, where=where)
         angles = (f"{angle!r} deg" for angle in columns[0])
         content: dict[str, Any] = {
             "kind": self.kind,
             "angles": tuple(angles),
             "values": tuple(columns[1]),
         }
-        return table_file.validated(type(self), content, where=where)
+        return files.validated(type(self), content, where=where)
 
 
 PhaseFunctionStated = Annotated[
