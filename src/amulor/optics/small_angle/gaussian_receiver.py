@@ -244,9 +244,9 @@ def fit(
     backscatter_vsf : array_like, optional
         As in `water_response` [1/(m sr)].
     beam_radius, beam_divergence : array_like, optional
-        As in `water_response` [m], [rad].
+        As in `water_response` [m, rad].
     tilt, cross_tilt, standoff : array_like, optional
-        As in `water_response` [rad], [rad], [m].
+        As in `water_response` [rad, rad, m].
     **arguments : array_like
         Absorption, scattering and receiver, as in `water_response`.
 
