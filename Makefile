@@ -128,6 +128,6 @@ surface: .venv/installed-test
 
 clean:
 	rm -rf .venv .venv-oldest dist amulor-demo foam-transients .coverage*
-	rm -rf docs/_build docs/api docs/gallery/examples docs/gallery/backreferences
+	rm -rf docs/_build docs/api docs/gallery/examples docs/gallery/backreferences docs/trust/intervals.svg
 
 .PHONY: help demo style types contracts lint test check study soak docs coverage bench package installs oldest surface clean linkcheck mutate constraints

@@ -28,6 +28,7 @@ extensions = [
     "api_pages",
     "docstrings",
     "repository_links",
+    "trust_figure",
 ]
 templates_path = ["_templates"]
 exclude_patterns = [

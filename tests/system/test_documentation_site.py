@@ -126,3 +126,19 @@ def test_an_example_runs(path: Path) -> None:
         capture_output=True, text=True, check=False,
     )  # fmt: skip
     assert done.returncode == 0, done.stderr
+
+
+def test_the_trust_figure_shows_each_scene_of_the_table() -> None:
+    pytest.importorskip("sphinx", reason="pip install --group docs")
+    from amulor.studies.trust.table import _APART, written
+
+    figure = script("docs/_ext/trust_figure.py")
+    rows = list(written((DOCS / figure.TABLE).read_text(encoding="utf-8")))
+    shown = [scene for scenes in figure.KINDS.values() for scene in scenes]
+    with_target = {row.scene for row in rows if "empty" not in row.scene}
+    assert sorted(shown) == sorted(with_target - set(_APART))
+    # Lowest, median and highest of eight rows, read off the table by eye.
+    trusted, inside = figure.spans(rows)["simulated acquisition", "open-water"]
+    assert trusted == (99.2, 100.0, 100.0)
+    assert inside == (92.4, 96.1, 99.7)
+    assert len(figure.figure(rows).axes) == 2

@@ -73,4 +73,4 @@ def test_the_command_counts_a_file(
 def test_the_page_shows_what_the_table_says() -> None:
     folder = Path(__file__).parents[4] / "docs/trust"
     table = (folder / "default.txt").read_text(encoding="utf-8")
-    assert counts(written(table)) in (folder / "README.md").read_text(encoding="utf-8")
+    assert counts(written(table)) in (folder / "details.md").read_text(encoding="utf-8")

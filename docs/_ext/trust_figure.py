@@ -1,0 +1,127 @@
+"""Figure of the trust page, drawn from the table whenever the site is built."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from pathlib import Path
+
+import numpy as np
+from matplotlib.figure import Figure
+from sphinx.application import Sphinx
+
+from amulor.studies.trust.table import Written, written
+from amulor.view.style import COLOURS, new_figure, style
+
+TABLE = "trust/default.txt"
+DRAWN = "trust/intervals.svg"
+
+#: Kinds of scenes, from top to bottom of the figure.
+KINDS = {
+    "plates, stairs, wide scans": (
+        "flat", "slope 60", "slope 75", "dark", "stairs", "tall", "wide",
+        "wide paper's form",
+    ),
+    "other waters, circular light": (
+        "coastal", "harbour", "circular", "small-angle 90", "small-angle 15",
+        "paper's form",
+    ),
+    "water of single photons": (
+        "wide photons", "photons petzold grey", "photons petzold dim",
+        "photons fournier-forand grey", "photons fournier-forand dim",
+        "photons two-term grey", "photons two-term dim", "photons c 0.25 1/m",
+        "photons c 1 1/m", "photons c 2 1/m",
+    ),
+    "simulated acquisition": ("acquired", "acquired twice"),
+    "spikes, particles": ("spikes", "particles"),
+    "water that changes": ("change 5 %", "drift 3 %", "drift 10 %"),
+    "errors of survey and noise": (
+        "noise", "a, b doubled", "a, b halved", "delay stated", "baseline stated",
+        "index stated",
+    ),
+}  # fmt: skip
+METHODS = {
+    "open-water": ("open water", "o"),
+    "polarization": ("polarization", "s"),
+    "combined": ("combination", "^"),
+    "joint": ("joint", "D"),
+    "auto": ("auto", "v"),
+}
+#: Range of a quantity over the scenes of a kind: least, median, largest [%].
+Span = tuple[float, float, float]
+
+
+def spans(
+    rows: Iterable[Written],
+) -> dict[tuple[str, str], tuple[Span, Span]]:
+    """Return share trusted and coverage by kind of scene and method [%]."""
+    table = list(rows)
+    result = {}
+    for kind, scenes in KINDS.items():
+        for method in METHODS:
+            cells = [
+                row
+                for row in table
+                if row.method == method and row.scene in scenes and not row.refused
+            ]
+            coverage = [row.inside for row in cells if not np.isnan(row.inside)]
+            result[kind, method] = (
+                _span([row.trusted for row in cells]),
+                _span(coverage),
+            )
+    return result
+
+
+def _span(values: list[float]) -> Span:
+    return min(values), float(np.median(values)), max(values)
+
+
+def figure(rows: Iterable[Written]) -> Figure:
+    """Draw medians and ranges of both quantities."""
+    values = spans(rows)
+    with style():
+        drawn = new_figure(5.0, 6.0)
+        panels = drawn.subplots(1, 2, sharey=True)
+        for index, (method, (label, marker)) in enumerate(METHODS.items()):
+            height = np.arange(len(KINDS)) + 0.15 * (index - 2)
+            for panel, quantity in zip(panels, (0, 1), strict=True):
+                low, middle, high = np.transpose(
+                    [values[kind, method][quantity] for kind in KINDS]
+                )
+                panel.hlines(height, low, high, color=COLOURS[index], linewidth=1.5)
+                panel.plot(
+                    middle, height, marker, color=COLOURS[index], label=label,
+                    linestyle="none", markersize=4,
+                )  # fmt: skip
+        panels[0].set_xlabel("pixels without a flag [%]")
+        panels[0].set_xlim(55, 102)
+        panels[1].set_xlabel("surface inside the 95 % interval [%]")
+        panels[1].set_xlim(90.5, 100.5)
+        panels[1].axvline(95, color="0.4", linewidth=1, linestyle=":")
+        panels[0].set_yticks(range(len(KINDS)), [_wrapped(kind) for kind in KINDS])
+        panels[0].invert_yaxis()
+        for edge in np.arange(len(KINDS) - 1) + 0.5:
+            for panel in panels:
+                panel.axhline(edge, color="0.85", linewidth=0.8)
+        drawn.legend(
+            *panels[0].get_legend_handles_labels(), loc="outside upper center", ncols=5
+        )
+    return drawn
+
+
+def _wrapped(kind: str) -> str:
+    words = kind.split()
+    half = (len(words) + 1) // 2
+    return "\n".join([" ".join(words[:half]), " ".join(words[half:])])
+
+
+def draw(app: Sphinx) -> None:
+    """Write the figure beside its page."""
+    folder = Path(app.srcdir)
+    rows = written((folder / TABLE).read_text(encoding="utf-8"))
+    figure(rows).savefig(folder / DRAWN, metadata={"Date": None})
+
+
+def setup(app: Sphinx) -> dict[str, bool]:
+    """Connect with Sphinx."""
+    app.connect("builder-inited", draw)
+    return {"parallel_read_safe": True}
