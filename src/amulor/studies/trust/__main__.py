@@ -7,7 +7,7 @@ import sys
 from pathlib import Path
 
 from amulor.studies.trust.methods import METHODS
-from amulor.studies.trust.scenes.catalogue import SCENES
+from amulor.studies.trust.scenes.catalogue import BY_NAME, GROUPS
 from amulor.studies.trust.study import run
 from amulor.studies.trust.table import Row, counts, line, text, written
 
@@ -15,7 +15,8 @@ from amulor.studies.trust.table import Row, counts, line, text, written
 def main(arguments: list[str] | None = None) -> int:
     """Run the study as the command line says."""
     parser = argparse.ArgumentParser(prog="amulor.studies.trust", description=__doc__)
-    names = [scene.name for scene in SCENES]
+    parser.add_argument("--scenes", choices=list(GROUPS), default="default")
+    names = list(BY_NAME)
     parser.add_argument("--scene", action="append", choices=names, metavar="NAME")
     parser.add_argument("--method", action="append", choices=list(METHODS))
     parser.add_argument("--frequencies", action="append", type=int, metavar="COUNT")
@@ -30,16 +31,15 @@ def main(arguments: list[str] | None = None) -> int:
         print(counts(written(chosen.count.read_text(encoding="utf-8"))), end="")
         return 0
     if chosen.list:
-        for scene in SCENES:
+        for scene in GROUPS[chosen.scenes]:
             print(f"{scene.name:<28} {scene.title}")
         return 0
 
     def show(row: Row) -> None:
         print(line(row), flush=True)
 
-    rows = run(
-        chosen.scene, chosen.method, chosen.frequencies, seed=chosen.seed, done=show
-    )
+    scenes = chosen.scene or [scene.name for scene in GROUPS[chosen.scenes]]
+    rows = run(scenes, chosen.method, chosen.frequencies, seed=chosen.seed, done=show)
     if chosen.output is not None:
         chosen.output.write_text(text(rows), encoding="utf-8")
     return 0

@@ -48,6 +48,8 @@ class Score:
     """Median standard uncertainty of the trusted [m]."""
     note: str
     """Method that `auto` took, or why there is no image."""
+    mean: float = math.nan
+    """Mean error of the trusted against the surface [m]."""
 
 
 def score(case: Case, outcome: Outcome) -> Score:
@@ -89,6 +91,7 @@ def score(case: Case, outcome: Outcome) -> Score:
         far=_mean(off > FAR),
         rms=float(np.sqrt(np.mean(error**2))),
         stated=float(np.median(sigma)),
+        mean=float(error.mean()),
     )
 
 
@@ -233,7 +236,8 @@ def _begin(scene: str, count: int | str, method: str) -> str:
 
 _HEADER = (
     f"{_begin('scene', 'f', 'method')} {'trust':>6} {'68 %':>6} {'95 %':>6} "
-    f"{'echo':>6} {'worst':>7} {'>3.5':>6} {'rms mm':>9} {'stated':>8} {'phantom':>7}"
+    f"{'echo':>6} {'worst':>7} {'>3.5':>6} {'rms mm':>9} {'stated':>8} {'phantom':>7} "
+    f"{'mean mm':>9}"
 )
 LEGEND = """\
 trust    fraction of the pixels with a surface whose flags are zero [%]
@@ -245,6 +249,7 @@ worst    largest error of a trusted pixel over its standard uncertainty
 rms mm   root mean square error of the trusted against the surface
 stated   median standard uncertainty of the trusted [mm]
 phantom  fraction of the pixels without a surface that are trusted [%]
+mean mm  mean error of the trusted against the surface
 """
 
 
@@ -262,6 +267,7 @@ def line(row: Row) -> str:
         f"{_number(found.rms * 1e3, '.3f'):>9}",
         f"{_number(found.stated * 1e3, '.3f'):>8}",
         f"{_percent(found.phantoms):>7}",
+        f"{_number(found.mean * 1e3, '+.3f'):>9}",
     ]
     note = f"  {found.note[:60]}" if found.note else ""
     return " ".join(cells) + note

@@ -1,0 +1,113 @@
+"""Effects of instruments in the trust study: each in its closed form."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+from amulor.studies.trust.scenes import instrument
+from amulor.studies.trust.scenes.catalogue import BY_NAME, INSTRUMENT_SCENES
+from amulor.studies.trust.scenes.instrument import Recorded
+from amulor.survey import Survey
+
+
+@pytest.fixture(scope="module")
+def recorded() -> Recorded:
+    return Recorded(2, 1)
+
+
+def test_leakage_is_one_phasor_a_frequency_in_the_scan_alone(
+    recorded: Recorded,
+) -> None:
+    scan, shots = instrument.leakage(0.03)(recorded)
+    added = scan - recorded.scan
+    assert_allclose(added, added[:, :1, :1, :1] * np.ones_like(added), rtol=1e-9)
+    assert_allclose(np.abs(added[:, 0, 0, 0]), 0.03 * recorded.echo[:, 0])
+    assert_allclose(np.angle(added[:, 0, 0, 0]), 2 * np.pi * 0.13)
+    assert shots is recorded.shots
+
+
+def test_leakage_with_a_delay_turns_with_frequency_and_is_in_the_shots(
+    recorded: Recorded,
+) -> None:
+    scan, shots = instrument.leakage(0.03, delay=2e-9)(recorded)
+    added = (scan - recorded.scan)[:, 1, 3, 5]
+    # 20 and 80 MHz times 2 ns: 0.04 and 0.16 of a turn.
+    assert_allclose(np.angle(added) / (2 * np.pi), [0.04, 0.16], rtol=1e-9)
+    assert_allclose((shots - recorded.shots)[:, 0, 7], added, rtol=1e-9)
+
+
+def test_walk_turns_ten_times_the_echo_by_its_degrees(recorded: Recorded) -> None:
+    scan, _ = instrument.walk(2.0)(recorded)
+    decades = np.log10(np.abs(recorded.scan) / recorded.echo[:, :, None, None])
+    turn = np.degrees(np.angle(scan / recorded.scan))
+    assert_allclose(turn, 2 * decades, atol=1e-9)
+    assert_allclose(np.abs(scan), np.abs(recorded.scan))
+
+
+def test_the_layer_adds_the_water_of_its_thickness(recorded: Recorded) -> None:
+    thin, shots = instrument.turbid_layer(0.1)(recorded)
+    thick, _ = instrument.turbid_layer(0.4)(recorded)
+    least = np.abs(thin - recorded.scan)
+    most = np.abs(thick - recorded.scan)
+    assert np.all(least[:, 0] > 0)
+    assert np.all(most[:, 0] > 3 * least[:, 0])
+    twice, _ = instrument.turbid_layer(0.4, factor=3.0)(recorded)
+    assert_allclose(twice - recorded.scan, 2 * (thick - recorded.scan), rtol=1e-9)
+    assert shots is recorded.shots
+
+
+def test_drift_ends_in_the_second_half_of_the_shots(recorded: Recorded) -> None:
+    scan, shots = instrument.drift(delay=30e-12)(recorded)
+    turn = np.angle(scan / recorded.scan)[:, 0]
+    frequency = np.array([20e6, 80e6])
+    assert_allclose(turn[:, 0, 0], 0, atol=1e-12)
+    assert_allclose(turn[:, -1, -1], 2 * np.pi * frequency * 30e-12, rtol=1e-9)
+    late = np.angle(shots / recorded.shots)[1, 0]
+    half = len(late) // 2
+    assert_allclose(late[:half], 0, atol=1e-12)
+    assert_allclose(late[half:], 2 * np.pi * 80e6 * 30e-12, rtol=1e-9)
+
+
+def test_the_aliased_harmonic_has_the_size_of_the_light_at_three_times_the_frequency(
+    recorded: Recorded,
+) -> None:
+    scan, shots = instrument.aliased_harmonic(0.01)(recorded)
+    size = np.abs(scan - recorded.scan) / np.abs(recorded.truth("target"))
+    # Water damps three times the frequency more than the frequency itself.
+    assert 0.001 < np.median(size[:, 0]) < 0.02
+    fraction = np.abs(shots - recorded.shots) / np.abs(recorded.shots)
+    assert np.all(fraction < 0.01)
+
+
+def test_compression_and_scale_change_depend_on_the_amplitude(
+    recorded: Recorded,
+) -> None:
+    scan, _ = instrument.compression(0.05)(recorded)
+    lost = 1 - np.abs(scan / recorded.scan)
+    size = np.abs(recorded.scan) / recorded.echo[:, :, None, None]
+    assert_allclose(lost, 0.05 * size, rtol=1e-9)
+    scan, _ = instrument.scale_change(0.5)(recorded)
+    turn = np.degrees(np.angle(scan / recorded.scan))
+    assert_allclose((turn > 0.25).mean(axis=(2, 3)), 0.5, atol=0.01)
+    assert turn.max() == pytest.approx(0.5)
+
+
+def test_a_case_keeps_its_truth_apart_and_states_its_calibration() -> None:
+    stated = BY_NAME["leak 1 %, scan"].make(1, 1)
+    without = BY_NAME["leak 1 %, scan, unstated"].make(1, 1)
+    assert not [name for name in stated.samples if str(name).startswith("truth")]
+    known = Survey.from_text(stated.samples.attrs["survey"]).calibration
+    assert known is not None
+    assert known.delay_uncertainty == pytest.approx(1e-11)
+    assert Survey.from_text(without.samples.attrs["survey"]).calibration is None
+    np.testing.assert_array_equal(
+        stated.samples["in_phase"], without.samples["in_phase"]
+    )
+
+
+def test_each_effect_is_there_with_and_without_a_calibration() -> None:
+    names = {scene.name for scene in INSTRUMENT_SCENES}
+    plain = {name for name in names if not name.endswith(", unstated")}
+    assert names - plain == {f"{name}, unstated" for name in plain}
