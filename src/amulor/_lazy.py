@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import gc
 import importlib
 import sys
 from collections.abc import Callable, Mapping, Sequence
+from types import ModuleType
 from typing import Any
 
 
@@ -39,11 +41,11 @@ def attach(
 
     def getter(name: str) -> Any:
         if name in origin:
-            value = getattr(importlib.import_module(origin[name]), name)
+            value = getattr(_imported(origin[name]), name)
             setattr(sys.modules[package], name, value)
             return value
         if name in public:
-            return importlib.import_module(f"{package}.{name}")
+            return _imported(f"{package}.{name}")
         raise AttributeError(f"module {package!r} has no attribute {name!r}")
 
     def lister() -> list[str]:
@@ -51,3 +53,14 @@ def attach(
         return sorted({*special, *public})
 
     return getter, lister
+
+
+def _imported(module: str) -> ModuleType:
+    """Import a module; what it makes stays, so the garbage collector need not look."""
+    collects = gc.isenabled()
+    gc.disable()
+    try:
+        return importlib.import_module(module)
+    finally:
+        if collects:
+            gc.enable()

@@ -5,6 +5,7 @@ from __future__ import annotations
 import functools
 import math
 import re
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
@@ -160,19 +161,18 @@ def _convert(
 ) -> float:
     import pint
 
-    registry = _registry()
     try:
+        registry = _registry_for(unit_text)
         unit = registry.Unit(unit_text)
     # The reader of unit expressions raises errors of many kinds on odd text.
     except Exception:
         raise ValueError(
             f"found {text!r}, whose unit {unit_text!r} is not known; {wanted}"
         ) from None
-    target = registry.Unit(SI_UNITS[quantity])
     # Radian and steradian are pure numbers to the registry; here they are not,
     # so that "39 deg" is no frequency and "0.1 1/m" no angle.
     try:
-        value = float(registry.Quantity(number, unit).to(target).magnitude)
+        found = registry.Quantity(number, unit).to(SI_UNITS[quantity])
     except (pint.DimensionalityError, pint.OffsetUnitCalculusError):
         raise ValueError(
             f"found {text!r}, whose unit {unit_text!r} is not one of {quantity}; "
@@ -186,7 +186,7 @@ def _convert(
             f"found {text!r}, whose unit {unit_text!r} is not one of {quantity}; "
             f"{wanted}"
         )
-    return value
+    return float(found.magnitude)
 
 
 _ANGULAR_POWERS = {
@@ -220,11 +220,26 @@ def _angular_power(unit: pint.Unit) -> float:
     )
 
 
-@functools.cache
-def _registry() -> pint.UnitRegistry[float]:
+def _registry_for(unit: str) -> pint.UnitRegistry[float]:
+    """Return the registry of the units of surveys, or pint's own for other units."""
     import pint
 
-    registry: pint.UnitRegistry[float] = pint.UnitRegistry(cache_folder=None)
+    registry = _registry(Path(__file__).with_name("units.txt"))
+    try:
+        registry.Unit(unit)
+    except pint.UndefinedUnitError:
+        return _registry()
+    return registry
+
+
+@functools.cache
+def _registry(definitions: Path | str = "") -> pint.UnitRegistry[float]:
+    """Return the registry of a file of units, or pint's own, which is slow to read."""
+    import pint
+
+    registry: pint.UnitRegistry[float] = pint.UnitRegistry(
+        definitions, cache_folder=None
+    )
     return registry
 
 
@@ -288,7 +303,7 @@ def write_like(value: float, text: str) -> str:
             parse(text, quantity)
         except ValueError:
             continue
-        typed = _registry().Unit(f"1{unit}" if unit.startswith("/") else unit)
-        number = _registry().Quantity(value, _registry().Unit(target)).to(typed)
+        unit_text = f"1{unit}" if unit.startswith("/") else unit
+        number = _registry_for(unit_text).Quantity(value, target).to(unit_text)
         return f"{float(number.magnitude):.6g} {unit}".strip()
     return f"{value:g}"

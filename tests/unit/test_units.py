@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from pathlib import Path
 
 import pytest
 from hypothesis import given
@@ -91,3 +92,33 @@ def test_a_wavelength_is_written_as_it_was_typed() -> None:
         written = units.write(value, "wavelength")
         assert units.parse(written, "wavelength") == value
         assert len(written) <= len("4.055e-07 m")
+
+
+def test_the_units_of_surveys_mean_what_they_mean_in_pint() -> None:
+    surveys = units._registry(Path(units.__file__).with_name("units.txt"))
+    whole = units._registry()
+    names = [
+        f"{prefix}{unit}"
+        for prefix in surveys._prefixes
+        for unit in surveys._units
+        if unit.isidentifier()
+        and unit != "half_turn"
+        and (not prefix or surveys._units[unit].is_multiplicative)
+    ]
+    assert len(names) > 700
+    odd = []
+    for name in names:
+        here, there = (
+            registry.Quantity(0.7, registry.Unit(name)).to_root_units()
+            for registry in (surveys, whole)
+        )
+        if (here.magnitude, str(here.units)) != (there.magnitude, str(there.units)):
+            odd.append(name)
+    assert odd == []
+    # A plural: "rads" are radians here, and a dose of radiation in pint.
+    assert units.parse("2 mrads", "angle") == units.parse("2 mrad", "angle")
+
+
+def test_a_unit_outside_of_surveys_is_pints() -> None:
+    assert units.parse("2 ft", "length") == pytest.approx(2 * 0.3048, rel=1e-12)
+    assert units.write_like(0.9144, "2 ft") == "3 ft"

@@ -9,7 +9,6 @@ from functools import lru_cache
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
-from scipy.interpolate import RegularGridInterpolator
 
 from amulor.cube.tiles import Span, span_of
 from amulor.errors import SurveyError
@@ -206,6 +205,8 @@ def _between(
 
     Of delays at all frequencies, weighted by one row or by several.
     """
+    from scipy.interpolate import RegularGridInterpolator
+
     depth = slant_range - beams_of(one).length_before
     usable = np.isfinite(depth) & (depth > 0)
     assert fit.depth is not None

@@ -9,16 +9,19 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.constants import speed_of_light
-from scipy.interpolate import CubicSpline, PPoly
 from scipy.special import j0, j1
 
 from amulor.optics._bounds import broadcast, finite, not_negative, positive
 from amulor.optics.phase_functions.integrals import gauss_legendre
 from amulor.optics.phase_functions.phase_function import PhaseFunction
+
+if TYPE_CHECKING:
+    from scipy.interpolate import CubicSpline, PPoly
 
 __all__ = ["RELATIVE_UNCERTAINTY", "late_echo"]
 
@@ -222,6 +225,8 @@ class _Table:
 @lru_cache(maxsize=8)
 def _table(phase_function: PhaseFunction, split_angle: float, octave: int) -> _Table:
     """Return the table up to a power of two of the frequency [1/rad]."""
+    from scipy.interpolate import CubicSpline
+
     top = 2.0**octave
     even = np.arange(0.0, min(_EVEN, top) + _EVEN_STEP, _EVEN_STEP)
     more = max(0, int(np.ceil(np.log(top / even[-1]) / np.log(_GROWTH))))

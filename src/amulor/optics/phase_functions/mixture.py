@@ -13,7 +13,6 @@ from functools import partial
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.optimize import brentq
 
 from amulor.optics._bounds import not_negative, require, within
 from amulor.optics.phase_functions.fournier_forand import (
@@ -131,6 +130,8 @@ def fournier_forand_with_backscatter(backscatter_fraction: float) -> PhaseFuncti
             relative_index=_index(slope), slope=slope
         )
         return found - fraction
+
+    from scipy.optimize import brentq  # a fifth of the start of `amulor image`
 
     slope = float(brentq(excess, *_SLOPES, xtol=1e-12))
     return fournier_forand(relative_index=_index(slope), slope=slope)

@@ -15,15 +15,18 @@ without data
 from __future__ import annotations
 
 from functools import partial
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.interpolate import CubicHermiteSpline, PchipInterpolator
 
 from amulor.optics import _tables
 from amulor.optics._bounds import checked_angle, finite, one_axis, positive
 from amulor.optics.phase_functions.integrals import INNERMOST_ANGLE, Panels
 from amulor.optics.phase_functions.phase_function import PhaseFunction
+
+if TYPE_CHECKING:
+    from scipy.interpolate import CubicHermiteSpline
 
 __all__ = ["STATIONS", "from_cumulative", "petzold", "tabulated"]
 
@@ -162,6 +165,8 @@ def from_cumulative(
             "cumulative must be above 0 and rise to 1, got values from "
             f"{fraction[0]:g} to {fraction[-1]:g}"
         )
+    from scipy.interpolate import CubicHermiteSpline, PchipInterpolator
+
     log_height = np.log(np.sin(theta / 2) ** 2)
     log_fraction = np.log(fraction)
     slopes = PchipInterpolator(log_height, log_fraction)(log_height, 1)

@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import brentq
 
 from amulor.errors import SurveyError
 from amulor.optics import phase_functions
@@ -131,6 +130,8 @@ def _joined(
     moment: float, fraction: float, backwards: float, *, split: float
 ) -> PhaseFunction:
     """Return a phase function with three given moments."""
+    from scipy.optimize import brentq
+
     g = asymmetry_of(moment, split=split)
     forward = henyey_greenstein_function(asymmetry=g)
     below, _ = forward.forward_split(split)
@@ -174,6 +175,7 @@ def _joined(
 @lru_cache(maxsize=32)
 def asymmetry_of(moment: float, *, split: float) -> float:
     """Return the asymmetry with a second moment below a split angle."""
+    from scipy.optimize import brentq
 
     def excess(g: float) -> float:
         value = phase_functions.henyey_greenstein_second_moment(
