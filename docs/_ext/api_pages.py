@@ -17,8 +17,8 @@ LISTING = Path(__file__).parents[2] / "tests" / "reference" / "public_surface.tx
 #: Rooms in the order in which a scan goes through them.
 _ROOMS = (
     "amulor", "survey", "simulation", "acquisition", "cube", "rejection", "imaging",
-    "site", "design", "scale", "io", "view", "samples", "optics", "transport",
-    "studies", "units", "errors",
+    "pipeline", "site", "design", "scale", "io", "view", "samples", "optics",
+    "transport", "studies", "units", "errors",
 )  # fmt: skip
 
 

@@ -11,13 +11,11 @@ import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.colors import LightSource
 
-from amulor import imaging, rejection, samples
+from amulor import pipeline, samples
 from amulor.imaging import products
 
 INTERVAL = (1.2, 1.8)
-target = rejection.open_water(samples.cube("amphora"), interval=INTERVAL)
-image = imaging.range_image(target, interval=INTERVAL)
-image = imaging.flag_outliers(imaging.flag_mixed(image))
+image = pipeline.run(samples.cube("amphora"), method="open-water", interval=INTERVAL)
 
 # %%
 # Seen from the front, in orthographic projection: two millimetres for each cell.

@@ -11,6 +11,8 @@
     imaging.range_image(cube)         slant ranges with uncertainty and flags
         |
     imaging.point_cloud(image)        points in space  --> io.write_cloud(...)
+
+`pipeline.run` goes from samples to the range image, edges and outliers flagged.
 """
 
 from __future__ import annotations
@@ -28,6 +30,7 @@ if TYPE_CHECKING:
         imaging,
         io,
         optics,
+        pipeline,
         rejection,
         samples,
         simulation,
@@ -52,6 +55,7 @@ __all__ = [
     "imaging",
     "io",
     "optics",
+    "pipeline",
     "read_cube",
     "rejection",
     "samples",

@@ -183,6 +183,12 @@ def check_cube_output(path: Path, *, overwrite: bool, inputs: Sequence[Path]) ->
     check_ending("--output", path, CUBE_ENDINGS)
 
 
+def check_tile_rows(rows: int | None) -> None:
+    """Refuse a number of rows below 1."""
+    if rows is not None and rows < 1:
+        raise UsageError(f"--tile-rows must be 1 or more, got {rows}")
+
+
 def check_ending(option: str, path: Path, endings: Sequence[str]) -> None:
     """Refuse a file name whose ending names none of some formats.
 

@@ -39,7 +39,7 @@ def recordings(
     overwrite
         Replace a file that is there.
     """
-    from amulor.cli._arguments import UsageError, check_cube_output
+    from amulor.cli._arguments import check_cube_output, check_tile_rows
     from amulor.cli._output import print_next, progress_bar
     from amulor.io.recording_map import RecordingMap
     from amulor.io.recordings import marked, read_recordings
@@ -47,8 +47,7 @@ def recordings(
     from amulor.survey.directions import BY_ROWS, samples_of
 
     check_cube_output(output, overwrite=overwrite, inputs=[file, survey, columns])
-    if tile_rows is not None and tile_rows < 1:
-        raise UsageError(f"--tile-rows must be 1 or more, got {tile_rows}")
+    check_tile_rows(tile_rows)
     described = RecordingMap.from_toml(columns)
     planned = Survey.from_toml(survey)
     if tile_rows is not None or samples_of(planned) > BY_ROWS:

@@ -20,9 +20,6 @@ if TYPE_CHECKING:
 else:  # choices of the help, those of other packages among them
     Name = Literal[_plugins.names(_plugins.REJECTION)]
 
-#: What to say while it works.
-_WAITING = {"auto": "comparing the methods", "joint": "estimating jointly"}
-
 
 def reject(
     cube: Path,
@@ -90,6 +87,7 @@ def reject(
     from amulor.cli._arguments import (
         UsageError,
         check_cube_output,
+        check_tile_rows,
         interval_of,
         quantity_of,
     )
@@ -97,6 +95,7 @@ def reject(
     from amulor.errors import CubeError
 
     interval = interval_of(nearest, farthest)
+    check_tile_rows(tile_rows)
     options = {
         "interval": interval,
         "target_ratio": target_ratio,
@@ -111,9 +110,7 @@ def reject(
     inputs = [cube] if open_water is None else [cube, open_water]
     check_cube_output(output, overwrite=overwrite, inputs=inputs)
 
-    from amulor import _progress, io, rejection
-    from amulor.cube import flag_counts
-    from amulor.io.netcdf import is_large
+    from amulor import pipeline, rejection
 
     chosen = rejection.load(method)
     if unused := chosen.unknown(options):
@@ -121,73 +118,21 @@ def reject(
             f"{method} does not use {_as_options(unused)}; it uses "
             f"{_as_options(chosen.options)}"
         )
-    if tile_rows is not None or is_large(cube):
-        _by_rows(
-            cube, output, method, tile_rows, open_water, options,
-            overwrite=overwrite, json=json,
-        )  # fmt: skip
-        return
-    comparison: Comparison | None = None
-    with progress_bar(quiet=json) as advance:
-        advance(f"reading {cube}", 0.0)
-        samples = io.read_cube(cube)
-        if open_water is not None:
-            samples = rejection.with_open_water(samples, io.read_cube(open_water))
-        advance(_WAITING.get(method, "taking the water out"), 0.1)
+    with progress_bar(quiet=json):
         try:
-            if method == "auto":
-                with _progress.part(0.1, 0.74):
-                    comparison = rejection.compare(samples, interval=interval)
-            with _progress.part(0.1 if comparison is None else 0.74, 0.9):
-                target = chosen(samples, comparison=comparison, **options)
+            made = pipeline.reject_file(
+                cube, output, method, rows=tile_rows, overwrite=overwrite,
+                open_water=open_water, **options,
+            )  # fmt: skip
         except ValueError as error:
             # The formulas refuse their arguments; without options these come from the
             # cube.
             stated = any(value is not None for value in options.values())
             kind = UsageError if stated else CubeError
             raise kind(str(error)) from None
-        advance(f"writing {output}", 0.9)
-        io.write_cube(target, output, overwrite=overwrite)
-    if json:
-        print_json(_figures(output, method, target, comparison))
-        return
-    if comparison is not None:
-        _print_comparison(comparison)
-    else:
-        _print_choice(target)
-    flag = target["quality_flag"]
-    _print_flags(output, float((flag != 0).mean()), flag_counts(target), flag.size)
-
-
-def _by_rows(
-    cube: Path,
-    output: Path,
-    method: str,
-    rows: int | None,
-    open_water: Path | None,
-    options: dict[str, Any],
-    *,
-    overwrite: bool,
-    json: bool,
-) -> None:
-    """Take the water out tile by tile, and print what came out."""
-    from amulor import scale
-    from amulor.cli._arguments import UsageError
-    from amulor.cli._output import print_json, progress_bar
-
-    if rows is not None and rows < 1:
-        raise UsageError(f"--tile-rows must be 1 or more, got {rows}")
-    with progress_bar(quiet=json):
-        try:
-            made = scale.reject_file(
-                cube, output, method, rows=rows, overwrite=overwrite,
-                open_water=open_water, **options,
-            )  # fmt: skip
-        except ValueError as error:
-            raise UsageError(str(error)) from None
     share = made.flagged / max(made.count, 1)
     if json:
-        figures = _figures_of(output, method, made.head, made.comparison)
+        figures = _figures(output, method, made.head, made.comparison)
         print_json(figures | {"flagged_share": share, "flags": made.flags})
         return
     if made.comparison is not None:
@@ -251,18 +196,6 @@ def _print_choice(target: xr.Dataset) -> None:
 
 
 def _figures(
-    output: Path, method: str, target: xr.Dataset, comparison: Comparison | None
-) -> dict[str, Any]:
-    """Return what `--json` prints."""
-    from amulor import cube as cubes
-
-    return _figures_of(output, method, target, comparison) | {
-        "flagged_share": float((target["quality_flag"] != 0).mean()),
-        "flags": cubes.flag_counts(target),
-    }
-
-
-def _figures_of(
     output: Path, method: str, target: xr.Dataset, comparison: Comparison | None
 ) -> dict[str, Any]:
     """Return the figures that are not of samples."""

@@ -7,7 +7,13 @@ from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import Parameter
 
-from amulor.cli._arguments import UsageError, check_ending, check_inputs, quantity_of
+from amulor.cli._arguments import (
+    UsageError,
+    check_ending,
+    check_inputs,
+    check_tile_rows,
+    quantity_of,
+)
 from amulor.cli._output import progress_bar
 
 if TYPE_CHECKING:
@@ -57,8 +63,7 @@ def report(
     from amulor.view import image_report
 
     known = [_check_of(text, number) for number, text in enumerate(check)]
-    if tile_rows is not None and tile_rows < 1:
-        raise UsageError(f"--tile-rows must be 1 or more, got {tile_rows}")
+    check_tile_rows(tile_rows)
     inputs = [*images, *([checks] if checks else [])]
     io.check_output(output, overwrite=overwrite, inputs=inputs)
     check_ending("--output", output, endings)

@@ -41,7 +41,7 @@ def run(
     """
     from dataclasses import asdict
 
-    from amulor.cli._arguments import UsageError
+    from amulor.cli._arguments import UsageError, check_tile_rows
     from amulor.cli._output import print_json, progress_bar
     from amulor.errors import CubeError
     from amulor.scale.site_run import run_site
@@ -49,8 +49,7 @@ def run(
 
     if workers is not None and (workers < 1 or scheduler != LOCAL):
         raise UsageError("--workers is a number from 1 on, with --scheduler local")
-    if tile_rows is not None and tile_rows < 1:
-        raise UsageError(f"--tile-rows must be 1 or more, got {tile_rows}")
+    check_tile_rows(tile_rows)
     with progress_bar(quiet=json):
         done = run_site(
             site, output, scheduler=scheduler, workers=workers, tile_rows=tile_rows

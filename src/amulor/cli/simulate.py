@@ -11,6 +11,7 @@ from amulor.cli._arguments import (
     SEED,
     UsageError,
     check_cube_output,
+    check_tile_rows,
     quantity_of,
 )
 from amulor.cli._output import print_next, progress_bar, warnings_as_notes
@@ -56,8 +57,7 @@ def simulate(
         raise UsageError(
             f"--error: needed is a relative error above 0 and below 1, found {error}"
         )
-    if tile_rows is not None and tile_rows < 1:
-        raise UsageError(f"--tile-rows must be 1 or more, got {tile_rows}")
+    check_tile_rows(tile_rows)
     check_cube_output(output, overwrite=overwrite, inputs=[survey])
 
     from amulor import _progress, io

@@ -73,13 +73,12 @@ def _scans(moments: Survey, whole: Survey) -> list[xr.Dataset]:
 
 def _images(cubes: list[xr.Dataset]) -> None:
     """Take the water out, jointly and with open water, and draw a surface."""
-    from amulor import imaging, rejection
+    from amulor import imaging, pipeline
 
     for cube in cubes:
-        image = imaging.range_image(rejection.joint(cube), polarization="VH")
+        image = pipeline.run(cube, method="joint", polarization="VH")
         if cube.amulor.open_water is not None:
-            image = imaging.range_image(rejection.open_water(cube), polarization="VH")
-        image = imaging.flag_outliers(imaging.flag_mixed(image))
+            image = pipeline.run(cube, method="open-water", polarization="VH")
         surface = imaging.products.surface(image)
         imaging.products.deviation(surface, surface.position, surface.triangles)
         plane = imaging.products.plane_of(surface.frame)

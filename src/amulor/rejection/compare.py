@@ -273,24 +273,18 @@ def auto(
     return _of_comparison(target, comparison)
 
 
-@dataclass(frozen=True)
-class _Recommended:
-    """The recommended method and channel, fitted to a scan."""
-
-    comparison: Comparison
-    of: tiles.OfRows
-
-    def __call__(self, rows: xr.Dataset, first: int) -> xr.Dataset:
-        """Return the target signal of some rows."""
-        return _of_comparison(self.of(rows, first), self.comparison)
-
-
-def _fit_auto(source: tiles.Source, *, interval: Interval = None) -> tiles.OfRows:
+def _fit_auto(
+    source: tiles.Source,
+    *,
+    interval: Interval = None,
+    comparison: Comparison | None = None,
+) -> tiles.OfRows:
     """Compare the methods on a sample of a scan, and fit the recommended one."""
-    sample = cubes.without_groups(tiles.sample_of(source), "truth")
-    comparison = compare(sample, interval=interval)
+    if comparison is None:
+        sample = cubes.without_groups(tiles.sample_of(source), "truth")
+        comparison = compare(sample, interval=interval)
     of = load(comparison.method).fit(source, interval=interval)
-    return _Recommended(comparison, of)
+    return lambda rows, first: _of_comparison(of(rows, first), comparison)
 
 
 def _of_comparison(target: xr.Dataset, comparison: Comparison) -> xr.Dataset:

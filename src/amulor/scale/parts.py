@@ -30,10 +30,10 @@ from amulor.io.laz import write_laz_parts
 from amulor.io.netcdf import open_rows, row_writer, tile_rows
 from amulor.io.ply import write_ply_parts
 from amulor.io.text_cloud import write_text_parts
-from amulor.scale.steps import image_step, reject_step
+from amulor.pipeline import Made, Prepared, TiledStep, steps_from, window
 from amulor.scale.tasks import Record, Task
-from amulor.scale.tiled import Made, Prepared, TiledStep, window
 from amulor.simulation.by_rows import SimulatedRows
+from amulor.site.load import check_level
 from amulor.survey import Survey
 
 __all__ = [
@@ -240,20 +240,15 @@ def chain(task: Task) -> tuple[Step, ...]:
         level = "samples"
     else:
         level = _level_of(current)
-    if level in ("samples", "target_signal") and task.method is None:
-        raise CubeError(
-            f"scan {task.name!r}: {current} holds {level}, not a range image; state "
-            "[scan.processing] with a method"
-        )
-    options: dict[str, Any] = {"interval": task.interval}
-    if level == "samples":
-        method = str(task.method)
-        how = {"step": "reject", "method": method, **options}
-        current = add("target_signal.nc", how, reject_step(method, **options))
-    if level != "range_image":
-        options["polarization"] = task.polarization
-        how = {"step": "image", **options}
-        current = add("range_image.nc", how, image_step(**options))
+    check_level(level, processed=task.method is not None, name=task.name)
+    steps_of_scan = steps_from(
+        level,
+        method=task.method,
+        polarization=task.polarization,
+        interval=task.interval,
+    )
+    for made, tiled in steps_of_scan.items():
+        current = add(f"{made}.nc", tiled.how, tiled)
     add("cloud.ply", {"step": "cloud"})
     return tuple(steps)
 

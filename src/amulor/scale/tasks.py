@@ -18,6 +18,7 @@ from amulor.cube.provenance import digest, software_versions
 from amulor.errors import FormatError
 from amulor.io.files import atomic_output
 from amulor.site import Site
+from amulor.site.load import options_of
 
 __all__ = ["RECORD", "Done", "Record", "Task", "Work", "in_order", "tasks_of"]
 
@@ -73,10 +74,6 @@ def tasks_of(
     """Return one task for each scan of a site."""
     tasks = []
     for scan in site.scan:
-        how = scan.processing
-        interval = None
-        if how is not None and how.nearest is not None and how.farthest is not None:
-            interval = (how.nearest, how.farthest)
         tasks.append(
             Task(
                 name=scan.name,
@@ -85,9 +82,7 @@ def tasks_of(
                     None if scan.simulated_from is None else str(scan.simulated_from)
                 ),
                 seed=int(scan.seed),
-                method=None if how is None else how.method,
-                polarization=None if how is None else how.polarization,
-                interval=interval,
+                **options_of(scan.processing),
                 folder=str((output / scan.name).resolve()),
                 started=started,
                 tile_rows=tile_rows,

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import xarray as xr
 
 from amulor import cube as cubes
-from amulor import imaging, io, rejection
+from amulor import io, pipeline
 from amulor.errors import CubeError
 from amulor.site.description import Processing, SiteScan
 
@@ -21,39 +23,44 @@ def range_image_of(scan: SiteScan) -> xr.Dataset:
     return as_image(io.read_cube(scan.file), processing=scan.processing, name=scan.name)
 
 
-def as_image(
-    cube: xr.Dataset, *, processing: Processing | None, name: str
-) -> xr.Dataset:
-    """Return the range image of a cube of any level before it, or of one."""
-    level = str(cube.attrs.get("level", ""))
+def check_level(level: str, *, processed: bool, name: str) -> None:
+    """Refuse a file that is no range image, and does not become one."""
     if level == "range_image":
-        return _with_errors(cubes.checked(cube, "range_image"), name)
+        return
     if level not in ("samples", "target_signal"):
         raise CubeError(
             f"scan {name!r}: the file holds {level or 'no level'!r}; a site takes "
             "range images, target signals or samples"
         )
-    if processing is None:
+    if not processed:
         raise CubeError(
             f"scan {name!r}: the file holds {level}, not a range image; make one with "
             "amulor reject and amulor image, or state [scan.processing] with a method"
         )
-    interval = None
-    if processing.nearest is not None and processing.farthest is not None:
-        interval = (processing.nearest, processing.farthest)
+
+
+def options_of(processing: Processing | None) -> dict[str, Any]:
+    """Return method, channel and interval that a scan states."""
+    if processing is None:
+        return {"method": None, "polarization": None, "interval": None}
+    near, far = processing.nearest, processing.farthest
+    return {
+        "method": processing.method,
+        "polarization": processing.polarization,
+        "interval": None if near is None or far is None else (near, far),
+    }
+
+
+def as_image(
+    cube: xr.Dataset, *, processing: Processing | None, name: str
+) -> xr.Dataset:
+    """Return the range image of a cube of any level; raise if its error is unknown."""
+    level = str(cube.attrs.get("level", ""))
+    check_level(level, processed=processing is not None, name=name)
     try:
-        if level == "samples":
-            cube = rejection.reject(cube, method=processing.method, interval=interval)
-        image = imaging.range_image(
-            cube, polarization=processing.polarization, interval=interval
-        )
+        image = pipeline.run(cube, **options_of(processing))
     except ValueError as error:
         raise CubeError(f"scan {name!r}: {error}") from None
-    return imaging.flag_outliers(imaging.flag_mixed(_with_errors(image, name)))
-
-
-def _with_errors(image: xr.Dataset, name: str) -> xr.Dataset:
-    """Return an image whose ranges state their errors, or raise."""
     words = cubes.error_unknown(image)
     if words:
         raise CubeError(f"scan {name!r}: {words}; {WHAT_TO_DO}")

@@ -13,7 +13,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from amulor import _extras, imaging, io, rejection
+from amulor import _extras, imaging, io, pipeline, rejection
 from amulor._progress import part
 from amulor.imaging import metrics
 from amulor.io.files import atomic_output
@@ -357,8 +357,7 @@ def run(
             progress(f"range image and point cloud, {channel} {water}", done_so_far)
             for stage in STAGES:
                 with part(done_so_far, done_so_far + 0.07):
-                    image = imaging.range_image(stages[stage], polarization=channel)
-                image = imaging.flag_outliers(imaging.flag_mixed(image))
+                    image = pipeline.run(stages[stage], polarization=channel)
                 cases.append(
                     evaluate(survey, image, water=water, channel=channel, stage=stage)
                 )

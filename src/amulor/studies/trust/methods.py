@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import xarray as xr
 
-from amulor import imaging, rejection
+from amulor import pipeline, rejection
 from amulor.errors import AmulorError
 from amulor.studies.trust.case import Case
 
@@ -47,12 +47,11 @@ def outcome(method: str, case: Case) -> Outcome:
         target = rejection.reject(
             case.samples, method=name, interval=case.interval, **options
         )
-        image = imaging.range_image(
+        image = pipeline.run(
             target,
             polarization=str(target["polarization"].values[0]),
             interval=case.interval,
         )
-        image = imaging.flag_outliers(imaging.flag_mixed(image))
     except (AmulorError, ValueError) as error:
         return Outcome(target=None, image=None, note=f"refused: {error}")
     except (ArithmeticError, SystemError) as error:

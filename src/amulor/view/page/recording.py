@@ -14,7 +14,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from amulor import cube as cubes
-from amulor import imaging, rejection
+from amulor import pipeline, rejection
 from amulor.cube import WATER_NOT_REMOVED, without_groups
 from amulor.cube.schema import RANGE_PREFIX, TERMS
 from amulor.errors import AmulorError, CubeError
@@ -179,8 +179,8 @@ class Recording:
         return self._kept
 
     def _imaged(self, target: xr.Dataset, name: str) -> Picture:
-        image = imaging.range_image(target, polarization=name, interval=self._interval)
-        return MemoryPicture(imaging.flag_outliers(imaging.flag_mixed(image)))
+        image = pipeline.run(target, polarization=name, interval=self._interval)
+        return MemoryPicture(image)
 
     def one_row(self, channel: str, row: int) -> xr.Dataset | None:
         """Return water signal and beams of one row."""

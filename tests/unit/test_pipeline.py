@@ -1,4 +1,4 @@
-"""Steps by rows: for whatever tiles, bit for bit what the whole gives."""
+"""Steps in their order; by rows, for whatever tiles, bit for bit the whole."""
 
 from __future__ import annotations
 
@@ -11,17 +11,16 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from amulor import imaging, io, rejection
+from amulor import imaging, io, pipeline, rejection
 from amulor.cube import tiles, without_groups
 from amulor.errors import CubeError
-from amulor.rejection.compare import _Recommended
-from amulor.scale import (
+from amulor.pipeline import (
     TiledStep,
     image_file,
+    image_step,
     reject_file,
     reject_step,
     run_step,
-    steps,
 )
 from amulor.simulation import simulate
 from amulor.survey import Survey
@@ -51,7 +50,7 @@ def samples(plate_text: str) -> xr.Dataset:
     return cube
 
 
-def in_tiles(step: steps.TiledStep, cube: xr.Dataset, rows: int) -> xr.Dataset:
+def in_tiles(step: TiledStep, cube: xr.Dataset, rows: int) -> xr.Dataset:
     """Return what a step makes of tiles that share no memory, put together."""
     source = tiles.InMemory(cube)
     whole = tiles.Whole(source.rows, source.columns)
@@ -64,6 +63,35 @@ def assert_same(one: xr.Dataset, other: xr.Dataset) -> None:
     """Compare bit for bit; the history says when."""
     one, other = (each.assign_attrs(history="") for each in (one, other))
     xr.testing.assert_identical(one, other)
+
+
+def test_the_order_of_steps_is_that_of_the_functions(samples: xr.Dataset) -> None:
+    target = rejection.open_water(samples, interval=INTERVAL)
+    image = imaging.range_image(target, polarization="VV", interval=INTERVAL)
+    flagged = imaging.flag_outliers(imaging.flag_mixed(image))
+    assert (flagged["quality_flag"] != image["quality_flag"]).any()
+    how = {"polarization": "VV", "interval": INTERVAL}
+    found = pipeline.run(samples, method="open-water", **how)
+    assert_same(found, flagged)
+    done = [line.split(": ")[1] for line in found.attrs["history"].splitlines()]
+    assert done[1].startswith("reject, open water")
+    assert done[2:] == ["image, channel VV", "mixed pixels marked", "outliers flagged"]
+    assert_same(pipeline.run(target, **how), flagged)
+    assert_same(pipeline.run(flagged, **how), flagged)
+
+
+@pytest.mark.parametrize("rows", [1, 4])
+def test_the_image_by_rows_is_that_of_one_piece(samples: xr.Dataset, rows: int) -> None:
+    how = {"method": "cross-polarized", "polarization": "VH", "interval": INTERVAL}
+    by_rows = samples
+    for step in pipeline.steps_from("samples", **how).values():
+        by_rows = in_tiles(step, by_rows, rows)
+    assert_same(by_rows, pipeline.run(samples, **how))
+
+
+def test_samples_without_a_method_are_refused(samples: xr.Dataset) -> None:
+    with pytest.raises(CubeError, match="rejection method"):
+        pipeline.run(samples)
 
 
 @pytest.mark.parametrize(("method", "function", "options"), METHODS)
@@ -106,7 +134,7 @@ def test_auto_in_tiles_is_that_of_the_whole(
     io.write_cube(cube, name)
     comparison = rejection.compare(cube, interval=INTERVAL)
     whole = rejection.auto(cube, interval=INTERVAL, comparison=comparison)
-    for rows in (1, 4):
+    for rows in (None, 1, 4):
         made = reject_file(
             name, output, "auto", rows=rows, overwrite=True, interval=INTERVAL
         )
@@ -114,11 +142,7 @@ def test_auto_in_tiles_is_that_of_the_whole(
         assert_same(io.read_cube(output), whole)
     # A recommendation without the shots is carried out without them.
     chosen = replace(comparison, method="joint without shots", polarization="VV")
-    step = TiledStep(
-        prepare=lambda source: _Recommended(
-            chosen, rejection.load(chosen.method).fit(source, interval=INTERVAL)
-        )
-    )
+    step = reject_step("auto", interval=INTERVAL, comparison=chosen)
     whole = rejection.auto(cube, interval=INTERVAL, comparison=chosen)
     assert_same(in_tiles(step, cube, 4), whole)
 
@@ -136,7 +160,7 @@ def test_an_image_in_tiles_is_that_of_the_whole(
     whole = imaging.flag_outliers(imaging.flag_mixed(found))
     assert (whole["quality_flag"].values != 0).any()
     for rows in (1, 4):
-        assert_same(in_tiles(steps.image_step(**options), target, rows), whole)
+        assert_same(in_tiles(image_step(**options), target, rows), whole)
 
 
 @pytest.mark.slow
@@ -217,7 +241,7 @@ def test_no_tile_stays_in_memory(level: str, samples: xr.Dataset) -> None:
     cube, step = samples, reject_step("open-water", interval=INTERVAL)
     if level == "target_signal":
         cube = rejection.open_water(samples, interval=INTERVAL)
-        step = steps.image_step(interval=INTERVAL, polarization="VV")
+        step = image_step(interval=INTERVAL, polarization="VV")
     counts = []
     gc.collect()
     gc.disable()

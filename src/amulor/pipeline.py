@@ -1,0 +1,393 @@
+"""The steps of a scan in their order: from samples to a target signal to a range image.
+
+A step works on a cube in one piece or on some rows at a time. In one piece, statistics
+of a scan come from all pixels; by rows from a sample of them
+(`amulor.cube.tiles.sample_of`), which has all pixels of a scan of up to 65,536.
+"""
+
+from __future__ import annotations
+
+import os
+from collections import Counter
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field, replace
+from functools import partial
+from typing import Any
+
+import numpy as np
+import xarray as xr
+
+from amulor import cube as cubes
+from amulor import imaging, io, rejection
+from amulor._progress import part, tell
+from amulor.cube import tiles
+from amulor.errors import CubeError
+from amulor.imaging.outliers import fitted_outliers
+from amulor.imaging.range_image import fitted_range_image
+from amulor.io.netcdf import is_large, open_rows, row_writer, tile_rows
+
+__all__ = ["run"]
+
+AnyPath = str | os.PathLike[str]
+#: Rows above and below a tile that flags of edges and outliers depend on: seven, and
+#: one more for a line that ends at the rim.
+HALO = 8
+#: Rows of a tile, in halos at least, so that few rows are processed twice.
+_HALOS = 4
+
+
+@dataclass(frozen=True, kw_only=True)
+class TiledStep:
+    """A step from one level of a scan to the next, in one piece or by rows."""
+
+    whole: Callable[[xr.Dataset], xr.Dataset]
+    """The step on a cube in one piece."""
+    fit: Callable[[tiles.Source], tiles.OfRows]
+    """Fit to a scan, for rows of it."""
+    halo: int = 0
+    """Rows above and below a tile that its pixels depend on."""
+    of: TiledStep | None = None
+    """The step whose result is the input; None for the scan itself."""
+    how: dict[str, Any] = field(default_factory=dict)
+    """Name and arguments, for the record of a run."""
+
+    def __call__(self, cube: xr.Dataset) -> xr.Dataset:
+        """Run the step on a cube in one piece."""
+        if self.of is None:
+            return self.whole(cube)
+        with part(0.0, 0.7):
+            cube = self.of(cube)
+        with part(0.7, 1.0):
+            return self.whole(cube)
+
+
+def reject_step(method: str, **options: Any) -> TiledStep:
+    """Rejection of the water signal by a method, as a step."""
+    chosen = rejection.load(method)
+    return TiledStep(
+        whole=partial(chosen, **options),
+        fit=partial(chosen.fit, **options),
+        how={"step": "reject", "method": method, **options},
+    )
+
+
+def image_step(**options: Any) -> TiledStep:
+    """Range image with its edges and outliers flagged, as a step."""
+    ranges = TiledStep(
+        whole=lambda cube: fitted_range_image(cube, **options)[0],
+        fit=partial(tiles.fit_on_sample, fitted_range_image, **options),
+    )
+    return TiledStep(
+        whole=lambda image: _flagged(image)[0],
+        fit=partial(tiles.fit_on_sample, _flagged, needs_span=False),
+        halo=HALO,
+        of=ranges,
+        how={"step": "image", **options},
+    )
+
+
+def _flagged(
+    image: xr.Dataset, *, fit: tuple[float, ...] | None = None
+) -> tuple[xr.Dataset, tuple[float, ...]]:
+    """Range image with edges and outliers flagged, and the limits of chance used."""
+    tell("edges and outliers", 0.0)
+    return fitted_outliers(imaging.flag_mixed(image), fit=fit)
+
+
+def steps_from(
+    level: str,
+    *,
+    method: str | None = None,
+    polarization: str | None = None,
+    interval: tuple[float, float] | None = None,
+    **options: Any,
+) -> dict[str, TiledStep]:
+    """Return the steps from a level to the range image, in order, by what they make."""
+    found: dict[str, TiledStep] = {}
+    if level == "samples":
+        if method is None:
+            raise CubeError("samples become a range image by a rejection method only")
+        found["target_signal"] = reject_step(method, interval=interval, **options)
+    if level != "range_image":
+        found["range_image"] = image_step(interval=interval, polarization=polarization)
+    return found
+
+
+def run(
+    cube: xr.Dataset,
+    *,
+    method: str | None = None,
+    polarization: str | None = None,
+    interval: tuple[float, float] | None = None,
+    **options: Any,
+) -> xr.Dataset:
+    """Process a cube up to the range image, its edges and outliers flagged.
+
+    Parameters
+    ----------
+    cube : xarray.Dataset
+        Level `samples`, `target_signal` or `range_image`; the last is returned as it
+        is.
+    method : str, optional
+        Rejection method, one of `amulor.rejection.names`; needed for samples.
+    polarization : str, optional
+        Channel of the image; needed if there are several.
+    interval : tuple of float, optional
+        Nearest and farthest slant range that are possible [m].
+    **options
+        Other options of the method.
+
+    Returns
+    -------
+    xarray.Dataset
+        Level `range_image`.
+
+    Raises
+    ------
+    AmulorError, ValueError
+        As `amulor.rejection.reject` and `amulor.imaging.range_image`.
+
+    Examples
+    --------
+    >>> from amulor import pipeline, samples
+    >>> cube = samples.cube("ladder").isel(row=slice(10, 20), shot=slice(0, None, 4))
+    >>> image = pipeline.run(cube, method="open-water", polarization="VH")
+    >>> for line in image.attrs["history"].splitlines():
+    ...     print(line.split(": ")[1])
+    simulate
+    reject, open water, column behind the target put back
+    image, channel VH
+    mixed pixels marked
+    outliers flagged
+    """
+    steps = steps_from(
+        str(cube.attrs.get("level", "")),
+        method=method,
+        polarization=polarization,
+        interval=interval,
+        **options,
+    )
+    for number, step in enumerate(steps.values()):
+        with part(number / len(steps), (number + 1) / len(steps)):
+            cube = step(cube)
+    return cube if steps else cubes.checked(cube, "range_image")
+
+
+class Prepared:
+    """A step that is fitted to a scan."""
+
+    def __init__(self, step: TiledStep, source: tiles.Source, rows: int) -> None:
+        self.rows, self.halo = rows, step.halo
+        self._before = None if step.of is None else Prepared(step.of, source, rows)
+        self.treat = step.fit(self.input(source))
+
+    def input(self, source: tiles.Source) -> tiles.Source:
+        """Return the rows that are processed: of the scan, or of the step before."""
+        if self._before is None:
+            return source
+        return _Kept(Made(self._before, source), self.rows)
+
+
+class Made(tiles.Derived):
+    """The rows that a step makes of a scan."""
+
+    def __init__(self, prepared: Prepared, source: tiles.Source) -> None:
+        super().__init__(prepared.input(source))
+        self._prepared = prepared
+
+    def tile(self, begin: int, end: int) -> xr.Dataset:
+        """Return some rows; the same for whatever tiles."""
+        halo = self._prepared.halo
+        first = max(begin - halo, 0)
+        wide = self._source.tile(first, min(end + halo, self.rows))
+        made = self._prepared.treat(wide, first)
+        return made.isel(row=slice(begin - first, end - first))
+
+
+class _Kept(tiles.Derived):
+    """Rows of which the last tile is kept: its end is the halo of the next one."""
+
+    def __init__(self, source: tiles.Source, rows: int) -> None:
+        super().__init__(source)
+        self._at_once = rows
+        self._begin, self._end = 0, 0
+        self._last: xr.Dataset | None = None
+
+    @property
+    def head(self) -> xr.Dataset:
+        """All that does not run over the rows."""
+        return self._source.head
+
+    def tile(self, begin: int, end: int) -> xr.Dataset:
+        """Return some rows; quickest in their order."""
+        joined = tiles.Whole(end - begin, self.columns)
+        new = begin
+        if self._last is not None and self._begin <= begin < self._end:
+            new = min(self._end, end)
+            shared = slice(begin - self._begin, new - self._begin)
+            joined.put(self._last.isel(row=shared), 0)
+        for first in range(new, end, self._at_once):
+            last = min(first + self._at_once, end)
+            joined.put(self._source.tile(first, last), first - begin)
+        self._begin, self._end, self._last = begin, end, joined.made()
+        return self._last
+
+
+def window(step: TiledStep, source: tiles.Source, rows: int | None = None) -> int:
+    """Return how many rows a step makes at once."""
+    if rows is not None:
+        return rows
+    few = tile_rows(source)
+    return few * max(1, -(-_HALOS * step.halo // few))
+
+
+def run_step(
+    step: TiledStep, source: tiles.Source, *, rows: int | None = None
+) -> Iterator[tuple[int, xr.Dataset]]:
+    """Run a step: in one piece on a cube in memory, otherwise tile by tile."""
+    if rows is not None and rows < 1:
+        raise ValueError(f"a tile has 1 row at least, got {rows}")
+    if rows is None and isinstance(source, tiles.InMemory):
+        yield 0, step(source.cube)
+        return
+    tell("scan-wide statistics", 0.0)
+    prepared = Prepared(step, source, tile_rows(source) if rows is None else rows)
+    made = Made(prepared, source)
+    for begin, end in tiles.bands(source, window(step, source, rows)):
+        tell(f"row {begin:,} of {source.rows:,}", begin / source.rows)
+        yield begin, made.tile(begin, end)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Summary:
+    """Summary of a step on a file."""
+
+    head: xr.Dataset
+    """All that does not run over the rows, attributes included."""
+    count: int
+    """Samples of a target signal, pixels of a range image."""
+    usable: int
+    """Those that are numbers."""
+    flagged: int
+    """Those with a flag."""
+    doubtful: int
+    """Those that are numbers and have a flag."""
+    flags: dict[str, int]
+    """How many have which flag."""
+    whole: xr.Dataset | None
+    """The result, if it was made in one piece."""
+    comparison: rejection.Comparison | None = None
+    """Of all methods, for the method "auto"."""
+
+
+@contextmanager
+def opened(path: AnyPath, rows: int | None = None) -> Iterator[tiles.Source]:
+    """Open a cube: in memory, or by rows if it is large or rows are stated."""
+    if rows is None and not is_large(path):
+        tell(f"reading {path}", 0.0)
+        yield tiles.InMemory(io.read_cube(path))
+    else:
+        with open_rows(path) as source:
+            yield source
+
+
+def run_file(
+    step: TiledStep,
+    source: AnyPath,
+    output: AnyPath,
+    *,
+    rows: int | None = None,
+    overwrite: bool = False,
+) -> Summary:
+    """Run a step from a file to another one: a large one, or rows stated, by rows."""
+    with opened(source, rows) as cube:
+        return _written(step, cube, output, rows, overwrite=overwrite)
+
+
+def _written(
+    step: TiledStep,
+    source: tiles.Source,
+    output: AnyPath,
+    rows: int | None,
+    *,
+    overwrite: bool,
+) -> Summary:
+    """Run a step, write its result, and count samples and flags."""
+    flags: Counter[str] = Counter()
+    count = usable = flagged = doubtful = 0
+    head: xr.Dataset | None = None
+    with row_writer(output, source.rows, overwrite=overwrite) as writer:
+        for begin, tile in run_step(step, source, rows=rows):
+            writer.put(tile, begin)
+            signal = "in_phase" if "in_phase" in tile else "slant_range"
+            number = np.isfinite(tile[signal].values)
+            flag = tile["quality_flag"].values != 0
+            count, usable = count + number.size, usable + int(number.sum())
+            flagged += int(flag.sum())
+            doubtful += int((flag & number).sum())
+            flags.update(cubes.flag_counts(tile))
+            head = tiles.InMemory(tile).head if head is None else head
+    assert head is not None
+    return Summary(
+        head=head,
+        count=count,
+        usable=usable,
+        flagged=flagged,
+        doubtful=doubtful,
+        flags=dict(flags),
+        whole=tile if tile.sizes["row"] == source.rows else None,
+    )
+
+
+def reject_file(
+    source: AnyPath,
+    output: AnyPath,
+    method: str,
+    *,
+    open_water: AnyPath | None = None,
+    rows: int | None = None,
+    overwrite: bool = False,
+    **options: Any,
+) -> Summary:
+    """Remove the water signal from a file of samples, by a method of any package."""
+    with opened(source, rows) as cube:
+        if open_water is not None:
+            shots = io.read_cube(open_water)
+            joined = partial(rejection.with_open_water, reference=shots)
+            if isinstance(cube, tiles.InMemory):
+                cube = tiles.InMemory(joined(cube.cube))
+            else:
+                cube = tiles.Changed(cube, joined)
+        comparison, compared = None, 0.0
+        if "comparison" in rejection.load(method).options:
+            compared = 0.6
+            with part(0.0, compared):
+                comparison = rejection.compare(
+                    _judged(cube, rows), interval=options.get("interval")
+                )
+            options["comparison"] = comparison
+        with part(compared, 1.0):
+            step = reject_step(method, **options)
+            made = _written(step, cube, output, rows, overwrite=overwrite)
+    return replace(made, comparison=comparison)
+
+
+def _judged(source: tiles.Source, rows: int | None) -> xr.Dataset:
+    """Cube by which methods are compared: all of it, or by rows a sample."""
+    if rows is None and isinstance(source, tiles.InMemory):
+        return source.cube
+    return cubes.without_groups(tiles.sample_of(source), "truth")
+
+
+def image_file(
+    source: AnyPath,
+    output: AnyPath,
+    *,
+    rows: int | None = None,
+    overwrite: bool = False,
+    **options: Any,
+) -> Summary:
+    """Make the range image of a file with a target signal."""
+    step = image_step(**options)
+    return run_file(step, source, output, rows=rows, overwrite=overwrite)
