@@ -86,10 +86,10 @@ warnings.filterwarnings("ignore", message=".*FigureCanvasAgg is non-interactive.
 
 # ------------------------------------------------------------------ theme
 html_theme = "pydata_sphinx_theme"
-html_title = "amulor"
+html_title = f"amulor {release}"
 html_static_path = ["_static"]
 html_css_files = ["site.css"]
-html_js_files = ["learn/tables.js", "learn/learn.js"]
+html_js_files = ["copy.js", "learn/tables.js", "learn/learn.js"]
 html_theme_options = {
     "header_links_before_dropdown": 6,
     "navbar_align": "left",
@@ -97,7 +97,7 @@ html_theme_options = {
     "secondary_sidebar_items": ["page-toc"],
     "footer_start": ["copyright"],
     "footer_end": [],
-    "show_prev_next": False,
+    "show_prev_next": True,
     "pygments_light_style": "friendly",
 }
 html_show_sourcelink = False

@@ -2,18 +2,105 @@
 
 from __future__ import annotations
 
+import re
 import tempfile
+from collections.abc import Sequence
 from pathlib import Path
 
+import numpy as np
+import xarray as xr
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+
+import amulor
 from amulor.studies import ladder
+from amulor.studies.ladder import Case
 from amulor.view import figures
 from amulor.view.report import png
+from amulor.view.style import COLOURS, new_figure, style
 
 FOLDER = Path(__file__).parent / "images"
+#: What the landing page shows: the channel and water that the water signal moves most.
+SHOWN = "VV milk"
+
+
+def before_and_after(
+    images: Sequence[xr.Dataset], titles: Sequence[str], limits: tuple[float, float]
+) -> Figure:
+    """Draw distance across a scan, recorded and corrected, with the true one [mm]."""
+    with style():
+        drawn = new_figure(5.6, 2.9)
+        panels = drawn.subplots(1, 2, sharex=True, sharey=True)
+        # In the shadow of a step the receiver sees water only.
+        shaded = images[-1]["slant_range"].isnull().any("row").values
+        for colour, panel, image, title in zip(
+            COLOURS[1::-1], panels, images, titles, strict=True
+        ):
+            across, true = _across(image, "truth_slant_range")
+            _, measured = _across(image, "slant_range")
+            measured[:, shaded] = np.nan
+            low, middle, high = np.quantile(measured, [0.025, 0.5, 0.975], axis=0)
+            panel.fill_between(across, low, high, color=colour, alpha=0.25, linewidth=0)
+            panel.plot(across, middle, color=colour, linewidth=1.4)
+            truth = np.median(true, axis=0)
+            panel.plot(across, truth, color="black", linewidth=0.9, linestyle="--")
+            panel.set_xlabel("across the scan [mm]")
+            panel.set_title(title)
+        panels[0].set_ylabel("distance [mm]")
+        panels[0].set_ylim(*limits)
+    return drawn
+
+
+def milk(cases: Sequence[Case]) -> Figure:
+    """Draw the ladder in milk, in the channel that the water moves most."""
+    before, after = (case for case in cases if case.name == SHOWN)
+    return before_and_after(
+        [before.image, after.image],
+        [
+            f"as recorded: {-before.bias * 1e3:.0f} mm too near",
+            f"corrected: right, {after.bias * 1e3:+.1f} "
+            f"± {after.bias_uncertainty * 1e3:.1f} mm",
+        ],
+        (1530, 1330),
+    )
+
+
+def plate() -> Figure:
+    """Draw the plate of the tutorial."""
+    page = (FOLDER.parent / "tutorial.md").read_text("utf-8")
+    survey = re.findall(r"```toml\n(.*?)```", page, flags=re.DOTALL)[0]
+    with tempfile.TemporaryDirectory() as folder:
+        file = Path(folder) / "tank.toml"
+        file.write_text(survey, "utf-8")
+        samples = amulor.simulate(amulor.Survey.from_toml(file), rng=1)
+    images = [
+        amulor.imaging.range_image(
+            amulor.rejection.reject(samples, method=method), polarization="VV"
+        )
+        for method in ("none", "open-water")
+    ]
+    return before_and_after(
+        images,
+        [
+            f"{name}: {float(image['slant_range'].median()):.3f} m (median)"
+            for name, image in zip(("before.nc", "after.nc"), images, strict=True)
+        ],
+        (1510, 1450),
+    )
+
+
+def _across(
+    image: xr.Dataset, name: str
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Place across the beam, and distance along the axis of the scan [mm]."""
+    azimuth, elevation = image["azimuth"], image["elevation"]
+    distance = image[name] * np.cos(azimuth) * np.cos(elevation) * 1e3
+    place = np.tan(azimuth).median("row") * float(np.nanmedian(distance))
+    return place.values, distance.values
 
 
 def main() -> None:
-    """Run the demo with its own seed and keep two of its figures."""
+    """Run the demo with its own seed and draw its figures."""
     FOLDER.mkdir(exist_ok=True)
     with tempfile.TemporaryDirectory() as folder:
         cases = ladder.run(Path(folder), rng=1)
@@ -22,6 +109,8 @@ def main() -> None:
         images.setdefault(case.name, {})[case.stage] = case.image
     after = {name: stages["after"] for name, stages in images.items()}
     for name, figure in (
+        ("ladder-milk", milk(cases)),
+        ("tutorial-plate", plate()),
         ("ladder-profiles", figures.profiles(images)),
         ("ladder-surfaces", figures.surfaces(after)),
     ):
