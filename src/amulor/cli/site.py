@@ -95,6 +95,7 @@ def register(
     from amulor._extras import require
     from amulor.cli._arguments import check_ending
     from amulor.cli._output import print_json, print_next, progress_bar
+    from amulor.errors import CubeError
     from amulor.site import Site
     from amulor.site.registration import register as room
     from amulor.site.registration.result import write_registration
@@ -124,13 +125,23 @@ def register(
                 ],
                 "disagreements": result.disagreements,
                 "weaknesses": [vars(one) for one in result.weaknesses],
+                "contradictions": [vars(one) for one in result.contradictions],
                 "settled": result.settled,
             }
         )
-        return
-    _print_poses(result)
-    print(f"{output}: poses of {len(result.poses)} scans")
-    print_next(f"amulor site merge {site} --poses {output} -o merged")
+    else:
+        _print_poses(result)
+        print(f"{output}: poses of {len(result.poses)} scans")
+    if result.contradictions:
+        raise CubeError(f"{output}: {_not_good(result)}")
+    if not json:
+        print_next(f"amulor site merge {site} --poses {output} -o merged")
+
+
+def _not_good(result: Registration) -> str:
+    """Lines that name the contradictions of a registration."""
+    lines = [one.sentence for one in result.contradictions]
+    return "the poses are not good\n" + "\n".join(lines)
 
 
 def _sigmas(result: Registration, name: str) -> list[float]:
@@ -459,6 +470,11 @@ def opened(path: Path, poses: Path) -> Opened:
         raise CubeError(
             f"{poses}: has no pose of scan {lacking[0]!r}; register the site again: "
             f"amulor site register {path} -o {poses} --overwrite"
+        )
+    if registration.contradictions:
+        raise CubeError(
+            f"{poses}: {_not_good(registration)}\nmend the site file and register "
+            f"again: amulor site register {path} -o {poses} --overwrite"
         )
     with _progress.part(0.0, 0.3):
         surfaces, images = surfaces_of(site)

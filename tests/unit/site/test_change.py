@@ -18,6 +18,7 @@ from amulor.site.merging.cloud import merge
 from amulor.site.registration.pose import ScanPose
 from amulor.site.registration.register import register, surface_of
 from amulor.site.registration.result import (
+    Contradiction,
     Registration,
     Weakness,
     read_registration,
@@ -190,12 +191,24 @@ def test_a_registration_is_read_as_it_was_written(tmp_path: Path) -> None:
         pairs=(),
         disagreements=(),
         weaknesses=(Weakness(scan="b", shift=(1.0, 0.0, 0.0), turn=(0.0, 0.0, 0.1)),),
+        contradictions=(
+            Contradiction(
+                scan="b",
+                error="",
+                shift=0.5,
+                turn=0.1,
+                stated_shift=0.05,
+                stated_turn=0.05,
+                score=104.0,
+            ),
+        ),
         settled=True,
         fixed="a",
     )
     write_registration(stated, tmp_path / "poses.json")
     found = read_registration(tmp_path / "poses.json")
     assert found.weaknesses == stated.weaknesses
+    assert found.contradictions == stated.contradictions
     assert_allclose(found.poses["b"].matrix, stated.poses["b"].matrix)
     # What is fixed has no error.
     both = found.covariance_of("pose a", "error delay: i", "pose b")

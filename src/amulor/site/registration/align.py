@@ -15,7 +15,7 @@ from amulor.errors import CubeError
 from amulor.site.registration import network
 from amulor.site.registration.network import KnownPose, Layout, State, Ties
 from amulor.site.registration.pair import Pair, compared, tree_of
-from amulor.site.registration.pose import ScanPose, aligned
+from amulor.site.registration.pose import ScanPose, aligned, departure
 from amulor.site.registration.surface import ScanSurface
 
 Floats = NDArray[np.float64]
@@ -27,6 +27,17 @@ _WIDE_STEPS, _FINE_STEPS = 3, 20
 _DONE, _SETTLED = 1e-5, 3e-5
 #: Pairs that disagree with all others less often than this by chance [1].
 _CHANCE = 1e-4
+#: Points are matched with others no farther than this at first: farther, other
+#: objects of the same shape come into reach [m].
+_REACHES = (0.25, 0.1, 0.05)
+#: Starts beside the stated one, in standard deviations of its heading or of its place
+#: across the site; only where that is worse than a few pixels [1].
+_ASIDE = 1.0
+#: A pose farther from its start than this is taken if no nearer one fits at all:
+#: chance of so large a distance [1].
+_UNLIKELY = 1e-4
+#: Points of a scan by which rough poses are judged [1].
+_JUDGES = 1500
 #: Nobody knows a pose worse than this [m, rad].
 _ANYWHERE, _ANYHOW = 100.0, 1.0
 
@@ -161,12 +172,11 @@ def _begin(
         tree = cKDTree(others)
         shares = {}
         for name in waiting:
-            reach = _reach(ties.start.get(name), clouds[name])
             some = stated[name].place(
                 clouds[name][:: max(len(clouds[name]) // 2000, 1)]
             )
             shares[name] = np.isfinite(
-                tree.query(some, distance_upper_bound=reach)[0]
+                tree.query(some, distance_upper_bound=_REACHES[0])[0]
             ).mean()
         name = max(waiting, key=lambda one: float(shares[one]))
         waiting.remove(name)
@@ -174,14 +184,93 @@ def _begin(
             placed[name] = stated[name]
             continue
         spacing = max(one.spacing for one in surfaces.values())
-        placed[name] = aligned(
+        placed[name] = _rough(
             clouds[name],
             others,
+            tree,
             stated[name],
+            ties.start.get(name),
             voxel=voxel or 2 * spacing,
-            reach=_reach(ties.start.get(name), clouds[name]),
+            spacing=spacing,
         )
     return {name: placed[name] for name in surfaces}
+
+
+def _rough(
+    cloud: Floats,
+    others: Floats,
+    tree: cKDTree,
+    stated: ScanPose,
+    known: KnownPose | None,
+    *,
+    voxel: float,
+    spacing: float,
+) -> ScanPose:
+    """Return the pose that brings a scan onto others, the best of several attempts.
+
+    Alignment may end at another object of the same shape. Attempts differ in their
+    start and in how far points are matched; the best leaves the least distance in the
+    overlap, and lies where the start pose may be.
+    """
+    some = cloud[:: max(len(cloud) // _JUDGES, 1)]
+    attempts = [stated]
+    attempts += [
+        aligned(cloud, others, stated, voxel=voxel, reach=one) for one in _REACHES
+    ]
+    if known is not None:
+        attempts += [
+            aligned(cloud, others, one, voxel=voxel, reach=_REACHES[0])
+            for one in _beside(known, 3 * spacing, some)
+        ]
+    misfit = np.array(
+        [_misfit(one.place(some), others, tree, spacing) for one in attempts]
+    )
+    if known is not None:
+        far = np.array([squared_pull(one, known) for one in attempts])
+        likely = far <= float(chi2.isf(_UNLIKELY, 6))
+        # Unless all that is near fits as badly as no alignment at all.
+        if (misfit[likely] < min(0.5, 2 * misfit.min())).any():
+            misfit = np.where(likely, misfit, np.inf)
+    return attempts[int(np.argmin(misfit))]
+
+
+def _beside(known: KnownPose, least: float, cloud: Floats) -> list[ScanPose]:
+    """Return starts beside one that is known worse than to a few pixels."""
+    away = float(np.linalg.norm(cloud.mean(axis=0)))
+    found = []
+    turn = float(np.sqrt(known.covariance[5, 5]))
+    if turn * away > least:
+        for sign in (-_ASIDE, _ASIDE):
+            step = np.array([0, 0, 0, 0, 0, sign * turn])
+            found.append(known.pose.changed(step))
+    for axis in (0, 1):
+        shift = float(np.sqrt(known.covariance[axis, axis]))
+        if shift > least:
+            for sign in (-_ASIDE, _ASIDE):
+                step = np.zeros(6)
+                step[axis] = sign * shift
+                found.append(known.pose.changed(step))
+    return found
+
+
+def _misfit(placed: Floats, others: Floats, tree: cKDTree, spacing: float) -> float:
+    """Return the distance of points from planes of others: 0 on them, 1 apart [1]."""
+    away, near = tree.query(placed, k=8, distance_upper_bound=4 * spacing)
+    met = np.isfinite(away).all(axis=1)
+    if not met.any():
+        return 1.0
+    patch = others[near[met]]
+    middle = patch.mean(axis=1)
+    off = patch - middle[:, None]
+    _, axes = np.linalg.eigh(np.einsum("nki,nkj->nij", off, off))
+    distance = np.abs(np.einsum("ni,ni->n", placed[met] - middle, axes[:, :, 0]))
+    return float(1 - met.mean() + met.mean() * np.minimum(distance / spacing, 1).mean())
+
+
+def squared_pull(pose: ScanPose, known: KnownPose) -> float:
+    """Return the chi-square of a pose against its start pose, of six numbers."""
+    off = departure(pose, known.pose)
+    return float(off @ np.linalg.solve(known.covariance, off))
 
 
 def _first(ties: Ties, guess: Mapping[str, ScanPose], names: Sequence[str]) -> str:
@@ -190,15 +279,6 @@ def _first(ties: Ties, guess: Mapping[str, ScanPose], names: Sequence[str]) -> s
     if not known:
         return next(iter(guess), names[0])
     return min(known, key=lambda one: float(np.trace(ties.start[one].covariance)))
-
-
-def _reach(start: KnownPose | None, cloud: Floats) -> float:
-    """Return how far the points of a scan may be off at first [m]."""
-    if start is None:
-        return 0.1
-    away = float(np.linalg.norm(cloud, axis=1).mean())
-    shift, turn = (np.trace(start.covariance[k : k + 3, k : k + 3]) for k in (0, 3))
-    return float(min(2 * np.sqrt(shift + away**2 * turn), 1.0))
 
 
 def _first_points(ties: Ties, poses: Mapping[str, ScanPose]) -> dict[str, Floats]:

@@ -9,10 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 from scipy.sparse.linalg import splu
-from scipy.spatial.transform import Rotation
 
 from amulor.site.registration.pair import Pair
-from amulor.site.registration.pose import ScanPose, cross_matrix
+from amulor.site.registration.pose import ScanPose, cross_matrix, departure
 from amulor.site.registration.surface import ScanSurface
 
 Floats = NDArray[np.float64]
@@ -246,8 +245,7 @@ def _system(
         system.add_known(at, np.eye(1), np.array([value]))
     for name, known in ties.start.items():
         pose = state.poses[name]
-        turn = Rotation.from_matrix(pose.rotation @ known.pose.rotation.T).as_rotvec()
-        off = np.concatenate([pose.position - known.pose.position, turn])
+        off = departure(pose, known.pose)
         matrix = np.asarray(np.linalg.inv(known.covariance), dtype=float)
         system.add_known(layout.columns("pose", [name], 6), matrix, matrix @ off)
     for centre in ties.centres:

@@ -54,6 +54,12 @@ class ScanPose:
         return matrix
 
 
+def departure(pose: ScanPose, start: ScanPose) -> Floats:
+    """Return shift [m] and turn [rad] from a start pose, east, north, up of either."""
+    turn = Rotation.from_matrix(pose.rotation @ start.rotation.T).as_rotvec()
+    return np.concatenate([pose.position - start.position, turn])
+
+
 def start_pose(start: StartPose) -> ScanPose:
     """Return a stated start pose."""
     frame = frame_of(xr.Dataset(), axes="pose", pose=start.as_pose())

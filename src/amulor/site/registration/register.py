@@ -9,12 +9,13 @@ from dataclasses import replace
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
+from scipy.stats import chi2
 
 from amulor._progress import part, tell
 from amulor.errors import CubeError
 from amulor.site.description import ScaleBar, Site, SiteScan
 from amulor.site.load import range_image_of
-from amulor.site.registration.align import Alignment, align
+from amulor.site.registration.align import Alignment, align, squared_pull
 from amulor.site.registration.centres import centre_of
 from amulor.site.registration.network import (
     Centre,
@@ -26,10 +27,12 @@ from amulor.site.registration.network import (
 from amulor.site.registration.pose import (
     ScanPose,
     best_pose,
+    departure,
     start_covariance,
     start_pose,
 )
 from amulor.site.registration.result import (
+    Contradiction,
     Registration,
     Weakness,
     relative_covariance,
@@ -38,6 +41,8 @@ from amulor.site.registration.surface import ScanSurface, scan_surface, shared_e
 
 Floats = NDArray[np.float64]
 
+#: Start poses and shared errors as good as stated are contradicted so often [1].
+_CHANCE = 1e-5
 #: A pose is held by its start pose if it is hardly known better afterwards [1].
 _NO_BETTER = 0.5
 
@@ -218,10 +223,44 @@ def _result(site: Site, found: Alignment, ties: Ties) -> Registration:
             {**vars(one), "scans": list(one.scans)} for one in found.disagreements
         ),
         weaknesses=(),
+        contradictions=_contradictions(found, ties),
         settled=found.settled,
         fixed=ties.fixed or "",
     )
     return replace(result, weaknesses=_weak(result, ties))
+
+
+def _contradictions(found: Alignment, ties: Ties) -> tuple[Contradiction, ...]:
+    """Return start poses and shared errors that the poses contradict, worst first."""
+    contradicting = []
+    for name, known in ties.start.items():
+        pose = found.state.poses.get(name)
+        if pose is None or name == ties.fixed:
+            continue
+        off = departure(pose, known.pose)
+        score = squared_pull(pose, known)
+        if score > float(chi2.isf(_CHANCE, 6)):
+            stated = [np.trace(known.covariance[k : k + 3, k : k + 3]) for k in (0, 3)]
+            contradicting.append(
+                Contradiction(
+                    scan=name,
+                    error="",
+                    shift=float(np.linalg.norm(off[:3])),
+                    turn=float(np.linalg.norm(off[3:])),
+                    stated_shift=math.sqrt(stated[0]),
+                    stated_turn=math.sqrt(stated[1]),
+                    score=score / 6,
+                )
+            )
+    for key, value in found.state.errors.items():
+        if value**2 > float(chi2.isf(_CHANCE, 1)):
+            contradicting.append(
+                Contradiction(
+                    scan="", error=key, shift=0.0, turn=0.0, stated_shift=0.0,
+                    stated_turn=0.0, score=value**2,
+                )
+            )  # fmt: skip
+    return tuple(sorted(contradicting, key=lambda one: -one.score))
 
 
 def _weak(result: Registration, ties: Ties) -> tuple[Weakness, ...]:

@@ -34,6 +34,44 @@ class Weakness:
 
 
 @dataclass(frozen=True, kw_only=True)
+class Contradiction:
+    """A start pose, or an error that pixels share, that the scans contradict."""
+
+    scan: str
+    """Name of the scan; empty for an error that several share."""
+    error: str
+    """Key of the shared error; empty for a start pose."""
+    shift: float
+    """Distance of the pose from its start pose [m]."""
+    turn: float
+    """Angle from it [rad]."""
+    stated_shift: float
+    """Stated uncertainty of the start's position, of all three axes together [m]."""
+    stated_turn: float
+    """Stated uncertainty of its attitude, of all three axes together [rad]."""
+    score: float
+    """Chi-square against what is stated, over its degrees of freedom [1]."""
+
+    @property
+    def sentence(self) -> str:
+        """One line: which scan stands how far off, and what to look at."""
+        if self.error:
+            return (
+                f"{self.error}: the scans put this error at {np.sqrt(self.score):.1f} "
+                "standard uncertainties of what is stated; look whether the "
+                "calibration still holds, or state the uncertainty as large as it is"
+            )
+        return (
+            f"scan {self.scan!r} stands {self.shift * 1e3:.0f} mm and "
+            f"{self.turn * 1e3:.0f} mrad off its start pose, which is stated to "
+            f"{self.stated_shift * 1e3:.1f} mm and {self.stated_turn * 1e3:.1f} mrad "
+            f"(chi-square {self.score:.0f} per degree of freedom); check [scan.start] "
+            "of this scan and of its neighbours, or state the uncertainty as large as "
+            "it is"
+        )
+
+
+@dataclass(frozen=True, kw_only=True)
 class Registration:
     """Poses of all scans of a site."""
 
@@ -56,6 +94,9 @@ class Registration:
     """Pairs of scans that all others contradict."""
     weaknesses: tuple[Weakness, ...]
     """Directions that only start poses hold."""
+    contradictions: tuple[Contradiction, ...]
+    """Start poses and shared errors that the result contradicts; with any, the poses
+    are not good."""
     settled: bool
     """Whether the last step was small."""
     fixed: str = ""
@@ -117,6 +158,8 @@ def write_registration(
         "pairs": list(result.pairs),
         "disagreements": list(result.disagreements),
         "weaknesses": [vars(one) for one in result.weaknesses],
+        "good": not result.contradictions,
+        "contradictions": [vars(one) for one in result.contradictions],
         "places": result.places,
         "covariance": result.covariance.tolist(),
     }
@@ -176,6 +219,7 @@ def _registration_of(content: dict[str, Any]) -> Registration:
             Weakness(scan=w["scan"], shift=tuple(w["shift"]), turn=tuple(w["turn"]))
             for w in content["weaknesses"]
         ),
+        contradictions=tuple(Contradiction(**one) for one in content["contradictions"]),
         settled=bool(content["settled"]),
         fixed=content["fixed"],
     )
