@@ -13,7 +13,17 @@ import { Renderer } from "./renderer.js";
 import { ROUNDING, sampled, Scene } from "./scene.js";
 import { source } from "./source.js";
 import { scaled, short, withError, withUnit } from "./text.js";
-import { asObject, asRows, asText, captioned, circumstances, measured, toolOf, TOOLS, worded } from "./tools.js";
+import {
+  asObject,
+  asRows,
+  asText,
+  captioned,
+  circumstances,
+  measured,
+  toolOf,
+  TOOLS,
+  worded,
+} from "./tools.js";
 
 const $ = (id) => document.getElementById(id);
 const state = {
@@ -65,9 +75,20 @@ function draw() {
   }
   const layer = scene.byName.get(state.layerName);
   if (layer.kind !== "flags") {
-    const unit = layer.kind === "range" ? { unit: layer.unit, factor: 1 } : scaled(Math.max(...state.limits.map(Math.abs)), layer.unit);
-    colourBar($("bar"), state.tables[layer.kind], state.limits.map((value) => value * unit.factor), unit.unit, colours);
-    $("unit").textContent = scene.nothing(state.layerName) ? `${unit.unit}: 0 within rounding` : unit.unit;
+    const unit =
+      layer.kind === "range"
+        ? { unit: layer.unit, factor: 1 }
+        : scaled(Math.max(...state.limits.map(Math.abs)), layer.unit);
+    colourBar(
+      $("bar"),
+      state.tables[layer.kind],
+      state.limits.map((value) => value * unit.factor),
+      unit.unit,
+      colours,
+    );
+    $("unit").textContent = scene.nothing(state.layerName)
+      ? `${unit.unit}: 0 within rounding`
+      : unit.unit;
   }
   drawProfile($("profile"), state, colours);
   drawHistogram($("histogram"), state, colours);
@@ -87,7 +108,9 @@ function light() {
   const on = $("light").checked;
   const turn = (Number($("light-turn").value) * Math.PI) / 180;
   const rise = (Number($("light-rise").value) * Math.PI) / 180;
-  state.look.light = on ? [Math.sin(turn) * Math.cos(rise), -Math.cos(turn) * Math.cos(rise), -Math.sin(rise)] : [0, 0, 0];
+  state.look.light = on
+    ? [Math.sin(turn) * Math.cos(rise), -Math.cos(turn) * Math.cos(rise), -Math.sin(rise)]
+    : [0, 0, 0];
   state.look.relief = 1;
   state.look.contour = Number($("contour").value);
   state.look.raw = shownRaw();
@@ -132,7 +155,8 @@ function lightNote() {
   if (!state.scene.maps.has("uncertainty")) return;
   const { wide, noise, degrees } = noiseOf(Number($("reach").value));
   const lit = state.scene.byName.get(state.layerName).kind === "range";
-  $("light-note").textContent = `${lit ? "Light and contours" : "Light is for the range map; contours"} on means of ${wide} × ${wide} pixels, noise ${withUnit(noise, "m", 2)}: slopes under ${short(Math.min(2 * degrees, 90), 2)}° may be noise.`;
+  $("light-note").textContent =
+    `${lit ? "Light and contours" : "Light is for the range map; contours"} on means of ${wide} × ${wide} pixels, noise ${withUnit(noise, "m", 2)}: slopes under ${short(Math.min(2 * degrees, 90), 2)}° may be noise.`;
   $("light-note").dataset.slope = String(degrees);
 }
 
@@ -145,9 +169,14 @@ async function opened(channel) {
   $("title").textContent = scene.title;
   const size = `${scene.rows} × ${scene.columns} pixels`;
   const strided = scene.stride > 1 ? `, every ${scene.stride}th row and column drawn` : "";
-  $("subtitle").textContent = `${scene.name} · ${size}${strided} · ${scene.simulated ? "simulated" : "measured"} · ranges in water of group index ${Number(scene.group_index.toPrecision(5))}${scene.frequencies.length ? ` · ${frequencies(scene.frequencies)}` : ""}`;
+  $("subtitle").textContent =
+    `${scene.name} · ${size}${strided} · ${scene.simulated ? "simulated" : "measured"} · ranges in water of group index ${Number(scene.group_index.toPrecision(5))}${scene.frequencies.length ? ` · ${frequencies(scene.frequencies)}` : ""}`;
   $("channel-field").hidden = scene.channels.length < 2;
-  $("channel").replaceChildren(...scene.channels.map((name) => new Option(name, name, name === scene.channel, name === scene.channel)));
+  $("channel").replaceChildren(
+    ...scene.channels.map(
+      (name) => new Option(name, name, name === scene.channel, name === scene.channel),
+    ),
+  );
   const switches = $("water").querySelectorAll("button");
   const both = scene.byName.has("range") && scene.byName.has("range_before");
   switches[1].disabled = !scene.byName.has("range_before");
@@ -155,19 +184,27 @@ async function opened(channel) {
   if (!both) state.raw = !scene.byName.has("range");
   switches[0].textContent = scene.water_in ? "Water in" : "Water taken out";
   switches[1].hidden = scene.water_in;
-  $("water").title = both ? "" : scene.notes[0] ?? "";
+  $("water").title = both ? "" : (scene.notes[0] ?? "");
   $("notes-card").hidden = !scene.notes.length;
-  $("notes").replaceChildren(...scene.notes.map((note) => Object.assign(document.createElement("li"), { textContent: note })));
+  $("notes").replaceChildren(
+    ...scene.notes.map((note) =>
+      Object.assign(document.createElement("li"), { textContent: note }),
+    ),
+  );
   contours();
   tabs();
-  await show(scene.byName.has(state.layerName) ? state.layerName.replace("_before", "") : scene.main);
+  await show(
+    scene.byName.has(state.layerName) ? state.layerName.replace("_before", "") : scene.main,
+  );
   // The view of a scan that grows grows with it, until someone moves it.
   if (!views.placed || (state.live && !shownRaw() && !views.cloud.moved())) {
     views.cloud.home(scene);
     views.placed = true;
   }
   if (!state.cursor) await point([Math.floor(scene.rows / 2), Math.floor(scene.columns / 2)]);
-  const rest = [...scene.byName.values()].filter((layer) => layer.kind !== "hidden" || layer.name === "common" || layer.name.startsWith("steps"));
+  const rest = [...scene.byName.values()].filter(
+    (layer) => layer.kind !== "hidden" || layer.name === "common" || layer.name.startsWith("steps"),
+  );
   for (const layer of rest) await scene.load(layer.name);
   if (!state.calmed) calm();
   state.calmed = true;
@@ -179,7 +216,9 @@ async function opened(channel) {
 
 function frequencies(all) {
   const text = (value) => `${short(value / 1e6, 4)}`;
-  return all.length === 1 ? `${text(all[0])} MHz` : `${all.length} frequencies, ${text(all[0])} to ${text(all.at(-1))} MHz`;
+  return all.length === 1
+    ? `${text(all[0])} MHz`
+    : `${all.length} frequencies, ${text(all[0])} to ${text(all.at(-1))} MHz`;
 }
 
 function contours() {
@@ -187,8 +226,13 @@ function contours() {
   const [low, high] = scene.limits(scene.main);
   const span = high - low;
   const size = 10 ** Math.floor(Math.log10(span || 1));
-  const steps = [0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1].map((part) => part * size).filter((step) => span / step <= 60 && span / step >= 2);
-  $("contour").replaceChildren(new Option("off", "0"), ...steps.map((step) => new Option(withUnit(step, "m", 2), String(step))));
+  const steps = [0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1]
+    .map((part) => part * size)
+    .filter((step) => span / step <= 60 && span / step >= 2);
+  $("contour").replaceChildren(
+    new Option("off", "0"),
+    ...steps.map((step) => new Option(withUnit(step, "m", 2), String(step))),
+  );
 }
 
 const MAIN = ["range", "amplitude", "uncertainty", "bias", "shift", "wrong", "flags"];
@@ -226,9 +270,18 @@ function thumbnails() {
     const tall = scene.high * scene.aspect;
     // The whole width, the middle of the height: a strip that fills its place.
     const per = Math.min(scene.wide / width, tall / height);
-    const parts = scene.uniforms(name, limitsOf(name), { ...state.look, contour: 0, light: [0, 0, 0] });
+    const parts = scene.uniforms(name, limitsOf(name), {
+      ...state.look,
+      contour: 0,
+      light: [0, 0, 0],
+    });
     const step = [per, per / scene.aspect];
-    parts.set.uView = ["4f", (scene.wide - width * step[0]) / 2, (scene.high - height * step[1]) / 2, ...step];
+    parts.set.uView = [
+      "4f",
+      (scene.wide - width * step[0]) / 2,
+      (scene.high - height * step[1]) / 2,
+      ...step,
+    ];
     state.renderer.drawMap(canvas.getContext("2d"), parts);
   }
 }
@@ -250,8 +303,13 @@ function limitsOf(name) {
   // The same span for both, so that the switch shows what became of the shape.
   const after = scene.limits(key);
   const shift = key === "range" ? (own[0] + own[1] - after[0] - after[1]) / 2 : 0;
-  const middle = sampled(scene.maps.get(name).values, 4000).filter(Number.isFinite).sort((a, b) => a - b);
-  const centre = key === "range" && middle.length ? middle[middle.length >> 1] - (after[0] + after[1]) / 2 : shift;
+  const middle = sampled(scene.maps.get(name).values, 4000)
+    .filter(Number.isFinite)
+    .sort((a, b) => a - b);
+  const centre =
+    key === "range" && middle.length
+      ? middle[middle.length >> 1] - (after[0] + after[1]) / 2
+      : shift;
   return after.map((value) => value + centre);
 }
 
@@ -259,19 +317,28 @@ async function show(name) {
   const { scene } = state;
   const wanted = actual(name.replace("_before", ""));
   await scene.load(wanted);
-  if (wanted.endsWith("_before") && scene.byName.has("range_before")) await scene.load("range_before");
+  if (wanted.endsWith("_before") && scene.byName.has("range_before"))
+    await scene.load("range_before");
   state.layerName = wanted;
   const layer = scene.byName.get(wanted);
   if (layer.kind !== "flags") state.profileLayer = wanted;
   state.limits = limitsOf(wanted);
-  for (const button of $("tabs").children) button.setAttribute("aria-selected", String(button.dataset.layer === name.replace("_before", "")));
+  for (const button of $("tabs").children)
+    button.setAttribute(
+      "aria-selected",
+      String(button.dataset.layer === name.replace("_before", "")),
+    );
   const flags = layer.kind === "flags";
   for (const id of ["light", "light-turn", "light-rise"]) $(id).disabled = layer.kind !== "range";
   $("bar").parentElement.hidden = flags;
   $("legend").hidden = !flags;
   if (flags) showLegend(scene.maps.get(wanted).values, scene.flags);
-  for (const button of $("water").querySelectorAll("button")) button.setAttribute("aria-pressed", String((button.dataset.raw === "yes") === state.raw));
-  $("map").setAttribute("aria-label", `Map of the ${layer.label.toLowerCase()}, ${scene.rows} rows and ${scene.columns} columns. Arrow keys move the pixel.`);
+  for (const button of $("water").querySelectorAll("button"))
+    button.setAttribute("aria-pressed", String((button.dataset.raw === "yes") === state.raw));
+  $("map").setAttribute(
+    "aria-label",
+    `Map of the ${layer.label.toLowerCase()}, ${scene.rows} rows and ${scene.columns} columns. Arrow keys move the pixel.`,
+  );
   if (Object.keys(state.tables).length) thumbnails();
   lightNote();
   readout();
@@ -319,19 +386,37 @@ function readout() {
     add("water taken out", Number.isFinite(range) ? withError(range, error, "m") : "none");
     if (Number.isFinite(raw - range)) add("moved by water", signed(raw - range));
   } else if (Number.isFinite(range)) {
-    add("range", Number.isFinite(error) ? withError(range, error, "m") : withUnit(range, "m", 5), "big");
+    add(
+      "range",
+      Number.isFinite(error) ? withError(range, error, "m") : withUnit(range, "m", 5),
+      "big",
+    );
     if (scene.error_unknown) add("error", "unknown");
     if (Number.isFinite(get("common"))) add("shared part", withUnit(get("common"), "m", 2));
-    if (Number.isFinite(get("bias"))) add("bias left", Math.abs(get("bias")) < ROUNDING ? "0 within rounding" : withUnit(get("bias"), "m", 2));
+    if (Number.isFinite(get("bias")))
+      add(
+        "bias left",
+        Math.abs(get("bias")) < ROUNDING ? "0 within rounding" : withUnit(get("bias"), "m", 2),
+      );
     if (Number.isFinite(raw) && scene.main === "range") add("water in", moved());
   } else add("range", "none", "big");
-  const amplitude = get(waterIn && scene.byName.has("amplitude_before") ? "amplitude_before" : "amplitude");
+  const amplitude = get(
+    waterIn && scene.byName.has("amplitude_before") ? "amplitude_before" : "amplitude",
+  );
   if (Number.isFinite(amplitude)) add("amplitude", withUnit(amplitude, "V", 3));
   const place = scene.point(...cursor, shape);
-  if (place) add("place", place.map((part) => short(part * 1e3, Math.abs(part) >= 1 ? 5 : 4)).join(", ") + " mm");
-  const flags = scene.reasons(...cursor, scene.maps.has("flags") && !waterIn ? "flags" : "flags_before");
+  if (place)
+    add(
+      "place",
+      place.map((part) => short(part * 1e3, Math.abs(part) >= 1 ? 5 : 4)).join(", ") + " mm",
+    );
+  const flags = scene.reasons(
+    ...cursor,
+    scene.maps.has("flags") && !waterIn ? "flags" : "flags_before",
+  );
   // A row of a running scan has its range at once, errors and flags with the next picture.
-  const fresh = Number.isFinite(waterIn ? raw : range) && flags.some((flag) => flag.name === "missing");
+  const fresh =
+    Number.isFinite(waterIn ? raw : range) && flags.some((flag) => flag.name === "missing");
   if (fresh) rows.splice(1, 0, ["error", "being estimated", ""]);
   showReadout(rows, fresh ? [] : flags);
 }
@@ -353,8 +438,13 @@ function choose(kind) {
   state.tool = state.tool === kind ? null : kind;
   state.picks = [];
   state.region = null;
-  for (const button of $("tools").children) button.setAttribute("aria-pressed", String(button.dataset.kind === state.tool));
-  hint(state.tool ? toolOf(state.tool).hint : "Choose what to measure, then pick it in the map or in space.");
+  for (const button of $("tools").children)
+    button.setAttribute("aria-pressed", String(button.dataset.kind === state.tool));
+  hint(
+    state.tool
+      ? toolOf(state.tool).hint
+      : "Choose what to measure, then pick it in the map or in space.",
+  );
   redraw();
 }
 
@@ -363,12 +453,25 @@ async function picked(pixel) {
   point(pixel);
   const tool = state.tool && toolOf(state.tool);
   if (!tool || tool.region) return;
-  if (state.raw) return hint("Measuring is on the corrected picture: the water signal is taken out of it.", true);
+  if (state.raw)
+    return hint(
+      "Measuring is on the corrected picture: the water signal is taken out of it.",
+      true,
+    );
   const first = state.picks[0];
-  const closes = tool.least && state.picks.length >= tool.least && first[0] === pixel[0] && first[1] === pixel[1];
+  const closes =
+    tool.least &&
+    state.picks.length >= tool.least &&
+    first[0] === pixel[0] &&
+    first[1] === pixel[1];
   if (!closes) state.picks.push(pixel);
   if (closes || state.picks.length === tool.points) await finish();
-  else hint(tool.points === Infinity ? `${state.picks.length} picked. ${tool.hint}` : `${state.picks.length} of ${tool.points} picked.`);
+  else
+    hint(
+      tool.points === Infinity
+        ? `${state.picks.length} picked. ${tool.hint}`
+        : `${state.picks.length} of ${tool.points} picked.`,
+    );
   redraw();
 }
 
@@ -386,7 +489,14 @@ async function finish() {
   try {
     const found = await answer;
     state.number += 1;
-    const kept = { kind: tool.kind, picks: region ? [] : picks, region, found, number: state.number, ...made };
+    const kept = {
+      kind: tool.kind,
+      picks: region ? [] : picks,
+      region,
+      found,
+      number: state.number,
+      ...made,
+    };
     state.chosen = kept;
     state.record.change([...state.measurements, kept]);
   } catch (error) {
@@ -400,7 +510,18 @@ async function finish() {
 function listed() {
   const said = (kept) => {
     const { main, rests } = worded(kept.found);
-    return { main: main[0], doubt: kept.found.doubt, words: [toolOf(kept.kind).name, state.scene.channels.length > 1 && kept.channel, ...main.slice(1), rests].filter(Boolean).join(" · ") };
+    return {
+      main: main[0],
+      doubt: kept.found.doubt,
+      words: [
+        toolOf(kept.kind).name,
+        state.scene.channels.length > 1 && kept.channel,
+        ...main.slice(1),
+        rests,
+      ]
+        .filter(Boolean)
+        .join(" · "),
+    };
   };
   listMeasurements(state, said, redraw);
 }
@@ -415,7 +536,12 @@ function dragged(phase, start, event, view) {
     state.section = [one, other];
     if (phase === "end") state.drawing = false;
   } else {
-    state.region = [Math.min(one[0], other[0]), Math.min(one[1], other[1]), Math.max(one[0], other[0]), Math.max(one[1], other[1])];
+    state.region = [
+      Math.min(one[0], other[0]),
+      Math.min(one[1], other[1]),
+      Math.max(one[0], other[0]),
+      Math.max(one[1], other[1]),
+    ];
     if (phase === "end") {
       const [r0, c0, r1, c1] = state.region;
       if (r1 > r0 || c1 > c0) finish();
@@ -429,7 +555,8 @@ function dragged(phase, start, event, view) {
 function profileAlong(kind) {
   state.profileKind = kind;
   state.drawing = kind === "section";
-  for (const button of $("profile-kind").children) button.setAttribute("aria-pressed", String(button.dataset.kind === kind));
+  for (const button of $("profile-kind").children)
+    button.setAttribute("aria-pressed", String(button.dataset.kind === kind));
   if (state.drawing) hint("Drag a line over the map.");
   redraw();
 }
@@ -439,12 +566,27 @@ async function picture(view) {
   const { scene } = state;
   const layer = scene.byName.get(state.layerName);
   const flags = layer.kind === "flags";
-  const unit = layer.kind === "range" ? { unit: layer.unit, factor: 1 } : scaled(Math.max(...state.limits.map(Math.abs)), layer.unit);
-  const bar = flags ? null : { table: state.tables[layer.kind], limits: state.limits.map((value) => value * unit.factor), unit: unit.unit, label: layer.label };
-  const words = [$("subtitle").textContent, `Channel ${scene.channel}, ${state.raw || scene.water_in ? "water in" : "water taken out"}.`];
-  if (view.id === "cloud" && !views.cloud.camera.orthographic) words.push("In perspective: no scale.");
+  const unit =
+    layer.kind === "range"
+      ? { unit: layer.unit, factor: 1 }
+      : scaled(Math.max(...state.limits.map(Math.abs)), layer.unit);
+  const bar = flags
+    ? null
+    : {
+        table: state.tables[layer.kind],
+        limits: state.limits.map((value) => value * unit.factor),
+        unit: unit.unit,
+        label: layer.label,
+      };
+  const words = [
+    $("subtitle").textContent,
+    `Channel ${scene.channel}, ${state.raw || scene.water_in ? "water in" : "water taken out"}.`,
+  ];
+  if (view.id === "cloud" && !views.cloud.camera.orthographic)
+    words.push("In perspective: no scale.");
   if (flags) words.push([...$("legend").children].map((one) => one.textContent).join("; "));
-  else if (($("light").checked && layer.kind === "range") || state.look.contour) words.push($("light-note").textContent);
+  else if (($("light").checked && layer.kind === "range") || state.look.contour)
+    words.push($("light-note").textContent);
   words.push(...state.measurements.map(captioned));
   // A picture to hand over has no pointer in it.
   const { cursor } = state;
@@ -472,10 +614,27 @@ async function saved() {
 
 function csv() {
   const { scene } = state;
-  const pixels = along(scene, { kind: state.profileKind, cursor: state.cursor, section: state.section });
-  const lines = profileOf(scene, pixels, state.profileLayer).map((one) => [one.pixel[0], one.pixel[1], one.x, one.value, one.error].join(","));
+  const pixels = along(scene, {
+    kind: state.profileKind,
+    cursor: state.cursor,
+    section: state.section,
+  });
+  const lines = profileOf(scene, pixels, state.profileLayer).map((one) =>
+    [one.pixel[0], one.pixel[1], one.x, one.value, one.error].join(","),
+  );
   const layer = scene.byName.get(state.profileLayer);
-  download(`${stem()}-profile.csv`, new Blob([["row", "column", "along_m", `${layer.name}_${layer.unit}`, "uncertainty_m"].join(","), "\n", lines.join("\n"), "\n"], { type: "text/csv" }));
+  download(
+    `${stem()}-profile.csv`,
+    new Blob(
+      [
+        ["row", "column", "along_m", `${layer.name}_${layer.unit}`, "uncertainty_m"].join(","),
+        "\n",
+        lines.join("\n"),
+        "\n",
+      ],
+      { type: "text/csv" },
+    ),
+  );
 }
 
 function narrow() {
@@ -500,7 +659,11 @@ async function water(raw) {
   const { scene } = state;
   if (!(scene.byName.has("range") && scene.byName.has("range_before"))) return;
   state.raw = raw;
-  await Promise.all(["range_before", "flags_before"].filter((name) => scene.byName.has(name)).map((name) => scene.load(name)));
+  await Promise.all(
+    ["range_before", "flags_before"]
+      .filter((name) => scene.byName.has(name))
+      .map((name) => scene.load(name)),
+  );
   await show(state.layerName.replace("_before", ""));
   views.cloud.follow(scene, shownRaw() ? "range_before" : scene.main);
 }
@@ -524,7 +687,10 @@ const KEYS = {
   "+": () => zoomed(0.8),
   "-": () => zoomed(1.25),
   Escape: () => choose(null),
-  Enter: () => (state.tool && toolOf(state.tool).least && state.picks.length >= toolOf(state.tool).least ? finish() : state.cursor && picked(state.cursor)),
+  Enter: () =>
+    state.tool && toolOf(state.tool).least && state.picks.length >= toolOf(state.tool).least
+      ? finish()
+      : state.cursor && picked(state.cursor),
 };
 
 function zoomed(factor) {
@@ -546,18 +712,27 @@ function keyed(event) {
   if (!scene) return;
   if (event.key.startsWith("Arrow") && (into === $("map") || into === $("cloud"))) {
     event.preventDefault();
-    const [dx, dy] = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, -1], ArrowDown: [0, 1] }[event.key];
+    const [dx, dy] = {
+      ArrowLeft: [-1, 0],
+      ArrowRight: [1, 0],
+      ArrowUp: [0, -1],
+      ArrowDown: [0, 1],
+    }[event.key];
     if (into === $("cloud")) {
       views.cloud.camera.orbit(dx * 0.08, dy * 0.08);
       return redraw();
     }
     const step = scene.stride * (event.shiftKey ? 10 : 1);
     const [row, column] = state.cursor;
-    const to = [Math.min(Math.max(row + dy * step, 0), scene.rows - 1), Math.min(Math.max(column + dx * step, 0), scene.columns - 1)];
+    const to = [
+      Math.min(Math.max(row + dy * step, 0), scene.rows - 1),
+      Math.min(Math.max(column + dx * step, 0), scene.columns - 1),
+    ];
     state.pinned = to;
     return point(to);
   }
-  if ((event.key === "Enter" || event.key === " ") && into instanceof HTMLButtonElement) return undefined;
+  if ((event.key === "Enter" || event.key === " ") && into instanceof HTMLButtonElement)
+    return undefined;
   const at = Number(event.key) - 1;
   if (state.tabs?.[at]) return show(state.tabs[at]).catch(failed);
   const act = KEYS[event.key] ?? KEYS[event.key.toLowerCase()];
@@ -589,22 +764,41 @@ function wired() {
       redraw();
     });
   }
-  wireRecord(state, { download, hint, stem, text: () => asText(state), rows: () => asRows(state), content: () => asObject(state) });
-  for (const button of $("water").querySelectorAll("button")) button.addEventListener("click", () => water(button.dataset.raw === "yes").catch(failed));
-  for (const button of $("profile-kind").children) button.addEventListener("click", () => profileAlong(button.dataset.kind));
-  for (const id of ["light", "light-turn", "light-rise", "contour", "averaged"]) $(id).addEventListener("input", redraw);
+  wireRecord(state, {
+    download,
+    hint,
+    stem,
+    text: () => asText(state),
+    rows: () => asRows(state),
+    content: () => asObject(state),
+  });
+  for (const button of $("water").querySelectorAll("button"))
+    button.addEventListener("click", () => water(button.dataset.raw === "yes").catch(failed));
+  for (const button of $("profile-kind").children)
+    button.addEventListener("click", () => profileAlong(button.dataset.kind));
+  for (const id of ["light", "light-turn", "light-rise", "contour", "averaged"])
+    $(id).addEventListener("input", redraw);
   $("reach").addEventListener("input", () => {
-    for (const name of [state.scene.main, "range_before"]) state.scene.smooth(name, Number($("reach").value));
+    for (const name of [state.scene.main, "range_before"])
+      state.scene.smooth(name, Number($("reach").value));
     lightNote();
     redraw();
   });
   $("average").addEventListener("input", (event) => {
     state.average = Number(event.target.value);
   });
-  $("channel").addEventListener("input", (event) => opened(event.target.value).then(() => point(state.cursor)).catch(failed));
+  $("channel").addEventListener("input", (event) =>
+    opened(event.target.value)
+      .then(() => point(state.cursor))
+      .catch(failed),
+  );
   $("tools").replaceChildren(
     ...TOOLS.map((tool) => {
-      const button = Object.assign(document.createElement("button"), { type: "button", textContent: tool.name, title: tool.hint });
+      const button = Object.assign(document.createElement("button"), {
+        type: "button",
+        textContent: tool.name,
+        title: tool.hint,
+      });
       button.dataset.kind = tool.kind;
       button.setAttribute("aria-pressed", "false");
       const alone = tool.kind === "distance" || tool.axis;
@@ -650,10 +844,12 @@ const page = {
     const nothing = before[0] === 0 && before[1] === 1;
     if (nothing) views.placed = state.calmed = false;
     // One after the other: two at once would mix their maps.
-    reloading = reloading.catch(() => {}).then(async () => {
-      await opened(state.scene.channel);
-      await point(state.cursor);
-    });
+    reloading = reloading
+      .catch(() => {})
+      .then(async () => {
+        await opened(state.scene.channel);
+        await point(state.cursor);
+      });
     return reloading;
   },
   /** Point at the newest row of a running scan, unless somebody points elsewhere. */
@@ -682,7 +878,11 @@ async function main() {
     return point(pixel);
   };
   views.map = new MapView($("map"), { hover, pick: picked, drag: dragged });
-  views.cloud = new CloudView($("cloud"), { hover: (pixel) => pixel && hover(pixel), pick: picked, changed: redraw });
+  views.cloud = new CloudView($("cloud"), {
+    hover: (pixel) => pixel && hover(pixel),
+    pick: picked,
+    changed: redraw,
+  });
   state.views = views;
   state.record = new MeasurementRecord(state, () => {
     listed();
@@ -692,7 +892,11 @@ async function main() {
   await opened();
   state.record.open(state.scene.name);
   if (state.scene.live) state.live = new Live($("scan-card"), page);
-  const products = new Products($("order"), { source: state.source, channel: () => state.scene.channel, section: () => (state.profileKind === "section" ? state.section : null) });
+  const products = new Products($("order"), {
+    source: state.source,
+    channel: () => state.scene.channel,
+    section: () => (state.profileKind === "section" ? state.section : null),
+  });
   if (await products.offered()) {
     state.products = products;
     $("products").hidden = false;

@@ -24,8 +24,11 @@ export class Camera {
     const share = 0.92 * Math.tan(Camera.ANGLE / 2);
     let distance = 0;
     for (const place of places) {
-      const [x, y, z] = [right, up, forward].map((axis) => axis.reduce((sum, part, k) => sum + part * (place[k] - this.target[k]), 0));
-      const needed = Math.max(Math.abs(y), Math.abs(x) / aspect) / share - (this.orthographic ? 0 : z);
+      const [x, y, z] = [right, up, forward].map((axis) =>
+        axis.reduce((sum, part, k) => sum + part * (place[k] - this.target[k]), 0),
+      );
+      const needed =
+        Math.max(Math.abs(y), Math.abs(x) / aspect) / share - (this.orthographic ? 0 : z);
       distance = Math.max(distance, needed);
     }
     if (distance > 0) this.distance = clamp(distance, this.start.size * 0.01, this.start.size * 20);
@@ -84,7 +87,10 @@ export class Camera {
 
   /** Return how near and how far is drawn [m]. */
   planes() {
-    return [Math.max(this.distance - 6 * this.start.size, this.distance * 0.02), this.distance + 8 * this.start.size];
+    return [
+      Math.max(this.distance - 6 * this.start.size, this.distance * 0.02),
+      this.distance + 8 * this.start.size,
+    ];
   }
 
   matrix(aspect) {
@@ -92,28 +98,64 @@ export class Camera {
     const eye = this.eye();
     const dot = (a, b) => a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
     const view = [
-      right[0], up[0], -forward[0], 0,
-      right[1], up[1], -forward[1], 0,
-      right[2], up[2], -forward[2], 0,
-      -dot(right, eye), -dot(up, eye), dot(forward, eye), 1,
+      right[0],
+      up[0],
+      -forward[0],
+      0,
+      right[1],
+      up[1],
+      -forward[1],
+      0,
+      right[2],
+      up[2],
+      -forward[2],
+      0,
+      -dot(right, eye),
+      -dot(up, eye),
+      dot(forward, eye),
+      1,
     ];
     const [near, far] = this.planes();
     let project;
     if (this.orthographic) {
       const half = this.span() / 2;
       project = [
-        1 / (half * aspect), 0, 0, 0,
-        0, 1 / half, 0, 0,
-        0, 0, -2 / (far - near), 0,
-        0, 0, -(far + near) / (far - near), 1,
+        1 / (half * aspect),
+        0,
+        0,
+        0,
+        0,
+        1 / half,
+        0,
+        0,
+        0,
+        0,
+        -2 / (far - near),
+        0,
+        0,
+        0,
+        -(far + near) / (far - near),
+        1,
       ];
     } else {
       const f = 1 / Math.tan(Camera.ANGLE / 2);
       project = [
-        f / aspect, 0, 0, 0,
-        0, f, 0, 0,
-        0, 0, (far + near) / (near - far), -1,
-        0, 0, (2 * far * near) / (near - far), 0,
+        f / aspect,
+        0,
+        0,
+        0,
+        0,
+        f,
+        0,
+        0,
+        0,
+        0,
+        (far + near) / (near - far),
+        -1,
+        0,
+        0,
+        (2 * far * near) / (near - far),
+        0,
       ];
     }
     return multiplied(project, view);
@@ -135,7 +177,13 @@ export function multiplied(a, b) {
 
 /** Return where a point falls on a canvas, in its own pixels, null behind the eye. */
 export function projected(matrix, point, width, height) {
-  const out = [0, 1, 2, 3].map((row) => matrix[row] * point[0] + matrix[4 + row] * point[1] + matrix[8 + row] * point[2] + matrix[12 + row]);
+  const out = [0, 1, 2, 3].map(
+    (row) =>
+      matrix[row] * point[0] +
+      matrix[4 + row] * point[1] +
+      matrix[8 + row] * point[2] +
+      matrix[12 + row],
+  );
   if (out[3] <= 0) return null;
   return [(0.5 + (0.5 * out[0]) / out[3]) * width, (0.5 - (0.5 * out[1]) / out[3]) * height];
 }

@@ -31,15 +31,26 @@ export class CloudView {
         if (point && Number.isFinite(scene.value(scene.main, ...pixel))) places.push(point);
       }
     }
-    if (!places.length) places.push(...[[0, 0], [scene.rows - 1, scene.columns - 1]].map((pixel) => scene.beams.point(...pixel, scene.typical)));
+    if (!places.length)
+      places.push(
+        ...[
+          [0, 0],
+          [scene.rows - 1, scene.columns - 1],
+        ].map((pixel) => scene.beams.point(...pixel, scene.typical)),
+      );
     const ends = [0, 1, 2].map((k) => {
       const sorted = places.map((place) => place[k]).sort((a, b) => a - b);
-      return [sorted[Math.floor(0.01 * sorted.length)], sorted[Math.floor(0.99 * (sorted.length - 1))]];
+      return [
+        sorted[Math.floor(0.01 * sorted.length)],
+        sorted[Math.floor(0.99 * (sorted.length - 1))],
+      ];
     });
     const size = Math.hypot(...ends.map(([low, high]) => high - low)) || 0.1;
     this.camera.home({ target: ends.map(([low, high]) => (low + high) / 2), size });
     // A few points that stand far off make nothing small.
-    this.places = places.filter((place) => place.every((part, k) => part >= ends[k][0] && part <= ends[k][1]));
+    this.places = places.filter((place) =>
+      place.every((part, k) => part >= ends[k][0] && part <= ends[k][1]),
+    );
     this.#fitted();
   }
 
@@ -89,7 +100,9 @@ export class CloudView {
     const matrix = camera.matrix(width / height);
     // As large on the screen as the pixels are apart, so that surfaces close.
     const gap = Math.max(scene.spacing.row, scene.spacing.column) * stride * 1.32;
-    const focal = camera.orthographic ? height / camera.span() : height / 2 / Math.tan(Camera.ANGLE / 2);
+    const focal = camera.orthographic
+      ? height / camera.span()
+      : height / 2 / Math.tan(Camera.ANGLE / 2);
     Object.assign(parts.set, {
       uProject: ["Matrix4fv", false, matrix],
       uStride: ["1i", stride],
@@ -98,7 +111,12 @@ export class CloudView {
       uShrinks: ["1i", camera.orthographic ? 0 : 1],
       uAveraged: ["1i", state.look.averaged ? 1 : 0],
     });
-    return { ...parts, matrix, ground: state.look.ground, points: across * Math.ceil(scene.high / stride) };
+    return {
+      ...parts,
+      matrix,
+      ground: state.look.ground,
+      points: across * Math.ceil(scene.high / stride),
+    };
   }
 
   #stride(scene, most) {
@@ -140,7 +158,10 @@ export class CloudView {
     const ratio = canvas.width / Math.max(canvas.clientWidth, 1);
     const shape = shapeOf(state);
     const spotOf = (pixel) => this.#spot(scene.point(...pixel, shape));
-    const chains = [...state.measurements.map((kept) => ({ ...kept, strong: kept === state.chosen })), { kind: state.tool, picks: state.picks, strong: true }];
+    const chains = [
+      ...state.measurements.map((kept) => ({ ...kept, strong: kept === state.chosen })),
+      { kind: state.tool, picks: state.picks, strong: true },
+    ];
     for (const { kind, picks = [], strong, number } of chains) {
       const spots = picks.map(spotOf).filter(Boolean);
       const colour = strong ? colours.accent : colours.mark;
@@ -152,7 +173,14 @@ export class CloudView {
         });
       }
       spots.forEach((spot) => dot(ctx, spot, 4.5 * ratio, colour));
-      if (number && spots[0]) tag(ctx, String(number), [spots[0][0] + 8 * ratio, spots[0][1] - 8 * ratio], ratio, colours);
+      if (number && spots[0])
+        tag(
+          ctx,
+          String(number),
+          [spots[0][0] + 8 * ratio, spots[0][1] - 8 * ratio],
+          ratio,
+          colours,
+        );
     }
     const at = state.cursor && spotOf(state.cursor);
     if (at) dot(ctx, at, 5 * ratio, colours.cursor);
@@ -163,13 +191,23 @@ export class CloudView {
   #axes(ctx, ratio, colours) {
     const { right, up, forward } = this.camera.frame();
     const origin = [62 * ratio, this.canvas.height - 42 * ratio];
-    const names = [["right", [1, 0, 0], "#D55E00"], ["down", [0, 1, 0], "#009E73"], ["forward", [0, 0, 1], "#0072B2"]];
+    const names = [
+      ["right", [1, 0, 0], "#D55E00"],
+      ["down", [0, 1, 0], "#009E73"],
+      ["forward", [0, 0, 1], "#0072B2"],
+    ];
     ctx.save();
     ctx.font = `${10.5 * ratio}px ${colours.font}`;
     ctx.textBaseline = "middle";
     ctx.lineWidth = 2 * ratio;
     names
-      .map(([name, axis, colour]) => ({ name, colour, x: dotted(axis, right), y: -dotted(axis, up), z: dotted(axis, forward) }))
+      .map(([name, axis, colour]) => ({
+        name,
+        colour,
+        x: dotted(axis, right),
+        y: -dotted(axis, up),
+        z: dotted(axis, forward),
+      }))
       .sort((a, b) => b.z - a.z)
       .forEach(({ name, colour, x, y }) => {
         const end = [origin[0] + x * 20 * ratio, origin[1] + y * 20 * ratio];
@@ -212,11 +250,15 @@ export class CloudView {
 
   #listen() {
     const { canvas } = this;
-    canvas.addEventListener("wheel", (event) => {
-      event.preventDefault();
-      this.camera.zoom(Math.exp(event.deltaY * 0.0013));
-      this.#turned();
-    }, { passive: false });
+    canvas.addEventListener(
+      "wheel",
+      (event) => {
+        event.preventDefault();
+        this.camera.zoom(Math.exp(event.deltaY * 0.0013));
+        this.#turned();
+      },
+      { passive: false },
+    );
     canvas.addEventListener("pointerdown", (event) => {
       canvas.setPointerCapture(event.pointerId);
       this.pointers.set(event.pointerId, { x: event.clientX, y: event.clientY, moved: 0 });
@@ -242,7 +284,8 @@ export class CloudView {
   #moved(event) {
     const pointer = this.pointers.get(event.pointerId);
     if (!pointer) {
-      if (this.state && this.state.scene.wide * this.state.scene.high <= MOVING) this.on.hover(this.seen(event));
+      if (this.state && this.state.scene.wide * this.state.scene.high <= MOVING)
+        this.on.hover(this.seen(event));
       return;
     }
     const dx = event.clientX - pointer.x;
@@ -286,4 +329,3 @@ function shapeOf({ scene, look }) {
 function dotted(a, b) {
   return a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
 }
-

@@ -2,10 +2,13 @@
 
 const STOPS = {
   // viridis and cividis (matplotlib, CC0), grey, and ColorBrewer's RdBu.
-  viridis: "440154470d6048186a482374472d7b4537814240863e49893b528b375b8d33638d2f6b8e2c728e297a8e26828e23898e21918c1f988b1fa08822a78528ae8032b67a3fbc734ec36b5ec96270cf5784d44b98d83eaddc30c2df23d8e219ece51bfde725",
-  cividis: "00224e00285b002e6a0533711a386f273e6e32436d3b496c434e6c4b546c535a6d5a5f6e61656f686a716f70737676767d7c788482798c8878938e789b9476a39a74aba072b4a76fbcae6cc4b468cdbb63d5c25edec958e7d150f0d846f9e03afee838",
+  viridis:
+    "440154470d6048186a482374472d7b4537814240863e49893b528b375b8d33638d2f6b8e2c728e297a8e26828e23898e21918c1f988b1fa08822a78528ae8032b67a3fbc734ec36b5ec96270cf5784d44b98d83eaddc30c2df23d8e219ece51bfde725",
+  cividis:
+    "00224e00285b002e6a0533711a386f273e6e32436d3b496c434e6c4b546c535a6d5a5f6e61656f686a716f70737676767d7c788482798c8878938e789b9476a39a74aba072b4a76fbcae6cc4b468cdbb63d5c25edec958e7d150f0d846f9e03afee838",
   grey: "0a0a0a1111111919192121212828283030303838384040404747474f4f4f5757575e5e5e6666666e6e6e7575757d7d7d8585858c8c8c9494949c9c9ca3a3a3abababb3b3b3bababac2c2c2cacacad1d1d1d9d9d9e1e1e1e8e8e8f0f0f0f8f8f8ffffff",
-  signed: "10457e1854931f63a82a71b2337eb83e8cbf4c99c662a7ce7bb6d690c4dda2cde3b6d7e8c7e0edd5e7f1e1edf3ecf2f5f6f7f7f9efe9fae7dcfcdecdfcd3bcf9c4a9f6b394f3a481eb9172e27b62da6853d05548c53e3dbb2a34ae172a991027840924",
+  signed:
+    "10457e1854931f63a82a71b2337eb83e8cbf4c99c662a7ce7bb6d690c4dda2cde3b6d7e8c7e0edd5e7f1e1edf3ecf2f5f6f7f7f9efe9fae7dcfcdecdfcd3bcf9c4a9f6b394f3a481eb9172e27b62da6853d05548c53e3dbb2a34ae172a991027840924",
 };
 
 // What each kind of map is drawn in.
@@ -30,15 +33,15 @@ export const INK = {
 };
 
 const FLAG_COLOURS = {
-  "missing": "#8a949b",
-  "saturated": INK.vermilion,
+  missing: "#8a949b",
+  saturated: INK.vermilion,
   "no target": "#4a555c",
-  "ambiguous": INK.purple,
+  ambiguous: INK.purple,
   "water residual": INK.sky,
   "no open water": INK.blue,
-  "mixed": INK.orange,
-  "outlier": INK.yellow,
-  "relative": INK.green,
+  mixed: INK.orange,
+  outlier: INK.yellow,
+  relative: INK.green,
 };
 
 export function flagColour(name) {

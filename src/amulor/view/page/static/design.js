@@ -12,25 +12,50 @@ const made = (tag, properties) => Object.assign(document.createElement(tag), pro
 /** Steps of a slider. */
 const STEPS = 200;
 
-const state = { scene: null, settings: {}, water: null, found: null, mark: null, asked: 0, busy: false, wanted: false, timing: [] };
+const state = {
+  scene: null,
+  settings: {},
+  water: null,
+  found: null,
+  mark: null,
+  asked: 0,
+  busy: false,
+  wanted: false,
+  timing: [],
+};
 const shades = table("cividis");
 let colours = {};
 let map;
 
 async function ask(path, body) {
-  const request = body === undefined ? {} : { method: "POST", headers: { "content-type": "application/json" }, body: JSON.stringify(body) };
+  const request =
+    body === undefined
+      ? {}
+      : {
+          method: "POST",
+          headers: { "content-type": "application/json" },
+          body: JSON.stringify(body),
+        };
   const answer = await fetch(path, request);
-  if (!answer.ok) throw new Error((await answer.json().catch(() => ({}))).error ?? `The server answered ${answer.status}.`);
+  if (!answer.ok)
+    throw new Error(
+      (await answer.json().catch(() => ({}))).error ?? `The server answered ${answer.status}.`,
+    );
   return answer;
 }
 
 function valueAt(slider, step) {
   const share = step / STEPS;
-  return slider.scale === "log" ? slider.low * (slider.high / slider.low) ** share : slider.low + share * (slider.high - slider.low);
+  return slider.scale === "log"
+    ? slider.low * (slider.high / slider.low) ** share
+    : slider.low + share * (slider.high - slider.low);
 }
 
 function stepOf(slider, value) {
-  const share = slider.scale === "log" ? Math.log(value / slider.low) / Math.log(slider.high / slider.low) : (value - slider.low) / (slider.high - slider.low);
+  const share =
+    slider.scale === "log"
+      ? Math.log(value / slider.low) / Math.log(slider.high / slider.low)
+      : (value - slider.low) / (slider.high - slider.low);
   return Math.round(STEPS * share);
 }
 
@@ -42,7 +67,9 @@ function controls() {
   const { scene } = state;
   const water = made("label", { textContent: "water" });
   const choice = made("select", { id: "water" });
-  choice.append(...scene.waters.map((one) => made("option", { value: one.name, textContent: one.label })));
+  choice.append(
+    ...scene.waters.map((one) => made("option", { value: one.name, textContent: one.label })),
+  );
   choice.addEventListener("change", () => {
     state.water = choice.value;
     update();
@@ -50,7 +77,13 @@ function controls() {
   water.append(choice);
   const rows = scene.sliders.map((slider) => {
     const row = made("label", {});
-    const input = made("input", { type: "range", min: 0, max: STEPS, step: 1, id: `slider-${slider.name}` });
+    const input = made("input", {
+      type: "range",
+      min: 0,
+      max: STEPS,
+      step: 1,
+      id: `slider-${slider.name}`,
+    });
     input.setAttribute("aria-label", slider.label);
     const said = made("output", { htmlFor: input.id });
     input.addEventListener("input", () => {
@@ -98,10 +131,16 @@ async function update() {
       say("");
       draw();
       const drawn = performance.now();
-      state.timing.push({ server: state.found.milliseconds, answer: received - begun, draw: drawn - received, total: drawn - begun });
+      state.timing.push({
+        server: state.found.milliseconds,
+        answer: received - begun,
+        draw: drawn - received,
+        total: drawn - begun,
+      });
       $("timing").textContent = `${Math.round(drawn - begun)} ms`;
       // The map comes first; whether all is met can wait until the hand rests.
-      if (!state.wanted) said(await (await ask("met", { settings: state.settings, water: state.water })).json());
+      if (!state.wanted)
+        said(await (await ask("met", { settings: state.settings, water: state.water })).json());
     }
   } catch (error) {
     say(error.message ?? String(error));
@@ -158,17 +197,28 @@ function legend() {
 }
 
 function said(places) {
-  $("said").replaceChildren(...places.map((one) => made("li", { textContent: one.text, className: one.met ? "" : "missed" })));
+  $("said").replaceChildren(
+    ...places.map((one) =>
+      made("li", { textContent: one.text, className: one.met ? "" : "missed" }),
+    ),
+  );
 }
 
 function readout() {
   const { scene, found, mark } = state;
   if (!mark) {
-    $("readout").replaceChildren(made("dd", { className: "words", textContent: "Point at the map, or move a mark with the arrow keys." }));
+    $("readout").replaceChildren(
+      made("dd", {
+        className: "words",
+        textContent: "Point at the map, or move a mark with the arrow keys.",
+      }),
+    );
     return;
   }
   const at = mark[1] * scene.distance.length + mark[0];
-  const flags = scene.regions.filter((region) => found.flags[at] & region.bit).map((region) => region.label);
+  const flags = scene.regions
+    .filter((region) => found.flags[at] & region.bit)
+    .map((region) => region.label);
   const error = found.error[at];
   const rows = [
     ["distance", `${short(scene.distance[mark[0]], 3)} m`],
@@ -177,14 +227,25 @@ function readout() {
     ["binds", scene.terms[found.term[at]] ?? "–"],
   ];
   if (flags.length) rows.push(["", flags.join(", ")]);
-  $("readout").replaceChildren(...rows.flatMap(([name, text]) => [made("dt", { textContent: name }), made("dd", { textContent: text })]));
+  $("readout").replaceChildren(
+    ...rows.flatMap(([name, text]) => [
+      made("dt", { textContent: name }),
+      made("dd", { textContent: text }),
+    ]),
+  );
 }
 
 function moveMark(column, row) {
   const { scene } = state;
-  const start = state.mark ?? [Math.floor(scene.distance.length / 2), Math.floor(scene.attenuation.length / 2)];
+  const start = state.mark ?? [
+    Math.floor(scene.distance.length / 2),
+    Math.floor(scene.attenuation.length / 2),
+  ];
   const kept = (value, count) => Math.min(Math.max(value, 0), count - 1);
-  state.mark = [kept(start[0] + column, scene.distance.length), kept(start[1] + row, scene.attenuation.length)];
+  state.mark = [
+    kept(start[0] + column, scene.distance.length),
+    kept(start[1] + row, scene.attenuation.length),
+  ];
   draw();
 }
 
@@ -213,7 +274,9 @@ function wired() {
   $("map").addEventListener("pointermove", pointed);
   $("map").addEventListener("pointerdown", pointed);
   $("map").addEventListener("keydown", (event) => {
-    const step = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, 1], ArrowDown: [0, -1] }[event.key];
+    const step = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, 1], ArrowDown: [0, -1] }[
+      event.key
+    ];
     if (!step) return;
     moveMark(...step);
     event.preventDefault();
@@ -237,8 +300,12 @@ async function main() {
   $("title").textContent = scene.title;
   $("subtitle").textContent = scene.subtitle;
   if (scene.asked.length) {
-    const near = (values, value) => Math.min(Math.max(Math.round(placeIn(values, value)), 0), values.length - 1);
-    state.mark = [near(scene.distance, scene.asked[0][0]), near(scene.attenuation, scene.asked[0][1])];
+    const near = (values, value) =>
+      Math.min(Math.max(Math.round(placeIn(values, value)), 0), values.length - 1);
+    state.mark = [
+      near(scene.distance, scene.asked[0][0]),
+      near(scene.attenuation, scene.asked[0][1]),
+    ];
   }
   wired();
   controls();

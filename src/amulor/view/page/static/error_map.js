@@ -53,7 +53,12 @@ export class ErrorMap {
   /** Return the corners of the map on the canvas [pixel]. */
   frame(ratio) {
     const { width, height } = this.canvas;
-    return { x0: EDGE.left * ratio, x1: width - EDGE.right * ratio, y0: EDGE.top * ratio, y1: height - EDGE.bottom * ratio };
+    return {
+      x0: EDGE.left * ratio,
+      x1: width - EDGE.right * ratio,
+      y0: EDGE.top * ratio,
+      y1: height - EDGE.bottom * ratio,
+    };
   }
 
   /** Return column and row of the grid under a place of the screen, null beside it. */
@@ -64,7 +69,10 @@ export class ErrorMap {
     const y = (event.clientY - box.top) * (this.canvas.height / box.height);
     if (x < x0 || x > x1 || y < y0 || y > y1) return null;
     const at = (share, count) => Math.round(share * (count - 1));
-    return [at((x - x0) / (x1 - x0), scene.distance.length), at((y1 - y) / (y1 - y0), scene.attenuation.length)];
+    return [
+      at((x - x0) / (x1 - x0), scene.distance.length),
+      at((y1 - y) / (y1 - y0), scene.attenuation.length),
+    ];
   }
 
   draw({ scene, found, colours, table, mark }) {
@@ -86,9 +94,31 @@ export class ErrorMap {
     // Values lie in the middle of the image's pixels, the outermost on the frame.
     ctx.imageSmoothingEnabled = true;
     ctx.drawImage(this.image, x0 - stepX / 2, y0 - stepY / 2, wide * stepX, high * stepY);
-    scene.regions.forEach((region, number) => this.#region({ found, bit: region.bit, wide, high, x0: x0 - stepX / 2, y1: y1 + stepY / 2, stepX, stepY, fill: hatch(ctx, number, ratio) }));
-    const logarithm = Float64Array.from(found.error, (value) => (value === null ? NaN : Math.log(value)));
-    for (const level of scene.contours) this.#line(segments(logarithm, wide, high, Math.log(level)), `${level} mm`, toX, toY, ratio, colours);
+    scene.regions.forEach((region, number) =>
+      this.#region({
+        found,
+        bit: region.bit,
+        wide,
+        high,
+        x0: x0 - stepX / 2,
+        y1: y1 + stepY / 2,
+        stepX,
+        stepY,
+        fill: hatch(ctx, number, ratio),
+      }),
+    );
+    const logarithm = Float64Array.from(found.error, (value) =>
+      value === null ? NaN : Math.log(value),
+    );
+    for (const level of scene.contours)
+      this.#line(
+        segments(logarithm, wide, high, Math.log(level)),
+        `${level} mm`,
+        toX,
+        toY,
+        ratio,
+        colours,
+      );
     for (const [distance, attenuation] of scene.asked) {
       const column = placeIn(scene.distance, distance);
       const row = placeIn(scene.attenuation, attenuation);
@@ -144,7 +174,10 @@ export class ErrorMap {
       ctx.moveTo(toX(a), toY(b));
       ctx.lineTo(toX(c), toY(d));
     }
-    for (const [width, colour] of [[3.4, "rgba(8, 24, 34, 0.6)"], [1.6, "#ffffff"]]) {
+    for (const [width, colour] of [
+      [3.4, "rgba(8, 24, 34, 0.6)"],
+      [1.6, "#ffffff"],
+    ]) {
       ctx.lineWidth = width * ratio;
       ctx.strokeStyle = colour;
       ctx.stroke();

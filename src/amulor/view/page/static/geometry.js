@@ -30,7 +30,9 @@ export class Beams {
     const out = new Array(8);
     for (let k = 0; k < 8; k += 1) {
       const get = (r, c) => this.values[(r * width + c) * 8 + k];
-      out[k] = (get(r0, c0) * (1 - u) + get(r0, c1) * u) * (1 - v) + (get(r1, c0) * (1 - u) + get(r1, c1) * u) * v;
+      out[k] =
+        (get(r0, c0) * (1 - u) + get(r0, c1) * u) * (1 - v) +
+        (get(r1, c0) * (1 - u) + get(r1, c1) * u) * v;
     }
     return out;
   }
@@ -86,7 +88,8 @@ export function covariance(scene, pixels) {
     all.map((other, j) => {
       if (i === j || samePixel(pixels[i], pixels[j])) return one.total ** 2;
       if (!sharing) return 0;
-      const turn = turns.reduce((sum, k) => sum + Math.cos(k * (one.range - other.range)), 0) / turns.length;
+      const turn =
+        turns.reduce((sum, k) => sum + Math.cos(k * (one.range - other.range)), 0) / turns.length;
       const along = one.basis ? one.basis.reduce((sum, v, k) => sum + v * other.basis[k], 0) : 1;
       const water = one.ofWater.reduce((sum, v, k) => sum + v * other.ofWater[k], 0);
       const alike = one.alike.reduce((sum, v, k) => sum + v * other.alike[k], 0);
@@ -102,7 +105,8 @@ function samePixel(a, b) {
 function pair(scene, pixels) {
   return pixels.map(([row, column]) => {
     const range = scene.value("range", row, column);
-    if (!Number.isFinite(range)) throw new Error(`Pixel (${row}, ${column}) holds no range; pick another.`);
+    if (!Number.isFinite(range))
+      throw new Error(`Pixel (${row}, ${column}) holds no range; pick another.`);
     const beam = scene.beams.at(row, column);
     return { place: scene.beams.point(row, column, range), direction: beam.slice(3, 6) };
   });
@@ -135,7 +139,10 @@ export function distance(scene, pixels) {
   const length = norm(step);
   if (length === 0) throw new Error("Both points are the same; pick two that are apart.");
   const along = step.map((part) => part / length);
-  return result(scene, "distance", pixels, length, [-dot(along, one.direction), dot(along, other.direction)]);
+  return result(scene, "distance", pixels, length, [
+    -dot(along, one.direction),
+    dot(along, other.direction),
+  ]);
 }
 
 /** Return how far the second pixel lies beyond the first along an axis. */
@@ -144,5 +151,8 @@ export function height(scene, pixels, axis = [0, -1, 0]) {
   const up = axis.map((part) => part / size);
   const [one, other] = pair(scene, pixels);
   const value = dot(up, minus(other.place, one.place));
-  return result(scene, "height", pixels, value, [-dot(up, one.direction), dot(up, other.direction)]);
+  return result(scene, "height", pixels, value, [
+    -dot(up, one.direction),
+    dot(up, other.direction),
+  ]);
 }

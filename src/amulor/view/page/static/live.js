@@ -61,7 +61,9 @@ export class Live {
     socket.onclose = () => {
       this.state.textContent = "connection lost";
       this.state.classList.add("lost");
-      this.page.say("The connection to the scan is lost; it is tried again by itself. The scan goes on without this page.");
+      this.page.say(
+        "The connection to the scan is lost; it is tried again by itself. The scan goes on without this page.",
+      );
       const pause = PAUSES[Math.min(this.tries, PAUSES.length - 1)];
       this.tries += 1;
       setTimeout(() => this.#connect(), pause);
@@ -73,16 +75,22 @@ export class Live {
       // Rows that come meanwhile would be overwritten: they wait for the maps.
       this.loads = (this.loads ?? 0) + 1;
       this.held ??= [];
-      this.page.reload().finally(() => {
-        this.loads -= 1;
-        if (this.loads) return;
-        const { held } = this;
-        this.held = null;
-        for (const buffer of held) this.#rows(buffer);
-      }).then(() => {
-        this.pictures = (this.pictures ?? 0) + 1;
-        document.documentElement.dataset.pictures = String(this.pictures);
-      }, (error) => this.page.say(error.message));
+      this.page
+        .reload()
+        .finally(() => {
+          this.loads -= 1;
+          if (this.loads) return;
+          const { held } = this;
+          this.held = null;
+          for (const buffer of held) this.#rows(buffer);
+        })
+        .then(
+          () => {
+            this.pictures = (this.pictures ?? 0) + 1;
+            document.documentElement.dataset.pictures = String(this.pictures);
+          },
+          (error) => this.page.say(error.message),
+        );
     } else if (message.type === "status") {
       this.status = message;
       this.draw();
@@ -101,7 +109,11 @@ export class Live {
     const wide = scene.columns;
     head.layers.forEach((name, k) => {
       const values = new Float32Array(buffer, 4 + size + 4 * k * wide, wide);
-      scene.patch(name, head.row / scene.stride, scene.stride > 1 ? values.filter((_, at) => at % scene.stride === 0) : values);
+      scene.patch(
+        name,
+        head.row / scene.stride,
+        scene.stride > 1 ? values.filter((_, at) => at % scene.stride === 0) : values,
+      );
     });
     for (const name of ["range", "range_before"]) if (scene.maps.has(name)) scene.smooth(name);
     this.rows += 1;
@@ -116,7 +128,8 @@ export class Live {
     this.error = status?.error;
     if (status?.state === undefined) return;
     const colours = this.page.colours();
-    this.state.textContent = status.state === "running" ? `taking ${status.kind || "the first sample"}` : status.state;
+    this.state.textContent =
+      status.state === "running" ? `taking ${status.kind || "the first sample"}` : status.state;
     this.state.classList.toggle("lost", Boolean(status.error ?? status.resume));
     if (status.state === "running" && status.row !== null) this.page.follow(status.row);
     const share = status.done / Math.max(status.total, 1);
@@ -127,8 +140,11 @@ export class Live {
     if (status.rate !== null) rows.push(["rate", `${short(status.rate, 3)} a second`]);
     if (status.left !== null) rows.push(["time left", duration(status.left)]);
     rows.push(["scan time", duration(status.elapsed)]);
-    for (const [name, count] of flagged) rows.push([name, `${count} (${short((100 * count) / status.done, 2)} %)`]);
-    this.list.replaceChildren(...rows.flatMap(([term, text]) => [made("dt", "", term), made("dd", "", text)]));
+    for (const [name, count] of flagged)
+      rows.push([name, `${count} (${short((100 * count) / status.done, 2)} %)`]);
+    this.list.replaceChildren(
+      ...rows.flatMap(([term, text]) => [made("dt", "", term), made("dd", "", text)]),
+    );
     this.#advise(status);
     this.#drift(status.drift, colours);
     this.replay.hidden = status.state !== "finished";
@@ -160,10 +176,15 @@ export class Live {
     ctx.setTransform(ratio, 0, 0, ratio, 0, 0);
     const [width, height] = [this.drift.clientWidth, this.drift.clientHeight];
     ctx.clearRect(0, 0, width, height);
-    const most = Math.max(0.01, ...change.map((value, k) => Math.abs(value) + Math.min(error[k] ?? 0, 0.2))) * 1.15;
+    const most =
+      Math.max(0.01, ...change.map((value, k) => Math.abs(value) + Math.min(error[k] ?? 0, 0.2))) *
+      1.15;
     ctx.font = `11px ${colours.font}`;
     // Five parts of a range about zero leave at least one mark on either side.
-    const marks = ticks(-most, most, 5).values.map((value) => [value, `${value > 0 ? "+" : ""}${short(100 * value, 2)} %`]);
+    const marks = ticks(-most, most, 5).values.map((value) => [
+      value,
+      `${value > 0 ? "+" : ""}${short(100 * value, 2)} %`,
+    ]);
     const margin = Math.max(...marks.map(([, text]) => ctx.measureText(text).width)) + 8;
     const span = Math.max(elapsed.at(-1) - elapsed[0], 1e-9);
     const x = (time) => margin + 4 + ((time - elapsed[0]) / span) * (width - margin - 10);
@@ -193,7 +214,10 @@ export class Live {
       ctx.lineTo(x(elapsed[k]), y(value + error[k]));
       ctx.stroke();
     });
-    this.drift.setAttribute("aria-label", `Open water changed by ${size} percent from the first shots to the last`);
+    this.drift.setAttribute(
+      "aria-label",
+      `Open water changed by ${size} percent from the first shots to the last`,
+    );
   }
 
   /** A finished scan once more, from its first pixel to its last. */

@@ -43,7 +43,12 @@ export class MapView {
       const room = Math.max(sizes[k] / 2 - half[k], 0);
       this.middle[k] = Math.min(Math.max(this.middle[k], sizes[k] / 2 - room), sizes[k] / 2 + room);
     }
-    return { left: this.middle[0] - half[0], top: this.middle[1] - half[1], x: step[0], y: step[1] };
+    return {
+      left: this.middle[0] - half[0],
+      top: this.middle[1] - half[1],
+      x: step[0],
+      y: step[1],
+    };
   }
 
   /** Return the pixel of the scan at a place on the screen, null beside it. */
@@ -58,13 +63,19 @@ export class MapView {
       row = Math.min(Math.max(row, 0), scene.high - 1);
     }
     if (column < 0 || row < 0 || column >= scene.wide || row >= scene.high) return null;
-    return [Math.min(row * scene.stride, scene.rows - 1), Math.min(column * scene.stride, scene.columns - 1)];
+    return [
+      Math.min(row * scene.stride, scene.rows - 1),
+      Math.min(column * scene.stride, scene.columns - 1),
+    ];
   }
 
   /** Return where the middle of a pixel is on the canvas. */
   spot(scene, [row, column]) {
     const view = this.view(scene);
-    return [(Math.floor(column / scene.stride) + 0.5 - view.left) / view.x, (Math.floor(row / scene.stride) + 0.5 - view.top) / view.y];
+    return [
+      (Math.floor(column / scene.stride) + 0.5 - view.left) / view.x,
+      (Math.floor(row / scene.stride) + 0.5 - view.top) / view.y,
+    ];
   }
 
   draw(state, colours) {
@@ -84,25 +95,39 @@ export class MapView {
     ctx.lineWidth = ratio;
     if (state.cursor) {
       const [x, y] = this.spot(scene, state.cursor).map((at) => Math.round(at) + 0.5);
-      halo(ctx, ratio, colours, () => {
-        ctx.beginPath();
-        ctx.moveTo(0, y);
-        ctx.lineTo(x - 7 * ratio, y);
-        ctx.moveTo(x + 7 * ratio, y);
-        ctx.lineTo(canvas.width, y);
-        ctx.moveTo(x, 0);
-        ctx.lineTo(x, y - 7 * ratio);
-        ctx.moveTo(x, y + 7 * ratio);
-        ctx.lineTo(x, canvas.height);
-      }, 0.55);
+      halo(
+        ctx,
+        ratio,
+        colours,
+        () => {
+          ctx.beginPath();
+          ctx.moveTo(0, y);
+          ctx.lineTo(x - 7 * ratio, y);
+          ctx.moveTo(x + 7 * ratio, y);
+          ctx.lineTo(canvas.width, y);
+          ctx.moveTo(x, 0);
+          ctx.lineTo(x, y - 7 * ratio);
+          ctx.moveTo(x, y + 7 * ratio);
+          ctx.lineTo(x, canvas.height);
+        },
+        0.55,
+      );
     }
     if (state.section) {
       const ends = state.section.map((pixel) => this.spot(scene, pixel));
       halo(ctx, 2 * ratio, { ...colours, mark: colours.accent }, () => polyline(ctx, ends));
       ends.forEach((end) => dot(ctx, end, 4 * ratio, colours.accent));
     }
-    for (const kept of state.measurements) this.#shape(scene, kept, colours, ratio, kept === state.chosen);
-    if (state.picks.length || state.region) this.#shape(scene, { kind: state.tool, picks: state.picks, region: state.region }, colours, ratio, true);
+    for (const kept of state.measurements)
+      this.#shape(scene, kept, colours, ratio, kept === state.chosen);
+    if (state.picks.length || state.region)
+      this.#shape(
+        scene,
+        { kind: state.tool, picks: state.picks, region: state.region },
+        colours,
+        ratio,
+        true,
+      );
   }
 
   #shape(scene, { kind, picks = [], region, number }, colours, ratio, strong) {
@@ -112,27 +137,44 @@ export class MapView {
       const [a, b] = [this.spot(scene, region.slice(0, 2)), this.spot(scene, region.slice(2))];
       halo(ctx, ratio * 1.5, { ...colours, mark: colour }, () => {
         ctx.beginPath();
-        ctx.rect(Math.min(a[0], b[0]), Math.min(a[1], b[1]), Math.abs(a[0] - b[0]), Math.abs(a[1] - b[1]));
+        ctx.rect(
+          Math.min(a[0], b[0]),
+          Math.min(a[1], b[1]),
+          Math.abs(a[0] - b[0]),
+          Math.abs(a[1] - b[1]),
+        );
       });
     }
     const spots = picks.map((pixel) => this.spot(scene, pixel));
     if (spots.length > 1 && kind !== "circle") {
-      halo(ctx, ratio * 1.5, { ...colours, mark: colour }, () => polyline(ctx, kind === "area" ? [...spots, spots[0]] : spots));
+      halo(ctx, ratio * 1.5, { ...colours, mark: colour }, () =>
+        polyline(ctx, kind === "area" ? [...spots, spots[0]] : spots),
+      );
     }
     spots.forEach((spot) => dot(ctx, spot, 4.5 * ratio, colour));
     const label = number && (spots[0] ?? (region && this.spot(scene, region.slice(0, 2))));
-    if (label) tag(ctx, String(number), [label[0] + 8 * ratio, label[1] - 8 * ratio], ratio, colours);
+    if (label)
+      tag(ctx, String(number), [label[0] + 8 * ratio, label[1] - 8 * ratio], ratio, colours);
   }
 
   #listen() {
     const { canvas } = this;
-    canvas.addEventListener("wheel", (event) => {
-      event.preventDefault();
-      this.#zoomed(Math.exp(-event.deltaY * 0.0016), event);
-    }, { passive: false });
+    canvas.addEventListener(
+      "wheel",
+      (event) => {
+        event.preventDefault();
+        this.#zoomed(Math.exp(-event.deltaY * 0.0016), event);
+      },
+      { passive: false },
+    );
     canvas.addEventListener("pointerdown", (event) => {
       canvas.setPointerCapture(event.pointerId);
-      this.pointers.set(event.pointerId, { x: event.clientX, y: event.clientY, moved: 0, at: event });
+      this.pointers.set(event.pointerId, {
+        x: event.clientX,
+        y: event.clientY,
+        moved: 0,
+        at: event,
+      });
     });
     canvas.addEventListener("pointermove", (event) => this.#moved(event));
     for (const name of ["pointerup", "pointercancel"]) {
@@ -163,7 +205,10 @@ export class MapView {
     if (this.pointers.size === 2) {
       const other = [...this.pointers.entries()].find(([id]) => id !== event.pointerId)[1];
       const span = (x, y) => Math.hypot(x - other.x, y - other.y);
-      this.#zoomed(span(event.clientX, event.clientY) / Math.max(span(...before), 1), { clientX: (event.clientX + other.x) / 2, clientY: (event.clientY + other.y) / 2 });
+      this.#zoomed(span(event.clientX, event.clientY) / Math.max(span(...before), 1), {
+        clientX: (event.clientX + other.x) / 2,
+        clientY: (event.clientY + other.y) / 2,
+      });
     } else if (!this.on.drag("move", pointer.at, event, this)) {
       const view = this.view(this.scene);
       const ratio = this.canvas.width / this.canvas.clientWidth;
@@ -269,5 +314,8 @@ export function colourBar(canvas, gradientStops, [low, high], unit, colours, own
     ctx.fillText(text, left, top + thick + 5 * ratio);
     end = left + size;
   }
-  canvas.setAttribute("aria-label", `Colours from ${withUnit(low, "1")} to ${withUnit(high, "1")} ${unit}`);
+  canvas.setAttribute(
+    "aria-label",
+    `Colours from ${withUnit(low, "1")} to ${withUnit(high, "1")} ${unit}`,
+  );
 }

@@ -36,18 +36,39 @@ function swatch(text, colour) {
 /** Say in the legend what share of the values carries each flag. */
 export function showLegend(values, flags) {
   const share = (count) => `${((100 * count) / values.length).toFixed(1)} %`;
-  const counted = flags.map((flag) => [flag, values.reduce((sum, bits) => sum + (bits & flag.mask ? 1 : 0), 0)]).filter(([, count]) => count);
+  const counted = flags
+    .map((flag) => [flag, values.reduce((sum, bits) => sum + (bits & flag.mask ? 1 : 0), 0)])
+    .filter(([, count]) => count);
   const good = values.reduce((sum, bits) => sum + (bits === 0 ? 1 : 0), 0);
-  const entries = [[`good, ${share(good)}`, "#2c7f62"], ...counted.map(([flag, count]) => [`${flag.name}, ${share(count)}: ${flag.words}`, flagColour(flag.name)])];
-  const asked = counted.slice(0, 1).map(([flag]) => made("span", { textContent: `More of each: amulor explain ${explained(flag.name)}` }));
+  const entries = [
+    [`good, ${share(good)}`, "#2c7f62"],
+    ...counted.map(([flag, count]) => [
+      `${flag.name}, ${share(count)}: ${flag.words}`,
+      flagColour(flag.name),
+    ]),
+  ];
+  const asked = counted
+    .slice(0, 1)
+    .map(([flag]) =>
+      made("span", { textContent: `More of each: amulor explain ${explained(flag.name)}` }),
+    );
   $("legend").replaceChildren(...entries.map(([text, colour]) => swatch(text, colour)), ...asked);
 }
 
 /** Show terms with their texts, and the words for flags. */
 export function showReadout(rows, flags) {
   $("readout").replaceChildren(
-    ...rows.flatMap(([term, text, kind]) => [made("dt", { textContent: term }), made("dd", { textContent: text, className: kind })]),
-    ...flags.map((flag) => made("dd", { className: "words", title: `amulor explain ${explained(flag.name)}` }, swatch(flag.words, flagColour(flag.name)))),
+    ...rows.flatMap(([term, text, kind]) => [
+      made("dt", { textContent: term }),
+      made("dd", { textContent: text, className: kind }),
+    ]),
+    ...flags.map((flag) =>
+      made(
+        "dd",
+        { className: "words", title: `amulor explain ${explained(flag.name)}` },
+        swatch(flag.words, flagColour(flag.name)),
+      ),
+    ),
   );
 }
 
@@ -64,7 +85,12 @@ export function listMeasurements(state, said, changed) {
   $("measurements").replaceChildren(
     ...state.measurements.map((kept) => {
       const { main, words, doubt } = said(kept);
-      const remove = made("button", { type: "button", className: "remove", textContent: "×", ariaLabel: `Remove measurement ${kept.number}` });
+      const remove = made("button", {
+        type: "button",
+        className: "remove",
+        textContent: "×",
+        ariaLabel: `Remove measurement ${kept.number}`,
+      });
       remove.addEventListener("click", (event) => {
         event.stopPropagation();
         state.record.change(state.measurements.filter((one) => one !== kept));
@@ -72,7 +98,12 @@ export function listMeasurements(state, said, changed) {
       const li = made(
         "li",
         { className: kept === state.chosen ? "chosen" : "" },
-        made("div", { className: doubt ? "value doubt" : "value" }, made("span", { className: "number", textContent: kept.number }), main),
+        made(
+          "div",
+          { className: doubt ? "value doubt" : "value" },
+          made("span", { className: "number", textContent: kept.number }),
+          main,
+        ),
         made("div", { className: "of", textContent: words }),
         remove,
       );

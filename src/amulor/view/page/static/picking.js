@@ -1,8 +1,15 @@
 // Which point of a cloud or place of a mesh is seen at a pixel, and lengths between such.
 
 /** Return what is seen at a place on the canvas [its pixels], null beside all of it. */
-export function seen({ position, faces, count }, matrix, { x, y, width, height }, { dot, shrinks }) {
-  return faces ? onMesh(position, faces, matrix, { x, y, width, height }) : onCloud(position, count, matrix, { x, y, width, height }, { dot, shrinks });
+export function seen(
+  { position, faces, count },
+  matrix,
+  { x, y, width, height },
+  { dot, shrinks },
+) {
+  return faces
+    ? onMesh(position, faces, matrix, { x, y, width, height })
+    : onCloud(position, count, matrix, { x, y, width, height }, { dot, shrinks });
 }
 
 function onCloud(position, count, m, { x, y, width, height }, { dot, shrinks }) {
@@ -30,7 +37,11 @@ function onCloud(position, count, m, { x, y, width, height }, { dot, shrinks }) 
     }
   }
   if (best < 0) return null;
-  return { place: Array.from(position.subarray(3 * best, 3 * best + 3)), corners: [best], weights: [1] };
+  return {
+    place: Array.from(position.subarray(3 * best, 3 * best + 3)),
+    corners: [best],
+    weights: [1],
+  };
 }
 
 function onMesh(position, faces, m, { x, y, width, height }) {
@@ -49,7 +60,14 @@ function onMesh(position, faces, m, { x, y, width, height }) {
   for (let t = 0; t < faces.length; t += 3) {
     const [i, j, k] = [4 * faces[t], 4 * faces[t + 1], 4 * faces[t + 2]];
     if (spot[i + 3] <= 0 || spot[j + 3] <= 0 || spot[k + 3] <= 0) continue;
-    const [ax, ay, bx, by, cx, cy] = [spot[i] - x, spot[i + 1] - y, spot[j] - x, spot[j + 1] - y, spot[k] - x, spot[k + 1] - y];
+    const [ax, ay, bx, by, cx, cy] = [
+      spot[i] - x,
+      spot[i + 1] - y,
+      spot[j] - x,
+      spot[j + 1] - y,
+      spot[k] - x,
+      spot[k + 1] - y,
+    ];
     const [u, v, w] = [bx * cy - by * cx, cx * ay - cy * ax, ax * by - ay * bx];
     if (!((u >= 0 && v >= 0 && w >= 0) || (u <= 0 && v <= 0 && w <= 0))) continue;
     const total = u + v + w;
@@ -65,7 +83,9 @@ function onMesh(position, faces, m, { x, y, width, height }) {
   const total = parts[0] + parts[1] + parts[2];
   const weights = parts.map((part) => part / total);
   const corners = [faces[t], faces[t + 1], faces[t + 2]];
-  const place = [0, 1, 2].map((axis) => corners.reduce((sum, corner, n) => sum + weights[n] * position[3 * corner + axis], 0));
+  const place = [0, 1, 2].map((axis) =>
+    corners.reduce((sum, corner, n) => sum + weights[n] * position[3 * corner + axis], 0),
+  );
   return { place, corners, weights };
 }
 
@@ -79,7 +99,10 @@ export function numberAt(values, { corners, weights }) {
 The file knows the error of each point, and not how those of two points correlate; the
 bound holds for every correlation from 0 to 1. */
 export function lengthAlong(scene, one, other, direction) {
-  const value = [0, 1, 2].reduce((sum, k) => sum + (other.place[k] - one.place[k]) * direction[k], 0);
+  const value = [0, 1, 2].reduce(
+    (sum, k) => sum + (other.place[k] - one.place[k]) * direction[k],
+    0,
+  );
   const [a, b] = [one, other].map((pick) => errorAlong(scene, pick, direction));
   if (!a || !b) return { value, bound: NaN };
   if (!(a.signed && b.signed)) return { value, bound: Math.abs(a.whole) + Math.abs(b.whole) };
@@ -93,14 +116,24 @@ function errorAlong({ numbers, beams, centre }, pick, direction) {
   if (beams && Number.isFinite(sigma)) {
     // In the instrument's axes the beam comes from the origin.
     const beam = pick.place.map((part, k) => part + centre[k]);
-    const cosine = beam.reduce((sum, part, k) => sum + part * direction[k], 0) / Math.hypot(...beam);
+    const cosine =
+      beam.reduce((sum, part, k) => sum + part * direction[k], 0) / Math.hypot(...beam);
     const common = Math.min(get("common") ?? NaN, sigma);
     // Of a file that does not say which part is shared, all of it may be.
     const shared = Number.isFinite(common) ? common : sigma;
-    return { signed: true, whole: sigma * cosine, shared: shared * cosine, own: Math.sqrt(Math.max(sigma ** 2 - shared ** 2, 0)) * cosine };
+    return {
+      signed: true,
+      whole: sigma * cosine,
+      shared: shared * cosine,
+      own: Math.sqrt(Math.max(sigma ** 2 - shared ** 2, 0)) * cosine,
+    };
   }
   const parts = ["sigma_x", "sigma_y", "sigma_z"].map(get);
-  if (parts.every(Number.isFinite)) return { signed: false, whole: parts.reduce((sum, part, k) => sum + Math.abs(part * direction[k]), 0) };
+  if (parts.every(Number.isFinite))
+    return {
+      signed: false,
+      whole: parts.reduce((sum, part, k) => sum + Math.abs(part * direction[k]), 0),
+    };
   return Number.isFinite(sigma) ? { signed: false, whole: sigma } : null;
 }
 
@@ -109,5 +142,13 @@ export function distanceOf(scene, one, other) {
   const apart = other.place.map((part, k) => part - one.place[k]);
   const value = Math.hypot(...apart);
   if (!(value > 0)) return { value: 0, bound: NaN };
-  return { ...lengthAlong(scene, one, other, apart.map((part) => part / value)), value };
+  return {
+    ...lengthAlong(
+      scene,
+      one,
+      other,
+      apart.map((part) => part / value),
+    ),
+    value,
+  };
 }

@@ -32,7 +32,12 @@ export function pictureOf({ view, title, words, bar, colours }) {
     ctx.drawImage(strip, edge, low);
     ctx.font = small;
     ctx.fillStyle = colours.ink;
-    ctx.fillText(`${bar.label}${bar.unit ? ` [${bar.unit}]` : ""}`.slice(0, 24), edge + strip.width + 8 * ratio, low + 8 * ratio, 64 * ratio);
+    ctx.fillText(
+      `${bar.label}${bar.unit ? ` [${bar.unit}]` : ""}`.slice(0, 24),
+      edge + strip.width + 8 * ratio,
+      low + 8 * ratio,
+      64 * ratio,
+    );
     low += scale;
   }
   ctx.font = small;
@@ -44,7 +49,10 @@ export function pictureOf({ view, title, words, bar, colours }) {
 /** Return a canvas as the bytes of a PNG file. */
 export function png(canvas) {
   return new Promise((done, fail) => {
-    canvas.toBlob((blob) => (blob ? done(blob) : fail(new Error("The browser made no picture of this view."))), "image/png");
+    canvas.toBlob(
+      (blob) => (blob ? done(blob) : fail(new Error("The browser made no picture of this view."))),
+      "image/png",
+    );
   });
 }
 
@@ -74,7 +82,15 @@ export function themed(name) {
   const get = (key) => style.getPropertyValue(`--${key}`).trim();
   const rgb = (text) => [1, 3, 5].map((at) => parseInt(text.slice(at, at + 2), 16) / 255);
   return {
-    ink: get("ink"), soft: get("soft"), line: get("line"), accent: get("accent"), band: get("band"), mark: get("mark"), under: get("under"), plate: get("card"), cursor: "#f2a33c",
+    ink: get("ink"),
+    soft: get("soft"),
+    line: get("line"),
+    accent: get("accent"),
+    band: get("band"),
+    mark: get("mark"),
+    under: get("under"),
+    plate: get("card"),
+    cursor: "#f2a33c",
     font: getComputedStyle(document.body).fontFamily || "sans-serif",
     ground: rgb(get("stage")),
     missing: name === "dark" ? [0.2, 0.25, 0.28] : [0.8, 0.83, 0.85],

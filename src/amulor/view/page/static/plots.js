@@ -16,13 +16,17 @@ function started(canvas) {
 
 function framed({ ctx, width, height }, x, y, colours, top = 10) {
   const box = { left: 54, top, right: width - 12, bottom: height - 32 };
-  const toX = (value) => box.left + ((value - x.low) / (x.high - x.low || 1)) * (box.right - box.left);
-  const toY = (value) => box.bottom - ((value - y.low) / (y.high - y.low || 1)) * (box.bottom - box.top);
+  const toX = (value) =>
+    box.left + ((value - x.low) / (x.high - x.low || 1)) * (box.right - box.left);
+  const toY = (value) =>
+    box.bottom - ((value - y.low) / (y.high - y.low || 1)) * (box.bottom - box.top);
   ctx.font = `11px ${colours.font}`;
   ctx.strokeStyle = colours.line;
   ctx.fillStyle = colours.soft;
   ctx.lineWidth = 1;
-  const down = y.logarithmic ? decades(y) : ticks(y.low, y.high, Math.max(2, Math.floor((box.bottom - box.top) / 30)));
+  const down = y.logarithmic
+    ? decades(y)
+    : ticks(y.low, y.high, Math.max(2, Math.floor((box.bottom - box.top) / 30)));
   ctx.textAlign = "right";
   ctx.textBaseline = "middle";
   for (const value of down.values) {
@@ -65,7 +69,10 @@ function decades({ low, high }) {
 
 function power(value) {
   const digits = "⁰¹²³⁴⁵⁶⁷⁸⁹";
-  const text = String(Math.abs(value)).split("").map((letter) => digits[Number(letter)]).join("");
+  const text = String(Math.abs(value))
+    .split("")
+    .map((letter) => digits[Number(letter)])
+    .join("");
   return `10${value < 0 ? "⁻" : ""}${text}`;
 }
 
@@ -81,7 +88,9 @@ function empty(view, text, colours) {
     if (view.ctx.measureText(longer).width > view.width - 40) lines.push(word);
     else lines[lines.length - 1] = longer;
   }
-  lines.forEach((line, k) => view.ctx.fillText(line, view.width / 2, view.height / 2 + (k - (lines.length - 1) / 2) * 19));
+  lines.forEach((line, k) =>
+    view.ctx.fillText(line, view.width / 2, view.height / 2 + (k - (lines.length - 1) / 2) * 19),
+  );
 }
 
 /** Return pixels along a row, a column, or a line between two pixels. */
@@ -96,7 +105,8 @@ export function along(scene, { kind, cursor, section }) {
     });
   }
   if (!cursor) return [];
-  if (kind === "column") return Array.from({ length: scene.high }, (_, k) => [k * stride, cursor[1]]);
+  if (kind === "column")
+    return Array.from({ length: scene.high }, (_, k) => [k * stride, cursor[1]]);
   return Array.from({ length: scene.wide }, (_, k) => [cursor[0], k * stride]);
 }
 
@@ -106,7 +116,12 @@ export function profileOf(scene, pixels, name) {
   let run = 0;
   return pixels.map((pixel, k) => {
     if (k) run += Math.hypot(...[0, 1, 2].map((axis) => places[k][axis] - places[k - 1][axis]));
-    return { pixel, x: run, value: scene.value(name, ...pixel), error: name.endsWith("_before") ? NaN : scene.value("uncertainty", ...pixel) };
+    return {
+      pixel,
+      x: run,
+      value: scene.value(name, ...pixel),
+      error: name.endsWith("_before") ? NaN : scene.value("uncertainty", ...pixel),
+    };
   });
 }
 
@@ -116,21 +131,36 @@ export function drawProfile(canvas, state, colours) {
   const { scene } = state;
   const name = state.profileLayer;
   const layer = scene.byName.get(name);
-  const pixels = along(scene, { kind: state.profileKind, cursor: state.cursor, section: state.section });
-  if (pixels.length < 2) return empty(view, "Point at the map to see the profile through a pixel.", colours);
+  const pixels = along(scene, {
+    kind: state.profileKind,
+    cursor: state.cursor,
+    section: state.section,
+  });
+  if (pixels.length < 2)
+    return empty(view, "Point at the map to see the profile through a pixel.", colours);
   const line = profileOf(scene, pixels, name);
   const twin = layer.before ? name.replace("_before", "") : `${name}_before`;
-  const other = scene.maps.has(twin) && layer.kind !== "flags" ? profileOf(scene, pixels, twin) : null;
+  const other =
+    scene.maps.has(twin) && layer.kind !== "flags" ? profileOf(scene, pixels, twin) : null;
   const known = line.filter((one) => Number.isFinite(one.value));
   if (!known.length) return empty(view, "No pixel of this line holds a number.", colours);
   const sizes = known.map((one) => one.value).sort((a, b) => a - b);
-  const spreads = layer.kind === "range" && !layer.before ? known.map((one) => one.error || 0).sort((a, b) => a - b) : [0];
+  const spreads =
+    layer.kind === "range" && !layer.before
+      ? known.map((one) => one.error || 0).sort((a, b) => a - b)
+      : [0];
   const spread = 2 * spreads[spreads.length >> 1];
-  let [low, high] = [sizes[Math.floor(0.005 * sizes.length)] - spread, sizes[Math.ceil(0.995 * (sizes.length - 1))] + spread];
+  let [low, high] = [
+    sizes[Math.floor(0.005 * sizes.length)] - spread,
+    sizes[Math.ceil(0.995 * (sizes.length - 1))] + spread,
+  ];
   if (other) {
     // Where there is no target, raw ranges are those of the water alone.
     const both = other.filter((one, k) => Number.isFinite(line[k].value));
-    const beside = both.map((one) => one.value).filter(Number.isFinite).sort((a, b) => a - b);
+    const beside = both
+      .map((one) => one.value)
+      .filter(Number.isFinite)
+      .sort((a, b) => a - b);
     if (beside.length) {
       low = Math.min(low, beside[Math.floor(0.03 * beside.length)]);
       high = Math.max(high, beside[Math.floor(0.97 * (beside.length - 1))]);
@@ -139,11 +169,26 @@ export function drawProfile(canvas, state, colours) {
   const missing = scene.least(name) - (high - low) / 2;
   if (missing > 0) [low, high] = [low - missing, high + missing];
   const room = (high - low) * 0.08;
-  const unit = high - low < 0.02 && layer.kind !== "range" ? scaled(Math.max(Math.abs(low), Math.abs(high)), layer.unit) : layer.unit === "V" ? scaled(high, "V") : { unit: layer.unit, factor: 1 };
+  const unit =
+    high - low < 0.02 && layer.kind !== "range"
+      ? scaled(Math.max(Math.abs(low), Math.abs(high)), layer.unit)
+      : layer.unit === "V"
+        ? scaled(high, "V")
+        : { unit: layer.unit, factor: 1 };
   const f = unit.factor;
   const span = line.at(-1).x;
   const across = span < 2 ? { factor: 1e3, unit: "mm" } : { factor: 1, unit: "m" };
-  const frame = framed(view, { low: 0, high: span * across.factor, label: `along the line [${across.unit}]` }, { low: (low - room) * f, high: (high + room) * f, label: `${layer.label} [${unit.unit || "1"}]` }, colours, 24);
+  const frame = framed(
+    view,
+    { low: 0, high: span * across.factor, label: `along the line [${across.unit}]` },
+    {
+      low: (low - room) * f,
+      high: (high + room) * f,
+      label: `${layer.label} [${unit.unit || "1"}]`,
+    },
+    colours,
+    24,
+  );
   const { ctx } = view;
   ctx.save();
   ctx.clip();
@@ -170,8 +215,17 @@ export function drawProfile(canvas, state, colours) {
     const close = () => {
       if (part.length > 1) {
         ctx.beginPath();
-        part.forEach((one, k) => ctx[k ? "lineTo" : "moveTo"](frame.toX(one.x * across.factor), frame.toY((one.value + one.error) * f)));
-        part.reverse().forEach((one) => ctx.lineTo(frame.toX(one.x * across.factor), frame.toY((one.value - one.error) * f)));
+        part.forEach((one, k) =>
+          ctx[k ? "lineTo" : "moveTo"](
+            frame.toX(one.x * across.factor),
+            frame.toY((one.value + one.error) * f),
+          ),
+        );
+        part
+          .reverse()
+          .forEach((one) =>
+            ctx.lineTo(frame.toX(one.x * across.factor), frame.toY((one.value - one.error) * f)),
+          );
         ctx.fill();
       }
       part = [];
@@ -184,7 +238,9 @@ export function drawProfile(canvas, state, colours) {
   }
   if (other) draw(other, INK.vermilion, 1, [4, 3]);
   draw(line, colours.accent, 1.6);
-  const here = state.cursor && line.find((one) => one.pixel[0] === state.cursor[0] && one.pixel[1] === state.cursor[1]);
+  const here =
+    state.cursor &&
+    line.find((one) => one.pixel[0] === state.cursor[0] && one.pixel[1] === state.cursor[1]);
   if (here) {
     const x = frame.toX(here.x * across.factor);
     ctx.strokeStyle = colours.soft;
@@ -195,11 +251,18 @@ export function drawProfile(canvas, state, colours) {
     ctx.stroke();
   }
   ctx.restore();
-  legend(ctx, frame.box, [
-    [layer.before ? "water in" : other ? "water taken out" : layer.label, colours.accent, []],
-    ...(other ? [[layer.before ? "water taken out" : "water in", INK.vermilion, [4, 3]]] : []),
-    ...(layer.kind === "range" && known.some((one) => Number.isFinite(one.error)) ? [["± standard uncertainty", colours.band, null]] : []),
-  ], colours);
+  legend(
+    ctx,
+    frame.box,
+    [
+      [layer.before ? "water in" : other ? "water taken out" : layer.label, colours.accent, []],
+      ...(other ? [[layer.before ? "water taken out" : "water in", INK.vermilion, [4, 3]]] : []),
+      ...(layer.kind === "range" && known.some((one) => Number.isFinite(one.error))
+        ? [["± standard uncertainty", colours.band, null]]
+        : []),
+    ],
+    colours,
+  );
 }
 
 function legend(ctx, box, entries, colours) {
@@ -255,9 +318,21 @@ export function drawHistogram(canvas, state, colours) {
     else counts[at] += 1;
   }
   if (!finite) return empty(view, "No pixel holds a number.", colours);
-  const unit = layer.kind === "range" ? { unit: layer.unit, factor: 1 } : scaled(Math.max(Math.abs(low), Math.abs(high)), layer.unit);
+  const unit =
+    layer.kind === "range"
+      ? { unit: layer.unit, factor: 1 }
+      : scaled(Math.max(Math.abs(low), Math.abs(high)), layer.unit);
   const most = Math.max(...counts);
-  const frame = framed(view, { low: low * unit.factor, high: high * unit.factor, label: `${layer.label} [${unit.unit || "1"}]` }, { low: 0, high: (most / finite) * 100 * 1.08, label: `${state.counted ?? "pixels"} [%]` }, colours);
+  const frame = framed(
+    view,
+    {
+      low: low * unit.factor,
+      high: high * unit.factor,
+      label: `${layer.label} [${unit.unit || "1"}]`,
+    },
+    { low: 0, high: (most / finite) * 100 * 1.08, label: `${state.counted ?? "pixels"} [%]` },
+    colours,
+  );
   const table = state.tables[layer.kind];
   for (let k = 0; k < bins; k += 1) {
     const left = frame.toX((low + ((high - low) * k) / bins) * unit.factor);
@@ -267,7 +342,8 @@ export function drawHistogram(canvas, state, colours) {
     view.ctx.fillStyle = `rgb(${table[at]},${table[at + 1]},${table[at + 2]})`;
     view.ctx.fillRect(left, top, Math.max(right - left - 0.6, 0.6), frame.box.bottom - top);
     view.ctx.strokeStyle = colours.line;
-    if (counts[k]) view.ctx.strokeRect(left, top, Math.max(right - left - 0.6, 0.6), frame.box.bottom - top);
+    if (counts[k])
+      view.ctx.strokeRect(left, top, Math.max(right - left - 0.6, 0.6), frame.box.bottom - top);
   }
   const beside = [under && `${under} below`, over && `${over} above`].filter(Boolean).join(", ");
   if (beside) {
@@ -280,9 +356,14 @@ export function drawHistogram(canvas, state, colours) {
 
 function drawFlags({ ctx, width, height }, state, colours) {
   const { values } = state.scene.maps.get(state.layerName);
-  const counts = state.scene.flags.map((flag) => [flag, values.reduce((sum, bits) => sum + (bits & flag.mask ? 1 : 0), 0)]).filter(([, count]) => count);
+  const counts = state.scene.flags
+    .map((flag) => [flag, values.reduce((sum, bits) => sum + (bits & flag.mask ? 1 : 0), 0)])
+    .filter(([, count]) => count);
   const good = values.reduce((sum, bits) => sum + (bits === 0 ? 1 : 0), 0);
-  const rows = [[{ name: "good" }, good, "#2c7f62"], ...counts.map(([flag, count]) => [flag, count, state.flagColour(flag.name)])];
+  const rows = [
+    [{ name: "good" }, good, "#2c7f62"],
+    ...counts.map(([flag, count]) => [flag, count, state.flagColour(flag.name)]),
+  ];
   const step = Math.min(24, (height - 16) / rows.length);
   ctx.font = `12px ${colours.font}`;
   ctx.textBaseline = "middle";
@@ -305,9 +386,18 @@ function drawFlags({ ctx, width, height }, state, colours) {
 export function drawSpectrum(canvas, state, colours) {
   const view = started(canvas);
   const { spectrum, scene } = state;
-  if (!scene.spectrum) return empty(view, "A range image holds no samples; name them by --samples to see spectra.", colours);
+  if (!scene.spectrum)
+    return empty(
+      view,
+      "A range image holds no samples; name them by --samples to see spectra.",
+      colours,
+    );
   if (!spectrum) return empty(view, "Point at a pixel to see its spectrum.", colours);
-  const parts = [["after", "target", colours.accent, []], ["before", "raw", INK.vermilion, [4, 3]], ["water", "water", INK.sky, [1, 3]]].filter(([name]) => spectrum[name]);
+  const parts = [
+    ["after", "target", colours.accent, []],
+    ["before", "raw", INK.vermilion, [4, 3]],
+    ["water", "water", INK.sky, [1, 3]],
+  ].filter(([name]) => spectrum[name]);
   if (spectrum.frequency.length === 1) return drawPhasors(view, spectrum, parts, colours);
   const all = parts.flatMap(([name]) => spectrum[name].amplitude).filter((value) => value > 0);
   if (!all.length) return empty(view, "This pixel was not measured.", colours);
@@ -317,8 +407,20 @@ export function drawSpectrum(canvas, state, colours) {
   const wide = high - low < 1.2;
   const unit = scaled(10 ** high, "V");
   const toValue = wide ? (value) => value * unit.factor : (value) => Math.log10(value);
-  const y = wide ? { low: 0, high: 10 ** high * unit.factor, label: `amplitude [${unit.unit}]` } : { low, high, label: "amplitude [V]", logarithmic: true };
-  const frame = framed(view, { low: frequency[0] - margin, high: frequency.at(-1) + margin, label: "modulation frequency [MHz]" }, y, colours, 24);
+  const y = wide
+    ? { low: 0, high: 10 ** high * unit.factor, label: `amplitude [${unit.unit}]` }
+    : { low, high, label: "amplitude [V]", logarithmic: true };
+  const frame = framed(
+    view,
+    {
+      low: frequency[0] - margin,
+      high: frequency.at(-1) + margin,
+      label: "modulation frequency [MHz]",
+    },
+    y,
+    colours,
+    24,
+  );
   const { ctx } = view;
   for (const [name, , colour, dash] of parts) {
     const line = spectrum[name];
@@ -327,7 +429,9 @@ export function drawSpectrum(canvas, state, colours) {
     ctx.lineWidth = 1.5;
     ctx.setLineDash(dash);
     ctx.beginPath();
-    line.amplitude.forEach((value, k) => value > 0 && ctx.lineTo(frame.toX(frequency[k]), frame.toY(toValue(value))));
+    line.amplitude.forEach(
+      (value, k) => value > 0 && ctx.lineTo(frame.toX(frequency[k]), frame.toY(toValue(value))),
+    );
     ctx.stroke();
     ctx.setLineDash([]);
     line.amplitude.forEach((value, k) => {
@@ -345,7 +449,12 @@ export function drawSpectrum(canvas, state, colours) {
       }
     });
   }
-  legend(ctx, frame.box, parts.map(([, text, colour, dash]) => [text, colour, dash]), colours);
+  legend(
+    ctx,
+    frame.box,
+    parts.map(([, text, colour, dash]) => [text, colour, dash]),
+    colours,
+  );
 }
 
 function drawPhasors({ ctx, width, height }, spectrum, parts, colours) {
@@ -356,7 +465,10 @@ function drawPhasors({ ctx, width, height }, spectrum, parts, colours) {
   const scale = (size * 0.92) / largest;
   const spot = (name) => {
     const { amplitude, phase } = spectrum[name];
-    return [centre[0] + scale * amplitude[0] * Math.cos(phase[0]), centre[1] - scale * amplitude[0] * Math.sin(phase[0])];
+    return [
+      centre[0] + scale * amplitude[0] * Math.cos(phase[0]),
+      centre[1] - scale * amplitude[0] * Math.sin(phase[0]),
+    ];
   };
   ctx.strokeStyle = colours.line;
   ctx.lineWidth = 1;
@@ -401,10 +513,18 @@ function drawPhasors({ ctx, width, height }, spectrum, parts, colours) {
     ctx.fillStyle = colours.ink;
     ctx.fillText(text, x + 24, y);
     ctx.fillStyle = colours.soft;
-    ctx.fillText(`${(amplitude[0] * unit.factor).toPrecision(3)} ${unit.unit}, ${((phase[0] * 180) / Math.PI).toFixed(1).replace("-", "−")}°`, x, y + 17);
+    ctx.fillText(
+      `${(amplitude[0] * unit.factor).toPrecision(3)} ${unit.unit}, ${((phase[0] * 180) / Math.PI).toFixed(1).replace("-", "−")}°`,
+      x,
+      y + 17,
+    );
   });
   ctx.fillStyle = colours.soft;
-  ctx.fillText(`${(spectrum.frequency[0] / 1e6).toFixed(2)} MHz`, centre[0] + size + 10, height - 14);
+  ctx.fillText(
+    `${(spectrum.frequency[0] / 1e6).toFixed(2)} MHz`,
+    centre[0] + size + 10,
+    height - 14,
+  );
 }
 
 function arrow(ctx, from, to, colour, dash) {
@@ -420,6 +540,7 @@ function arrow(ctx, from, to, colour, dash) {
   const turn = Math.atan2(to[1] - from[1], to[0] - from[0]);
   ctx.beginPath();
   ctx.moveTo(...to);
-  for (const side of [-0.4, 0.4]) ctx.lineTo(to[0] - 9 * Math.cos(turn + side), to[1] - 9 * Math.sin(turn + side));
+  for (const side of [-0.4, 0.4])
+    ctx.lineTo(to[0] - 9 * Math.cos(turn + side), to[1] - 9 * Math.sin(turn + side));
   ctx.fill();
 }

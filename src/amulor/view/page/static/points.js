@@ -98,7 +98,10 @@ export class PointRenderer {
   constructor() {
     this.canvas = document.createElement("canvas");
     const gl = this.canvas.getContext("webgl2", { antialias: false, preserveDrawingBuffer: true });
-    if (!gl) throw new Error("This browser has no WebGL 2, which draws the points. Allow it, or take a newer browser.");
+    if (!gl)
+      throw new Error(
+        "This browser has no WebGL 2, which draws the points. Allow it, or take a newer browser.",
+      );
     this.gl = gl;
     this.lost = () => {};
     this.canvas.addEventListener("webglcontextlost", (event) => {
@@ -155,8 +158,10 @@ export class PointRenderer {
 
   #plain() {
     const { gl } = this;
-    for (const side of [gl.TEXTURE_WRAP_S, gl.TEXTURE_WRAP_T]) gl.texParameteri(gl.TEXTURE_2D, side, gl.CLAMP_TO_EDGE);
-    for (const scale of [gl.TEXTURE_MIN_FILTER, gl.TEXTURE_MAG_FILTER]) gl.texParameteri(gl.TEXTURE_2D, scale, gl.NEAREST);
+    for (const side of [gl.TEXTURE_WRAP_S, gl.TEXTURE_WRAP_T])
+      gl.texParameteri(gl.TEXTURE_2D, side, gl.CLAMP_TO_EDGE);
+    for (const scale of [gl.TEXTURE_MIN_FILTER, gl.TEXTURE_MAG_FILTER])
+      gl.texParameteri(gl.TEXTURE_2D, scale, gl.NEAREST);
   }
 
   #sized(width, height) {
@@ -169,16 +174,44 @@ export class PointRenderer {
     gl.texImage2D(gl.TEXTURE_2D, 0, gl.RGBA8, width, height, 0, gl.RGBA, gl.UNSIGNED_BYTE, null);
     this.#plain();
     gl.bindTexture(gl.TEXTURE_2D, depth);
-    gl.texImage2D(gl.TEXTURE_2D, 0, gl.DEPTH_COMPONENT24, width, height, 0, gl.DEPTH_COMPONENT, gl.UNSIGNED_INT, null);
+    gl.texImage2D(
+      gl.TEXTURE_2D,
+      0,
+      gl.DEPTH_COMPONENT24,
+      width,
+      height,
+      0,
+      gl.DEPTH_COMPONENT,
+      gl.UNSIGNED_INT,
+      null,
+    );
     this.#plain();
     gl.bindFramebuffer(gl.FRAMEBUFFER, this.frame);
     gl.framebufferTexture2D(gl.FRAMEBUFFER, gl.COLOR_ATTACHMENT0, gl.TEXTURE_2D, picture, 0);
     gl.framebufferTexture2D(gl.FRAMEBUFFER, gl.DEPTH_ATTACHMENT, gl.TEXTURE_2D, depth, 0);
-    if (gl.checkFramebufferStatus(gl.FRAMEBUFFER) !== gl.FRAMEBUFFER_COMPLETE) throw new Error("The graphics unit has no room for a picture of this size.");
+    if (gl.checkFramebufferStatus(gl.FRAMEBUFFER) !== gl.FRAMEBUFFER_COMPLETE)
+      throw new Error("The graphics unit has no room for a picture of this size.");
   }
 
   /** Draw into a canvas; `most` points at most while the view moves. */
-  draw(context, { matrix, planes, shrinks, dot, kind, limits, missing, ground, light, forward, step, reach, most }) {
+  draw(
+    context,
+    {
+      matrix,
+      planes,
+      shrinks,
+      dot,
+      kind,
+      limits,
+      missing,
+      ground,
+      light,
+      forward,
+      step,
+      reach,
+      most,
+    },
+  ) {
     const { gl } = this;
     const { width, height } = context.canvas;
     this.#sized(width, height);

@@ -4,16 +4,65 @@ import { download } from "./picture.js";
 
 /** Options of products: what they are called, and what may be said. Lengths in mm. */
 const OPTIONS = {
-  show: { label: "shows", choices: [["amplitude", "amplitude"], ["height", "height"], ["relief", "relief"], ["uncertainty", "uncertainty"]] },
-  side: { label: "seen from", choices: [["front", "front"], ["top", "above"]] },
+  show: {
+    label: "shows",
+    choices: [
+      ["amplitude", "amplitude"],
+      ["height", "height"],
+      ["relief", "relief"],
+      ["uncertainty", "uncertainty"],
+    ],
+  },
+  side: {
+    label: "seen from",
+    choices: [
+      ["front", "front"],
+      ["top", "above"],
+    ],
+  },
   scale: { label: "scale 1 :", value: 10, least: 0.1, most: 10000 },
   dpi: { label: "dots per inch", value: 300, least: 10, most: 1200 },
-  cell: { label: "cell [mm]", value: "", metres: true, empty: "by itself", least: 0.01, most: 1000 },
-  contours: { label: "contours every [mm]", value: "", metres: true, empty: "none", least: 0.01, most: 10000 },
-  farthest: { label: "largest deviation [mm]", value: "", metres: true, empty: "any", least: 0.001, most: 1e5 },
-  axes: { label: "axes", choices: [["instrument", "instrument: y down"], ["z-up", "z up"], ["pose", "by the pose: east, north, up"]] },
+  cell: {
+    label: "cell [mm]",
+    value: "",
+    metres: true,
+    empty: "by itself",
+    least: 0.01,
+    most: 1000,
+  },
+  contours: {
+    label: "contours every [mm]",
+    value: "",
+    metres: true,
+    empty: "none",
+    least: 0.01,
+    most: 10000,
+  },
+  farthest: {
+    label: "largest deviation [mm]",
+    value: "",
+    metres: true,
+    empty: "any",
+    least: 0.001,
+    most: 1e5,
+  },
+  axes: {
+    label: "axes",
+    choices: [
+      ["instrument", "instrument: y down"],
+      ["z-up", "z up"],
+      ["pose", "by the pose: east, north, up"],
+    ],
+  },
   good_only: { label: "unflagged pixels only", check: true },
-  largest_uncertainty: { label: "largest uncertainty [mm]", value: "", metres: true, empty: "any", least: 1e-6, most: 1e5 },
+  largest_uncertainty: {
+    label: "largest uncertainty [mm]",
+    value: "",
+    metres: true,
+    empty: "any",
+    least: 1e-6,
+    most: 1e5,
+  },
 };
 
 function made(tag, properties = {}, ...children) {
@@ -34,16 +83,27 @@ export class Products {
   async offered() {
     this.offers = await this.page.source.products();
     if (!this.offers.length) return false;
-    this.kind = made("select", { id: "product-kind", ariaLabel: "Product" }, ...this.offers.map(({ product, label }) => new Option(label, product)));
+    this.kind = made(
+      "select",
+      { id: "product-kind", ariaLabel: "Product" },
+      ...this.offers.map(({ product, label }) => new Option(label, product)),
+    );
     this.ending = made("select", { id: "product-ending", ariaLabel: "Format" });
     this.fields = made("div", { className: "fields" });
     this.said = made("p", { className: "hint", id: "product-said" });
     this.said.setAttribute("role", "status");
-    this.make = made("button", { type: "button", className: "tool", id: "product-make", textContent: "Make and keep" });
+    this.make = made("button", {
+      type: "button",
+      className: "tool",
+      id: "product-make",
+      textContent: "Make and keep",
+    });
     const close = made("button", { type: "button", className: "tool", textContent: "Close" });
     this.dialog.replaceChildren(
       made("h2", { textContent: "Products" }),
-      made("p", { textContent: "Made as amulor export makes them, and kept where the browser keeps files." }),
+      made("p", {
+        textContent: "Made as amulor export makes them, and kept where the browser keeps files.",
+      }),
       made("div", { className: "row" }, this.kind, this.ending),
       this.fields,
       this.said,
@@ -67,7 +127,9 @@ export class Products {
 
   #chosen() {
     const { endings, options } = this.#offer();
-    this.ending.replaceChildren(...endings.map((ending) => new Option(ending.slice(1).toUpperCase(), ending)));
+    this.ending.replaceChildren(
+      ...endings.map((ending) => new Option(ending.slice(1).toUpperCase(), ending)),
+    );
     this.inputs = new Map();
     this.fields.replaceChildren(...options.map((name) => this.#field(name)));
     this.#line();
@@ -77,9 +139,23 @@ export class Products {
     const option = OPTIONS[name];
     const id = `product-${name}`;
     let input;
-    if (option.choices) input = made("select", { id }, ...option.choices.map(([value, text]) => new Option(text, value)));
+    if (option.choices)
+      input = made(
+        "select",
+        { id },
+        ...option.choices.map(([value, text]) => new Option(text, value)),
+      );
     else if (option.check) input = made("input", { id, type: "checkbox" });
-    else input = made("input", { id, type: "number", min: option.least, max: option.most, step: "any", value: option.value, placeholder: option.empty ?? "" });
+    else
+      input = made("input", {
+        id,
+        type: "number",
+        min: option.least,
+        max: option.most,
+        step: "any",
+        value: option.value,
+        placeholder: option.empty ?? "",
+      });
     if (name in this.kept) input[option.check ? "checked" : "value"] = this.kept[name];
     input.addEventListener("input", () => {
       this.kept[name] = option.check ? input.checked : input.value;
@@ -101,7 +177,11 @@ export class Products {
   }
 
   #request() {
-    const request = { product: this.kind.value, ending: this.ending.value, channel: this.page.channel() };
+    const request = {
+      product: this.kind.value,
+      ending: this.ending.value,
+      channel: this.page.channel(),
+    };
     for (const [name, input] of this.inputs) {
       const option = OPTIONS[name];
       if (!input.checkValidity()) throw new Error(`${option.label}: ${input.validationMessage}`);

@@ -2,7 +2,10 @@
 
 export function program(gl, { vertex, fragment }) {
   const made = gl.createProgram();
-  for (const [kind, text] of [[gl.VERTEX_SHADER, vertex], [gl.FRAGMENT_SHADER, fragment]]) {
+  for (const [kind, text] of [
+    [gl.VERTEX_SHADER, vertex],
+    [gl.FRAGMENT_SHADER, fragment],
+  ]) {
     const shader = gl.createShader(kind);
     gl.shaderSource(shader, text);
     gl.compileShader(shader);
@@ -11,7 +14,9 @@ export function program(gl, { vertex, fragment }) {
   gl.linkProgram(made);
   if (!gl.getProgramParameter(made, gl.LINK_STATUS)) {
     const logs = gl.getAttachedShaders(made).map((shader) => gl.getShaderInfoLog(shader));
-    throw new Error(`The graphics unit refuses a program: ${[gl.getProgramInfoLog(made), ...logs].join(" ")}`);
+    throw new Error(
+      `The graphics unit refuses a program: ${[gl.getProgramInfoLog(made), ...logs].join(" ")}`,
+    );
   }
   const places = {};
   const count = gl.getProgramParameter(made, gl.ACTIVE_UNIFORMS);

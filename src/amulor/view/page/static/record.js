@@ -16,7 +16,9 @@ export class MeasurementRecord {
   open(name) {
     const { source } = this.#state;
     // A saved page that was written anew is another one.
-    this.#key = ["amulor", location.pathname, name, source.saved ? document.lastModified : ""].join(" ");
+    this.#key = ["amulor", location.pathname, name, source.saved ? document.lastModified : ""].join(
+      " ",
+    );
     let measurements = source.measurements ?? [];
     try {
       measurements = JSON.parse(sessionStorage.getItem(this.#key)) ?? measurements;
@@ -58,22 +60,37 @@ export function table(rows) {
     return /[",\n]/.test(text) ? `"${text.replaceAll('"', '""')}"` : text;
   };
   const names = Object.keys(rows[0] ?? {});
-  return [names, ...rows.map((row) => names.map((name) => row[name]))].map((line) => `${line.map(cell).join(",")}\n`).join("");
+  return [names, ...rows.map((row) => names.map((name) => row[name]))]
+    .map((line) => `${line.map(cell).join(",")}\n`)
+    .join("");
 }
 
 /** Let the buttons below the list act on the record. */
 export function wireRecord(state, { download, hint, stem, text, rows, content }) {
-  const file = (ending, made, type) => download(`${stem()}-measurements.${ending}`, new Blob([made], { type }));
+  const file = (ending, made, type) =>
+    download(`${stem()}-measurements.${ending}`, new Blob([made], { type }));
   const clicks = {
-    copy: () => navigator.clipboard.writeText(text()).then(() => hint("Copied."), () => file("txt", text(), "text/plain")),
+    copy: () =>
+      navigator.clipboard.writeText(text()).then(
+        () => hint("Copied."),
+        () => file("txt", text(), "text/plain"),
+      ),
     "measured-csv": () => file("csv", table(rows()), "text/csv"),
-    "measured-json": () => file("json", `${JSON.stringify(content(), null, 2)}\n`, "application/json"),
+    "measured-json": () =>
+      file("json", `${JSON.stringify(content(), null, 2)}\n`, "application/json"),
     undo: () => state.record.undo(),
     clear: () => state.record.change([]),
   };
-  for (const [id, act] of Object.entries(clicks)) document.getElementById(id).addEventListener("click", act);
+  for (const [id, act] of Object.entries(clicks))
+    document.getElementById(id).addEventListener("click", act);
   document.addEventListener("keydown", (event) => {
-    if (!(event.ctrlKey || event.metaKey) || event.shiftKey || event.key.toLowerCase() !== "z" || event.target instanceof HTMLInputElement) return;
+    if (
+      !(event.ctrlKey || event.metaKey) ||
+      event.shiftKey ||
+      event.key.toLowerCase() !== "z" ||
+      event.target instanceof HTMLInputElement
+    )
+      return;
     event.preventDefault();
     state.record.undo();
   });

@@ -7,8 +7,15 @@ import { CLOUD, MAP } from "./shaders.js";
 export class Renderer {
   constructor() {
     this.canvas = document.createElement("canvas");
-    const gl = this.canvas.getContext("webgl2", { antialias: false, depth: true, preserveDrawingBuffer: true });
-    if (!gl) throw new Error("This browser has no WebGL 2, which draws the maps. Allow it, or take a newer browser.");
+    const gl = this.canvas.getContext("webgl2", {
+      antialias: false,
+      depth: true,
+      preserveDrawingBuffer: true,
+    });
+    if (!gl)
+      throw new Error(
+        "This browser has no WebGL 2, which draws the maps. Allow it, or take a newer browser.",
+      );
     this.gl = gl;
     this.lost = () => {};
     this.canvas.addEventListener("webglcontextlost", (event) => {
@@ -26,7 +33,10 @@ export class Renderer {
   keep(name, width, height, values, parts = 1) {
     const { gl } = this;
     const formats = { 1: [gl.R32F, gl.RED], 2: [gl.RG32F, gl.RG], 4: [gl.RGBA32F, gl.RGBA] };
-    if (Math.max(width, height) > this.longest) throw new Error(`The graphics unit takes ${this.longest} pixels a side, not ${Math.max(width, height)}.`);
+    if (Math.max(width, height) > this.longest)
+      throw new Error(
+        `The graphics unit takes ${this.longest} pixels a side, not ${Math.max(width, height)}.`,
+      );
     let texture = this.textures.get(name);
     if (!texture) {
       texture = gl.createTexture();
@@ -37,7 +47,17 @@ export class Renderer {
     const bytes = values instanceof Uint8Array;
     const [inner, outer] = bytes ? [gl.RGBA8, gl.RGBA] : formats[parts];
     gl.pixelStorei(gl.UNPACK_ALIGNMENT, 1);
-    gl.texImage2D(gl.TEXTURE_2D, 0, inner, width, height, 0, outer, bytes ? gl.UNSIGNED_BYTE : gl.FLOAT, values);
+    gl.texImage2D(
+      gl.TEXTURE_2D,
+      0,
+      inner,
+      width,
+      height,
+      0,
+      outer,
+      bytes ? gl.UNSIGNED_BYTE : gl.FLOAT,
+      values,
+    );
     return texture;
   }
 
@@ -50,8 +70,10 @@ export class Renderer {
 
   #plain() {
     const { gl } = this;
-    for (const side of [gl.TEXTURE_WRAP_S, gl.TEXTURE_WRAP_T]) gl.texParameteri(gl.TEXTURE_2D, side, gl.CLAMP_TO_EDGE);
-    for (const scale of [gl.TEXTURE_MIN_FILTER, gl.TEXTURE_MAG_FILTER]) gl.texParameteri(gl.TEXTURE_2D, scale, gl.NEAREST);
+    for (const side of [gl.TEXTURE_WRAP_S, gl.TEXTURE_WRAP_T])
+      gl.texParameteri(gl.TEXTURE_2D, side, gl.CLAMP_TO_EDGE);
+    for (const scale of [gl.TEXTURE_MIN_FILTER, gl.TEXTURE_MAG_FILTER])
+      gl.texParameteri(gl.TEXTURE_2D, scale, gl.NEAREST);
   }
 
   #use({ made, places }, textures, set) {
@@ -83,7 +105,17 @@ export class Renderer {
   /** Copy what was drawn last to the context of a canvas. */
   #copied(context, width, height) {
     context.setTransform(1, 0, 0, 1, 0, 0);
-    context.drawImage(this.canvas, 0, this.canvas.height - height, width, height, 0, 0, width, height);
+    context.drawImage(
+      this.canvas,
+      0,
+      this.canvas.height - height,
+      width,
+      height,
+      0,
+      0,
+      width,
+      height,
+    );
   }
 
   /** Draw a map. */
@@ -92,7 +124,11 @@ export class Renderer {
     const { width, height } = context.canvas;
     this.#sized(width, height);
     gl.disable(gl.DEPTH_TEST);
-    this.#use(this.map, { ...textures, uLayer: layer, uTable: table }, { ...set, uHeight: ["1f", height] });
+    this.#use(
+      this.map,
+      { ...textures, uLayer: layer, uTable: table },
+      { ...set, uHeight: ["1f", height] },
+    );
     gl.drawArrays(gl.TRIANGLE_STRIP, 0, 4);
     this.#copied(context, width, height);
   }
@@ -106,7 +142,11 @@ export class Renderer {
     gl.clearColor(...(pick ? [0, 0, 0, 0] : [...ground, 1]));
     if (pick) gl.scissor(Math.max(pick.x - 6, 0), Math.max(height - pick.y - 7, 0), 13, 13);
     gl.clear(gl.COLOR_BUFFER_BIT | gl.DEPTH_BUFFER_BIT);
-    this.#use(this.cloud, { ...textures, uLayer: layer, uTable: table }, { ...set, uPick: ["1i", pick ? 1 : 0] });
+    this.#use(
+      this.cloud,
+      { ...textures, uLayer: layer, uTable: table },
+      { ...set, uPick: ["1i", pick ? 1 : 0] },
+    );
     gl.drawArrays(gl.POINTS, 0, points);
     if (!pick) {
       this.#copied(context, width, height);
@@ -126,7 +166,8 @@ export class Renderer {
     for (let j = 0; j < 13; j += 1) {
       for (let i = 0; i < 13; i += 1) {
         const at = 4 * (j * 13 + i);
-        const id = bytes[at] + bytes[at + 1] * 256 + bytes[at + 2] * 65536 + bytes[at + 3] * 16777216;
+        const id =
+          bytes[at] + bytes[at + 1] * 256 + bytes[at + 2] * 65536 + bytes[at + 3] * 16777216;
         const away = (left + i - x) ** 2 + (low + j - (height - y - 1)) ** 2;
         if (id > 0 && away < least) {
           least = away;

@@ -13,7 +13,8 @@ export class Scene {
     this.renderer = renderer;
     this.maps = new Map();
     this.loading = new Map();
-    for (const name of ["viridis", "cividis", "grey", "signed"]) renderer.keep(`table ${name}`, 256, 1, table(name));
+    for (const name of ["viridis", "cividis", "grey", "signed"])
+      renderer.keep(`table ${name}`, 256, 1, table(name));
   }
 
   /** Load what is described; maps come when they are asked for. */
@@ -28,12 +29,22 @@ export class Scene {
     if (before !== [this.channel, this.wide, this.high].join()) this.maps.clear();
     const main = this.byName.has("range") ? "range" : "range_before";
     this.renderer.keep("table flags", 256, 1, flagTable(this.flags, "#2c7f62"));
-    const [nodes] = await Promise.all([this.source.layer(this.channel, "beams", false), this.load(main)]);
+    const [nodes] = await Promise.all([
+      this.source.layer(this.channel, "beams", false),
+      this.load(main),
+    ]);
     this.main = main;
     for (const name of this.maps.keys()) if (!this.byName.has(name)) this.maps.delete(name);
     this.#place(nodes);
     if (this.byName.has("range") && this.byName.has("range_before")) {
-      this.byName.set("shift", { name: "shift", label: "Moved by water", unit: "m", kind: "signed", before: false, derived: true });
+      this.byName.set("shift", {
+        name: "shift",
+        label: "Moved by water",
+        unit: "m",
+        kind: "signed",
+        before: false,
+        derived: true,
+      });
     }
     return this;
   }
@@ -56,12 +67,18 @@ export class Scene {
       const one = this.beams.at(...centre);
       const other = this.beams.at(row, column);
       const far = this.typical || 1;
-      return Math.hypot(...[0, 1, 2].map((k) => other[k] - one[k] + far * (other[3 + k] - one[3 + k])));
+      return Math.hypot(
+        ...[0, 1, 2].map((k) => other[k] - one[k] + far * (other[3 + k] - one[3 + k])),
+      );
     };
-    const finite = sampled(this.maps.get(this.main).values, 4000).filter(Number.isFinite).sort((a, b) => a - b);
+    const finite = sampled(this.maps.get(this.main).values, 4000)
+      .filter(Number.isFinite)
+      .sort((a, b) => a - b);
     this.typical = finite.length ? finite[finite.length >> 1] : 1;
-    const downs = this.rows > 1 ? step(Math.min(centre[0] + this.stride, this.rows - 1), centre[1]) : 0;
-    const across = this.columns > 1 ? step(centre[0], Math.min(centre[1] + this.stride, this.columns - 1)) : 0;
+    const downs =
+      this.rows > 1 ? step(Math.min(centre[0] + this.stride, this.rows - 1), centre[1]) : 0;
+    const across =
+      this.columns > 1 ? step(centre[0], Math.min(centre[1] + this.stride, this.columns - 1)) : 0;
     this.spacing = { row: downs || across || 1e-3, column: across || downs || 1e-3 };
     const aspect = this.spacing.row / this.spacing.column;
     this.aspect = Math.min(Math.max(aspect, 0.05), 20);
@@ -82,7 +99,10 @@ export class Scene {
       values = after.values.map((value, at) => before.values[at] - value);
     } else {
       values = await this.source.layer(this.channel, name, layer.kind === "flags");
-      if (values.length !== this.wide * this.high) throw new Error(`The map ${name} has ${values.length} numbers instead of ${this.wide * this.high}.`);
+      if (values.length !== this.wide * this.high)
+        throw new Error(
+          `The map ${name} has ${values.length} numbers instead of ${this.wide * this.high}.`,
+        );
     }
     const map = { layer, values };
     this.maps.set(name, map);
@@ -108,7 +128,12 @@ export class Scene {
     const steps = this.maps.get(name.replace("range", "steps"))?.values;
     map.smooth = averaged(map.values, this.wide, this.high, steps ? reach : 0, steps);
     this.renderer.keep(`smooth ${name}`, this.wide, this.high, map.smooth);
-    this.renderer.keep(`edges ${name}`, this.wide, this.high, steps ?? new Float32Array(map.values.length));
+    this.renderer.keep(
+      `edges ${name}`,
+      this.wide,
+      this.high,
+      steps ?? new Float32Array(map.values.length),
+    );
   }
 
   /** Take over rows that came in; the maps must have been loaded. */
@@ -145,7 +170,9 @@ export class Scene {
   least(name) {
     const { values, layer } = this.maps.get(name);
     const middle = (all) => {
-      const some = sampled(all, 4000).filter(Number.isFinite).sort((a, b) => a - b);
+      const some = sampled(all, 4000)
+        .filter(Number.isFinite)
+        .sort((a, b) => a - b);
       return some.length ? Math.abs(some[some.length >> 1]) : 0;
     };
     if (layer.kind === "error") return middle(values) / 20 || ROUNDING;
@@ -165,7 +192,9 @@ export class Scene {
   limits(name) {
     const { values, layer } = this.maps.get(name);
     if (layer.kind === "flags") return [0, 255];
-    const some = sampled(values, 60000).filter(Number.isFinite).sort((a, b) => a - b);
+    const some = sampled(values, 60000)
+      .filter(Number.isFinite)
+      .sort((a, b) => a - b);
     if (!some.length) return [0, 1];
     const at = (share) => some[Math.min(some.length - 1, Math.floor(share * some.length))];
     const [low, high] = [at(0.01), at(0.985)];
@@ -186,7 +215,15 @@ export class Scene {
     return {
       layer: `map ${name}`,
       table: `table ${layer.kind === "flags" ? "flags" : MAP_OF[layer.kind]}`,
-      textures: { uRange: `map ${shape}`, uSmooth: `smooth ${shape}`, uSteps: `edges ${shape}`, uBase: "base", uAim: "aim", uRows: "rows", uColumns: "columns" },
+      textures: {
+        uRange: `map ${shape}`,
+        uSmooth: `smooth ${shape}`,
+        uSteps: `edges ${shape}`,
+        uBase: "base",
+        uAim: "aim",
+        uRows: "rows",
+        uColumns: "columns",
+      },
       set: {
         uSize: ["2i", this.wide, this.high],
         uLimits: ["2f", ...limits],
@@ -232,7 +269,10 @@ function averaged(values, wide, high, reach, steps) {
     const sums = new Float64Array(length + 1);
     const counts = new Int32Array(length + 1);
     const starts = new Int32Array(length);
-    const out = { sum: new Float64Array(source.sum.length), count: new Float32Array(source.sum.length) };
+    const out = {
+      sum: new Float64Array(source.sum.length),
+      count: new Float32Array(source.sum.length),
+    };
     for (let line = 0; line < count; line += 1) {
       const at = (k) => line * stride + k * step;
       for (let k = 0; k < length; k += 1) {
@@ -251,8 +291,13 @@ function averaged(values, wide, high, reach, steps) {
     }
     return out;
   };
-  const there = { sum: Float64Array.from(values, (v) => (Number.isFinite(v) ? v : 0)), count: Float32Array.from(values, (v) => (Number.isFinite(v) ? 1 : 0)) };
+  const there = {
+    sum: Float64Array.from(values, (v) => (Number.isFinite(v) ? v : 0)),
+    count: Float32Array.from(values, (v) => (Number.isFinite(v) ? 1 : 0)),
+  };
   const across = along(there, high, wide, 1, wide, 1);
   const both = along(across, wide, high, wide, 1, 2);
-  return Float32Array.from(values, (v, at) => (Number.isFinite(v) ? both.sum[at] / both.count[at] : NaN));
+  return Float32Array.from(values, (v, at) =>
+    Number.isFinite(v) ? both.sum[at] / both.count[at] : NaN,
+  );
 }

@@ -9,7 +9,9 @@ class Served {
     try {
       response = await fetch(address, { cache: "no-store", ...options });
     } catch {
-      throw new Error("The server does not answer. Start amulor view again, and open its new address.");
+      throw new Error(
+        "The server does not answer. Start amulor view again, and open its new address.",
+      );
     }
     if (!response.ok) {
       const said = await response.json().catch(() => ({}));
@@ -54,7 +56,11 @@ class Served {
   async product(request) {
     const answer = await this.#post("product", request);
     const named = /filename\*=UTF-8''([^;]+)/.exec(answer.headers.get("content-disposition") ?? "");
-    return { name: decodeURIComponent(named?.[1] ?? "product"), said: decodeURIComponent(answer.headers.get("amulor-said") ?? ""), blob: await answer.blob() };
+    return {
+      name: decodeURIComponent(named?.[1] ?? "product"),
+      said: decodeURIComponent(answer.headers.get("amulor-said") ?? ""),
+      blob: await answer.blob(),
+    };
   }
 
   #post(address, content) {
@@ -124,9 +130,16 @@ function line(cube, scene, row, column) {
 }
 
 function difference(one, other) {
-  const x = one.amplitude.map((a, k) => a * Math.cos(one.phase[k]) - other.amplitude[k] * Math.cos(other.phase[k]));
-  const y = one.amplitude.map((a, k) => a * Math.sin(one.phase[k]) - other.amplitude[k] * Math.sin(other.phase[k]));
-  return { amplitude: x.map((value, k) => Math.hypot(value, y[k])), phase: x.map((value, k) => Math.atan2(y[k], value)) };
+  const x = one.amplitude.map(
+    (a, k) => a * Math.cos(one.phase[k]) - other.amplitude[k] * Math.cos(other.phase[k]),
+  );
+  const y = one.amplitude.map(
+    (a, k) => a * Math.sin(one.phase[k]) - other.amplitude[k] * Math.sin(other.phase[k]),
+  );
+  return {
+    amplitude: x.map((value, k) => Math.hypot(value, y[k])),
+    phase: x.map((value, k) => Math.atan2(y[k], value)),
+  };
 }
 
 function element(name) {
@@ -166,7 +179,9 @@ export class SpaceSource {
 
   /** Return numbers by name: floats, whole numbers, or bytes. */
   async numbers(name, Kind = Float32Array) {
-    const buffer = this.saved ? (await unpacked(`layer/space/${name}`, Kind.BYTES_PER_ELEMENT)).buffer : await this.#served.bytes("space", name);
+    const buffer = this.saved
+      ? (await unpacked(`layer/space/${name}`, Kind.BYTES_PER_ELEMENT)).buffer
+      : await this.#served.bytes("space", name);
     return new Kind(buffer);
   }
 

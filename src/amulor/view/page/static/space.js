@@ -29,7 +29,22 @@ const TURNS = {
 };
 const UPWARDS = { "-y": [0, -1, 0], y: [0, 1, 0], z: [0, 0, 1] };
 
-const state = { source: new SpaceSource(), scene: null, layerName: "height", limits: [0, 1], tables: {}, flagColour, tool: null, picks: [], measurements: [], chosen: null, number: 0, up: "z", cursor: null, counted: "points" };
+const state = {
+  source: new SpaceSource(),
+  scene: null,
+  layerName: "height",
+  limits: [0, 1],
+  tables: {},
+  flagColour,
+  tool: null,
+  picks: [],
+  measurements: [],
+  chosen: null,
+  number: 0,
+  up: "z",
+  cursor: null,
+  counted: "points",
+};
 const camera = new Camera();
 let renderer;
 let context;
@@ -68,13 +83,20 @@ function turned(place) {
 /** Return a direction of the camera in the axes of the file. */
 function back(direction) {
   const m = TURNS[state.up];
-  return [0, 1, 2].map((column) => m[4 * column] * direction[0] + m[4 * column + 1] * direction[1] + m[4 * column + 2] * direction[2]);
+  return [0, 1, 2].map(
+    (column) =>
+      m[4 * column] * direction[0] +
+      m[4 * column + 1] * direction[1] +
+      m[4 * column + 2] * direction[2],
+  );
 }
 
 function look(canvas) {
   const matrix = multiplied(camera.matrix(canvas.width / canvas.height), TURNS[state.up]);
   const shrinks = !camera.orthographic;
-  const focal = shrinks ? canvas.height / 2 / Math.tan(Camera.ANGLE / 2) : canvas.height / camera.span();
+  const focal = shrinks
+    ? canvas.height / 2 / Math.tan(Camera.ANGLE / 2)
+    : canvas.height / camera.span();
   const size = state.scene.spacing * 1.5 * 1.13 ** Number($("dot").value);
   return { matrix, shrinks, dot: size * focal };
 }
@@ -114,7 +136,13 @@ function draw() {
   $("bar").parentElement.hidden = plain;
   if (!plain) {
     const unit = unitOf(layer);
-    colourBar($("bar"), state.tables[layer.kind], state.limits.map((value) => value * unit.factor), unit.unit, colours);
+    colourBar(
+      $("bar"),
+      state.tables[layer.kind],
+      state.limits.map((value) => value * unit.factor),
+      unit.unit,
+      colours,
+    );
     $("unit").textContent = unit.unit;
   }
   drawHistogram($("histogram"), state, colours);
@@ -130,7 +158,10 @@ function unitOf(layer) {
 
 function marks({ matrix }, canvas, ratio) {
   const spotOf = (pick) => projected(matrix, pick.place, canvas.width, canvas.height);
-  const chains = [...state.measurements.map((kept) => ({ ...kept, strong: kept === state.chosen })), { picks: state.picks, strong: true }];
+  const chains = [
+    ...state.measurements.map((kept) => ({ ...kept, strong: kept === state.chosen })),
+    { picks: state.picks, strong: true },
+  ];
   for (const { picks, strong, number } of chains) {
     const spots = picks.map(spotOf).filter(Boolean);
     const colour = strong ? colours.accent : colours.mark;
@@ -141,7 +172,14 @@ function marks({ matrix }, canvas, ratio) {
       });
     }
     spots.forEach((spot) => dot(context, spot, 4.5 * ratio, colour));
-    if (number && spots[0]) tag(context, String(number), [spots[0][0] + 8 * ratio, spots[0][1] - 8 * ratio], ratio, colours);
+    if (number && spots[0])
+      tag(
+        context,
+        String(number),
+        [spots[0][0] + 8 * ratio, spots[0][1] - 8 * ratio],
+        ratio,
+        colours,
+      );
   }
   const at = state.cursor && spotOf(state.cursor);
   if (at) dot(context, at, 5 * ratio, colours.cursor);
@@ -155,7 +193,12 @@ function cross(canvas, ratio) {
   const [x, y] = [canvas.width / 2, canvas.height / 2];
   halo(context, ratio, colours, () => {
     context.beginPath();
-    for (const [dx, dy] of [[1, 0], [-1, 0], [0, 1], [0, -1]]) {
+    for (const [dx, dy] of [
+      [1, 0],
+      [-1, 0],
+      [0, 1],
+      [0, -1],
+    ]) {
       context.moveTo(x + 4 * ratio * dx, y + 4 * ratio * dy);
       context.lineTo(x + 13 * ratio * dx, y + 13 * ratio * dy);
     }
@@ -171,9 +214,19 @@ function axes(canvas, ratio) {
   context.textBaseline = "middle";
   context.textAlign = "center";
   context.lineWidth = 2 * ratio;
-  [["x", [1, 0, 0], "#D55E00"], ["y", [0, 1, 0], "#009E73"], ["z", [0, 0, 1], "#0072B2"]]
+  [
+    ["x", [1, 0, 0], "#D55E00"],
+    ["y", [0, 1, 0], "#009E73"],
+    ["z", [0, 0, 1], "#0072B2"],
+  ]
     .map(([name, axis, colour]) => [name, colour, turned(axis)])
-    .map(([name, colour, axis]) => ({ name, colour, x: inner(axis, right), y: -inner(axis, up), z: inner(axis, forward) }))
+    .map(([name, colour, axis]) => ({
+      name,
+      colour,
+      x: inner(axis, right),
+      y: -inner(axis, up),
+      z: inner(axis, forward),
+    }))
     .sort((a, b) => b.z - a.z)
     .forEach(({ name, colour, x, y }) => {
       context.strokeStyle = colour;
@@ -211,14 +264,24 @@ function scaleBar(canvas, ratio) {
 
 function home() {
   const { position } = state.scene;
-  const some = sampled(Array.from({ length: position.length / 3 }, (_, i) => i), 6000).map((i) => turned(position.subarray(3 * i, 3 * i + 3))).filter((place) => place.every(Number.isFinite));
+  const some = sampled(
+    Array.from({ length: position.length / 3 }, (_, i) => i),
+    6000,
+  )
+    .map((i) => turned(position.subarray(3 * i, 3 * i + 3)))
+    .filter((place) => place.every(Number.isFinite));
   const ends = [0, 1, 2].map((k) => {
     const sorted = some.map((place) => place[k]).sort((a, b) => a - b);
-    return [sorted[Math.floor(0.01 * sorted.length)], sorted[Math.floor(0.99 * (sorted.length - 1))]];
+    return [
+      sorted[Math.floor(0.01 * sorted.length)],
+      sorted[Math.floor(0.99 * (sorted.length - 1))],
+    ];
   });
   const size = Math.hypot(...ends.map(([low, high]) => high - low)) || 0.1;
   camera.home({ target: ends.map(([low, high]) => (low + high) / 2), size });
-  state.places = some.filter((place) => place.every((part, k) => part >= ends[k][0] && part <= ends[k][1]));
+  state.places = some.filter((place) =>
+    place.every((part, k) => part >= ends[k][0] && part <= ends[k][1]),
+  );
   fit();
 }
 
@@ -240,10 +303,15 @@ function heights() {
 
 function limitsOf({ layer, values }) {
   if (layer.kind === "flags") return [0, 255];
-  const some = sampled(values, 60000).filter(Number.isFinite).sort((a, b) => a - b);
+  const some = sampled(values, 60000)
+    .filter(Number.isFinite)
+    .sort((a, b) => a - b);
   if (!some.length) return [0, 1];
-  const [low, high] = [0.01, 0.985].map((share) => some[Math.min(some.length - 1, Math.floor(share * some.length))]);
-  if (layer.kind === "signed") return [-1, 1].map((sign) => sign * (Math.max(Math.abs(low), Math.abs(high)) || 1e-6));
+  const [low, high] = [0.01, 0.985].map(
+    (share) => some[Math.min(some.length - 1, Math.floor(share * some.length))],
+  );
+  if (layer.kind === "signed")
+    return [-1, 1].map((sign) => sign * (Math.max(Math.abs(low), Math.abs(high)) || 1e-6));
   if (layer.kind === "amplitude") return [0, high || 1];
   const room = (high - low || Math.abs(high) || 1e-3) * 0.03;
   return [low - room, high + room];
@@ -262,7 +330,8 @@ function show(name) {
     $("legend").hidden = !flags;
     if (flags) showLegend(map.values, scene.flags);
   } else $("legend").hidden = true;
-  for (const button of $("colours").children) button.setAttribute("aria-pressed", String(button.dataset.layer === name));
+  for (const button of $("colours").children)
+    button.setAttribute("aria-pressed", String(button.dataset.layer === name));
   redraw();
 }
 
@@ -278,7 +347,10 @@ function bounded(value, bound) {
   const factor = Math.abs(value) < 10 ? 1e3 : 1;
   const error = bound * factor;
   const digits = Math.min(Math.max(0, 1 - Math.floor(Math.log10(error || 1))), 6);
-  return `${(value * factor).toFixed(digits).replace("-", "−")} mm ± at most ${error.toFixed(digits)} mm`.replaceAll("mm", factor === 1 ? "m" : "mm");
+  return `${(value * factor).toFixed(digits).replace("-", "−")} mm ± at most ${error.toFixed(digits)} mm`.replaceAll(
+    "mm",
+    factor === 1 ? "m" : "mm",
+  );
 }
 
 function readout() {
@@ -295,38 +367,57 @@ function readout() {
       if (layer.name === "height") continue;
       const value = numberAt(values, cursor);
       const label = layer.name === "common" ? "shared part" : layer.label.toLowerCase();
-      add(label, layer.unit ? withUnit(value, layer.unit, layer.kind === "error" ? 2 : 4) : short(value, 4));
+      add(
+        label,
+        layer.unit ? withUnit(value, layer.unit, layer.kind === "error" ? 2 : 4) : short(value, 4),
+      );
     }
     const sigmas = ["x", "y", "z"].map((axis) => numberAt(scene.numbers[`sigma_${axis}`], cursor));
-    if (sigmas.every(Number.isFinite)) add("of x, y, z", sigmas.map((part) => short(part * 1e3, 2)).join(", ") + " mm");
+    if (sigmas.every(Number.isFinite))
+      add("of x, y, z", sigmas.map((part) => short(part * 1e3, 2)).join(", ") + " mm");
   }
   if (!cursor) {
-    const words = matchMedia("(pointer: coarse)").matches ? "Tap a point." : "Point at a point, or press Enter for what is in the middle of the view.";
+    const words = matchMedia("(pointer: coarse)").matches
+      ? "Tap a point."
+      : "Point at a point, or press Enter for what is in the middle of the view.";
     showReadout([["none yet", words, "words"]], []);
     return;
   }
-  const flags = cursor && scene.numbers.flags ? scene.flags.filter((flag) => scene.numbers.flags[cursor.corners[0]] & flag.mask) : [];
+  const flags =
+    cursor && scene.numbers.flags
+      ? scene.flags.filter((flag) => scene.numbers.flags[cursor.corners[0]] & flag.mask)
+      : [];
   showReadout(rows, flags);
 }
 
 function choose(kind) {
   state.tool = state.tool === kind ? null : kind;
   state.picks = [];
-  for (const button of $("tools").children) button.setAttribute("aria-pressed", String(button.dataset.kind === state.tool));
-  hint(state.tool ? TOOLS.find((tool) => tool.kind === state.tool).hint : "Choose what to measure, then pick points.");
+  for (const button of $("tools").children)
+    button.setAttribute("aria-pressed", String(button.dataset.kind === state.tool));
+  hint(
+    state.tool
+      ? TOOLS.find((tool) => tool.kind === state.tool).hint
+      : "Choose what to measure, then pick points.",
+  );
   redraw();
 }
 
 function measured(kind, [one, other]) {
   const { scene } = state;
   const up = UPWARDS[state.up];
-  const { value, bound } = kind === "height" ? lengthAlong(scene, one, other, up) : distanceOf(scene, one, other);
+  const { value, bound } =
+    kind === "height" ? lengthAlong(scene, one, other, up) : distanceOf(scene, one, other);
   const rests = [];
   if (kind === "distance") {
     const apart = other.place.map((part, k) => part - one.place[k]);
     const high = apart.reduce((sum, part, k) => sum + part * up[k], 0);
-    const digits = bound > 0 ? Math.min(Math.max(Math.ceil(Math.log10(value / bound)) + 1, 1), 6) : 5;
-    rests.push(`level ${withUnit(Math.sqrt(Math.max(value ** 2 - high ** 2, 0)), "m", digits)}`, `height ${withUnit(high, "m", digits)}`);
+    const digits =
+      bound > 0 ? Math.min(Math.max(Math.ceil(Math.log10(value / bound)) + 1, 1), 6) : 5;
+    rests.push(
+      `level ${withUnit(Math.sqrt(Math.max(value ** 2 - high ** 2, 0)), "m", digits)}`,
+      `height ${withUnit(high, "m", digits)}`,
+    );
   }
   const where = [one, other].map((pick) => `(${places(pick.place).join(", ")})`).join(" to ");
   return { value, bound: Number.isFinite(bound) ? bound : null, rests: rests.join(" · "), where };
@@ -339,7 +430,13 @@ function picked(pick) {
     state.picks.push(pick);
     if (state.picks.length === 2) {
       state.number += 1;
-      const kept = { kind: state.tool, picks: state.picks, found: measured(state.tool, state.picks), number: state.number, file: state.scene.name };
+      const kept = {
+        kind: state.tool,
+        picks: state.picks,
+        found: measured(state.tool, state.picks),
+        number: state.number,
+        file: state.scene.name,
+      };
       state.chosen = kept;
       state.picks = [];
       state.record.change([...state.measurements, kept]);
@@ -350,18 +447,37 @@ function picked(pick) {
 }
 
 function listed() {
-  const said = (kept) => ({ main: bounded(kept.found.value, kept.found.bound ?? NaN), words: [kept.kind, kept.found.rests].filter(Boolean).join(" · ") });
+  const said = (kept) => ({
+    main: bounded(kept.found.value, kept.found.bound ?? NaN),
+    words: [kept.kind, kept.found.rests].filter(Boolean).join(" · "),
+  });
   listMeasurements(state, said, redraw);
 }
 
 function asRows() {
-  return state.measurements.map(({ number, kind, file, found }) => ({ number, kind, value: found.value, standard_uncertainty_at_most: found.bound, unit: "m", file, where_m: found.where }));
+  return state.measurements.map(({ number, kind, file, found }) => ({
+    number,
+    kind,
+    value: found.value,
+    standard_uncertainty_at_most: found.bound,
+    unit: "m",
+    file,
+    where_m: found.where,
+  }));
 }
 
 function asText() {
   const { scene } = state;
-  const lines = [`${scene.title} (${scene.name})`, "± is a bound of one standard uncertainty: the file does not say how errors of two points correlate."];
-  for (const kept of state.measurements) lines.push("", `${kept.number}. ${kept.kind}: ${bounded(kept.found.value, kept.found.bound ?? NaN)}`, `   ${kept.found.where} m`);
+  const lines = [
+    `${scene.title} (${scene.name})`,
+    "± is a bound of one standard uncertainty: the file does not say how errors of two points correlate.",
+  ];
+  for (const kept of state.measurements)
+    lines.push(
+      "",
+      `${kept.number}. ${kept.kind}: ${bounded(kept.found.value, kept.found.bound ?? NaN)}`,
+      `   ${kept.found.where} m`,
+    );
   return `${lines.join("\n")}\n`;
 }
 
@@ -371,10 +487,27 @@ async function picture() {
   const map = state.scene.maps.get(state.layerName);
   const unit = unitOf(map.layer);
   const plain = by === "colour" || map.layer.kind === "flags";
-  const words = [[$("subtitle").textContent], camera.orthographic ? [] : ["In perspective: no scale."], state.measurements.map((kept) => `${kept.number}: ${kept.kind} ${bounded(kept.found.value, kept.found.bound ?? NaN)}`)].flat();
-  const bar = plain ? null : { table: state.tables[map.layer.kind], limits: state.limits.map((value) => value * unit.factor), unit: unit.unit, label: map.layer.label };
+  const words = [
+    [$("subtitle").textContent],
+    camera.orthographic ? [] : ["In perspective: no scale."],
+    state.measurements.map(
+      (kept) =>
+        `${kept.number}: ${kept.kind} ${bounded(kept.found.value, kept.found.bound ?? NaN)}`,
+    ),
+  ].flat();
+  const bar = plain
+    ? null
+    : {
+        table: state.tables[map.layer.kind],
+        limits: state.limits.map((value) => value * unit.factor),
+        unit: unit.unit,
+        label: map.layer.label,
+      };
   draw();
-  download(`${stem()}-view.png`, await png(pictureOf({ view: $("space"), title: state.scene.title, words, bar, colours })));
+  download(
+    `${stem()}-view.png`,
+    await png(pictureOf({ view: $("space"), title: state.scene.title, words, bar, colours })),
+  );
 }
 
 async function saved() {
@@ -385,7 +518,12 @@ async function saved() {
 function seenAt(x, y) {
   const canvas = $("space");
   const { position, faces } = state.scene;
-  return seen({ position, faces, count: position.length / 3 }, look(canvas).matrix, { x, y, width: canvas.width, height: canvas.height }, look(canvas));
+  return seen(
+    { position, faces, count: position.length / 3 },
+    look(canvas).matrix,
+    { x, y, width: canvas.width, height: canvas.height },
+    look(canvas),
+  );
 }
 
 function seenBy(event) {
@@ -410,7 +548,9 @@ const KEYS = {
     camera.above();
     fit();
   },
-  d: () => { colours = themed(document.documentElement.dataset.theme === "dark" ? "light" : "dark"); },
+  d: () => {
+    colours = themed(document.documentElement.dataset.theme === "dark" ? "light" : "dark");
+  },
   s: () => saved().catch(failed),
   p: () => picture().catch(failed),
   "?": () => $("keys").showModal(),
@@ -425,17 +565,24 @@ const KEYS = {
 };
 
 function keyed(event) {
-  if (event.ctrlKey || event.metaKey || event.altKey || $("keys").open || !state.scene) return undefined;
+  if (event.ctrlKey || event.metaKey || event.altKey || $("keys").open || !state.scene)
+    return undefined;
   const into = event.target;
   if (into instanceof HTMLInputElement || into instanceof HTMLSelectElement) return undefined;
   if (event.key.startsWith("Arrow") && into === $("space")) {
     event.preventDefault();
-    const [dx, dy] = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, -1], ArrowDown: [0, 1] }[event.key];
+    const [dx, dy] = {
+      ArrowLeft: [-1, 0],
+      ArrowRight: [1, 0],
+      ArrowUp: [0, -1],
+      ArrowDown: [0, 1],
+    }[event.key];
     if (event.shiftKey) camera.pan(dx * 0.05, dy * 0.05);
     else camera.orbit(dx * 0.08, dy * 0.08);
     return moved();
   }
-  if ((event.key === "Enter" || event.key === " ") && into instanceof HTMLButtonElement) return undefined;
+  if ((event.key === "Enter" || event.key === " ") && into instanceof HTMLButtonElement)
+    return undefined;
   const layer = $("colours").children[Number(event.key) - 1];
   if (layer) return show(layer.dataset.layer);
   const act = KEYS[event.key] ?? KEYS[event.key.toLowerCase()];
@@ -448,11 +595,15 @@ function keyed(event) {
 
 function pointed(canvas) {
   const pointers = new Map();
-  canvas.addEventListener("wheel", (event) => {
-    event.preventDefault();
-    camera.zoom(Math.exp(event.deltaY * 0.0013));
-    moved();
-  }, { passive: false });
+  canvas.addEventListener(
+    "wheel",
+    (event) => {
+      event.preventDefault();
+      camera.zoom(Math.exp(event.deltaY * 0.0013));
+      moved();
+    },
+    { passive: false },
+  );
   canvas.addEventListener("pointerdown", (event) => {
     canvas.setPointerCapture(event.pointerId);
     pointers.set(event.pointerId, { x: event.clientX, y: event.clientY, moved: 0 });
@@ -461,7 +612,8 @@ function pointed(canvas) {
     const pointer = pointers.get(event.pointerId);
     if (!pointer) {
       const { scene } = state;
-      if (!scene || (scene.faces ? scene.faces.length / 3 : scene.position.length / 3) > HOVERED) return;
+      if (!scene || (scene.faces ? scene.faces.length / 3 : scene.position.length / 3) > HOVERED)
+        return;
       const pick = seenBy(event);
       if (pick) {
         state.cursor = pick;
@@ -470,7 +622,11 @@ function pointed(canvas) {
       }
       return;
     }
-    const [dx, dy, tall] = [event.clientX - pointer.x, event.clientY - pointer.y, canvas.clientHeight];
+    const [dx, dy, tall] = [
+      event.clientX - pointer.x,
+      event.clientY - pointer.y,
+      canvas.clientHeight,
+    ];
     pointer.moved += Math.abs(dx) + Math.abs(dy);
     if (pointers.size === 2) {
       const other = [...pointers.entries()].find(([id]) => id !== event.pointerId)[1];
@@ -502,7 +658,14 @@ function pointed(canvas) {
 function wired() {
   pointed($("space"));
   const clicks = {
-    save: KEYS.s, theme: KEYS.d, help: KEYS["?"], ortho: KEYS.o, front: KEYS.f, top: KEYS.t, home: KEYS.r, picture: KEYS.p,
+    save: KEYS.s,
+    theme: KEYS.d,
+    help: KEYS["?"],
+    ortho: KEYS.o,
+    front: KEYS.f,
+    top: KEYS.t,
+    home: KEYS.r,
+    picture: KEYS.p,
   };
   for (const [id, act] of Object.entries(clicks)) {
     $(id).addEventListener("click", () => {
@@ -510,7 +673,18 @@ function wired() {
       redraw();
     });
   }
-  wireRecord(state, { download, hint, stem, text: asText, rows: asRows, content: () => ({ file: state.scene.name, title: state.scene.title, measurements: state.measurements }) });
+  wireRecord(state, {
+    download,
+    hint,
+    stem,
+    text: asText,
+    rows: asRows,
+    content: () => ({
+      file: state.scene.name,
+      title: state.scene.title,
+      measurements: state.measurements,
+    }),
+  });
   for (const id of ["dot", "edges"]) $(id).addEventListener("input", redraw);
   $("up").addEventListener("input", (event) => {
     state.up = event.target.value;
@@ -520,7 +694,11 @@ function wired() {
   });
   $("tools").replaceChildren(
     ...TOOLS.map((tool) => {
-      const button = Object.assign(document.createElement("button"), { type: "button", textContent: tool.name, title: tool.hint });
+      const button = Object.assign(document.createElement("button"), {
+        type: "button",
+        textContent: tool.name,
+        title: tool.hint,
+      });
       button.dataset.kind = tool.kind;
       button.setAttribute("aria-pressed", "false");
       button.addEventListener("click", () => choose(tool.kind));
@@ -538,7 +716,11 @@ async function opened() {
   scene.position = await state.source.numbers("position");
   scene.faces = scene.mesh ? await state.source.numbers("faces", Uint32Array) : null;
   renderer.keep(scene.position, scene.faces);
-  renderer.own(scene.colour ? await state.source.numbers("colour", Uint8Array) : new Uint8Array(scene.position.length));
+  renderer.own(
+    scene.colour
+      ? await state.source.numbers("colour", Uint8Array)
+      : new Uint8Array(scene.position.length),
+  );
   state.scene = scene;
   state.up = scene.up;
   $("up").value = scene.up;
@@ -553,24 +735,45 @@ async function opened() {
   $("title").textContent = scene.title;
   const size = scene.size.map((part) => withUnit(part, "m", 3)).join(" × ");
   const number = (count) => count.toLocaleString("en");
-  const shown = scene.mesh ? `${number(scene.triangles)} triangles, ${number(scene.points)} vertices` : scene.points < scene.total ? `${number(scene.points)} of ${number(scene.total)} points` : `${number(scene.points)} points`;
-  $("subtitle").textContent = [scene.name, shown, size, scene.simulated && "simulated"].filter(Boolean).join(" · ");
+  const shown = scene.mesh
+    ? `${number(scene.triangles)} triangles, ${number(scene.points)} vertices`
+    : scene.points < scene.total
+      ? `${number(scene.points)} of ${number(scene.total)} points`
+      : `${number(scene.points)} points`;
+  $("subtitle").textContent = [scene.name, shown, size, scene.simulated && "simulated"]
+    .filter(Boolean)
+    .join(" · ");
   $("notes-card").hidden = !scene.notes.length;
-  $("notes").replaceChildren(...scene.notes.map((note) => Object.assign(document.createElement("li"), { textContent: note })));
-  const names = [...scene.maps.keys()].filter((name) => scene.maps.get(name).layer.kind !== "hidden");
+  $("notes").replaceChildren(
+    ...scene.notes.map((note) =>
+      Object.assign(document.createElement("li"), { textContent: note }),
+    ),
+  );
+  const names = [...scene.maps.keys()].filter(
+    (name) => scene.maps.get(name).layer.kind !== "hidden",
+  );
   const labels = names.map((name) => [name, scene.maps.get(name).layer.label]);
   if (scene.colour) labels.push(["colour", "Colour"]);
   $("colours").replaceChildren(
     ...labels.map(([name, label], at) => {
-      const button = Object.assign(document.createElement("button"), { type: "button", textContent: label, title: `Key ${at + 1}` });
+      const button = Object.assign(document.createElement("button"), {
+        type: "button",
+        textContent: label,
+        title: `Key ${at + 1}`,
+      });
       button.dataset.layer = name;
       button.addEventListener("click", () => show(name));
       return button;
     }),
   );
-  $("space").setAttribute("aria-label", `${shown} in space, ${size}. Arrow keys turn, Enter picks what is in the middle.`);
+  $("space").setAttribute(
+    "aria-label",
+    `${shown} in space, ${size}. Arrow keys turn, Enter picks what is in the middle.`,
+  );
   home();
-  show(scene.colour ? "colour" : scene.numbers.uncertainty && !scene.mesh ? "uncertainty" : "height");
+  show(
+    scene.colour ? "colour" : scene.numbers.uncertainty && !scene.mesh ? "uncertainty" : "height",
+  );
   readout();
 }
 

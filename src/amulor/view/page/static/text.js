@@ -20,7 +20,12 @@ const VOLTS = [
 /** Return unit and factor in which a size reads well. */
 export function scaled(size, unit) {
   const magnitude = Math.abs(size);
-  if (unit === "m") return magnitude >= 1 ? LENGTHS[0] : magnitude >= 1e-3 || magnitude === 0 ? LENGTHS[1] : LENGTHS[2];
+  if (unit === "m")
+    return magnitude >= 1
+      ? LENGTHS[0]
+      : magnitude >= 1e-3 || magnitude === 0
+        ? LENGTHS[1]
+        : LENGTHS[2];
   if (unit === "m2") return magnitude >= 1 ? AREAS[0] : magnitude >= 1e-3 ? AREAS[1] : AREAS[2];
   if (unit === "V") return VOLTS.find((one) => magnitude * one.factor >= 1) ?? VOLTS[3];
   if (unit === "rad") return { unit: "°", factor: 180 / Math.PI };
@@ -47,7 +52,10 @@ export function withUnit(value, unit, digits = 4) {
 export function withError(value, uncertainty, unit) {
   if (!Number.isFinite(uncertainty) || uncertainty <= 0) return withUnit(value, unit);
   // Lengths of up to ten metres are read in millimetres where their error is one.
-  const one = unit === "m" && Math.abs(value) < 10 && uncertainty < 0.1 ? LENGTHS[1] : scaled(Math.max(Math.abs(value), uncertainty), unit);
+  const one =
+    unit === "m" && Math.abs(value) < 10 && uncertainty < 0.1
+      ? LENGTHS[1]
+      : scaled(Math.max(Math.abs(value), uncertainty), unit);
   const error = uncertainty * one.factor;
   const places = Math.max(0, 1 - Math.floor(Math.log10(error)));
   const number = minus((value * one.factor).toFixed(places));
@@ -69,7 +77,8 @@ export function ticks(low, high, wanted = 5) {
   const step = size * [1, 2, 5, 10].find((one) => one * size >= raw);
   const places = Math.max(0, -Math.floor(Math.log10(step) + 1e-9));
   const values = [];
-  for (let at = Math.ceil(low / step - 1e-9) * step; at <= high + 1e-9 * span; at += step) values.push(at);
+  for (let at = Math.ceil(low / step - 1e-9) * step; at <= high + 1e-9 * span; at += step)
+    values.push(at);
   return { values, places, step };
 }
 
