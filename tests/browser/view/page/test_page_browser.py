@@ -202,7 +202,7 @@ def test_keys_switch_and_themes_work(
         settled(shown)
         # A scale bar in orthographic views only, and as long as it says.
         bar = shown.evaluate(
-            "[amulor.views.cloud.barMetres, amulor.views.cloud.barPixels,"
+            "[amulor.views.cloud.bar.metres, amulor.views.cloud.bar.pixels,"
             "amulor.views.cloud.camera.span() / amulor.views.cloud.canvas.height]"
         )
         assert bar[0] == pytest.approx(bar[1] * bar[2], rel=1e-6)

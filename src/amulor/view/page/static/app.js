@@ -1,31 +1,20 @@
-// The page: what is shown, what is pointed at, and who is told.
+// The page of a scan: what is shown, what is pointed at, and who is told.
 
 import { CloudView } from "./cloud.js";
-import { flagColour, MAP_OF, table } from "./colour.js";
+import { $, made } from "./dom.js";
 import { Live } from "./live.js";
-import { colourBar, fitted, MapView } from "./map.js";
-import { failed, listMeasurements, say, showLegend, showReadout, unsay } from "./panel.js";
-import { download, pictureOf, png, themed as themedColours } from "./picture.js";
+import { fitted, MapView } from "./map.js";
+import { Page } from "./page.js";
+import { failed, say, showLegend, showReadout, unsay } from "./panel.js";
+import { download } from "./picture.js";
 import { along, drawHistogram, drawProfile, drawSpectrum, profileOf } from "./plots.js";
 import { Products } from "./products.js";
-import { MeasurementRecord, wireRecord } from "./record.js";
 import { Renderer } from "./renderer.js";
 import { ROUNDING, sampled, Scene } from "./scene.js";
 import { source } from "./source.js";
 import { scaled, short, withError, withUnit } from "./text.js";
-import {
-  asObject,
-  asRows,
-  asText,
-  captioned,
-  circumstances,
-  measured,
-  toolOf,
-  TOOLS,
-  worded,
-} from "./tools.js";
+import * as tools from "./tools.js";
 
-const $ = (id) => document.getElementById(id);
 const state = {
   source: source(),
   layerName: "range",
@@ -47,22 +36,21 @@ const state = {
   profileLayer: "range",
   spectrum: null,
   contour: 0,
-  look: {},
+  look: { light: [0, 0, 0], relief: 1, contour: 0, raw: false },
   tables: {},
-  flagColour,
 };
+const page = new Page(state, {
+  draw,
+  idle: "Choose what to measure, then pick it in the map or in space.",
+  said,
+  themed,
+  tools: tools.TOOLS,
+});
 const views = {};
-let colours = {};
-let waiting = 0;
-
-/** Draw everything soon, once. */
-function redraw() {
-  if (!waiting) waiting = requestAnimationFrame(draw);
-}
 
 function draw() {
-  waiting = 0;
   const { scene } = state;
+  const { colours } = page;
   if (!scene?.maps.has(state.layerName)) return;
   light();
   for (const view of [views.map, views.cloud]) fitted(view.canvas);
@@ -75,20 +63,10 @@ function draw() {
   }
   const layer = scene.byName.get(state.layerName);
   if (layer.kind !== "flags") {
-    const unit =
-      layer.kind === "range"
-        ? { unit: layer.unit, factor: 1 }
-        : scaled(Math.max(...state.limits.map(Math.abs)), layer.unit);
-    colourBar(
-      $("bar"),
-      state.tables[layer.kind],
-      state.limits.map((value) => value * unit.factor),
-      unit.unit,
-      colours,
-    );
-    $("unit").textContent = scene.nothing(state.layerName)
-      ? `${unit.unit}: 0 within rounding`
-      : unit.unit;
+    const unit = unitOf(layer);
+    page.drawBar(layer, unit);
+    const nothing = scene.nothing(state.layerName);
+    $("unit").textContent = nothing ? `${unit.unit}: 0 within rounding` : unit.unit;
   }
   drawProfile($("profile"), state, colours);
   drawHistogram($("histogram"), state, colours);
@@ -96,12 +74,15 @@ function draw() {
   document.documentElement.dataset.ready = "yes";
 }
 
-function themed(name) {
-  colours = themedColours(name);
-  state.look.ground = colours.ground;
-  state.look.missing = colours.missing;
-  state.live?.draw(colours);
-  redraw();
+/** Return the unit in which the limits of a map read well. */
+function unitOf({ kind, unit }) {
+  if (kind === "range") return { unit, factor: 1 };
+  return scaled(Math.max(...state.limits.map(Math.abs)), unit);
+}
+
+function themed({ ground, missing }) {
+  Object.assign(state.look, { ground, missing });
+  state.live?.draw();
 }
 
 function light() {
@@ -160,37 +141,45 @@ function lightNote() {
   $("light-note").dataset.slope = String(degrees);
 }
 
+/** Return what is shown, for the line below the title. */
+function subtitle(scene) {
+  const strided = scene.stride > 1 ? `, every ${scene.stride}th row and column drawn` : "";
+  const parts = [
+    scene.name,
+    `${scene.rows} × ${scene.columns} pixels${strided}`,
+    scene.simulated ? "simulated" : "measured",
+    `ranges in water of group index ${Number(scene.group_index.toPrecision(5))}`,
+  ];
+  if (scene.frequencies.length) parts.push(frequencies(scene.frequencies));
+  return parts.join(" · ");
+}
+
+function channels(scene) {
+  $("channel-field").hidden = scene.channels.length < 2;
+  const option = (name) => new Option(name, name, name === scene.channel, name === scene.channel);
+  $("channel").replaceChildren(...scene.channels.map(option));
+}
+
+/** Say which of the maps with and without the water signal there are. */
+function switches(scene) {
+  const [without, within] = $("water").querySelectorAll("button");
+  const both = scene.byName.has("range") && scene.byName.has("range_before");
+  within.disabled = !scene.byName.has("range_before");
+  without.disabled = !scene.byName.has("range");
+  if (!both) state.raw = !scene.byName.has("range");
+  without.textContent = scene.water_in ? "Water in" : "Water taken out";
+  within.hidden = scene.water_in;
+  $("water").title = both ? "" : (scene.notes[0] ?? "");
+}
+
 async function opened(channel) {
   say("");
   const scene = state.scene ?? new Scene(state.source, state.renderer);
   await scene.open(channel);
   state.scene = scene;
-  document.title = `${scene.title} · amulor`;
-  $("title").textContent = scene.title;
-  const size = `${scene.rows} × ${scene.columns} pixels`;
-  const strided = scene.stride > 1 ? `, every ${scene.stride}th row and column drawn` : "";
-  $("subtitle").textContent =
-    `${scene.name} · ${size}${strided} · ${scene.simulated ? "simulated" : "measured"} · ranges in water of group index ${Number(scene.group_index.toPrecision(5))}${scene.frequencies.length ? ` · ${frequencies(scene.frequencies)}` : ""}`;
-  $("channel-field").hidden = scene.channels.length < 2;
-  $("channel").replaceChildren(
-    ...scene.channels.map(
-      (name) => new Option(name, name, name === scene.channel, name === scene.channel),
-    ),
-  );
-  const switches = $("water").querySelectorAll("button");
-  const both = scene.byName.has("range") && scene.byName.has("range_before");
-  switches[1].disabled = !scene.byName.has("range_before");
-  switches[0].disabled = !scene.byName.has("range");
-  if (!both) state.raw = !scene.byName.has("range");
-  switches[0].textContent = scene.water_in ? "Water in" : "Water taken out";
-  switches[1].hidden = scene.water_in;
-  $("water").title = both ? "" : (scene.notes[0] ?? "");
-  $("notes-card").hidden = !scene.notes.length;
-  $("notes").replaceChildren(
-    ...scene.notes.map((note) =>
-      Object.assign(document.createElement("li"), { textContent: note }),
-    ),
-  );
+  page.titled(scene, subtitle(scene));
+  channels(scene);
+  switches(scene);
   contours();
   tabs();
   await show(
@@ -211,7 +200,7 @@ async function opened(channel) {
   thumbnails();
   lightNote();
   readout();
-  redraw();
+  page.redraw();
 }
 
 function frequencies(all) {
@@ -243,16 +232,12 @@ function tabs() {
   state.tabs = names;
   $("tabs").replaceChildren(
     ...names.map((name, at) => {
-      const button = document.createElement("button");
-      button.type = "button";
+      const canvas = made("canvas", { ariaHidden: "true" });
+      const { label } = scene.byName.get(name) ?? scene.byName.get(`${name}_before`);
+      const text = made("span", { textContent: label });
+      const button = made("button", { type: "button", title: `Key ${at + 1}` }, canvas, text);
       button.role = "tab";
       button.dataset.layer = name;
-      button.title = `Key ${at + 1}`;
-      const label = document.createElement("span");
-      label.textContent = (scene.byName.get(name) ?? scene.byName.get(`${name}_before`)).label;
-      const canvas = document.createElement("canvas");
-      canvas.setAttribute("aria-hidden", "true");
-      button.append(canvas, label);
       button.addEventListener("click", () => show(name).catch(failed));
       return button;
     }),
@@ -342,16 +327,16 @@ async function show(name) {
   if (Object.keys(state.tables).length) thumbnails();
   lightNote();
   readout();
-  redraw();
+  page.redraw();
 }
 
 let asked = 0;
 
 async function point(pixel) {
-  if (pixel === undefined) return redraw();
+  if (pixel === undefined) return page.redraw();
   state.cursor = pixel ?? state.pinned ?? state.cursor;
   readout();
-  redraw();
+  page.redraw();
   const { scene, cursor } = state;
   if (!scene.spectrum || !cursor) return undefined;
   asked += 1;
@@ -365,7 +350,7 @@ async function point(pixel) {
     if (!state.live) failed(error);
   }
   $("spectrum-title").textContent = state.spectrum?.frequency.length === 1 ? "Phasors" : "Spectrum";
-  return redraw();
+  return page.redraw();
 }
 
 function readout() {
@@ -426,109 +411,62 @@ function signed(value) {
   return value > 0 ? `+${text}` : text;
 }
 
-let hinted = 0;
-
-function hint(text, wrong = false) {
-  hinted += 1;
-  $("hint").textContent = text;
-  $("hint").classList.toggle("wrong", wrong);
-}
-
-function choose(kind) {
-  state.tool = state.tool === kind ? null : kind;
-  state.picks = [];
-  state.region = null;
-  for (const button of $("tools").children)
-    button.setAttribute("aria-pressed", String(button.dataset.kind === state.tool));
-  hint(
-    state.tool
-      ? toolOf(state.tool).hint
-      : "Choose what to measure, then pick it in the map or in space.",
-  );
-  redraw();
-}
-
 async function picked(pixel) {
   state.pinned = pixel;
   point(pixel);
-  const tool = state.tool && toolOf(state.tool);
+  const tool = page.tool();
   if (!tool || tool.region) return;
-  if (state.raw)
-    return hint(
-      "Measuring is on the corrected picture: the water signal is taken out of it.",
-      true,
-    );
-  const first = state.picks[0];
-  const closes =
-    tool.least &&
-    state.picks.length >= tool.least &&
-    first[0] === pixel[0] &&
-    first[1] === pixel[1];
-  if (!closes) state.picks.push(pixel);
-  if (closes || state.picks.length === tool.points) await finish();
-  else
-    hint(
-      tool.points === Infinity
-        ? `${state.picks.length} picked. ${tool.hint}`
-        : `${state.picks.length} of ${tool.points} picked.`,
-    );
-  redraw();
+  if (state.raw) {
+    page.hint("Measuring is on the corrected picture: the water signal is taken out of it.", true);
+    return;
+  }
+  const { picks } = state;
+  const [first] = picks;
+  const again = first?.[0] === pixel[0] && first[1] === pixel[1];
+  const closes = tool.least && picks.length >= tool.least && again;
+  if (!closes) picks.push(pixel);
+  if (closes || picks.length === tool.points) await finish();
+  else if (tool.points === Infinity) page.hint(`${picks.length} picked. ${tool.hint}`);
+  else page.hint(`${picks.length} of ${tool.points} picked.`);
+  page.redraw();
 }
 
 async function finish() {
-  const tool = toolOf(state.tool);
+  const tool = page.tool();
   const { picks, region } = state;
-  if (!region && picks.length < (tool.least ?? tool.points)) return hint(tool.hint, true);
-  const made = circumstances(state);
-  const answer = measured(state, tool, picks, region);
+  if (!region && picks.length < (tool.least ?? tool.points)) {
+    page.hint(tool.hint, true);
+    return;
+  }
+  const around = tools.circumstances(state);
+  const answer = tools.measured(state, tool, picks, region);
   state.picks = [];
   state.region = null;
-  hint("Measuring…");
-  const own = hinted;
-  let said = [tool.hint];
+  page.hint("Measuring…");
+  const before = page.hints;
+  let words = [tool.hint];
   try {
     const found = await answer;
-    state.number += 1;
-    const kept = {
-      kind: tool.kind,
-      picks: region ? [] : picks,
-      region,
-      found,
-      number: state.number,
-      ...made,
-    };
-    state.chosen = kept;
-    state.record.change([...state.measurements, kept]);
+    page.keep({ kind: tool.kind, picks: region ? [] : picks, region, found, ...around });
   } catch (error) {
-    said = [error.message, true];
+    words = [error.message, true];
   }
   // What the user did meanwhile has said something newer.
-  if (own === hinted) hint(...said);
-  redraw();
+  if (before === page.hints) page.hint(...words);
+  page.redraw();
 }
 
-function listed() {
-  const said = (kept) => {
-    const { main, rests } = worded(kept.found);
-    return {
-      main: main[0],
-      doubt: kept.found.doubt,
-      words: [
-        toolOf(kept.kind).name,
-        state.scene.channels.length > 1 && kept.channel,
-        ...main.slice(1),
-        rests,
-      ]
-        .filter(Boolean)
-        .join(" · "),
-    };
-  };
-  listMeasurements(state, said, redraw);
+/** Return a measurement in words, for the list. */
+function said({ kind, channel, found }) {
+  const { main: parts, rests } = tools.worded(found);
+  const name = page.tool(kind).name;
+  const words = [name, state.scene.channels.length > 1 && channel, ...parts.slice(1), rests];
+  return { main: parts[0], doubt: found.doubt, words: words.filter(Boolean).join(" · ") };
 }
 
 /** Drags on the map that are no pan: regions of fits and the line of a section. */
 function dragged(phase, start, event, view) {
-  const tool = state.tool && toolOf(state.tool);
+  const tool = page.tool();
   const line = state.profileKind === "section" && state.drawing;
   if (!(tool?.region || line)) return false;
   const [one, other] = [view.pixel(state.scene, start, true), view.pixel(state.scene, event, true)];
@@ -548,7 +486,7 @@ function dragged(phase, start, event, view) {
       else state.region = null;
     }
   }
-  redraw();
+  page.redraw();
   return true;
 }
 
@@ -557,8 +495,8 @@ function profileAlong(kind) {
   state.drawing = kind === "section";
   for (const button of $("profile-kind").children)
     button.setAttribute("aria-pressed", String(button.dataset.kind === kind));
-  if (state.drawing) hint("Drag a line over the map.");
-  redraw();
+  if (state.drawing) page.hint("Drag a line over the map.");
+  page.redraw();
 }
 
 /** A view as a picture that says what it shows. */
@@ -566,18 +504,7 @@ async function picture(view) {
   const { scene } = state;
   const layer = scene.byName.get(state.layerName);
   const flags = layer.kind === "flags";
-  const unit =
-    layer.kind === "range"
-      ? { unit: layer.unit, factor: 1 }
-      : scaled(Math.max(...state.limits.map(Math.abs)), layer.unit);
-  const bar = flags
-    ? null
-    : {
-        table: state.tables[layer.kind],
-        limits: state.limits.map((value) => value * unit.factor),
-        unit: unit.unit,
-        label: layer.label,
-      };
+  const bar = flags ? null : page.bar(layer, unitOf(layer));
   const words = [
     $("subtitle").textContent,
     `Channel ${scene.channel}, ${state.raw || scene.water_in ? "water in" : "water taken out"}.`,
@@ -587,54 +514,28 @@ async function picture(view) {
   if (flags) words.push([...$("legend").children].map((one) => one.textContent).join("; "));
   else if (($("light").checked && layer.kind === "range") || state.look.contour)
     words.push($("light-note").textContent);
-  words.push(...state.measurements.map(captioned));
+  words.push(...state.measurements.map(tools.captioned));
   // A picture to hand over has no pointer in it.
   const { cursor } = state;
   state.cursor = null;
   draw();
   state.cursor = cursor;
-  const made = pictureOf({ view, title: scene.title, words, bar, colours });
-  redraw();
-  download(`${stem()}-${view.id === "cloud" ? "view" : layer.name}.png`, await png(made));
-}
-
-const stem = () => state.scene.name.replace(/\.\w+$/, "");
-
-async function saved() {
-  try {
-    if (state.source.saved) {
-      hint("This page is a saved one; its measurements go with copy as text.", true);
-      return;
-    }
-    download(`${stem()}.html`, await state.source.page(state.measurements));
-  } catch (error) {
-    failed(error);
-  }
+  const kept = page.picture(view, view.id === "cloud" ? "view" : layer.name, words, bar);
+  page.redraw();
+  await kept;
 }
 
 function csv() {
   const { scene } = state;
-  const pixels = along(scene, {
-    kind: state.profileKind,
-    cursor: state.cursor,
-    section: state.section,
-  });
-  const lines = profileOf(scene, pixels, state.profileLayer).map((one) =>
-    [one.pixel[0], one.pixel[1], one.x, one.value, one.error].join(","),
-  );
+  const { profileKind: kind, cursor, section } = state;
+  const pixels = along(scene, { kind, cursor, section });
   const layer = scene.byName.get(state.profileLayer);
-  download(
-    `${stem()}-profile.csv`,
-    new Blob(
-      [
-        ["row", "column", "along_m", `${layer.name}_${layer.unit}`, "uncertainty_m"].join(","),
-        "\n",
-        lines.join("\n"),
-        "\n",
-      ],
-      { type: "text/csv" },
-    ),
-  );
+  const lines = [["row", "column", "along_m", `${layer.name}_${layer.unit}`, "uncertainty_m"]];
+  for (const { pixel, x, value, error } of profileOf(scene, pixels, layer.name)) {
+    lines.push([...pixel, x, value, error]);
+  }
+  const text = lines.map((line) => `${line.join(",")}\n`).join("");
+  download(`${page.stem()}-profile.csv`, new Blob([text], { type: "text/csv" }));
 }
 
 function narrow() {
@@ -646,13 +547,13 @@ function narrow() {
   const middle = layer.kind === "signed" ? 0 : value;
   state.ownLimits.set(state.layerName.replace("_before", ""), [middle - span, middle + span]);
   state.limits = limitsOf(state.layerName);
-  redraw();
+  page.redraw();
 }
 
 function automatic() {
   state.ownLimits.delete(state.layerName.replace("_before", ""));
   state.limits = limitsOf(state.layerName);
-  redraw();
+  page.redraw();
 }
 
 async function water(raw) {
@@ -674,170 +575,133 @@ const KEYS = {
     views.map.home();
     views.cloud.home(state.scene, shownRaw() ? "range_before" : state.scene.main);
   },
-  o: () => orthographic(),
+  o: () => page.orthographic(views.cloud.camera),
   f: () => views.cloud.front(),
-  d: () => themed(document.documentElement.dataset.theme === "dark" ? "light" : "dark"),
-  s: () => saved(),
+  d: () => page.otherTheme(),
+  s: () => page.save(),
   l: () => profileAlong("section"),
   a: automatic,
   n: narrow,
-  x: () => state.products && state.products.open(),
+  x: () => state.products?.open(),
   p: () => picture($("map")).catch(failed),
   "?": () => $("keys").showModal(),
   "+": () => zoomed(0.8),
   "-": () => zoomed(1.25),
-  Escape: () => choose(null),
-  Enter: () =>
-    state.tool && toolOf(state.tool).least && state.picks.length >= toolOf(state.tool).least
-      ? finish()
-      : state.cursor && picked(state.cursor),
+  Escape: () => page.choose(null),
+  Enter: entered,
 };
+
+/** Close a measurement that has its points, or else pick the pixel pointed at. */
+function entered() {
+  const least = page.tool()?.least;
+  if (least && state.picks.length >= least) finish();
+  else if (state.cursor) picked(state.cursor);
+}
 
 function zoomed(factor) {
   if (document.activeElement === $("cloud")) views.cloud.camera.zoom(factor);
   else views.map.zoom = Math.min(Math.max(views.map.zoom / factor, 1), 200);
 }
 
-function orthographic() {
-  const { camera } = views.cloud;
-  camera.orthographic = !camera.orthographic;
-  $("ortho").setAttribute("aria-pressed", String(camera.orthographic));
+function arrow(into, [dx, dy], { shiftKey }) {
+  if (into === $("cloud")) {
+    views.cloud.camera.orbit(dx * 0.08, dy * 0.08);
+    page.redraw();
+    return true;
+  }
+  if (into !== $("map")) return false;
+  const { scene, cursor } = state;
+  const step = scene.stride * (shiftKey ? 10 : 1);
+  const ends = [scene.rows - 1, scene.columns - 1];
+  const to = [dy, dx].map((by, k) => Math.min(Math.max(cursor[k] + by * step, 0), ends[k]));
+  state.pinned = to;
+  point(to);
+  return true;
 }
 
-function keyed(event) {
-  if (event.ctrlKey || event.metaKey || event.altKey || $("keys").open || $("order").open) return;
-  const into = event.target;
-  if (into instanceof HTMLInputElement || into instanceof HTMLSelectElement) return;
-  const { scene } = state;
-  if (!scene) return;
-  if (event.key.startsWith("Arrow") && (into === $("map") || into === $("cloud"))) {
-    event.preventDefault();
-    const [dx, dy] = {
-      ArrowLeft: [-1, 0],
-      ArrowRight: [1, 0],
-      ArrowUp: [0, -1],
-      ArrowDown: [0, 1],
-    }[event.key];
-    if (into === $("cloud")) {
-      views.cloud.camera.orbit(dx * 0.08, dy * 0.08);
-      return redraw();
-    }
-    const step = scene.stride * (event.shiftKey ? 10 : 1);
-    const [row, column] = state.cursor;
-    const to = [
-      Math.min(Math.max(row + dy * step, 0), scene.rows - 1),
-      Math.min(Math.max(column + dx * step, 0), scene.columns - 1),
-    ];
-    state.pinned = to;
-    return point(to);
-  }
-  if ((event.key === "Enter" || event.key === " ") && into instanceof HTMLButtonElement)
-    return undefined;
-  const at = Number(event.key) - 1;
-  if (state.tabs?.[at]) return show(state.tabs[at]).catch(failed);
-  const act = KEYS[event.key] ?? KEYS[event.key.toLowerCase()];
-  if (act) {
-    act();
-    redraw();
-  }
-  return undefined;
+function numbered(at) {
+  const name = state.tabs?.[at];
+  if (name) show(name).catch(failed);
+  return Boolean(name);
+}
+
+/** Return why a tool is not there: what needs the server in a saved page. */
+function unable({ kind, axis }) {
+  const alone = kind === "distance" || axis;
+  return state.source.saved && !alone ? "Needs the server: open the file by amulor view" : "";
 }
 
 function wired() {
-  const clicks = {
-    save: saved,
-    products: KEYS.x,
-    "map-picture": KEYS.p,
-    "cloud-picture": () => picture($("cloud")).catch(failed),
-    theme: KEYS.d,
-    help: KEYS["?"],
-    auto: automatic,
-    narrow,
-    ortho: KEYS.o,
-    front: KEYS.f,
-    home: KEYS.r,
-    "profile-csv": csv,
-  };
-  for (const [id, act] of Object.entries(clicks)) {
-    $(id).addEventListener("click", () => {
-      act();
-      redraw();
-    });
-  }
-  wireRecord(state, {
-    download,
-    hint,
-    stem,
-    text: () => asText(state),
-    rows: () => asRows(state),
-    content: () => asObject(state),
+  page.wire({
+    clicks: {
+      save: KEYS.s,
+      products: KEYS.x,
+      "map-picture": KEYS.p,
+      "cloud-picture": () => picture($("cloud")).catch(failed),
+      theme: KEYS.d,
+      help: KEYS["?"],
+      auto: automatic,
+      narrow,
+      ortho: KEYS.o,
+      front: KEYS.f,
+      home: KEYS.r,
+      "profile-csv": csv,
+    },
+    keys: KEYS,
+    arrow,
+    numbered,
+    texts: {
+      text: () => tools.asText(state),
+      rows: () => tools.asRows(state),
+      content: () => tools.asObject(state),
+    },
+    unable,
   });
   for (const button of $("water").querySelectorAll("button"))
     button.addEventListener("click", () => water(button.dataset.raw === "yes").catch(failed));
   for (const button of $("profile-kind").children)
     button.addEventListener("click", () => profileAlong(button.dataset.kind));
+  fields();
+  new ResizeObserver(() => {
+    thumbnailsLater();
+    page.redraw();
+  }).observe(document.querySelector("main"));
+}
+
+function fields() {
   for (const id of ["light", "light-turn", "light-rise", "contour", "averaged"])
-    $(id).addEventListener("input", redraw);
+    $(id).addEventListener("input", () => page.redraw());
   $("reach").addEventListener("input", () => {
     for (const name of [state.scene.main, "range_before"])
       state.scene.smooth(name, Number($("reach").value));
     lightNote();
-    redraw();
+    page.redraw();
   });
   $("average").addEventListener("input", (event) => {
     state.average = Number(event.target.value);
   });
+  if (state.source.saved) $("average").closest("label").hidden = true;
   $("channel").addEventListener("input", (event) =>
     opened(event.target.value)
       .then(() => point(state.cursor))
       .catch(failed),
   );
-  $("tools").replaceChildren(
-    ...TOOLS.map((tool) => {
-      const button = Object.assign(document.createElement("button"), {
-        type: "button",
-        textContent: tool.name,
-        title: tool.hint,
-      });
-      button.dataset.kind = tool.kind;
-      button.setAttribute("aria-pressed", "false");
-      const alone = tool.kind === "distance" || tool.axis;
-      if (state.source.saved && !alone) {
-        button.disabled = true;
-        button.title = "Needs the server: open the file by amulor view";
-      }
-      button.addEventListener("click", () => choose(tool.kind));
-      return button;
-    }),
-  );
-  if (state.source.saved) {
-    $("average").closest("label").hidden = true;
-    $("save").hidden = true;
-  }
-  hint("Choose what to measure, then pick it in the map or in space.");
-  document.addEventListener("keydown", keyed);
-  new ResizeObserver(() => {
-    thumbnailsLater();
-    redraw();
-  }).observe(document.querySelector("main"));
 }
 
 let later = 0;
 function thumbnailsLater() {
   clearTimeout(later);
-  later = setTimeout(() => state.scene?.maps.size && (thumbnails(), redraw()), 150);
+  later = setTimeout(() => state.scene?.maps.size && (thumbnails(), page.redraw()), 150);
 }
 
 let reloading = Promise.resolve();
 
 /** What the live part needs of the page. */
-const page = {
+const forLive = {
   state,
   say,
   unsay,
-  redraw,
-  thumbnails: thumbnailsLater,
-  colours: () => colours,
+  colours: () => page.colours,
   /** Load all maps again: they were worked out anew. */
   async reload() {
     const before = state.scene.limits(state.scene.main);
@@ -862,16 +726,14 @@ const page = {
   refresh() {
     state.limits = limitsOf(state.layerName);
     readout();
-    redraw();
+    page.redraw();
   },
 };
 
 async function main() {
   state.renderer = new Renderer();
   state.renderer.lost = () => say("The graphics unit was lost; reload the page.");
-  for (const [kind, name] of Object.entries(MAP_OF)) state.tables[kind] = table(name);
-  state.look = { light: [0, 0, 0], relief: 1, contour: 0, raw: false };
-  themed(matchMedia("(prefers-color-scheme: dark)").matches ? "dark" : "light");
+  page.theme();
   const hover = (pixel) => {
     // A pointer that was moved stays; a double click lets it follow a scan again.
     if (pixel !== undefined) state.follow = pixel === null;
@@ -881,17 +743,13 @@ async function main() {
   views.cloud = new CloudView($("cloud"), {
     hover: (pixel) => pixel && hover(pixel),
     pick: picked,
-    changed: redraw,
+    changed: () => page.redraw(),
   });
   state.views = views;
-  state.record = new MeasurementRecord(state, () => {
-    listed();
-    redraw();
-  });
   wired();
   await opened();
   state.record.open(state.scene.name);
-  if (state.scene.live) state.live = new Live($("scan-card"), page);
+  if (state.scene.live) state.live = new Live($("scan-card"), forLive);
   const products = new Products($("order"), {
     source: state.source,
     channel: () => state.scene.channel,

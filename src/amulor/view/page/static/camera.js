@@ -97,72 +97,49 @@ export class Camera {
     const { forward, right, up } = this.frame();
     const eye = this.eye();
     const dot = (a, b) => a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
-    const view = [
-      right[0],
-      up[0],
-      -forward[0],
-      0,
-      right[1],
-      up[1],
-      -forward[1],
-      0,
-      right[2],
-      up[2],
-      -forward[2],
-      0,
-      -dot(right, eye),
-      -dot(up, eye),
-      dot(forward, eye),
-      1,
-    ];
+    const view = [0, 1, 2].flatMap((k) => [right[k], up[k], -forward[k], 0]);
+    view.push(-dot(right, eye), -dot(up, eye), dot(forward, eye), 1);
     const [near, far] = this.planes();
-    let project;
+    const deep = far - near;
     if (this.orthographic) {
       const half = this.span() / 2;
-      project = [
-        1 / (half * aspect),
-        0,
-        0,
-        0,
-        0,
-        1 / half,
-        0,
-        0,
-        0,
-        0,
-        -2 / (far - near),
-        0,
-        0,
-        0,
-        -(far + near) / (far - near),
-        1,
-      ];
-    } else {
-      const f = 1 / Math.tan(Camera.ANGLE / 2);
-      project = [
-        f / aspect,
-        0,
-        0,
-        0,
-        0,
-        f,
-        0,
-        0,
-        0,
-        0,
-        (far + near) / (near - far),
-        -1,
-        0,
-        0,
-        (2 * far * near) / (near - far),
-        0,
-      ];
+      const depth = [-2 / deep, -(far + near) / deep];
+      return multiplied(projection(1 / (half * aspect), 1 / half, depth, [0, 1]), view);
     }
-    return multiplied(project, view);
+    const focal = 1 / Math.tan(Camera.ANGLE / 2);
+    const depth = [-(far + near) / deep, (-2 * far * near) / deep];
+    return multiplied(projection(focal / aspect, focal, depth, [-1, 0]), view);
   }
 }
 
 Camera.ANGLE = (38 * Math.PI) / 180;
+
+/** Return middle and size of places, all but the outermost, and the places within: a few
+that stand far off make nothing small. */
+export function extent(places) {
+  const ends = [0, 1, 2].map((k) => {
+    const sorted = places.map((place) => place[k]).sort((a, b) => a - b);
+    return [0.01 * sorted.length, 0.99 * (sorted.length - 1)].map((at) => sorted[Math.floor(at)]);
+  });
+  const size = Math.hypot(...ends.map(([low, high]) => high - low)) || 0.1;
+  const within = (part, k) => part >= ends[k][0] && part <= ends[k][1];
+  return {
+    target: ends.map(([low, high]) => (low + high) / 2),
+    size,
+    inside: places.filter((place) => place.every(within)),
+  };
+}
+
+/** Return a matrix that stretches x and y, and makes (a z + b) / (c z + d) of z. */
+function projection(x, y, [a, b], [c, d]) {
+  // prettier-ignore
+  return [
+    x, 0, 0, 0,
+    0, y, 0, 0,
+    0, 0, a, c,
+    0, 0, b, d,
+  ];
+}
 
 /** Return the product of two matrices. */
 export function multiplied(a, b) {

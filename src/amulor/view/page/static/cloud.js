@@ -1,22 +1,39 @@
 // Points in space, seen by a camera that goes around them.
 
-import { Camera, projected } from "./camera.js";
-import { dot, halo, tag } from "./map.js";
-import { ticks, withUnit } from "./text.js";
+import { Camera, extent, projected } from "./camera.js";
+import { ratioOf, spotOn } from "./dom.js";
+import { axes, chains, dot, scaleBar } from "./marks.js";
+import { Motion, turnable } from "./turning.js";
 
 /** Points that a picture still moves with, and at rest. */
 const MOVING = 250000;
 const RESTING = 2000000;
+const AXES = [
+  ["right", [1, 0, 0]],
+  ["down", [0, 1, 0]],
+  ["forward", [0, 0, 1]],
+];
 
+/** Draws the points of a scan and tells what is pointed at. */
 export class CloudView {
   constructor(canvas, { hover, pick, changed }) {
     this.canvas = canvas;
     this.context = canvas.getContext("2d");
     this.camera = new Camera();
-    this.pointers = new Map();
-    this.on = { hover, pick, changed };
-    this.busy = 0;
-    this.#listen();
+    this.motion = new Motion(changed);
+    turnable(canvas, this.camera, {
+      moved: () => this.motion.moved(),
+      hover: (event) => {
+        if (this.state && this.state.scene.wide * this.state.scene.high <= MOVING) {
+          hover(this.seen(event));
+        }
+      },
+      pick: (event) => {
+        const pixel = this.seen(event);
+        if (pixel) pick(pixel);
+      },
+      home: () => this.state && this.home(this.state.scene, shapeOf(this.state)),
+    });
   }
 
   /** Look at a scene as a whole. */
@@ -31,26 +48,17 @@ export class CloudView {
         if (point && Number.isFinite(scene.value(scene.main, ...pixel))) places.push(point);
       }
     }
-    if (!places.length)
-      places.push(
-        ...[
-          [0, 0],
-          [scene.rows - 1, scene.columns - 1],
-        ].map((pixel) => scene.beams.point(...pixel, scene.typical)),
-      );
-    const ends = [0, 1, 2].map((k) => {
-      const sorted = places.map((place) => place[k]).sort((a, b) => a - b);
-      return [
-        sorted[Math.floor(0.01 * sorted.length)],
-        sorted[Math.floor(0.99 * (sorted.length - 1))],
-      ];
-    });
-    const size = Math.hypot(...ends.map(([low, high]) => high - low)) || 0.1;
-    this.camera.home({ target: ends.map(([low, high]) => (low + high) / 2), size });
-    // A few points that stand far off make nothing small.
-    this.places = places.filter((place) =>
-      place.every((part, k) => part >= ends[k][0] && part <= ends[k][1]),
-    );
+    if (!places.length) {
+      for (const pixel of [
+        [0, 0],
+        [scene.rows - 1, scene.columns - 1],
+      ]) {
+        places.push(scene.beams.point(...pixel, scene.typical));
+      }
+    }
+    const { target, size, inside } = extent(places);
+    this.camera.home({ target, size });
+    this.places = inside;
     this.#fitted();
   }
 
@@ -126,7 +134,7 @@ export class CloudView {
   draw(state, colours) {
     const { scene, renderer } = state;
     this.state = state;
-    const stride = this.#stride(scene, this.busy ? MOVING : RESTING);
+    const stride = this.#stride(scene, this.motion.busy ? MOVING : RESTING);
     const parts = this.#parts(state, stride);
     renderer.drawCloud(this.context, parts);
     this.matrix = parts.matrix;
@@ -137,10 +145,7 @@ export class CloudView {
   seen(event) {
     const { state } = this;
     if (!state) return null;
-    const box = this.canvas.getBoundingClientRect();
-    const ratio = this.canvas.width / box.width;
-    const x = Math.round((event.clientX - box.left) * ratio);
-    const y = Math.round((event.clientY - box.top) * ratio);
+    const [x, y] = spotOn(this.canvas, event).map(Math.round);
     const { scene } = state;
     const parts = this.#parts(state, this.#stride(scene, RESTING));
     const id = state.renderer.drawCloud(this.context, { ...parts, pick: { x, y } });
@@ -153,179 +158,19 @@ export class CloudView {
   }
 
   #marks(state, colours) {
-    const { context: ctx, canvas } = this;
-    const { scene } = state;
-    const ratio = canvas.width / Math.max(canvas.clientWidth, 1);
+    const { context: ctx, camera } = this;
+    const ratio = ratioOf(this.canvas);
     const shape = shapeOf(state);
-    const spotOf = (pixel) => this.#spot(scene.point(...pixel, shape));
-    const chains = [
-      ...state.measurements.map((kept) => ({ ...kept, strong: kept === state.chosen })),
-      { kind: state.tool, picks: state.picks, strong: true },
-    ];
-    for (const { kind, picks = [], strong, number } of chains) {
-      const spots = picks.map(spotOf).filter(Boolean);
-      const colour = strong ? colours.accent : colours.mark;
-      if (spots.length > 1 && kind !== "circle") {
-        halo(ctx, 1.5 * ratio, { ...colours, mark: colour }, () => {
-          ctx.beginPath();
-          const all = kind === "area" ? [...spots, spots[0]] : spots;
-          all.forEach(([x, y], k) => (k ? ctx.lineTo(x, y) : ctx.moveTo(x, y)));
-        });
-      }
-      spots.forEach((spot) => dot(ctx, spot, 4.5 * ratio, colour));
-      if (number && spots[0])
-        tag(
-          ctx,
-          String(number),
-          [spots[0][0] + 8 * ratio, spots[0][1] - 8 * ratio],
-          ratio,
-          colours,
-        );
-    }
+    const spotOf = (pixel) => this.#spot(state.scene.point(...pixel, shape));
+    chains(ctx, state, spotOf, ratio, colours);
     const at = state.cursor && spotOf(state.cursor);
     if (at) dot(ctx, at, 5 * ratio, colours.cursor);
-    this.#axes(ctx, ratio, colours);
-    if (this.camera.orthographic) this.#bar(ctx, ratio, colours);
-  }
-
-  #axes(ctx, ratio, colours) {
-    const { right, up, forward } = this.camera.frame();
-    const origin = [62 * ratio, this.canvas.height - 42 * ratio];
-    const names = [
-      ["right", [1, 0, 0], "#D55E00"],
-      ["down", [0, 1, 0], "#009E73"],
-      ["forward", [0, 0, 1], "#0072B2"],
-    ];
-    ctx.save();
-    ctx.font = `${10.5 * ratio}px ${colours.font}`;
-    ctx.textBaseline = "middle";
-    ctx.lineWidth = 2 * ratio;
-    names
-      .map(([name, axis, colour]) => ({
-        name,
-        colour,
-        x: dotted(axis, right),
-        y: -dotted(axis, up),
-        z: dotted(axis, forward),
-      }))
-      .sort((a, b) => b.z - a.z)
-      .forEach(({ name, colour, x, y }) => {
-        const end = [origin[0] + x * 20 * ratio, origin[1] + y * 20 * ratio];
-        ctx.strokeStyle = colour;
-        ctx.beginPath();
-        ctx.moveTo(...origin);
-        ctx.lineTo(...end);
-        ctx.stroke();
-        if (Math.hypot(x, y) < 0.35) return;
-        ctx.fillStyle = colours.soft;
-        ctx.textAlign = x < -0.3 ? "right" : x > 0.3 ? "left" : "center";
-        ctx.fillText(name, origin[0] + x * 25 * ratio, origin[1] + y * 27 * ratio);
-      });
-    ctx.restore();
-  }
-
-  #bar(ctx, ratio, colours) {
-    const perMetre = this.canvas.height / this.camera.span();
-    const { step } = ticks(0, (150 * ratio) / perMetre, 1.2);
-    const length = step * perMetre;
-    const right = this.canvas.width - 18 * ratio;
-    const low = this.canvas.height - 20 * ratio;
-    ctx.save();
-    ctx.strokeStyle = colours.ink;
-    ctx.lineWidth = 2 * ratio;
-    ctx.beginPath();
-    ctx.moveTo(right - length, low - 5 * ratio);
-    ctx.lineTo(right - length, low);
-    ctx.lineTo(right, low);
-    ctx.lineTo(right, low - 5 * ratio);
-    ctx.stroke();
-    ctx.fillStyle = colours.ink;
-    ctx.font = `${12 * ratio}px ${colours.font}`;
-    ctx.textAlign = "center";
-    ctx.fillText(withUnit(step, "m", 2), right - length / 2, low - 8 * ratio);
-    ctx.restore();
-    this.barMetres = step;
-    this.barPixels = length;
-  }
-
-  #listen() {
-    const { canvas } = this;
-    canvas.addEventListener(
-      "wheel",
-      (event) => {
-        event.preventDefault();
-        this.camera.zoom(Math.exp(event.deltaY * 0.0013));
-        this.#turned();
-      },
-      { passive: false },
-    );
-    canvas.addEventListener("pointerdown", (event) => {
-      canvas.setPointerCapture(event.pointerId);
-      this.pointers.set(event.pointerId, { x: event.clientX, y: event.clientY, moved: 0 });
-    });
-    canvas.addEventListener("pointermove", (event) => this.#moved(event));
-    for (const name of ["pointerup", "pointercancel"]) {
-      canvas.addEventListener(name, (event) => {
-        const pointer = this.pointers.get(event.pointerId);
-        this.pointers.delete(event.pointerId);
-        if (pointer && pointer.moved < 6 && name === "pointerup") {
-          const pixel = this.seen(event);
-          if (pixel) this.on.pick(pixel, event);
-        }
-      });
-    }
-    canvas.addEventListener("contextmenu", (event) => event.preventDefault());
-    canvas.addEventListener("dblclick", () => {
-      if (this.state) this.home(this.state.scene, shapeOf(this.state));
-      this.#turned();
-    });
-  }
-
-  #moved(event) {
-    const pointer = this.pointers.get(event.pointerId);
-    if (!pointer) {
-      if (this.state && this.state.scene.wide * this.state.scene.high <= MOVING)
-        this.on.hover(this.seen(event));
-      return;
-    }
-    const dx = event.clientX - pointer.x;
-    const dy = event.clientY - pointer.y;
-    pointer.moved += Math.abs(dx) + Math.abs(dy);
-    const tall = this.canvas.clientHeight;
-    if (this.pointers.size === 2) {
-      const other = [...this.pointers.entries()].find(([id]) => id !== event.pointerId)[1];
-      const before = Math.hypot(pointer.x - other.x, pointer.y - other.y);
-      const after = Math.hypot(event.clientX - other.x, event.clientY - other.y);
-      this.camera.zoom(before / Math.max(after, 1));
-      this.camera.pan(dx / 2 / tall, dy / 2 / tall);
-    } else if (event.shiftKey || event.buttons & 6) {
-      this.camera.pan(dx / tall, dy / tall);
-    } else {
-      this.camera.orbit((dx / tall) * 3.2, (dy / tall) * 3.2);
-    }
-    pointer.x = event.clientX;
-    pointer.y = event.clientY;
-    this.#turned();
-  }
-
-  #turned() {
-    this.busy += 1;
-    const now = this.busy;
-    this.on.changed();
-    setTimeout(() => {
-      if (this.busy === now) {
-        this.busy = 0;
-        this.on.changed();
-      }
-    }, 180);
+    axes(ctx, camera, AXES, ratio, colours);
+    if (camera.orthographic) this.bar = scaleBar(ctx, camera, ratio, colours);
   }
 }
 
 /** Return the map that the points are made of. */
 function shapeOf({ scene, look }) {
   return look.raw && scene.byName.has("range_before") ? "range_before" : scene.main;
-}
-
-function dotted(a, b) {
-  return a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
 }

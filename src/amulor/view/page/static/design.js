@@ -1,14 +1,13 @@
 // The page of a design: sliders, and the map of what the instrument would reach.
 
 import { table } from "./colour.js";
+import { $, made, ratioOf } from "./dom.js";
 import { ErrorMap, hatch, LIMITS, placeIn } from "./error_map.js";
 import { fitted } from "./map.js";
 import { failed, say } from "./panel.js";
 import { download, themed } from "./picture.js";
 import { short } from "./text.js";
 
-const $ = (id) => document.getElementById(id);
-const made = (tag, properties) => Object.assign(document.createElement(tag), properties);
 /** Steps of a slider. */
 const STEPS = 200;
 
@@ -140,7 +139,7 @@ async function update() {
       $("timing").textContent = `${Math.round(drawn - begun)} ms`;
       // The map comes first; whether all is met can wait until the hand rests.
       if (!state.wanted)
-        said(await (await ask("met", { settings: state.settings, water: state.water })).json());
+        goals(await (await ask("met", { settings: state.settings, water: state.water })).json());
     }
   } catch (error) {
     say(error.message ?? String(error));
@@ -160,7 +159,7 @@ function draw() {
 function bar() {
   const canvas = $("bar");
   fitted(canvas);
-  const ratio = canvas.width / Math.max(canvas.clientWidth, 1);
+  const ratio = ratioOf(canvas);
   const ink = canvas.getContext("2d");
   ink.clearRect(0, 0, canvas.width, canvas.height);
   const high = 13 * ratio;
@@ -196,7 +195,7 @@ function legend() {
   $("legend").replaceChildren(...items);
 }
 
-function said(places) {
+function goals(places) {
   $("said").replaceChildren(
     ...places.map((one) =>
       made("li", { textContent: one.text, className: one.met ? "" : "missed" }),

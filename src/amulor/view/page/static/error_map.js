@@ -1,6 +1,7 @@
 // The map of total error: colours, lines at whole millimetres, hatched regions, a mark.
 
 import { segments } from "./contours.js";
+import { ratioOf, spotOn } from "./dom.js";
 import { ticks } from "./text.js";
 
 /** Errors at both ends of the colours [mm]. */
@@ -63,10 +64,8 @@ export class ErrorMap {
 
   /** Return column and row of the grid under a place of the screen, null beside it. */
   place(event, scene) {
-    const box = this.canvas.getBoundingClientRect();
-    const { x0, x1, y0, y1 } = this.frame(1 / (box.width / this.canvas.width));
-    const x = (event.clientX - box.left) * (this.canvas.width / box.width);
-    const y = (event.clientY - box.top) * (this.canvas.height / box.height);
+    const { x0, x1, y0, y1 } = this.frame(this.canvas.width / this.canvas.clientWidth);
+    const [x, y] = spotOn(this.canvas, event);
     if (x < x0 || x > x1 || y < y0 || y > y1) return null;
     const at = (share, count) => Math.round(share * (count - 1));
     return [
@@ -77,7 +76,7 @@ export class ErrorMap {
 
   draw({ scene, found, colours, table, mark }) {
     const ctx = this.context;
-    const ratio = this.canvas.width / Math.max(this.canvas.clientWidth, 1);
+    const ratio = ratioOf(this.canvas);
     const wide = scene.distance.length;
     const high = scene.attenuation.length;
     const { x0, x1, y0, y1 } = this.frame(ratio);

@@ -1,5 +1,7 @@
 // The map of one layer: zoom, pick, lines and regions on it.
 
+import { ratioOf, spotOn } from "./dom.js";
+import { chain, dot, halo, polyline } from "./marks.js";
 import { ticks, withUnit } from "./text.js";
 
 /** Fit a canvas to its place on the screen; returns whether it changed. */
@@ -53,11 +55,10 @@ export class MapView {
 
   /** Return the pixel of the scan at a place on the screen, null beside it. */
   pixel(scene, event, kept = false) {
-    const box = this.canvas.getBoundingClientRect();
+    const [x, y] = spotOn(this.canvas, event);
     const view = this.view(scene);
-    const ratio = this.canvas.width / box.width;
-    let column = Math.floor(view.left + (event.clientX - box.left) * ratio * view.x);
-    let row = Math.floor(view.top + (event.clientY - box.top) * ratio * view.y);
+    let column = Math.floor(view.left + x * view.x);
+    let row = Math.floor(view.top + y * view.y);
     if (kept) {
       column = Math.min(Math.max(column, 0), scene.wide - 1);
       row = Math.min(Math.max(row, 0), scene.high - 1);
@@ -91,70 +92,40 @@ export class MapView {
   #marks(state, colours) {
     const { context: ctx, canvas } = this;
     const { scene } = state;
-    const ratio = canvas.width / Math.max(canvas.clientWidth, 1);
-    ctx.lineWidth = ratio;
+    const ratio = ratioOf(canvas);
     if (state.cursor) {
       const [x, y] = this.spot(scene, state.cursor).map((at) => Math.round(at) + 0.5);
-      halo(
-        ctx,
-        ratio,
-        colours,
-        () => {
-          ctx.beginPath();
-          ctx.moveTo(0, y);
-          ctx.lineTo(x - 7 * ratio, y);
-          ctx.moveTo(x + 7 * ratio, y);
-          ctx.lineTo(canvas.width, y);
-          ctx.moveTo(x, 0);
-          ctx.lineTo(x, y - 7 * ratio);
-          ctx.moveTo(x, y + 7 * ratio);
-          ctx.lineTo(x, canvas.height);
-        },
-        0.55,
-      );
+      halo(ctx, ratio, colours, () => hair(ctx, x, y, 7 * ratio), 0.55);
     }
     if (state.section) {
       const ends = state.section.map((pixel) => this.spot(scene, pixel));
       halo(ctx, 2 * ratio, { ...colours, mark: colours.accent }, () => polyline(ctx, ends));
       ends.forEach((end) => dot(ctx, end, 4 * ratio, colours.accent));
     }
-    for (const kept of state.measurements)
-      this.#shape(scene, kept, colours, ratio, kept === state.chosen);
-    if (state.picks.length || state.region)
-      this.#shape(
-        scene,
-        { kind: state.tool, picks: state.picks, region: state.region },
-        colours,
-        ratio,
-        true,
-      );
+    for (const kept of state.measurements) {
+      this.#shape(scene, { ...kept, strong: kept === state.chosen }, colours, ratio);
+    }
+    const { tool: kind, picks, region } = state;
+    if (picks.length || region) {
+      this.#shape(scene, { kind, picks, region, strong: true }, colours, ratio);
+    }
   }
 
-  #shape(scene, { kind, picks = [], region, number }, colours, ratio, strong) {
-    const { context: ctx } = this;
-    const colour = strong ? colours.accent : colours.mark;
-    if (region) {
-      const [a, b] = [this.spot(scene, region.slice(0, 2)), this.spot(scene, region.slice(2))];
-      halo(ctx, ratio * 1.5, { ...colours, mark: colour }, () => {
-        ctx.beginPath();
-        ctx.rect(
-          Math.min(a[0], b[0]),
-          Math.min(a[1], b[1]),
-          Math.abs(a[0] - b[0]),
-          Math.abs(a[1] - b[1]),
-        );
-      });
-    }
+  #shape(scene, kept, colours, ratio) {
+    const { picks = [], region, strong } = kept;
     const spots = picks.map((pixel) => this.spot(scene, pixel));
-    if (spots.length > 1 && kind !== "circle") {
-      halo(ctx, ratio * 1.5, { ...colours, mark: colour }, () =>
-        polyline(ctx, kind === "area" ? [...spots, spots[0]] : spots),
-      );
+    let corner;
+    if (region) {
+      const [a, b] = [region.slice(0, 2), region.slice(2)].map((end) => this.spot(scene, end));
+      const mark = strong ? colours.accent : colours.mark;
+      const low = [0, 1].map((k) => Math.min(a[k], b[k]));
+      halo(this.context, ratio * 1.5, { ...colours, mark }, () => {
+        this.context.beginPath();
+        this.context.rect(...low, Math.abs(a[0] - b[0]), Math.abs(a[1] - b[1]));
+      });
+      corner = a;
     }
-    spots.forEach((spot) => dot(ctx, spot, 4.5 * ratio, colour));
-    const label = number && (spots[0] ?? (region && this.spot(scene, region.slice(0, 2))));
-    if (label)
-      tag(ctx, String(number), [label[0] + 8 * ratio, label[1] - 8 * ratio], ratio, colours);
+    chain(this.context, spots, kept, ratio, colours, spots[0] ?? corner);
   }
 
   #listen() {
@@ -222,9 +193,7 @@ export class MapView {
 
   #zoomed(factor, event) {
     if (!this.scene) return;
-    const box = this.canvas.getBoundingClientRect();
-    const ratio = this.canvas.width / box.width;
-    const at = [(event.clientX - box.left) * ratio, (event.clientY - box.top) * ratio];
+    const at = spotOn(this.canvas, event);
     const before = this.view(this.scene);
     this.zoom = Math.min(Math.max(this.zoom * factor, 1), 200);
     const after = this.view(this.scene);
@@ -234,54 +203,17 @@ export class MapView {
   }
 }
 
-function polyline(ctx, spots) {
+/** Begin a path of the cross-hair about a place, open in its middle. */
+function hair(ctx, x, y, gap) {
   ctx.beginPath();
-  spots.forEach(([x, y], k) => (k ? ctx.lineTo(x, y) : ctx.moveTo(x, y)));
-}
-
-/** Stroke a path twice, so that it is seen on any colour. */
-export function halo(ctx, width, colours, path, alpha = 0.95) {
-  ctx.save();
-  ctx.globalAlpha = alpha;
-  ctx.lineJoin = "round";
-  path();
-  ctx.lineWidth = width * 3;
-  ctx.strokeStyle = colours.under;
-  ctx.stroke();
-  path();
-  ctx.lineWidth = width;
-  ctx.strokeStyle = colours.mark;
-  ctx.stroke();
-  ctx.restore();
-}
-
-/** Draw a mark on a picked pixel. */
-export function dot(ctx, [x, y], size, colour) {
-  ctx.save();
-  ctx.beginPath();
-  ctx.arc(x, y, size, 0, 7);
-  ctx.fillStyle = "#fff";
-  ctx.fill();
-  ctx.beginPath();
-  ctx.arc(x, y, size * 0.68, 0, 7);
-  ctx.fillStyle = colour;
-  ctx.fill();
-  ctx.restore();
-}
-
-/** Draw a short text on a plate. */
-export function tag(ctx, text, [x, y], ratio, colours) {
-  ctx.save();
-  ctx.font = `600 ${12 * ratio}px ${colours.font}`;
-  const width = ctx.measureText(text).width + 9 * ratio;
-  ctx.fillStyle = colours.plate;
-  ctx.beginPath();
-  ctx.roundRect(x, y - 9 * ratio, width, 18 * ratio, 5 * ratio);
-  ctx.fill();
-  ctx.fillStyle = colours.ink;
-  ctx.textBaseline = "middle";
-  ctx.fillText(text, x + 4.5 * ratio, y + ratio);
-  ctx.restore();
+  ctx.moveTo(0, y);
+  ctx.lineTo(x - gap, y);
+  ctx.moveTo(x + gap, y);
+  ctx.lineTo(ctx.canvas.width, y);
+  ctx.moveTo(x, 0);
+  ctx.lineTo(x, y - gap);
+  ctx.moveTo(x, y + gap);
+  ctx.lineTo(x, ctx.canvas.height);
 }
 
 /** Draw the scale of colours with its ticks. */
@@ -289,7 +221,7 @@ export function colourBar(canvas, gradientStops, [low, high], unit, colours, own
   // A canvas that is nowhere on the screen states the size of its pixels itself.
   if (!own) fitted(canvas);
   const ctx = canvas.getContext("2d");
-  const ratio = own || canvas.width / Math.max(canvas.clientWidth, 1);
+  const ratio = own || ratioOf(canvas);
   const { width, height } = canvas;
   ctx.clearRect(0, 0, width, height);
   const top = 3 * ratio;

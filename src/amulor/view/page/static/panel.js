@@ -1,8 +1,7 @@
 // Parts that the pages have beside their views: messages, numbers of a point, flags, measurements.
 
 import { explained, flagColour } from "./colour.js";
-
-const $ = (id) => document.getElementById(id);
+import { $, made } from "./dom.js";
 
 /** Show a message; an empty one hides it. */
 export function say(text) {
@@ -19,12 +18,6 @@ export function unsay(text) {
 export function failed(error) {
   say(error.message ?? String(error));
   document.documentElement.dataset.failed = "yes";
-}
-
-function made(tag, properties, ...children) {
-  const element = Object.assign(document.createElement(tag), properties);
-  element.append(...children);
-  return element;
 }
 
 function swatch(text, colour) {

@@ -1,10 +1,11 @@
 // A view as a picture that says what it shows: title, colours, and what it rests on.
 
+import { ratioOf } from "./dom.js";
 import { colourBar } from "./map.js";
 
 /** Return a canvas with a view, its title above, its colours and words below. */
 export function pictureOf({ view, title, words, bar, colours }) {
-  const ratio = view.width / Math.max(view.clientWidth, 1);
+  const ratio = ratioOf(view);
   const width = Math.max(view.width, Math.round(420 * ratio));
   const edge = 14 * ratio;
   const canvas = document.createElement("canvas");

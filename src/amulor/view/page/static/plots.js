@@ -1,6 +1,7 @@
 // Line profile, histogram and spectrum, drawn on plain canvases.
 
 import { INK } from "./colour.js";
+import { ratioOf } from "./dom.js";
 import { fitted } from "./map.js";
 import { sampled } from "./scene.js";
 import { scaled, ticks } from "./text.js";
@@ -8,7 +9,7 @@ import { scaled, ticks } from "./text.js";
 function started(canvas) {
   fitted(canvas);
   const ctx = canvas.getContext("2d");
-  const ratio = canvas.width / Math.max(canvas.clientWidth, 1);
+  const ratio = ratioOf(canvas);
   ctx.setTransform(ratio, 0, 0, ratio, 0, 0);
   ctx.clearRect(0, 0, canvas.width, canvas.height);
   return { ctx, width: canvas.width / ratio, height: canvas.height / ratio };
@@ -128,141 +129,126 @@ export function profileOf(scene, pixels, name) {
 /** Draw the profile through the cursor or along the section. */
 export function drawProfile(canvas, state, colours) {
   const view = started(canvas);
-  const { scene } = state;
-  const name = state.profileLayer;
+  const { scene, cursor, section, profileKind: kind, profileLayer: name } = state;
   const layer = scene.byName.get(name);
-  const pixels = along(scene, {
-    kind: state.profileKind,
-    cursor: state.cursor,
-    section: state.section,
-  });
-  if (pixels.length < 2)
+  const pixels = along(scene, { kind, cursor, section });
+  if (pixels.length < 2) {
     return empty(view, "Point at the map to see the profile through a pixel.", colours);
+  }
   const line = profileOf(scene, pixels, name);
   const twin = layer.before ? name.replace("_before", "") : `${name}_before`;
   const other =
     scene.maps.has(twin) && layer.kind !== "flags" ? profileOf(scene, pixels, twin) : null;
   const known = line.filter((one) => Number.isFinite(one.value));
   if (!known.length) return empty(view, "No pixel of this line holds a number.", colours);
-  const sizes = known.map((one) => one.value).sort((a, b) => a - b);
-  const spreads =
-    layer.kind === "range" && !layer.before
-      ? known.map((one) => one.error || 0).sort((a, b) => a - b)
-      : [0];
-  const spread = 2 * spreads[spreads.length >> 1];
-  let [low, high] = [
-    sizes[Math.floor(0.005 * sizes.length)] - spread,
-    sizes[Math.ceil(0.995 * (sizes.length - 1))] + spread,
-  ];
-  if (other) {
-    // Where there is no target, raw ranges are those of the water alone.
-    const both = other.filter((one, k) => Number.isFinite(line[k].value));
-    const beside = both
-      .map((one) => one.value)
-      .filter(Number.isFinite)
-      .sort((a, b) => a - b);
-    if (beside.length) {
-      low = Math.min(low, beside[Math.floor(0.03 * beside.length)]);
-      high = Math.max(high, beside[Math.floor(0.97 * (beside.length - 1))]);
-    }
-  }
-  const missing = scene.least(name) - (high - low) / 2;
-  if (missing > 0) [low, high] = [low - missing, high + missing];
+  const uncertain = layer.kind === "range" && !layer.before;
+  const [low, high] = profileLimits(line, other, uncertain, scene.least(name));
   const room = (high - low) * 0.08;
-  const unit =
-    high - low < 0.02 && layer.kind !== "range"
-      ? scaled(Math.max(Math.abs(low), Math.abs(high)), layer.unit)
-      : layer.unit === "V"
-        ? scaled(high, "V")
-        : { unit: layer.unit, factor: 1 };
-  const f = unit.factor;
+  const unit = profileUnit(layer, low, high);
   const span = line.at(-1).x;
   const across = span < 2 ? { factor: 1e3, unit: "mm" } : { factor: 1, unit: "m" };
   const frame = framed(
     view,
     { low: 0, high: span * across.factor, label: `along the line [${across.unit}]` },
     {
-      low: (low - room) * f,
-      high: (high + room) * f,
+      low: (low - room) * unit.factor,
+      high: (high + room) * unit.factor,
       label: `${layer.label} [${unit.unit || "1"}]`,
     },
     colours,
     24,
   );
   const { ctx } = view;
+  const spot = (x, value) => [frame.toX(x * across.factor), frame.toY(value * unit.factor)];
   ctx.save();
   ctx.clip();
-  const draw = (points, colour, width, dash = []) => {
-    ctx.strokeStyle = colour;
-    ctx.lineWidth = width;
-    ctx.setLineDash(dash);
-    ctx.beginPath();
-    let pen = false;
-    for (const one of points) {
-      if (Number.isFinite(one.value)) {
-        const spot = [frame.toX(one.x * across.factor), frame.toY(one.value * f)];
-        if (pen) ctx.lineTo(...spot);
-        else ctx.moveTo(...spot);
-        pen = true;
-      } else pen = false;
-    }
-    ctx.stroke();
-    ctx.setLineDash([]);
-  };
-  if (layer.kind === "range" && !layer.before) {
-    ctx.fillStyle = colours.band;
-    let part = [];
-    const close = () => {
-      if (part.length > 1) {
-        ctx.beginPath();
-        part.forEach((one, k) =>
-          ctx[k ? "lineTo" : "moveTo"](
-            frame.toX(one.x * across.factor),
-            frame.toY((one.value + one.error) * f),
-          ),
-        );
-        part
-          .reverse()
-          .forEach((one) =>
-            ctx.lineTo(frame.toX(one.x * across.factor), frame.toY((one.value - one.error) * f)),
-          );
-        ctx.fill();
-      }
-      part = [];
-    };
-    for (const one of line) {
-      if (Number.isFinite(one.value) && Number.isFinite(one.error)) part.push({ ...one });
-      else close();
-    }
-    close();
-  }
-  if (other) draw(other, INK.vermilion, 1, [4, 3]);
-  draw(line, colours.accent, 1.6);
-  const here =
-    state.cursor &&
-    line.find((one) => one.pixel[0] === state.cursor[0] && one.pixel[1] === state.cursor[1]);
-  if (here) {
-    const x = frame.toX(here.x * across.factor);
-    ctx.strokeStyle = colours.soft;
-    ctx.lineWidth = 1;
-    ctx.beginPath();
-    ctx.moveTo(x, frame.box.top - 4);
-    ctx.lineTo(x, frame.box.bottom);
-    ctx.stroke();
-  }
+  if (uncertain) band(ctx, line, spot, colours.band);
+  if (other) stroke(ctx, other, spot, INK.vermilion, 1, [4, 3]);
+  stroke(ctx, line, spot, colours.accent, 1.6);
+  const here = cursor && line.find(({ pixel }) => pixel[0] === cursor[0] && pixel[1] === cursor[1]);
+  if (here) upright(ctx, spot(here.x, 0)[0], frame.box, colours.soft);
   ctx.restore();
-  legend(
-    ctx,
-    frame.box,
-    [
-      [layer.before ? "water in" : other ? "water taken out" : layer.label, colours.accent, []],
-      ...(other ? [[layer.before ? "water taken out" : "water in", INK.vermilion, [4, 3]]] : []),
-      ...(layer.kind === "range" && known.some((one) => Number.isFinite(one.error))
-        ? [["± standard uncertainty", colours.band, null]]
-        : []),
-    ],
-    colours,
-  );
+  const names = layer.before ? ["water in", "water taken out"] : ["water taken out", "water in"];
+  const entries = [[other || layer.before ? names[0] : layer.label, colours.accent, []]];
+  if (other) entries.push([names[1], INK.vermilion, [4, 3]]);
+  if (layer.kind === "range" && known.some((one) => Number.isFinite(one.error))) {
+    entries.push(["± standard uncertainty", colours.band, null]);
+  }
+  return legend(ctx, frame.box, entries, colours);
+}
+
+/** Return the lowest and highest value that a profile is drawn between. */
+function profileLimits(line, other, uncertain, least) {
+  const known = line.filter((one) => Number.isFinite(one.value));
+  const sizes = known.map((one) => one.value).sort((a, b) => a - b);
+  const spreads = uncertain ? known.map((one) => one.error || 0).sort((a, b) => a - b) : [0];
+  const spread = 2 * spreads[spreads.length >> 1];
+  let low = sizes[Math.floor(0.005 * sizes.length)] - spread;
+  let high = sizes[Math.ceil(0.995 * (sizes.length - 1))] + spread;
+  // Where there is no target, raw ranges are those of the water alone.
+  const beside = (other ?? [])
+    .filter((one, k) => Number.isFinite(line[k].value) && Number.isFinite(one.value))
+    .map((one) => one.value)
+    .sort((a, b) => a - b);
+  if (beside.length) {
+    low = Math.min(low, beside[Math.floor(0.03 * beside.length)]);
+    high = Math.max(high, beside[Math.floor(0.97 * (beside.length - 1))]);
+  }
+  const missing = Math.max(least - (high - low) / 2, 0);
+  return [low - missing, high + missing];
+}
+
+function profileUnit({ kind, unit }, low, high) {
+  if (high - low < 0.02 && kind !== "range") {
+    return scaled(Math.max(Math.abs(low), Math.abs(high)), unit);
+  }
+  return unit === "V" ? scaled(high, "V") : { unit, factor: 1 };
+}
+
+/** Draw the values of a profile, with gaps where there are none. */
+function stroke(ctx, line, spot, colour, width, dash = []) {
+  ctx.strokeStyle = colour;
+  ctx.lineWidth = width;
+  ctx.setLineDash(dash);
+  ctx.beginPath();
+  let pen = false;
+  for (const { x, value } of line) {
+    const known = Number.isFinite(value);
+    if (known) ctx[pen ? "lineTo" : "moveTo"](...spot(x, value));
+    pen = known;
+  }
+  ctx.stroke();
+  ctx.setLineDash([]);
+}
+
+/** Fill what lies within one standard uncertainty of a profile. */
+function band(ctx, line, spot, colour) {
+  ctx.fillStyle = colour;
+  let part = [];
+  const close = () => {
+    if (part.length > 1) {
+      ctx.beginPath();
+      for (const one of part) ctx.lineTo(...spot(one.x, one.value + one.error));
+      for (const one of part.reverse()) ctx.lineTo(...spot(one.x, one.value - one.error));
+      ctx.fill();
+    }
+    part = [];
+  };
+  for (const one of line) {
+    if (Number.isFinite(one.value) && Number.isFinite(one.error)) part.push(one);
+    else close();
+  }
+  close();
+}
+
+/** Draw a line from top to bottom of a frame. */
+function upright(ctx, x, { top, bottom }, colour) {
+  ctx.strokeStyle = colour;
+  ctx.lineWidth = 1;
+  ctx.beginPath();
+  ctx.moveTo(x, top - 4);
+  ctx.lineTo(x, bottom);
+  ctx.stroke();
 }
 
 function legend(ctx, box, entries, colours) {
@@ -423,31 +409,10 @@ export function drawSpectrum(canvas, state, colours) {
   );
   const { ctx } = view;
   for (const [name, , colour, dash] of parts) {
-    const line = spectrum[name];
-    ctx.strokeStyle = colour;
-    ctx.fillStyle = colour;
-    ctx.lineWidth = 1.5;
-    ctx.setLineDash(dash);
-    ctx.beginPath();
-    line.amplitude.forEach(
-      (value, k) => value > 0 && ctx.lineTo(frame.toX(frequency[k]), frame.toY(toValue(value))),
-    );
-    ctx.stroke();
-    ctx.setLineDash([]);
-    line.amplitude.forEach((value, k) => {
-      if (!(value > 0)) return;
-      const x = frame.toX(frequency[k]);
-      ctx.beginPath();
-      ctx.arc(x, frame.toY(toValue(value)), 2.6, 0, 7);
-      ctx.fill();
-      const error = line.uncertainty?.[k];
-      if (error) {
-        ctx.beginPath();
-        ctx.moveTo(x, frame.toY(toValue(value + error)));
-        ctx.lineTo(x, frame.toY(toValue(Math.max(value - error, value * 1e-3))));
-        ctx.stroke();
-      }
-    });
+    const spots = frequency.map((at) => frame.toX(at));
+    const toY = (value) => frame.toY(toValue(value));
+    ctx.strokeStyle = ctx.fillStyle = colour;
+    drawLine(ctx, spectrum[name], spots, toY, dash);
   }
   legend(
     ctx,
@@ -457,74 +422,94 @@ export function drawSpectrum(canvas, state, colours) {
   );
 }
 
+/** Draw amplitudes over frequencies: a line, dots, and their uncertainties. */
+function drawLine(ctx, { amplitude, uncertainty }, spots, toY, dash) {
+  ctx.lineWidth = 1.5;
+  ctx.setLineDash(dash);
+  ctx.beginPath();
+  amplitude.forEach((value, k) => value > 0 && ctx.lineTo(spots[k], toY(value)));
+  ctx.stroke();
+  ctx.setLineDash([]);
+  amplitude.forEach((value, k) => {
+    if (!(value > 0)) return;
+    ctx.beginPath();
+    ctx.arc(spots[k], toY(value), 2.6, 0, 7);
+    ctx.fill();
+    const error = uncertainty?.[k];
+    if (!error) return;
+    ctx.beginPath();
+    ctx.moveTo(spots[k], toY(value + error));
+    ctx.lineTo(spots[k], toY(Math.max(value - error, value * 1e-3)));
+    ctx.stroke();
+  });
+}
+
 function drawPhasors({ ctx, width, height }, spectrum, parts, colours) {
   const largest = Math.max(...parts.map(([name]) => spectrum[name].amplitude[0] || 0));
   if (!(largest > 0)) return empty({ ctx, width, height }, "This pixel was not measured.", colours);
   const size = Math.min(width - 122, height - 12) / 2;
-  const centre = [4 + size, height / 2];
+  const [x0, y0] = [4 + size, height / 2];
   const scale = (size * 0.92) / largest;
   const spot = (name) => {
-    const { amplitude, phase } = spectrum[name];
-    return [
-      centre[0] + scale * amplitude[0] * Math.cos(phase[0]),
-      centre[1] - scale * amplitude[0] * Math.sin(phase[0]),
-    ];
+    const [amplitude, phase] = [spectrum[name].amplitude[0], spectrum[name].phase[0]];
+    return [x0 + scale * amplitude * Math.cos(phase), y0 - scale * amplitude * Math.sin(phase)];
   };
-  ctx.strokeStyle = colours.line;
-  ctx.lineWidth = 1;
-  for (const share of [0.5, 1]) {
-    ctx.beginPath();
-    ctx.arc(...centre, size * 0.92 * share, 0, 7);
-    ctx.stroke();
-  }
-  ctx.beginPath();
-  ctx.moveTo(centre[0] - size, centre[1]);
-  ctx.lineTo(centre[0] + size, centre[1]);
-  ctx.moveTo(centre[0], centre[1] - size);
-  ctx.lineTo(centre[0], centre[1] + size);
-  ctx.stroke();
-  const unit = scaled(largest, "V");
+  rings(ctx, x0, y0, size, colours.line);
   ctx.font = `11.5px ${colours.font}`;
   ctx.textAlign = "left";
   ctx.textBaseline = "middle";
+  const left = x0 + size + 10;
   parts.forEach(([name, text, colour, dash], k) => {
     const { amplitude, phase, uncertainty } = spectrum[name];
-    const from = name === "after" && spectrum.water ? spot("water") : centre;
-    const to = name === "after" && spectrum.water ? spot("before") : spot(name);
-    arrow(ctx, from, to, colour, dash);
-    if (uncertainty) {
-      ctx.globalAlpha = 0.25;
-      ctx.fillStyle = colour;
-      ctx.beginPath();
-      ctx.arc(...to, Math.max(scale * uncertainty[0], 1), 0, 7);
-      ctx.fill();
-      ctx.globalAlpha = 1;
-    }
+    const added = name === "after" && spectrum.water;
+    const to = spot(added ? "before" : name);
+    arrow(ctx, added ? spot("water") : [x0, y0], to, colour, dash);
+    if (uncertainty) disc(ctx, to, Math.max(scale * uncertainty[0], 1), colour);
     const y = 22 + k * 40;
-    const x = centre[0] + size + 10;
     ctx.strokeStyle = colour;
     ctx.setLineDash(dash);
     ctx.lineWidth = 2;
     ctx.beginPath();
-    ctx.moveTo(x, y);
-    ctx.lineTo(x + 18, y);
+    ctx.moveTo(left, y);
+    ctx.lineTo(left + 18, y);
     ctx.stroke();
     ctx.setLineDash([]);
     ctx.fillStyle = colours.ink;
-    ctx.fillText(text, x + 24, y);
+    ctx.fillText(text, left + 24, y);
     ctx.fillStyle = colours.soft;
-    ctx.fillText(
-      `${(amplitude[0] * unit.factor).toPrecision(3)} ${unit.unit}, ${((phase[0] * 180) / Math.PI).toFixed(1).replace("-", "−")}°`,
-      x,
-      y + 17,
-    );
+    const { unit, factor } = scaled(largest, "V");
+    const turn = ((phase[0] * 180) / Math.PI).toFixed(1).replace("-", "−");
+    ctx.fillText(`${(amplitude[0] * factor).toPrecision(3)} ${unit}, ${turn}°`, left, y + 17);
   });
   ctx.fillStyle = colours.soft;
-  ctx.fillText(
-    `${(spectrum.frequency[0] / 1e6).toFixed(2)} MHz`,
-    centre[0] + size + 10,
-    height - 14,
-  );
+  return ctx.fillText(`${(spectrum.frequency[0] / 1e6).toFixed(2)} MHz`, left, height - 14);
+}
+
+/** Draw the axes of phasors, and circles at half and all of the largest. */
+function rings(ctx, x, y, size, colour) {
+  ctx.strokeStyle = colour;
+  ctx.lineWidth = 1;
+  for (const share of [0.5, 1]) {
+    ctx.beginPath();
+    ctx.arc(x, y, size * 0.92 * share, 0, 7);
+    ctx.stroke();
+  }
+  ctx.beginPath();
+  ctx.moveTo(x - size, y);
+  ctx.lineTo(x + size, y);
+  ctx.moveTo(x, y - size);
+  ctx.lineTo(x, y + size);
+  ctx.stroke();
+}
+
+/** Fill a circle faintly. */
+function disc(ctx, [x, y], radius, colour) {
+  ctx.globalAlpha = 0.25;
+  ctx.fillStyle = colour;
+  ctx.beginPath();
+  ctx.arc(x, y, radius, 0, 7);
+  ctx.fill();
+  ctx.globalAlpha = 1;
 }
 
 function arrow(ctx, from, to, colour, dash) {

@@ -1,5 +1,6 @@
 // What is made of the scan and handed over: chosen here, made by the server, kept here.
 
+import { made } from "./dom.js";
 import { download } from "./picture.js";
 
 /** Options of products: what they are called, and what may be said. Lengths in mm. */
@@ -64,12 +65,6 @@ const OPTIONS = {
     most: 1e5,
   },
 };
-
-function made(tag, properties = {}, ...children) {
-  const element = Object.assign(document.createElement(tag), properties);
-  element.append(...children);
-  return element;
-}
 
 /** The dialog in which products are ordered. */
 export class Products {

@@ -1,5 +1,7 @@
 // The record of measurements: kept over a reload, undone, and written as files.
 
+import { $ } from "./dom.js";
+
 /** Keeps the measurements of a page; every change can be undone. */
 export class MeasurementRecord {
   #state;
@@ -81,8 +83,7 @@ export function wireRecord(state, { download, hint, stem, text, rows, content })
     undo: () => state.record.undo(),
     clear: () => state.record.change([]),
   };
-  for (const [id, act] of Object.entries(clicks))
-    document.getElementById(id).addEventListener("click", act);
+  for (const [id, act] of Object.entries(clicks)) $(id).addEventListener("click", act);
   document.addEventListener("keydown", (event) => {
     if (
       !(event.ctrlKey || event.metaKey) ||

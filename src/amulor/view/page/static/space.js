@@ -1,19 +1,20 @@
 // The page of a point cloud or a mesh: colours, picks, lengths with what is known of them.
 
-import { Camera, multiplied, projected } from "./camera.js";
-import { flagColour, flagRanks, flagTable, MAP_OF, table } from "./colour.js";
-import { colourBar, dot, fitted, halo, tag } from "./map.js";
+import { Camera, extent, multiplied, projected } from "./camera.js";
+import { flagRanks, flagTable } from "./colour.js";
+import { $, made, ratioOf, spotOn } from "./dom.js";
+import { fitted } from "./map.js";
+import { axes, chains, dot, halo, scaleBar } from "./marks.js";
+import { Page } from "./page.js";
+import { failed, say, showLegend, showReadout } from "./panel.js";
 import { distanceOf, lengthAlong, numberAt, seen } from "./picking.js";
-import { failed, listMeasurements, say, showLegend, showReadout } from "./panel.js";
-import { download, pictureOf, png, themed } from "./picture.js";
 import { drawHistogram } from "./plots.js";
 import { PointRenderer } from "./points.js";
-import { MeasurementRecord, wireRecord } from "./record.js";
 import { sampled } from "./scene.js";
 import { SpaceSource } from "./source.js";
-import { short, ticks, withUnit } from "./text.js";
+import { short, withUnit } from "./text.js";
+import { Motion, turnable } from "./turning.js";
 
-const $ = (id) => document.getElementById(id);
 /** Points that a moving view draws, and that a pointer is compared with while it moves. */
 const MOVING = 400000;
 const HOVERED = 250000;
@@ -27,6 +28,7 @@ const TURNS = {
   y: [1, 0, 0, 0, 0, -1, 0, 0, 0, 0, -1, 0, 0, 0, 0, 1],
   z: [1, 0, 0, 0, 0, 0, 1, 0, 0, -1, 0, 0, 0, 0, 0, 1],
 };
+const AXES = { x: [1, 0, 0], y: [0, 1, 0], z: [0, 0, 1] };
 const UPWARDS = { "-y": [0, -1, 0], y: [0, 1, 0], z: [0, 0, 1] };
 
 const state = {
@@ -35,7 +37,6 @@ const state = {
   layerName: "height",
   limits: [0, 1],
   tables: {},
-  flagColour,
   tool: null,
   picks: [],
   measurements: [],
@@ -46,33 +47,16 @@ const state = {
   counted: "points",
 };
 const camera = new Camera();
+const page = new Page(state, {
+  draw,
+  idle: "Choose what to measure, then pick points.",
+  said,
+  tools: TOOLS,
+});
+const motion = new Motion(() => page.redraw());
 let renderer;
 let context;
-let colours = {};
-let waiting = 0;
-let busy = 0;
 let by = null;
-
-function hint(text, wrong = false) {
-  $("hint").textContent = text;
-  $("hint").classList.toggle("wrong", wrong);
-}
-
-function redraw() {
-  if (!waiting) waiting = requestAnimationFrame(draw);
-}
-
-function moved() {
-  busy += 1;
-  const now = busy;
-  redraw();
-  setTimeout(() => {
-    if (busy === now) {
-      busy = 0;
-      redraw();
-    }
-  }, 180);
-}
 
 /** Return a place of the file as the camera sees it. */
 function turned(place) {
@@ -102,12 +86,11 @@ function look(canvas) {
 }
 
 function draw() {
-  waiting = 0;
   const { scene } = state;
   if (!scene) return;
   const canvas = $("space");
   fitted(canvas);
-  const ratio = canvas.width / Math.max(canvas.clientWidth, 1);
+  const ratio = ratioOf(canvas);
   const now = look(canvas);
   const { forward, right, up } = camera.frame();
   const light = [0, 1, 2].map((k) => -0.75 * forward[k] - 0.45 * right[k] + 0.5 * up[k]);
@@ -118,13 +101,13 @@ function draw() {
       planes: camera.planes(),
       kind: by === "colour" ? 2 : scene.maps.get(state.layerName).layer.kind === "flags" ? 1 : 0,
       limits: state.limits,
-      missing: colours.missing,
-      ground: colours.ground,
+      missing: page.colours.missing,
+      ground: page.colours.ground,
       light: back(light.map((part) => part / length)),
       forward: back(forward),
       step: $("edges").checked ? camera.start.size * 0.02 : 0,
       reach: ratio * 1.4,
-      most: busy ? MOVING : Infinity,
+      most: motion.busy ? MOVING : Infinity,
     });
   } catch (error) {
     failed(error);
@@ -136,16 +119,10 @@ function draw() {
   $("bar").parentElement.hidden = plain;
   if (!plain) {
     const unit = unitOf(layer);
-    colourBar(
-      $("bar"),
-      state.tables[layer.kind],
-      state.limits.map((value) => value * unit.factor),
-      unit.unit,
-      colours,
-    );
+    page.drawBar(layer, unit);
     $("unit").textContent = unit.unit;
   }
-  drawHistogram($("histogram"), state, colours);
+  drawHistogram($("histogram"), state, page.colours);
   canvas.dataset.layer = by;
   document.documentElement.dataset.ready = "yes";
 }
@@ -157,41 +134,26 @@ function unitOf(layer) {
 }
 
 function marks({ matrix }, canvas, ratio) {
+  const { colours } = page;
   const spotOf = (pick) => projected(matrix, pick.place, canvas.width, canvas.height);
-  const chains = [
-    ...state.measurements.map((kept) => ({ ...kept, strong: kept === state.chosen })),
-    { picks: state.picks, strong: true },
-  ];
-  for (const { picks, strong, number } of chains) {
-    const spots = picks.map(spotOf).filter(Boolean);
-    const colour = strong ? colours.accent : colours.mark;
-    if (spots.length > 1) {
-      halo(context, 1.5 * ratio, { ...colours, mark: colour }, () => {
-        context.beginPath();
-        spots.forEach(([x, y], k) => (k ? context.lineTo(x, y) : context.moveTo(x, y)));
-      });
-    }
-    spots.forEach((spot) => dot(context, spot, 4.5 * ratio, colour));
-    if (number && spots[0])
-      tag(
-        context,
-        String(number),
-        [spots[0][0] + 8 * ratio, spots[0][1] - 8 * ratio],
-        ratio,
-        colours,
-      );
-  }
+  chains(context, state, spotOf, ratio, colours);
   const at = state.cursor && spotOf(state.cursor);
   if (at) dot(context, at, 5 * ratio, colours.cursor);
   if (document.activeElement === canvas && canvas.matches(":focus-visible")) cross(canvas, ratio);
-  axes(canvas, ratio);
-  if (camera.orthographic) scaleBar(canvas, ratio);
+  axes(
+    context,
+    camera,
+    Object.entries(AXES).map(([name, axis]) => [name, turned(axis)]),
+    ratio,
+    colours,
+  );
+  if (camera.orthographic) state.bar = scaleBar(context, camera, ratio, colours);
 }
 
 /** The middle, where Enter picks. */
 function cross(canvas, ratio) {
   const [x, y] = [canvas.width / 2, canvas.height / 2];
-  halo(context, ratio, colours, () => {
+  halo(context, ratio, page.colours, () => {
     context.beginPath();
     for (const [dx, dy] of [
       [1, 0],
@@ -205,63 +167,6 @@ function cross(canvas, ratio) {
   });
 }
 
-function axes(canvas, ratio) {
-  const { right, up, forward } = camera.frame();
-  const origin = [46 * ratio, canvas.height - 42 * ratio];
-  const inner = (a, b) => a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
-  context.save();
-  context.font = `${11 * ratio}px ${colours.font}`;
-  context.textBaseline = "middle";
-  context.textAlign = "center";
-  context.lineWidth = 2 * ratio;
-  [
-    ["x", [1, 0, 0], "#D55E00"],
-    ["y", [0, 1, 0], "#009E73"],
-    ["z", [0, 0, 1], "#0072B2"],
-  ]
-    .map(([name, axis, colour]) => [name, colour, turned(axis)])
-    .map(([name, colour, axis]) => ({
-      name,
-      colour,
-      x: inner(axis, right),
-      y: -inner(axis, up),
-      z: inner(axis, forward),
-    }))
-    .sort((a, b) => b.z - a.z)
-    .forEach(({ name, colour, x, y }) => {
-      context.strokeStyle = colour;
-      context.beginPath();
-      context.moveTo(...origin);
-      context.lineTo(origin[0] + x * 21 * ratio, origin[1] + y * 21 * ratio);
-      context.stroke();
-      if (Math.hypot(x, y) < 0.3) return;
-      context.fillStyle = colours.soft;
-      context.fillText(name, origin[0] + x * 30 * ratio, origin[1] + y * 30 * ratio);
-    });
-  context.restore();
-}
-
-function scaleBar(canvas, ratio) {
-  const perMetre = canvas.height / camera.span();
-  const { step } = ticks(0, (150 * ratio) / perMetre, 1.2);
-  const length = step * perMetre;
-  const [end, low] = [canvas.width - 18 * ratio, canvas.height - 20 * ratio];
-  context.save();
-  context.strokeStyle = context.fillStyle = colours.ink;
-  context.lineWidth = 2 * ratio;
-  context.beginPath();
-  context.moveTo(end - length, low - 5 * ratio);
-  context.lineTo(end - length, low);
-  context.lineTo(end, low);
-  context.lineTo(end, low - 5 * ratio);
-  context.stroke();
-  context.font = `${12 * ratio}px ${colours.font}`;
-  context.textAlign = "center";
-  context.fillText(withUnit(step, "m", 2), end - length / 2, low - 8 * ratio);
-  context.restore();
-  state.bar = { metres: step, pixels: length };
-}
-
 function home() {
   const { position } = state.scene;
   const some = sampled(
@@ -270,18 +175,9 @@ function home() {
   )
     .map((i) => turned(position.subarray(3 * i, 3 * i + 3)))
     .filter((place) => place.every(Number.isFinite));
-  const ends = [0, 1, 2].map((k) => {
-    const sorted = some.map((place) => place[k]).sort((a, b) => a - b);
-    return [
-      sorted[Math.floor(0.01 * sorted.length)],
-      sorted[Math.floor(0.99 * (sorted.length - 1))],
-    ];
-  });
-  const size = Math.hypot(...ends.map(([low, high]) => high - low)) || 0.1;
-  camera.home({ target: ends.map(([low, high]) => (low + high) / 2), size });
-  state.places = some.filter((place) =>
-    place.every((part, k) => part >= ends[k][0] && part <= ends[k][1]),
-  );
+  const { target, size, inside } = extent(some);
+  camera.home({ target, size });
+  state.places = inside;
   fit();
 }
 
@@ -332,7 +228,7 @@ function show(name) {
   } else $("legend").hidden = true;
   for (const button of $("colours").children)
     button.setAttribute("aria-pressed", String(button.dataset.layer === name));
-  redraw();
+  page.redraw();
 }
 
 function places(place) {
@@ -390,19 +286,6 @@ function readout() {
   showReadout(rows, flags);
 }
 
-function choose(kind) {
-  state.tool = state.tool === kind ? null : kind;
-  state.picks = [];
-  for (const button of $("tools").children)
-    button.setAttribute("aria-pressed", String(button.dataset.kind === state.tool));
-  hint(
-    state.tool
-      ? TOOLS.find((tool) => tool.kind === state.tool).hint
-      : "Choose what to measure, then pick points.",
-  );
-  redraw();
-}
-
 function measured(kind, [one, other]) {
   const { scene } = state;
   const up = UPWARDS[state.up];
@@ -426,32 +309,23 @@ function measured(kind, [one, other]) {
 function picked(pick) {
   state.cursor = pick;
   readout();
-  if (state.tool) {
+  const tool = page.tool();
+  if (tool) {
     state.picks.push(pick);
     if (state.picks.length === 2) {
-      state.number += 1;
-      const kept = {
-        kind: state.tool,
-        picks: state.picks,
-        found: measured(state.tool, state.picks),
-        number: state.number,
-        file: state.scene.name,
-      };
-      state.chosen = kept;
+      const { picks } = state;
       state.picks = [];
-      state.record.change([...state.measurements, kept]);
-      hint(TOOLS.find((tool) => tool.kind === state.tool).hint);
-    } else hint("1 of 2 picked.");
+      const found = measured(tool.kind, picks);
+      page.keep({ kind: tool.kind, picks, found, file: state.scene.name });
+      page.hint(tool.hint);
+    } else page.hint("1 of 2 picked.");
   }
-  redraw();
+  page.redraw();
 }
 
-function listed() {
-  const said = (kept) => ({
-    main: bounded(kept.found.value, kept.found.bound ?? NaN),
-    words: [kept.kind, kept.found.rests].filter(Boolean).join(" · "),
-  });
-  listMeasurements(state, said, redraw);
+function said({ kind, found }) {
+  const words = [kind, found.rests].filter(Boolean).join(" · ");
+  return { main: bounded(found.value, found.bound ?? NaN), words };
 }
 
 function asRows() {
@@ -481,210 +355,118 @@ function asText() {
   return `${lines.join("\n")}\n`;
 }
 
-const stem = () => state.scene.name.replace(/\.\w+$/, "");
-
 async function picture() {
-  const map = state.scene.maps.get(state.layerName);
-  const unit = unitOf(map.layer);
-  const plain = by === "colour" || map.layer.kind === "flags";
-  const words = [
-    [$("subtitle").textContent],
-    camera.orthographic ? [] : ["In perspective: no scale."],
-    state.measurements.map(
-      (kept) =>
-        `${kept.number}: ${kept.kind} ${bounded(kept.found.value, kept.found.bound ?? NaN)}`,
-    ),
-  ].flat();
-  const bar = plain
-    ? null
-    : {
-        table: state.tables[map.layer.kind],
-        limits: state.limits.map((value) => value * unit.factor),
-        unit: unit.unit,
-        label: map.layer.label,
-      };
+  const { layer } = state.scene.maps.get(state.layerName);
+  const plain = by === "colour" || layer.kind === "flags";
+  const words = [$("subtitle").textContent];
+  if (!camera.orthographic) words.push("In perspective: no scale.");
+  for (const { number, kind, found } of state.measurements) {
+    words.push(`${number}: ${kind} ${bounded(found.value, found.bound ?? NaN)}`);
+  }
   draw();
-  download(
-    `${stem()}-view.png`,
-    await png(pictureOf({ view: $("space"), title: state.scene.title, words, bar, colours })),
-  );
-}
-
-async function saved() {
-  if (state.source.saved) return hint("This page is a saved one.", true);
-  return download(`${stem()}.html`, await state.source.page(state.measurements));
+  await page.picture($("space"), "view", words, plain ? null : page.bar(layer, unitOf(layer)));
 }
 
 function seenAt(x, y) {
   const canvas = $("space");
+  const { width, height } = canvas;
   const { position, faces } = state.scene;
-  return seen(
-    { position, faces, count: position.length / 3 },
-    look(canvas).matrix,
-    { x, y, width: canvas.width, height: canvas.height },
-    look(canvas),
-  );
+  const now = look(canvas);
+  const shape = { position, faces, count: position.length / 3 };
+  return seen(shape, now.matrix, { x, y, width, height }, now);
 }
 
 function seenBy(event) {
-  const box = $("space").getBoundingClientRect();
-  const ratio = $("space").width / box.width;
-  return seenAt((event.clientX - box.left) * ratio, (event.clientY - box.top) * ratio);
+  return seenAt(...spotOn($("space"), event));
 }
 
-function orthographic() {
-  camera.orthographic = !camera.orthographic;
-  $("ortho").setAttribute("aria-pressed", String(camera.orthographic));
+/** Pick what is in the middle of the view. */
+function middle() {
+  const pick = seenAt($("space").width / 2, $("space").height / 2);
+  if (pick) picked(pick);
+  else page.hint("Nothing is in the middle of the view.", true);
+}
+
+/** Look from a side, all in view. */
+function from(side) {
+  side.call(camera);
+  fit();
 }
 
 const KEYS = {
   r: home,
-  o: orthographic,
-  f: () => {
-    camera.straight();
-    fit();
-  },
-  t: () => {
-    camera.above();
-    fit();
-  },
-  d: () => {
-    colours = themed(document.documentElement.dataset.theme === "dark" ? "light" : "dark");
-  },
-  s: () => saved().catch(failed),
+  o: () => page.orthographic(camera),
+  f: () => from(camera.straight),
+  t: () => from(camera.above),
+  d: () => page.otherTheme(),
+  s: () => page.save(),
   p: () => picture().catch(failed),
   "?": () => $("keys").showModal(),
   "+": () => camera.zoom(0.8),
   "-": () => camera.zoom(1.25),
-  Escape: () => choose(null),
-  Enter: () => {
-    const pick = seenAt($("space").width / 2, $("space").height / 2);
-    if (pick) picked(pick);
-    else hint("Nothing is in the middle of the view.", true);
-  },
+  Escape: () => page.choose(null),
+  Enter: middle,
 };
 
-function keyed(event) {
-  if (event.ctrlKey || event.metaKey || event.altKey || $("keys").open || !state.scene)
-    return undefined;
-  const into = event.target;
-  if (into instanceof HTMLInputElement || into instanceof HTMLSelectElement) return undefined;
-  if (event.key.startsWith("Arrow") && into === $("space")) {
-    event.preventDefault();
-    const [dx, dy] = {
-      ArrowLeft: [-1, 0],
-      ArrowRight: [1, 0],
-      ArrowUp: [0, -1],
-      ArrowDown: [0, 1],
-    }[event.key];
-    if (event.shiftKey) camera.pan(dx * 0.05, dy * 0.05);
-    else camera.orbit(dx * 0.08, dy * 0.08);
-    return moved();
-  }
-  if ((event.key === "Enter" || event.key === " ") && into instanceof HTMLButtonElement)
-    return undefined;
-  const layer = $("colours").children[Number(event.key) - 1];
-  if (layer) return show(layer.dataset.layer);
-  const act = KEYS[event.key] ?? KEYS[event.key.toLowerCase()];
-  if (act) {
-    act();
-    redraw();
-  }
-  return undefined;
+function arrow(into, [dx, dy], { shiftKey }) {
+  if (into !== $("space")) return false;
+  if (shiftKey) camera.pan(dx * 0.05, dy * 0.05);
+  else camera.orbit(dx * 0.08, dy * 0.08);
+  motion.moved();
+  return true;
 }
 
-function pointed(canvas) {
-  const pointers = new Map();
-  canvas.addEventListener(
-    "wheel",
-    (event) => {
-      event.preventDefault();
-      camera.zoom(Math.exp(event.deltaY * 0.0013));
-      moved();
-    },
-    { passive: false },
-  );
-  canvas.addEventListener("pointerdown", (event) => {
-    canvas.setPointerCapture(event.pointerId);
-    pointers.set(event.pointerId, { x: event.clientX, y: event.clientY, moved: 0 });
-  });
-  canvas.addEventListener("pointermove", (event) => {
-    const pointer = pointers.get(event.pointerId);
-    if (!pointer) {
-      const { scene } = state;
-      if (!scene || (scene.faces ? scene.faces.length / 3 : scene.position.length / 3) > HOVERED)
-        return;
-      const pick = seenBy(event);
-      if (pick) {
-        state.cursor = pick;
-        readout();
-        redraw();
-      }
-      return;
-    }
-    const [dx, dy, tall] = [
-      event.clientX - pointer.x,
-      event.clientY - pointer.y,
-      canvas.clientHeight,
-    ];
-    pointer.moved += Math.abs(dx) + Math.abs(dy);
-    if (pointers.size === 2) {
-      const other = [...pointers.entries()].find(([id]) => id !== event.pointerId)[1];
-      const span = (x, y) => Math.max(Math.hypot(x - other.x, y - other.y), 1);
-      camera.zoom(span(pointer.x, pointer.y) / span(event.clientX, event.clientY));
-      camera.pan(dx / 2 / tall, dy / 2 / tall);
-    } else if (event.shiftKey || event.buttons & 6) camera.pan(dx / tall, dy / tall);
-    else camera.orbit((dx / tall) * 3.2, (dy / tall) * 3.2);
-    Object.assign(pointer, { x: event.clientX, y: event.clientY });
-    moved();
-  });
-  for (const name of ["pointerup", "pointercancel"]) {
-    canvas.addEventListener(name, (event) => {
-      const pointer = pointers.get(event.pointerId);
-      pointers.delete(event.pointerId);
-      if (!pointer || pointer.moved >= 6 || name !== "pointerup") return;
-      const pick = seenBy(event);
-      if (pick) picked(pick);
-    });
-  }
-  canvas.addEventListener("contextmenu", (event) => event.preventDefault());
-  canvas.addEventListener("dblclick", () => {
-    home();
-    moved();
-  });
-  for (const name of ["focus", "blur"]) canvas.addEventListener(name, redraw);
+/** Point at a place while it is no large work to find it. */
+function hover(event) {
+  const { scene } = state;
+  if (!scene || (scene.faces ?? scene.position).length / 3 > HOVERED) return;
+  const pick = seenBy(event);
+  if (!pick) return;
+  state.cursor = pick;
+  readout();
+  page.redraw();
 }
 
 function wired() {
-  pointed($("space"));
-  const clicks = {
-    save: KEYS.s,
-    theme: KEYS.d,
-    help: KEYS["?"],
-    ortho: KEYS.o,
-    front: KEYS.f,
-    top: KEYS.t,
-    home: KEYS.r,
-    picture: KEYS.p,
-  };
-  for (const [id, act] of Object.entries(clicks)) {
-    $(id).addEventListener("click", () => {
-      act();
-      redraw();
-    });
-  }
-  wireRecord(state, {
-    download,
-    hint,
-    stem,
-    text: asText,
-    rows: asRows,
-    content: () => ({
-      file: state.scene.name,
-      title: state.scene.title,
-      measurements: state.measurements,
-    }),
+  turnable($("space"), camera, {
+    moved: () => motion.moved(),
+    hover,
+    pick: (event) => {
+      const pick = seenBy(event);
+      if (pick) picked(pick);
+    },
+    home,
   });
+  page.wire({
+    clicks: {
+      save: KEYS.s,
+      theme: KEYS.d,
+      help: KEYS["?"],
+      ortho: KEYS.o,
+      front: KEYS.f,
+      top: KEYS.t,
+      home: KEYS.r,
+      picture: KEYS.p,
+    },
+    keys: KEYS,
+    arrow,
+    numbered: (at) => {
+      const button = $("colours").children[at];
+      if (button) show(button.dataset.layer);
+      return Boolean(button);
+    },
+    texts: {
+      text: asText,
+      rows: asRows,
+      content: () => ({
+        file: state.scene.name,
+        title: state.scene.title,
+        measurements: state.measurements,
+      }),
+    },
+  });
+  const redraw = () => page.redraw();
+  for (const name of ["focus", "blur"]) $("space").addEventListener(name, redraw);
   for (const id of ["dot", "edges"]) $(id).addEventListener("input", redraw);
   $("up").addEventListener("input", (event) => {
     state.up = event.target.value;
@@ -692,33 +474,19 @@ function wired() {
     home();
     show(by);
   });
-  $("tools").replaceChildren(
-    ...TOOLS.map((tool) => {
-      const button = Object.assign(document.createElement("button"), {
-        type: "button",
-        textContent: tool.name,
-        title: tool.hint,
-      });
-      button.dataset.kind = tool.kind;
-      button.setAttribute("aria-pressed", "false");
-      button.addEventListener("click", () => choose(tool.kind));
-      return button;
-    }),
-  );
-  if (state.source.saved) $("save").hidden = true;
-  hint("Choose what to measure, then pick points.");
-  document.addEventListener("keydown", keyed);
   new ResizeObserver(redraw).observe(document.querySelector("main"));
 }
 
-async function opened() {
-  const scene = await state.source.scene();
-  scene.position = await state.source.numbers("position");
-  scene.faces = scene.mesh ? await state.source.numbers("faces", Uint32Array) : null;
+/** Load all numbers of the file. */
+async function loaded() {
+  const { source } = state;
+  const scene = await source.scene();
+  scene.position = await source.numbers("position");
+  scene.faces = scene.mesh ? await source.numbers("faces", Uint32Array) : null;
   renderer.keep(scene.position, scene.faces);
   renderer.own(
     scene.colour
-      ? await state.source.numbers("colour", Uint8Array)
+      ? await source.numbers("colour", Uint8Array)
       : new Uint8Array(scene.position.length),
   );
   state.scene = scene;
@@ -727,53 +495,48 @@ async function opened() {
   scene.numbers = {};
   scene.maps = new Map([["height", heights()]]);
   for (const layer of scene.layers) {
-    const values = await state.source.numbers(layer.name);
+    const values = await source.numbers(layer.name);
     scene.numbers[layer.name] = values;
     scene.maps.set(layer.name, { layer, values });
   }
-  document.title = `${scene.title} · amulor`;
-  $("title").textContent = scene.title;
-  const size = scene.size.map((part) => withUnit(part, "m", 3)).join(" × ");
+  return scene;
+}
+
+/** Return how much of the file is shown, in words. */
+function amount({ mesh, triangles, points, total }) {
   const number = (count) => count.toLocaleString("en");
-  const shown = scene.mesh
-    ? `${number(scene.triangles)} triangles, ${number(scene.points)} vertices`
-    : scene.points < scene.total
-      ? `${number(scene.points)} of ${number(scene.total)} points`
-      : `${number(scene.points)} points`;
-  $("subtitle").textContent = [scene.name, shown, size, scene.simulated && "simulated"]
-    .filter(Boolean)
-    .join(" · ");
-  $("notes-card").hidden = !scene.notes.length;
-  $("notes").replaceChildren(
-    ...scene.notes.map((note) =>
-      Object.assign(document.createElement("li"), { textContent: note }),
-    ),
-  );
-  const names = [...scene.maps.keys()].filter(
-    (name) => scene.maps.get(name).layer.kind !== "hidden",
-  );
-  const labels = names.map((name) => [name, scene.maps.get(name).layer.label]);
+  if (mesh) return `${number(triangles)} triangles, ${number(points)} vertices`;
+  return points < total
+    ? `${number(points)} of ${number(total)} points`
+    : `${number(points)} points`;
+}
+
+function buttons(scene) {
+  const labels = [...scene.maps.values()]
+    .filter(({ layer }) => layer.kind !== "hidden")
+    .map(({ layer }) => [layer.name, layer.label]);
   if (scene.colour) labels.push(["colour", "Colour"]);
-  $("colours").replaceChildren(
-    ...labels.map(([name, label], at) => {
-      const button = Object.assign(document.createElement("button"), {
-        type: "button",
-        textContent: label,
-        title: `Key ${at + 1}`,
-      });
-      button.dataset.layer = name;
-      button.addEventListener("click", () => show(name));
-      return button;
-    }),
-  );
+  return labels.map(([name, label], at) => {
+    const button = made("button", { type: "button", textContent: label, title: `Key ${at + 1}` });
+    button.dataset.layer = name;
+    button.addEventListener("click", () => show(name));
+    return button;
+  });
+}
+
+async function opened() {
+  const scene = await loaded();
+  const size = scene.size.map((part) => withUnit(part, "m", 3)).join(" × ");
+  const subtitle = [scene.name, amount(scene), size, scene.simulated && "simulated"];
+  page.titled(scene, subtitle.filter(Boolean).join(" · "));
+  $("colours").replaceChildren(...buttons(scene));
   $("space").setAttribute(
     "aria-label",
-    `${shown} in space, ${size}. Arrow keys turn, Enter picks what is in the middle.`,
+    `${amount(scene)} in space, ${size}. Arrow keys turn, Enter picks what is in the middle.`,
   );
   home();
-  show(
-    scene.colour ? "colour" : scene.numbers.uncertainty && !scene.mesh ? "uncertainty" : "height",
-  );
+  const numbers = scene.numbers.uncertainty && !scene.mesh ? "uncertainty" : "height";
+  show(scene.colour ? "colour" : numbers);
   readout();
 }
 
@@ -781,13 +544,8 @@ async function main() {
   renderer = new PointRenderer();
   renderer.lost = () => say("The graphics unit was lost; reload the page.");
   context = $("space").getContext("2d");
-  for (const [kind, name] of Object.entries(MAP_OF)) state.tables[kind] = table(name);
   state.tables.hidden = state.tables.range;
-  colours = themed(matchMedia("(prefers-color-scheme: dark)").matches ? "dark" : "light");
-  state.record = new MeasurementRecord(state, () => {
-    listed();
-    redraw();
-  });
+  page.theme();
   wired();
   await opened();
   state.record.open(state.scene.name);

@@ -1,0 +1,133 @@
+// Marks over a view: lines that are seen on any colour, picks, axes and a scale bar.
+
+import { ticks, withUnit } from "./text.js";
+
+const AXES = ["#D55E00", "#009E73", "#0072B2"];
+
+/** Begin a path along spots. */
+export function polyline(ctx, spots) {
+  ctx.beginPath();
+  spots.forEach(([x, y], k) => (k ? ctx.lineTo(x, y) : ctx.moveTo(x, y)));
+}
+
+/** Stroke a path twice, so that it is seen on any colour. */
+export function halo(ctx, width, colours, path, alpha = 0.95) {
+  ctx.save();
+  ctx.globalAlpha = alpha;
+  ctx.lineJoin = "round";
+  path();
+  ctx.lineWidth = width * 3;
+  ctx.strokeStyle = colours.under;
+  ctx.stroke();
+  path();
+  ctx.lineWidth = width;
+  ctx.strokeStyle = colours.mark;
+  ctx.stroke();
+  ctx.restore();
+}
+
+/** Draw a mark on a picked pixel. */
+export function dot(ctx, [x, y], size, colour) {
+  ctx.save();
+  ctx.beginPath();
+  ctx.arc(x, y, size, 0, 7);
+  ctx.fillStyle = "#fff";
+  ctx.fill();
+  ctx.beginPath();
+  ctx.arc(x, y, size * 0.68, 0, 7);
+  ctx.fillStyle = colour;
+  ctx.fill();
+  ctx.restore();
+}
+
+/** Draw a short text on a plate. */
+export function tag(ctx, text, [x, y], ratio, colours) {
+  ctx.save();
+  ctx.font = `600 ${12 * ratio}px ${colours.font}`;
+  const width = ctx.measureText(text).width + 9 * ratio;
+  ctx.fillStyle = colours.plate;
+  ctx.beginPath();
+  ctx.roundRect(x, y - 9 * ratio, width, 18 * ratio, 5 * ratio);
+  ctx.fill();
+  ctx.fillStyle = colours.ink;
+  ctx.textBaseline = "middle";
+  ctx.fillText(text, x + 4.5 * ratio, y + ratio);
+  ctx.restore();
+}
+
+/** Draw the picks of one measurement: dots, lines between them, and its number. */
+export function chain(ctx, spots, { kind, number, strong }, ratio, colours, label = spots[0]) {
+  const mark = strong ? colours.accent : colours.mark;
+  if (spots.length > 1 && kind !== "circle") {
+    const line = kind === "area" ? [...spots, spots[0]] : spots;
+    halo(ctx, 1.5 * ratio, { ...colours, mark }, () => polyline(ctx, line));
+  }
+  for (const spot of spots) dot(ctx, spot, 4.5 * ratio, mark);
+  if (number && label) {
+    tag(ctx, String(number), [label[0] + 8 * ratio, label[1] - 8 * ratio], ratio, colours);
+  }
+}
+
+/** Draw all measurements, and the picks of the one that is being made. */
+export function chains(ctx, state, spotOf, ratio, colours) {
+  const { measurements, chosen, tool, picks } = state;
+  const all = measurements.map((kept) => ({ ...kept, strong: kept === chosen }));
+  for (const one of [...all, { kind: tool, picks, strong: true }]) {
+    chain(ctx, (one.picks ?? []).map(spotOf).filter(Boolean), one, ratio, colours);
+  }
+}
+
+/** Draw three axes, named and given as the camera sees them, in a corner of the view. */
+export function axes(ctx, camera, named, ratio, colours) {
+  const { right, up, forward } = camera.frame();
+  const inner = (a, b) => a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
+  const [x0, y0] = [62 * ratio, ctx.canvas.height - 42 * ratio];
+  ctx.save();
+  ctx.font = `${11 * ratio}px ${colours.font}`;
+  ctx.textBaseline = "middle";
+  ctx.lineWidth = 2 * ratio;
+  named
+    .map(([name, axis], k) => ({
+      name,
+      colour: AXES[k],
+      x: inner(axis, right),
+      y: -inner(axis, up),
+      z: inner(axis, forward),
+    }))
+    .sort((a, b) => b.z - a.z)
+    .forEach(({ name, colour, x, y }) => {
+      ctx.strokeStyle = colour;
+      ctx.beginPath();
+      ctx.moveTo(x0, y0);
+      ctx.lineTo(x0 + x * 20 * ratio, y0 + y * 20 * ratio);
+      ctx.stroke();
+      if (Math.hypot(x, y) < 0.35) return;
+      ctx.fillStyle = colours.soft;
+      ctx.textAlign = x < -0.3 ? "right" : x > 0.3 ? "left" : "center";
+      ctx.fillText(name, x0 + x * 25 * ratio, y0 + y * 27 * ratio);
+    });
+  ctx.restore();
+}
+
+/** Draw a scale bar for an orthographic view; returns its length in metres and pixels. */
+export function scaleBar(ctx, camera, ratio, colours) {
+  const { width, height } = ctx.canvas;
+  const perMetre = height / camera.span();
+  const { step } = ticks(0, (150 * ratio) / perMetre, 1.2);
+  const length = step * perMetre;
+  const [end, low] = [width - 18 * ratio, height - 20 * ratio];
+  ctx.save();
+  ctx.strokeStyle = ctx.fillStyle = colours.ink;
+  ctx.lineWidth = 2 * ratio;
+  ctx.beginPath();
+  ctx.moveTo(end - length, low - 5 * ratio);
+  ctx.lineTo(end - length, low);
+  ctx.lineTo(end, low);
+  ctx.lineTo(end, low - 5 * ratio);
+  ctx.stroke();
+  ctx.font = `${12 * ratio}px ${colours.font}`;
+  ctx.textAlign = "center";
+  ctx.fillText(withUnit(step, "m", 2), end - length / 2, low - 8 * ratio);
+  ctx.restore();
+  return { metres: step, pixels: length };
+}

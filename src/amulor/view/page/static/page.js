@@ -1,0 +1,187 @@
+// What the pages of scans and of clouds have in common: tools, hints, keys, colours, files.
+
+import { flagColour, MAP_OF, table } from "./colour.js";
+import { $, made } from "./dom.js";
+import { colourBar } from "./map.js";
+import { failed, listMeasurements } from "./panel.js";
+import { download, pictureOf, png, themed } from "./picture.js";
+import { MeasurementRecord, wireRecord } from "./record.js";
+
+const ARROWS = {
+  ArrowLeft: [-1, 0],
+  ArrowRight: [1, 0],
+  ArrowUp: [0, -1],
+  ArrowDown: [0, 1],
+};
+
+/** A page around a state; `draw`, `idle`, `said`, `themed` and `tools` are what differs. */
+export class Page {
+  colours = {};
+  /** How often a hint was given. */
+  hints = 0;
+  #on;
+  #waiting = 0;
+
+  constructor(state, on) {
+    this.state = state;
+    this.#on = on;
+    for (const [kind, name] of Object.entries(MAP_OF)) state.tables[kind] = table(name);
+    state.flagColour = flagColour;
+    state.record = new MeasurementRecord(state, () => {
+      this.#list();
+      this.redraw();
+    });
+  }
+
+  #list() {
+    listMeasurements(this.state, this.#on.said, () => this.redraw());
+  }
+
+  /** Draw everything soon, once. */
+  redraw() {
+    if (this.#waiting) return;
+    this.#waiting = requestAnimationFrame(() => {
+      this.#waiting = 0;
+      this.#on.draw();
+    });
+  }
+
+  /** Take the colours of a theme; without a name those that the system prefers. */
+  theme(name = matchMedia("(prefers-color-scheme: dark)").matches ? "dark" : "light") {
+    this.colours = themed(name);
+    this.#on.themed?.(this.colours);
+    this.redraw();
+  }
+
+  otherTheme() {
+    this.theme(document.documentElement.dataset.theme === "dark" ? "light" : "dark");
+  }
+
+  hint(text, wrong = false) {
+    this.hints += 1;
+    $("hint").textContent = text;
+    $("hint").classList.toggle("wrong", wrong);
+  }
+
+  /** Return the tool of a kind; without one, of the one that is chosen. */
+  tool(kind = this.state.tool) {
+    return this.#on.tools.find((tool) => tool.kind === kind);
+  }
+
+  /** Choose a tool; the one that is chosen is laid down. */
+  choose(kind) {
+    const { state } = this;
+    state.tool = state.tool === kind ? null : kind;
+    state.picks = [];
+    state.region = null;
+    for (const button of $("tools").children) {
+      button.setAttribute("aria-pressed", String(button.dataset.kind === state.tool));
+    }
+    this.hint(this.tool()?.hint ?? this.#on.idle);
+    this.redraw();
+  }
+
+  /** Keep a measurement. */
+  keep(measurement) {
+    const { state } = this;
+    state.number += 1;
+    const kept = { ...measurement, number: state.number };
+    state.chosen = kept;
+    state.record.change([...state.measurements, kept]);
+  }
+
+  /** Say what is shown: title, line below it, and notes. */
+  titled({ title, notes }, subtitle) {
+    document.title = `${title} · amulor`;
+    $("title").textContent = title;
+    $("subtitle").textContent = subtitle;
+    $("notes-card").hidden = !notes.length;
+    $("notes").replaceChildren(...notes.map((note) => made("li", { textContent: note })));
+  }
+
+  /** Return what a bar of colours shows, in a unit. */
+  bar({ kind, label }, { unit, factor }) {
+    const { tables, limits } = this.state;
+    return { table: tables[kind], limits: limits.map((value) => value * factor), unit, label };
+  }
+
+  drawBar(layer, unit) {
+    const bar = this.bar(layer, unit);
+    colourBar($("bar"), bar.table, bar.limits, bar.unit, this.colours);
+  }
+
+  /** Change between a view in perspective and one to scale. */
+  orthographic(camera) {
+    camera.orthographic = !camera.orthographic;
+    $("ortho").setAttribute("aria-pressed", String(camera.orthographic));
+  }
+
+  stem() {
+    return this.state.scene.name.replace(/\.\w+$/, "");
+  }
+
+  /** Keep a view as a picture that says what it shows. */
+  async picture(view, name, words, bar) {
+    const { title } = this.state.scene;
+    const canvas = pictureOf({ view, title, words, bar, colours: this.colours });
+    download(`${this.stem()}-${name}.png`, await png(canvas));
+  }
+
+  /** Keep the page as one file. */
+  async save() {
+    const { source, measurements } = this.state;
+    try {
+      if (source.saved) {
+        this.hint("This page is a saved one; its measurements go with copy as text.", true);
+      } else download(`${this.stem()}.html`, await source.page(measurements));
+    } catch (error) {
+      failed(error);
+    }
+  }
+
+  /** Let buttons, tools and keys act. `clicks`: what buttons do by their names; `keys`: what
+  keys do; `arrow` and `numbered` say whether they took a key; `texts`: the record in words. */
+  wire({ clicks, keys, arrow, numbered, texts, unable = () => "" }) {
+    for (const [id, act] of Object.entries(clicks)) {
+      $(id).addEventListener("click", () => {
+        act();
+        this.redraw();
+      });
+    }
+    const hint = (text) => this.hint(text);
+    wireRecord(this.state, { download, hint, stem: () => this.stem(), ...texts });
+    $("tools").replaceChildren(...this.#on.tools.map((tool) => this.#button(tool, unable(tool))));
+    if (this.state.source.saved) $("save").hidden = true;
+    this.hint(this.#on.idle);
+    document.addEventListener("keydown", (event) => {
+      if (!this.state.scene || elsewhere(event)) return;
+      const step = ARROWS[event.key];
+      if (step && arrow(event.target, step, event)) return event.preventDefault();
+      if (pressing(event) || numbered(Number(event.key) - 1)) return undefined;
+      const act = keys[event.key] ?? keys[event.key.toLowerCase()];
+      if (!act) return undefined;
+      act();
+      return this.redraw();
+    });
+  }
+
+  #button({ kind, name, hint }, unable) {
+    const button = made("button", { type: "button", textContent: name, title: unable || hint });
+    button.disabled = Boolean(unable);
+    button.dataset.kind = kind;
+    button.setAttribute("aria-pressed", "false");
+    button.addEventListener("click", () => this.choose(kind));
+    return button;
+  }
+}
+
+/** Return whether a key is meant for a field, a dialog, or the browser. */
+function elsewhere({ ctrlKey, metaKey, altKey, target }) {
+  const field = target instanceof HTMLInputElement || target instanceof HTMLSelectElement;
+  return ctrlKey || metaKey || altKey || field || document.querySelector("dialog[open]");
+}
+
+/** Return whether a key presses the button that has the focus. */
+function pressing({ key, target }) {
+  return (key === "Enter" || key === " ") && target instanceof HTMLButtonElement;
+}
