@@ -18,7 +18,7 @@ export function segments(field, wide, high, level) {
       if (d > 0 !== c > 0) cuts.push([x + d / (d - c), y + 1]);
       if (a > 0 !== d > 0) cuts.push([x, y + a / (a - d)]);
       // Of four cuts the ones that the middle of the cell does not part belong together.
-      if (cuts.length === 4 && a > 0 === a + b + c + d > 0) cuts.push(cuts.shift());
+      if (cuts.length === 4 && a > 0 !== a + b + c + d > 0) cuts.push(cuts.shift());
       for (let k = 0; k + 1 < cuts.length; k += 2) out.push([...cuts[k], ...cuts[k + 1]]);
     }
   }

@@ -31,7 +31,8 @@ function onCloud(position, count, m, { x, y, width, height }, { dot, shrinks }) 
     const dy = y0 * a + y1 * b + y2 * c + y3 - v * w;
     if (Math.abs(dy) > size * perY * w) continue;
     const depth = (z0 * a + z1 * b + z2 * c + z3) / w;
-    if (depth < least) {
+    // Beyond the planes of the camera nothing is drawn.
+    if (Math.abs(depth) <= 1 && depth < least) {
       least = depth;
       best = i;
     }
@@ -73,7 +74,8 @@ function onMesh(position, faces, m, { x, y, width, height }) {
     const total = u + v + w;
     if (total === 0) continue;
     const depth = (u * spot[i + 2] + v * spot[j + 2] + w * spot[k + 2]) / total;
-    if (depth < least) {
+    // Beyond the planes of the camera nothing is drawn.
+    if (Math.abs(depth) <= 1 && depth < least) {
       least = depth;
       best = [t, u / spot[i + 3], v / spot[j + 3], w / spot[k + 3]];
     }

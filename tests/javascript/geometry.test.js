@@ -1,0 +1,143 @@
+// Points of beams, and errors of lengths against sums written out by hand.
+
+import assert from "node:assert/strict";
+import { test } from "node:test";
+
+import { Beams, covariance, distance, height } from "../../src/amulor/view/page/static/geometry.js";
+
+/** Beams at two pixels of one row: place, direction, azimuth, elevation of each. */
+function twoBeams(one, other) {
+  return new Beams({ rows: [0], columns: [0, 1] }, Float64Array.from([...one, ...other]));
+}
+
+function sceneOf(beams, maps, sharing = null) {
+  return {
+    beams,
+    sharing,
+    channel: "VV",
+    group_index: 1.36,
+    frequencies: [80e6],
+    value: (name, row, column) => maps[name]?.[column] ?? NaN,
+  };
+}
+
+const PIXELS = [
+  [0, 0],
+  [0, 1],
+];
+const RIGHT = [0, 0, 0, 1, 0, 0, 0, 0];
+const FORWARD = [0, 0, 0, 0, 0, 1, 0, 0];
+
+function close(actual, expected, relative = 1e-12) {
+  assert.ok(
+    Math.abs(actual - expected) <= relative * Math.abs(expected),
+    `${actual} is not ${expected}`,
+  );
+}
+
+test("beams between nodes are bilinear in row and column", () => {
+  const nodes = { rows: [0, 4, 10], columns: [0, 7] };
+  // Each number of a beam is a plane over rows and columns, which interpolation keeps.
+  const plane = (row, column, k) => k + 0.3 * row - 0.2 * column;
+  const values = [];
+  for (const row of nodes.rows)
+    for (const column of nodes.columns)
+      for (let k = 0; k < 8; k += 1) values.push(plane(row, column, k));
+  const beams = new Beams(nodes, Float64Array.from(values));
+  for (const [row, column] of [
+    [0, 0],
+    [3, 5],
+    [4, 7],
+    [9, 1],
+    [10, 7],
+  ]) {
+    beams.at(row, column).forEach((value, k) => close(value + 10, plane(row, column, k) + 10));
+  }
+});
+
+test("a range ends along its beam, from where the beam starts", () => {
+  const beams = twoBeams([0.1, -0.2, 0.3, 0, 0.6, 0.8, 0, 0], FORWARD);
+  const [x, y, z] = beams.point(0, 0, 2);
+  close(x, 0.1);
+  close(y, 1.0);
+  close(z, 1.9);
+});
+
+test("the distance across a right angle, with independent errors", () => {
+  const scene = sceneOf(twoBeams(RIGHT, FORWARD), {
+    range: [3, 4],
+    uncertainty: [0.01, 0.02],
+  });
+  const { lines, random } = distance(scene, PIXELS);
+  close(lines[0].value, 5);
+  // d = sqrt(a^2 + b^2), so that its slopes are 3/5 and 4/5.
+  close(lines[0].uncertainty, Math.hypot(0.6 * 0.01, 0.8 * 0.02));
+  close(random, lines[0].uncertainty);
+});
+
+test("an error that both pixels share alike leaves no relief", () => {
+  const sharing = { alike: ["alike"], of_water: [] };
+  const maps = { range: [1, 1.25], uncertainty: [0.05, 0.05], common: [0.03, 0.03] };
+  const along = (alike) =>
+    height(
+      sceneOf(twoBeams(FORWARD, FORWARD), { ...maps, alike: [alike, alike] }, sharing),
+      PIXELS,
+      [0, 0, -2],
+    );
+  const { lines, random } = along(0.03);
+  close(lines[0].value, -0.25);
+  // Of 50 mm are 30 shared, which leaves 40 in each pixel.
+  close(random, 0.04 * Math.SQRT2, 1e-9);
+  close(lines[0].uncertainty, 0.04 * Math.SQRT2, 1e-9);
+});
+
+test("errors of the water turn with the modulation phase between two ranges", () => {
+  const sharing = { alike: [], of_water: ["water"] };
+  // Half a turn of the phase, 4 pi f n / c times the difference: the errors are opposite.
+  const half = 299792458 / (4 * 80e6 * 1.36);
+  for (const [apart, sign] of [
+    [0, 1],
+    [half / 2, 0],
+    [half, -1],
+  ]) {
+    const maps = {
+      range: [1, 1 + apart],
+      uncertainty: [0.02, 0.02],
+      common: [0.01, 0.01],
+      water: [0.01, 0.01],
+    };
+    const matrix = covariance(sceneOf(twoBeams(FORWARD, RIGHT), maps, sharing), PIXELS);
+    assert.ok(Math.abs(matrix[0][1] - sign * 1e-4) < 1e-15, `${apart}: ${matrix[0][1]}`);
+    assert.equal(matrix[0][1], matrix[1][0]);
+    close(matrix[0][0], 4e-4);
+  }
+});
+
+test("a pixel is wholly correlated with itself", () => {
+  const maps = { range: [1, 2], uncertainty: [0.02, 0.03] };
+  const scene = sceneOf(twoBeams(FORWARD, RIGHT), maps);
+  const matrix = covariance(scene, [
+    [0, 0],
+    [0, 0],
+    [0, 1],
+  ]);
+  assert.deepEqual(
+    matrix.map((row) => row.map((value) => Number(value.toFixed(12)))),
+    [
+      [4e-4, 4e-4, 0],
+      [4e-4, 4e-4, 0],
+      [0, 0, 9e-4],
+    ],
+  );
+});
+
+test("what cannot be measured is refused in words", () => {
+  const maps = { range: [1, NaN], uncertainty: [0.02, 0.03] };
+  const scene = sceneOf(twoBeams(FORWARD, RIGHT), maps);
+  assert.throws(() => distance(scene, PIXELS), /Pixel \(0, 1\) holds no range/);
+  const same = [
+    [0, 0],
+    [0, 0],
+  ];
+  assert.throws(() => distance(scene, same), /Both points are the same/);
+});
