@@ -16,11 +16,14 @@ import pytest
 
 #: Names under which systems have a browser that the tests drive.
 BROWSERS = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")
-#: Parts of the tests that a run leaves out on purpose: `AMULOR_WITHOUT=browser`.
+#: Checks of accessibility in a page, one of the packages that npm installs.
+_AXE = Path(__file__).parents[2] / "node_modules" / "axe-core" / "axe.min.js"
+#: Parts of the tests that a run leaves out on purpose: `AMULOR_WITHOUT=browser,npm`.
 WITHOUT = os.environ.get("AMULOR_WITHOUT", "").split(",")
 #: Words in the reason of a skip, and whether it is right on this computer.
 ALLOWED = {
     "there is no browser": "browser" in WITHOUT,
+    "there is no axe-core": "npm" in WITHOUT,
     # All examples of the docstring take minutes or need an instrument.
     "all tests skipped by +SKIP option": True,
     # The right is that of root, and a container may lack it even so.
@@ -58,6 +61,16 @@ def need_browser() -> str:
         f"there is no browser: none of {', '.join(BROWSERS)}; install one, or leave "
         "its tests out with AMULOR_WITHOUT=browser"
     )
+
+
+def need_axe() -> Path:
+    """Return the file of axe-core; without it the test is skipped."""
+    if not _AXE.is_file():
+        pytest.skip(
+            "there is no axe-core: `make javascript` installs it by npm; or leave its "
+            "tests out with AMULOR_WITHOUT=npm"
+        )
+    return _AXE
 
 
 def unlisted(reports: list[pytest.TestReport | pytest.CollectReport]) -> dict[str, str]:

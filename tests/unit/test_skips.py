@@ -14,6 +14,9 @@ import pytest, skips
 def test_good(): pass
 def test_listed(): pytest.skip("this numba has no layer tbb")
 def test_browser(): skips.need_browser()
+def test_axe(monkeypatch):
+    monkeypatch.setattr(skips, "_AXE", skips._AXE / "not there")
+    skips.need_axe()
 """
 MODULE = "import pytest\npytest.importorskip('no_such_package')\n"
 
@@ -40,17 +43,19 @@ def outcome(folder: Path, text: str, *words: str, **variables: str) -> tuple[int
 def test_a_missing_browser_fails_the_run_and_is_named(tmp_path, processes) -> None:
     code, text = outcome(tmp_path, CASES, "-n", processes)
     assert code == 1
-    assert "1 passed, 2 skipped" in text
+    assert "1 passed, 3 skipped" in text
     listed = text.partition("skips.py does not list")[2]
     assert "test_case.py::test_browser: there is no browser" in listed
     assert "AMULOR_WITHOUT=browser" in listed
+    assert "test_case.py::test_axe: there is no axe-core" in listed
+    assert "AMULOR_WITHOUT=npm" in listed
     assert "test_case.py::test_listed" not in listed
 
 
-def test_a_run_without_a_browser_on_purpose_passes(tmp_path) -> None:
-    code, text = outcome(tmp_path, CASES, AMULOR_WITHOUT="browser")
+def test_a_run_without_a_browser_and_npm_on_purpose_passes(tmp_path) -> None:
+    code, text = outcome(tmp_path, CASES, AMULOR_WITHOUT="browser,npm")
     assert code == 0
-    assert "1 passed, 2 skipped" in text
+    assert "1 passed, 3 skipped" in text
 
 
 def test_a_file_that_is_skipped_as_a_whole_fails_the_run(tmp_path) -> None:
