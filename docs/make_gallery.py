@@ -15,9 +15,8 @@ import tempfile
 from pathlib import Path
 from typing import Any
 
-from amulor.studies.ricci2010 import reproduce, tables
-from amulor.studies.ricci2010.checks import Check
-from amulor.studies.ricci2010.report import FOREWORD
+from amulor.studies.ricci2010 import reproduce, results
+from amulor.studies.ricci2010.results import FOREWORD, Check
 
 DOCS = Path(__file__).parent
 IMAGES = DOCS / "images" / "ricci2010"
@@ -34,17 +33,17 @@ def main() -> None:
     parser.add_argument("--page", action="store_true")
     asked = parser.parse_args()
     if not asked.page:
-        results = reproduce.run(
+        redrawn = reproduce.run(
             asked.figure,
             depend=not asked.keep_dependences,
             progress=lambda step, share: print(f"{share:4.0%} {step}", flush=True),
         )
         IMAGES.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryDirectory() as folder:
-            for name in reproduce.write(Path(folder), results):
+            for name in reproduce.write(Path(folder), redrawn):
                 if name not in ("report.html", "checks.json"):
                     shutil.copy(Path(folder) / name, IMAGES / name)
-        CHECKS.write_text(json.dumps(merged(results.plain()), indent=1) + "\n")
+        CHECKS.write_text(json.dumps(merged(redrawn.plain()), indent=1) + "\n")
     PAGE.parent.mkdir(exist_ok=True)
     PAGE.write_text(page(json.loads(CHECKS.read_text())))
 
@@ -105,7 +104,7 @@ def page(study: dict[str, Any]) -> str:
         "same figures, tables and a report in a folder of yours (`--figure 7` for one "
         "of them, `--quick` for a first look in less than a minute).",
         FOREWORD,
-        f"{tables.tally(every)} What fails is discussed "
+        f"{results.tally(every)} What fails is discussed "
         "[below](#what-does-not-hold-and-why).",
     ]
     for figure in study["figures"]:
@@ -117,10 +116,10 @@ def page(study: dict[str, Any]) -> str:
             f"([code]({CODE}/figures/{stem}.py), "
             f"[SVG](../images/ricci2010/{stem}.svg))",
             _table(
-                list(tables.CHECK_HEADER),
+                list(results.CHECK_HEADER),
                 [
                     [*row[:-1], row[-1].replace("FAIL", "**FAIL**")]
-                    for row in tables.check_rows(Check(**c) for c in figure["checks"])
+                    for row in results.check_rows(Check(**c) for c in figure["checks"])
                 ],
             ),
         ]

@@ -8,14 +8,9 @@ import pytest
 from numpy.testing import assert_allclose
 
 from amulor.studies.ricci2010 import parameters
-from amulor.studies.ricci2010.checks import Check
-from amulor.studies.ricci2010.figures import (
-    figure_07,
-    figure_08,
-    figure_09,
-    ratio_panels,
-)
-from amulor.studies.ricci2010.scenes import interference_sweeps, milk_tank
+from amulor.studies.ricci2010.figures import figure_07, figure_08, figure_09, panels
+from amulor.studies.ricci2010.results import Check
+from amulor.studies.ricci2010.scenes import interference_sweeps, milk
 from amulor.studies.ricci2010.study import Study
 
 FIGURES = (figure_07, figure_08, figure_09)
@@ -93,18 +88,18 @@ def test_strong_interference_does_not_rise_almost_monotonically(study: Study) ->
     first, second, _ = study.once(interference_sweeps.sweeps)
     for value in ("ratio", "contrast"):
         curve = getattr(first, value)
-        assert ratio_panels.almost_monotonic(first, curve, value).passed
+        assert panels.almost_monotonic(first, curve, value).passed
         curve = getattr(second, value)
-        assert not ratio_panels.almost_monotonic(second, curve, value).passed
+        assert not panels.almost_monotonic(second, curve, value).passed
 
 
 def test_the_long_tank_sends_back_what_spheres_of_milk_do(study: Study) -> None:
     pytest.importorskip("miepython")
-    spheres = study.once(milk_tank.milk)
+    spheres = study.once(milk.milk)
     # Rounded to two digits.
     assert_allclose(study["long_backscatter"], spheres.value[-1], rtol=0.02)
-    solid_angle = 2 * np.pi * np.sin(milk_tank.ANGLES)
-    whole = np.trapezoid(solid_angle * spheres.value, milk_tank.ANGLES)
+    solid_angle = 2 * np.pi * np.sin(milk.ANGLES)
+    whole = np.trapezoid(solid_angle * spheres.value, milk.ANGLES)
     assert_allclose(whole, 1.0, rtol=1e-4)
 
 

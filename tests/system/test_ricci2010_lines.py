@@ -13,14 +13,8 @@ from amulor.optics.polarization.depolarization import realizability_defect
 from amulor.optics.polarization.mueller import detected_fraction
 from amulor.studies.ricci2010.figures import figure_10, figure_11, figure_12
 from amulor.studies.ricci2010.parameters import load, varied
-from amulor.studies.ricci2010.scenes import (
-    line_checks,
-    milk_light,
-    milk_quadrature,
-    short_lines,
-    trade_off,
-)
-from amulor.studies.ricci2010.scenes import milk_tank as tank
+from amulor.studies.ricci2010.scenes import milk, short_lines, trade_off
+from amulor.studies.ricci2010.scenes import milk as tank
 from amulor.studies.ricci2010.study import Study
 from amulor.transport import Medium, PlaneTarget, ScatteringMatrix, Source, simulate
 
@@ -60,7 +54,7 @@ def test_coaxial_echo_is_the_published_overlap_of_a_gaussian_receiver():
     # (41)-(43) of Ricci et al. 2010, as rebuilt; angles of 0.013 rad enter squared.
     study = changed(short_baseline=1e-9)
     water = tank.medium(study, 0.5)
-    found = milk_quadrature.reflected_at_once(study, water, np.zeros(1))
+    found = milk.reflected_at_once(study, water, np.zeros(1))
     size, angle, way = study["receiver_radius"], study["acceptance"], 1.5
     expected = (
         study["plate_reflectance"]
@@ -79,7 +73,7 @@ def test_coaxial_echo_is_the_published_overlap_of_a_gaussian_receiver():
 def test_coaxial_water_is_the_integral_of_the_published_overlap():
     study = changed(short_baseline=1e-9, receiver_radius=2e-3)
     water = tank.medium(study, 0.5)
-    found = milk_quadrature.scattered_once(study, water, np.zeros(1), until=1.5)
+    found = milk.scattered_once(study, water, np.zeros(1), until=1.5)
     layer = water.layers[0]
     backscatter = layer.scattering * layer.phase_function.phase_function(np.pi)
     depth = np.linspace(0.05, 1.5, 20_001)
@@ -87,7 +81,7 @@ def test_coaxial_water_is_the_integral_of_the_published_overlap():
     overlap = np.pi * size**2 * angle**2 / (size**2 + angle**2 * depth**2)
     kernel = overlap * np.exp(2 * (1j * WAVE - 0.5) * depth)
     expected = backscatter * trapezoid(kernel, depth)
-    near = milk_quadrature.scattered_once(study, water, np.zeros(1), until=0.05)
+    near = milk.scattered_once(study, water, np.zeros(1), until=0.05)
     total = found["VV"] + found["VH"] - near["VV"] - near["VH"]
     # Angles of 0.08 rad change the phase function and the solid angle by their squares.
     assert_allclose(total, expected, rtol=0.015)
@@ -106,8 +100,8 @@ def test_quadrature_is_what_the_monte_carlo_finds_for_the_same_light(quick):
             mueller=tank.plate(quick),
         ),
     )  # fmt: skip
-    once = milk_quadrature.scattered_once(quick, water, place, until=1.5)
-    direct = milk_quadrature.reflected_at_once(quick, water, place)
+    once = milk.scattered_once(quick, water, place, until=1.5)
+    direct = milk.reflected_at_once(quick, water, place)
     for name, known in (("water, order 1", once), ("target", direct)):
         stokes, covariance = tally.part(name)
         error = np.sqrt(np.trace(covariance[0, 0]))
@@ -143,9 +137,7 @@ def test_both_handednesses_and_both_planes_share_the_echo(quick):
     matrix = tank.plate(quick)
     for pair, share in (("VV", 0.805), ("VH", 0.195), ("RL", 0.73), ("RR", 0.27)):
         assert_allclose(detected_fraction(matrix, pair=pair), share)
-    direct = milk_quadrature.reflected_at_once(
-        quick, tank.medium(quick, 0.5), np.zeros(1)
-    )
+    direct = milk.reflected_at_once(quick, tank.medium(quick, 0.5), np.zeros(1))
     whole = direct["VV"] + direct["VH"]
     assert_allclose(direct["RL"] / whole, 0.73)
     assert_allclose(direct["RR"] / whole, 0.27)
@@ -153,9 +145,7 @@ def test_both_handednesses_and_both_planes_share_the_echo(quick):
 
 def test_small_spheres_send_circular_light_back_with_the_other_hand():
     study = changed(milk_diameter=20e-9)
-    once = milk_quadrature.scattered_once(
-        study, tank.medium(study, 0.5), np.zeros(1), until=1.5
-    )
+    once = milk.scattered_once(study, tank.medium(study, 0.5), np.zeros(1), until=1.5)
     assert abs(once["RR"][0]) < 0.01 * abs(once["RL"][0])
     assert abs(once["VH"][0]) < 0.01 * abs(once["VV"][0])
 
@@ -166,7 +156,7 @@ def test_the_way_alone_drifts_unless_the_plate_faces_the_instrument(normal, expe
     x = tank.places()
     laser, centre = -0.07 * normal, 0.07 * (1 - normal)
     way = np.hypot(x - laser, 1.5) + np.hypot(x - centre, 1.5)
-    echo = milk_quadrature.reflected_at_once(study, tank.medium(study, 0.06), x)["VV"]
+    echo = milk.reflected_at_once(study, tank.medium(study, 0.06), x)["VV"]
     found = short_lines.advance_along(echo)
     # The receiver is 2 cm wide: its mean way is not that of its centre.
     assert_allclose(found, np.degrees(WAVE * (way[0] - way)), atol=0.01)
@@ -178,15 +168,11 @@ def test_a_parabola_joins_the_monte_carlo_within_a_hundredth(quick):
     water = tank.medium(quick, 0.8)
     nodes = chebyshev.chebpts2(3)
     pixels = tank.places()
-    join = milk_quadrature.interpolation(nodes, pixels / (tank.LINE / 2), degree=2)
-    few = milk_quadrature.scattered_once(
-        quick, water, nodes * tank.LINE / 2, until=1.5
-    )["VV"]
-    true = milk_quadrature.scattered_once(quick, water, pixels, until=1.5)["VV"]
+    join = milk.interpolation(nodes, pixels / (tank.LINE / 2), degree=2)
+    few = milk.scattered_once(quick, water, nodes * tank.LINE / 2, until=1.5)["VV"]
+    true = milk.scattered_once(quick, water, pixels, until=1.5)["VV"]
     assert np.abs(join @ few - true).max() < 0.02 * np.abs(true).max()
-    exact = milk_quadrature.interpolation(
-        chebyshev.chebpts2(5), np.array([0.3]), degree=4
-    )
+    exact = milk.interpolation(chebyshev.chebpts2(5), np.array([0.3]), degree=4)
     assert_allclose(exact @ chebyshev.chebpts2(5) ** 4, 0.3**4)
 
 
@@ -248,10 +234,10 @@ def test_open_water_takes_most_of_the_drift_away(quick):
 
 def test_without_milk_or_without_a_baseline_nothing_drifts(quick):
     statement, limits = "VV drifts", {"low": 1.0, "high": 1.6, "place": ""}
-    assert line_checks.drifts(quick, statement, "b", "VV", **limits).passed
-    assert not line_checks.drifts(quick, statement, "tap", "VV", **limits).passed
+    assert short_lines.drifts(quick, statement, "b", "VV", **limits).passed
+    assert not short_lines.drifts(quick, statement, "tap", "VV", **limits).passed
     straight = changed(quick, short_baseline=1e-6)
-    check = line_checks.moves(straight, statement, "b", "VV", place="")
+    check = short_lines.moves(straight, statement, "b", "VV", place="")
     assert not check.passed
 
 
@@ -304,7 +290,7 @@ def test_walls_send_back_light_without_polarization(quick):
     water, place = tank.medium(quick, 0.85), np.zeros(1)
     light = {}
     for share in (0.02, 0.04):
-        light[share] = milk_light.returned_by_walls(
+        light[share] = milk.returned_by_walls(
             changed(quick, wall_reflectance=share), water, place, histories=32_768
         )
     for pair in ("VH", "RR", "RL"):

@@ -8,17 +8,17 @@ from types import ModuleType
 import numpy as np
 import pytest
 
-from amulor.studies.ricci2010.checks import Check
 from amulor.studies.ricci2010.figures import (
     figure_05,
     figure_06,
     figure_13,
     figure_14,
     figure_15,
-    surfaces,
+    panels,
 )
 from amulor.studies.ricci2010.parameters import varied
-from amulor.studies.ricci2010.scenes import disc_scans, ladder_checks, ladder_scans
+from amulor.studies.ricci2010.results import Check
+from amulor.studies.ricci2010.scenes import disc_scans, ladder_scans
 from amulor.studies.ricci2010.study import Study
 from amulor.view.style import style
 
@@ -92,7 +92,7 @@ def test_steps_turn_the_phase_as_far_as_the_speed_of_light_says(study: Study) ->
     per_metre = 360 * 2 * FREQUENCY / VELOCITY
     assert 0.01 * per_metre == pytest.approx(1.2552, abs=1e-4)
     for height in (0.01, 0.04):
-        found = math.degrees(ladder_checks.phase_step(study, height))
+        found = math.degrees(ladder_scans.phase_step(study, height))
         assert found == pytest.approx(height * per_metre, rel=1e-12)
 
 
@@ -166,8 +166,8 @@ def test_another_ladder_does_not_pass_for_this_one(study: Study) -> None:
     scan = study.once(ladder_scans.polarized_clear)
     steps = scan.steps(scan.subtracted["VH"])
     other = with_numbers(study, other_steps=0.0105)
-    assert ladder_checks.steps_agree(study, "steps", steps, place="").passed
-    assert not ladder_checks.steps_agree(other, "steps", steps, place="").passed
+    assert ladder_scans.steps_agree(study, "steps", steps, place="").passed
+    assert not ladder_scans.steps_agree(other, "steps", steps, place="").passed
     assert "(a) VH, clear water: phase of the first step" in failed(
         figure_13.checks(with_numbers(study, first_step=0.044))
     )
@@ -224,7 +224,7 @@ def test_water_that_depolarizes_like_the_paint_leaves_no_better_channel(
 def test_a_surface_stands_in_space_where_the_target_stands(study: Study) -> None:
     scan = study.once(ladder_scans.polarized_clear)
     image = scan.subtracted["VH"]
-    relief = surfaces.relief(image, origin=scan.farthest(image))
+    relief = panels.relief(image, origin=scan.farthest(image))
     heights = [float(np.nanmean(relief.near[scan.treads == i])) for i in range(1, 6)]
     # 580 pixels of 0.5 mm each leave 0.02 mm; the water behind the steps, which is
     # subtracted although it is not there, and the lean of the scan stay below 0.2 mm.
@@ -245,7 +245,7 @@ def test_a_median_surface_keeps_steps_and_loses_spikes() -> None:
     near[:, 50] = np.nan
     place = column.copy()
     place[spike] += 15.0
-    found, scatter = surfaces.median(surfaces.Relief(place, row, near))
+    found, scatter = panels.median(panels.Relief(place, row, near))
     # 25 pixels: the median of normal noise scatters by 1.25 of the mean, 0.25 of each.
     inner = np.abs(column - 29.5) > 3
     off = (found.near - step)[inner & np.isfinite(near)]
@@ -262,7 +262,7 @@ def test_a_median_surface_keeps_steps_and_loses_spikes() -> None:
 def test_high_meshes_are_cut_into_strips_of_the_same_surface() -> None:
     quad = np.array([[0, 0, 0], [1, 0, 39], [1, 1, 39], [0, 1, 0]], dtype=float)
     flat = quad * [1, 1, 0]
-    strips, mesh = surfaces._in_strips(np.stack([quad, flat]))
+    strips, mesh = panels._in_strips(np.stack([quad, flat]))
     assert mesh.tolist() == [0] * 10 + [1]
     assert np.ptp(strips[:10, :, 2], axis=1) == pytest.approx(3.9)
     assert strips[0, 0].tolist() == [0, 0, 0]

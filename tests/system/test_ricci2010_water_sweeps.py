@@ -10,9 +10,9 @@ import pytest
 from scipy.constants import speed_of_light
 from scipy.integrate import quad
 
-from amulor.studies.ricci2010.checks import Check
 from amulor.studies.ricci2010.figures import figure_01, figure_03, figure_04
 from amulor.studies.ricci2010.parameters import varied
+from amulor.studies.ricci2010.results import Check
 from amulor.studies.ricci2010.scenes import water_sweeps
 from amulor.studies.ricci2010.study import Study
 

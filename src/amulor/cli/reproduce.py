@@ -55,7 +55,7 @@ def ricci2010(
         Print the checks for other programs.
     """
     from amulor import _extras, io
-    from amulor.studies.ricci2010 import reproduce, tables
+    from amulor.studies.ricci2010 import reproduce, results
 
     numbers = figure or reproduce.FIGURES
     wrong = [number for number in numbers if number not in reproduce.FIGURES]
@@ -76,7 +76,7 @@ def ricci2010(
         _extras.require("scale", purpose="a cluster")
         io.make_folder(output)
     with progress_bar(quiet=json) as progress:
-        results = _interruptible(
+        outcome = _interruptible(
             lambda: reproduce.run(
                 numbers,
                 quick=quick,
@@ -88,27 +88,27 @@ def ricci2010(
             )
         )
         progress("writing figures and report", 0.99)
-        reproduce.write(output, results, overwrite=overwrite)
+        reproduce.write(output, outcome, overwrite=overwrite)
     if json:
-        print_json(results.plain())
+        print_json(outcome.plain())
         return
-    for redrawn in results.figures:
+    for redrawn in outcome.figures:
         print(f"Figure {redrawn.number}. {redrawn.title}")
-        for statement, place, found, wanted, verdict in tables.check_rows(
+        for statement, place, found, wanted, verdict in results.check_rows(
             redrawn.checks
         ):
             print(f"  {verdict:<10}  {statement}{f' ({place})' if place else ''}")
             print(f"              found {found}; needed {wanted}")
         print()
-    if results.dependence is not None:
+    if outcome.dependence is not None:
         print("Conclusions that flip when one number goes to an end of its range")
-        for number, statement, state, flips in tables.dependence_rows(
-            results.dependence
+        for number, statement, state, flips in results.dependence_rows(
+            outcome.dependence
         ):
             print(f"  figure {number:<3}  {statement}")
             print(f"              {state}; flips at {flips}")
         print()
-    print(tables.tally(c for redrawn in results.figures for c in redrawn.checks))
+    print(results.tally(c for redrawn in outcome.figures for c in redrawn.checks))
     print(f"Report: {output / 'report.html'}")
 
 
@@ -121,12 +121,12 @@ def _interruptible(work: Callable[[], Result]) -> Result:
     """
     from threading import Thread
 
-    results: list[Result] = []
+    outcome: list[Result] = []
     problems: list[BaseException] = []
 
     def do() -> None:
         try:
-            results.append(work())
+            outcome.append(work())
         except BaseException as problem:
             problems.append(problem)
 
@@ -139,7 +139,7 @@ def _interruptible(work: Callable[[], Result]) -> Result:
         _leave()
     if problems:
         raise problems[0]
-    return results[0]
+    return outcome[0]
 
 
 def _leave() -> None:

@@ -12,9 +12,9 @@ import pytest
 
 from amulor.cli import main
 from amulor.errors import SurveyError
-from amulor.studies.ricci2010 import parameters, reproduce, tables
-from amulor.studies.ricci2010.checks import Check, holds, within
+from amulor.studies.ricci2010 import parameters, reproduce, results
 from amulor.studies.ricci2010.figures import figure_01
+from amulor.studies.ricci2010.results import Check, holds, within
 from amulor.studies.ricci2010.sensitivity import sensitivity
 from amulor.studies.ricci2010.study import Study
 
@@ -162,13 +162,13 @@ def test_a_conclusion_that_flips_is_said_to_flip() -> None:
     assert "cannot be computed: too wide" in always.flips[0].found
     assert narrow.strongest is not None
     assert narrow.strongest.shown == "1 cm"
-    rows = tables.dependence_rows([narrow, not_narrow, always])
+    rows = results.dependence_rows([narrow, not_narrow, always])
     assert rows[1] == ["3", "not too narrow", "holds", "width = 1 cm; width = 4 cm"]
 
 
 def test_the_tally_counts_set_statements_and_those_of_ours_apart() -> None:
     checks = _checks(Study(parameters.parse(ENTRY)))
-    text = tables.tally(checks)
+    text = results.tally(checks)
     assert text.startswith("1 of 1 statements of the paper hold; of 1 more")
     assert text.endswith("of 1 checks that the paper does not state, 1 hold.")
 

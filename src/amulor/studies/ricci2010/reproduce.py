@@ -11,8 +11,7 @@ from typing import Any
 
 from amulor import io
 from amulor.io.files import atomic_output
-from amulor.studies.ricci2010 import report
-from amulor.studies.ricci2010.results import Redrawn, Results
+from amulor.studies.ricci2010.results import Redrawn, Results, write_page
 from amulor.studies.ricci2010.sensitivity import sensitivity
 from amulor.studies.ricci2010.study import Study
 from amulor.view.report import png
@@ -80,7 +79,7 @@ def write(folder: Path, results: Results, *, overwrite: bool = False) -> list[st
             )
     with atomic_output(folder / "checks.json", overwrite=overwrite) as temporary:
         temporary.write_text(json.dumps(results.plain(), indent=2) + "\n")
-    report.write(folder / "report.html", results, overwrite=overwrite)
+    write_page(folder / "report.html", results, overwrite=overwrite)
     return output_names(numbers)
 
 

@@ -19,64 +19,11 @@ from typing import Any
 from amulor._extras import require
 from amulor.errors import AmulorError
 from amulor.io.files import atomic_output, make_folder
-from amulor.studies.ricci2010.checks import Check
 from amulor.studies.ricci2010.parameters import Parameter, varied
+from amulor.studies.ricci2010.results import Change, Check, Dependence
 from amulor.studies.ricci2010.study import Study
 
 Checks = Callable[[Study], list[Check]]
-
-
-@dataclass(frozen=True, kw_only=True)
-class Change:
-    """What became of a check when one number went to an end of its range."""
-
-    parameter: str
-    """Name of the number."""
-    shown: str
-    """Its value there, with its unit."""
-    found: str
-    """What was found there."""
-    passed: bool
-    """Whether the check passes there."""
-    value: float | None
-    """What was found, as a number."""
-
-
-@dataclass(frozen=True)
-class Dependence:
-    """One check, and what it does at the ends of all ranges that reach it."""
-
-    figure: int
-    """Figure of the paper."""
-    check: Check
-    """The check with the numbers as they are."""
-    changes: tuple[Change, ...]
-    """At both ends of each number that its figure reads."""
-
-    @property
-    def flips(self) -> tuple[Change, ...]:
-        """The changes that turn pass into fail, or fail into pass."""
-        return tuple(c for c in self.changes if c.passed != self.check.passed)
-
-    @property
-    def strongest(self) -> Change | None:
-        """The change that moves the number found the most; None if it is no number."""
-        start = self.check.value
-        moved = [c for c in self.changes if c.value is not None]
-        if start is None or not moved:
-            return None
-        return max(moved, key=lambda change: abs((change.value or 0.0) - start))
-
-    def plain(self) -> dict[str, Any]:
-        """Return it for other programs."""
-        return {
-            "figure": self.figure,
-            "statement": self.check.statement,
-            "found": self.check.found,
-            "passed": self.check.passed,
-            "flips": [vars(change) for change in self.flips],
-            "changes": [vars(change) for change in self.changes],
-        }
 
 
 def sensitivity(

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from scipy.integrate import cumulative_trapezoid
 
 from amulor.optics import small_angle, small_angle_diffusion
-from amulor.studies.ricci2010.checks import Check, within
-from amulor.studies.ricci2010.figures.drawing import WIDE, letter
+from amulor.studies.ricci2010.figures.panels import WIDE, letter
+from amulor.studies.ricci2010.results import Check, within
 from amulor.studies.ricci2010.scenes.water_sweeps import (
     TURBIDITIES,
     Turbidity,

@@ -10,13 +10,13 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
 from amulor.optics import low_pass
-from amulor.studies.ricci2010.checks import Check, Role, holds, within
-from amulor.studies.ricci2010.figures.drawing import (
+from amulor.studies.ricci2010.figures.panels import (
     SYNTHETIC,
     WIDE,
     letter,
     mark_synthetic,
 )
+from amulor.studies.ricci2010.results import Check, Role, holds, within
 from amulor.studies.ricci2010.scenes.water_sweeps import Curve, Squares, Sweep, sweep
 from amulor.studies.ricci2010.study import Study
 from amulor.view.style import COLOURS, new_figure, style

@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 from matplotlib.figure import Figure
 
-from amulor.studies.ricci2010.checks import Check, holds, within
 from amulor.studies.ricci2010.figures.figure_03 import sweep_checks, sweep_figure
+from amulor.studies.ricci2010.results import Check, holds, within
 from amulor.studies.ricci2010.scenes.water_sweeps import sweep
 from amulor.studies.ricci2010.study import Study
 

@@ -4,26 +4,24 @@ from __future__ import annotations
 
 from matplotlib.figure import Figure
 
-from amulor.studies.ricci2010.checks import Check, within
-from amulor.studies.ricci2010.figures.drawing import (
+from amulor.studies.ricci2010.figures.panels import (
+    LADDER_SHADES,
     WIDE,
+    canvas,
+    draw_surface,
     letter,
     mark_synthetic,
-    styled,
-)
-from amulor.studies.ricci2010.figures.surfaces import (
-    LADDER_SHADES,
-    canvas,
     median,
     relief,
+    styled,
 )
-from amulor.studies.ricci2010.figures.surfaces import draw as draw_surface
-from amulor.studies.ricci2010.scenes.ladder_checks import (
+from amulor.studies.ricci2010.results import Check, within
+from amulor.studies.ricci2010.scenes.ladder_scans import (
     cut_off,
     steps_agree,
     steps_are_faithful,
+    unpolarized_clear,
 )
-from amulor.studies.ricci2010.scenes.ladder_scans import unpolarized_clear
 from amulor.studies.ricci2010.study import Study
 
 TITLE = "The ladder in clear water"

@@ -6,26 +6,22 @@ import math
 
 from matplotlib.figure import Figure
 
-from amulor.studies.ricci2010.checks import Check, holds, within
-from amulor.studies.ricci2010.figures.drawing import (
+from amulor.studies.ricci2010.figures.panels import (
+    LADDER_SHADES,
     WIDE,
+    canvas,
+    draw_surface,
     letter,
     mark_synthetic,
-    styled,
-)
-from amulor.studies.ricci2010.figures.surfaces import (
-    LADDER_SHADES,
-    canvas,
     median,
     relief,
+    styled,
 )
-from amulor.studies.ricci2010.figures.surfaces import draw as draw_surface
-from amulor.studies.ricci2010.scenes.ladder_checks import (
+from amulor.studies.ricci2010.results import Check, holds, within
+from amulor.studies.ricci2010.scenes.ladder_scans import (
     cut_off,
     steps_agree,
     steps_are_faithful,
-)
-from amulor.studies.ricci2010.scenes.ladder_scans import (
     unpolarized_clear,
     unpolarized_turbid,
 )

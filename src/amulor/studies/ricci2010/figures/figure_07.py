@@ -8,13 +8,13 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from amulor.optics import extrema
-from amulor.studies.ricci2010.checks import Check, holds, within
-from amulor.studies.ricci2010.figures.drawing import (
+from amulor.studies.ricci2010.figures.panels import (
     SYNTHETIC,
     WIDE,
     letter,
     mark_synthetic,
 )
+from amulor.studies.ricci2010.results import Check, holds, within
 from amulor.studies.ricci2010.scenes import interference_sweeps as shared
 from amulor.studies.ricci2010.scenes import white_plate
 from amulor.studies.ricci2010.study import Study

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from matplotlib.figure import Figure
 
-from amulor.studies.ricci2010.checks import Check, holds, within
-from amulor.studies.ricci2010.figures import ratio_panels
+from amulor.studies.ricci2010.figures import panels
+from amulor.studies.ricci2010.results import Check, holds, within
 from amulor.studies.ricci2010.scenes import interference_sweeps as shared
 from amulor.studies.ricci2010.study import Study
 
@@ -26,16 +26,16 @@ def checks(study: Study) -> list[Check]:
     sweeps = study.once(shared.sweeps)
     return [
         *[
-            ratio_panels.same_extrema(
+            panels.same_extrema(
                 sweep, np.log(sweep.ratio), "signal-to-optical-noise ratio"
             )
             for sweep in sweeps[1:]
         ],
-        ratio_panels.almost_monotonic(
+        panels.almost_monotonic(
             sweeps[0], np.log(sweeps[0].ratio), "logarithm of the ratio"
         ),
         *[
-            ratio_panels.grows(sweep, sweep.ratio, "signal-to-optical-noise ratio")
+            panels.grows(sweep, sweep.ratio, "signal-to-optical-noise ratio")
             for sweep in sweeps
         ],
         _goes_together(sweeps),
@@ -51,20 +51,20 @@ def checks(study: Study) -> list[Check]:
             "experiments 2 and 3 that are 10 % deep",
             float(
                 sum(
-                    ratio_panels.turns(s, np.log(s.corrected_ratio), depth=0.1)
+                    panels.turns(s, np.log(s.corrected_ratio), depth=0.1)
                     for s in sweeps[1:]
                 )
             ),
             -np.inf,
             0,
-            place=ratio_panels.PLACE,
+            place=panels.RATIO_PLACE,
         ),
     ]
 
 
 def draw(study: Study) -> Figure:
     """Draw the three panels."""
-    return ratio_panels.draw(
+    return panels.draw_ratios(
         study.once(shared.sweeps),
         raw=lambda sweep: sweep.ratio,
         corrected=lambda sweep: sweep.corrected_ratio,

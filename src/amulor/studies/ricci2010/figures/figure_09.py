@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from matplotlib.figure import Figure
 
-from amulor.studies.ricci2010.checks import Check, holds
-from amulor.studies.ricci2010.figures import ratio_panels
+from amulor.studies.ricci2010.figures import panels
+from amulor.studies.ricci2010.results import Check, holds
 from amulor.studies.ricci2010.scenes import interference_sweeps as shared
 from amulor.studies.ricci2010.study import Study
 
@@ -23,9 +23,9 @@ def checks(study: Study) -> list[Check]:
     sweeps = study.once(shared.sweeps)
     lowest = [float(sweep.contrast.min()) for sweep in sweeps]
     return [
-        *[ratio_panels.same_extrema(s, s.contrast, "contrast") for s in sweeps[1:]],
-        ratio_panels.almost_monotonic(sweeps[0], sweeps[0].contrast, "contrast"),
-        *[ratio_panels.grows(s, s.contrast, "contrast") for s in sweeps],
+        *[panels.same_extrema(s, s.contrast, "contrast") for s in sweeps[1:]],
+        panels.almost_monotonic(sweeps[0], sweeps[0].contrast, "contrast"),
+        *[panels.grows(s, s.contrast, "contrast") for s in sweeps],
         holds(
             "contrast is negative at some frequencies of experiments 2 and 3 only "
             "(least contrast)",
@@ -47,7 +47,7 @@ def checks(study: Study) -> list[Check]:
 
 def draw(study: Study) -> Figure:
     """Draw the three panels."""
-    return ratio_panels.draw(
+    return panels.draw_ratios(
         study.once(shared.sweeps),
         raw=lambda sweep: sweep.contrast,
         corrected=lambda sweep: sweep.corrected_contrast,

@@ -7,10 +7,10 @@ from dataclasses import replace
 import numpy as np
 from matplotlib.figure import Figure
 
-from amulor.studies.ricci2010.checks import Check, holds, within
-from amulor.studies.ricci2010.figures import line_panels
-from amulor.studies.ricci2010.figures.drawing import WIDE, letter, mark_synthetic
-from amulor.studies.ricci2010.scenes import line_checks
+from amulor.studies.ricci2010.figures import panels
+from amulor.studies.ricci2010.figures.panels import WIDE, letter, mark_synthetic
+from amulor.studies.ricci2010.results import Check, holds, within
+from amulor.studies.ricci2010.scenes import short_lines
 from amulor.studies.ricci2010.scenes import short_lines as lines
 from amulor.studies.ricci2010.study import Study
 from amulor.view.style import new_figure, style
@@ -45,7 +45,7 @@ def checks(study: Study) -> list[Check]:
     """Return what the text says of figure 10."""
     drift = {step: lines.line(study, step, "VV").drift for step in lines.TURBIDITIES}
     crossed_share = lines.rejected_share(study, "d", ("VH", "VV"))
-    crossed = line_checks.drifts(
+    crossed = short_lines.drifts(
         study,
         "(d) VH drifts by about 3 degrees",
         "d",
@@ -55,19 +55,19 @@ def checks(study: Study) -> list[Check]:
         place=_AT["d"],
     )
     return [
-        line_checks.stays_flat(
+        short_lines.stays_flat(
             study, "(a) VV does not drift in tap water", "tap", "VV",
             place=_AT["tap"], role="set",
         ),
-        line_checks.stays_flat(
+        short_lines.stays_flat(
             study, "(a) VH does not drift in tap water", "tap", "VH",
             place=_AT["tap"], role="set",
         ),
-        line_checks.drifts(
+        short_lines.drifts(
             study, "(b) VV drifts by 1.3 degrees", "b", "VV",
             low=1.0, high=1.6, place=_AT["b"], role="set",
         ),
-        line_checks.stays_flat(study, "(b) VH does not drift", "b", "VH", place=_AT["b"]
+        short_lines.stays_flat(study, "(b) VH does not drift", "b", "VH", place=_AT["b"]
         ),
         within(
             "(c) VV drifts by more than in (b) and less than in (d)",
@@ -75,9 +75,9 @@ def checks(study: Study) -> list[Check]:
             place=_AT["c"], unit="deg",
             uncertainty=lines.line(study, "c", "VV").error,
         ),
-        line_checks.stays_flat(study, "(c) VH does not drift", "c", "VH", place=_AT["c"]
+        short_lines.stays_flat(study, "(c) VH does not drift", "c", "VH", place=_AT["c"]
         ),
-        line_checks.drifts(
+        short_lines.drifts(
             study, "(d) VV drifts by about 7 degrees", "d", "VV",
             low=6.0, high=8.0, place=_AT["d"], role="set",
         ),
@@ -89,7 +89,7 @@ def checks(study: Study) -> list[Check]:
         ),
         _overlap(study),
         *(
-            line_checks.is_straight(study, step, "VV", place=place)
+            short_lines.is_straight(study, step, "VV", place=place)
             # The text says it of (b), and of (c) by analogy.
             for step, place in (("b", _AT["b"]), ("c", _AT["c"]), ("d", ""))
         ),
@@ -142,11 +142,11 @@ def draw(study: Study) -> Figure:
         figure = new_figure(WIDE, 4.6)
         axes = figure.subplots(2, 2, sharex=True, sharey=True)
         for axis, step in zip(axes.flat, lines.TURBIDITIES, strict=True):
-            line_panels.panel(study, axis, step, ("VV", "VH"), subtracted=True)
+            panels.panel(study, axis, step, ("VV", "VH"), subtracted=True)
             axis.label_outer()
         letter(
             axes.flat,
-            [line_panels.water_name(study, step) for step in lines.TURBIDITIES],
+            [panels.water_name(study, step) for step in lines.TURBIDITIES],
         )
         handles, labels = axes[0, 0].get_legend_handles_labels()
         figure.legend(

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 from matplotlib.figure import Figure
 
-from amulor.studies.ricci2010.checks import Check, within
-from amulor.studies.ricci2010.figures import line_panels
-from amulor.studies.ricci2010.figures.drawing import WIDE, letter, mark_synthetic
-from amulor.studies.ricci2010.scenes import line_checks
+from amulor.studies.ricci2010.figures import panels
+from amulor.studies.ricci2010.figures.panels import WIDE, letter, mark_synthetic
+from amulor.studies.ricci2010.results import Check, within
+from amulor.studies.ricci2010.scenes import short_lines
 from amulor.studies.ricci2010.scenes import short_lines as lines
 from amulor.studies.ricci2010.study import Study
 from amulor.view.style import new_figure, style
@@ -38,18 +38,18 @@ def checks(study: Study) -> list[Check]:
     return [
         within(
             "(a) RL and RR do not differ beyond the phase error in tap water",
-            apart, -line_checks.FLAT, line_checks.FLAT,
+            apart, -short_lines.FLAT, short_lines.FLAT,
             place=_AT["tap"], unit="deg", uncertainty=error,
         ),
         *(
-            line_checks.moves(study, f"({step}) RL drifts", step, "RL", place=_AT[step])
+            short_lines.moves(study, f"({step}) RL drifts", step, "RL", place=_AT[step])
             for step in ("b", "c", "d")
         ),
-        line_checks.stays_flat(study, "(b) RR does not drift", "b", "RR", place=_AT["b"]
+        short_lines.stays_flat(study, "(b) RR does not drift", "b", "RR", place=_AT["b"]
         ),
-        line_checks.stays_flat(study, "(c) RR does not drift", "c", "RR", place=_AT["c"]
+        short_lines.stays_flat(study, "(c) RR does not drift", "c", "RR", place=_AT["c"]
         ),
-        line_checks.moves(study, "(d) RR drifts", "d", "RR", place=_AT["d"]),
+        short_lines.moves(study, "(d) RR drifts", "d", "RR", place=_AT["d"]),
         within(
             "(d) RR drifts by less than 3 degrees",
             turbid.drift, -np.inf, 3.0,
@@ -64,11 +64,11 @@ def draw(study: Study) -> Figure:
         figure = new_figure(WIDE, 4.6)
         axes = figure.subplots(2, 2, sharex=True, sharey=True)
         for axis, step in zip(axes.flat, lines.TURBIDITIES, strict=True):
-            line_panels.panel(study, axis, step, ("RL", "RR"), subtracted=True)
+            panels.panel(study, axis, step, ("RL", "RR"), subtracted=True)
             axis.label_outer()
         letter(
             axes.flat,
-            [line_panels.water_name(study, step) for step in lines.TURBIDITIES],
+            [panels.water_name(study, step) for step in lines.TURBIDITIES],
         )
         handles, labels = axes[0, 0].get_legend_handles_labels()
         figure.legend(

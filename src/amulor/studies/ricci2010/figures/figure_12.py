@@ -9,10 +9,10 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from amulor.studies.ricci2010.checks import Check, within
-from amulor.studies.ricci2010.figures import line_panels
-from amulor.studies.ricci2010.figures.drawing import WIDE, letter, mark_synthetic
-from amulor.studies.ricci2010.scenes import line_checks, trade_off
+from amulor.studies.ricci2010.figures import panels
+from amulor.studies.ricci2010.figures.panels import WIDE, letter, mark_synthetic
+from amulor.studies.ricci2010.results import Check, within
+from amulor.studies.ricci2010.scenes import short_lines, trade_off
 from amulor.studies.ricci2010.scenes import short_lines as lines
 from amulor.studies.ricci2010.study import Study
 from amulor.view.style import COLOURS, new_figure, style
@@ -42,7 +42,7 @@ def checks(study: Study) -> list[Check]:
     check = within(
         "RR drifts by less than VH, by more than the phase error",
         margin,
-        line_checks.FLAT,
+        short_lines.FLAT,
         np.inf,
         place="section 9, on figures 11(d) and 12",
         unit="deg",
@@ -57,8 +57,8 @@ def checks(study: Study) -> list[Check]:
         f"{kept[0] / kept[1]:.2g} times as much light of the same hand as crossed, "
         f"and less than {echo_ratio(study):.2g} times would be needed"
     )
-    sure = margin - line_checks.SURE * error >= line_checks.FLAT
-    return [line_checks.surely(replace(check, found=result), sure)]
+    sure = margin - short_lines.SURE * error >= short_lines.FLAT
+    return [short_lines.surely(replace(check, found=result), sure)]
 
 
 def echo_ratio(study: Study) -> float:
@@ -77,7 +77,7 @@ def draw(study: Study) -> Figure:
     with style():
         figure = new_figure(WIDE, 3.6)
         left, right = figure.subplots(1, 2, width_ratios=(1, 1.15))
-        line_panels.panel(study, left, "d", ("VH", "RR"), subtracted=False)
+        panels.panel(study, left, "d", ("VH", "RR"), subtracted=False)
         left.legend(loc="upper left")
         left.set_ylim(-1.6, 3.4)
         _draw_trade_off(study, right)
@@ -91,8 +91,8 @@ def _draw_trade_off(study: Study, axis: Axes) -> None:
     low, high = _CROSSED
     axis.fill_between(
         [low, high],
-        [line_checks.FLAT, line_checks.FLAT],
-        [low - line_checks.FLAT, high - line_checks.FLAT],
+        [short_lines.FLAT, short_lines.FLAT],
+        [low - short_lines.FLAT, high - short_lines.FLAT],
         color=COLOURS[2],
         alpha=0.25,
         lw=0,

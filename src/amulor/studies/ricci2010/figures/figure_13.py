@@ -7,17 +7,22 @@ import math
 import numpy as np
 from matplotlib.figure import Figure
 
-from amulor.studies.ricci2010.checks import Check, Role, holds, within
-from amulor.studies.ricci2010.figures.drawing import (
+from amulor.studies.ricci2010.figures.panels import (
     SYNTHETIC,
     WIDE,
+    Relief,
     letter,
     mark_synthetic,
+    relief,
     styled,
 )
-from amulor.studies.ricci2010.figures.surfaces import Relief, relief
-from amulor.studies.ricci2010.scenes.ladder_checks import phase_step, steps_agree
-from amulor.studies.ricci2010.scenes.ladder_scans import PANELS, Steps
+from amulor.studies.ricci2010.results import Check, Role, holds, within
+from amulor.studies.ricci2010.scenes.ladder_scans import (
+    PANELS,
+    Steps,
+    phase_step,
+    steps_agree,
+)
 from amulor.studies.ricci2010.study import Study
 from amulor.view.style import COLOURS, new_figure
 

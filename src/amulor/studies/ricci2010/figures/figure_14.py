@@ -4,20 +4,18 @@ from __future__ import annotations
 
 from matplotlib.figure import Figure
 
-from amulor.studies.ricci2010.checks import Check, holds
-from amulor.studies.ricci2010.figures.drawing import (
+from amulor.studies.ricci2010.figures.panels import (
+    LADDER_SHADES,
     WIDE,
+    canvas,
+    draw_surface,
     letter,
     mark_synthetic,
-    styled,
-)
-from amulor.studies.ricci2010.figures.surfaces import (
-    LADDER_SHADES,
-    canvas,
     median,
     relief,
+    styled,
 )
-from amulor.studies.ricci2010.figures.surfaces import draw as draw_surface
+from amulor.studies.ricci2010.results import Check, holds
 from amulor.studies.ricci2010.scenes.ladder_scans import PANELS
 from amulor.studies.ricci2010.study import Study
 

@@ -8,20 +8,18 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from amulor.studies.ricci2010.checks import Check, holds, within
-from amulor.studies.ricci2010.figures.drawing import (
+from amulor.studies.ricci2010.figures.panels import (
     WIDE,
+    canvas,
+    draw_surface,
     letter,
     mark_synthetic,
-    styled,
-)
-from amulor.studies.ricci2010.figures.surfaces import (
-    canvas,
     masked,
     median,
     relief,
+    styled,
 )
-from amulor.studies.ricci2010.figures.surfaces import draw as draw_surface
+from amulor.studies.ricci2010.results import Check, holds, within
 from amulor.studies.ricci2010.scenes.disc_scans import (
     DiscScan,
     Outline,

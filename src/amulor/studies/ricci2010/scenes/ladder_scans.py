@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -13,8 +13,10 @@ from numpy.typing import NDArray
 from amulor import imaging, rejection
 from amulor.errors import CubeError
 from amulor.imaging import metrics
-from amulor.simulation import DiffusionModel, simulate
+from amulor.optics import low_pass, ranging
+from amulor.simulation import DiffusionModel, backscatter, simulate
 from amulor.studies.ladder import treads
+from amulor.studies.ricci2010.results import Check, holds
 from amulor.studies.ricci2010.scenes.scan_surveys import (
     ScanField,
     ScanWater,
@@ -281,3 +283,71 @@ PANELS = (
     ("VH, milk", polarized_milk, "VH"),
     ("VV, milk", polarized_milk, "VV"),
 )
+
+
+def cut_off(survey: Survey, *, end: float | None = None) -> float:
+    """Return the cut-off of the water signal in the middle of a scan."""
+    ended = survey.water.model_copy(update={"column_end": end})
+    shown = survey.model_copy(update={"water": ended})
+    return low_pass.cut_off(lambda f: backscatter.diffusion_response(shown, f))
+
+
+def phase_step(study: Study, height: float) -> float:
+    """Return the change of phase that a height stands for."""
+    interval = ranging.ambiguity_interval(
+        study["frequency"], group_index=study["index"]
+    )
+    return float(2 * np.pi * height / interval)
+
+
+def steps_are_faithful(
+    study: Study, statement: str, steps: Steps, *, place: str
+) -> Check:
+    """Return the check that no step is off by more than the phase error stands for."""
+    interval = ranging.ambiguity_interval(
+        study["frequency"], group_index=study["index"]
+    )
+    limit = float(study["phase_noise"] / (2 * np.pi) * interval) * 1e3
+    true = np.array([study["first_step"], *[study["other_steps"]] * 3])
+    off = (steps.heights - true) * 1e3
+    worst = float(off[np.argmax(np.abs(off))])
+    shown = ", ".join(f"{height * 1e3:.1f}" for height in steps.heights)
+    return replace(
+        holds(
+            statement,
+            abs(worst) <= limit,
+            found=f"{shown} mm",
+            wanted=", ".join(f"{height * 1e3:.0f}" for height in true)
+            + f" mm, each within {limit:.1f} mm, what 0.25 degrees stand for",
+            place=place,
+        ),
+        value=worst,
+    )
+
+
+def steps_agree(
+    study: Study,
+    statement: str,
+    steps: Steps,
+    *,
+    place: str,
+    significance: float = 3.0,
+) -> Check:
+    """Return the check that the steps of the ladder are right."""
+    true = np.array([study["first_step"], *[study["other_steps"]] * 3])
+    off = np.abs(steps.heights - true) / steps.uncertainties
+    result = ", ".join(
+        f"{height * 1e3:.1f} ± {error * 1e3:.1f}"
+        for height, error in zip(steps.heights, steps.uncertainties, strict=True)
+    )
+    if not np.isfinite(off).all():
+        result = f"no range on {steps.wanted - steps.pixels} of {steps.wanted} pixels"
+    wanted = ", ".join(f"{height * 1e3:.0f}" for height in true)
+    check = holds(
+        statement,
+        bool((off <= significance).all()),
+        found=result if "no range" in result else f"{result} mm",
+        place=place,
+        wanted=f"{wanted} mm, each within {significance:g} standard errors",
+    )
+    return replace(check, value=float(np.max(off)))

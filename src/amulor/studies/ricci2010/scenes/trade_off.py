@@ -9,7 +9,7 @@ import numpy as np
 from scipy.optimize import brentq
 
 from amulor.studies.ricci2010.parameters import varied
-from amulor.studies.ricci2010.scenes.milk_light import LineLight
+from amulor.studies.ricci2010.scenes.milk import LineLight
 from amulor.studies.ricci2010.scenes.short_lines import (
     LIGHT,
     advance_along,

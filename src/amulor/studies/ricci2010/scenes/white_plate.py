@@ -16,7 +16,7 @@ from amulor.studies.ricci2010.scenes.interference_sweeps import (
     LAST,
     TURBIDITY,
 )
-from amulor.studies.ricci2010.scenes.milk_tank import ANGLES, milk
+from amulor.studies.ricci2010.scenes.milk import ANGLES, milk
 from amulor.studies.ricci2010.scenes.water_sweeps import receiver
 from amulor.studies.ricci2010.study import Study
 from amulor.transport import (
