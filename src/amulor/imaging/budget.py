@@ -12,17 +12,15 @@ from numpy.typing import NDArray
 
 from amulor.cube import error_unknown
 from amulor.cube.schema import RANGE_PREFIX, TERMS, Term
-from amulor.cube.tiles import Span
 from amulor.imaging.calibration import (
     CALIBRATION_TERMS,
     calibration_age,
     calibration_terms,
     joint_instrument_terms,
 )
-from amulor.imaging.geometry import beams_of
 from amulor.imaging.late_light import LateFit, late_light
+from amulor.imaging.observation import Observation
 from amulor.imaging.ranges import Ranges
-from amulor.survey import Survey
 
 Floats = NDArray[np.float64]
 
@@ -31,24 +29,17 @@ _SHAPE_KNOWN = 4
 
 
 def completed(
-    one: xr.Dataset,
-    ranges: Ranges,
-    *,
-    survey: Survey | None,
-    fit: LateFit | None = None,
-    span: Span | None = None,
+    seen: Observation, ranges: Ranges, *, fit: LateFit | None = None
 ) -> tuple[Ranges, dict[str, Any], LateFit]:
     """Subtract late light and add all known terms; attributes, statistics used."""
-    seen = np.where(ranges.usable, ranges.slant_range, np.nan)
-    light, fit = late_light(
-        one, seen, survey=survey, weight=ranges.weight, fit=fit, span=span
-    )
-    ranges, shared = _without_instrument(one, ranges)
+    slant_range = np.where(ranges.usable, ranges.slant_range, np.nan)
+    light, fit = late_light(seen, slant_range, weight=ranges.weight, fit=fit)
+    ranges, shared = _without_instrument(seen, ranges)
     if light.note == "taken off":
-        ranges = _without_late_light(one, ranges)
+        ranges = _without_late_light(seen, ranges)
     # What the survey states wins over what the estimation took for lack of it.
-    shared |= calibration_terms(one, ranges.path, ranges.slope, survey=survey)
-    unknown = _unknown_of_water(one)
+    shared |= calibration_terms(seen, ranges.path, ranges.slope)
+    unknown = _unknown_of_water(seen.channel)
     unknown += [name for name in CALIBRATION_TERMS if name not in shared]
     others = dict(ranges.others)
     if light.uncertainty is None:
@@ -60,10 +51,10 @@ def completed(
         "late_echo_correction": light.note,
         "uncertainty_unknown": " ".join(name for name in TERMS if name in unknown),
     }
-    calibration = None if survey is None else survey.calibration
+    calibration = None if seen.survey is None else seen.survey.calibration
     if calibration is not None and calibration.date is not None:
         attributes["delay_calibrated"] = calibration.date.isoformat()
-        age = calibration_age(one, calibration)
+        age = calibration_age(seen.channel.attrs, calibration)
         if age is not None:
             attributes["delay_calibration_age_days"] = age
     common, total = ranges.common, ranges.total
@@ -86,13 +77,13 @@ def completed(
 
 
 def _without_instrument(
-    one: xr.Dataset, ranges: Ranges
+    seen: Observation, ranges: Ranges
 ) -> tuple[Ranges, dict[str, Floats]]:
     """Return ranges less what a joint estimation put in for the instrument, and that.
 
     It counts delay, index and place of the receiver in the common error of its ranges.
     """
-    terms = joint_instrument_terms(one, ranges.path, ranges.slope)
+    terms = joint_instrument_terms(seen, ranges.path, ranges.slope)
     if not terms or ranges.common is None:
         return ranges, {}
     known = np.sum([term**2 for term in terms.values()], axis=0)
@@ -109,21 +100,20 @@ def _without_instrument(
     return replace(ranges, common=common, total=total, terms=divided), terms
 
 
-def _without_late_light(one: xr.Dataset, ranges: Ranges) -> Ranges:
+def _without_late_light(seen: Observation, ranges: Ranges) -> Ranges:
     """Return ranges less what a joint estimation put in for late light.
 
     It knows the light by its spread alone; the image knows the water, takes the delay
     off and states what is left. Few frequencies cannot show that the water has another
     shape than its model: there both are kept.
     """
-    names = ("joint_late_echo_uncertainty", "joint_late_echo_spread_rad2_per_m")
-    if "joint_slant_range" not in one or any(name not in one.attrs for name in names):
+    stated = seen.joint_values("late_echo_uncertainty", "late_echo_spread_rad2_per_m")
+    if stated is None:
         return ranges
-    few = one.sizes.get("modulation_frequency", 1) < _SHAPE_KNOWN
-    if few or ranges.common is None:
+    if len(seen.frequency) < _SHAPE_KNOWN or ranges.common is None:
         return ranges
-    part, spread = (float(one.attrs[name]) for name in names)
-    depth = ranges.slant_range - beams_of(one).length_before
+    part, spread = stated
+    depth = seen.geometry.depth(ranges.slant_range)
     known = np.square(part * 0.25 * spread * np.square(depth))
     with np.errstate(invalid="ignore"):
         common, total = (

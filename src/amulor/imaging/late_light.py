@@ -7,12 +7,11 @@ from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
-import xarray as xr
 from numpy.typing import NDArray
 
 from amulor.cube.tiles import Span, span_of
 from amulor.errors import SurveyError
-from amulor.imaging.geometry import beams_of
+from amulor.imaging.observation import Observation
 from amulor.optics import late_echo, ranging
 from amulor.optics.phase_functions.models import henyey_greenstein_function
 from amulor.optics.phase_functions.phase_function import PhaseFunction
@@ -62,13 +61,11 @@ class LateLight:
 
 
 def late_light(
-    one: xr.Dataset,
+    seen: Observation,
     slant_range: Floats,
     *,
-    survey: Survey | None,
     weight: Floats,
     fit: LateFit | None = None,
-    span: Span | None = None,
 ) -> tuple[LateLight, LateFit]:
     """Return how late the echoes of one channel are, and the statistics used.
 
@@ -79,34 +76,20 @@ def late_light(
     asymmetries of 0.90 to 0.98.
     """
     nothing = np.zeros(slant_range.shape)
-    if _has_no_late_light(one):
+    survey = seen.survey
+    if not seen.has_late_light:
         note = "absent from this simulation"
         return LateLight(late=nothing, uncertainty=nothing, note=note), LateFit()
     if survey is None:
         return _unknown(nothing, "no survey describes the water"), LateFit()
     usable = np.isfinite(slant_range)
-    used = fit
-    try:
-        water = water_properties(survey)
-        known = _phase_functions(survey)
-        if used is None:
-            used = _fit(one, slant_range, span)
-        if used.depth is None:
-            return _unknown(nothing, "no pixel has a range"), used
-        lowest, highest = _between(
-            one,
-            slant_range,
-            survey=survey,
-            water=water,
-            weight=weight,
-            known=known,
-            fit=used,
-        )
-    except SurveyError as error:
-        return _unknown(nothing, str(error)), used or LateFit()
+    ends, used, why = _delays(seen, survey, slant_range, weight, fit)
+    if ends is None:
+        return _unknown(nothing, why), used
+    lowest, highest = ends
     if fit is None:
-        seen = np.isfinite(lowest[usable]) & np.isfinite(highest[usable])
-        used = replace(used, in_view=bool(np.all(seen)))
+        known = np.isfinite(lowest[usable]) & np.isfinite(highest[usable])
+        used = replace(used, in_view=bool(np.all(known)))
     if not used.in_view:
         why = "the receiver looks past some of the echoes"
         return _unknown(nothing, why), used
@@ -124,58 +107,43 @@ def late_light(
 
 
 def dispersion(
-    one: xr.Dataset,
+    seen: Observation,
     slant_range: Floats,
     *,
-    survey: Survey | None,
     weight: Floats,
     fit: LateFit | None = None,
-    span: Span | None = None,
 ) -> tuple[tuple[Floats, Floats] | None, LateFit]:
     """Return by how much late light turns the phases of frequencies differently.
 
     The higher the frequency, the less light that took many ways counts: a delay that
     differs with the frequency, which is no other distance and no other interval.
     """
-    if len(weight) < 2 or survey is None or _has_no_late_light(one):
+    survey = seen.survey
+    if len(weight) < 2 or survey is None or not seen.has_late_light:
         return None, LateFit()
-    used = fit
-    try:
-        water = water_properties(survey)
-        known = _phase_functions(survey)
-        if used is None:
-            used = _fit(one, slant_range, span)
-        if used.depth is None:
-            return None, used
-        lowest, highest = _between(
-            one,
-            slant_range,
-            survey=survey,
-            water=water,
-            weight=np.eye(len(weight)) - weight,
-            known=known,
-            fit=used,
-        )
-    except SurveyError:
-        return None, used or LateFit()
+    apart = np.eye(len(weight)) - weight
+    ends, used, _ = _delays(seen, survey, slant_range, apart, fit)
+    if ends is None:
+        return None, used
+    lowest, highest = ends
     to_phase = ranging.phase_per_range(
-        one["modulation_frequency"].values[:, None, None],
-        group_index=water.group_index,
+        seen.frequency[:, None, None],
+        group_index=water_properties(survey).group_index,
     )
     turn = np.nan_to_num(to_phase * (lowest + highest) / 2)
     spread = np.nan_to_num(to_phase * (highest - lowest) / 2)
     return (turn, np.hypot(_DISPERSION_UNCERTAINTY * turn, spread)), used
 
 
-def _fit(one: xr.Dataset, slant_range: Floats, span: Span | None) -> LateFit:
+def _fit(seen: Observation, slant_range: Floats) -> LateFit:
     """Reach of late light, and directions of the scan; nothing where no range is."""
     if not np.isfinite(slant_range).any():
         return LateFit()
-    depth = slant_range - beams_of(one).length_before
+    depth = seen.geometry.depth(slant_range)
     depth = depth[np.isfinite(depth) & (depth > 0)]
     return LateFit(
         depth=(float(np.min(depth)), float(np.max(depth))),
-        span=span_of(one) if span is None else span,
+        span=span_of(seen.channel) if seen.span is None else seen.span,
     )
 
 
@@ -183,16 +151,31 @@ def _unknown(nothing: Floats, why: str) -> LateLight:
     return LateLight(late=nothing, uncertainty=None, note=f"not known: {why}")
 
 
-def _has_no_late_light(one: xr.Dataset) -> bool:
-    """Return whether the model that a cube was simulated with sends no late light."""
-    stated = one.attrs.get("late_echo")
-    if stated is None:
-        return bool(one.attrs.get("simulated", 0))
-    return str(stated) == "absent"
+def _delays(
+    seen: Observation,
+    survey: Survey,
+    slant_range: Floats,
+    weight: Floats,
+    fit: LateFit | None,
+) -> tuple[tuple[Floats, Floats] | None, LateFit, str]:
+    """Delays as `_between`, the statistics used, and why there are no delays."""
+    fit = _fit(seen, slant_range) if fit is None else fit
+    try:
+        water = water_properties(survey)
+        known = _phase_functions(water)
+        if fit.depth is None:
+            return None, fit, "no pixel has a range"
+        ends = _between(
+            seen, slant_range, survey=survey, water=water, weight=weight, known=known,
+            fit=fit,
+        )  # fmt: skip
+    except SurveyError as error:
+        return None, fit, str(error)
+    return ends, fit, ""
 
 
 def _between(
-    one: xr.Dataset,
+    observation: Observation,
     slant_range: Floats,
     *,
     survey: Survey,
@@ -207,7 +190,7 @@ def _between(
     """
     from scipy.interpolate import RegularGridInterpolator
 
-    depth = slant_range - beams_of(one).length_before
+    depth = observation.geometry.depth(slant_range)
     usable = np.isfinite(depth) & (depth > 0)
     assert fit.depth is not None
     assert fit.span is not None
@@ -217,10 +200,11 @@ def _between(
     azimuth, elevation = np.meshgrid(*sides, indexing="ij")
     crossed = medium(survey, water)
     seen = view(survey, azimuth, elevation, medium=crossed)
-    frequency = one["modulation_frequency"].values
+    frequency = observation.frequency
     shape = (*slant_range.shape, 3)
     place = np.empty(shape)
-    place[..., 0], place[..., 1] = one["azimuth"].values, one["elevation"].values
+    place[..., 0] = observation.geometry.azimuth
+    place[..., 1] = observation.geometry.elevation
     # What the sample of a scan in tiles has not reached counts as its end.
     reached = np.clip(depth, ends[0], ends[1])
     place[..., 2] = np.log(np.where(usable, reached, ends[0]))
@@ -260,9 +244,10 @@ def _spread(low: float, high: float) -> Floats:
     return np.linspace(low - margin, high + margin, _DIRECTIONS)
 
 
-def _phase_functions(survey: Survey) -> tuple[tuple[PhaseFunction, float, float], ...]:
+def _phase_functions(
+    water: WaterProperties,
+) -> tuple[tuple[PhaseFunction, float, float], ...]:
     """Return what the water may be: phase function, its scattering, split angle."""
-    water = water_properties(survey)
     right = math.pi / 2
     if water.scattering == 0:
         return ((_function(_ASYMMETRIES[0]), 0.0, right),)

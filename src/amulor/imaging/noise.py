@@ -9,7 +9,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from amulor.cube.schema import PHASE_PREFIX
-from amulor.optics import ambiguity, ranging
+from amulor.optics import ambiguity
 
 Floats = NDArray[np.float64]
 
@@ -28,7 +28,7 @@ def noise_scale(
     path: ambiguity.Path,
     own: Floats,
     *,
-    modulation_frequency: Floats,
+    path_per_phase: Floats,
     refit: Callable[[float], ambiguity.Path],
 ) -> float:
     r"""Return by which factor the noise of the phases exceeds what is stated.
@@ -41,27 +41,21 @@ def noise_scale(
     stated too small the tails of the noise are left out as outliers, so that what stays
     scatters less; the factor is looked at once more with errors that are about right.
     """
-    factor, chance = _factor(path, own, modulation_frequency)
+    factor, chance = _factor(path, own * path_per_phase)
     if not factor**2 > 1 + _SURE * chance:
         return 1.0
-    again, _ = _factor(refit(factor), factor * own, modulation_frequency)
+    again, _ = _factor(refit(factor), factor * own * path_per_phase)
     return max(factor * again, 1.0)
 
 
-def _factor(
-    path: ambiguity.Path, own: Floats, modulation_frequency: Floats
-) -> tuple[float, float]:
+def _factor(path: ambiguity.Path, error: Floats) -> tuple[float, float]:
     """Return the factor of the noise, and the standard error of its square by chance.
 
     The factor is 1 where there is too little to tell it.
     """
-    to_range = ranging.range_per_phase(
-        modulation_frequency[:, None, None], group_index=1.0
-    )
-    error = own * 2 * to_range
     there = np.isfinite(path.length)
     there &= np.isfinite(error).all(axis=0) & (error > 0).all(axis=0)
-    freedom = len(modulation_frequency) - 1
+    freedom = len(error) - 1
     if freedom < 1:
         return 1.0, 0.0
     scores = []

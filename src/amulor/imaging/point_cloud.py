@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from amulor import cube as cubes
 from amulor.cube import UNUSABLE
 from amulor.imaging.frame import Frame, frame_of
-from amulor.imaging.geometry import beams_of
+from amulor.imaging.observation import geometry_of
 
 
 def point_cloud(image: xr.Dataset, *, frame: Frame | None = None) -> xr.Dataset:
@@ -56,7 +56,7 @@ def point_cloud(image: xr.Dataset, *, frame: Frame | None = None) -> xr.Dataset:
     frame = frame or frame_of(image)
     flag = image["quality_flag"].values
     row, column = np.nonzero((flag & UNUSABLE) == 0)
-    beam = beams_of(image)
+    beam = geometry_of(image).beam
     water = image["slant_range"].values - beam.length_before
     position = beam.entry + water[..., None] * beam.direction
     points = frame.place(position[row, column])

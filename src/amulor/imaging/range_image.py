@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -12,26 +11,22 @@ from numpy.typing import NDArray
 
 from amulor import cube as cubes
 from amulor._progress import tell
-from amulor.cube import UNUSABLE, QualityFlag
+from amulor.cube import QualityFlag
+from amulor.cube.error import JOINT_OUTLIERS
 from amulor.cube.tiles import Span
-from amulor.errors import CubeError, SurveyError
 from amulor.imaging import budget
 from amulor.imaging.common import with_flag
-from amulor.imaging.geometry import beams_of, medium_of, receivers_of
 from amulor.imaging.late_light import LateFit, dispersion
-from amulor.imaging.noise import noise_scale, with_noise_scaled
+from amulor.imaging.noise import noise_scale
+from amulor.imaging.observation import Observation, channel_of, observe
 from amulor.imaging.ranges import (
     Ranges,
     RangesFit,
-    first_ranges,
-    own_phase_errors,
-    phase_errors,
     ranges_of_joint,
     ranges_of_path,
     weight_of,
 )
-from amulor.optics import ambiguity, ranging, rays
-from amulor.survey import Survey
+from amulor.optics import ambiguity, ranging
 from amulor.survey.reach import unsettled_interval
 
 Floats = NDArray[np.float64]
@@ -143,34 +138,37 @@ def fitted_range_image(
     joint = "joint_slant_range" in cube
     if joint and polarization is None:
         polarization = cube.amulor.polarizations[0]
-    one = channel_of(cube, polarization)
+    most = JOINT_OUTLIERS if joint else ambiguity.BREAKDOWN
+    seen = observe(channel_of(cube, polarization), most_outliers=most, span=span)
     of_ranges = None if fit is None else fit.ranges
     of_path = None if fit is None else fit.path
     rescaled = None if fit is None else fit.rescaled
     factor = 1.0 if fit is None else fit.noise_scale
     if joint:
-        ranges, of_ranges = ranges_of_joint(one, interval=interval, fit=of_ranges)
+        ranges, of_ranges = ranges_of_joint(seen, interval=interval, fit=of_ranges)
     else:
         tell("ranges and their intervals", 0.0)
-        path, of_path = _settled_path(one, interval, fit=of_path, span=span)
+        path, of_path = _settled_path(seen, interval, fit=of_path)
         if fit is None:
             factor = noise_scale(
                 path,
-                own_phase_errors(one),
-                modulation_frequency=one["modulation_frequency"].values,
-                refit=lambda factor: _settled_path(
-                    with_noise_scaled(one, factor), interval
-                )[0],
+                seen.own_sigma,
+                path_per_phase=seen.path_per_phase,
+                refit=lambda factor: _settled_path(seen.with_noise(factor), interval)[
+                    0
+                ],
             )
         if factor > 1:
             tell("ranges with the noise that shows", 0.3)
-            one = with_noise_scaled(one, factor)
-            path, rescaled = _settled_path(one, interval, fit=rescaled, span=span)
-        ranges, of_ranges = ranges_of_path(one, path, fit=of_ranges)
+            seen = seen.with_noise(factor)
+            path, rescaled = _settled_path(seen, interval, fit=rescaled)
+        ranges, of_ranges = ranges_of_path(seen, path, fit=of_ranges)
     tell("error budget", 0.6)
     late = None if fit is None else fit.late
-    image, late = _image(one, ranges, interval=interval, fit=late, span=span)
-    reason = "" if interval is not None else _unsettled(one)
+    image, late = _image(seen, ranges, interval=interval, fit=late)
+    reason = ""
+    if interval is None:
+        reason = unsettled_interval(seen.survey, modulation_frequency=seen.frequency)
     if reason:
         image = with_flag(image, QualityFlag.RELATIVE, True)
         image = cubes.without_unknown_errors(image)
@@ -189,33 +187,27 @@ def fitted_range_image(
 
 
 def _settled_path(
-    one: xr.Dataset,
+    seen: Observation,
     interval: tuple[float, float] | None,
     *,
     fit: PathFit | None = None,
-    span: Span | None = None,
 ) -> tuple[ambiguity.Path, PathFit]:
     """Optical path that fits the phases of a channel best, and the statistics used."""
-    frequency = one["modulation_frequency"].values
-    shortest, longest = rays.path_limits(
-        interval,
-        beams_of(one),
-        receivers_of(one),
-        medium=medium_of(one),
-        modulation_frequency=frequency,
-    )
-    flag, sigma, shift = phase_errors(one)
-    usable = (flag & UNUSABLE) == 0
-    phase = np.where(usable, np.angle(one.amulor.signal.values), 0.0)
-    doubt = np.nan_to_num(np.abs(shift), nan=np.inf)
+    usable, phase = seen.usable, seen.phase
+    if fit is None:
+        weight = weight_of(seen.frequency, seen.sigma, usable)
+    else:
+        weight = fit.weight
+    shortest, longest = seen.geometry.path_limits(interval, seen.frequency)
+    doubt = np.nan_to_num(np.abs(seen.shift), nan=np.inf)
 
     def path_of(
         phase: Floats, doubt: Floats, choices: ambiguity.Choices | None
     ) -> tuple[ambiguity.Path, ambiguity.Choices]:
         arguments: dict[str, Any] = {
             "phase": phase,
-            "uncertainty": sigma,
-            "modulation_frequency": frequency,
+            "uncertainty": seen.sigma,
+            "modulation_frequency": seen.frequency,
             "shortest": shortest,
             "longest": longest,
             "doubt": doubt,
@@ -225,14 +217,11 @@ def _settled_path(
         return ambiguity.optical_path(**arguments, choices=choices), choices
 
     path, first = path_of(phase, doubt, None if fit is None else fit.first)
-    weight = weight_of(frequency, sigma, usable) if fit is None else fit.weight
     late, late_fit = dispersion(
-        one,
-        np.where(usable, first_ranges(one, path), np.nan),
-        survey=_survey_of(one),
+        seen,
+        np.where(usable, seen.geometry.slant_range(path.length), np.nan),
         weight=weight,
         fit=None if fit is None else fit.late,
-        span=span,
     )
     second = None
     if late is not None:
@@ -241,61 +230,34 @@ def _settled_path(
     return path, PathFit(first=first, weight=weight, late=late_fit, second=second)
 
 
-def _unsettled(one: xr.Dataset) -> str:
-    """Return why phases alone do not tell the range; empty if the survey settles it."""
-    return unsettled_interval(
-        _survey_of(one), modulation_frequency=one["modulation_frequency"].values
-    )
-
-
-def _survey_of(one: xr.Dataset) -> Survey | None:
-    """Return the survey of a cube, None if it has none that can be read."""
-    text = one.attrs.get("survey")
-    return _read_survey(str(text)) if text else None
-
-
-@lru_cache(maxsize=4)
-def _read_survey(text: str) -> Survey | None:
-    """Return the survey of a text; images of one scan read it once."""
-    try:
-        return Survey.from_text(text)
-    except SurveyError:
-        return None
-
-
 def image_of_path(
-    one: xr.Dataset, path: ambiguity.Path, *, interval: tuple[float, float] | None
+    seen: Observation, path: ambiguity.Path, *, interval: tuple[float, float] | None
 ) -> xr.Dataset:
     """Return the range image that belongs to optical paths."""
-    return _image(one, ranges_of_path(one, path)[0], interval=interval)[0]
+    return _image(seen, ranges_of_path(seen, path)[0], interval=interval)[0]
 
 
 def _image(
-    one: xr.Dataset,
+    seen: Observation,
     ranges: Ranges,
     *,
     interval: tuple[float, float] | None,
     fit: LateFit | None = None,
-    span: Span | None = None,
 ) -> tuple[xr.Dataset, LateFit]:
     """Range image of a channel with its error budget, and the statistics used."""
-    ranges, said, fit = budget.completed(
-        one, ranges, survey=_survey_of(one), fit=fit, span=span
-    )
-    usable = ranges.usable
+    ranges, said, fit = budget.completed(seen, ranges, fit=fit)
+    one, usable = seen.channel, ranges.usable
     variables: dict[str, NDArray[Any]] = {
         "slant_range": ranges.slant_range,
         **budget.uncertainties(ranges),
         **ranges.others,
     }
     if "photon_noise_volt" in one.attrs:
-        variables["slant_range_photon_limit"] = _photon_limit(
-            one, medium_of(one).group_index
-        )
+        variables["slant_range_photon_limit"] = _photon_limit(seen)
     variables = {
         name: np.where(usable, values, np.nan) for name, values in variables.items()
     }
-    intensity = np.abs(one.amulor.signal.values[0])
+    intensity = np.abs(seen.signal[0])
     image = cubes.build(
         "range_image",
         variables | {"intensity": intensity, "quality_flag": ranges.flag},
@@ -309,7 +271,7 @@ def _image(
             **one.attrs,
             "level": "range_image",
             "polarization": str(one["polarization"].item()),
-            "modulation_frequencies": one["modulation_frequency"].values,
+            "modulation_frequencies": seen.frequency,
             **({} if interval is None else {"interval": np.array(interval)}),
             **said,
         },
@@ -321,36 +283,18 @@ def _image(
     return cubes.without_unknown_errors(image), fit
 
 
-def channel_of(cube: xr.Dataset, polarization: str | None) -> xr.Dataset:
-    """Return one polarization channel of a cube."""
-    present = cube.amulor.polarizations
-    if polarization is None and len(present) > 1:
-        raise CubeError(
-            f"the cube has the channels {', '.join(present)}; choose one with "
-            "polarization (command line: --polarization)"
-        )
-    chosen = present[0] if polarization is None else polarization
-    if chosen not in present:
-        raise CubeError(
-            f"the cube has no channel {chosen!r}, but {', '.join(present)}; choose one"
-        )
-    return cube.sel(polarization=chosen)
-
-
-def _photon_limit(cube: xr.Dataset, group_index: float) -> Floats:
+def _photon_limit(seen: Observation) -> Floats:
     """Return (2) for the photons of the target alone, all frequencies together [m]."""
-    depth = float(cube.attrs["modulation_depth"])
-    amplitude = cube.amulor.amplitude.values
-    frequency = cube["modulation_frequency"].values[:, None, None]
+    stated = seen.channel.attrs
+    depth = float(stated["modulation_depth"])
+    amplitude = np.abs(seen.signal)
     # The counting variance of an amplitude A is volt * A / depth = 2 A^2 / depth^2 N.
     with np.errstate(divide="ignore"):
-        photoelectrons = (
-            2 * amplitude / (depth * float(cube.attrs["photon_noise_volt"]))
-        )
+        photoelectrons = 2 * amplitude / (depth * float(stated["photon_noise_volt"]))
         each = ranging.photon_limited_uncertainty(
             np.maximum(photoelectrons, np.finfo(float).tiny),
             modulation_depth=depth,
-            modulation_frequency=frequency,
-            group_index=group_index,
+            modulation_frequency=seen.frequency[:, None, None],
+            group_index=seen.geometry.medium.group_index,
         )
     return ranging.weights_and_uncertainty(each)[1]

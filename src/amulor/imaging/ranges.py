@@ -9,15 +9,12 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from amulor.cube import UNUSABLE, QualityFlag
-from amulor.cube.error import JOINT_OUTLIERS, flags_of_pixels
 from amulor.cube.schema import PHASE_PREFIX, SHARED_TERMS, SIGNAL_TERMS
-from amulor.imaging.geometry import beams_of, medium_of, receivers_of
-from amulor.optics import ambiguity, detection, ranging, rays
+from amulor.imaging.observation import Observation
+from amulor.optics import ambiguity
 
 Floats = NDArray[np.float64]
 
-#: Step of the optical path for the derivative of the slant range [m].
-_DIFFERENCE = 1e-5
 #: A range may lie this many standard errors outside the interval: it was measured.
 _SLACK = 2.0
 
@@ -62,43 +59,39 @@ class Ranges:
 
 
 def ranges_of_path(
-    one: xr.Dataset, path: ambiguity.Path, *, fit: RangesFit | None = None
+    seen: Observation, path: ambiguity.Path, *, fit: RangesFit | None = None
 ) -> tuple[Ranges, RangesFit]:
     """Ranges that belong to optical paths, their errors, and the statistics used."""
-    frequency = one["modulation_frequency"].values
-    flag, sigma, shift = phase_errors(one)
-    usable = (flag & UNUSABLE) == 0
-    # The optical path, out and back, is twice the range at a group index of 1.
-    to_path = 2 * ranging.range_per_phase(frequency[:, None, None], group_index=1.0)
-    slant_range, slope = _ranges_and_slopes(one, path.length)
+    frequency, channel = seen.frequency, seen.channel
+    slant_range, slope = seen.geometry.slant_range_and_slope(path.length)
     settled = path.settled & np.isfinite(slant_range) & np.isfinite(slope)
-    flag[usable & ~settled] |= QualityFlag.AMBIGUOUS
+    flag = _with_unsettled(seen, settled)
     usable = (flag & UNUSABLE) == 0
-    per_phase = path.weight * to_path
+    per_phase = path.weight * seen.path_per_phase
     variance = path.uncertainty**2
     together = None
-    if "common_covariance" in one:
-        shared = _phase_uncertainty(one, one.amulor.signal.values, usable, "common_")
+    shared = seen.shared_sigma(usable)
+    if shared is not None:
         # Errors that pixels share may be shared by the frequencies as well: a wrong
         # depolarization ratio is. Added as such, they make an upper limit. References
         # are measured anew at each frequency.
         apart = np.sum((per_phase * shared) ** 2, axis=0)
         together = apart
-        if one.attrs.get("frequencies_share_errors", 1):
+        if channel.attrs.get("frequencies_share_errors", 1):
             together = np.sum(per_phase * shared, axis=0) ** 2
         variance = variance - apart + together
     total = slope * np.sqrt(variance)
     others = {}
-    if "residual_in_phase" in one:
-        others["slant_range_bias"] = slope * np.sum(per_phase * shift, axis=0)
+    if "residual_in_phase" in channel:
+        others["slant_range_bias"] = slope * np.sum(per_phase * seen.shift, axis=0)
     if frequency.size > 1:
         others["slant_range_wrong_interval"] = path.wrong
     terms, rest = _terms(
-        one, per_phase, total, None if together is None else slope**2 * together
+        channel, per_phase, total, None if together is None else slope**2 * together
     )
     if fit is None:
         fit = RangesFit(
-            weight=weight_of(frequency, sigma, usable),
+            weight=weight_of(frequency, seen.sigma, usable),
             has_rest=rest is not None and bool(np.any(rest > 0)),
         )
     if rest is not None and fit.has_rest:
@@ -118,14 +111,14 @@ def ranges_of_path(
 
 
 def ranges_of_joint(
-    one: xr.Dataset,
+    seen: Observation,
     *,
     interval: tuple[float, float] | None,
     fit: RangesFit | None = None,
 ) -> tuple[Ranges, RangesFit]:
     """Ranges that the joint estimation found, and the statistics used."""
     found = {
-        name: one[f"joint_{name}"].values
+        name: seen.channel[f"joint_{name}"].values
         for name in (
             "slant_range",
             "slant_range_uncertainty",
@@ -136,27 +129,22 @@ def ranges_of_joint(
     }
     distance, total = found["slant_range"], found["slant_range_uncertainty"]
     common = found["slant_range_common_uncertainty"]
-    flag, sigma, _ = phase_errors(one, most_outliers=JOINT_OUTLIERS)
-    usable = (flag & UNUSABLE) == 0
     settled = np.isfinite(distance) & np.isfinite(total)
     if interval is not None:
         with np.errstate(invalid="ignore"):
             settled &= distance >= interval[0] - _SLACK * total
             settled &= distance <= interval[1] + _SLACK * total
-    flag[usable & ~settled] |= QualityFlag.AMBIGUOUS
-    beam = beams_of(one)
-    path = rays.optical_path(
-        np.where(np.isfinite(distance), distance, beam.length_before + 1.0),
-        beam,
-        receivers_of(one),
-        medium=medium_of(one),
+    flag = _with_unsettled(seen, settled)
+    geometry = seen.geometry
+    path = geometry.optical_path(
+        np.where(np.isfinite(distance), distance, geometry.beam.length_before + 1.0)
     )
-    _, slope = _ranges_and_slopes(one, path)
+    _, slope = geometry.slant_range_and_slope(path)
     with np.errstate(invalid="ignore"):
         own = np.sqrt(np.maximum(total**2 - common**2, 0.0))
     if fit is None:
-        frequency = one["modulation_frequency"].values
-        fit = RangesFit(weight=weight_of(frequency, sigma, (flag & UNUSABLE) == 0))
+        usable = (flag & UNUSABLE) == 0
+        fit = RangesFit(weight=weight_of(seen.frequency, seen.sigma, usable))
     ranges = Ranges(
         slant_range=distance,
         path=path,
@@ -174,22 +162,11 @@ def ranges_of_joint(
     return ranges, fit
 
 
-def first_ranges(one: xr.Dataset, path: ambiguity.Path) -> Floats:
-    """Return the slant ranges of optical paths, not a number where there is none."""
-    return rays.slant_range_of_path(
-        path.length, beams_of(one), receivers_of(one), medium=medium_of(one)
-    )
-
-
-def _ranges_and_slopes(one: xr.Dataset, path: Floats) -> tuple[Floats, Floats]:
-    """Return slant ranges and their derivative by the path."""
-    medium, beam, receiver = medium_of(one), beams_of(one), receivers_of(one)
-
-    def to_range(length: Floats) -> Floats:
-        return rays.slant_range_of_path(length, beam, receiver, medium=medium)
-
-    slant_range = to_range(path)
-    return slant_range, (to_range(path + _DIFFERENCE) - slant_range) / _DIFFERENCE
+def _with_unsettled(seen: Observation, settled: NDArray[np.bool_]) -> NDArray[np.int16]:
+    """Add `AMBIGUOUS` to the flags of usable pixels that are not settled."""
+    flag = seen.flag.copy()
+    flag[seen.usable & ~settled] |= QualityFlag.AMBIGUOUS
+    return flag
 
 
 def weight_of(frequency: Floats, sigma: Floats, usable: NDArray[np.bool_]) -> Floats:
@@ -202,7 +179,7 @@ def weight_of(frequency: Floats, sigma: Floats, usable: NDArray[np.bool_]) -> Fl
 
 
 def _terms(
-    one: xr.Dataset, per_phase: Floats, total: Floats, together: Floats | None
+    channel: xr.Dataset, per_phase: Floats, total: Floats, together: Floats | None
 ) -> tuple[dict[str, Floats], Floats | None]:
     """Return the terms of a known total, in the proportion of their squares.
 
@@ -211,8 +188,8 @@ def _terms(
     """
     own: dict[str, Floats] = {}
     for name in SIGNAL_TERMS:
-        if f"{PHASE_PREFIX}{name}" in one:
-            phase = one[f"{PHASE_PREFIX}{name}"].values
+        if f"{PHASE_PREFIX}{name}" in channel:
+            phase = channel[f"{PHASE_PREFIX}{name}"].values
             own[name] = np.sum((per_phase * phase) ** 2, axis=0)
     if not own:
         return {"signal": total}, None
@@ -231,58 +208,3 @@ def _terms(
         rest += np.where(whole > 0, 0.0, amount)
         terms |= {name: np.sqrt(own[name] * scale) for name in names}
     return {name: terms[name] for name in own}, rest
-
-
-def phase_errors(
-    one: xr.Dataset, *, most_outliers: float = ambiguity.BREAKDOWN
-) -> tuple[NDArray[np.int16], Floats, Floats]:
-    """Return flags, phase errors and phase shifts by water of one channel."""
-    signal = one.amulor.signal.values
-    each = one["quality_flag"].values
-    flag, left_out = flags_of_pixels(each, most_outliers=most_outliers)
-    sigma = _phase_uncertainty(one, signal, (flag & UNUSABLE) == 0, "")
-    sigma = np.where(left_out, np.inf, sigma)
-    return flag, sigma, _phase_left_in(one, signal)
-
-
-def own_phase_errors(one: xr.Dataset) -> Floats:
-    """Return the phase error of each sample without what the pixels share."""
-    flag, sigma, _ = phase_errors(one)
-    if "common_covariance" not in one:
-        return sigma
-    usable = (flag & UNUSABLE) == 0
-    shared = _phase_uncertainty(one, one.amulor.signal.values, usable, "common_")
-    return np.sqrt(np.maximum(sigma**2 - shared**2, 0.0))
-
-
-def _phase_left_in(cube: xr.Dataset, signal: NDArray[np.complex128]) -> Floats:
-    """Return the phase shift by water left in, NaN where it is not known."""
-    if "residual_in_phase" in cube:
-        left = (
-            cube["residual_in_phase"].values + 1j * cube["residual_quadrature"].values
-        )
-        return ranging.phase_shift(signal, residual=left)
-    taken_out = (cube["quality_flag"].values & QualityFlag.NO_OPEN_WATER) == 0
-    return np.where(taken_out, 0.0, np.nan)
-
-
-def _phase_uncertainty(
-    cube: xr.Dataset,
-    signal: NDArray[np.complex128],
-    usable: NDArray[np.bool_],
-    prefix: str,
-) -> Floats:
-    """Return the phase error from the errors of the outputs, infinite if unusable."""
-    in_phase = cube[f"{prefix}in_phase_uncertainty"].values ** 2
-    quadrature = cube[f"{prefix}quadrature_uncertainty"].values ** 2
-    if prefix:
-        cross = cube[f"{prefix}covariance"].values
-    else:
-        cross = cube.amulor.covariance.values
-    good = np.broadcast_to(usable, signal.shape)
-    return detection.phase_uncertainty(
-        np.where(good, signal, 1.0),
-        in_phase_variance=np.where(good, in_phase, 1.0),
-        quadrature_variance=np.where(good, quadrature, 1.0),
-        covariance=np.where(good, cross, 0.0),
-    )

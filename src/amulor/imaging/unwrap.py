@@ -10,12 +10,10 @@ from numpy.typing import NDArray
 from scipy.constants import speed_of_light
 
 from amulor import cube as cubes
-from amulor.cube import UNUSABLE
 from amulor.errors import CubeError, MissingExtraError
-from amulor.imaging.geometry import beams_of, medium_of, receivers_of
-from amulor.imaging.range_image import channel_of, image_of_path
-from amulor.imaging.ranges import phase_errors
-from amulor.optics import ambiguity, rays
+from amulor.imaging.observation import channel_of, observe
+from amulor.imaging.range_image import image_of_path
+from amulor.optics import ambiguity
 
 Floats = NDArray[np.float64]
 
@@ -81,18 +79,12 @@ def unwrapped_range_image(
     cube = cubes.checked(cube, "target_signal")
     one = channel_of(cube, polarization)
     one = one.isel(modulation_frequency=[_frequency(one, modulation_frequency)])
-    flag, sigma, _ = phase_errors(one)
-    usable = (flag & UNUSABLE) == 0
-    wavelength = float(speed_of_light / one["modulation_frequency"].values[0])
-    shortest, longest = rays.path_limits(
-        interval,
-        beams_of(one),
-        receivers_of(one),
-        medium=medium_of(one),
-        modulation_frequency=one["modulation_frequency"].values,
+    seen = observe(one)
+    usable, sigma, phase = seen.usable, seen.sigma, seen.phase[0]
+    wavelength = float(speed_of_light / seen.frequency[0])
+    shortest, longest = np.broadcast_arrays(
+        *seen.geometry.path_limits(interval, seen.frequency)
     )
-    shortest, longest = np.broadcast_arrays(shortest, longest)
-    phase = np.where(usable, np.angle(one.amulor.signal.values[0]), 0.0)
     length = np.zeros(phase.shape)
     settled = np.zeros(phase.shape, dtype=bool)
     slack = _SLACK * sigma[0] * wavelength / (2 * np.pi)
@@ -122,7 +114,7 @@ def unwrapped_range_image(
         strain=np.zeros(phase.shape),
         left_out=np.zeros((1, *phase.shape), dtype=bool),
     )
-    image = image_of_path(one, chosen, interval=interval)
+    image = image_of_path(seen, chosen, interval=interval)
     return cubes.note(
         image, f"image, channel {image.attrs['polarization']}, unwrapped in space"
     )
@@ -135,11 +127,11 @@ _SLACK = 4.0
 def _frequency(one: xr.Dataset, wanted: float | None) -> int:
     there = one["modulation_frequency"].values
     if wanted is None:
-        flag, sigma, _ = phase_errors(one)
-        usable = (flag & UNUSABLE) == 0
-        if not usable.any():
+        seen = observe(one)
+        if not seen.usable.any():
             return 0
-        return int(np.argmin(np.median(sigma[:, usable], axis=1) / there))
+        error = np.median(seen.sigma[:, seen.usable], axis=1)
+        return int(np.argmin(error / there))
     which = np.flatnonzero(np.isclose(there, wanted, rtol=1e-9))
     if len(which) == 0:
         listed = ", ".join(f"{value / 1e6:g}" for value in there)

@@ -17,8 +17,7 @@ from amulor.cube import QualityFlag
 from amulor.cube.schema import RANGE_PREFIX, TERMS
 from amulor.errors import SurveyError
 from amulor.imaging.budget import age_in_words
-from amulor.imaging.geometry import beams_of, medium_of, receivers_of
-from amulor.optics import rays
+from amulor.imaging.observation import geometry_of
 from amulor.simulation import simulate
 from amulor.survey import Survey, water_properties
 
@@ -66,9 +65,8 @@ def delay_of(image: xr.Dataset) -> np.ndarray:
     """Return the delay that the term of the delay stands for [s]."""
     term = image["slant_range_uncertainty_delay"].values
     slant = image["slant_range"].values
-    beam, receiver, medium = beams_of(image), receivers_of(image), medium_of(image)
-    path = rays.optical_path(slant, beam, receiver, medium=medium)
-    more = rays.slant_range_of_path(path + 1e-4, beam, receiver, medium=medium)
+    geometry = geometry_of(image)
+    more = geometry.slant_range(geometry.optical_path(slant) + 1e-4)
     return term / ((more - slant) / 1e-4) / speed_of_light
 
 
@@ -287,9 +285,7 @@ def test_each_term_is_what_the_error_itself_does(text, tail):
         geometry = dict(cube["geometry"].attrs) | change
         other = cube.copy()
         other["geometry"].attrs.update(geometry)
-        return rays.slant_range_of_path(
-            path, beams_of(other), receivers_of(other), medium=medium_of(other)
-        )
+        return geometry_of(other).slant_range(path)
 
     index = cube["geometry"].attrs["group_index"]
     straight = moved()
@@ -302,12 +298,7 @@ def test_each_term_is_what_the_error_itself_does(text, tail):
         for axis in np.eye(3)
     )
     turned = cube.assign_coords(azimuth=cube["azimuth"] + np.radians(0.5))
-    by_turn = (
-        rays.slant_range_of_path(
-            path, beams_of(turned), receivers_of(cube), medium=medium_of(cube)
-        )
-        - straight
-    )
+    by_turn = geometry_of(turned).slant_range(path) - straight
     least = np.sqrt(squares + by_turn**2)
     assert (terms["geometry"] > 0.99 * least)[usable].all()
     assert_allclose(terms["geometry"][usable], least[usable], rtol=0.05)
@@ -315,16 +306,16 @@ def test_each_term_is_what_the_error_itself_does(text, tail):
 
 def _path(image: xr.Dataset, slant_range: Any, **change: Any) -> Any:
     """Return the optical path of a scene, with another instrument than stated."""
-    beam = beams_of(
-        image.assign_coords(
-            azimuth=image["azimuth"] + change.get("azimuth", 0.0),
-            elevation=image["elevation"] + change.get("elevation", 0.0),
-        )
-    )
-    medium = medium_of(image)
+    as_stated = geometry_of(image)
+    medium = as_stated.medium
     medium = replace(medium, group_index=medium.group_index + change.get("index", 0.0))
-    receiver = receivers_of(image) + change.get("place", np.zeros(3))
-    return rays.optical_path(slant_range, beam, receiver, medium=medium)
+    return replace(
+        as_stated,
+        azimuth=as_stated.azimuth + change.get("azimuth", 0.0),
+        elevation=as_stated.elevation + change.get("elevation", 0.0),
+        receiver=as_stated.receiver + change.get("place", np.zeros(3)),
+        medium=medium,
+    ).optical_path(slant_range)
 
 
 def coverage(text: str, draws: int, seed: int) -> tuple[float, float]:

@@ -51,8 +51,9 @@ def _scale(
     def fitted(scale: float) -> tuple[Path, np.ndarray]:
         return _path(seed, factor=factor, frequency=frequency, wall=wall, scale=scale)
 
+    turn = 2 * np.pi * frequency[:, None, None] / 299792458.0
     return noise_scale(
-        *fitted(1.0), modulation_frequency=frequency, refit=lambda s: fitted(s)[0]
+        *fitted(1.0), path_per_phase=1 / turn, refit=lambda s: fitted(s)[0]
     )
 
 

@@ -13,7 +13,7 @@ from amulor.cube import UNUSABLE, QualityFlag
 from amulor.errors import CubeError
 from amulor.imaging.common import own_variance
 from amulor.imaging.correlation import covariance
-from amulor.imaging.geometry import beams_of
+from amulor.imaging.observation import geometry_of
 
 Floats = NDArray[np.float64]
 Numbers = NDArray[np.intp]
@@ -83,7 +83,7 @@ def points_of(image: xr.Dataset, rows: ArrayLike, columns: ArrayLike) -> Points:
     mask = np.zeros(shape, dtype=bool)
     mask.flat[each] = True
     matrix = covariance(image, mask)[np.ix_(place, place)]
-    beam = beams_of(_only(image, row, column))
+    beam = geometry_of(_only(image, row, column)).beam
     travelled = ranges - beam.length_before[0]
     return Points(
         position=beam.entry[0] + travelled[:, None] * beam.direction[0],

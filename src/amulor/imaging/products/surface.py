@@ -16,7 +16,7 @@ from amulor.cube import UNUSABLE, QualityFlag
 from amulor.errors import CubeError
 from amulor.imaging.common import own_variance
 from amulor.imaging.frame import Frame, frame_of
-from amulor.imaging.geometry import beams_of
+from amulor.imaging.observation import geometry_of
 
 Floats = NDArray[np.float64]
 Side = Literal["front", "top"]
@@ -179,7 +179,7 @@ def surface(
             f"steepest must lie between 0 and 90 degrees, got {np.degrees(steepest):g}"
         )
     frame = frame or frame_of(image)
-    beam = beams_of(image)
+    beam = geometry_of(image).beam
     distance = image["slant_range"].values
     flag = image["quality_flag"].values.astype(np.int64)
     hanging = int(UNUSABLE | QualityFlag.MIXED | QualityFlag.OUTLIER)

@@ -13,7 +13,7 @@ from amulor.cube import UNUSABLE, QualityFlag
 from amulor.cube.schema import ALIKE_TERMS, RANGE_PREFIX, WATER_TERMS
 from amulor.errors import CubeError
 from amulor.imaging.common import own_variance
-from amulor.imaging.geometry import beams_of
+from amulor.imaging.observation import geometry_of
 from amulor.optics import ranging
 
 Floats = NDArray[np.float64]
@@ -230,7 +230,7 @@ def scan_surface(
     degree: their noise counts, and a small error that all share does not; the noise of
     one scan is independent of that of another: see `pair`.
     """
-    beam = beams_of(image)
+    beam = geometry_of(image).beam
     distance = image["slant_range"].values
     flag = image["quality_flag"].values.astype(np.int64)
     hanging = int(UNUSABLE | QualityFlag.MIXED | QualityFlag.OUTLIER)

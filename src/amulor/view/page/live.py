@@ -22,8 +22,8 @@ from amulor.acquisition.journal.journal import Journal
 from amulor.acquisition.run import resume_command
 from amulor.cube import QualityFlag
 from amulor.errors import AmulorError
-from amulor.imaging.geometry import beams_of, medium_of, receivers_of
-from amulor.optics import ambiguity, rays
+from amulor.imaging.observation import geometry_of
+from amulor.optics import ambiguity
 from amulor.survey import Survey, water_properties
 from amulor.survey.directions import scan_directions
 from amulor.survey.view import geometry_attributes, medium
@@ -43,10 +43,8 @@ def quick_layers(
     with one phase error, and without late light: within what that takes off, the same.
     """
     frequency = np.atleast_1d(one["modulation_frequency"].values)
-    beam, receiver, medium = beams_of(one), receivers_of(one), medium_of(one)
-    shortest, longest = rays.path_limits(
-        None, beam, receiver, medium=medium, modulation_frequency=frequency
-    )
+    geometry = geometry_of(one)
+    shortest, longest = geometry.path_limits(None, frequency)
     there = np.isfinite(signal).all(axis=0)
     filled = np.where(there, signal, 1.0)[:, None]
     path = ambiguity.optical_path(
@@ -57,7 +55,7 @@ def quick_layers(
         longest=longest,
         doubt=1.0,
     )
-    ranges = rays.slant_range_of_path(path.length, beam, receiver, medium=medium)[0]
+    ranges = geometry.slant_range(path.length)[0]
     amplitude = np.abs(filled[0, 0])
     return {
         f"range{ending}": np.where(there, ranges, np.nan),

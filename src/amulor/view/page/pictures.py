@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 from amulor.cube import error_unknown, without_unknown_errors
 from amulor.cube.schema import ALIKE_TERMS, WATER_TERMS
 from amulor.errors import CubeError, FormatError
-from amulor.imaging.geometry import beams_of
 from amulor.imaging.measure import reference_basis
+from amulor.imaging.observation import geometry_of
 from amulor.view.page.layers import MAPS
 
 Floats = NDArray[np.float64]
@@ -63,7 +63,7 @@ def reader_of(image: xr.Dataset) -> BeamReader:
 
 def values_of(part: xr.Dataset) -> Floats:
     """Return the beams of a range image."""
-    beam = beams_of(part)
+    beam = geometry_of(part).beam
     base = beam.entry - beam.length_before[..., None] * beam.direction
     angles = np.stack([part["azimuth"].values, part["elevation"].values], axis=-1)
     return np.concatenate([base, beam.direction, angles], axis=-1)

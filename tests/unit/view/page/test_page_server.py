@@ -17,7 +17,7 @@ from amulor import imaging, io
 from amulor.cli import main
 from amulor.cube import QualityFlag
 from amulor.errors import CubeError
-from amulor.imaging.geometry import beams_of
+from amulor.imaging.observation import geometry_of
 from amulor.view import page
 from amulor.view.page import pictures
 from amulor.view.page import recording as recordings
@@ -70,7 +70,7 @@ def test_points_of_the_page_are_those_of_the_cloud(
     nodes = recording.nodes("VV")
     found = pictures.interpolated(nodes, np.arange(6), np.arange(12))
     points = found[..., :3] + image["slant_range"].values[..., None] * found[..., 3:6]
-    beam = beams_of(image)
+    beam = geometry_of(image).beam
     exact = beam.entry + image["slant_range"].values[..., None] * beam.direction
     usable = np.isfinite(exact).all(axis=-1)
     assert_allclose(points[usable], exact[usable], rtol=0, atol=3e-6)
