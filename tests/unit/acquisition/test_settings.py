@@ -118,8 +118,10 @@ def test_the_digest_knows_the_instrument_and_not_its_place(tmp_path: Path) -> No
 
 
 def test_the_devices_file_of_the_manual_is_one(tmp_path: Path) -> None:
-    page = Path(__file__).parents[3] / "docs" / "how-to" / "acquire.md"
-    blocks = re.findall(r"```toml\n(.*?)```", page.read_text("utf-8"), re.DOTALL)
+    folder = Path(__file__).parents[3] / "docs" / "how-to"
+    pages = [folder / name for name in ("first-light.md", "fast-scans.md")]
+    text = "\n".join(page.read_text("utf-8") for page in pages)
+    blocks = re.findall(r"```toml\n(.*?)```", text, re.DOTALL)
     (whole,) = (block for block in blocks if block.startswith("[lock_in]"))
     # The others are parts of one, which a file of simulated devices can have, too.
     for block in blocks:
