@@ -3,8 +3,8 @@
 Run ``python benchmarks/digest_results.py before.npz`` before a change and
 ``python benchmarks/digest_results.py after.npz before.npz`` after it, on one machine.
 Each line is the digest of one result, and how many of its numbers differ, by how much
-of the largest one. The demo and the quick study of Ricci et al. 2010 are run as
-commands; joint estimate and transport runs as functions.
+of the largest one. The demo, a scan of it by rows, a site and the quick study of Ricci
+et al. 2010 are run as commands; joint estimate and transport runs as functions.
 
 What has just been compiled and what comes from the compile cache can differ in the last
 bit, where sums may be taken in any order. So both runs need a cache of their own that
@@ -64,6 +64,37 @@ def demo(folder):
         points = path.read_bytes().partition(b"end_header\n")[2]
         found[f"demo, {path.name}"] = together(np.frombuffer(points, dtype=np.uint8))
     return found
+
+
+def by_rows(cube, folder):
+    """Return target signal and range image of a scan that is worked on by rows."""
+    folder.mkdir()
+    target, image = folder / "target.nc", folder / "image.nc"
+    run("reject", str(cube), "--method", "open-water", "-o", str(target),
+        "--tile-rows", "7")  # fmt: skip
+    run("image", str(target), "--polarization", "VH", "-o", str(image),
+        "--tile-rows", "7")  # fmt: skip
+    return {
+        "by rows, target": together(*(amulor.read_cube(target)[n] for n in TARGET)),
+        "by rows, image": together(*(amulor.read_cube(image)[n] for n in IMAGE)),
+    }
+
+
+def site(folder):
+    """Return poses and changes of the wreck of the examples, small."""
+    sys.path.insert(0, str(Path(__file__).parents[1] / "examples" / "wreck"))
+    import make_site
+
+    make_site.make(folder, rows=50)
+    run("site", "register", str(folder / "site.toml"), "-o", str(folder / "poses.json"))
+    run("site", "compare", str(folder / "site.toml"), "--poses",
+        str(folder / "poses.json"), "-o", str(folder / "change.csv"))  # fmt: skip
+    change = np.genfromtxt(folder / "change.csv", delimiter=",", skip_header=1)
+    poses = json.loads((folder / "poses.json").read_text(encoding="utf-8"))
+    return {
+        "site, change": change,
+        "site, covariance of the poses": np.asarray(poses["covariance"]),
+    }
 
 
 def study(folder):
@@ -156,6 +187,10 @@ def main():
             **transport_runs(),
             **joint_estimate(),
             **demo(Path(folder) / "demo"),
+            **by_rows(
+                Path(folder) / "demo" / "ladder_milk_samples.nc", Path(folder) / "rows"
+            ),
+            **site(Path(folder) / "site"),
             **study(Path(folder) / "study"),
         }
     for key, numbers in found.items():
