@@ -41,6 +41,8 @@ _HALOS = 4
 class TiledStep:
     """A step from one level of a scan to the next, in one piece or by rows."""
 
+    level: str
+    """Level of the cube that it needs."""
     whole: Callable[[xr.Dataset], xr.Dataset]
     """The step on a cube in one piece."""
     fit: Callable[[tiles.Source], tiles.OfRows]
@@ -66,6 +68,7 @@ def reject_step(method: str, **options: Any) -> TiledStep:
     """Rejection of the water signal by a method, as a step."""
     chosen = rejection.load(method)
     return TiledStep(
+        level="samples",
         whole=partial(chosen, **options),
         fit=partial(chosen.fit, **options),
         how={"step": "reject", "method": method, **options},
@@ -75,10 +78,12 @@ def reject_step(method: str, **options: Any) -> TiledStep:
 def image_step(**options: Any) -> TiledStep:
     """Range image with its edges and outliers flagged, as a step."""
     ranges = TiledStep(
+        level="target_signal",
         whole=lambda cube: fitted_range_image(cube, **options)[0],
         fit=partial(tiles.fit_on_sample, fitted_range_image, **options),
     )
     return TiledStep(
+        level="target_signal",
         whole=lambda image: _flagged(image)[0],
         fit=partial(tiles.fit_on_sample, _flagged, needs_span=False),
         halo=HALO,
@@ -282,11 +287,13 @@ class Summary:
 
 
 @contextmanager
-def opened(path: AnyPath, rows: int | None = None) -> Iterator[tiles.Source]:
+def opened(
+    path: AnyPath, rows: int | None = None, *, level: str
+) -> Iterator[tiles.Source]:
     """Open a cube: in memory, or by rows if it is large or rows are stated."""
     if rows is None and not is_large(path):
         tell(f"reading {path}", 0.0)
-        yield tiles.InMemory(io.read_cube(path))
+        yield tiles.InMemory(cubes.checked(io.read_cube(path), level))
     else:
         with open_rows(path) as source:
             yield source
@@ -301,7 +308,7 @@ def run_file(
     overwrite: bool = False,
 ) -> Summary:
     """Run a step from a file to another one: a large one, or rows stated, by rows."""
-    with opened(source, rows) as cube:
+    with opened(source, rows, level=step.level) as cube:
         return _written(step, cube, output, rows, overwrite=overwrite)
 
 
@@ -351,7 +358,7 @@ def reject_file(
     **options: Any,
 ) -> Summary:
     """Remove the water signal from a file of samples, by a method of any package."""
-    with opened(source, rows) as cube:
+    with opened(source, rows, level="samples") as cube:
         if open_water is not None:
             shots = io.read_cube(open_water)
             joined = partial(rejection.with_open_water, reference=shots)

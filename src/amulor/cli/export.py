@@ -27,9 +27,6 @@ Product = Literal[
     "cloud", "mesh", "orthoimage", "dem", "contours", "section", "deviation"
 ]
 
-#: Pixels above which a cloud is written by rows without being asked: the same bytes in
-#: less memory.
-_MANY = 1_000_000
 #: Endings of clouds that can be written by rows.
 _BY_ROWS = (".ply", ".xyz", ".csv", ".laz", ".las", ".e57", ".nc")
 
@@ -110,8 +107,8 @@ def export(
     title
         Title of a drawing; that of the range image by default.
     tile_rows
-        Write a cloud so many rows at a time, in bounded memory; clouds of more than a
-        million pixels are written so without being asked.
+        Write a cloud so many rows at a time, in bounded memory; clouds of more than
+        2.1 million pixels are written so without being asked.
     overwrite
         Replace a file that is there.
     """
@@ -156,7 +153,7 @@ def export(
             f"--tile-rows {tile_rows}: state 1 row or more, and a cloud: other "
             "products need the whole image"
         )
-    if by_rows and (tile_rows is not None or is_large(image, most=8 * _MANY)):
+    if by_rows and (tile_rows is not None or is_large(image)):
         _by_rows(
             image, output, tile_rows, axes, pose, largest, good_only, without_mixed,
             overwrite=overwrite,

@@ -41,16 +41,17 @@ def recordings(
     """
     from amulor.cli._arguments import check_cube_output, check_tile_rows
     from amulor.cli._output import print_next, progress_bar
+    from amulor.cube.tiles import is_large
     from amulor.io.recording_map import RecordingMap
     from amulor.io.recordings import marked, read_recordings
     from amulor.survey import Survey
-    from amulor.survey.directions import BY_ROWS, samples_of
+    from amulor.survey.directions import samples_of
 
     check_cube_output(output, overwrite=overwrite, inputs=[file, survey, columns])
     check_tile_rows(tile_rows)
     described = RecordingMap.from_toml(columns)
     planned = Survey.from_toml(survey)
-    if tile_rows is not None or samples_of(planned) > BY_ROWS:
+    if tile_rows is not None or is_large(8 * samples_of(planned)):
         # Loads what works by rows, which other imports do without.
         from amulor.scale.recorded import import_file
 

@@ -49,8 +49,8 @@ def report(
         A check distance "ROW,COLUMN ROW,COLUMN LENGTH [TOLERANCE]", such as "20,10
         20,60 40mm 1mm"; may be given several times.
     tile_rows
-        Read so many rows at a time, in bounded memory; images of more than 250,000
-        pixels are read by rows without being asked, and drawn from some of them.
+        Read so many rows at a time, in bounded memory; images of more than 2.1 million
+        pixels are read by rows without being asked.
     overwrite
         Replace a file that is there.
     """
@@ -82,9 +82,7 @@ def report(
             progress(f"reading {path}", 0.5 * number / len(images))
             ends = 0.5 * number / len(images), 0.5 * (number + 1) / len(images)
             with _progress.part(*ends):
-                cubes[name], whole = _shown(path, tile_rows, known)
-            if whole is not None:
-                wholes[name] = whole
+                cubes[name], wholes[name] = _shown(path, tile_rows, known)
         with _progress.part(0.5, 1.0):
             image_report.write(
                 output, cubes, checks=known, wholes=wholes, overwrite=overwrite
@@ -97,15 +95,13 @@ def report(
 
 def _shown(
     path: Path, rows: int | None, checks: list[Check]
-) -> tuple[xr.Dataset, Whole | None]:
-    """Return an image to be drawn, and what is known of all of a large one."""
-    from amulor import io
+) -> tuple[xr.Dataset, Whole]:
+    """Return an image to be drawn, thinned if it is large, and counts of all of it."""
+    from amulor import pipeline
     from amulor.imaging import thinning
-    from amulor.io.netcdf import is_large, open_rows, tile_rows
+    from amulor.io.netcdf import tile_rows
 
-    if rows is None and not is_large(path, most=8 * thinning.LARGEST):
-        return io.read_cube(path), None
-    with open_rows(path) as source:
+    with pipeline.opened(path, rows, level="range_image") as source:
         return thinning.thinned(source, rows=rows or tile_rows(source), checks=checks)
 
 

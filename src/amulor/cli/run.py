@@ -35,7 +35,7 @@ def run(
         Number of processes for --scheduler local; one for each processor by default.
     tile_rows
         Work on so many rows at a time, on a cluster one task each; without it scans of
-        more than 4 million pixels go to a cluster in parts of a million.
+        more than 2.1 million samples go to a cluster in parts of about as many.
     json
         Print the digests of all files as JSON.
     """

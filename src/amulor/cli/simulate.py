@@ -61,6 +61,7 @@ def simulate(
     check_cube_output(output, overwrite=overwrite, inputs=[survey])
 
     from amulor import _progress, io
+    from amulor.cube.tiles import is_large
     from amulor.errors import SurveyError
     from amulor.simulation import (
         ClosureModel,
@@ -70,12 +71,13 @@ def simulate(
     )
     from amulor.simulation import simulate as simulate_survey
     from amulor.survey import Survey
-    from amulor.survey.directions import BY_ROWS, MOST_SAMPLES, samples_of
+    from amulor.survey.directions import MOST_SAMPLES, samples_of
     from amulor.survey.reach import unsettled_interval
 
     described = Survey.from_toml(survey)
-    most = MOST_SAMPLES if model == "photons" else BY_ROWS
-    by_rows = tile_rows is not None or samples_of(described) > most
+    samples = samples_of(described)
+    large = samples > MOST_SAMPLES if model == "photons" else is_large(8 * samples)
+    by_rows = tile_rows is not None or large
     try:
         with warnings_as_notes(), progress_bar() as advance, _progress.part(0.0, 0.9):
             chosen: SignalModel

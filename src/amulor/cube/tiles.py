@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Any, Protocol
@@ -12,6 +13,7 @@ from numpy.typing import NDArray
 
 from amulor.cube.accessor import without_groups
 from amulor.cube.schema import QualityFlag
+from amulor.errors import AmulorError
 
 __all__ = [
     "Changed",
@@ -24,13 +26,29 @@ __all__ = [
     "bands",
     "directions_of",
     "fit_on_sample",
+    "is_large",
     "sample_of",
     "span_of",
 ]
 
+#: Bytes of one variable above which a scan is processed by rows; a step in one piece
+#: takes up to 75 times as much. AMULOR_LARGE states another number.
+LARGE = 2**24
 #: Samples of a variable that are worked on at once, unless somebody says otherwise:
 #: what a step holds beside them is ten to a hundred times as much.
 SAMPLES_AT_ONCE = 2**18
+
+
+def is_large(size: float) -> bool:
+    """Return whether a scan is processed by rows, by the bytes of a variable."""
+    stated = os.environ.get("AMULOR_LARGE", "").strip() or LARGE
+    try:
+        return size > float(stated)
+    except ValueError:
+        raise AmulorError(
+            f"AMULOR_LARGE is {stated!r}; state the bytes of a variable above which a "
+            "scan is processed by rows, such as 64e6"
+        ) from None
 
 
 Indices = NDArray[np.intp]
@@ -193,11 +211,16 @@ def bands(source: Source, rows: int | None = None) -> Iterator[tuple[int, int]]:
         First row of a tile, and the one behind its last.
     """
     if rows is None:
-        sizes = source.head.sizes
-        planes = sizes.get("modulation_frequency", 1) * sizes.get("polarization", 1)
-        rows = max(1, SAMPLES_AT_ONCE // max(source.columns * planes, 1))
+        rows = max(1, SAMPLES_AT_ONCE // max(samples_of_row(source), 1))
     for begin in range(0, source.rows, rows):
         yield begin, min(begin + rows, source.rows)
+
+
+def samples_of_row(source: Source) -> int:
+    """Return the number of samples of a row [1]."""
+    sizes = source.head.sizes
+    planes = sizes.get("modulation_frequency", 1) * sizes.get("polarization", 1)
+    return int(source.columns * planes)
 
 
 class Whole:

@@ -6,7 +6,7 @@ import hashlib
 import io
 import os
 import warnings
-from collections.abc import Hashable, Iterator, Mapping
+from collections.abc import Hashable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any
@@ -472,9 +472,6 @@ def _reason(error: Exception) -> str:
 
 #: Bytes of a file that are read at once for its digest.
 _PIECE = 2**24
-#: Files above this many bytes of samples are worked on by rows, unless somebody says
-#: otherwise; a step that holds all of them at once takes up to 75 times as much.
-LARGE = 2**24
 
 
 class CubeRows:
@@ -605,16 +602,21 @@ def open_rows(
         yield CubeRows(cube, path, storage)
 
 
-def is_large(path: str | os.PathLike[str], *, most: int | None = None) -> bool:
-    """Return whether a file should be worked on row by row."""
+#: Variables by which the size of a file is judged.
+_SIZED = ("in_phase", "slant_range")
+
+
+def is_large(
+    path: str | os.PathLike[str], *, variables: Sequence[str] = _SIZED
+) -> bool:
+    """Return whether a file has one of some variables and is processed by rows."""
     load_hdf5()
     import h5py
 
-    limit = LARGE if most is None else most
     try:
         with h5py.File(path, "r") as storage:
-            found = storage.get("in_phase", storage.get("slant_range"))
-            return found is not None and found.size * found.dtype.itemsize > limit
+            found = [storage[name] for name in variables if name in storage]
+            return any(tiles.is_large(one.size * one.dtype.itemsize) for one in found)
     except (OSError, RuntimeError, ValueError, KeyError, AttributeError):
         return False
 

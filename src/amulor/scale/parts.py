@@ -38,8 +38,6 @@ from amulor.survey import Survey
 
 __all__ = [
     "BY_ROWS",
-    "LARGE",
-    "PART",
     "CloudSummary",
     "Selection",
     "Step",
@@ -194,10 +192,6 @@ def _counted(
     return CloudSummary(points, doubtful, words), dict(counts)
 
 
-#: Pixels of a scan above which a cluster works on it in parts.
-LARGE = 4_000_000
-#: Pixels of such a part, about.
-PART = 1_000_000
 #: Folder of the parts, in that of a scan.
 FOLDER = "parts"
 #: Name of the file of a part.
@@ -323,7 +317,7 @@ def splits(task: Task) -> tuple[str, ...]:
         sizes = _sizes(steps[0])
     except (CubeError, OSError, ValueError):
         return ()
-    large = sizes.rows * sizes.columns > LARGE
+    large = tiles.is_large(8 * sizes.rows * tiles.samples_of_row(sizes))
     if task.tile_rows is not None:
         large = sizes.rows > task.tile_rows
     return tuple(step.name for step in steps if large and step.name != "cloud.ply")
@@ -352,7 +346,8 @@ def parts_of(task: Task, name: str) -> list[tuple[int, int]]:
     step = _step(task, name)
     source = _sizes(step)
     size = _size(step, source)
-    few = 1 if task.tile_rows else max(1, round(PART / (size * source.columns)))
+    part = 8 * size * tiles.samples_of_row(source)
+    few = 1 if task.tile_rows else max(1, round(tiles.LARGE / part))
     rows = size * few
     return [
         (begin, min(begin + rows, source.rows)) for begin in range(0, source.rows, rows)

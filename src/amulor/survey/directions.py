@@ -8,13 +8,11 @@ from numpy.typing import NDArray
 from amulor.errors import SurveyError
 from amulor.survey.survey import Survey
 
-__all__ = ["BY_ROWS", "MOST_SAMPLES", "refuse_scans_beyond_memory", "samples_of"]
+__all__ = ["MOST_SAMPLES", "refuse_scans_beyond_memory", "samples_of"]
 
 
 #: Samples of one cube: 6 GB at the widest step of processing.
 MOST_SAMPLES = 10_000_000
-#: Samples above which commands work by rows without being asked, as on files.
-BY_ROWS = 2**21
 
 
 def samples_of(survey: Survey) -> int:

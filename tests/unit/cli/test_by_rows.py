@@ -9,7 +9,6 @@ import xarray as xr
 
 from amulor import io, pipeline
 from amulor.cli import main
-from amulor.io import netcdf
 from amulor.simulation import simulate
 from amulor.survey import Survey
 
@@ -69,7 +68,7 @@ def test_auto_by_rows_prints_and_writes_what_it_does_with_the_whole(
 
 
 def test_large_files_are_worked_on_by_rows_unasked(cube, tmp_path, monkeypatch, capsys):
-    monkeypatch.setattr(netcdf, "LARGE", 1)
+    monkeypatch.setenv("AMULOR_LARGE", "1")
     seen = []
     by_rows = pipeline.open_rows
     monkeypatch.setattr(

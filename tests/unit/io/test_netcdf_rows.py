@@ -9,7 +9,7 @@ import xarray as xr
 
 from amulor import io
 from amulor.cube import tiles
-from amulor.errors import CubeError, FormatError
+from amulor.errors import AmulorError, CubeError, FormatError
 from amulor.io import netcdf
 
 
@@ -96,10 +96,15 @@ def test_tiles_that_do_not_fit_are_refused(samples, path, change, words):
 def test_large_files_are_told_by_their_samples(samples, path, monkeypatch):
     io.write_cube(samples, path)
     size = samples["in_phase"].nbytes
-    monkeypatch.setattr(netcdf, "LARGE", size)
+    monkeypatch.setenv("AMULOR_LARGE", f"{size}")
     assert not netcdf.is_large(path)
-    monkeypatch.setattr(netcdf, "LARGE", size - 1)
+    monkeypatch.setenv("AMULOR_LARGE", f"{size - 1}")
     assert netcdf.is_large(path)
+    assert not netcdf.is_large(path, variables=["slant_range"])
+    monkeypatch.setenv("AMULOR_LARGE", "64 MB")
+    with pytest.raises(AmulorError, match=r"AMULOR_LARGE is '64 MB'.*such as 64e6"):
+        netcdf.is_large(path)
+    monkeypatch.delenv("AMULOR_LARGE")
     path.write_bytes(b"something else")
     assert not netcdf.is_large(path)
     assert not netcdf.is_large(path.with_name("nothing.nc"))

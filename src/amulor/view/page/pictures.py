@@ -232,26 +232,11 @@ class Channel:
         return picture
 
 
-#: Smaller files are read at once [byte].
-_LARGE = 64_000_000
 _BAND = 256
 #: Rows and columns that stand for the scan beside the pixels that are measured [1].
 _MESH = 128
 #: Behind the file a digest of it stands, see `amulor.io.netcdf` [byte].
 _SEAL_LENGTH = 80
-
-
-def is_large(path: Path) -> bool:
-    """Return whether a file is a range image that is better read in bands."""
-    try:
-        if path.stat().st_size < _LARGE:
-            return False
-        with h5py.File(path, "r") as file:
-            level = file.attrs.get("level", b"")
-            text = level.decode() if isinstance(level, bytes) else str(level)
-            return text == "range_image"
-    except OSError:
-        return False
 
 
 def large_picture(path: Path) -> LargePicture:

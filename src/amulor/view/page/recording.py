@@ -21,13 +21,13 @@ from amulor.errors import AmulorError, CubeError
 from amulor.imaging.common import own_variance
 from amulor.imaging.edges import STEP_MARGIN, steps
 from amulor.io import read_cube
+from amulor.io.netcdf import is_large
 from amulor.view.page.layers import BEFORE, MAPS, STEPS, Layer, described, flag_words
 from amulor.view.page.pictures import (
     Channel,
     MemoryPicture,
     Nodes,
     Picture,
-    is_large,
     large_picture,
     nodes_of,
     sharing_of,
@@ -348,7 +348,7 @@ def opened(
     path: Path, *, samples: Path | None = None, interval: Interval = None
 ) -> Recording:
     """Open a file for the page."""
-    if is_large(path):
+    if is_large(path, variables=["slant_range"]):
         return Recording(path.name, image=large_picture(path), interval=interval)
     cube = read_cube(path)
     if samples is None:

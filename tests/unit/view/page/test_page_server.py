@@ -248,7 +248,7 @@ def test_a_large_file_is_read_in_bands_and_says_the_same(
     path = tmp_path / "large.nc"
     io.write_cube(image, path)
     small = page.opened(path)
-    monkeypatch.setattr(pictures, "_LARGE", 1)
+    monkeypatch.setenv("AMULOR_LARGE", "1")
     monkeypatch.setattr(pictures, "_BAND", 4)
     found = page.opened(path)
     assert found.channels == small.channels == ["VV"]
@@ -312,7 +312,7 @@ def test_a_file_that_is_damaged_while_it_is_open_gives_a_message(
 ) -> None:
     path = tmp_path / "large.nc"
     io.write_cube(imaging.range_image(target, polarization="VV"), path)
-    monkeypatch.setattr(pictures, "_LARGE", 1)
+    monkeypatch.setenv("AMULOR_LARGE", "1")
     client = served(page.opened(path))
     assert client.get(f"/{TOKEN}/scene").status_code == 200
     size = path.stat().st_size
