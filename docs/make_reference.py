@@ -13,7 +13,7 @@ from pydantic_core import PydanticUndefined
 from amulor import samples, survey
 from amulor.cube import schema
 from amulor.design.evaluate import WATERS, reach
-from amulor.survey import presets
+from amulor.survey import instrument_errors, presets
 from amulor.survey.water import WaterState
 from amulor.view import explanations
 
@@ -61,6 +61,25 @@ TABLES: list[tuple[str, type[BaseModel], str | None]] = [
     ("[instrument.detector]", survey.Detector, None),
     ("[instrument.lock_in]", survey.LockIn, None),
     ("[instrument.window]", survey.Window, "window"),
+    ("[instrument.errors]", survey.InstrumentErrors, "instrument-errors"),
+    *(
+        (f"[instrument.errors.{name}]", getattr(instrument_errors, model), None)
+        for name, model in {
+            "pointing": "Pointing",
+            "clock": "Clock",
+            "drift": "Drift",
+            "optical_leakage": "OpticalLeakage",
+            "counting": "Counting",
+            "harmonic": "Harmonic",
+            "compression": "Compression",
+            "walk": "Walk",
+            "reflection": "Reflection",
+            "crosstalk": "Crosstalk",
+            "scale_change": "ScaleChange",
+            "demodulator": "Demodulator",
+            "noise": "OutputNoise",
+        }.items()
+    ),
     ("[daylight]", survey.Daylight, "daylight"),
     ("[scan]", survey.Scan, None),
     ("[scan.open_water]", survey.OpenWater, None),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Protocol
 
@@ -205,12 +206,14 @@ def sample(
     water: Light,
     *,
     rng: Noise,
+    detect: Callable[[Light], Light] | None = None,
 ) -> Samples:
     """Draw the lock-in samples of target and water light together.
 
     A sample is the mean of the lock-in output over the dwell, after five time
     constants of settling. Counting noise spreads both outputs alike; the phase floor
-    spreads the sample along its circle only, which is why the outputs covary.
+    spreads the sample along its circle only, which is why the outputs covary. `detect`
+    is applied to the whole light before it is counted.
     """
     instrument, detector = survey.instrument, survey.instrument.detector
     lock_in = instrument.lock_in
@@ -222,6 +225,8 @@ def sample(
     light = speckled + Light(
         water.modulated * change, water.mean * np.maximum(change, 0), water.variance
     )
+    if detect is not None:
+        light = detect(light)
     rate = counting.full_rate(survey) * light.mean + _daylight(survey, light)
     time = counting.integration_time(survey)
     # Who counts nothing does not know that there is nothing, but for one photoelectron.

@@ -16,6 +16,7 @@ from amulor.cube import tiles
 from amulor.optics.rays import Medium
 from amulor.simulation import geometry as geometry_of
 from amulor.simulation import lock_in
+from amulor.simulation.instrument_errors import Chain
 from amulor.simulation.models import DEFAULT_MODEL, FittedModel, SignalModel
 from amulor.simulation.scene import Scene
 from amulor.survey import Survey, WaterProperties, water_properties
@@ -111,6 +112,10 @@ class Setting:
     """The targets."""
     seed: int | None
     """That of the noise, if there is one."""
+    chain: Chain | None
+    """Signal chain of an instrument with errors, if the survey states some."""
+    light_survey: Survey
+    """Survey at the frequencies of which light is computed."""
 
     @classmethod
     def of(
@@ -118,8 +123,11 @@ class Setting:
     ) -> Setting:
         """Return the setting of a survey; see `simulate`."""
         water = water_properties(survey)
+        chain = Chain.of(survey, rng)
         return cls(
             survey=survey,
+            chain=chain,
+            light_survey=survey if chain is None else chain.light_survey,
             model=model,
             water=water,
             medium=medium_of(survey, water),
@@ -146,7 +154,7 @@ def fit(setting: Setting) -> SignalModel:
         farthest = min(farthest, float(geometry.depth.max()))
     return lock_in.fitted(
         model,
-        survey,
+        setting.light_survey,
         setting.water,
         geometry.view,
         end=geometry.depth,
@@ -176,7 +184,7 @@ def _light(
     setting: Setting, directions: tuple[Floats, Floats, Floats], *, model: SignalModel
 ) -> tuple[geometry_of.Geometry, lock_in.Light, lock_in.Light]:
     """Return what beams meet, and the light of targets and water."""
-    survey, water = setting.survey, setting.water
+    survey, water = setting.light_survey, setting.water
     tell("following the beams to the targets", 0.0)
     geometry = _traced(setting, directions)
     tell(f"light of the targets, {model.title}", 0.1)
@@ -198,19 +206,27 @@ def measured(
     noise: lock_in.Noise,
 ) -> tuple[xr.Dataset, xr.Dataset]:
     """Return the samples of some rows of a scan, and the truth of them."""
-    survey = setting.survey
-    geometry, target, column = _light(setting, directions, model=model)
-    tell("noise of detector and lock-in", 0.7)
-    samples = lock_in.sample(survey, target, column, rng=noise)
+    survey, chain = setting.survey, setting.chain
+    azimuth, elevation, time = directions
+    if chain is None:
+        geometry, target, column = _light(setting, directions, model=model)
+        tell("noise of detector and lock-in", 0.7)
+        samples = lock_in.sample(survey, target, column, rng=noise)
+    else:
+        true = chain.pointed(directions)
+        geometry, target, column = _light(setting, true, model=model)
+        tell("noise and errors of the instrument", 0.7)
+        samples = chain.scan_samples(target, column, time, rng=noise)
+        target, column = chain.fundamental(target), chain.fundamental(column)
     built = cube.build(
         "samples",
         {**_outputs(samples), "saturated": samples.saturated},
         {
             "modulation_frequency": np.array(survey.instrument.modulation_frequencies),
             "polarization": list(survey.instrument.polarizations),
-            "azimuth": geometry.azimuth,
-            "elevation": geometry.elevation,
-            "time": geometry.time,
+            "azimuth": azimuth,
+            "elevation": elevation,
+            "time": time,
         },
         geometry=geometry_attributes(survey, setting.medium),
         attributes=cube.attributes(
@@ -253,11 +269,19 @@ def open_water(setting: Setting, *, rng: np.random.Generator) -> xr.Dataset | No
     survey = setting.survey
     if survey.scan.open_water is None:
         return None
+    chain = setting.chain
     azimuth, elevation = open_water_directions(survey)
+    if chain is not None:
+        azimuth, elevation = chain.shots(azimuth, elevation)
     view = view_of(survey, azimuth, elevation, medium=setting.medium)
-    light = lock_in.water_light(survey, setting.water, view, model=setting.model)
-    dark = lock_in.Light(np.zeros_like(light.modulated), np.zeros_like(light.mean))
-    shots = lock_in.sample(survey, dark, light, rng=rng)
+    light = lock_in.water_light(
+        setting.light_survey, setting.water, view, model=setting.model
+    )
+    if chain is None:
+        dark = lock_in.Light(np.zeros_like(light.modulated), np.zeros_like(light.mean))
+        shots = lock_in.sample(survey, dark, light, rng=rng)
+    else:
+        shots = chain.shot_samples(light, rng=rng)
     return cube.open_water(
         {**_outputs(shots), "azimuth": azimuth, "elevation": elevation}
     )

@@ -10,6 +10,7 @@ from amulor.survey.instrument import (
     Receiver,
     Window,
 )
+from amulor.survey.instrument_errors import InstrumentErrors
 from amulor.survey.properties import WaterProperties, water_properties
 from amulor.survey.scan import OpenWater, Pose, Scan, read_pose
 from amulor.survey.surface import Lambertian, OrenNayar, TabulatedSurface
@@ -45,6 +46,7 @@ __all__ = [
     "FournierForand",
     "HenyeyGreenstein",
     "Instrument",
+    "InstrumentErrors",
     "JerlovWater",
     "Lambertian",
     "LayeredWater",

@@ -10,6 +10,7 @@ from typing import Annotated, Literal, Self
 from pydantic import Field, model_validator
 
 from amulor.optics.polarization import stokes
+from amulor.survey.instrument_errors import InstrumentErrors
 from amulor.survey.quantity import (
     Angle,
     Description,
@@ -219,6 +220,8 @@ class Instrument(Description):
     """The lock-in amplifier."""
     window: Window | None = None
     """A window between instrument and water; left out if the instrument is wet."""
+    errors: InstrumentErrors | None = None
+    """Errors that a simulation puts into its samples; none if left out."""
 
     @model_validator(mode="after")
     def _lists_are_in_order(self) -> Self:
@@ -231,6 +234,19 @@ class Instrument(Description):
         twice = [p for p, count in Counter(self.polarizations).items() if count > 1]
         if twice:
             raise ValueError(f"polarizations hold {twice[0]!r} more than once")
+        return self
+
+    @model_validator(mode="after")
+    def _errors_belong_to_its_frequencies(self) -> Self:
+        crosstalk = None if self.errors is None else self.errors.crosstalk
+        if crosstalk is None or not isinstance(crosstalk.amplitude, tuple):
+            return self
+        stated, needed = len(crosstalk.amplitude), len(self.modulation_frequencies)
+        if stated != needed:
+            raise ValueError(
+                f"errors.crosstalk.amplitude has {stated} values for {needed} "
+                "modulation frequencies; state one value, or one for each"
+            )
         return self
 
     @model_validator(mode="after")

@@ -1,0 +1,362 @@
+"""Errors of a real instrument in simulated samples, in the order of the signal chain.
+
+Formulas, signs and typical sizes: docs/theory/instrument-errors.md. Random numbers come
+from generators of their own, one for each row, so that samples without errors keep
+theirs and a scan by rows is that of the whole.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import partial
+
+import numpy as np
+from numpy.typing import NDArray
+
+from amulor.optics.polarization import mueller
+from amulor.simulation import lock_in
+from amulor.simulation.lock_in import Light
+from amulor.survey import InstrumentErrors, Survey, counting
+from amulor.survey.directions import Floats
+from amulor.survey.instrument_errors import Crosstalk, OpticalLeakage, Part
+from amulor.survey.mueller import matrix
+
+__all__ = ["Chain"]
+
+Complex = NDArray[np.complex128]
+Directions = tuple[Floats, Floats, Floats]
+_Draw = Callable[[], Floats]
+
+#: Purposes of random numbers, each with generators of its own.
+_POINTING, _WHITE, _PINK, _WHITE_SHOTS = range(4)
+#: Tones that stand for pink noise.
+_TONES = 64
+#: Orders of harmonics that four samples a period turn into the conjugate.
+_CONJUGATE = (3, 7)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Chain:
+    """Signal chain of an instrument with errors."""
+
+    survey: Survey
+    """Survey with the errors."""
+    errors: InstrumentErrors
+    """Those of its instrument."""
+    entropy: int
+    """Seed of the random errors."""
+
+    @classmethod
+    def of(cls, survey: Survey, rng: np.random.Generator | int) -> Chain | None:
+        """Return the chain of a survey, None without errors; `rng` is not advanced."""
+        errors = survey.instrument.errors
+        if errors is None:
+            return None
+        own = np.random.default_rng(rng).spawn(1)[0]
+        return cls(survey=survey, errors=errors, entropy=int(own.integers(2**63)))
+
+    @property
+    def frequencies(self) -> Floats:
+        """True modulation frequencies [Hz]."""
+        stated = np.array(self.survey.instrument.modulation_frequencies)
+        clock = self.errors.clock
+        return stated if clock is None else stated * (1 + clock.frequency_error)
+
+    @property
+    def light_survey(self) -> Survey:
+        """Survey at all frequencies whose light reaches the outputs."""
+        if self.errors.clock is None and self.errors.harmonic is None:
+            return self.survey
+        return self.survey.with_(
+            {"instrument.modulation_frequencies": self._light_frequencies.tolist()}
+        )
+
+    @property
+    def _light_frequencies(self) -> Floats:
+        harmonic = self.errors.harmonic
+        own = self.frequencies
+        if harmonic is None:
+            return own
+        return np.unique(np.concatenate([own, harmonic.order * own]))
+
+    def fundamental(self, light: Light) -> Light:
+        """Return the light at the modulation frequencies, of that of `light_survey`."""
+        return self._at(light, self.frequencies)
+
+    def _at(self, light: Light, frequency: Floats) -> Light:
+        chosen = np.searchsorted(self._light_frequencies, frequency)
+        variance = light.variance
+        return Light(
+            light.modulated[chosen],
+            light.mean[chosen],
+            variance if np.ndim(variance) == 0 else np.asarray(variance)[chosen],
+        )
+
+    def pointed(self, directions: Directions) -> Directions:
+        """Return the true directions of beams whose recorded ones are given."""
+        pointing = self.errors.pointing
+        if pointing is None:
+            return directions
+        azimuth, elevation, time = directions
+        rows, scan = self._rows(time), self.survey.scan
+        noise = pointing.jitter * self._normal(_POINTING, rows, (2, scan.columns))
+        left = (rows % 2 == 1) & (scan.order == "serpentine")
+        lag = np.where(left, -0.5, 0.5)[:, None] * pointing.backlash
+        return azimuth + noise[0] + lag, elevation + noise[1], time
+
+    def shots(self, azimuth: Floats, elevation: Floats) -> tuple[Floats, Floats]:
+        """Return the directions of the open-water shots in the order of recording.
+
+        Where something drifts they go round again and again, half of the rounds before
+        the scan and half after it.
+        """
+        plan = self.survey.scan.open_water
+        if plan is None or not self._drifts:
+            return azimuth, elevation
+        order = np.arange(azimuth.size).reshape(-1, plan.repeats).T.ravel()
+        return azimuth[order], elevation[order]
+
+    @property
+    def _drifts(self) -> bool:
+        crosstalk, noise = self.errors.crosstalk, self.errors.noise
+        return (
+            self.errors.drift is not None
+            or (crosstalk is not None and crosstalk.change != 0)
+            or (noise is not None and noise.pink > 0)
+        )
+
+    def scan_samples(
+        self, target: Light, water: Light, time: Floats, *, rng: lock_in.Noise
+    ) -> lock_in.Samples:
+        """Draw the samples of rows of the scan that begin at given times."""
+        rows = self._rows(time)
+        shape = (2, *self._plane, self.survey.scan.columns)
+        return self._samples(
+            target,
+            water,
+            time=self._step * self._shots_before + time,
+            part="scan",
+            # (2, frequency, channel, row, column)
+            white=lambda: self._normal(_WHITE, rows, shape, axis=3),
+            rng=rng,
+        )
+
+    def shot_samples(self, water: Light, *, rng: lock_in.Noise) -> lock_in.Samples:
+        """Draw the samples of the open-water shots, in the order of recording."""
+        count, before = water.mean.shape[-1], self._shots_before
+        place = np.arange(count)
+        scan = self.survey.scan
+        place = np.where(place < before, place, place + scan.rows * scan.columns)
+        generator = np.random.default_rng([self.entropy, _WHITE_SHOTS])
+        return self._samples(
+            Light(np.zeros_like(water.modulated), np.zeros_like(water.mean)),
+            water,
+            time=np.asarray(self._step * place, dtype=float),
+            part="open_water",
+            white=lambda: generator.standard_normal((2, *self._plane, count)),
+            rng=rng,
+        )
+
+    @property
+    def _plane(self) -> tuple[int, int]:
+        instrument = self.survey.instrument
+        return len(instrument.modulation_frequencies), len(instrument.polarizations)
+
+    @property
+    def _step(self) -> float:
+        """Time that all samples of a pixel take [s]."""
+        frequencies, channels = self._plane
+        return self.survey.scan.dwell * frequencies * channels
+
+    @property
+    def _shots_before(self) -> int:
+        plan = self.survey.scan.open_water
+        if plan is None:
+            return 0
+        rounds = (plan.repeats + 1) // 2 if self._drifts else plan.repeats
+        return plan.rows * plan.columns * rounds
+
+    @property
+    def _duration(self) -> float:
+        """Time from the first sample to the last [s]."""
+        scan = self.survey.scan
+        plan = scan.open_water
+        shots = 0 if plan is None else plan.rows * plan.columns * plan.repeats
+        return self._step * max(scan.rows * scan.columns + shots - 1, 1)
+
+    def _rows(self, time: Floats) -> NDArray[np.intp]:
+        """Return the numbers of rows whose pixels begin at given times."""
+        row = time.min(axis=-1) / (self._step * self.survey.scan.columns)
+        return np.asarray(np.rint(row).astype(np.intp))
+
+    def _normal(
+        self,
+        purpose: int,
+        rows: NDArray[np.intp],
+        shape: tuple[int, ...],
+        *,
+        axis: int = 1,
+    ) -> Floats:
+        """Return normal numbers of rows, each of a shape, stacked along an axis."""
+        each = [
+            np.random.default_rng([self.entropy, purpose, int(row)]) for row in rows
+        ]
+        return np.stack([one.standard_normal(shape) for one in each], axis=axis)
+
+    def _course(self, time: Floats) -> Floats:
+        """Return how much of a drift has come about at given times [1]."""
+        drift = self.errors.drift
+        settling = None if drift is None else drift.settling_time
+        if settling is None:
+            return time / self._duration
+        whole = np.expm1(-self._duration / settling)
+        return np.asarray(np.expm1(-time / settling) / whole)
+
+    def _samples(
+        self, target: Light, water: Light, *, time: Floats, part: Part, white: _Draw,
+        rng: lock_in.Noise,
+    ) -> lock_in.Samples:  # fmt: skip
+        survey, errors = self.survey, self.errors
+        course = self._course(time)
+        drift = errors.drift
+        if drift is not None:
+            power = 1 + drift.power * course
+            depth = 1 + drift.modulation_depth * course
+            target, water = (
+                _scaled(light, modulated=power * depth, mean=power)
+                for light in (target, water)
+            )
+        samples = lock_in.sample(
+            survey,
+            self.fundamental(target),
+            self.fundamental(water),
+            rng=rng,
+            detect=partial(self._detected, part=part),
+        )
+        signal = samples.signal
+        if errors.harmonic is not None:
+            order = errors.harmonic.order
+            light = self._at(target + water, order * self.frequencies)
+            other = lock_in.expected_signal(survey, light)
+            if order in _CONJUGATE:
+                other = other.conj()
+            signal = signal + errors.harmonic.fraction * other
+        signal = self._received(signal, time, part=part)
+        return replace(samples, signal=self._demodulated(signal, time, white))
+
+    def _detected(self, light: Light, *, part: Part) -> Light:
+        """Return the light with what leaks, and what a counter makes of both."""
+        leakage, counter = self.errors.optical_leakage, self.errors.counting
+        axes = [1] * (light.mean.ndim - 2)
+        turn = 2j * np.pi * self.frequencies.reshape(-1, 1, *axes)
+        if leakage is not None and _has(leakage, part):
+            passed = leakage.fraction * self._passed(leakage).reshape(1, -1, *axes)
+            light = light + Light(
+                passed * np.exp(turn * leakage.delay) + np.zeros(light.mean.shape),
+                passed + np.zeros(light.mean.shape),
+            )
+        if counter is None:
+            return light
+        rate = counting.full_rate(self.survey) * light.mean
+        rate += self.survey.instrument.detector.dark_rate
+        rate += counting.background_rate(self.survey).reshape(-1, *axes)
+        live = 1 / (1 + rate * counter.dead_time)
+        late = counter.after_pulse_probability
+        after = 1 + late / (1 - turn * counter.after_pulse_delay)
+        return _scaled(light, modulated=live**2 * after, mean=live * (1 + late))
+
+    def _passed(self, leakage: OpticalLeakage) -> Floats:
+        """Return the share of leaking light behind each analyser."""
+        kept = 1 - leakage.depolarization
+        state = matrix((kept, kept, kept))
+        return np.array(
+            [
+                float(mueller.detected_fraction(state, pair=pair))
+                for pair in self.survey.instrument.polarizations
+            ]
+        )
+
+    def _received(self, signal: Complex, time: Floats, *, part: Part) -> Complex:
+        """Return the signal behind amplifiers and cables, up to the demodulator."""
+        errors, axes = self.errors, [1] * (signal.ndim - 2)
+        turn = 2j * np.pi * self.frequencies.reshape(-1, 1, *axes)
+        if errors.compression is not None:
+            pressed = errors.compression
+            loss = pressed.fraction * np.abs(signal) / pressed.amplitude
+            signal = signal * np.maximum(1 - loss, 0)
+        if errors.walk is not None:
+            size = np.where(signal == 0, errors.walk.amplitude, np.abs(signal))
+            decades = np.log10(size / errors.walk.amplitude)
+            signal = signal * np.exp(1j * errors.walk.phase_per_decade * decades)
+        if errors.reflection is not None:
+            again = np.exp(turn * errors.reflection.delay)
+            signal = signal * (1 + errors.reflection.coefficient * again)
+        if errors.crosstalk is not None and _has(errors.crosstalk, part):
+            stray = errors.crosstalk
+            size = np.broadcast_to(stray.amplitude, len(self.frequencies))
+            size = size.reshape(-1, 1, *axes) * (
+                1 + stray.change * time / self._duration
+            )
+            signal = signal + size * np.exp(1j * stray.phase + turn * stray.delay)
+        if errors.drift is not None:
+            phase = 1j * errors.drift.phase + turn * errors.drift.delay
+            signal = signal * np.exp(phase * self._course(time))
+        return signal
+
+    def _demodulated(self, signal: Complex, time: Floats, white: _Draw) -> Complex:
+        """Return the outputs of the demodulator."""
+        scale, outputs = self.errors.scale_change, self.errors.demodulator
+        noise = self.errors.noise
+        if scale is not None:
+            factor = (1 + scale.gain) * np.exp(1j * scale.phase)
+            signal = np.where(np.abs(signal) > scale.above, factor * signal, signal)
+        if outputs is not None:
+            angle = outputs.quadrature_phase
+            turned = signal.imag * np.cos(angle) + signal.real * np.sin(angle)
+            signal = (
+                signal.real
+                + outputs.in_phase_offset
+                + 1j * (1 + outputs.quadrature_gain) * turned
+                + 1j * outputs.quadrature_offset
+            )
+        if noise is not None:
+            both = noise.white * white() + noise.pink * self._pink(time)
+            signal = signal + both[0] + 1j * both[1]
+        if outputs is not None and outputs.resolution > 0:
+            step = outputs.resolution
+            signal = step * (
+                np.rint(signal.real / step) + 1j * np.rint(signal.imag / step)
+            )
+        return signal
+
+    def _pink(self, time: Floats) -> Floats:
+        """Return noise of variance 1 at times, (2, frequency, channel, *times).
+
+        A sum of tones of equal power whose frequencies are even in the logarithm.
+        """
+        generator = np.random.default_rng([self.entropy, _PINK])
+        shape = (2, *self._plane, _TONES)
+        lowest, highest = 1 / self._duration, 1 / (2 * self._step)
+        share = (np.arange(_TONES) + generator.random(shape)) / _TONES
+        tone = lowest * max(highest / lowest, 1.0) ** share
+        start = 2 * np.pi * generator.random(shape)
+        axes = [1] * time.ndim
+        total = np.zeros((*shape[:-1], *time.shape))
+        for k in range(_TONES):
+            phase = 2 * np.pi * tone[..., k].reshape(*shape[:-1], *axes) * time
+            total += np.cos(phase + start[..., k].reshape(*shape[:-1], *axes))
+        return np.asarray(total * np.sqrt(2 / _TONES))
+
+
+def _has(error: Crosstalk | OpticalLeakage, part: Part) -> bool:
+    return error.part in ("all", part)
+
+
+def _scaled(light: Light, *, modulated: Floats | Complex, mean: Floats) -> Light:
+    known = np.ndim(light.variance) == 0
+    return Light(
+        light.modulated * modulated,
+        light.mean * mean,
+        light.variance if known else light.variance * np.abs(modulated) ** 2,
+    )

@@ -1,0 +1,216 @@
+"""Errors of a real instrument, which the simulation puts into its samples.
+
+No method that evaluates a scan reads them: they are what a user does not know.
+"""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+from pydantic import Field
+
+from amulor.survey.quantity import Angle, Description, Fraction, Time, Voltage
+
+#: What is recorded with an error: scan and open-water references, or one of them.
+Part = Literal["all", "scan", "open_water"]
+_Share = Annotated[Fraction, Field(ge=0, le=1)]
+_Change = Annotated[Fraction, Field(gt=-1, le=10)]
+_Phase = Annotated[Angle, Field(ge=-7, le=7)]
+_Volts = Annotated[Voltage, Field(ge=0, le=1e4)]
+_Delay = Annotated[Time, Field(ge=-1e-3, le=1e-3)]
+
+
+class Pointing(Description):
+    """True directions of the beams that differ from those recorded."""
+
+    jitter: Annotated[Angle, Field(ge=0, le=0.5)] = 0.0
+    """Standard deviation of azimuth and of elevation from pixel to pixel [rad]."""
+    backlash: Annotated[Angle, Field(ge=0, le=0.5)] = 0.0
+    """Difference in azimuth between rows scanned to the right and rows scanned to the
+    left, half of it in each [rad]."""
+
+
+class Clock(Description):
+    """Modulation frequencies that differ from those recorded."""
+
+    frequency_error: Annotated[Fraction, Field(ge=-0.1, le=0.1)]
+    """True over recorded frequency, minus 1 [1]."""
+
+
+class Harmonic(Description):
+    """Harmonic of the modulated light that the demodulator takes for the fundamental.
+
+    Its phasor is the complex conjugate for the orders 3 and 7, as with four samples a
+    period.
+    """
+
+    order: Literal[3, 5, 7] = 3
+    """Number of the harmonic [1]."""
+    fraction: _Share
+    """Harmonic in the output per light at the harmonic frequency, over the same of the
+    fundamental [1]."""
+
+
+class OpticalLeakage(Description):
+    """Light that reaches the detector without leaving the instrument."""
+
+    fraction: _Share
+    """Leaking over launched power, before the analyser [1]."""
+    delay: _Delay = 0.0
+    """Delay against the modulation of the launched light [s]."""
+    depolarization: _Share = 0.0
+    """0 where the leaking light keeps its polarization, 1 where it has none [1]."""
+    part: Part = "all"
+    """Samples that have it."""
+
+
+class Counting(Description):
+    """Losses and late pulses of a photon-counting detector."""
+
+    dead_time: Annotated[Time, Field(ge=0, le=1e-3)] = 0.0
+    """Time after each count in which none is counted; not extended by what arrives in
+    it [s]."""
+    after_pulse_probability: _Share = 0.0
+    """After-pulses per count [1]."""
+    after_pulse_delay: Annotated[Time, Field(ge=0, le=1e-3)] = 0.0
+    """Mean of the exponentially distributed delay of an after-pulse [s]."""
+
+
+class Compression(Description):
+    """Gain that falls in proportion to the amplitude."""
+
+    fraction: _Share
+    """Loss of gain at the amplitude `amplitude`; gain never falls below zero [1]."""
+    amplitude: Annotated[Voltage, Field(gt=0, le=1e4)]
+    """Amplitude for which the loss is stated [V]."""
+
+
+class Walk(Description):
+    """Phase that depends on the amplitude."""
+
+    phase_per_decade: _Phase
+    """Phase gained by ten times the amplitude [rad]."""
+    amplitude: Annotated[Voltage, Field(gt=0, le=1e4)]
+    """Amplitude at which the phase is right [V]."""
+
+
+class Reflection(Description):
+    """Signal that runs up and down a cable once more."""
+
+    coefficient: Annotated[Fraction, Field(ge=-1, le=1)]
+    """Product of the reflection coefficients of both ends [1]."""
+    delay: Annotated[Time, Field(ge=0, le=1e-3)]
+    """Time to the far end and back: 10 ns for a metre of coaxial cable [s]."""
+
+
+class Crosstalk(Description):
+    """Modulation that reaches the receiver's electronics without light."""
+
+    amplitude: _Volts | tuple[_Volts, ...]
+    """Amplitude in the output, of all modulation frequencies or of each [V]."""
+    phase: _Phase = 0.0
+    """Phase at frequency zero [rad]."""
+    delay: _Delay = 0.0
+    """Delay: it adds to the phase in proportion to frequency [s]."""
+    change: _Change = 0.0
+    """Relative change of the amplitude from the first to the last sample [1]."""
+    part: Part = "all"
+    """Samples that have it."""
+
+
+class Drift(Description):
+    """Changes from the first sample to the last, in time even or settling."""
+
+    phase: _Phase = 0.0
+    """Phase of all frequencies [rad]."""
+    delay: _Delay = 0.0
+    """Delay [s]."""
+    power: _Change = 0.0
+    """Relative change of the launched power [1]."""
+    modulation_depth: _Change = 0.0
+    """Relative change of the modulation depth [1]."""
+    settling_time: Annotated[Time, Field(gt=0, le=1e6)] | None = None
+    """Time constant of an exponential approach; a change that is even in time if left
+    out [s]."""
+
+
+class ScaleChange(Description):
+    """Error of an input range of the demodulator, above a threshold."""
+
+    above: _Volts
+    """Amplitude above which the range is another one [V]."""
+    phase: _Phase = 0.0
+    """Phase of that range [rad]."""
+    gain: _Change = 0.0
+    """Relative gain of that range, minus 1 [1]."""
+
+
+class Demodulator(Description):
+    """Offsets and inequality of the two outputs, and their resolution."""
+
+    in_phase_offset: Annotated[Voltage, Field(ge=-1e4, le=1e4)] = 0.0
+    """Offset of the in-phase output [V]."""
+    quadrature_offset: Annotated[Voltage, Field(ge=-1e4, le=1e4)] = 0.0
+    """Offset of the quadrature output [V]."""
+    quadrature_gain: _Change = 0.0
+    """Gain of the quadrature over that of the in-phase output, minus 1 [1]."""
+    quadrature_phase: Annotated[Angle, Field(ge=-1.5, le=1.5)] = 0.0
+    """Angle between both reference waves, minus 90 degrees [rad]."""
+    resolution: _Volts = 0.0
+    """Step of the digitized outputs [V]."""
+
+
+class OutputNoise(Description):
+    """Noise of both outputs that their stated uncertainty does not contain."""
+
+    white: _Volts = 0.0
+    """Standard deviation of a sample, independent from sample to sample [V]."""
+    pink: _Volts = 0.0
+    """Standard deviation over the measurement, the same power in each octave between
+    the time of a pixel and of the measurement [V]."""
+
+
+class InstrumentErrors(Description):
+    """Errors of the instrument that a simulation adds; each off if left out.
+
+    They act in the order in which they stand here. Rejection and ranging do not read
+    them: an error is what the survey's other sections do not say.
+
+    Examples
+    --------
+    >>> from amulor.survey import InstrumentErrors
+    >>> errors = InstrumentErrors(
+    ...     crosstalk={"amplitude": "70 uV", "phase": "47 deg", "part": "scan"},
+    ...     drift={"delay": "30 ps"},
+    ... )
+    >>> errors.crosstalk.part, errors.walk is None
+    ('scan', True)
+    """
+
+    pointing: Pointing | None = None
+    """Directions of the beams."""
+    clock: Clock | None = None
+    """Frequency of the modulation."""
+    drift: Drift | None = None
+    """Drift: of power and modulation depth in the light, of phase and delay after the
+    crosstalk."""
+    optical_leakage: OpticalLeakage | None = None
+    """Light within the instrument."""
+    counting: Counting | None = None
+    """Dead time and after-pulses."""
+    harmonic: Harmonic | None = None
+    """Harmonic taken for the fundamental."""
+    compression: Compression | None = None
+    """Gain against amplitude."""
+    walk: Walk | None = None
+    """Phase against amplitude."""
+    reflection: Reflection | None = None
+    """Reflections in a cable."""
+    crosstalk: Crosstalk | None = None
+    """Electrical leakage."""
+    scale_change: ScaleChange | None = None
+    """Ranges of the demodulator."""
+    demodulator: Demodulator | None = None
+    """Offsets, gain and angle of the outputs."""
+    noise: OutputNoise | None = None
+    """Noise that nothing states."""
