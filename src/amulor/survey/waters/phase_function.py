@@ -37,6 +37,10 @@ class HenyeyGreenstein(Description):
     asymmetry: _Asymmetry
     """Mean cosine g of the scattering angle [1]."""
 
+    def function(self) -> PhaseFunction:
+        """Return the phase function that is stated."""
+        return models.henyey_greenstein_function(asymmetry=self.asymmetry)
+
 
 class TwoTerm(Description):
     """Two Henyey-Greenstein functions, a forward and mostly a backward one.
@@ -66,6 +70,14 @@ class TwoTerm(Description):
     """Mean cosine of the second term, mostly negative [1]."""
     forward_weight: Annotated[Fraction, Field(ge=0, le=1)]
     """Share of the first term [1]."""
+
+    def function(self) -> PhaseFunction:
+        """Return the phase function that is stated."""
+        return models.two_term(
+            forward_asymmetry=self.forward_asymmetry,
+            backward_asymmetry=self.backward_asymmetry,
+            forward_weight=self.forward_weight,
+        )
 
 
 class FournierForand(Description):
@@ -105,6 +117,15 @@ class FournierForand(Description):
             )
         return self
 
+    def function(self) -> PhaseFunction:
+        """Return the phase function that is stated."""
+        if self.relative_index is None or self.slope is None:
+            assert self.backscatter_fraction is not None
+            return mixture.fournier_forand_with_backscatter(self.backscatter_fraction)
+        return models.fournier_forand(
+            relative_index=self.relative_index, slope=self.slope
+        )
+
 
 class Petzold(Description):
     """A phase function of natural water that Petzold measured in 1972.
@@ -137,6 +158,10 @@ class Petzold(Description):
     """Where: clear ocean (AUTEC), coast (HAOCE), San Diego Harbor (NUC), or the average
     particle of Mobley et al. 1993, without the water."""
 
+    def function(self) -> PhaseFunction:
+        """Return the phase function that is stated."""
+        return tables.petzold(self.station)
+
 
 class Rayleigh(Description):
     """The phase function of molecules: of water without particles.
@@ -157,6 +182,10 @@ class Rayleigh(Description):
     """Which phase function this is."""
     depolarization: Annotated[Fraction, Field(ge=0, le=1)] = 0.039
     """Depolarization ratio at 90 degrees; 0.039 is that of water [1]."""
+
+    def function(self) -> PhaseFunction:
+        """Return the phase function that is stated."""
+        return models.rayleigh_phase(depolarization=self.depolarization)
 
 
 class Tabulated(Description):
@@ -202,7 +231,7 @@ class Tabulated(Description):
                     f"found {len(self.angles)} angles and {len(self.values)} values; "
                     "there must be one value for each angle"
                 )
-            _table(self.angles, self.values)
+            self.function()
         return self
 
     def settled(self, folder: Path, *, where: str) -> Self:
@@ -218,6 +247,17 @@ class Tabulated(Description):
         }
         return files.validated(type(self), content, where=where)
 
+    def function(self) -> PhaseFunction:
+        """Return the phase function that is stated."""
+        if self.angles is None or self.values is None:
+            raise SurveyError(
+                "phase_function.file: has not been read; make the survey with "
+                "Survey.from_toml or Survey.from_text, or state angles and values"
+            )
+        return tables.tabulated(
+            self.angles, value=self.values, name="tabulated in the survey"
+        )
+
 
 PhaseFunctionStated = Annotated[
     HenyeyGreenstein | TwoTerm | FournierForand | Petzold | Rayleigh | Tabulated,
@@ -228,30 +268,4 @@ PhaseFunctionStated = Annotated[
 @lru_cache(maxsize=64)
 def phase_function(stated: PhaseFunctionStated) -> PhaseFunction:
     """Return the phase function that a survey states, one object for one statement."""
-    match stated:
-        case HenyeyGreenstein():
-            return models.henyey_greenstein_function(asymmetry=stated.asymmetry)
-        case TwoTerm():
-            return models.two_term(
-                forward_asymmetry=stated.forward_asymmetry,
-                backward_asymmetry=stated.backward_asymmetry,
-                forward_weight=stated.forward_weight,
-            )
-        case FournierForand(backscatter_fraction=float(fraction)):
-            return mixture.fournier_forand_with_backscatter(fraction)
-        case FournierForand(relative_index=float(index), slope=float(slope)):
-            return models.fournier_forand(relative_index=index, slope=slope)
-        case Petzold():
-            return tables.petzold(stated.station)
-        case Rayleigh():
-            return models.rayleigh_phase(depolarization=stated.depolarization)
-        case Tabulated(angles=tuple(angles), values=tuple(values)):
-            return _table(angles, values)
-    raise SurveyError(
-        "phase_function.file: has not been read; make the survey with Survey.from_toml "
-        "or Survey.from_text, or state angles and values"
-    )
-
-
-def _table(angles: tuple[float, ...], values: tuple[float, ...]) -> PhaseFunction:
-    return tables.tabulated(angles, value=values, name="tabulated in the survey")
+    return stated.function()
