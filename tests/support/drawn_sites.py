@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -10,6 +12,7 @@ import underwater_sites as oracle
 import xarray as xr
 
 from amulor import cube as cubes
+from amulor import io
 from amulor.imaging import flag_mixed, flag_outliers
 from amulor.site import Site
 from amulor.site.registration.register import surface_of
@@ -173,3 +176,65 @@ def one_visit(
         stations["a1"], rng, position=SURVEYED[0], angle=SURVEYED[1]
     )
     return drawn_site({"one": scene}, {"one": stations}, starts, rng, rows=rows, **more)
+
+
+def two_visits(
+    before: Any,
+    after: Any,
+    rng: np.random.Generator,
+    *,
+    count: int = 4,
+    position: float = 0.02,
+    angle: float = 0.01,
+    rows: int = 105,
+    **more: Any,
+) -> DrawnSite:
+    """Return two visits of some stations each, the first station surveyed."""
+    stations = {
+        visit: {
+            f"{letter}{k + 1}": one for k, one in enumerate(oracle.ring(count, rng))
+        }
+        for visit, letter in (("one", "a"), ("two", "b"))
+    }
+    starts = {
+        name: oracle.start_of(one, rng, position=position, angle=angle)
+        for of_visit in stations.values()
+        for name, one in of_visit.items()
+    }
+    starts["a1"] = oracle.start_of(
+        stations["one"]["a1"], rng, position=SURVEYED[0], angle=SURVEYED[1]
+    )
+    scenes = {"one": before, "two": after}
+    return drawn_site(scenes, stations, starts, rng, rows=rows, **more)
+
+
+def written(drawn: DrawnSite, folder: Path) -> Path:
+    """Write a site as files and return its site file."""
+    lines = [f'name = "{drawn.site.name}"']
+    for epoch in drawn.site.epoch:
+        lines += ["[[epoch]]", f'name = "{epoch.name}"']
+    for scan in drawn.site.scan:
+        io.write_cube(drawn.images[scan.name], folder / scan.file.name)
+        start = scan.start
+        assert start is not None
+        lines += [
+            "[[scan]]",
+            f'name = "{scan.name}"',
+            f'file = "{scan.file.name}"',
+            f'epoch = "{scan.epoch}"',
+            "[scan.start]",
+            f"position = {json.dumps([f'{v!r} m' for v in start.position])}",
+        ]
+        lines += [
+            f'{key} = "{getattr(start, key)!r} {unit}"'
+            for key, unit in (
+                ("heading", "rad"),
+                ("pitch", "rad"),
+                ("roll", "rad"),
+                ("position_uncertainty", "m"),
+                ("heading_uncertainty", "rad"),
+                ("level_uncertainty", "rad"),
+            )
+        ]
+    (folder / "site.toml").write_text("\n".join(lines) + "\n")
+    return folder / "site.toml"

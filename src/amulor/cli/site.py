@@ -126,6 +126,7 @@ def register(
                 "disagreements": result.disagreements,
                 "weaknesses": [vars(one) for one in result.weaknesses],
                 "contradictions": [vars(one) for one in result.contradictions],
+                "remarks": result.remarks,
                 "settled": result.settled,
             }
         )
@@ -170,6 +171,8 @@ def _print_poses(result: Registration) -> None:
     print_table("Poses", header, rows)
     if result.fixed:
         print(f"the frame is that of {result.fixed}: nothing ties it to the world")
+    for line in result.remarks:
+        print(f"warning: {line}")
     for one in result.disagreements:
         first, second = one["scans"]
         print(

@@ -7,13 +7,16 @@ from dataclasses import dataclass
 
 import numpy as np
 import xarray as xr
+from numpy.typing import NDArray
 
 from amulor import io
 from amulor._progress import tell
 from amulor.cube import UNUSABLE, error_unknown
 from amulor.errors import AmulorError
+from amulor.imaging.geometry import beams_of
 from amulor.site.description import ScaleBar, Site, SiteScan
 from amulor.site.load import WHAT_TO_DO
+from amulor.site.registration.starts import start_findings
 from amulor.survey import Survey
 
 #: Targets, not on a line, that place a scan without a start pose.
@@ -42,6 +45,7 @@ def check(site: Site) -> Findings:
     remarks: list[str] = []
     shapes: dict[str, tuple[int, int]] = {}
     levels: dict[str, str] = {}
+    clouds: dict[str, NDArray[np.float64]] = {}
     for number, scan in enumerate(site.scan):
         tell(f"reading {scan.name}", number / len(site.scan))
         if scan.simulated_from is not None and not scan.file.is_file():
@@ -61,6 +65,11 @@ def check(site: Site) -> Findings:
         mistakes += wrong
         remarks += said
         mistakes += _of_places(site, scan, cube)
+        if levels[scan.name] == "range_image":
+            clouds[scan.name] = _points(cube)
+    starts = start_findings(site, clouds)
+    mistakes += starts.mistakes
+    remarks += starts.remarks
     mistakes += _of_ties(site)
     remarks += _of_use(site)
     return Findings(
@@ -107,6 +116,16 @@ def _of_scan(scan: SiteScan, cube: xr.Dataset) -> tuple[list[str], list[str]]:
             "stated covariances do not hold it (section [calibration] of its survey)"
         )
     return wrong, said
+
+
+def _points(image: xr.Dataset) -> NDArray[np.float64]:
+    """Return usable points of a range image in the axes of the instrument [m]."""
+    beam = beams_of(image)
+    distance = image["slant_range"].values
+    kept = ((image["quality_flag"].values & UNUSABLE) == 0) & (distance > 0)
+    before = np.broadcast_to(beam.length_before, distance.shape)
+    away = (distance - before)[..., None] * beam.direction
+    return np.asarray((beam.entry + away)[kept])
 
 
 def _of_places(site: Site, scan: SiteScan, cube: xr.Dataset) -> Iterator[str]:

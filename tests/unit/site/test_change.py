@@ -12,7 +12,13 @@ from site_scenes import scanning, shapes
 from amulor.errors import FormatError
 from amulor.imaging import flag_mixed, flag_outliers
 from amulor.site import Site
-from amulor.site.change.distances import Change, change, region_of, regions
+from amulor.site.change.distances import (
+    Change,
+    change,
+    region_of,
+    regions,
+    write_change,
+)
 from amulor.site.change.moved import _best_place
 from amulor.site.merging.cloud import merge
 from amulor.site.registration.pose import ScanPose
@@ -70,6 +76,19 @@ def test_a_volume_has_the_error_of_noise_and_of_what_all_share() -> None:
         np.arange(100),
     )
     assert 2 * noise < wide.volume_uncertainty < 6 * noise
+
+
+def test_coordinates_in_the_table_keep_millimetres_far_from_the_origin(
+    tmp_path: Path,
+) -> None:
+    found = flat_change(np.full(9, 5e-3), own=1e-3, shared=2e-3)
+    away = np.array([500_123.4567, 5_212_345.6789, -38.0123])
+    far = Change(**{**vars(found), "position": found.position + away})
+    write_change(far, tmp_path / "change.csv")
+    rows = np.genfromtxt(tmp_path / "change.csv", delimiter=",", names=True)
+    for axis, name in enumerate(("x_m", "y_m", "z_m")):
+        assert_allclose(rows[name], far.position[:, axis], rtol=0, atol=1e-6)
+    assert_allclose(rows["change_m"], 5e-3)
 
 
 def test_the_shift_of_a_turning_body_is_known_best_on_its_axis() -> None:
@@ -202,6 +221,7 @@ def test_a_registration_is_read_as_it_was_written(tmp_path: Path) -> None:
                 score=104.0,
             ),
         ),
+        remarks=("visit 'two' meets no other",),
         settled=True,
         fixed="a",
     )

@@ -9,10 +9,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 import underwater_sites as oracle
-from drawn_sites import DrawnSite, one_visit
+from drawn_sites import DrawnSite, one_visit, written
 from numpy.testing import assert_allclose
 
-from amulor import cli, io
+from amulor import cli
 from amulor.site.registration.pose import start_pose
 from amulor.site.registration.register import register
 from amulor.site.registration.result import Registration
@@ -88,38 +88,6 @@ def test_a_delay_that_nobody_stated_is_named() -> None:
     named = {one.scan for one in found.contradictions}
     errors = {one.error.partition(":")[0] for one in found.contradictions}
     assert "a2" in named or errors & {"group_index", "delay"}
-
-
-def written(drawn: DrawnSite, folder: Path) -> Path:
-    """Write a site as files and return its site file."""
-    lines = [f'name = "{drawn.site.name}"']
-    for epoch in drawn.site.epoch:
-        lines += ["[[epoch]]", f'name = "{epoch.name}"']
-    for scan in drawn.site.scan:
-        io.write_cube(drawn.images[scan.name], folder / scan.file.name)
-        start = scan.start
-        assert start is not None
-        lines += [
-            "[[scan]]",
-            f'name = "{scan.name}"',
-            f'file = "{scan.file.name}"',
-            f'epoch = "{scan.epoch}"',
-            "[scan.start]",
-            f"position = {json.dumps([f'{v!r} m' for v in start.position])}",
-        ]
-        lines += [
-            f'{key} = "{getattr(start, key)!r} {unit}"'
-            for key, unit in (
-                ("heading", "rad"),
-                ("pitch", "rad"),
-                ("roll", "rad"),
-                ("position_uncertainty", "m"),
-                ("heading_uncertainty", "rad"),
-                ("level_uncertainty", "rad"),
-            )
-        ]
-    (folder / "site.toml").write_text("\n".join(lines) + "\n")
-    return folder / "site.toml"
 
 
 def test_poses_that_contradict_their_starts_are_not_handed_on(

@@ -118,6 +118,8 @@ def change(
             _means(cloud, part, core, normal, radius, site.comparison.reach, surfaces,
                    registration)
         )  # fmt: skip
+    if not all(one.names for one in means):
+        raise _nothing_common(names)
     first, second = means
     value = second.value - first.value
     own = np.hypot(first.own, second.own)
@@ -131,10 +133,7 @@ def change(
     with np.errstate(invalid="ignore", divide="ignore"):
         chance = 2 * norm.sf(np.abs(value) / uncertainty)
     if not np.isfinite(value).any():
-        raise CubeError(
-            f"{names[0]} and {names[1]} see no surface together; look at the poses, or "
-            "set comparison.reach or comparison.radius larger"
-        )
+        raise _nothing_common(names)
     return Change(
         epochs=names,
         position=core,
@@ -150,6 +149,14 @@ def change(
         spacing=spacing,
         radius=radius,
         false_alarms=site.comparison.false_alarms,
+    )
+
+
+def _nothing_common(names: tuple[str, str]) -> CubeError:
+    """Return the error of two visits without a common surface."""
+    return CubeError(
+        f"{names[0]} and {names[1]} see no surface together; look at the start poses "
+        "with amulor site check, or set comparison.reach or comparison.radius larger"
     )
 
 
@@ -229,6 +236,9 @@ def _means(
     alike = np.einsum("ij,ij->i", cloud.normal[at[index]], normal[owner]) > _ALIKE
     kept = (across <= radius) & (np.abs(along) <= reach) & alike
     owner, index, along, across = (v[kept] for v in (owner, index, along, across))
+    if not len(index):
+        nowhere = np.full(len(core), np.nan)
+        return _Means(nowhere, nowhere, (), np.zeros((len(core), 0)), registration)
     facing = np.einsum("ij,ij->i", cloud.beam[at[index]], normal[owner])
     sigma = np.maximum(np.abs(facing) * cloud.own[at[index]], 1e-6)
     weight = 1 / sigma**2
@@ -431,7 +441,15 @@ def write_change(change: Change, path: str | Path, *, overwrite: bool = False) -
         "own_part_m,chance,significant,area_m2"
     )
     rows = [
-        ",".join([*(f"{v:.6g}" for v in row[:-2]), f"{row[-2]:.0f}", f"{row[-1]:.6g}"])
+        ",".join(
+            [
+                # Micrometres, however far from the origin of the frame.
+                *(f"{v:.6f}" for v in row[:3]),
+                *(f"{v:.6g}" for v in row[3:-2]),
+                f"{row[-2]:.0f}",
+                f"{row[-1]:.6g}",
+            ]
+        )
         for row in np.stack([np.asarray(c, dtype=float) for c in columns], axis=1)
     ]
     with atomic_output(Path(path), overwrite=overwrite) as temporary:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -37,6 +37,7 @@ from amulor.site.registration.result import (
     Weakness,
     relative_covariance,
 )
+from amulor.site.registration.starts import start_findings
 from amulor.site.registration.surface import ScanSurface, scan_surface, shared_errors
 
 Floats = NDArray[np.float64]
@@ -45,6 +46,9 @@ Floats = NDArray[np.float64]
 _CHANCE = 1e-5
 #: A pose is held by its start pose if it is hardly known better afterwards [1].
 _NO_BETTER = 0.5
+#: A start pose is good enough by itself if points are off by less than so many of the
+#: distances of neighbouring points [1].
+_ENOUGH = 0.5
 
 
 def surfaces_of(site: Site) -> tuple[dict[str, ScanSurface], dict[str, xr.Dataset]]:
@@ -96,6 +100,11 @@ def register(
     if surfaces is None or images is None:
         with part(0.0, 0.3):
             surfaces, images = surfaces_of(site)
+    seen = start_findings(
+        site, {name: one.position[one.usable] for name, one in surfaces.items()}
+    )
+    if seen.mistakes:
+        raise CubeError("\n".join(seen.mistakes))
     centres, surfaces = _centres(site, surfaces, images)
     start = {}
     for scan in site.scan:
@@ -126,7 +135,7 @@ def register(
             voxel=site.registration.voxel,
             guess=guess,
         )
-    return _result(site, found, ties)
+    return _result(site, found, ties, seen.remarks, surfaces)
 
 
 def _centres(
@@ -191,7 +200,13 @@ def _guessed(
         guess[name] = poses[name] = best_pose(here, there)
 
 
-def _result(site: Site, found: Alignment, ties: Ties) -> Registration:
+def _result(
+    site: Site,
+    found: Alignment,
+    ties: Ties,
+    remarks: tuple[str, ...],
+    surfaces: Mapping[str, ScanSurface],
+) -> Registration:
     places = {
         f"{kind} {name}": (at.start, at.stop)
         for (kind, name), at in found.layout.at.items()
@@ -224,10 +239,11 @@ def _result(site: Site, found: Alignment, ties: Ties) -> Registration:
         ),
         weaknesses=(),
         contradictions=_contradictions(found, ties),
+        remarks=(*remarks, *_apart(site, found, ties)),
         settled=found.settled,
         fixed=ties.fixed or "",
     )
-    return replace(result, weaknesses=_weak(result, ties))
+    return replace(result, weaknesses=_weak(result, ties, surfaces))
 
 
 def _contradictions(found: Alignment, ties: Ties) -> tuple[Contradiction, ...]:
@@ -263,8 +279,33 @@ def _contradictions(found: Alignment, ties: Ties) -> tuple[Contradiction, ...]:
     return tuple(sorted(contradicting, key=lambda one: -one.score))
 
 
-def _weak(result: Registration, ties: Ties) -> tuple[Weakness, ...]:
+def _apart(site: Site, found: Alignment, ties: Ties) -> Iterator[str]:
+    """Yield visits that neither surfaces nor targets tie to another one."""
+    visit = {scan.name: scan.epoch for scan in site.scan}
+    tied = [(pair.source, pair.target) for pair in found.pairs]
+    tied += [
+        (one.scan, other.scan)
+        for one in ties.centres
+        for other in ties.centres
+        if one.target == other.target
+    ]
+    met = {visit[a] for a, b in tied if visit[a] != visit[b]}
+    met |= {visit[b] for a, b in tied if visit[a] != visit[b]}
+    for epoch in site.epoch if len(site.epoch) > 1 else ():
+        if epoch.name not in met and site.scans_of(epoch.name):
+            yield (
+                f"visit {epoch.name!r}: no surface and no target ties its scans to "
+                "another visit; only start poses and control points do, and change is "
+                "compared no better than these are known"
+            )
+
+
+def _weak(
+    result: Registration, ties: Ties, surfaces: Mapping[str, ScanSurface]
+) -> tuple[Weakness, ...]:
     """Return what the data hold no better than the start poses do.
+
+    A start pose that is good to a part of a pixel, as of a surveyed station, is enough.
 
     The error of a pose against the nearest neighbour counts, not that of the whole
     site, which all scans have alike.
@@ -295,6 +336,11 @@ def _weak(result: Registration, ties: Ties) -> tuple[Weakness, ...]:
             # Two start poses by themselves make a mean; a neighbour may know better.
             if min(float(axis @ one @ axis) for one in others) > _NO_BETTER**2:
                 step = root @ axis * math.sqrt(value)
+                surface = surfaces[name]
+                away = float(np.nanmedian(surface.distance))
+                off = np.linalg.norm(step[:3]) + away * np.linalg.norm(step[3:])
+                if off < _ENOUGH * surface.spacing:
+                    continue
                 found.append(
                     Weakness(
                         scan=name,

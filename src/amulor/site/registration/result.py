@@ -97,6 +97,8 @@ class Registration:
     contradictions: tuple[Contradiction, ...]
     """Start poses and shared errors that the result contradicts; with any, the poses
     are not good."""
+    remarks: tuple[str, ...]
+    """Visits and scans that meet no other."""
     settled: bool
     """Whether the last step was small."""
     fixed: str = ""
@@ -158,6 +160,7 @@ def write_registration(
         "pairs": list(result.pairs),
         "disagreements": list(result.disagreements),
         "weaknesses": [vars(one) for one in result.weaknesses],
+        "remarks": list(result.remarks),
         "good": not result.contradictions,
         "contradictions": [vars(one) for one in result.contradictions],
         "places": result.places,
@@ -220,6 +223,7 @@ def _registration_of(content: dict[str, Any]) -> Registration:
             for w in content["weaknesses"]
         ),
         contradictions=tuple(Contradiction(**one) for one in content["contradictions"]),
+        remarks=tuple(content["remarks"]),
         settled=bool(content["settled"]),
         fixed=content["fixed"],
     )

@@ -1,0 +1,147 @@
+"""Start poses that cannot be right are named, and how they would be."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import underwater_sites as oracle
+from drawn_sites import DrawnSite, two_visits, written
+
+from amulor import cli
+from amulor.errors import CubeError
+from amulor.site import Site
+from amulor.site.change.distances import change
+from amulor.site.merging.cloud import merge
+from amulor.site.registration.register import register
+from amulor.site.registration.starts import start_findings
+
+
+@pytest.fixture(scope="module")
+def drawn() -> DrawnSite:
+    rng = np.random.default_rng(5)
+    scene = oracle.bed(rng)
+    return two_visits(scene, scene, rng, count=3, rows=36, position=0.05, angle=0.03)
+
+
+def changed(site: Site, visit: str, to: Callable[[Any], dict[str, Any]]) -> Site:
+    """Return a site whose start poses of one visit, or of all, are stated otherwise."""
+    scans = []
+    for scan in site.scan:
+        if visit in ("all", scan.epoch):
+            start = scan.start
+            assert start is not None
+            update = {"start": start.model_copy(update=to(start))}
+            scan = scan.model_copy(update=update)
+        scans.append(scan)
+    return site.model_copy(update={"scan": tuple(scans)})
+
+
+def clouds(drawn: DrawnSite) -> dict[str, np.ndarray]:
+    return {name: one.position[one.usable] for name, one in drawn.surfaces.items()}
+
+
+def up(start: Any) -> dict[str, Any]:
+    return {"position": (*start.position[:2], -start.position[2])}
+
+
+def as_degrees(start: Any) -> dict[str, Any]:
+    return {
+        name: np.radians(getattr(start, name)) for name in ("heading", "pitch", "roll")
+    }
+
+
+WRONG = [
+    ("two", up, "visit 'two'", "counts downwards; state it as up"),
+    ("two", lambda s: {**up(s), "pitch": -s.pitch}, "visit 'two'", "their pitch count"),
+    (
+        "all",
+        lambda s: {"pitch": -s.pitch},
+        "all visits",
+        "their pitch counts downwards",
+    ),
+    (
+        "two",
+        lambda s: {"position": (s.position[1], s.position[0], s.position[2])},
+        "visit 'two'",
+        "east and north are swapped",
+    ),
+    (
+        "all",
+        lambda s: {"heading": np.pi / 2 - s.heading},
+        "all visits",
+        "heading counts from east",
+    ),
+    ("all", as_degrees, "all visits", 'radians called "deg"'),
+    ("two", as_degrees, "visit 'two'", 'radians called "deg"'),
+]
+
+
+@pytest.mark.parametrize(("visit", "to", "who", "words"), WRONG)
+def test_another_reading_of_the_start_poses_is_named(
+    drawn: DrawnSite, visit: str, to: Callable[[Any], dict[str, Any]], who: str,
+    words: str,
+) -> None:  # fmt: skip
+    wrong = changed(drawn.site, visit, to)
+    (line,) = start_findings(wrong, clouds(drawn)).mistakes
+    assert line.startswith(who)
+    assert words in line
+    with pytest.raises(CubeError, match=who):
+        register(wrong, surfaces=drawn.surfaces, images=drawn.images)
+
+
+def test_start_poses_as_good_as_stated_have_no_finding(drawn: DrawnSite) -> None:
+    found = start_findings(drawn.site, clouds(drawn))
+    assert found.mistakes == ()
+    assert found.remarks == ()
+
+
+def test_a_visit_in_another_height_datum_is_named_and_not_compared(
+    drawn: DrawnSite,
+) -> None:
+    other = changed(
+        drawn.site,
+        "two",
+        lambda s: {"position": (*s.position[:2], s.position[2] + 6.2)},
+    )
+    found = start_findings(other, clouds(drawn))
+    assert found.mistakes == ()
+    (line,) = found.remarks
+    assert line.startswith("visit 'two' meets no scan of another visit")
+    lies = re.search(r"it lies ([0-9.]+) m above the others", line)
+    assert lies is not None
+    # Start poses are off by 5 cm and 30 mrad over 2.5 m.
+    assert float(lies[1]) == pytest.approx(6.2, abs=0.2)
+    registration = register(other, surfaces=drawn.surfaces, images=drawn.images)
+    assert any("no surface and no target" in line for line in registration.remarks)
+    cloud = merge(other, registration, drawn.surfaces, drawn.images)
+    with pytest.raises(CubeError, match="see no surface together"):
+        change(other, registration, drawn.surfaces, cloud)
+
+
+def test_the_check_of_a_site_ends_with_the_line(
+    drawn: DrawnSite, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    wrong = replace(drawn, site=changed(drawn.site, "two", up))
+    path = str(written(wrong, tmp_path))
+    assert cli.main(["site", "check", path]) == 1
+    said = capsys.readouterr().err
+    (line,) = (one for one in said.splitlines() if path in one)
+    assert line.startswith(f"amulor: {path}: visit 'two': start poses of b1, b2, b3")
+    assert "counts downwards" in line
+
+
+def test_a_surveyed_station_is_not_called_weak(
+    drawn: DrawnSite, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    found = register(drawn.site, surfaces=drawn.surfaces, images=drawn.images)
+    # Without a second visit nothing but its own start holds the frame.
+    assert "a1" not in {one.scan for one in found.weaknesses}
+    monkeypatch.setattr("amulor.site.registration.register._ENOUGH", 0.0)
+    every = register(drawn.site, surfaces=drawn.surfaces, images=drawn.images)
+    assert "a1" in {one.scan for one in every.weaknesses}
