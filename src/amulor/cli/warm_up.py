@@ -41,10 +41,10 @@ def _work() -> dict[str, Callable[[], object]]:
     from amulor.survey import Survey
 
     small = {"scan.columns": 16, "scan.rows": 8}
-    tones = ["20 MHz", "40 MHz", "60 MHz"]
+    frequencies = ["20 MHz", "40 MHz", "60 MHz"]
     moments, whole = (
         Survey.from_text(ladder.survey_text(water)).with_(
-            small | {"instrument.modulation_frequencies": tones}
+            small | {"instrument.modulation_frequencies": frequencies}
         )
         for water in ladder.WATERS
     )

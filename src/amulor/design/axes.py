@@ -129,11 +129,11 @@ def arranged(
         return moved.reshape([sizes[dim] if dim in dims else 1 for dim in order])
 
     shape = [-1 if dim == "frequency_set" else 1 for dim in order]
-    tones = np.stack([one.reshape(shape) for one in stated]) if stated else None
+    sets = np.stack([one.reshape(shape) for one in stated]) if stated else None
     return Arranged(
         sizes=sizes,
         values={name: spread(*each) for name, each in held.items()},
-        frequencies=tones,
+        frequencies=sets,
         coordinates=coordinates,
     )
 

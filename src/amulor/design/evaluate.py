@@ -147,7 +147,7 @@ def evaluate(
     if "distance" not in axes:
         axes["distance"] = _distance_of(survey)
     held = arranged(axes, frequencies)
-    tones = _tones(survey, held)
+    sets = _frequency_sets(survey, held)
     numeric = {name: v for name, v in held.values.items() if name != "frequency"}
     schemes, several_schemes = _several(
         polarization, "+".join(survey.instrument.polarizations)
@@ -158,7 +158,7 @@ def evaluate(
             assessed(
                 case,
                 numeric,
-                frequencies=tones,
+                frequencies=sets,
                 method=one,
                 pairs=scheme_of(scheme),
                 interval=interval,
@@ -241,7 +241,7 @@ def _distance_of(survey: Survey) -> float:
     return (reach[0] + reach[1]) / 2
 
 
-def _tones(survey: Survey, held: Arranged) -> Floats:
+def _frequency_sets(survey: Survey, held: Arranged) -> Floats:
     """Return the sets of frequencies, (K, ...) [Hz]."""
     if held.frequencies is not None:
         return held.frequencies

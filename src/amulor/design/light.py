@@ -76,8 +76,8 @@ def lit(
     distance, reach = np.unique(values["distance"], return_inverse=True)
     places, place = _places(case, values, distance)
     looks, look = _looks(case, given, places, place)
-    tones = np.unique(frequencies[np.isfinite(frequencies)])
-    light, bent = _light(case, looks, places, distance, tones, joint=joint)
+    distinct = np.unique(frequencies[np.isfinite(frequencies)])
+    light, bent = _light(case, looks, places, distance, distinct, joint=joint)
     late_error = np.zeros(bent.shape)
     if late:
         late_error = late_uncertainty(case.survey, case.water, looks, places, distance)
@@ -187,7 +187,7 @@ def _light(
     looks: Looks,
     places: list[geometry.Place],
     distance: Floats,
-    tones: Floats,
+    frequencies: Floats,
     *,
     joint: bool,
 ) -> tuple[kernel.Light, Floats]:
@@ -203,7 +203,7 @@ def _light(
     def light(**changed: Floats) -> Columns:
         fields = {**vars(looks), **changed}
         return columns(
-            case.survey, case.water, Looks(**fields), depth=depth, frequency=tones
+            case.survey, case.water, Looks(**fields), depth=depth, frequency=frequencies
         )
 
     first = light()
@@ -221,7 +221,7 @@ def _light(
             mean=first.mean,
             water=np.stack(versions),
             step=_STEP,
-            frequency=np.array(tones),
+            frequency=np.array(frequencies),
             path=np.stack([one.path for one in places]),
             slope=np.stack([one.slope for one in places]),
             offset=np.array([float(one.view.optical_offset) for one in places]),

@@ -80,10 +80,12 @@ def assessed(
         return np.array(np.broadcast_to(array, shape), order="C").reshape(-1)
 
     there = np.isfinite(frequencies)
-    tones = known.light.frequency
-    tone = np.searchsorted(tones, np.where(there, frequencies, tones[0]))
-    tone = np.where(there, tone, -1).astype(np.intp)
-    flat_tone = np.ascontiguousarray(np.stack([flat(one) for one in tone], axis=1))
+    lit_frequencies = known.light.frequency
+    index = np.searchsorted(
+        lit_frequencies, np.where(there, frequencies, lit_frequencies[0])
+    )
+    index = np.where(there, index, -1).astype(np.intp)
+    flat_index = np.ascontiguousarray(np.stack([flat(one) for one in index], axis=1))
     repetition = _repetition(frequencies, case.water.group_index)
     near, far = (0.0, repetition) if interval is None else interval
     reached = tuple(np.broadcast_arrays(known.look, known.reach))
@@ -103,13 +105,13 @@ def assessed(
         look=flat(known.look),
         reach=flat(known.reach),
         place=flat(known.place),
-        tone=flat_tone,
+        frequency_index=flat_index,
         target_fraction=_fractions(case, given, pairs, "target", flat),
         water_fraction=_fractions(case, given, pairs, "water", flat),
         has_analyser=np.array([pair != "none" for pair in pairs]),
     )
     result = np.empty((count, len(kernel.RESULTS)))
-    scratch = _scratch(flat_tone.shape[1], len(pairs))
+    scratch = _scratch(flat_index.shape[1], len(pairs))
     assess(PREDICTED[method].kernel, points, known.light, scratch, result)
     return Assessed(
         result=result.reshape(*shape, -1),
@@ -243,9 +245,9 @@ def _fractions(
     return np.stack(parts, axis=1)
 
 
-def _scratch(tones: int, channels: int) -> kernel.Scratch:
+def _scratch(frequency_count: int, channels: int) -> kernel.Scratch:
     """Return memory for one point."""
-    both = (tones, channels)
+    both = (frequency_count, channels)
     return kernel.Scratch(
         target=np.zeros(both, dtype=complex),
         water=np.zeros(both, dtype=complex),
@@ -254,8 +256,8 @@ def _scratch(tones: int, channels: int) -> kernel.Scratch:
         laser_rate=np.zeros(channels),
         sky_rate=np.zeros(channels),
         open_rate=np.zeros(channels),
-        to_range=np.zeros(tones),
-        variance=np.zeros((tones, len(kernel.RANDOM))),
-        bias=np.zeros((tones, len(kernel.SYSTEMATIC))),
-        size=np.zeros(tones),
+        to_range=np.zeros(frequency_count),
+        variance=np.zeros((frequency_count, len(kernel.RANDOM))),
+        bias=np.zeros((frequency_count, len(kernel.SYSTEMATIC))),
+        size=np.zeros(frequency_count),
     )

@@ -204,12 +204,12 @@ def finite(value: Any) -> Any:
 
 def _plain_row(row: xr.Dataset) -> dict[str, Any]:
     """Return one row of the table of candidates, its frequencies as a list."""
-    tones = row["modulation_frequency"].values
+    frequencies = row["modulation_frequency"].values
     plain = {
         str(name): row[name].item() for name in row if name != "modulation_frequency"
     }
     found: dict[str, Any] = finite(plain)
-    return {**found, "frequencies": tones[np.isfinite(tones)].tolist()}
+    return {**found, "frequencies": frequencies[np.isfinite(frequencies)].tolist()}
 
 
 def recommend(
@@ -360,9 +360,9 @@ def _bounds(goal: Goal, chosen: Parameters) -> tuple[Bound, ...]:
         ),
     ]
     if not parts.modulation.sets:
-        tones = frequency_grid(goal)
-        top = min(tones[-1], laser.top_frequency or math.inf)
-        allowed = (*(t for t in tones if t < top), top)
+        frequencies = frequency_grid(goal)
+        top = min(frequencies[-1], laser.top_frequency or math.inf)
+        allowed = (*(t for t in frequencies if t < top), top)
         stated += [
             ("lowest frequency", chosen.frequencies[0], allowed),
             ("highest frequency", chosen.frequencies[-1], allowed),
@@ -395,9 +395,11 @@ def _table(goal: Goal, found: Found) -> xr.Dataset:
     """Return the best candidates as a table."""
     listed = found.best[:_LISTED]
     most = max(len(one.parameters.frequencies) for one in listed)
-    tones = np.full((len(listed), most), np.nan)
+    frequencies = np.full((len(listed), most), np.nan)
     for number, one in enumerate(listed):
-        tones[number, : len(one.parameters.frequencies)] = one.parameters.frequencies
+        frequencies[number, : len(one.parameters.frequencies)] = (
+            one.parameters.frequencies
+        )
     names = ("laser", "polarization", "method")
     units = {
         "power": "W",
@@ -424,7 +426,7 @@ def _table(goal: Goal, found: Found) -> xr.Dataset:
         variables[name] = ("candidate", values, {"units": unit})
     variables["modulation_frequency"] = (
         ("candidate", "frequency_number"),
-        tones,
+        frequencies,
         {"units": "Hz"},
     )
     return xr.Dataset(variables, attrs={"title": goal.name})

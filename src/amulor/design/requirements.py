@@ -222,9 +222,9 @@ def quantity_text(name: str, value: float) -> str:
 
 def parameters_text(chosen: Parameters) -> str:
     """Return an instrument as one line."""
-    tones = ", ".join(f"{f * 1e-6:.4g}" for f in chosen.frequencies)
+    megahertz = ", ".join(f"{f * 1e-6:.4g}" for f in chosen.frequencies)
     return (
-        f"{chosen.laser}, {written('power', chosen.power)}; {tones} MHz; baseline "
+        f"{chosen.laser}, {written('power', chosen.power)}; {megahertz} MHz; baseline "
         f"{written('baseline', chosen.baseline)}, aperture "
         f"{written('radius', chosen.radius)}, field "
         f"{written('field_of_view', chosen.field_of_view)}; {chosen.polarization} by "

@@ -193,10 +193,10 @@ class Judge:
             known = self.lit(grid, joint=method == "joint")
         values = self._values(grid)
         most = max(len(one) for one in grid.sets)
-        tones = np.full((most, len(grid.sets)), np.nan)
+        frequencies = np.full((most, len(grid.sets)), np.nan)
         for number, one in enumerate(grid.sets):
-            tones[: len(one), number] = one
-        tones = tones.reshape(most, *[1] * 5, -1, 1, 1)
+            frequencies[: len(one), number] = one
+        frequencies = frequencies.reshape(most, *[1] * 5, -1, 1, 1)
         pairs = tuple(scheme.split("+"))
         parts = []
         each = int(np.prod(grid.shape[3:])) * self._distance.size * self.count
@@ -214,7 +214,7 @@ class Judge:
                     found = assessed(
                         self.case,
                         {name: _part(value, here) for name, value in values.items()},
-                        frequencies=tones,
+                        frequencies=frequencies,
                         method=method,
                         pairs=pairs,
                         interval=self.goal.limits,

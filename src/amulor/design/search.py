@@ -76,13 +76,13 @@ def exchanged(goal: Goal, judge: Judge, start: Candidate) -> tuple[Candidate, in
     modulation = goal.components.modulation
     if modulation.sets:
         return start, 0
-    tones = _tones(goal, start.parameters)
+    frequencies = _single_frequencies(goal, start.parameters)
     joint = start.parameters.method == "joint"
-    whole = replace(grid_of(start.parameters), sets=tuple((t,) for t in tones))
+    whole = replace(grid_of(start.parameters), sets=tuple((t,) for t in frequencies))
     known = judge.lit(whole, joint=joint)
     best, tried = start, 0
     for _ in range(_EXCHANGES):
-        sets = _neighbours(best.parameters.frequencies, tones, modulation.most)
+        sets = _neighbours(best.parameters.frequencies, frequencies, modulation.most)
         grid = replace(
             grid_of(best.parameters),
             dwell=_dwells(goal, best.parameters, sets),
@@ -108,17 +108,17 @@ def exchanged(goal: Goal, judge: Judge, start: Candidate) -> tuple[Candidate, in
 
 
 def _neighbours(
-    now: tuple[float, ...], tones: tuple[float, ...], most: int
+    now: tuple[float, ...], frequencies: tuple[float, ...], most: int
 ) -> tuple[tuple[float, ...], ...]:
     """Return sets with one frequency added, dropped or exchanged, and this one."""
     found = [now]
-    for tone in tones:
-        if tone in now:
+    for frequency in frequencies:
+        if frequency in now:
             continue
         if len(now) < most:
-            found.append(tuple(sorted((*now, tone))))
+            found.append(tuple(sorted((*now, frequency))))
         found += [
-            tuple(sorted((*now[:k], tone, *now[k + 1 :]))) for k in range(len(now))
+            tuple(sorted((*now[:k], frequency, *now[k + 1 :]))) for k in range(len(now))
         ]
     if len(now) > 1:
         found += [(*now[:k], *now[k + 1 :]) for k in range(len(now))]
@@ -173,11 +173,11 @@ def cheaper(goal: Goal, judge: Judge, start: Candidate) -> tuple[Candidate, int]
 def _cheaper_grids(goal: Goal, chosen: Parameters) -> Iterator[Grid]:
     """Yield candidates that cost less: one part changed, other frequencies, dwells."""
     now = cost_of(goal, chosen)
-    tones = _tones(goal, chosen)
+    frequencies = _single_frequencies(goal, chosen)
     fixed = bool(goal.components.modulation.sets)
     same = tuple(
         one
-        for one in _neighbours(chosen.frequencies, tones, len(chosen.frequencies))
+        for one in _neighbours(chosen.frequencies, frequencies, len(chosen.frequencies))
         if len(one) == len(chosen.frequencies)
     )
     laser = laser_of(goal, chosen.laser)
@@ -194,7 +194,9 @@ def _cheaper_grids(goal: Goal, chosen: Parameters) -> Iterator[Grid]:
     fewer = len(chosen.frequencies) - 1
     if fixed or fewer < 1:
         return
-    sets: tuple[tuple[float, ...], ...] = tuple((tone,) for tone in tones)
+    sets: tuple[tuple[float, ...], ...] = tuple(
+        (frequency,) for frequency in frequencies
+    )
     if fewer > 1:
         sets = tuple(itertools.combinations(chosen.frequencies, fewer))
     other = replace(chosen, frequencies=sets[0])
@@ -217,7 +219,7 @@ def _around(
     )
 
 
-def _tones(goal: Goal, chosen: Parameters) -> tuple[float, ...]:
+def _single_frequencies(goal: Goal, chosen: Parameters) -> tuple[float, ...]:
     """Return the single frequencies that a laser can be modulated with [Hz]."""
     top = laser_of(goal, chosen.laser).top_frequency
     return tuple(t for (t,) in allowed(tuple((f,) for f in frequency_grid(goal)), top))
@@ -445,11 +447,11 @@ def _with(
 ) -> Parameters:
     """Return a candidate with other numbers."""
     changes: dict[str, Any] = {}
-    tones = list(chosen.frequencies)
+    frequencies = list(chosen.frequencies)
     for name, value in zip(names, values, strict=True):
         field, _, number = name.partition(".")
         if number:
-            tones[int(number)] = value
+            frequencies[int(number)] = value
         else:
             changes[field] = value
-    return replace(chosen, **changes, frequencies=tuple(sorted(tones)))
+    return replace(chosen, **changes, frequencies=tuple(sorted(frequencies)))

@@ -394,7 +394,8 @@ def assess(
 
     Compiled, as a point has few numbers and there are hundreds of thousands.
     """
-    channels, tones = points.target_fraction.shape[1], points.tone.shape[1]
+    channels = points.target_fraction.shape[1]
+    frequency_count = points.frequency_index.shape[1]
     passed = np.empty((2, channels))
     row = np.empty(out.shape[1])
     for p in range(points.look.size):
@@ -414,7 +415,7 @@ def assess(
             phase_errors(method, c, x, passed, scratch)
             first, last = -1, 0
             if method == ONE_FREQUENCY:
-                first, last = 0, tones
+                first, last = 0, frequency_count
             for only in range(first, last):
                 error = _combine(only, x, scratch, row)
                 if error < least or (c == 0 and only == first):

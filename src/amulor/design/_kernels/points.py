@@ -82,7 +82,7 @@ RESULTS = (
     "output",  # mean output over the largest linear one [1]
     "unseen",  # share of the frequencies whose phase is lost in noise [1]
     "channel",  # number of the channel that the range is from [1]
-    "tone",  # number of the frequency that is kept, -1 for all [1]
+    "frequency_index",  # number of the frequency that is kept, -1 for all [1]
 )
 (O_WRONG, O_ASTRAY, O_SIGNAL, O_OUTPUT, O_UNSEEN, O_CHANNEL, O_TONE) = range(10, 17)
 
@@ -101,7 +101,7 @@ class Points(NamedTuple):
     """Number of the distance, shape (point,)."""
     place: Index
     """Number of the place of the receiver, shape (point,)."""
-    tone: Index
+    frequency_index: Index
     """Numbers of the frequencies of a set, -1 for none, shape (point, K)."""
     target_fraction: Floats
     """Share of the echo that each analyser passes, shape (point, channel) [1]."""
@@ -186,12 +186,12 @@ def see(p: int, points: Points, light: Light, scratch: Scratch) -> float:
         scratch.sky_rate[c] = x[SKY] * (0.5 if points.has_analyser[c] else 1.0)
         rate = scratch.laser_rate[c] + scratch.sky_rate[c] + x[DARK]
         loudest = max(loudest, rate)
-    for k in range(points.tone.shape[1]):
-        tone = points.tone[p, k]
+    for k in range(points.frequency_index.shape[1]):
+        chosen = points.frequency_index[p, k]
         scratch.to_range[k] = 0.0
-        if tone < 0:
+        if chosen < 0:
             continue
-        wave = 2 * math.pi * light.frequency[tone] / _LIGHT_SPEED
+        wave = 2 * math.pi * light.frequency[chosen] / _LIGHT_SPEED
         scratch.to_range[k] = light.slope[place, reach] / wave
         phase = wave * light.path[place, reach]
         turn = complex(math.cos(phase), math.sin(phase))
@@ -201,13 +201,13 @@ def see(p: int, points: Points, light: Light, scratch: Scratch) -> float:
             unit = x[RATE] * x[DEPTH]
             scratch.target[k, c] = unit * points.target_fraction[p, c] * echo * turn
             unit = unit * points.water_fraction[p, c]
-            water = unit * before * light.water[0, look, reach, tone]
-            column = unit * before * light.water[0, look, end, tone]
+            water = unit * before * light.water[0, look, reach, chosen]
+            column = unit * before * light.water[0, look, end, chosen]
             scratch.water[k, c], scratch.open_water[k, c] = water, column
             for v in range(1, light.water.shape[0]):
-                other = unit * before * light.water[v, look, reach, tone]
+                other = unit * before * light.water[v, look, reach, chosen]
                 scratch.change[k, c, v - 1] = (other - water) / light.step
-                other = unit * before * light.water[v, look, end, tone]
+                other = unit * before * light.water[v, look, end, chosen]
                 scratch.change[k, c, v + 1] = (other - column) / light.step
     return float(loudest * x[SATURATION])
 

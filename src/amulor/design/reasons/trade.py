@@ -56,17 +56,19 @@ def trade(goal: Goal, chosen: Parameters, *, draws: int = 24) -> Trade:
     dwells = np.unique(np.append(dwells, chosen.dwell))
     top = laser_of(goal, chosen.laser).top_frequency or np.inf
     stated = goal.components.modulation
-    tones = [tone for tone in frequency_grid(goal) if tone <= top]
+    frequencies = [frequency for frequency in frequency_grid(goal) if frequency <= top]
     if stated.sets:
         sets = {one for one in stated.sets if one[-1] <= top}
     else:
-        sets = {(tone,) for tone in tones}
+        sets = {(frequency,) for frequency in frequencies}
         if stated.most > 1:
             # Pairs of neighbours keep long intervals up to high frequencies.
-            sets |= set(itertools.pairwise(tones))
+            sets |= set(itertools.pairwise(frequencies))
             low = chosen.frequencies[0]
             if len(chosen.frequencies) > 1:
-                sets |= {(low, tone) for tone in tones if tone > low}
+                sets |= {
+                    (low, frequency) for frequency in frequencies if frequency > low
+                }
     sets.add(chosen.frequencies)
     listed = sorted(sets, key=lambda one: (one[-1], len(one), one))
     grid = replace(grid_of(chosen), dwell=tuple(map(float, dwells)), sets=tuple(listed))

@@ -111,12 +111,12 @@ def _map(goal: Goal, choice: Choice, title: str) -> Figure:
     clear, murky = waters_of(goal, choice.parameters)
     ends = sorted({clear, murky})
     asked = [(distance, water) for distance in goal.asked for water in ends]
-    tones = ", ".join(f"{f / 1e6:.4g}" for f in choice.parameters.frequencies)
+    megahertz = ", ".join(f"{f / 1e6:.4g}" for f in choice.parameters.frequencies)
     chosen = choice.parameters
     return figures.error_map(
         error_of(goal, chosen),
         asked=asked,
-        title=f"{title}: {chosen.laser}, {tones} MHz, {chosen.polarization} by "
+        title=f"{title}: {chosen.laser}, {megahertz} MHz, {chosen.polarization} by "
         f"{chosen.method}",
     )
 
