@@ -13,7 +13,7 @@ from amulor import io
 from amulor._progress import tell
 from amulor.cube import UNUSABLE, error_unknown
 from amulor.errors import AmulorError
-from amulor.imaging.geometry import beams_of
+from amulor.imaging.observation import geometry_of
 from amulor.site.description import ScaleBar, Site, SiteScan
 from amulor.site.load import WHAT_TO_DO
 from amulor.site.registration.starts import start_findings
@@ -120,7 +120,7 @@ def _of_scan(scan: SiteScan, cube: xr.Dataset) -> tuple[list[str], list[str]]:
 
 def _points(image: xr.Dataset) -> NDArray[np.float64]:
     """Return usable points of a range image in the axes of the instrument [m]."""
-    beam = beams_of(image)
+    beam = geometry_of(image).beam
     distance = image["slant_range"].values
     kept = ((image["quality_flag"].values & UNUSABLE) == 0) & (distance > 0)
     before = np.broadcast_to(beam.length_before, distance.shape)
