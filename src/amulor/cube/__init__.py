@@ -21,6 +21,7 @@ from amulor.cube.schema import (
     SCHEMA_VERSION,
     UNUSABLE,
     QualityFlag,
+    WaterResidualCause,
 )
 from amulor.cube.values import restore_dimensions
 
@@ -33,6 +34,7 @@ __all__ = [
     "WATER_NOT_REMOVED",
     "CubeAccessor",
     "QualityFlag",
+    "WaterResidualCause",
     "attach",
     "attributes",
     "build",

@@ -116,11 +116,12 @@ def _variable(
     if name not in expected:
         raise ValueError(f"{name!r} is not one of {', '.join(expected)}")
     spec = expected[name]
-    attributes = (
-        schema.flag_attributes()
-        if name == "quality_flag"
-        else {"long_name": spec.long_name, "units": spec.units}
-    )
+    if name == "quality_flag":
+        attributes = schema.flag_attributes()
+    elif name == "water_residual_cause":
+        attributes = schema.cause_attributes()
+    else:
+        attributes = {"long_name": spec.long_name, "units": spec.units}
     array = np.asarray(values)
     if name == "polarization":
         array = array.astype(object)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import enum
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 
@@ -129,6 +129,28 @@ class QualityFlag(enum.IntFlag):
     """The range may be off by whole intervals after which the phases repeat."""
 
 
+class WaterResidualCause(enum.IntFlag):
+    """Tests that a `WATER_RESIDUAL` sample failed; bits that add up.
+
+    Examples
+    --------
+    >>> from amulor.cube import WaterResidualCause
+    >>> WaterResidualCause(8)
+    <WaterResidualCause.MODEL_MISFIT: 8>
+    """
+
+    PHASE_SHIFT = 1
+    """Residual water turns the phase by more than its standard uncertainty."""
+    STRONG_COLUMN = 2
+    """One frequency alone: the water behind the target is too strong to be told."""
+    WATER_SHAPE = 4
+    """The target signal has the shape of the water signal over all samples."""
+    MODEL_MISFIT = 8
+    """Joint estimation: the samples contradict the model."""
+    MODEL_DEPARTURE = 16
+    """Joint estimation: departures from the model decide the range."""
+
+
 #: A pixel with one of these has no range; with the others it has one, with care.
 UNUSABLE = (
     QualityFlag.MISSING
@@ -146,18 +168,38 @@ DOUBTFUL = (
 )
 
 
+_CAUSE = "failed tests of the water signal behind WATER_RESIDUAL, 0 if none"
+
+
 def flag_attributes() -> dict[str, Any]:
     """Return the CF attributes that explain a `quality_flag` variable."""
     import numpy as np
 
-    flags = [flag for flag in QualityFlag if flag]
-    values = np.array([int(flag) for flag in flags], dtype=np.int16)
+    of_pixels = "reason why a pixel is unusable or doubtful, 0 if neither"
+    return _bits_explained(QualityFlag, of_pixels, np.int16)
+
+
+def cause_attributes() -> dict[str, Any]:
+    """Return the CF attributes that explain a `water_residual_cause` variable."""
+    import numpy as np
+
+    return _bits_explained(WaterResidualCause, _CAUSE, np.int8)
+
+
+def _bits_explained(
+    flags: type[enum.IntFlag], long_name: str, dtype: type
+) -> dict[str, Any]:
+    """Return the CF attributes of a variable whose bits are flags."""
+    import numpy as np
+
+    bits = [flag for flag in flags if flag]
+    values = np.array([int(flag) for flag in bits], dtype=dtype)
     return {
-        "long_name": "reason why a pixel is unusable or doubtful, 0 if neither",
+        "long_name": long_name,
         "units": "1",
         "flag_masks": values,
         "flag_values": values,
-        "flag_meanings": " ".join(str(flag.name).lower() for flag in flags),
+        "flag_meanings": " ".join(str(flag.name).lower() for flag in bits),
     }
 
 
@@ -228,6 +270,54 @@ _MEASURED = {
         _SAMPLE, "V2", "covariance of the two outputs"
     ),
     "saturated": _optional(_SAMPLE, "1", "1 where the detector was overloaded"),
+}
+
+#: Statistics of the tests behind the flags of a pixel, kept by its range image.
+PIXEL_TESTS = {
+    "no_target_probability": _optional(
+        _PIXEL,
+        "1",
+        "chance of so large a chi-square without a target, NaN with one",
+    ),
+    "column_over_target": _optional(
+        _PIXEL, "1", "water signal behind the target over target signal, largest"
+    ),
+    "water_shape_significance": _optional(
+        _PIXEL, "1", "signal of the shape of the water over its error, where flagged"
+    ),
+    "water_shape_probability": _optional(
+        _PIXEL, "1", "probability of so large a rest besides it, where flagged"
+    ),
+    "joint_detection": _optional(
+        _PIXEL, "1", "fall of chi-square by a target, of the joint estimation"
+    ),
+    "joint_misfit_probability": _optional(
+        _PIXEL, "1", "probability of so large a chi-square, of the joint estimation"
+    ),
+    "joint_departure": _optional(
+        _PIXEL, "m", "shift of the slant range by departures from the model"
+    ),
+}
+#: The same of the range image itself.
+_IMAGE_TESTS = {
+    "ambiguous_interval_probability": _optional(
+        _PIXEL, "1", "probability of another interval where that is ambiguous"
+    ),
+    "ambiguous_misfit_probability": _optional(
+        _PIXEL, "1", "probability of so large a misfit of phases where ambiguous"
+    ),
+}
+#: The same of each sample.
+SAMPLE_TESTS = {
+    "signal_significance": _optional(
+        _SAMPLE, "1", "target signal over its standard error, both outputs together"
+    ),
+    "residual_phase_ratio": _optional(
+        _SAMPLE, "1", "phase shift by residual water over phase error, where flagged"
+    ),
+    "channel_disagreement": _optional(
+        _SAMPLE, "1", "phase difference to another channel over its scatter, largest"
+    ),
 }
 
 #: What the joint estimation knows of every pixel; NaN without a target.
@@ -313,6 +403,9 @@ LEVELS = {
                     _SAMPLE, "V2", "covariance of that part"
                 ),
                 "quality_flag": _needed(_SAMPLE, "1", "reason why a pixel is doubtful"),
+                "water_residual_cause": _optional(_SAMPLE, "1", _CAUSE),
+                **SAMPLE_TESTS,
+                **PIXEL_TESTS,
                 **_JOINT,
                 **_PHASE_TERMS,
             },
@@ -348,6 +441,13 @@ LEVELS = {
                 **_RANGE_TERMS,
                 "intensity": _needed(_PIXEL, "V", "amplitude of the target signal"),
                 "quality_flag": _needed(_PIXEL, "1", "reason why a pixel is doubtful"),
+                "water_residual_cause": _optional(_PIXEL, "1", _CAUSE),
+                **PIXEL_TESTS,
+                **_IMAGE_TESTS,
+                **{
+                    name: replace(spec, dimensions=_PIXEL)
+                    for name, spec in SAMPLE_TESTS.items()
+                },
             },
             _PIXEL_COORDINATES,
         ),

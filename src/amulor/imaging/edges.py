@@ -89,16 +89,24 @@ def mixed_pixels(
         raise ValueError(f"significance must be above 0, got {significance:g}")
     if reach < 1:
         raise ValueError(f"reach must be at least 1 pixel, got {reach}")
+    return np.asarray(clear_of_both(image, reach=reach) > significance)
+
+
+def clear_of_both(image: xr.Dataset, *, reach: int = 2) -> Floats:
+    """Return standard errors by which pixels are clear of the surfaces around them.
+
+    Zero where they lie between none.
+    """
     distance = image["slant_range"].values
     variance = np.maximum(own_variance(image), _TINY)
-    mixed = np.zeros(distance.shape, dtype=bool)
+    clear = np.zeros(distance.shape)
     for axis in (0, 1):
         along = _along_edge(distance, variance, 1 - axis)
         for step in range(1, reach + 1):
-            mixed |= _between(distance, variance, axis, step, significance)
+            clear = np.maximum(clear, _between(distance, variance, axis, step))
             if along is not None:
-                mixed |= _between(*along, axis, step, significance)
-    return mixed
+                clear = np.maximum(clear, _between(*along, axis, step))
+    return clear
 
 
 def flag_mixed(
@@ -272,10 +280,11 @@ def _along_edge(
     return np.asarray(line), np.asarray(spread)
 
 
-def _between(
-    distance: Floats, variance: Floats, axis: int, step: int, significance: float
-) -> NDArray[np.bool_]:
-    """Return pixels between the continuations of the surfaces on both sides."""
+def _between(distance: Floats, variance: Floats, axis: int, step: int) -> Floats:
+    """Return how clear pixels are of the surfaces on both sides that they lie between.
+
+    In standard errors, 0 where they lie between none.
+    """
     sides = []
     for side in (-1, 1):
         near, error = (
@@ -289,13 +298,13 @@ def _between(
                 for line in _off_lines(distance, variance, axis, side * step)
             ]
         )
-    mixed = np.zeros(distance.shape, dtype=bool)
+    clear = np.zeros(distance.shape)
     for left in sides[0]:
         for right in sides[1]:
             with np.errstate(invalid="ignore"):
-                clear = np.minimum(np.abs(left), np.abs(right)) > significance
-                mixed |= clear & (left * right < 0)
-    return mixed
+                either = np.minimum(np.abs(left), np.abs(right))
+                clear = np.fmax(clear, np.where(left * right < 0, either, 0.0))
+    return clear
 
 
 def _off_lines(

@@ -31,7 +31,7 @@ _BY_CHANCE = 0.1
 #: How often they are looked for.
 _ROUNDS = 2
 #: Standard errors below which no number of outliers makes a pixel one.
-_LEAST = 2.5
+LEAST = 2.5
 #: Of the median of its ways each one has at least so much, or the shape goes on [1],
 _ALIKE = 0.5
 #: unless it is off the median by fewer standard errors of its line.
@@ -138,6 +138,18 @@ def _outlying(
     return outlying | _alone(image, distance, variance), tuple(used)
 
 
+def stand_off(image: xr.Dataset) -> Floats:
+    """Return standard errors by which pixels stand off neighbours without `OUTLIER`."""
+    distance, variance = image["slant_range"].values, own_variance(image)
+    outlying = (image["quality_flag"].values & QualityFlag.OUTLIER) != 0
+    score = np.zeros(distance.shape)
+    for neighbours in (distance, np.where(outlying, np.nan, distance)):
+        stand = _standing(distance, variance, neighbours)
+        middle = stand.middle / np.sqrt(variance + _OF_MEDIAN * stand.spread)
+        score = np.fmax(score, np.where(stand.agreed, middle, 0.0))
+    return score
+
+
 def _alone(image: xr.Dataset, distance: Floats, variance: Floats) -> NDArray[np.bool_]:
     """Return pixels with hardly any neighbours and none at their range."""
     angles = [image["azimuth"].values, image["elevation"].values]
@@ -176,11 +188,11 @@ def _more_than_chance(
     alone = stand.agreed & alike
     score = np.where(judged & alone, score, 0.0)
     size = np.where(judged, stand.middle, np.nan)
-    far = score > _LEAST
+    far = score > LEAST
     rough = _median_around(size, far) / _HALF
     with np.errstate(divide="ignore", invalid="ignore"):
         score[far] = np.fmin(score[far], stand.middle[far] / rough)
-    far &= score > _LEAST
+    far &= score > LEAST
     chance = np.where(far, 2 * ndtr(-score), np.nan)
     all_found = np.where(known, 0.0, chance)
     if limit is None:

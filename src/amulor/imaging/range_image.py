@@ -13,6 +13,7 @@ from amulor import cube as cubes
 from amulor._progress import tell
 from amulor.cube import QualityFlag
 from amulor.cube.error import JOINT_OUTLIERS
+from amulor.cube.schema import PIXEL_TESTS
 from amulor.cube.tiles import Span
 from amulor.imaging import budget
 from amulor.imaging.common import with_flag
@@ -260,7 +261,10 @@ def _image(
     intensity = np.abs(seen.signal[0])
     image = cubes.build(
         "range_image",
-        variables | {"intensity": intensity, "quality_flag": ranges.flag},
+        variables
+        | {"intensity": intensity, "quality_flag": ranges.flag}
+        | _tests_of(one)
+        | ranges.tests,
         {
             str(name): one[name].values
             for name in one.coords
@@ -281,6 +285,26 @@ def _image(
         pixel_truth = truth[[n for n in truth if truth[n].dims == ("row", "column")]]
         image = cubes.attach(image, pixel_truth, "truth")
     return cubes.without_unknown_errors(image), fit
+
+
+#: Statistic of a pixel from those of its frequencies: the one nearest to a flag.
+_OF_FREQUENCIES = {
+    "signal_significance": np.fmin.reduce,
+    "residual_phase_ratio": np.fmax.reduce,
+    "channel_disagreement": np.fmax.reduce,
+}
+
+
+def _tests_of(one: xr.Dataset) -> dict[str, NDArray[Any]]:
+    """Return what is known of the tests behind the flags of a channel's pixels."""
+    tests = {name: one[name].values for name in PIXEL_TESTS if name in one}
+    for name, reduce in _OF_FREQUENCIES.items():
+        if name in one:
+            tests[name] = reduce(one[name].values, axis=0)
+    if "water_residual_cause" in one:
+        cause = one["water_residual_cause"].values
+        tests["water_residual_cause"] = np.bitwise_or.reduce(cause, axis=0)
+    return tests
 
 
 def _photon_limit(seen: Observation) -> Floats:

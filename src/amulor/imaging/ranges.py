@@ -50,7 +50,9 @@ class Ranges:
     common: Floats | None
     """Part of all of these that the pixels share; None if not known [m]."""
     others: dict[str, Floats] = field(default_factory=dict)
-    """Further variables of the image."""
+    """Further variables of the image, not a number where there is no range."""
+    tests: dict[str, Floats] = field(default_factory=dict)
+    """Statistics behind flags."""
 
     @property
     def usable(self) -> NDArray[np.bool_]:
@@ -84,8 +86,10 @@ def ranges_of_path(
     others = {}
     if "residual_in_phase" in channel:
         others["slant_range_bias"] = slope * np.sum(per_phase * seen.shift, axis=0)
+    tests = {}
     if frequency.size > 1:
         others["slant_range_wrong_interval"] = path.wrong
+        tests = _tests_of(flag, path)
     terms, rest = _terms(
         channel, per_phase, total, None if together is None else slope**2 * together
     )
@@ -106,6 +110,7 @@ def ranges_of_path(
         terms=terms,
         common=None if together is None else slope * np.sqrt(together),
         others=others,
+        tests=tests,
     )
     return ranges, fit
 
@@ -158,6 +163,13 @@ def ranges_of_joint(
             "slant_range_wrong_interval": found["wrong_interval_probability"],
             "slant_range_bound": found["slant_range_bound"],
         },
+        tests={
+            "ambiguous_interval_probability": np.where(
+                (flag & QualityFlag.AMBIGUOUS) != 0,
+                found["wrong_interval_probability"],
+                np.nan,
+            )
+        },
     )
     return ranges, fit
 
@@ -167,6 +179,21 @@ def _with_unsettled(seen: Observation, settled: NDArray[np.bool_]) -> NDArray[np
     flag = seen.flag.copy()
     flag[seen.usable & ~settled] |= QualityFlag.AMBIGUOUS
     return flag
+
+
+def _tests_of(flag: NDArray[np.int16], path: ambiguity.Path) -> dict[str, Floats]:
+    """Return what speaks against the interval of ambiguous pixels."""
+    from scipy.special import chdtrc
+
+    ambiguous = (flag & QualityFlag.AMBIGUOUS) != 0
+    freedom = (~path.left_out).sum(axis=0) - 1
+    misfit = chdtrc(np.maximum(freedom, 1), path.strain)
+    return {
+        "ambiguous_interval_probability": np.where(ambiguous, path.wrong, np.nan),
+        "ambiguous_misfit_probability": np.where(
+            ambiguous & (freedom > 0), misfit, np.nan
+        ),
+    }
 
 
 def weight_of(frequency: Floats, sigma: Floats, usable: NDArray[np.bool_]) -> Floats:

@@ -12,13 +12,13 @@ from scipy.constants import speed_of_light
 Floats = NDArray[np.float64]
 
 #: The runner-up must fit worse by this much in chi-square, or the choice is open.
-_MARGIN = 16.0
+MARGIN = 16.0
 #: So many standard errors outside of its limits a path is still a candidate,
 _SLACK = 4.0
 #: and so many still a result: it was measured.
 _OUTSIDE = 2.0
 #: Frequencies that disagree with the best path by more than this chance say so.
-_DISAGREEMENT = 1e-4
+DISAGREEMENT = 1e-4
 _MOST_CANDIDATES = 10_000
 #: One phase is an outlier if the others agree without it, and if they fit better than
 #: without any other one by this much in chi-square.
@@ -434,7 +434,7 @@ def _best_path(known: _Phases) -> Path:
     residual = np.where(precision > 0, measured + turns * each - length, 0.0)
     freedom = (precision > 0).sum(axis=0) - 1
     with np.errstate(invalid="ignore"):
-        settled = np.isfinite(lowest) & (second - lowest > _MARGIN)
+        settled = np.isfinite(lowest) & (second - lowest > MARGIN)
         settled &= (freedom == 0) | (strain < _chi_square_limits(len(phase))[freedom])
         outside = np.minimum(_OUTSIDE * sigma[best], step / 2)
         settled &= (length >= shortest - outside) & (length <= longest + outside)
@@ -454,4 +454,4 @@ def _chi_square_limits(count: int) -> Floats:
     """Return the largest misfit by the degrees of freedom, from 0 on."""
     from scipy.special import chdtri
 
-    return np.asarray(chdtri(np.arange(count), _DISAGREEMENT), dtype=float)
+    return np.asarray(chdtri(np.arange(count), DISAGREEMENT), dtype=float)

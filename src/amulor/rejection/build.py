@@ -25,6 +25,7 @@ def target_cube(
     common: Covariance | None = None,
     proportional: Covariance | None = None,
     terms: Mapping[str, Covariance] | None = None,
+    tests: Mapping[str, NDArray[Any]] | None = None,
     water_is_in: bool = False,
     step: str,
     **attributes: Any,
@@ -35,8 +36,17 @@ def target_cube(
     the errors that the pixels share, `proportional` the part that cannot make a target
     out of nothing (see `quality.flags`), `residual` the water signal that is estimated
     to be left in; `water_is_in` says that none was taken out. `terms` are the errors by
-    their terms, of `amulor.cube.schema.SIGNAL_TERMS`, chosen by `present_terms`.
+    their terms, of `amulor.cube.schema.SIGNAL_TERMS`, chosen by `present_terms`;
+    `tests` are statistics behind flags, of `SAMPLE_TESTS` and `PIXEL_TESTS`.
     """
+    flags = quality.flags(
+        samples,
+        target_signal,
+        uncertainty,
+        residual=residual,
+        proportional=proportional,
+        water_is_in=water_is_in,
+    )
     variables: dict[str, NDArray[Any]] = {
         "in_phase": target_signal.real,
         "quadrature": target_signal.imag,
@@ -45,14 +55,12 @@ def target_cube(
         "in_phase_quadrature_covariance": uncertainty.cross,
         "water_in_phase": water_signal.real,
         "water_quadrature": water_signal.imag,
-        "quality_flag": quality.flags(
-            samples,
-            target_signal,
-            uncertainty,
-            residual=residual,
-            proportional=proportional,
-            water_is_in=water_is_in,
-        ),
+        "quality_flag": flags.flag,
+        "water_residual_cause": flags.cause,
+        **{
+            name: test.astype(np.float32)
+            for name, test in (flags.tests | dict(tests or {})).items()
+        },
     }
     if "saturated" in samples:
         variables["saturated"] = samples["saturated"].values

@@ -122,6 +122,9 @@ def _combine(
         "polarization_optics": by_ratio,
     }
     terms = present_terms(terms, None if fit is None else fit.terms)
+    tests = dict(left.tests)
+    apart = tests["channel_disagreement"]
+    tests["channel_disagreement"] = np.fmax(*(apart[at] for at in channel))[:, None]
     first = saturated_in_any(
         cube.sel(polarization=[co]), cube.sel(polarization=[co, cross])
     )
@@ -134,6 +137,7 @@ def _combine(
         common=common.part(_WITH_CHANNEL),
         proportional=(by_ratio + by_water).part(_WITH_CHANNEL),
         terms={name: errors.part(_WITH_CHANNEL) for name, errors in terms.items()},
+        tests=tests,
         step=f"reject, combine {co} and {cross} after open water, ratio of the target "
         f"{target_ratio:g}",
         frequencies_share_errors=np.int32(0),
@@ -147,7 +151,7 @@ def _combine(
     result = quality.add(result, QualityFlag.OUTLIER, outlying[:, None])
     if water_change == 0:
         # Nothing here makes up for a reference that is doubtful.
-        result = quality.add(result, QualityFlag.WATER_RESIDUAL, left.doubtful)
+        result = quality.add_water_residual(result, left.cause)
     return result, CombinedFit(
         noise_scale=noise_scale,
         subtraction=left.fit,

@@ -218,6 +218,10 @@ def _keep(
         },
         None if fit is None else fit.terms,
     )
+    # By all frequencies: one alone takes water that is cut off close by for a target.
+    seen, cut, chance = shows_target(
+        cube, water, interval=interval, fit=None if fit is None else fit.cut
+    )
     result = target_cube(
         one,
         signal,
@@ -226,14 +230,11 @@ def _keep(
         residual=residual[which],
         common=water.common.part(which),
         terms=terms,
+        tests={"no_target_probability": chance},
         step=f"reject, keep {modulation_frequency / 1e6:g} MHz alone",
         frequencies_share_errors=np.int32(0),
         frequency_choice=reason,
         frequency_warnings="; ".join(warnings),
-    )
-    # By all frequencies: one alone takes water that is cut off close by for a target.
-    seen, cut = shows_target(
-        cube, water, interval=interval, fit=None if fit is None else fit.cut
     )
     return quality.add(result, QualityFlag.NO_TARGET, ~seen), FrequencyFit(
         choice=choice, water=water.fit, cut=cut, terms=tuple(terms)

@@ -55,7 +55,7 @@ def merit(cube: xr.Dataset, *, interval: tuple[float, float] | None) -> Merit:
     signal = cube.amulor.signal.values
     target = interference.target_signal(signal, water.signal)
     errors = covariance_of(cube) + water.fluctuation
-    flag = quality.flags(cube, target, errors + water.common)
+    flag = quality.flags(cube, target, errors + water.common).flag
     usable = ((flag & UNUSABLE) == 0) & (target != 0) & (signal != 0)
     usable &= shows_target(cube, water, interval=interval)[0]
     phase = quality.phase_error(signal, errors, usable)

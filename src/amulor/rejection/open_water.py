@@ -175,12 +175,13 @@ def cube_of(
         common=left.shared,
         proportional=left.of_water,
         terms=found,
+        tests=left.tests,
         step="reject, open water"
         + (", column behind the target put back" if left.put_back else ""),
         frequencies_share_errors=np.int32(0),
         **reference_attributes(left),
     )
-    result = quality.add(result, QualityFlag.WATER_RESIDUAL, left.doubtful)
+    result = quality.add_water_residual(result, left.cause)
     result = quality.add(result, QualityFlag.OUTLIER, left.outlying)
     return quality.add(result, QualityFlag.NO_TARGET, ~left.seen), tuple(found)
 
@@ -197,6 +198,9 @@ def reference_attributes(left: Subtraction) -> dict[str, Any]:
         "open_water_change": left.fit.strength.change,
         "open_water_change_uncertainty": left.fit.strength.uncertainty,
     }
+    if left.fit.disagreement:
+        limits = [pair.limit for pair in left.fit.disagreement]
+        told["channel_disagreement_limit"] = np.array(limits)
     if turbidity is None:
         return told
     return told | {

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import xarray as xr
@@ -10,7 +11,7 @@ from numpy.typing import NDArray
 from scipy.special import ndtr, ndtri
 
 from amulor._discoveries import largest_discovered
-from amulor.cube import QualityFlag
+from amulor.cube import QualityFlag, WaterResidualCause
 from amulor.optics import detection, ranging
 from amulor.rejection.covariance import Covariance
 
@@ -18,6 +19,18 @@ from amulor.rejection.covariance import Covariance
 DETECTION_THRESHOLD = 5.0
 #: And when its phase is known to this; beyond, a first-order error means nothing [rad].
 LARGEST_PHASE_ERROR = 0.3
+
+
+@dataclass(frozen=True, kw_only=True)
+class Flags:
+    """Flags of samples with the numbers behind them, arrays of one shape."""
+
+    flag: NDArray[np.int16]
+    """Quality flags."""
+    cause: NDArray[np.int8]
+    """Failed tests of the water signal, of `WaterResidualCause`."""
+    tests: dict[str, NDArray[np.float64]]
+    """Statistics behind them, of `amulor.cube.schema.SAMPLE_TESTS`."""
 
 
 def flags(
@@ -28,8 +41,8 @@ def flags(
     residual: NDArray[np.complex128] | None = None,
     proportional: Covariance | None = None,
     water_is_in: bool = False,
-) -> NDArray[np.int16]:
-    """Return the quality flag of every sample."""
+) -> Flags:
+    """Return the quality flag of every sample, and what it rests on."""
     flag = np.zeros(target_signal.shape, dtype=np.int16)
     missing = ~np.isfinite(target_signal)
     if "saturated" in samples:
@@ -42,7 +55,8 @@ def flags(
     )
     standing = blurred if proportional is None else blurred.without(proportional)
     with np.errstate(invalid="ignore", divide="ignore"):
-        far = standing.mahalanobis(target_signal) >= DETECTION_THRESHOLD**2
+        square = standing.mahalanobis(target_signal)
+        far = square >= DETECTION_THRESHOLD**2
     seen = far & ~missing
     phase = phase_error(target_signal, blurred, seen)
     # An error that lies along one direction can leave the strength sure and the phase
@@ -51,23 +65,31 @@ def flags(
     flag[~seen & ~missing] |= QualityFlag.NO_TARGET
     if water_is_in:
         flag |= QualityFlag.NO_OPEN_WATER
+    ratio = {}
     if residual is not None:
-        moved = moves_the_phase(target_signal, residual, uncertainty)
-        flag[seen & moved] |= QualityFlag.WATER_RESIDUAL
+        turn = phase_shift_ratio(target_signal, residual, uncertainty)
+        moved = seen & ~(turn <= 1)
+        flag[moved] |= QualityFlag.WATER_RESIDUAL
+        ratio["residual_phase_ratio"] = np.where(moved, turn, np.nan)
     flag[missing] = QualityFlag.MISSING
-    return flag
+    doubted = (flag & QualityFlag.WATER_RESIDUAL) != 0
+    return Flags(
+        flag=flag,
+        cause=np.where(doubted, WaterResidualCause.PHASE_SHIFT, 0).astype(np.int8),
+        tests={"signal_significance": np.sqrt(square)} | ratio,
+    )
 
 
-def moves_the_phase(
+def phase_shift_ratio(
     target_signal: NDArray[np.complex128],
     residual: NDArray[np.complex128],
     uncertainty: Covariance,
-) -> NDArray[np.bool_]:
-    """Return where water left in turns a phase by more than its uncertainty."""
+) -> NDArray[np.float64]:
+    """Return the phase shift by residual water over the phase error, NaN if unknown."""
     own = phase_error(target_signal, uncertainty, np.isfinite(target_signal))
     shift = np.abs(ranging.phase_shift(target_signal, residual=residual))
-    still = (residual == 0) | (shift <= own)
-    return np.asarray(~still)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return np.where(residual == 0, 0.0, shift / own)
 
 
 def looks_like_water(
@@ -75,8 +97,8 @@ def looks_like_water(
     left: NDArray[np.complex128],
     water_signal: NDArray[np.complex128],
     uncertainty: Covariance,
-) -> NDArray[np.bool_]:
-    """Return where what is left of samples has the shape of the water signal.
+) -> tuple[NDArray[np.bool_], dict[str, NDArray[np.float64]]]:
+    """Return where what is left of samples has the shape of the water signal, and why.
 
     Least squares with the covariances of the samples: the multiple stands five
     standard errors off zero and the rest is no larger than chance makes it in 1 of
@@ -99,8 +121,13 @@ def looks_like_water(
     explained = np.divide(cross**2, own, out=np.zeros(own.shape), where=own > 0)
     misfit = np.maximum(square - explained, 0.0)
     freedom = np.maximum(2 * count - 1, 1)
-    likely = chdtrc(freedom, misfit) > _PLAUSIBLE
-    return np.asarray((count > 1) & (explained > DETECTION_THRESHOLD**2) & likely)
+    by_chance = chdtrc(freedom, misfit)
+    similar = (count > 1) & (explained > DETECTION_THRESHOLD**2)
+    similar &= by_chance > PLAUSIBLE
+    return similar, {
+        "water_shape_significance": np.where(similar, np.sqrt(explained), np.nan),
+        "water_shape_probability": np.where(similar, by_chance, np.nan),
+    }
 
 
 #: Phases of two channels that differ by so many standard errors do not see the same.
@@ -121,13 +148,14 @@ def channels_disagree(
     *,
     shown: NDArray[np.bool_] | None = None,
     fit: tuple[Disagreement, ...] | None = None,
-) -> tuple[NDArray[np.bool_], tuple[Disagreement, ...]]:
+) -> tuple[NDArray[np.bool_], tuple[Disagreement, ...], NDArray[np.float32]]:
     """Return samples whose phase differs from that of another channel.
 
     Both samples of a pair are marked, for nothing tells which one is wrong. None are
     where more than 15 % of the samples of a pair disagree, which is no chance. Pixels
     that are not `shown` have no target; what is left of water has no phase of its own.
-    Also return the limits of each pair: `fit`, or by default those of this signal.
+    Also return the limits of each pair: `fit`, or by default those of this signal;
+    and how far each sample stands off, in units of the scatter.
 
     Every analyser passes some fraction of the same echo: their phases are one, but for
     what most pixels have in common. They disagree where they differ by four standard
@@ -141,6 +169,7 @@ def channels_disagree(
     if shown is not None:
         seen &= shown
     limits: list[Disagreement] = []
+    size = np.full(signal.shape, np.nan, dtype=np.float32)
     for first in range(signal.shape[1]):
         for second in range(first):
             pair = [first, second]
@@ -151,7 +180,9 @@ def channels_disagree(
             limit = Disagreement.of(away) if fit is None else fit[len(limits)]
             limits.append(limit)
             marked[:, pair] |= limit.where(away)[:, None]
-    return marked, tuple(limits)
+            off = _off(away, limit.usual, limit.scatter).astype(np.float32)
+            size[:, pair] = np.fmax(size[:, pair], off[:, None])
+    return marked, tuple(limits), size
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -205,7 +236,7 @@ def _off(
 
 
 #: What is explained leaves a rest that chance makes at least so often [1].
-_PLAUSIBLE = 1e-3
+PLAUSIBLE = 1e-3
 
 
 def _product(
@@ -226,10 +257,21 @@ def _product(
 
 def add(cube: xr.Dataset, flag: QualityFlag, where: NDArray[np.bool_]) -> xr.Dataset:
     """Return a target-signal cube with one more flag."""
-    old = cube["quality_flag"].values
-    seen = (old & (QualityFlag.MISSING | QualityFlag.NO_TARGET)) == 0
-    new = np.where(seen & where, old | flag, old).astype(np.int16)
-    return cube.assign(quality_flag=cube["quality_flag"].copy(data=new))
+    return _with_bits(cube, "quality_flag", np.where(where, flag, 0))
+
+
+def add_water_residual(cube: xr.Dataset, cause: NDArray[np.int8]) -> xr.Dataset:
+    """Return a target-signal cube flagged where the water signal failed a test."""
+    with_cause = _with_bits(cube, "water_residual_cause", cause)
+    return add(with_cause, QualityFlag.WATER_RESIDUAL, cause != 0)
+
+
+def _with_bits(cube: xr.Dataset, name: str, bits: NDArray[Any]) -> xr.Dataset:
+    """Return a target-signal cube with more bits where samples show a target."""
+    flag, old = cube["quality_flag"].values, cube[name]
+    seen = (flag & (QualityFlag.MISSING | QualityFlag.NO_TARGET)) == 0
+    new = np.where(seen, old.values | bits, old.values).astype(old.dtype)
+    return cube.assign({name: old.copy(data=new)})
 
 
 def phase_error(

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
 from amulor._progress import part, tell
+from amulor.cube import WaterResidualCause
 from amulor.cube.tiles import Span
 from amulor.rejection import quality
 from amulor.rejection.covariance import Covariance, along, covariance_of
@@ -25,7 +27,7 @@ Floats = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
 #: At one frequency the column must be weaker than this, in parts of the target [1].
-_TOO_STRONG = 0.3
+TOO_STRONG = 0.3
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -70,8 +72,11 @@ class Subtraction:
     """Of drift and strength of the water; pixels and channels share it [V^2]."""
     seen: NDArray[np.bool_]
     """Pixels that show a target, shape (row, column)."""
-    doubtful: NDArray[np.bool_]
-    """Pixels in which nothing tells target from water, shape (row, column)."""
+    cause: NDArray[np.int8]
+    """Tests that fail where nothing tells target from water, of `WaterResidualCause`,
+    shape (row, column)."""
+    tests: dict[str, NDArray[Any]]
+    """Statistics of these and other tests, of `PIXEL_TESTS` and `SAMPLE_TESTS`."""
     outlying: NDArray[np.bool_]
     """Samples whose phase differs from that of another channel."""
     water: WaterBeforeTarget
@@ -119,7 +124,7 @@ def subtract_open_water(
             span=span,
         )
     tell("where there are targets", 0.7)
-    seen, cut = shows_target(
+    seen, cut, chance = shows_target(
         cube, water, interval=interval, fit=None if fit is None else fit.cut
     )
     target, water_signal = water.difference, water.to_the_end
@@ -128,7 +133,8 @@ def subtract_open_water(
     column = Covariance(nothing, nothing, nothing)
     residual = None
     usual_column = None if fit is None else fit.usual_column
-    doubtful = np.zeros(target.shape[2:], dtype=bool)
+    cause = np.zeros(target.shape[2:], dtype=np.int8)
+    tests: dict[str, NDArray[Any]] = {"no_target_probability": chance}
     if water.hidden_fraction is not None:
         residual = -water.hidden_fraction * water_signal
         if put_back:
@@ -136,7 +142,9 @@ def subtract_open_water(
             if len(target) == 1:
                 if usual_column is None:
                     usual_column = _usual_size(known)
-                doubtful = _circular(target - known, known, usual_column)
+                ratio = _column_over_target(target - known, known, usual_column)
+                tests["column_over_target"] = ratio
+                cause[ratio > TOO_STRONG] |= WaterResidualCause.STRONG_COLUMN
             target, water_signal = target - known, water_signal + known
             column = (
                 along(known, column_uncertainty or 0.0)
@@ -162,13 +170,17 @@ def subtract_open_water(
     target = target - strength.change * water.signal
     change = change + along(water.signal, strength.uncertainty)
     errors = counting + water.fluctuation + water.common + column
-    doubtful |= quality.looks_like_water(cube, target, water.signal, errors)
-    outlying, disagreement = quality.channels_disagree(
+    similar, shape = quality.looks_like_water(cube, target, water.signal, errors)
+    cause[similar] |= WaterResidualCause.WATER_SHAPE
+    outlying, disagreement, size = quality.channels_disagree(
         target,
         errors + change,
         shown=seen,
         fit=None if fit is None else fit.disagreement,
     )
+    tests |= shape
+    if disagreement:
+        tests["channel_disagreement"] = size
     return Subtraction(
         target=target,
         water_signal=water_signal + strength.change * water.signal,
@@ -180,7 +192,8 @@ def subtract_open_water(
         column=column,
         change=change,
         seen=seen,
-        doubtful=doubtful,
+        cause=cause,
+        tests=tests,
         outlying=outlying,
         water=water,
         fit=SubtractionFit(
@@ -193,16 +206,18 @@ def subtract_open_water(
     )
 
 
-def _circular(target: Complex, column: Complex, usual: Floats) -> NDArray[np.bool_]:
-    """Return where one frequency leaves target and column to explain each other.
+def _column_over_target(target: Complex, column: Complex, usual: Floats) -> Floats:
+    """Return column over target, of which one frequency leaves either to explain both.
 
     The distance that cuts the column off comes from what subtraction left. Where the
-    column is stronger than 0.3 (30 %, `_TOO_STRONG`) of the target, it is the column
+    column is stronger than 0.3 (30 %, `TOO_STRONG`) of the target, it is the column
     that sets this distance, and a single frequency cannot contradict it. In a shadow
     the column may come out short: what other pixels usually have counts as well.
     """
     size = np.maximum(np.abs(column), usual[..., None, None])
-    return np.asarray((size > _TOO_STRONG * np.abs(target)).any(axis=(0, 1)))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        ratio: Floats = np.fmax.reduce(size / np.abs(target), axis=(0, 1))
+    return ratio
 
 
 def _usual_size(column: Complex) -> Floats:

@@ -91,8 +91,8 @@ def _pixel_flags() -> list[Explanation]:
     from amulor.rejection.joint import cube as joint
 
     seen = quality.DETECTION_THRESHOLD
-    mixed = _default(edges.flag_mixed, "significance")
-    alone = _default(outliers.flag_outliers, "significance")
+    mixed = default_of(edges.flag_mixed, "significance")
+    alone = default_of(outliers.flag_outliers, "significance")
     words = {
         QualityFlag.MISSING: (
             "The pixel was not measured.",
@@ -130,12 +130,12 @@ def _pixel_flags() -> list[Explanation]:
             "The distance is not settled among the intervals after which the phases "
             "repeat, or the frequencies contradict each other.",
             "Hypothesis: one path explains the phases of all frequencies. Another "
-            f"interval that fits worse by less than {ambiguity._MARGIN:g} in "
+            f"interval that fits worse by less than {ambiguity.MARGIN:g} in "
             "chi-square "
             "leaves the choice open; of the joint estimation, one with a probability "
             f"above {joint.WRONG:g}.",
             "Phases that agree contradict each other by chance in "
-            f"{_share(ambiguity._DISAGREEMENT)} pixels.",
+            f"{_share(ambiguity.DISAGREEMENT)} pixels.",
             "State the nearest and farthest possible range (--nearest, --farthest), "
             "add a "
             "low modulation frequency, or dwell longer. Where two surfaces meet, "
@@ -186,7 +186,7 @@ def _pixel_flags() -> list[Explanation]:
             "Hypothesis: the pixel goes on from its neighbours in one direction at "
             f"least. Rejected where it stands off by {alone:g} standard errors in all "
             f"four, and by {outliers._ROUGHER:g} times the roughness around it; by "
-            f"less, down to {outliers._LEAST:g}, where more pixels do than chance "
+            f"less, down to {outliers.LEAST:g}, where more pixels do than chance "
             "makes. Of "
             "several frequencies: that all phases belong to one path.",
             f"Noise does so in at most {_share(_tail(alone))} pixels, and in "
@@ -391,7 +391,8 @@ def hint(names: Iterable[str]) -> str:
     return f"amulor explain {name}" if name else ""
 
 
-def _default(function: object, name: str) -> float:
+def default_of(function: object, name: str) -> float:
+    """Return the default of an argument, which is a limit."""
     value = inspect.signature(function).parameters[name].default  # type: ignore[arg-type]
     return float(value)
 

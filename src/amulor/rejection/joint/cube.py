@@ -11,7 +11,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from amulor import cube as cubes
-from amulor.cube import QualityFlag
+from amulor.cube import QualityFlag, WaterResidualCause
 from amulor.optics import rays
 from amulor.rejection.build import target_cube
 from amulor.rejection.covariance import Covariance, covariance_of
@@ -203,8 +203,10 @@ def cube_of(cube: xr.Dataset, scan: Scan, result: Result) -> xr.Dataset:
     two = np.isfinite(result.near)
     flag[two] |= QualityFlag.MIXED
     contradicted = (p_value < DISAGREEMENT) & ~two
-    flag[contradicted] |= QualityFlag.WATER_RESIDUAL
-    flag[detected & matters] |= QualityFlag.WATER_RESIDUAL
+    cause = np.zeros(len(path), dtype=np.int8)
+    cause[contradicted] |= WaterResidualCause.MODEL_MISFIT
+    cause[detected & matters] |= WaterResidualCause.MODEL_DEPARTURE
+    flag[cause != 0] |= QualityFlag.WATER_RESIDUAL
     flag[~detected | ~result.enough] |= QualityFlag.NO_TARGET
     target = target_cube(
         cube,
@@ -224,6 +226,11 @@ def cube_of(cube: xr.Dataset, scan: Scan, result: Result) -> xr.Dataset:
         flags[cube["saturated"].values != 0] |= QualityFlag.SATURATED
     flags[missing] = QualityFlag.MISSING
     target["quality_flag"].values[...] = flags
+    causes = np.broadcast_to(over_pixels(cause), shape)
+    target["water_residual_cause"].values[...] = np.where(missing, 0, causes)
+    # Whether there is a target is tested on all samples of a pixel together.
+    target = target.drop_vars("signal_significance")
+    target.attrs["joint_departure_limit"] = limit
     target.attrs["joint_instrument_uncertainty_m"] = scan.instrument_uncertainty
     # What the departures move is as uncertain as it is large.
     sigma_common = np.sqrt(slope**2 * result.shared_variance + known + departure**2)
@@ -245,6 +252,8 @@ def cube_of(cube: xr.Dataset, scan: Scan, result: Result) -> xr.Dataset:
     for name, side in (("near", "nearer_surface"), ("far", "farther_surface")):
         maps[side] = to_range(getattr(result, name))
     maps["misfit"] = cost / np.maximum(freedom, 1)
+    maps["misfit_probability"], maps["detection"] = p_value, estimates.explained
+    maps["departure"] = departure
     return target.assign(
         _variables({name: over_pixels(values) for name, values in maps.items()})
     )

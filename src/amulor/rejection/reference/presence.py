@@ -49,13 +49,14 @@ def shows_target(
     *,
     interval: tuple[float, float] | None,
     fit: CutColumns | None = None,
-) -> tuple[NDArray[np.bool_], CutColumns | None]:
-    """Return which pixels no open water explains, and the cut columns of the scan.
+) -> tuple[NDArray[np.bool_], CutColumns | None, Floats]:
+    """Return which pixels no open water explains, the cut columns, and probabilities.
 
     False where the samples are open water as the shots have it, of up to a few times
     `DEPARTURE` more or less, or the same water cut off by something that sends nothing
     back (a shadow, a black surface). The cut columns are `fit` if it is stated, and
-    None without a survey.
+    None without a survey. The probabilities are those of so large a chi-square of open
+    water, NaN where there is a target.
 
     The hypothesis "no target" is tested before any column is put back: the smallest
     chi-square over the depths at which the water may end, with a common factor of the
@@ -66,7 +67,7 @@ def shows_target(
     in the turbidity that the shots tell; without a survey, only the whole column
     counts.
     """
-    from scipy.special import chdtri
+    from scipy.special import chdtrc, chdtri
 
     whole = water.to_the_end
     frequencies, channels, *shape = whole.shape
@@ -89,6 +90,7 @@ def shows_target(
     parts = [flat(each) for each in (errors.in_phase, errors.quadrature, errors.cross)]
     model_error = 0.0 if told is None else float(np.hypot(told.shown, MODEL_ERROR))
     seen = np.zeros(left.shape[1], dtype=bool)
+    chance = np.full(seen.size, np.nan)
     for first in range(0, seen.size, _AT_ONCE):
         chosen = slice(first, first + _AT_ONCE)
         own = _problem(
@@ -100,7 +102,8 @@ def shows_target(
             None if saturated is None else flat(saturated)[:, chosen],
         )
         limit = chdtri(2 * np.arange(len(which) + 1), SIZE)[own.count]
-        found = (own.misfit(np.zeros((1, 1))) > limit) & (own.count > 0)
+        lowest = own.misfit(np.zeros((1, 1)))
+        found = (lowest > limit) & (own.count > 0)
         if cut is not None and largest is not None:
             open_to_doubt = found & ~(own.surely_more_than(largest) > limit)
             some = np.flatnonzero(open_to_doubt)
@@ -114,10 +117,11 @@ def shows_target(
                     which,
                     None if saturated is None else flat(saturated)[:, first + some],
                 )
-                lowest = cut.lowest(few, up[first + some], across[first + some])
-                found[some] = lowest > limit[some]
+                lowest[some] = cut.lowest(few, up[first + some], across[first + some])
+                found[some] = lowest[some] > limit[some]
         seen[chosen] = found
-    return seen.reshape(shape), cut
+        chance[chosen] = np.where(found, np.nan, chdtrc(2 * own.count, lowest))
+    return seen.reshape(shape), cut, chance.reshape(shape)
 
 
 def _problem(
