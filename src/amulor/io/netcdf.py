@@ -596,8 +596,8 @@ def open_rows(
             raise _unreadable(path, error) from error
         if not {"row", "column"} <= set(cube.sizes):
             raise CubeError(
-                f"{path} has the dimensions {', '.join(map(str, cube.sizes))}; rows "
-                "and columns are needed to work row by row: read it whole"
+                f"{path}: is of level {cube.attrs.get('level')}, which has no rows and "
+                "columns; name samples, a target signal or a range image"
             )
         yield CubeRows(cube, path, storage)
 

@@ -13,7 +13,7 @@ import xarray as xr
 
 from amulor import cube as cubes
 from amulor.cube import QualityFlag, WaterResidualCause
-from amulor.errors import CubeError
+from amulor.errors import CubeError, FormatError
 from amulor.imaging import edges, outliers
 from amulor.io.netcdf import open_rows
 from amulor.optics import ambiguity, ranging
@@ -26,6 +26,10 @@ from amulor.view.explanations import default_of
 
 #: Rows and columns around a pixel of an image on which its flags depend.
 _AROUND = 12
+_NO_FLAGS = (
+    "no flags of pixels; name a target signal (amulor reject) or a range image "
+    "(amulor image)"
+)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -48,13 +52,12 @@ class Reason:
 
 def reasons(path: Path, row: int, column: int) -> dict[str, list[Reason]]:
     """Return the flags of a pixel of a file with their numbers, channel by channel."""
+    if path.suffix.lower() not in (".nc", ".nc4"):
+        raise FormatError(f"{path} has {_NO_FLAGS}")
     with open_rows(path, check_digest=False) as rows:
         level = str(rows.head.attrs.get("level"))
         if level not in ("target_signal", "range_image"):
-            raise CubeError(
-                f"{path}: is of level {level}, which has no flags of pixels; name a "
-                "target signal (amulor reject) or a range image (amulor image)"
-            )
+            raise CubeError(f"{path}: is of level {level}, which has {_NO_FLAGS}")
         for name, place, size in (
             ("row", row, rows.rows),
             ("column", column, rows.columns),

@@ -11,10 +11,11 @@ import xarray as xr
 from late_echo import late_transfer, with_echo
 from numpy.testing import assert_allclose
 from scipy.constants import speed_of_light
+from scipy.stats import chi2
 
 from amulor import cube as cubes
 from amulor import rejection, simulate
-from amulor.cube import QualityFlag
+from amulor.cube import QualityFlag, WaterResidualCause
 from amulor.errors import CubeError
 from amulor.survey import Survey
 
@@ -207,3 +208,41 @@ def test_what_cannot_be_estimated_is_refused(samples: xr.Dataset) -> None:
         joint(samples, echo_transfer=np.ones(3))
     with pytest.raises(ValueError, match="interval must run"):
         joint(samples, interval=(3.0, 1.0))
+
+
+def test_a_small_second_echo_contradicts_the_model_as_chi_square_says(
+    samples: xr.Dataset,
+) -> None:
+    mixed = samples.copy(deep=True)
+    delay = 4 * np.pi * samples["modulation_frequency"].values * 1.38 * 2.4
+    echo = 0.004 * np.abs(samples.amulor.signal.values[0, 0, 3, 5])
+    echo = echo * np.exp(1j * delay / speed_of_light)
+    mixed["in_phase"][:, 0, 3, 5] += echo.real
+    mixed["quadrature"][:, 0, 3, 5] += echo.imag
+    found = joint(mixed, interval=INTERVAL)
+    cause = found["water_residual_cause"].values[:, 0]
+    assert (cause[:, 3, 5] == WaterResidualCause.MODEL_MISFIT).all()
+    chance = found["joint_misfit_probability"].values
+    assert chance[3, 5] < 1e-4
+    # Two of six samples are left out: eight outputs, of a path and an amplitude.
+    misfit = float(found["joint_misfit"][3, 5])
+    assert chance[3, 5] == pytest.approx(chi2.sf(6 * misfit, 6), rel=1e-6)
+    good = found["quality_flag"].values[0, 0] == 0
+    assert (cause[0][good] == 0).all()
+    assert chance[good].min() > 1e-4
+    assert np.mean(chance[good]) == pytest.approx(0.5, abs=4 * 0.29 / good.sum() ** 0.5)
+
+
+def test_an_echo_that_is_late_states_the_shift_and_its_limit(
+    samples: xr.Dataset, found: xr.Dataset
+) -> None:
+    transfer = late_transfer(samples["modulation_frequency"].values, length=0.04)
+    late = joint(with_echo(samples, transfer), interval=INTERVAL)
+    assert (late["water_residual_cause"] == WaterResidualCause.MODEL_DEPARTURE).all()
+    # Three tenths of all other uncertainty: a delay that is common goes unseen.
+    assert late.attrs["joint_departure_limit"] == pytest.approx(0.3)
+    shift = late["joint_departure"].values
+    noise = found["joint_slant_range_uncertainty"].values
+    assert (shift > 0.3 * noise).all()
+    assert (found["joint_departure"].values == 0).all()
+    assert (found["water_residual_cause"].values == 0).all()

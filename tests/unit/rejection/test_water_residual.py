@@ -1,0 +1,129 @@
+"""Cause of WATER_RESIDUAL: stored for each test, with the number that it compared."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+import xarray as xr
+from numpy.testing import assert_allclose
+
+from amulor import imaging, io, rejection, samples
+from amulor.cube import QualityFlag, WaterResidualCause
+from amulor.scale import image_file, reject_file
+
+ONE = {"VV": (1.0, 1.0)}
+NOISE, CUT_OFF = 2e-3, 30e6
+Make = Callable[..., xr.Dataset]
+
+
+def cause_of(cube: xr.Dataset) -> np.ndarray:
+    """Return the causes, which are there where the flag is and nowhere else."""
+    cause = cube["water_residual_cause"].values
+    flagged = (cube["quality_flag"].values & QualityFlag.WATER_RESIDUAL) != 0
+    np.testing.assert_array_equal(cause != 0, flagged)
+    return cause
+
+
+def test_a_residual_that_turns_the_phase_is_compared_with_its_error(
+    by_hand: Make,
+) -> None:
+    cube = by_hand(frequency=[20e6, 39e6], channels=ONE, water=0.1, shots=400)
+    found = rejection.frequency(cube, modulation_frequency=20e6)
+    assert (cause_of(found) == WaterResidualCause.PHASE_SHIFT).all()
+    signal = cube.amulor.signal.values[:1]
+    turn = np.angle(signal / (signal - 0.1 / (1 - 1j * 20e6 / CUT_OFF)))
+    expected = np.abs(turn) / (NOISE / np.abs(signal))
+    # The error of 400 shots and their scatter are in the error, too.
+    assert_allclose(found["residual_phase_ratio"], expected, rtol=0.15)
+    image = imaging.range_image(found, interval=(0.5, 3))
+    assert (cause_of(image) == WaterResidualCause.PHASE_SHIFT).all()
+    assert_allclose(image["residual_phase_ratio"], expected[0, 0], rtol=0.15)
+
+
+def test_a_column_too_strong_for_one_frequency_is_compared_with_the_target() -> None:
+    cube = samples.cube("ladder").isel(row=slice(0, 12), shot=slice(0, None, 4))
+    found = rejection.open_water(cube)
+    cause = cause_of(found)
+    strong = (cause & WaterResidualCause.STRONG_COLUMN) != 0
+    assert 0 < strong.mean() < 0.5
+    # The column, and what is left with it in, from subtraction that leaves it in.
+    left_in = rejection.open_water(cube, put_back=False)
+    column = np.nan_to_num(
+        left_in["residual_in_phase"].values + 1j * left_in["residual_quadrature"].values
+    )
+    usual = np.array(
+        [[[[np.median(each[each > 0])]] for each in np.abs(column)[0]]],
+    )
+    target = np.abs(left_in.amulor.signal.values - column)
+    expected = (np.maximum(np.abs(column), usual) / target).max(axis=(0, 1))
+    # Water that the phases find stronger than the shots is taken out after.
+    assert_allclose(found["column_over_target"], expected, rtol=0.03)
+    assert (expected[strong.any(axis=(0, 1))] > 0.29).all()
+    good = (found["quality_flag"].values == 0).all(axis=(0, 1))
+    assert (expected[good] <= 0.31).all()
+
+
+def test_a_remainder_of_the_shape_of_the_water_is_compared_with_its_error(
+    by_hand: Make,
+) -> None:
+    frequency = [10e6, 39e6, 90e6]
+    cube = by_hand(
+        frequency=frequency, channels=ONE, target=0.0, reference_water=0.15, shots=400
+    )
+    found = rejection.open_water(cube)
+    flagged = cause_of(found)[0, 0] != 0
+    assert (cause_of(found)[:, :, flagged] == WaterResidualCause.WATER_SHAPE).all()
+    rest = 0.05 * np.sqrt(sum(1 / (1 + (f / CUT_OFF) ** 2) for f in frequency))
+    significance = found["water_shape_significance"].values
+    # Noise moves each by one.
+    assert np.median(significance[flagged]) == pytest.approx(rest / NOISE, rel=0.1)
+    assert np.isnan(significance[~flagged]).all()
+    chance = found["water_shape_probability"].values[flagged]
+    # The rest is noise: its probability is even from 0 to 1.
+    assert chance.min() > 1e-3
+    assert np.mean(chance) == pytest.approx(0.5, abs=4 * 0.29 / np.sqrt(chance.size))
+
+
+def test_where_open_water_explains_the_samples_its_probability_is_kept(
+    by_hand: Make,
+) -> None:
+    from scipy.stats import chi2
+
+    cube = by_hand(frequency=[10e6, 39e6], channels=ONE, target=0.0, shots=2000)
+    found = rejection.open_water(cube)
+    chance = found["no_target_probability"].values
+    f = np.array([10e6, 39e6])[:, None, None]
+    water = 0.2 / (1 - 1j * f / CUT_OFF)
+    off = np.abs(cube.amulor.signal.values[:, 0] - water) ** 2 / NOISE**2
+    expected = chi2.sf(off.sum(axis=0), 4)
+    # A common factor of the water may explain a part; the shots have errors of theirs.
+    assert np.corrcoef(chance.ravel(), expected.ravel())[0, 1] > 0.8
+    assert (found["quality_flag"].values & QualityFlag.NO_TARGET).all()
+    seen = rejection.open_water(by_hand(frequency=[10e6, 39e6], channels=ONE))
+    assert np.isnan(seen["no_target_probability"].values).all()
+    size = np.abs(seen.amulor.signal.values)
+    assert_allclose(seen["signal_significance"], size / NOISE, rtol=0.2)
+
+
+def test_causes_and_numbers_pass_through_files_rows_and_images(tmp_path) -> None:
+    cube = samples.cube("ladder").isel(shot=slice(0, None, 4))
+    io.write_cube(cube, tmp_path / "samples.nc")
+    reject_file(tmp_path / "samples.nc", tmp_path / "target.nc", "open-water", rows=7)
+    target = io.read_cube(tmp_path / "target.nc")
+    cause = cause_of(target)
+    image_file(tmp_path / "target.nc", tmp_path / "image.nc", rows=7, polarization="VH")
+    image = io.read_cube(tmp_path / "image.nc")
+    np.testing.assert_array_equal(cause_of(image), cause[0, 1])
+    for name in ("no_target_probability", "column_over_target"):
+        np.testing.assert_array_equal(image[name], target[name])
+    meanings = image["water_residual_cause"].attrs["flag_meanings"].split()
+    masks = image["water_residual_cause"].attrs["flag_masks"]
+    assert dict(zip(meanings, masks.tolist(), strict=True)) == {
+        "phase_shift": 1,
+        "strong_column": 2,
+        "water_shape": 4,
+        "model_misfit": 8,
+        "model_departure": 16,
+    }
