@@ -166,6 +166,12 @@ def flags_page() -> str:
         "message as it was printed, too. Made from the code by",
         "`docs/make_reference.py`, with the limits that decide.",
         "",
+        "`amulor explain FILE --pixel ROW,COLUMN` prints the flags of one pixel of a",
+        "target signal or a range image, channel by channel, with the measured value",
+        "behind each, the limit, and what to do. Both places count from 0. The numbers",
+        "are in the file, as variables such as `no_target_probability` and",
+        "`water_residual_cause` ([cube files](cube.md)).",
+        "",
     ]
     kind = ""
     for one in explanations.explanations().values():
