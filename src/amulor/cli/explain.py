@@ -86,7 +86,9 @@ def _explain_pixel(words: tuple[str, ...], pixel: str, *, json: bool) -> None:
     check_inputs(path)
     found = reasons(path, row, column)
     known = explanations.explanations()
-    flagged = dict.fromkeys(one.flag for each in found.values() for one in each)
+    flagged = dict.fromkeys(
+        one.cause or one.flag for each in found.values() for one in each
+    )
     if json:
         remedies = {name: known[name].remedy for name in flagged}
         channels = {name: [asdict(one) for one in each] for name, each in found.items()}
@@ -104,7 +106,7 @@ def _explain_pixel(words: tuple[str, ...], pixel: str, *, json: bool) -> None:
             ("flag", "MHz", "quantity", "value", "flagged if", "unit"),
             [
                 (
-                    one.flag,
+                    f"{one.flag} ({one.cause})" if one.cause else one.flag,
                     ""
                     if one.modulation_frequency is None
                     else f"{one.modulation_frequency / 1e6:g}",

@@ -6,7 +6,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from amulor.cube.schema import ERROR_UNKNOWN, QualityFlag
+from amulor.cube.schema import ERROR_UNKNOWN, QualityFlag, flag_words
 from amulor.optics.ambiguity import BREAKDOWN
 
 __all__ = [
@@ -39,8 +39,8 @@ def flags_of_pixels(
     return np.bitwise_or.reduce(each, axis=0).astype(np.int16), unseen | outlying
 
 
-WATER_NOT_REMOVED = "water not removed: error unknown, expect centimetres"
-_UNSETTLED = "error unknown, ranges may be off by whole intervals"
+WATER_NOT_REMOVED = flag_words()["pixel"]["NO_OPEN_WATER"]["short"]
+_UNSETTLED = flag_words()["pixel"]["RELATIVE"]["short"]
 #: Attribute of images and clouds that holds these words.
 _WORDS = "error_unknown"
 #: Uncertainties of all terms together; those of single terms stay as they are.

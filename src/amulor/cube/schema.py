@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import enum
+import functools
 from dataclasses import dataclass, replace
 from typing import Any, Literal
 
@@ -151,6 +152,16 @@ class WaterResidualCause(enum.IntFlag):
     """Joint estimation: departures from the model decide the range."""
 
 
+@functools.cache
+def flag_words() -> dict[str, dict[str, dict[str, str]]]:
+    """Return the words of flags.toml by kind, name and purpose."""
+    import tomllib
+    from importlib import resources
+
+    text = resources.files("amulor.cube").joinpath("flags.toml").read_text("utf-8")
+    return tomllib.loads(text)
+
+
 #: A pixel with one of these has no range; with the others it has one, with care.
 UNUSABLE = (
     QualityFlag.MISSING
@@ -193,7 +204,7 @@ def _bits_explained(
     import numpy as np
 
     bits = [flag for flag in flags if flag]
-    values = np.array([int(flag) for flag in bits], dtype=dtype)
+    values: Any = np.array([int(flag) for flag in bits], dtype=dtype)
     return {
         "long_name": long_name,
         "units": "1",

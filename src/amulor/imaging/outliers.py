@@ -25,9 +25,9 @@ _REACH = 4
 #: Half width of the surroundings whose roughness counts [pixel].
 _AROUND = 3
 #: How much farther than the roughness around it a pixel must stand off [1].
-_ROUGHER = 3.0
+ROUGHER = 3.0
 #: Share of chance among the pixels that are outliers together [1].
-_BY_CHANCE = 0.1
+BY_CHANCE = 0.1
 #: How often they are looked for.
 _ROUNDS = 2
 #: Standard errors below which no number of outliers makes a pixel one.
@@ -125,7 +125,7 @@ def _outlying(
     stand = _standing(distance, variance, distance)
     above = (stand.ways >= 2) & (stand.score > significance)
     rough = _median_around(stand.average, above)
-    above[above] = stand.least[above] > _ROUGHER * rough
+    above[above] = stand.least[above] > ROUGHER * rough
     known = (image["quality_flag"].values & QualityFlag.OUTLIER) != 0
     found = known | above
     used = []
@@ -197,7 +197,7 @@ def _more_than_chance(
     all_found = np.where(known, 0.0, chance)
     if limit is None:
         limit = largest_discovered(
-            all_found, share=_BY_CHANCE, tests=int((judged | known).sum())
+            all_found, share=BY_CHANCE, tests=int((judged | known).sum())
         )
     with np.errstate(invalid="ignore"):
         return np.asarray(chance <= limit), limit

@@ -38,6 +38,8 @@ class Reason:
 
     flag: str
     """Name of the flag."""
+    cause: str
+    """Name of the cause of WATER_RESIDUAL; empty of other flags."""
     modulation_frequency: float | None
     """Of the sample [Hz]; None for the pixel as a whole."""
     quantity: str
@@ -223,36 +225,42 @@ def _found(
         known.pop("residual_phase_ratio", None)
     tests = _tests(known, attributes)
     for flag in (each for each in QualityFlag if each & flags):
-        said = False
+        of_water = flag == QualityFlag.WATER_RESIDUAL and causes
+        left = list(causes if of_water else flag)
         for test in tests:
             value = known.get(test.key, math.nan)
             if test.of(flag, causes) and test.given_by(value):
-                said = True
-                limit = f"{test.relation} {test.limit:.3g}" if test.relation else ""
+                if test.flag in left:
+                    left.remove(test.flag)
                 yield Reason(
-                    flag=str(flag.name), modulation_frequency=frequency,
-                    quantity=test.quantity, value=value, limit=limit, unit=test.unit,
-                )  # fmt: skip
-        if not said:
+                    flag=str(flag.name),
+                    cause="" if test.flag == flag else str(test.flag.name),
+                    modulation_frequency=frequency,
+                    quantity=test.quantity,
+                    value=value,
+                    limit=f"{test.relation} {test.limit:.3g}" if test.relation else "",
+                    unit=test.unit,
+                )
+        for name in left:
             yield Reason(
                 flag=str(flag.name),
+                cause="" if name == flag else str(name.name),
                 modulation_frequency=frequency,
-                quantity=_words(flag, causes, attributes),
+                quantity=_words(name, attributes),
             )
 
 
 def _words(
-    flag: QualityFlag, causes: WaterResidualCause, attributes: Mapping[Any, Any]
+    flag: QualityFlag | WaterResidualCause, attributes: Mapping[Any, Any]
 ) -> str:
     """Return what is known of a flag that no number of the file explains."""
-    if flag == QualityFlag.RELATIVE:
+    if flag is QualityFlag.RELATIVE:
         return str(attributes.get("interval_unsettled", "no interval is stated"))
-    if flag == QualityFlag.WATER_RESIDUAL and causes:
-        return "residual water signal not known"
     return {
-        QualityFlag.MISSING: "no number in phase or in quadrature",
-        QualityFlag.SATURATED: "overload reported with the sample",
-        QualityFlag.AMBIGUOUS: "outside the interval, or alike within departures",
-        QualityFlag.NO_OPEN_WATER: "bias of the range by the water not known",
-        QualityFlag.OUTLIER: "sample contradicts the others of its pixel",
-    }.get(flag, "not stored: file of an older version")
+        "MISSING": "no number in phase or in quadrature",
+        "SATURATED": "overload reported with the sample",
+        "AMBIGUOUS": "outside the interval, or alike within departures",
+        "NO_OPEN_WATER": "bias of the range by the water not known",
+        "OUTLIER": "sample contradicts the others of its pixel",
+        "PHASE_SHIFT": "residual water signal not known",
+    }.get(str(flag.name), "not stored: file of an older version")

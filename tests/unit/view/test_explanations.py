@@ -10,20 +10,23 @@ from scipy.stats import chi2, norm
 
 from amulor.acquisition.sampler import SampleFlag
 from amulor.cli import main
-from amulor.cube import UNUSABLE, QualityFlag
-from amulor.cube.schema import TERMS
+from amulor.cube import UNUSABLE, QualityFlag, WaterResidualCause
+from amulor.cube.schema import TERMS, flag_words
 from amulor.errors import FormatError
 from amulor.rejection import quality
 from amulor.view import explanations
-from amulor.view.page.layers import WORDS
 from amulor.view.page.progress import Change, Drift, Going, advice
 
 
 def test_every_flag_and_term_is_explained() -> None:
     known = explanations.explanations()
-    flags = {str(flag.name) for flag in QualityFlag if flag}
-    flags |= {str(flag.name) for flag in SampleFlag if flag}
-    assert flags <= set(known)
+    words = flag_words()
+    for table, flags in (
+        ("pixel", QualityFlag), ("cause", WaterResidualCause), ("sample", SampleFlag),
+    ):  # fmt: skip
+        names = [str(flag.name) for flag in flags if flag]
+        assert names == list(words[table])
+        assert set(names) <= set(known)
     assert {f"TERM_{name.upper()}" for name in TERMS} <= set(known)
     for one in known.values():
         assert one.meaning.endswith(".")
@@ -69,7 +72,7 @@ def test_limits_and_chances_are_those_of_the_code(
         ),
         ("no open water", "NO_OPEN_WATER"),
         ("NO_OPEN_WATR", "NO_OPEN_WATER"),
-        *((words, str(flag.name)) for flag, words in WORDS.items()),
+        *((words["short"], name) for name, words in flag_words()["pixel"].items()),
     ],
 )
 def test_names_and_messages_find_their_explanation(words: str, name: str) -> None:

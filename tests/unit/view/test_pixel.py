@@ -169,11 +169,12 @@ def test_the_command_prints_numbers_limits_and_what_to_do(
     line = next(one for one in printed.splitlines() if "behind the target" in one)
     assert f"{ratio:.3g} │" in line
     assert "> 0.3" in line
-    assert "WATER_RESIDUAL, what to do: Take open-water shots" in printed
+    assert "WATER_RESIDUAL (STRONG_COLUMN)" in line
+    assert "STRONG_COLUMN, what to do: Record a second modulation" in printed
     assert main([*words, "--json"]) == 0
     found = json.loads(capsys.readouterr().out)
     assert set(found["channels"]) == {"VV", "VH"}
-    assert found["to_do"]["WATER_RESIDUAL"].startswith("Take open-water shots")
+    assert found["to_do"]["STRONG_COLUMN"].startswith("Record a second")
     good = np.argwhere((target["quality_flag"].values == 0).all(axis=(0, 1)))[0]
     assert main([*words[:2], "--pixel", f"{good[0]},{good[1]}"]) == 0
     assert "channel VV: no flags" in capsys.readouterr().out

@@ -9,7 +9,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from amulor.cube import UNUSABLE, QualityFlag
+from amulor.cube import UNUSABLE, QualityFlag, schema
 from amulor.cube.schema import ALIKE_TERMS, RANGE_PREFIX, WATER_TERMS
 
 
@@ -62,27 +62,15 @@ STEPS = Layer(name="steps", label="Steps", unit="1", kind="hidden")
 #: Maps that exist of the picture before rejection, too.
 BEFORE = ("slant_range", "intensity", "quality_flag", "slant_range_uncertainty")
 
-#: Why a pixel is missing or doubtful, and what to do, in words.
-WORDS = {
-    QualityFlag.MISSING: "not measured",
-    QualityFlag.SATURATED: "detector overloaded: less power or gain, then take again",
-    QualityFlag.NO_TARGET: "no target: the echo does not stand out of the water",
-    QualityFlag.AMBIGUOUS: "distance not settled among the intervals of the phase",
-    QualityFlag.WATER_RESIDUAL: "water left in moves the range beyond its uncertainty",
-    QualityFlag.NO_OPEN_WATER: "water not removed: error unknown, expect centimetres",
-    QualityFlag.MIXED: "the beam meets two surfaces: the range lies between them",
-    QualityFlag.OUTLIER: "disagrees with the rest of its pixel or of the scan",
-    QualityFlag.RELATIVE: "error unknown: range may be off by whole intervals",
-}
-
 
 def flag_words() -> list[dict[str, Any]]:
     """Return every quality flag with its bit, its name and its words."""
+    words = schema.flag_words()["pixel"]
     return [
         {
             "mask": int(flag),
             "name": str(flag.name).lower().replace("_", " "),
-            "words": WORDS[flag],
+            "words": words[str(flag.name)]["short"],
             "unusable": bool(flag & UNUSABLE),
         }
         for flag in QualityFlag
