@@ -43,7 +43,7 @@ from amulor.view.style import COLOURS, new_figure, style
 
 HERE = Path(__file__).parent
 KEPT = HERE / "theory" / "models-photons.csv"
-PAGE = HERE / "theory" / "models.md"
+PAGES = [HERE / "theory" / f"{name}.md" for name in ("models", "models-details")]
 PICTURE = HERE / "images" / "models-photons.png"
 VALIDITY = HERE / "images" / "closure-validity.png"
 
@@ -482,19 +482,19 @@ def main() -> None:
     VALIDITY.write_bytes(png(validity_drawn(rows), dots_per_inch=150))
     photons, found = kept(), compared()
     PICTURE.write_bytes(png(drawn(photons, found), dots_per_inch=150))
-    page = PAGE.read_text(encoding="utf-8")
-    for name, text in (
-        ("summary", summary(photons, found)),
-        ("table", table(photons, found)),
-        ("validity", validity_table(rows)),
-    ):
+    tables = {
+        "summary": summary(photons, found),
+        "table": table(photons, found),
+        "validity": validity_table(rows),
+    }
+    for path in PAGES:
         page = re.sub(
-            rf"(<!-- {name} -->\n).*?(<!-- end -->)",
-            lambda match, text=text: match[1] + text + "\n" + match[2],
-            page,
+            r"<!-- (\w+) -->\n.*?<!-- end -->",
+            lambda match: f"<!-- {match[1]} -->\n{tables[match[1]]}\n<!-- end -->",
+            path.read_text(encoding="utf-8"),
             flags=re.DOTALL,
         )
-    PAGE.write_text(page, encoding="utf-8")
+        path.write_text(page, encoding="utf-8")
 
 
 if __name__ == "__main__":
