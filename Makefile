@@ -50,6 +50,7 @@ demo: .venv/installed-all
 style: .venv/installed-test
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
+	$(BIN)/python tools/prose.py
 
 types: .venv/installed-test
 	MYPY_NUM_WORKERS=$(JOBS) $(BIN)/mypy
