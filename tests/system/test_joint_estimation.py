@@ -18,7 +18,7 @@ from amulor.optics.phase_functions import henyey_greenstein
 from amulor.simulation import geometry as geometry_of
 from amulor.survey import Survey, water_properties
 from amulor.survey.directions import open_water_directions
-from amulor.survey.view import kernel_arguments, medium, view
+from amulor.survey.view import kernel_arguments, view
 
 # An inclined plate in a long tank; A_w / A_t runs from 1.3 at 5 MHz to 0.05 at 146 MHz.
 TANK = """
@@ -177,10 +177,10 @@ class OtherModel:
     def __init__(self, survey: Survey) -> None:
         self.cube = simulate(survey, rng=1)
         water = water_properties(survey)
-        traced = geometry_of.trace(survey, water)
+        traced = geometry_of.trace(survey)
         self.index = water.group_index
         directions = open_water_directions(survey)
-        looks = view(survey, *directions, medium=medium(survey, water))
+        looks = view(survey, *directions)
         optics = {"phase_function": two_peaks, "split_angle": SPLIT}
         at_pixels = self._column(survey, water, traced.view)
         self.water = small_angle.water_response(

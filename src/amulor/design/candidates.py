@@ -267,5 +267,4 @@ def survey_of(goal: Goal, chosen: Parameters) -> Survey:
         calibration=goal.calibration,
         daylight=goal.daylight,
     )
-    known = water_properties(bare)
-    return geometry.with_receiver(bare, known, baseline=chosen.baseline, aim=distance)
+    return geometry.with_receiver(bare, baseline=chosen.baseline, aim=distance)

@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from amulor.optics import rays
-from amulor.survey import Survey, WaterProperties
-from amulor.survey.view import View, medium, view
+from amulor.survey import Survey
+from amulor.survey.view import View, medium_of, view
 
 __all__ = ["Place", "aim_of", "place_of", "with_receiver"]
 
@@ -40,12 +40,12 @@ class Place:
     """Acceptance in the water over that of the receiver [1]."""
 
 
-def place_of(survey: Survey, water: WaterProperties, distance: Floats) -> Place:
+def place_of(survey: Survey, distance: Floats) -> Place:
     """Return the geometry of a survey's instrument at some slant ranges."""
-    crossed = medium(survey, water)
+    crossed = medium_of(survey)
     azimuth, elevation = np.array(survey.scan.azimuth), np.array(survey.scan.elevation)
     instrument = survey.instrument
-    seen = view(survey, azimuth, elevation, medium=crossed)
+    seen = view(survey, azimuth, elevation)
     beam = rays.enter_water(
         instrument.emitter.position, rays.direction(azimuth, elevation), medium=crossed
     )
@@ -68,23 +68,16 @@ def place_of(survey: Survey, water: WaterProperties, distance: Floats) -> Place:
     )
 
 
-def aim_of(survey: Survey, water: WaterProperties) -> float:
+def aim_of(survey: Survey) -> float:
     """Return the distance at which receiver axis and beam are nearest."""
-    seen = view(
-        survey,
-        np.array(survey.scan.azimuth),
-        np.array(survey.scan.elevation),
-        medium=medium(survey, water),
-    )
+    seen = view(survey, np.array(survey.scan.azimuth), np.array(survey.scan.elevation))
     tilt, baseline = float(seen.tilt), float(seen.baseline)
     if baseline <= 0 or tilt <= 1e-9:
         return math.inf
     return baseline / tilt - float(seen.standoff)
 
 
-def with_receiver(
-    survey: Survey, water: WaterProperties, *, baseline: float, aim: float
-) -> Survey:
+def with_receiver(survey: Survey, *, baseline: float, aim: float) -> Survey:
     """Survey whose receiver stands at some distance and looks at some place."""
     instrument = survey.instrument
     start = np.asarray(instrument.emitter.position)
@@ -94,7 +87,7 @@ def with_receiver(
     position = start + baseline * side
     azimuth, elevation = survey.scan.azimuth, survey.scan.elevation
     if math.isfinite(aim) and baseline > 0:
-        crossed = medium(survey, water)
+        crossed = medium_of(survey)
         beam = rays.enter_water(
             start, rays.direction(azimuth, elevation), medium=crossed
         )

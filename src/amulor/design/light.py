@@ -113,7 +113,7 @@ def case_of(survey: Survey, water: WaterProperties) -> Case:
         "power": instrument.power,
         "modulation_depth": instrument.modulation_depth,
         "baseline": float(np.linalg.norm(receiver - instrument.emitter.position)),
-        "aim": geometry.aim_of(survey, water),
+        "aim": geometry.aim_of(survey),
         "radius": instrument.receiver.radius,
         "field_of_view": instrument.receiver.acceptance,
         "dwell": survey.scan.dwell,
@@ -132,7 +132,7 @@ def _places(
 ) -> tuple[list[geometry.Place], NDArray[np.intp]]:
     """Return the places of receivers, and which one each candidate has."""
     if not {"baseline", "aim"} & set(values):
-        one = geometry.place_of(case.survey, case.water, distance)
+        one = geometry.place_of(case.survey, distance)
         return [one], np.zeros((), dtype=np.intp)
     baseline, aim = np.broadcast_arrays(
         values.get("baseline", np.asarray(case.stated["baseline"])),
@@ -143,9 +143,7 @@ def _places(
     )
     places = [
         geometry.place_of(
-            geometry.with_receiver(case.survey, case.water, baseline=b, aim=a),
-            case.water,
-            distance,
+            geometry.with_receiver(case.survey, baseline=b, aim=a), distance
         )
         for b, a in each.T
     ]

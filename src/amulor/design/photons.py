@@ -75,7 +75,7 @@ def follow_photons(
             "photons of a design know Gaussian receivers only, found "
             'instrument.receiver.edge = "sharp"; leave it out'
         )
-    traced = geometry.trace(middle, water)
+    traced = geometry.trace(middle)
     if not bool((traced.target >= 0).all()):
         raise SurveyError(
             f"the middle beam of {survey.name!r} meets no target, so that no photon "

@@ -16,7 +16,7 @@ from amulor.optics import late_echo, ranging
 from amulor.optics.phase_functions.models import henyey_greenstein_function
 from amulor.optics.phase_functions.phase_function import PhaseFunction
 from amulor.survey import Survey, WaterProperties, water_properties
-from amulor.survey.view import medium, view
+from amulor.survey.view import view
 from amulor.survey.waters.whole_function import asymmetry_of
 
 Floats = NDArray[np.float64]
@@ -198,8 +198,7 @@ def _between(
     way = np.unique(np.geomspace(ends[0] * 0.999, ends[1] * 1.001, _DISTANCES))
     sides = [_spread(*fit.span.azimuth), _spread(*fit.span.elevation)]
     azimuth, elevation = np.meshgrid(*sides, indexing="ij")
-    crossed = medium(survey, water)
-    seen = view(survey, azimuth, elevation, medium=crossed)
+    seen = view(survey, azimuth, elevation)
     frequency = observation.frequency
     shape = (*slant_range.shape, 3)
     place = np.empty(shape)

@@ -27,14 +27,14 @@ from amulor.io.recording_samples import (
 )
 from amulor.io.recording_table import read_table
 from amulor.optics import detection
-from amulor.survey import Survey, water_properties
+from amulor.survey import Survey
 from amulor.survey.counting import (
     counting_variance,
     integration_time,
     photon_noise_volt,
 )
 from amulor.survey.directions import refuse_scans_beyond_memory, scan_directions
-from amulor.survey.view import geometry_attributes, medium
+from amulor.survey.view import geometry_attributes
 
 __all__ = ["read_recordings"]
 
@@ -209,7 +209,7 @@ def cube_of(
             "azimuth": band.azimuth[band.kept],
             "elevation": band.elevation[band.kept],
         },
-        geometry=geometry_attributes(survey, medium(survey, water_properties(survey))),
+        geometry=geometry_attributes(survey),
         attributes=_attributes(
             recording.path, survey, recording.frequencies, recording.pairs
         ),

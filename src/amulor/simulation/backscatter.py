@@ -12,7 +12,7 @@ from amulor.simulation.models import (
     SmallAngleModel,
 )
 from amulor.survey import Survey, water_properties
-from amulor.survey.view import medium, view
+from amulor.survey.view import view
 
 
 def diffusion_response(
@@ -52,12 +52,7 @@ def _response(
 ) -> NDArray[np.complex128]:
     """Return the response of the beam in the middle of the scan."""
     water = water_properties(survey)
-    where = view(
-        survey,
-        np.array(survey.scan.azimuth),
-        np.array(survey.scan.elevation),
-        medium=medium(survey, water),
-    )
+    where = view(survey, np.array(survey.scan.azimuth), np.array(survey.scan.elevation))
     end = survey.water.column_end
     return model.column(
         np.asarray(modulation_frequency, dtype=np.float64),

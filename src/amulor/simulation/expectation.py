@@ -104,7 +104,7 @@ def expectation(survey: Survey, *, model: SignalModel = DEFAULT_MODEL) -> Expect
         }
     )
     water = water_properties(few)
-    geometry = geometry_of.trace(few, water)
+    geometry = geometry_of.trace(few)
     echo = lock_in.target_light(few, water, geometry, model=model)
     column = lock_in.water_light(
         few, water, geometry.view, end=geometry.depth, model=model

@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 from amulor.errors import SurveyError
 from amulor.optics import rays
 from amulor.simulation.scene import Hits, Scene, aperture_points
-from amulor.survey import Survey, WaterProperties, surface
+from amulor.survey import Survey, surface
 from amulor.survey.directions import Floats, scan_directions
-from amulor.survey.view import View, medium, view
+from amulor.survey.view import View, medium_of, view
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -47,7 +47,6 @@ class Geometry:
 
 def trace(
     survey: Survey,
-    water: WaterProperties,
     *,
     directions: tuple[Floats, Floats, Floats] | None = None,
     scene: Scene | None = None,
@@ -59,7 +58,7 @@ def trace(
     straight, which is wrong by less than a pixel where the way back is steep.
     """
     instrument = survey.instrument
-    surroundings = medium(survey, water)
+    surroundings = medium_of(survey)
     azimuth, elevation, time = directions or scan_directions(survey)
     beam = rays.enter_water(
         instrument.emitter.position,
@@ -91,7 +90,7 @@ def trace(
         azimuth=azimuth,
         elevation=elevation,
         time=time,
-        view=view(survey, azimuth, elevation, medium=surroundings),
+        view=view(survey, azimuth, elevation),
         target=hits.target.reshape(shape),
         slant_range=hits.distance.reshape(shape) + beam.length_before,
         depth=hits.distance.reshape(shape),

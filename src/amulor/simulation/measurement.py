@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 from amulor import cube
 from amulor._progress import part, tell
 from amulor.cube import tiles
-from amulor.optics.rays import Medium
 from amulor.simulation import geometry as geometry_of
 from amulor.simulation import lock_in
 from amulor.simulation.instrument_errors import Chain
@@ -28,7 +27,6 @@ from amulor.survey.directions import (
     scan_directions,
 )
 from amulor.survey.view import geometry_attributes
-from amulor.survey.view import medium as medium_of
 from amulor.survey.view import view as view_of
 
 
@@ -106,8 +104,6 @@ class Setting:
     """Forward model."""
     water: WaterProperties
     """Optical numbers of the water."""
-    medium: Medium
-    """What the light crosses."""
     scene: Scene
     """The targets."""
     seed: int | None
@@ -122,15 +118,13 @@ class Setting:
         cls, survey: Survey, *, rng: np.random.Generator | int, model: SignalModel
     ) -> Setting:
         """Return the setting of a survey; see `simulate`."""
-        water = water_properties(survey)
         chain = Chain.of(survey, rng)
         return cls(
             survey=survey,
             chain=chain,
             light_survey=survey if chain is None else chain.light_survey,
             model=model,
-            water=water,
-            medium=medium_of(survey, water),
+            water=water_properties(survey),
             scene=Scene(survey.targets),
             seed=int(rng) if isinstance(rng, numbers.Integral) else None,
         )
@@ -175,9 +169,7 @@ def _spread(rows: int, columns: int) -> dict[str, NDArray[np.intp]]:
 def _traced(
     setting: Setting, directions: tuple[Floats, Floats, Floats]
 ) -> geometry_of.Geometry:
-    return geometry_of.trace(
-        setting.survey, setting.water, directions=directions, scene=setting.scene
-    )
+    return geometry_of.trace(setting.survey, directions=directions, scene=setting.scene)
 
 
 def _light(
@@ -228,7 +220,7 @@ def measured(
             "elevation": elevation,
             "time": time,
         },
-        geometry=geometry_attributes(survey, setting.medium),
+        geometry=geometry_attributes(survey),
         attributes=cube.attributes(
             "samples",
             title=survey.name,
@@ -273,7 +265,7 @@ def open_water(setting: Setting, *, rng: np.random.Generator) -> xr.Dataset | No
     azimuth, elevation = open_water_directions(survey)
     if chain is not None:
         azimuth, elevation = chain.shots(azimuth, elevation)
-    view = view_of(survey, azimuth, elevation, medium=setting.medium)
+    view = view_of(survey, azimuth, elevation)
     light = lock_in.water_light(
         setting.light_survey, setting.water, view, model=setting.model
     )

@@ -12,7 +12,7 @@ from amulor.simulation.lock_in import expected_signal
 from amulor.simulation.models import DEFAULT_MODEL, SignalModel
 from amulor.survey import Survey, water_properties
 from amulor.survey.directions import open_water_directions
-from amulor.survey.view import medium, view
+from amulor.survey.view import view
 
 Floats = NDArray[np.float64]
 
@@ -102,7 +102,7 @@ def scene_light(
     (1, 1, 6)
     """
     water = water_properties(survey)
-    scanned = geometry.trace(survey, water)
+    scanned = geometry.trace(survey)
     with_target = _by_direction(
         survey,
         (scanned.azimuth, scanned.elevation),
@@ -116,7 +116,7 @@ def scene_light(
         grid = np.unique(np.stack(open_water_directions(survey)), axis=1)
         azimuth = np.concatenate([grid[0], azimuth])
         elevation = np.concatenate([grid[1], elevation])
-    seen = view(survey, azimuth, elevation, medium=medium(survey, water))
+    seen = view(survey, azimuth, elevation)
     light = lock_in.water_light(survey, water, seen, model=model)
     none = lock_in.Light(np.zeros_like(light.modulated), np.zeros_like(light.mean))
     return SceneLight(

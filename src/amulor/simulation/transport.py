@@ -12,8 +12,12 @@ from numpy.typing import ArrayLike, NDArray
 from amulor.errors import SurveyError
 from amulor.optics import rays
 from amulor.survey import Survey, WaterProperties, water_properties
-from amulor.survey.view import beam_arguments, has_sharp_receiver, seen_from_water
-from amulor.survey.view import medium as crossed_by
+from amulor.survey.view import (
+    beam_arguments,
+    has_sharp_receiver,
+    medium_of,
+    seen_from_water,
+)
 from amulor.survey.waters.whole_function import phase_function_of
 from amulor.transport import (
     DiscReceiver,
@@ -52,7 +56,7 @@ def monte_carlo_response(
     water = water_properties(survey)
     layers = _layers(water)
     instrument, scan = survey.instrument, survey.scan
-    receiver, window = instrument.receiver, crossed_by(survey, water)
+    receiver, window = instrument.receiver, medium_of(survey)
     beam = rays.enter_water(
         instrument.emitter.position,
         rays.direction(scan.azimuth, scan.elevation),

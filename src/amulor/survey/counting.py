@@ -6,9 +6,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from amulor.optics import daylight, detection
-from amulor.survey.properties import water_properties
 from amulor.survey.survey import Survey
-from amulor.survey.view import medium, seen_from_water
+from amulor.survey.view import medium_of, seen_from_water
 
 
 def integration_time(survey: Survey) -> float:
@@ -38,8 +37,7 @@ def background_rate(survey: Survey) -> NDArray[np.float64]:
     pairs = instrument.polarizations
     if light is None:
         return np.zeros(len(pairs))
-    surroundings = medium(survey, water_properties(survey))
-    _, acceptance = seen_from_water(survey, surroundings)
+    _, acceptance = seen_from_water(survey, medium_of(survey))
     rate = daylight.daylight_rate(
         daylight.daylight_radiance(
             light.radiance,

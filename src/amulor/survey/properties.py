@@ -116,7 +116,7 @@ def water_properties(survey: Survey) -> WaterProperties:
     """
     water = survey.water
     wavelength = survey.instrument.wavelength
-    phase_index, group_index = _indices(survey)
+    phase_index, group_index = indices(survey)
     optics = resolved(water, wavelength=wavelength, refractive_index=phase_index)
     forward, moment, backwards = _moments(survey, optics)
     return WaterProperties(
@@ -192,7 +192,7 @@ def _tabulated(function: PhaseFunction) -> Tabulated:
     )
 
 
-def _indices(survey: Survey) -> tuple[float, float]:
+def indices(survey: Survey) -> tuple[float, float]:
     """Return phase and group index of the water, stated or of its state."""
     water, wavelength = survey.water, survey.instrument.wavelength
     state = state_of(water)

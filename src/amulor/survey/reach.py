@@ -13,7 +13,7 @@ from amulor.optics import ranging, rays
 from amulor.survey.properties import water_properties
 from amulor.survey.survey import Survey
 from amulor.survey.target import METRES, Disc, Mesh, Plate, Staircase
-from amulor.survey.view import medium
+from amulor.survey.view import medium_of
 
 Floats = NDArray[np.float64]
 
@@ -95,7 +95,7 @@ def _beams(survey: Survey) -> rays.Beam:
     return rays.enter_water(
         survey.instrument.emitter.position,
         rays.direction(azimuth, elevation),
-        medium=medium(survey, water_properties(survey)),
+        medium=medium_of(survey),
     )
 
 

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from amulor.errors import SurveyError
 from amulor.optics import rays, reflection
-from amulor.survey.properties import WaterProperties
+from amulor.survey.properties import WaterProperties, indices
 from amulor.survey.survey import Survey
 
 Floats = NDArray[np.float64]
@@ -40,16 +40,15 @@ class View:
     reflections are left out [1]."""
 
 
-def medium(survey: Survey, water: WaterProperties) -> rays.Medium:
+def medium_of(survey: Survey) -> rays.Medium:
     """Return what the light of a survey crosses."""
     window = survey.instrument.window
+    phase_index, group_index = indices(survey)
     if window is None:
-        return rays.Medium(
-            refractive_index=water.refractive_index, group_index=water.group_index
-        )
+        return rays.Medium(refractive_index=phase_index, group_index=group_index)
     return rays.Medium(
-        refractive_index=water.refractive_index,
-        group_index=water.group_index,
+        refractive_index=phase_index,
+        group_index=group_index,
         window_distance=window.distance,
         window_thickness=window.thickness,
         window_refractive_index=window.refractive_index,
@@ -71,9 +70,7 @@ def seen_from_water(survey: Survey, medium: rays.Medium) -> tuple[float, float]:
     return index * reduced, receiver.acceptance / index
 
 
-def view(
-    survey: Survey, azimuth: Floats, elevation: Floats, *, medium: rays.Medium
-) -> View:
+def view(survey: Survey, azimuth: Floats, elevation: Floats) -> View:
     """Return how the receiver looks at beams of given directions.
 
     The signal models are small-angle models. They also count the delay of the water
@@ -83,7 +80,8 @@ def view(
     baseline of 20 cm. The echo of a target falls with its way back.
     """
     instrument, scan = survey.instrument, survey.scan
-    receiver = instrument.receiver
+    receiver, medium = instrument.receiver, medium_of(survey)
+    standoff, acceptance = seen_from_water(survey, medium)
     turned = scan.moves == "both"
     axis = rays.direction(
         receiver.azimuth + (azimuth - scan.azimuth if turned else 0 * azimuth),
@@ -113,7 +111,6 @@ def view(
     offset = offset - np.sum(offset * sight.direction, axis=-1)[..., None] * (
         sight.direction
     )
-    standoff, acceptance = seen_from_water(survey, medium)
     # The offset is that at the water's edge; the model counts it from the start.
     offset = offset + inclination * standoff
     baseline = np.linalg.norm(offset, axis=-1)
@@ -226,8 +223,9 @@ def refuse_beam_and_edges(survey: Survey, *, model: str) -> None:
         )
 
 
-def geometry_attributes(survey: Survey, medium: rays.Medium) -> dict[str, Any]:
+def geometry_attributes(survey: Survey) -> dict[str, Any]:
     """Return what a cube says about indices, window and places of the instrument."""
+    medium = medium_of(survey)
     attributes: dict[str, Any] = {
         "group_index": medium.group_index,
         "refractive_index": medium.refractive_index,

@@ -15,7 +15,7 @@ from amulor.errors import SurveyError
 from amulor.optics import ambiguity
 from amulor.simulation import SmallAngleModel, expectation
 from amulor.survey import Survey, water_properties
-from amulor.survey.view import medium, view
+from amulor.survey.view import view
 
 RANDOM = ("shot", "dark", "daylight", "phase_floor", "fluctuation", "reference")
 
@@ -88,8 +88,7 @@ def test_light_and_noise_are_those_of_the_simulation(tank: Survey) -> None:
     assert_allclose(own, scale / expected.signal_to_noise.item(), rtol=3e-3)
     # The shift by the water that is kept: from the model itself, by hand.
     water = water_properties(one)
-    crossed = medium(one, water)
-    seen = view(one, np.zeros(1), np.zeros(1), medium=crossed)
+    seen = view(one, np.zeros(1), np.zeros(1))
     common = {"survey": one, "water": water, "view": seen}
     surface = {
         "depth": np.full(1, 2.0),

@@ -11,7 +11,7 @@ from numpy.testing import assert_allclose
 
 from amulor.design.geometry import with_receiver
 from amulor.optics import rays
-from amulor.survey import Survey, water_properties
+from amulor.survey import Survey
 
 from .conftest import SURVEY
 
@@ -38,8 +38,7 @@ def test_its_axis_meets_the_beam_where_it_is_aimed(
             "scan.elevation": f"{elevation} rad",
         }
     )
-    water = water_properties(survey)
-    moved = with_receiver(survey, water, baseline=baseline, aim=aim)
+    moved = with_receiver(survey, baseline=baseline, aim=aim)
     receiver = moved.instrument.receiver
     assert_allclose(
         receiver.position, baseline * away / np.linalg.norm(away), atol=1e-12
@@ -49,6 +48,6 @@ def test_its_axis_meets_the_beam_where_it_is_aimed(
     target = aim * rays.direction(azimuth, elevation) - receiver.position
     seen = rays.direction(receiver.azimuth, receiver.elevation)
     assert_allclose(seen, target / np.linalg.norm(target), atol=1e-9)
-    aside = with_receiver(survey, water, baseline=baseline, aim=math.inf)
+    aside = with_receiver(survey, baseline=baseline, aim=math.inf)
     assert aside.instrument.receiver.azimuth == survey.scan.azimuth
     assert aside.instrument.receiver.elevation == survey.scan.elevation

@@ -13,7 +13,7 @@ from amulor.optics.late_echo import late_echo
 from amulor.optics.phase_functions.models import henyey_greenstein_function
 from amulor.simulation import simulate
 from amulor.survey import Survey, water_properties
-from amulor.survey.view import medium, view
+from amulor.survey.view import view
 
 
 def measured(text: str) -> xr.Dataset:
@@ -42,7 +42,6 @@ def seen(
         made,
         cube["azimuth"].values,
         cube["elevation"].values,
-        medium=medium(made, water),
     )
     return late_echo(
         frequency,

@@ -19,7 +19,7 @@ from amulor.simulation import (
     simulate,
 )
 from amulor.survey import Survey, water_properties
-from amulor.survey.view import medium, view
+from amulor.survey.view import view
 from amulor.survey.waters.whole_function import whole_function_arguments
 
 #: An asymmetry in place of moments.
@@ -158,7 +158,7 @@ def test_moments_alone_get_a_phase_function_that_has_them(plate: Survey) -> None
         }
     )
     water = water_properties(survey)
-    looking = view(survey, np.zeros(1), np.zeros(1), medium=medium(survey, water))
+    looking = view(survey, np.zeros(1), np.zeros(1))
     arguments = whole_function_arguments(survey, water, looking)
     share, moment = arguments["phase_function"].forward_split(np.pi / 2)
     assert share == pytest.approx(0.97, abs=2e-3)

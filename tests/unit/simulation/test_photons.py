@@ -43,7 +43,7 @@ def test_drawn_pixels_are_those_of_photons_followed_directly(plate: Survey) -> N
     )
     model = PhotonModel(relative_error=0.01, histories=200_000, seed=5)
     water = water_properties(survey)
-    geometry = trace(survey, water)
+    geometry = trace(survey)
     found = {
         "target": lock_in.target_light(survey, water, geometry, model=model),
         "water": lock_in.water_light(

@@ -15,7 +15,7 @@ from amulor.optics import small_angle, small_angle_diffusion
 from amulor.simulation import DiffusionModel, simulate
 from amulor.survey import Survey, water_properties
 from amulor.survey.counting import integration_time
-from amulor.survey.view import kernel_arguments, medium, view
+from amulor.survey.view import kernel_arguments, view
 from amulor.survey.waters.whole_function import whole_function_arguments
 
 #: A survey without any noise.
@@ -88,7 +88,6 @@ def test_water_ends_at_the_target(plate: Survey) -> None:
         survey,
         cube["azimuth"].values,
         cube["elevation"].values,
-        medium=medium(survey, properties),
     )
     # Trapezoids over the column: an independent sum of (26) and (29), and of (46).
     z = np.linspace(0, 1, 2001)[:, None, None] * truth["slant_range"].values[::3, ::6]

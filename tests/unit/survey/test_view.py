@@ -8,8 +8,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from amulor.errors import SurveyError
-from amulor.survey import Survey, water_properties
-from amulor.survey.view import medium, view
+from amulor.survey import Survey
+from amulor.survey.view import view
 
 
 def _look(plate_text: str, azimuth: float) -> None:
@@ -17,8 +17,7 @@ def _look(plate_text: str, azimuth: float) -> None:
     stated = 'azimuth = "-2.672 deg"'
     assert stated in plate_text
     survey = Survey.from_text(plate_text.replace(stated, f'azimuth = "{azimuth} deg"'))
-    where = medium(survey, water_properties(survey))
-    view(survey, np.zeros(1), np.zeros(1), medium=where)
+    view(survey, np.zeros(1), np.zeros(1))
 
 
 def test_a_receiver_that_looks_past_its_beam_is_told_by_its_angle(
@@ -53,8 +52,7 @@ def test_the_beam_is_as_far_from_the_axis_as_two_lines_in_space(
             "scan.moves": "beam",
         }
     )
-    where = medium(survey, water_properties(survey))
-    seen = view(survey, np.array(azimuth), np.array(0.0), medium=where)
+    seen = view(survey, np.array(azimuth), np.array(0.0))
     point = depth * np.array([np.sin(azimuth), 0.0, np.cos(azimuth)])
     way = point - receiver
     expected = np.linalg.norm(way - (way @ axis) * axis)

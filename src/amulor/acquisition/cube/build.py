@@ -33,11 +33,10 @@ from amulor.acquisition.settings import Procedure
 from amulor.errors import CubeError, FormatError
 from amulor.io import read_cube, write_cube
 from amulor.optics import detection
-from amulor.survey import Survey, water_properties
+from amulor.survey import Survey
 from amulor.survey.counting import photon_noise_volt
 from amulor.survey.directions import scan_directions
 from amulor.survey.view import geometry_attributes
-from amulor.survey.view import medium as medium_of
 
 #: The cube in the folder of its scan.
 CUBE_NAME = "cube.nc"
@@ -212,9 +211,7 @@ def build(journal: Journal, *, calibration: Calibration | None = None) -> xr.Dat
             **_directions(scan, survey),
             "time": _first(scan["elapsed"]),
         },
-        geometry=geometry_attributes(
-            survey, medium_of(survey, water_properties(survey))
-        ),
+        geometry=geometry_attributes(survey),
         attributes=_attributes(journal, meta, survey, dark, calibration),
     )
     shots = _open_water(survey, journal, dark, frequency, calibration)

@@ -228,9 +228,8 @@ def _truth(survey: Survey, image: xr.Dataset) -> Floats:
     forward = survey.targets[0].position[2] - survey.instrument.emitter.position[2]
     if survey.instrument.window is not None:
         from amulor.simulation import geometry
-        from amulor.survey import water_properties
 
-        traced = geometry.trace(survey, water_properties(survey))
+        traced = geometry.trace(survey)
         return np.asarray(traced.slant_range)
     return np.asarray(forward / (np.cos(azimuth) * np.cos(elevation)))
 

@@ -24,7 +24,7 @@ from amulor.survey import Survey, WaterProperties, water_properties
 from amulor.survey.view import (
     beam_arguments,
     kernel_arguments,
-    medium,
+    medium_of,
     seen_from_water,
     view,
 )
@@ -365,7 +365,7 @@ class Frame:
     ) -> None:
         properties = water_properties(survey)
         self.survey = survey
-        self.medium = medium(survey, properties)
+        self.medium = medium_of(survey)
         #: Phase per optical path, 2 pi f / c_0 [rad/m].
         self.phase_per_path = 2 * np.pi * modulation_frequency / speed_of_light
         end = survey.water.column_end
@@ -411,7 +411,7 @@ class Frame:
     ) -> dict[str, Any]:
         """Return the arguments of the overlap, without those of the water."""
         survey = self.survey if survey is None else survey
-        where = view(survey, azimuth, elevation, medium=self.medium)
+        where = view(survey, azimuth, elevation)
         arguments = kernel_arguments(survey, self._properties, where)
         for name in (
             "absorption",
@@ -425,7 +425,7 @@ class Frame:
 
     def optical_offset(self, azimuth: Floats, elevation: Floats) -> Floats:
         """Return the optical path before the water, out and back [m]."""
-        where = view(self.survey, azimuth, elevation, medium=self.medium)
+        where = view(self.survey, azimuth, elevation)
         return np.broadcast_to(where.optical_offset, azimuth.shape)
 
     def beam(self, azimuth: Floats, elevation: Floats) -> rays.Beam:

@@ -16,9 +16,8 @@ from amulor.cube.tiles import Span
 from amulor.optics import detection
 from amulor.optics.ambiguity import Choices
 from amulor.rejection.covariance import Covariance, covariance_of
-from amulor.rejection.reference import column
+from amulor.rejection.reference import column, model
 from amulor.rejection.reference.column import Column
-from amulor.rejection.reference.model import water_signal
 from amulor.rejection.reference.shots import (
     Reference,
     ShotsFit,
@@ -28,9 +27,8 @@ from amulor.rejection.reference.shots import (
     real_drift_of,
     shots_of,
 )
-from amulor.survey import Survey, water_properties
+from amulor.survey import Survey
 from amulor.survey.properties import by_coefficients
-from amulor.survey.view import medium, view
 
 Floats = NDArray[np.float64]
 Complex = NDArray[np.complex128]
@@ -97,16 +95,18 @@ def turbidity_of(
     # Shots without any error still need weights.
     floor = (1e-6 * np.abs(seen).max(initial=0.0)) ** 2 + np.finfo(float).tiny
     weight = 1 / np.maximum(variance, floor)
-    places = [
-        cube[name].values.ravel()[directions] for name in ("azimuth", "elevation")
-    ]
+    places = np.stack(
+        [cube[name].values.ravel()[directions] for name in ("azimuth", "elevation")]
+    ).T
     frequency = cube["modulation_frequency"].values
 
     def minimum(*, paper: bool) -> tuple[float, float, float]:
         """Return the place, value and curvature of the smallest chi-square."""
         square = _around_the_lowest(
             lambda factor: _chi_square(
-                _model(scaled(survey, factor), places, frequency, paper=paper),
+                model.open_water(
+                    scaled(survey, factor), places, frequency, paper=paper
+                ),
                 seen,
                 weight,
             )
@@ -151,19 +151,6 @@ def scaled(survey: Survey, factor: float) -> Survey:
 
 def _spread(count: int) -> NDArray[np.intp]:
     return np.unique(np.linspace(0, count - 1, min(_DIRECTIONS, count)).astype(np.intp))
-
-
-def _model(
-    survey: Survey, places: list[Floats], frequency: Floats, *, paper: bool
-) -> Complex:
-    """Return open water over (frequency, direction), in any unit."""
-    water = water_properties(survey)
-    where = view(survey, *places, medium=medium(survey, water))
-    response = water_signal(
-        survey, *places, modulation_frequency=frequency, paper=paper
-    )
-    turn = 2j * np.pi * frequency[:, None] * where.optical_offset / speed_of_light
-    return np.asarray(response * np.exp(turn))
 
 
 def _chi_square(model: Complex, seen: Complex, weight: Floats) -> float:

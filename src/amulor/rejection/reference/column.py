@@ -16,7 +16,7 @@ from amulor.rejection.covariance import Covariance, along, isotropic
 from amulor.rejection.reference.model import water_signal
 from amulor.survey import Survey, water_properties
 from amulor.survey.reach import unsettled_interval
-from amulor.survey.view import medium
+from amulor.survey.view import medium_of
 
 Floats = NDArray[np.float64]
 Complex = NDArray[np.complex128]
@@ -311,8 +311,7 @@ def depth(
         survey, modulation_frequency=cube["modulation_frequency"].values
     ):
         return np.full(shape, np.nan), np.full(shape, np.nan), fit
-    water = water_properties(survey)
-    surroundings = medium(survey, water)
+    surroundings = medium_of(survey)
     beam = rays.enter_water(
         survey.instrument.emitter.position,
         rays.direction(cube["azimuth"].values, cube["elevation"].values),

@@ -25,7 +25,7 @@ from amulor.rejection.reference.surface import (
 )
 from amulor.survey import Survey, WaterProperties, water_properties
 from amulor.survey.properties import by_coefficients
-from amulor.survey.view import kernel_arguments, medium, view
+from amulor.survey.view import kernel_arguments, view
 from amulor.survey.waters.whole_function import (
     whole_function_arguments,
     whole_phase_function,
@@ -51,7 +51,7 @@ def water_signal(
     has by the diffusion form (46).
     """
     water = water_properties(survey)
-    where = view(survey, azimuth, elevation, medium=medium(survey, water))
+    where = view(survey, azimuth, elevation)
     far = np.inf if survey.water.column_end is None else survey.water.column_end
     form: Callable[..., Complex]
     if not paper and _has_phase_function(water):
@@ -257,8 +257,7 @@ def open_water(
     survey: Survey, places: Floats, frequency: Floats, *, paper: bool = False
 ) -> Complex:
     """Return the open water of a survey with the delay before the water."""
-    water = water_properties(survey)
-    where = view(survey, *places.T, medium=medium(survey, water))
+    where = view(survey, *places.T)
     response = water_signal(
         survey, *places.T, modulation_frequency=frequency, paper=paper
     )

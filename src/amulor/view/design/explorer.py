@@ -144,12 +144,8 @@ class Explorer:
         )
         if "baseline" in axes:
             # The receiver keeps looking at the same place of the beam.
-            water_now = water_properties(survey)
             survey = with_receiver(
-                survey,
-                water_now,
-                baseline=axes["baseline"],
-                aim=aim_of(survey, water_now),
+                survey, baseline=axes["baseline"], aim=aim_of(survey)
             )
         changes: dict[str, Any] = {
             "instrument.modulation_frequencies": list(frequencies[0])

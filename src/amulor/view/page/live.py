@@ -24,9 +24,9 @@ from amulor.cube import QualityFlag
 from amulor.errors import AmulorError
 from amulor.imaging.observation import geometry_of
 from amulor.optics import ambiguity
-from amulor.survey import Survey, water_properties
+from amulor.survey import Survey
 from amulor.survey.directions import scan_directions
-from amulor.survey.view import geometry_attributes, medium
+from amulor.survey.view import geometry_attributes
 from amulor.view.page.progress import Progress
 from amulor.view.page.recording import Recording, recording_of
 
@@ -263,7 +263,7 @@ def blank(survey: Survey, name: str) -> Recording:
             ),
         },
         {"azimuth": azimuth, "elevation": elevation},
-        geometry=geometry_attributes(survey, medium(survey, water_properties(survey))),
+        geometry=geometry_attributes(survey),
         attributes=cubes.attributes(
             "range_image",
             title=survey.name,

@@ -19,7 +19,7 @@ from amulor.rejection.joint.overlap import Shape, frame_of
 from amulor.rejection.joint.samples import Pixels
 from amulor.rejection.joint.tables import table_of
 from amulor.survey import Survey, WaterProperties, water_properties
-from amulor.survey.view import View, kernel_arguments, medium, view
+from amulor.survey.view import View, kernel_arguments, view
 from amulor.survey.waters.whole_function import whole_function_arguments
 
 Response = Callable[[np.ndarray], np.ndarray]
@@ -129,7 +129,6 @@ def looks(samples: xr.Dataset) -> tuple[Survey, WaterProperties, View]:
         survey,
         samples["azimuth"].values.ravel(),
         samples["elevation"].values.ravel(),
-        medium=medium(survey, properties),
     )
     return survey, properties, where
 

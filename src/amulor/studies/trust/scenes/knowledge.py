@@ -12,19 +12,16 @@ from amulor.simulation import simulate
 from amulor.studies.trust.case import Case, case_of
 from amulor.studies.trust.scenes.models import around
 from amulor.studies.trust.surveys import plate, scaled, survey
-from amulor.survey import Survey, water_properties
-from amulor.survey.view import geometry_attributes, medium
+from amulor.survey import Survey
+from amulor.survey.view import geometry_attributes
 
 _TARGET = plate(2.6, lean=20)
 
 
 def believing(samples: xr.Dataset, believed: Survey) -> xr.Dataset:
     """Return a cube that says it was measured as another survey has it."""
-    attributes = geometry_attributes(
-        believed, medium(believed, water_properties(believed))
-    )
     geometry = samples["geometry"].copy()
-    geometry.attrs |= attributes
+    geometry.attrs |= geometry_attributes(believed)
     return samples.assign_coords(geometry=geometry).assign_attrs(
         survey=believed.to_toml()
     )
