@@ -69,8 +69,10 @@ node_modules/.package-lock.json: package.json package-lock.json
 javascript: .venv/installed-test
 	@if $(MAKE) --silent node_modules/.package-lock.json 2>/dev/null; then \
 		$(NODE) node_modules/eslint/bin/eslint.js --max-warnings 0 . && \
-		$(NODE) node_modules/prettier/bin/prettier.cjs --check --log-level warn .; \
-	else echo "npm ci failed: SKIPPED eslint and prettier of the page"; fi
+		$(NODE) node_modules/prettier/bin/prettier.cjs --check --log-level warn . && \
+		$(NODE) node_modules/typescript/bin/tsc --project tsconfig.json && \
+		$(NODE) node_modules/typescript/bin/tsc --project tsconfig.strict.json; \
+	else echo "npm ci failed: SKIPPED eslint, prettier and tsc of the page"; fi
 
 lint: .venv/installed-test
 	@$(MAKE) --no-print-directory -j$(JOBS) types contracts style javascript

@@ -1,7 +1,7 @@
 // The page of a scan: what is shown, what is pointed at, and who is told.
 
 import { CloudView } from "./cloud.js";
-import { $, made } from "./dom.js";
+import { $, inkOf, made } from "./dom.js";
 import { Live } from "./live.js";
 import { fitted, MapView } from "./map.js";
 import { Page } from "./page.js";
@@ -15,26 +15,28 @@ import { source } from "./source.js";
 import { scaled, short, withError, withUnit } from "./text.js";
 import * as tools from "./tools.js";
 
+/** @typedef {[number, number]} Pixel row and column of the scan */
+
 const state = {
   source: source(),
   layerName: "range",
   raw: false,
   limits: [0, 1],
   ownLimits: new Map(),
-  cursor: null,
-  pinned: null,
+  cursor: /** @type {Pixel | null} */ (null),
+  pinned: /** @type {Pixel | null} */ (null),
   follow: true,
   tool: null,
-  picks: [],
-  region: null,
-  section: null,
-  measurements: [],
+  picks: /** @type {Pixel[]} */ ([]),
+  region: /** @type {number[] | null} */ (null),
+  section: /** @type {Pixel[] | null} */ (null),
+  measurements: /** @type {any[]} */ ([]),
   chosen: null,
   number: 0,
   average: 0,
   profileKind: "row",
   profileLayer: "range",
-  spectrum: null,
+  spectrum: /** @type {any} */ (null),
   contour: 0,
   look: { light: [0, 0, 0], relief: 1, contour: 0, raw: false },
   tables: {},
@@ -45,6 +47,7 @@ const page = new Page(state, {
   said,
   themed,
   tools: tools.TOOLS,
+  unable,
 });
 const views = {};
 
@@ -267,7 +270,7 @@ function thumbnails() {
       (scene.high - height * step[1]) / 2,
       ...step,
     ];
-    state.renderer.drawMap(canvas.getContext("2d"), parts);
+    state.renderer.drawMap(inkOf(canvas), parts);
   }
 }
 
@@ -610,10 +613,12 @@ function arrow(into, [dx, dy], { shiftKey }) {
     return true;
   }
   if (into !== $("map")) return false;
-  const { scene, cursor } = state;
+  const { scene } = state;
   const step = scene.stride * (shiftKey ? 10 : 1);
-  const ends = [scene.rows - 1, scene.columns - 1];
-  const to = [dy, dx].map((by, k) => Math.min(Math.max(cursor[k] + by * step, 0), ends[k]));
+  const [row, column] = state.cursor ?? [0, 0];
+  const within = (value, count) => Math.min(Math.max(value, 0), count - 1);
+  /** @type {Pixel} */
+  const to = [within(row + dy * step, scene.rows), within(column + dx * step, scene.columns)];
   state.pinned = to;
   point(to);
   return true;
@@ -655,7 +660,6 @@ function wired() {
       rows: () => tools.asRows(state),
       content: () => tools.asObject(state),
     },
-    unable,
   });
   for (const button of $("water").querySelectorAll("button"))
     button.addEventListener("click", () => water(button.dataset.raw === "yes").catch(failed));
@@ -665,7 +669,7 @@ function wired() {
   new ResizeObserver(() => {
     thumbnailsLater();
     page.redraw();
-  }).observe(document.querySelector("main"));
+  }).observe(/** @type {Element} */ (document.querySelector("main")));
 }
 
 function fields() {
@@ -764,5 +768,5 @@ async function main() {
 
 // In a report, the map and the points alone; measuring goes on in the map.
 if (window.self !== window.top) document.documentElement.dataset.embedded = "yes";
-window.amulor = state;
+Object.assign(window, { amulor: state });
 main().catch(failed);

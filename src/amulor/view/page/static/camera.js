@@ -1,24 +1,51 @@
 // A camera that goes around what it looks at; matrices in the order of WebGL.
 
+/** @typedef {[number, number, number]} Point */
+
+/**
+ * @param {number} value
+ * @param {number} low
+ * @param {number} high
+ */
 const clamp = (value, low, high) => Math.min(Math.max(value, low), high);
+
+/**
+ * @param {number[]} a
+ * @param {number[]} b
+ */
+const dot = (a, b) => a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
 
 /** Turns about a point, from the side of the instrument; "up" is up in the water. */
 export class Camera {
-  constructor() {
-    this.orthographic = false;
-    this.home({ target: [0, 0, 1], size: 1 });
-  }
+  /** Angle from the lowest to the highest line of sight [rad]. */
+  static ANGLE = (38 * Math.PI) / 180;
 
-  /** Look at a thing of some size from a little above and to the side. */
+  orthographic = false;
+  /** @type {{target: Point, size: number}} */
+  start = { target: [0, 0, 1], size: 1 };
+  /** @type {Point} */
+  target = [0, 0, 1];
+  distance = 1.3;
+  turn = -0.5;
+  rise = 0.42;
+
+  /**
+   * Look at a thing of some size from a little above and to the side.
+   * @param {{target: Point, size: number}} thing
+   */
   home({ target, size }) {
     this.start = { target, size };
-    this.target = [...target];
+    this.target = [target[0], target[1], target[2]];
     this.distance = size * 1.3;
     this.turn = -0.5;
     this.rise = 0.42;
   }
 
-  /** Come so near that places just fit into a view of some width to height. */
+  /**
+   * Come so near that places just fit into a view of some width to height.
+   * @param {number[][]} places
+   * @param {number} aspect
+   */
   fit(places, aspect) {
     const { forward, right, up } = this.frame();
     const share = 0.92 * Math.tan(Camera.ANGLE / 2);
@@ -46,17 +73,28 @@ export class Camera {
     this.rise = 1.55;
   }
 
+  /**
+   * @param {number} dx
+   * @param {number} dy
+   */
   orbit(dx, dy) {
     this.turn -= dx;
     this.rise = clamp(this.rise + dy, -1.55, 1.55);
   }
 
+  /**
+   * @param {number} factor
+   */
   zoom(factor) {
     const size = this.start.size;
     this.distance = clamp(this.distance * factor, size * 0.01, size * 20);
   }
 
-  /** Move by parts of the view's height. */
+  /**
+   * Move by parts of the view's height.
+   * @param {number} dx
+   * @param {number} dy
+   */
   pan(dx, dy) {
     const { right, up } = this.frame();
     const span = this.span();
@@ -93,45 +131,57 @@ export class Camera {
     ];
   }
 
+  /**
+   * Return the matrix from metres to the view.
+   * @param {number} aspect
+   */
   matrix(aspect) {
     const { forward, right, up } = this.frame();
     const eye = this.eye();
-    const dot = (a, b) => a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
     const view = [0, 1, 2].flatMap((k) => [right[k], up[k], -forward[k], 0]);
     view.push(-dot(right, eye), -dot(up, eye), dot(forward, eye), 1);
     const [near, far] = this.planes();
     const deep = far - near;
     if (this.orthographic) {
       const half = this.span() / 2;
-      const depth = [-2 / deep, -(far + near) / deep];
-      return multiplied(projection(1 / (half * aspect), 1 / half, depth, [0, 1]), view);
+      const depth = { a: -2 / deep, b: -(far + near) / deep, c: 0, d: 1 };
+      return multiplied(projection(1 / (half * aspect), 1 / half, depth), view);
     }
     const focal = 1 / Math.tan(Camera.ANGLE / 2);
-    const depth = [-(far + near) / deep, (-2 * far * near) / deep];
-    return multiplied(projection(focal / aspect, focal, depth, [-1, 0]), view);
+    const depth = { a: -(far + near) / deep, b: (-2 * far * near) / deep, c: -1, d: 0 };
+    return multiplied(projection(focal / aspect, focal, depth), view);
   }
 }
 
-Camera.ANGLE = (38 * Math.PI) / 180;
-
-/** Return middle and size of places, all but the outermost, and the places within: a few
-that stand far off make nothing small. */
+/**
+ * Return middle and size of places, all but the outermost, and the places within: a few
+ * that stand far off make nothing small.
+ * @param {Point[]} places
+ */
 export function extent(places) {
   const ends = [0, 1, 2].map((k) => {
     const sorted = places.map((place) => place[k]).sort((a, b) => a - b);
     return [0.01 * sorted.length, 0.99 * (sorted.length - 1)].map((at) => sorted[Math.floor(at)]);
   });
   const size = Math.hypot(...ends.map(([low, high]) => high - low)) || 0.1;
-  const within = (part, k) => part >= ends[k][0] && part <= ends[k][1];
+  const [x, y, z] = ends.map(([low, high]) => (low + high) / 2);
   return {
-    target: ends.map(([low, high]) => (low + high) / 2),
+    /** @type {Point} */
+    target: [x, y, z],
     size,
-    inside: places.filter((place) => place.every(within)),
+    inside: places.filter((place) =>
+      place.every((part, k) => part >= ends[k][0] && part <= ends[k][1]),
+    ),
   };
 }
 
-/** Return a matrix that stretches x and y, and makes (a z + b) / (c z + d) of z. */
-function projection(x, y, [a, b], [c, d]) {
+/**
+ * Return a matrix that stretches x and y, and makes (a z + b) / (c z + d) of z.
+ * @param {number} x
+ * @param {number} y
+ * @param {{a: number, b: number, c: number, d: number}} depth
+ */
+function projection(x, y, { a, b, c, d }) {
   // prettier-ignore
   return [
     x, 0, 0, 0,
@@ -141,7 +191,11 @@ function projection(x, y, [a, b], [c, d]) {
   ];
 }
 
-/** Return the product of two matrices. */
+/**
+ * Return the product of two matrices.
+ * @param {number[]} a
+ * @param {number[]} b
+ */
 export function multiplied(a, b) {
   const out = new Array(16).fill(0);
   for (let column = 0; column < 4; column += 1) {
@@ -152,7 +206,14 @@ export function multiplied(a, b) {
   return out;
 }
 
-/** Return where a point falls on a canvas, in its own pixels, null behind the eye. */
+/**
+ * Return where a point falls on a canvas, in its own pixels, null behind the eye.
+ * @param {number[]} matrix
+ * @param {number[]} point
+ * @param {number} width
+ * @param {number} height
+ * @returns {[number, number] | null}
+ */
 export function projected(matrix, point, width, height) {
   const out = [0, 1, 2, 3].map(
     (row) =>

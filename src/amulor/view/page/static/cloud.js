@@ -1,7 +1,7 @@
 // Points in space, seen by a camera that goes around them.
 
 import { Camera, extent, projected } from "./camera.js";
-import { ratioOf, spotOn } from "./dom.js";
+import { inkOf, ratioOf, spotOn } from "./dom.js";
 import { axes, chains, dot, scaleBar } from "./marks.js";
 import { Motion, turnable } from "./turning.js";
 
@@ -18,8 +18,13 @@ const AXES = [
 export class CloudView {
   constructor(canvas, { hover, pick, changed }) {
     this.canvas = canvas;
-    this.context = canvas.getContext("2d");
+    this.context = inkOf(canvas);
     this.camera = new Camera();
+    /** Places that are to be in view. */
+    this.places = /** @type {import("./camera.js").Point[]} */ ([]);
+    /** Distance and pose at which they were put in view. */
+    this.fitting = 1;
+    this.placed = "";
     this.motion = new Motion(changed);
     turnable(canvas, this.camera, {
       moved: () => this.motion.moved(),
@@ -70,7 +75,7 @@ export class CloudView {
     this.home(scene, shape);
     Object.assign(this.camera, { turn, rise });
     this.#fitted();
-    this.camera.target = this.camera.target.map((part, k) => part + target[k] - start.target[k]);
+    for (const k of [0, 1, 2]) this.camera.target[k] += target[k] - start.target[k];
     this.camera.distance *= distance / before;
     if (!moved) this.placed = this.#pose();
   }
@@ -94,7 +99,7 @@ export class CloudView {
 
   #fitted() {
     const { clientWidth, clientHeight } = this.canvas;
-    if (clientHeight) this.camera.fit(this.places ?? [], clientWidth / clientHeight);
+    if (clientHeight) this.camera.fit(this.places, clientWidth / clientHeight);
     this.fitting = this.camera.distance;
     this.placed = this.#pose();
   }

@@ -1,5 +1,16 @@
 // Colours that mean one thing, and that colour-blind people tell apart.
 
+/**
+ * @typedef {object} Layer
+ * @property {string} name
+ * @property {string} label
+ * @property {string} unit
+ * @property {"range" | "amplitude" | "error" | "chance" | "signed" | "flags" | "hidden"} kind
+ * @property {boolean} before with the water signal
+ * @property {boolean} [derived] computed here
+ */
+/** @typedef {{name: string, mask: number, words: string, unusable: boolean}} Flag */
+
 const STOPS = {
   // viridis and cividis (matplotlib, CC0), grey, and ColorBrewer's RdBu.
   viridis:
@@ -11,7 +22,15 @@ const STOPS = {
     "10457e1854931f63a82a71b2337eb83e8cbf4c99c662a7ce7bb6d690c4dda2cde3b6d7e8c7e0edd5e7f1e1edf3ecf2f5f6f7f7f9efe9fae7dcfcdecdfcd3bcf9c4a9f6b394f3a481eb9172e27b62da6853d05548c53e3dbb2a34ae172a991027840924",
 };
 
-// What each kind of map is drawn in.
+/** @typedef {keyof typeof STOPS} MapName */
+
+/** Names of all maps of colours. */
+export const MAPS = /** @type {MapName[]} */ (Object.keys(STOPS));
+
+/**
+ * What each kind of map is drawn in.
+ * @type {Record<string, MapName>}
+ */
 export const MAP_OF = {
   range: "viridis",
   amplitude: "grey",
@@ -32,6 +51,7 @@ export const INK = {
   grey: "#7a8790",
 };
 
+/** @type {Record<string, string>} */
 const FLAG_COLOURS = {
   missing: "#8a949b",
   saturated: INK.vermilion,
@@ -44,22 +64,39 @@ const FLAG_COLOURS = {
   relative: INK.green,
 };
 
+/**
+ * @param {string} name
+ */
 export function flagColour(name) {
   return FLAG_COLOURS[name] ?? INK.grey;
 }
 
-/** Return the name of a flag as `amulor explain` takes it. */
+/**
+ * Return the name of a flag as `amulor explain` takes it.
+ * @param {string} name
+ */
 export function explained(name) {
   return name.toUpperCase().replaceAll(" ", "_");
 }
 
+/**
+ * @param {string} hex
+ */
 function channels(hex) {
   return [0, 2, 4].map((at) => parseInt(hex.slice(at, at + 2), 16));
 }
 
-/** Return 256 colours of a map as RGBA bytes. */
+/** @param {MapName} name */
+function hexes(name) {
+  return STOPS[name].match(/.{6}/g) ?? [];
+}
+
+/**
+ * Return 256 colours of a map as RGBA bytes.
+ * @param {MapName} name
+ */
 export function table(name) {
-  const stops = STOPS[name].match(/.{6}/g).map(channels);
+  const stops = hexes(name).map(channels);
   const out = new Uint8Array(256 * 4);
   for (let i = 0; i < 256; i += 1) {
     const place = (i / 255) * (stops.length - 1);
@@ -73,7 +110,11 @@ export function table(name) {
   return out;
 }
 
-/** Return the colours of flags, one texel each: 0 is good. */
+/**
+ * Return the colours of flags, one texel each: 0 is good.
+ * @param {Flag[]} flags
+ * @param {string} good
+ */
 export function flagTable(flags, good) {
   const out = new Uint8Array(256 * 4).fill(255);
   out.set(channels(good.slice(1)), 0);
@@ -81,10 +122,16 @@ export function flagTable(flags, good) {
   return out;
 }
 
-/** Return which texel of `flagTable` each pixel has: of its first flag that makes it
-unusable, or else of its first flag. */
+/**
+ * Return which texel of `flagTable` each pixel has: of its first flag that makes it
+ * unusable, or else of its first flag.
+ * @param {ArrayLike<number>} values
+ * @param {Flag[]} flags
+ */
 export function flagRanks(values, flags) {
-  const order = [...flags.keys()].sort((a, b) => flags[b].unusable - flags[a].unusable);
+  const order = [...flags.keys()].sort(
+    (a, b) => Number(flags[b].unusable) - Number(flags[a].unusable),
+  );
   const known = new Map();
   return Float32Array.from(values, (bits) => {
     if (!known.has(bits)) {
@@ -93,10 +140,4 @@ export function flagRanks(values, flags) {
     }
     return known.get(bits);
   });
-}
-
-/** Return a CSS gradient of a colour map. */
-export function gradient(name, direction = "to right") {
-  const stops = STOPS[name].match(/.{6}/g).map((hex) => `#${hex}`);
-  return `linear-gradient(${direction}, ${stops.join(", ")})`;
 }

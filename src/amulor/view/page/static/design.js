@@ -1,7 +1,7 @@
 // The page of a design: sliders, and the map of what the instrument would reach.
 
 import { table } from "./colour.js";
-import { $, made, ratioOf } from "./dom.js";
+import { $, inkOf, made, ratioOf } from "./dom.js";
 import { ErrorMap, hatch, LIMITS, placeIn } from "./error_map.js";
 import { fitted } from "./map.js";
 import { failed, say } from "./panel.js";
@@ -12,15 +12,16 @@ import { short } from "./text.js";
 const STEPS = 200;
 
 const state = {
-  scene: null,
-  settings: {},
-  water: null,
-  found: null,
-  mark: null,
+  // What the server says of the design, and of the map that was asked for last.
+  scene: /** @type {any} */ (null),
+  found: /** @type {any} */ (null),
+  settings: /** @type {Record<string, number>} */ ({}),
+  water: "",
+  mark: /** @type {[number, number] | null} */ (null),
   asked: 0,
   busy: false,
   wanted: false,
-  timing: [],
+  timing: /** @type {Record<string, number>[]} */ ([]),
 };
 const shades = table("cividis");
 let colours = {};
@@ -160,7 +161,7 @@ function bar() {
   const canvas = $("bar");
   fitted(canvas);
   const ratio = ratioOf(canvas);
-  const ink = canvas.getContext("2d");
+  const ink = inkOf(canvas);
   ink.clearRect(0, 0, canvas.width, canvas.height);
   const high = 13 * ratio;
   for (let x = 0; x < canvas.width; x += 1) {
@@ -183,7 +184,7 @@ function legend() {
   const items = state.scene.regions.map((region, number) => {
     const item = made("span", {});
     const swatch = made("canvas", { width: 44, height: 26 });
-    const ink = swatch.getContext("2d");
+    const ink = inkOf(swatch);
     ink.fillStyle = "#7c7b78";
     ink.fillRect(0, 0, 44, 26);
     ink.fillStyle = hatch(ink, number, 1.4);
@@ -284,7 +285,8 @@ function wired() {
   $("save").addEventListener("click", save);
   $("theme").addEventListener("click", toggle);
   document.addEventListener("keydown", (event) => {
-    if (event.ctrlKey || event.metaKey || event.altKey || event.target.tagName === "SELECT") return;
+    if (event.ctrlKey || event.metaKey || event.altKey) return;
+    if (event.target instanceof HTMLSelectElement) return;
     const act = { r: reset, s: save, d: toggle }[event.key.toLowerCase()];
     if (act) act();
   });
@@ -313,5 +315,5 @@ async function main() {
   document.documentElement.dataset.complete = "yes";
 }
 
-window.amulor = state;
+Object.assign(window, { amulor: state });
 main().catch(failed);

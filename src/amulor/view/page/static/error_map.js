@@ -1,11 +1,16 @@
 // The map of total error: colours, lines at whole millimetres, hatched regions, a mark.
 
 import { segments } from "./contours.js";
-import { ratioOf, spotOn } from "./dom.js";
+import { inkOf, ratioOf, spotOn } from "./dom.js";
 import { ticks } from "./text.js";
 
 /** Errors at both ends of the colours [mm]. */
 export const LIMITS = [0.1, 100];
+/** A line at a whole error: dark below, white on it. */
+const LINES = [
+  { width: 3.4, colour: "rgba(8, 24, 34, 0.6)" },
+  { width: 1.6, colour: "#ffffff" },
+];
 const EDGE = { left: 56, right: 14, top: 12, bottom: 42 };
 
 /** Return how a region is hatched. */
@@ -14,7 +19,7 @@ export function hatch(context, number, ratio) {
   const tile = document.createElement("canvas");
   tile.width = size;
   tile.height = size;
-  const ink = tile.getContext("2d");
+  const ink = inkOf(tile);
   ink.strokeStyle = "rgba(255, 255, 255, 0.85)";
   ink.fillStyle = ink.strokeStyle;
   ink.lineWidth = 1.2 * ratio;
@@ -47,7 +52,7 @@ export function shade(value) {
 export class ErrorMap {
   constructor(canvas) {
     this.canvas = canvas;
-    this.context = canvas.getContext("2d");
+    this.context = inkOf(canvas);
     this.image = document.createElement("canvas");
   }
 
@@ -134,7 +139,7 @@ export class ErrorMap {
       image.width = wide;
       image.height = high;
     }
-    const ink = image.getContext("2d");
+    const ink = inkOf(image);
     const pixels = ink.createImageData(wide, high);
     for (let row = 0; row < high; row += 1) {
       for (let column = 0; column < wide; column += 1) {
@@ -173,10 +178,7 @@ export class ErrorMap {
       ctx.moveTo(toX(a), toY(b));
       ctx.lineTo(toX(c), toY(d));
     }
-    for (const [width, colour] of [
-      [3.4, "rgba(8, 24, 34, 0.6)"],
-      [1.6, "#ffffff"],
-    ]) {
+    for (const { width, colour } of LINES) {
       ctx.lineWidth = width * ratio;
       ctx.strokeStyle = colour;
       ctx.stroke();

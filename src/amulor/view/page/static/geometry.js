@@ -1,7 +1,36 @@
 // Points of a scan from its ranges, and the errors of distances between them.
 
+/** @typedef {import("./camera.js").Point} Point */
+/** @typedef {[number, number]} Pixel row and column of the scan */
+/**
+ * How errors of pixels hang together.
+ * @typedef {object} Sharing
+ * @property {number[][] | null} matrix of monomials of the beams, into the basis of the reference
+ * @property {number[][]} powers of azimuth and elevation in each monomial
+ * @property {number[]} middle of azimuth and elevation
+ * @property {number[]} factor of azimuth and elevation
+ * @property {string[]} alike maps of errors that all pixels share
+ * @property {string[]} of_water maps of errors that turn with the modulation phase
+ */
+/**
+ * What lengths are computed from.
+ * @typedef {object} Measured
+ * @property {Beams} beams
+ * @property {Sharing | null} sharing
+ * @property {string} channel
+ * @property {number} group_index
+ * @property {number[]} frequencies
+ * @property {string} [error_unknown]
+ * @property {(name: string, row: number, column: number) => number} value
+ */
+
 const LIGHT = 299792458;
 
+/**
+ * @param {number[]} nodes
+ * @param {number} at
+ * @returns {[number, number, number]}
+ */
 function between(nodes, at) {
   let low = 0;
   let high = nodes.length - 1;
@@ -16,20 +45,30 @@ function between(nodes, at) {
 
 /** Beams of a scan, interpolated between the nodes of a coarse grid. */
 export class Beams {
+  /**
+   * @param {{rows: number[], columns: number[]}} nodes
+   * @param {ArrayLike<number>} values
+   */
   constructor(nodes, values) {
     this.rows = nodes.rows;
     this.columns = nodes.columns;
     this.values = values;
   }
 
-  /** Return the eight numbers of a beam: place, direction, azimuth, elevation. */
+  /**
+   * Return the eight numbers of a beam: place, direction, azimuth, elevation.
+   * @param {number} row
+   * @param {number} column
+   * @returns {number[]}
+   */
   at(row, column) {
     const [r0, r1, v] = between(this.rows, row);
     const [c0, c1, u] = between(this.columns, column);
     const width = this.columns.length;
     const out = new Array(8);
     for (let k = 0; k < 8; k += 1) {
-      const get = (r, c) => this.values[(r * width + c) * 8 + k];
+      const get = (/** @type {number} */ r, /** @type {number} */ c) =>
+        this.values[(r * width + c) * 8 + k];
       out[k] =
         (get(r0, c0) * (1 - u) + get(r0, c1) * u) * (1 - v) +
         (get(r1, c0) * (1 - u) + get(r1, c1) * u) * v;
@@ -37,39 +76,73 @@ export class Beams {
     return out;
   }
 
-  /** Return where a range along a beam ends: right, down, forward [m]. */
+  /**
+   * Return where a range along a beam ends: right, down, forward [m].
+   * @param {number} row
+   * @param {number} column
+   * @param {number} range
+   * @returns {Point}
+   */
   point(row, column, range) {
     const b = this.at(row, column);
     return [b[0] + range * b[3], b[1] + range * b[4], b[2] + range * b[5]];
   }
 }
 
+/**
+ * @param {number[]} a
+ * @param {number[]} b
+ */
 const dot = (a, b) => a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
+/**
+ * @param {number[]} a
+ * @param {number[]} b
+ */
 export const minus = (a, b) => [a[0] - b[0], a[1] - b[1], a[2] - b[2]];
+/**
+ * @param {number[]} a
+ */
 export const norm = (a) => Math.hypot(a[0], a[1], a[2]);
 
-/** Return the vector of a pixel in the basis of the reference, of length 1. */
+/**
+ * @param {number[]} a
+ * @param {number[]} b
+ */
+const inner = (a, b) => a.reduce((sum, part, k) => sum + part * b[k], 0);
+
+/**
+ * Return the vector of a pixel in the basis of the reference, of length 1.
+ * @param {Sharing} sharing
+ * @param {number[]} beam
+ * @returns {number[] | null}
+ */
 function reference(sharing, beam) {
-  if (!sharing.matrix) return null;
+  const { matrix } = sharing;
+  if (!matrix) return null;
   const axes = [0, 1].map((k) => (beam[6 + k] - sharing.middle[k]) * sharing.factor[k]);
   const monomials = sharing.powers.map(([i, j]) => axes[0] ** i * axes[1] ** j);
-  const width = sharing.matrix[0].length;
+  const width = matrix[0].length;
   const out = new Array(width).fill(0);
   monomials.forEach((value, k) => {
-    for (let m = 0; m < width; m += 1) out[m] += value * sharing.matrix[k][m];
+    for (let m = 0; m < width; m += 1) out[m] += value * matrix[k][m];
   });
   const size = Math.hypot(...out);
   return out.map((value) => value / size);
 }
 
-/** Return the covariance of the slant ranges of pixels, as amulor.imaging.correlation. */
+/**
+ * Return the covariance of the slant ranges of pixels, as amulor.imaging.correlation.
+ * @param {Measured} scene
+ * @param {Pixel[]} pixels
+ * @returns {number[][]}
+ */
 export function covariance(scene, pixels) {
   const sharing = scene.sharing;
   const all = pixels.map(([row, column]) => {
     const beam = scene.beams.at(row, column);
-    const get = (name) => scene.value(name, row, column);
+    const get = (/** @type {string} */ name) => scene.value(name, row, column);
     const total = get("uncertainty");
-    if (!sharing) return { total };
+    if (!sharing) return { total, range: NaN, alike: [], ofWater: [], rest: 0, basis: null };
     const alike = sharing.alike.map(get);
     const ofWater = sharing.of_water.map(get);
     const known = [...alike, ...ofWater].reduce((sum, one) => sum + one * one, 0);
@@ -90,18 +163,26 @@ export function covariance(scene, pixels) {
       if (!sharing) return 0;
       const turn =
         turns.reduce((sum, k) => sum + Math.cos(k * (one.range - other.range)), 0) / turns.length;
-      const along = one.basis ? one.basis.reduce((sum, v, k) => sum + v * other.basis[k], 0) : 1;
-      const water = one.ofWater.reduce((sum, v, k) => sum + v * other.ofWater[k], 0);
-      const alike = one.alike.reduce((sum, v, k) => sum + v * other.alike[k], 0);
+      const along = one.basis && other.basis ? inner(one.basis, other.basis) : 1;
+      const water = inner(one.ofWater, other.ofWater);
+      const alike = inner(one.alike, other.alike);
       return one.rest * other.rest * along * turn + water * turn + alike;
     }),
   );
 }
 
+/**
+ * @param {Pixel} a
+ * @param {Pixel} b
+ */
 function samePixel(a, b) {
   return a[0] === b[0] && a[1] === b[1];
 }
 
+/**
+ * @param {Measured} scene
+ * @param {Pixel[]} pixels
+ */
 function pair(scene, pixels) {
   return pixels.map(([row, column]) => {
     const range = scene.value("range", row, column);
@@ -112,6 +193,13 @@ function pair(scene, pixels) {
   });
 }
 
+/**
+ * @param {Measured} scene
+ * @param {string} kind
+ * @param {Pixel[]} pixels
+ * @param {number} value
+ * @param {number[]} slopes
+ */
 function result(scene, kind, pixels, value, slopes) {
   const matrix = covariance(scene, pixels);
   let variance = 0;
@@ -132,7 +220,11 @@ function result(scene, kind, pixels, value, slopes) {
   };
 }
 
-/** Return the distance of two pixels with its uncertainty. */
+/**
+ * Return the distance of two pixels with its uncertainty.
+ * @param {Measured} scene
+ * @param {Pixel[]} pixels
+ */
 export function distance(scene, pixels) {
   const [one, other] = pair(scene, pixels);
   const step = minus(other.place, one.place);
@@ -145,7 +237,12 @@ export function distance(scene, pixels) {
   ]);
 }
 
-/** Return how far the second pixel lies beyond the first along an axis. */
+/**
+ * Return how far the second pixel lies beyond the first along an axis.
+ * @param {Measured} scene
+ * @param {Pixel[]} pixels
+ * @param {number[]} [axis]
+ */
 export function height(scene, pixels, axis = [0, -1, 0]) {
   const size = norm(axis);
   const up = axis.map((part) => part / size);

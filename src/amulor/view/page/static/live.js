@@ -1,5 +1,6 @@
 // A scan that is going on: rows as they come, how it goes, and what to do about it.
 
+import { inkOf } from "./dom.js";
 import { fitted } from "./map.js";
 import { duration, short, ticks } from "./text.js";
 
@@ -171,7 +172,7 @@ export class Live {
     this.drift.hidden = change.length < 2;
     if (this.drift.hidden) return;
     fitted(this.drift);
-    const ctx = this.drift.getContext("2d");
+    const ctx = inkOf(this.drift);
     const ratio = this.drift.width / this.drift.clientWidth;
     ctx.setTransform(ratio, 0, 0, ratio, 0, 0);
     const [width, height] = [this.drift.clientWidth, this.drift.clientHeight];

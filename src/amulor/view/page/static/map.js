@@ -1,6 +1,6 @@
 // The map of one layer: zoom, pick, lines and regions on it.
 
-import { ratioOf, spotOn } from "./dom.js";
+import { inkOf, ratioOf, spotOn } from "./dom.js";
 import { chain, dot, halo, polyline } from "./marks.js";
 import { ticks, withUnit } from "./text.js";
 
@@ -19,7 +19,7 @@ export function fitted(canvas) {
 export class MapView {
   constructor(canvas, { hover, pick, drag }) {
     this.canvas = canvas;
-    this.context = canvas.getContext("2d", { willReadFrequently: false });
+    this.context = inkOf(canvas);
     this.zoom = 1;
     this.middle = null;
     this.pointers = new Map();
@@ -118,10 +118,10 @@ export class MapView {
     if (region) {
       const [a, b] = [region.slice(0, 2), region.slice(2)].map((end) => this.spot(scene, end));
       const mark = strong ? colours.accent : colours.mark;
-      const low = [0, 1].map((k) => Math.min(a[k], b[k]));
+      const [x, y] = [Math.min(a[0], b[0]), Math.min(a[1], b[1])];
       halo(this.context, ratio * 1.5, { ...colours, mark }, () => {
         this.context.beginPath();
-        this.context.rect(...low, Math.abs(a[0] - b[0]), Math.abs(a[1] - b[1]));
+        this.context.rect(x, y, Math.abs(a[0] - b[0]), Math.abs(a[1] - b[1]));
       });
       corner = a;
     }
@@ -174,7 +174,7 @@ export class MapView {
     const before = [pointer.x, pointer.y];
     pointer.moved += Math.abs(event.clientX - before[0]) + Math.abs(event.clientY - before[1]);
     if (this.pointers.size === 2) {
-      const other = [...this.pointers.entries()].find(([id]) => id !== event.pointerId)[1];
+      const [other] = [...this.pointers.values()].filter((one) => one !== pointer);
       const span = (x, y) => Math.hypot(x - other.x, y - other.y);
       this.#zoomed(span(event.clientX, event.clientY) / Math.max(span(...before), 1), {
         clientX: (event.clientX + other.x) / 2,
@@ -220,7 +220,7 @@ function hair(ctx, x, y, gap) {
 export function colourBar(canvas, gradientStops, [low, high], unit, colours, own = 0) {
   // A canvas that is nowhere on the screen states the size of its pixels itself.
   if (!own) fitted(canvas);
-  const ctx = canvas.getContext("2d");
+  const ctx = inkOf(canvas);
   const ratio = own || ratioOf(canvas);
   const { width, height } = canvas;
   ctx.clearRect(0, 0, width, height);

@@ -14,7 +14,8 @@ const ARROWS = {
   ArrowDown: [0, 1],
 };
 
-/** A page around a state; `draw`, `idle`, `said`, `themed` and `tools` are what differs. */
+/** A page around a state; `draw`, `idle`, `said` and `tools`, and of some pages `themed` and
+`unable`, are what differs. */
 export class Page {
   colours = {};
   /** How often a hint was given. */
@@ -141,7 +142,7 @@ export class Page {
 
   /** Let buttons, tools and keys act. `clicks`: what buttons do by their names; `keys`: what
   keys do; `arrow` and `numbered` say whether they took a key; `texts`: the record in words. */
-  wire({ clicks, keys, arrow, numbered, texts, unable = () => "" }) {
+  wire({ clicks, keys, arrow, numbered, texts }) {
     for (const [id, act] of Object.entries(clicks)) {
       $(id).addEventListener("click", () => {
         act();
@@ -150,7 +151,7 @@ export class Page {
     }
     const hint = (text) => this.hint(text);
     wireRecord(this.state, { download, hint, stem: () => this.stem(), ...texts });
-    $("tools").replaceChildren(...this.#on.tools.map((tool) => this.#button(tool, unable(tool))));
+    $("tools").replaceChildren(...this.#on.tools.map((tool) => this.#button(tool)));
     if (this.state.source.saved) $("save").hidden = true;
     this.hint(this.#on.idle);
     document.addEventListener("keydown", (event) => {
@@ -165,7 +166,9 @@ export class Page {
     });
   }
 
-  #button({ kind, name, hint }, unable) {
+  #button(tool) {
+    const { kind, name, hint } = tool;
+    const unable = this.#on.unable?.(tool);
     const button = made("button", { type: "button", textContent: name, title: unable || hint });
     button.disabled = Boolean(unable);
     button.dataset.kind = kind;

@@ -1,6 +1,23 @@
 // Which point of a cloud or place of a mesh is seen at a pixel, and lengths between such.
 
-/** Return what is seen at a place on the canvas [its pixels], null beside all of it. */
+/** @typedef {import("./camera.js").Point} Point */
+/** @typedef {{place: Point, corners: number[], weights: number[]}} Pick */
+/** @typedef {{position: Float32Array, faces: Uint32Array | null, count: number}} Shape */
+/** @typedef {{x: number, y: number, width: number, height: number}} Spot of a canvas */
+/** @typedef {{dot: number, shrinks: boolean}} Dots size, and whether far ones are smaller */
+/**
+ * Errors by name, whether beams come from the origin, and what was taken off all places.
+ * @typedef {{numbers: Record<string, ArrayLike<number>>, beams: boolean, centre: number[]}} Known
+ */
+
+/**
+ * Return what is seen at a place on the canvas [its pixels], null beside all of it.
+ * @param {Shape} shape
+ * @param {number[]} matrix
+ * @param {Spot} spot
+ * @param {Dots} dots
+ * @returns {Pick | null}
+ */
 export function seen(
   { position, faces, count },
   matrix,
@@ -12,6 +29,14 @@ export function seen(
     : onCloud(position, count, matrix, { x, y, width, height }, { dot, shrinks });
 }
 
+/**
+ * @param {Float32Array} position
+ * @param {number} count
+ * @param {number[]} m
+ * @param {Spot} spot
+ * @param {Dots} dots
+ * @returns {Pick | null}
+ */
 function onCloud(position, count, m, { x, y, width, height }, { dot, shrinks }) {
   // Numbers by themselves: millions of points are looked at while somebody waits.
   const [x0, y0, z0, w0, x1, y1, z1, w1, x2, y2, z2, w2, x3, y3, z3, w3] = m;
@@ -39,12 +64,19 @@ function onCloud(position, count, m, { x, y, width, height }, { dot, shrinks }) 
   }
   if (best < 0) return null;
   return {
-    place: Array.from(position.subarray(3 * best, 3 * best + 3)),
+    place: [position[3 * best], position[3 * best + 1], position[3 * best + 2]],
     corners: [best],
     weights: [1],
   };
 }
 
+/**
+ * @param {Float32Array} position
+ * @param {Uint32Array} faces
+ * @param {number[]} m
+ * @param {Spot} spot
+ * @returns {Pick | null}
+ */
 function onMesh(position, faces, m, { x, y, width, height }) {
   const count = position.length / 3;
   const spot = new Float64Array(4 * count);
@@ -56,7 +88,8 @@ function onMesh(position, faces, m, { x, y, width, height }) {
     spot[4 * i + 2] = (m[2] * a + m[6] * b + m[10] * c + m[14]) / w;
     spot[4 * i + 3] = w;
   }
-  let best = null;
+  let best = -1;
+  let parts = [0, 0, 0];
   let least = Infinity;
   for (let t = 0; t < faces.length; t += 3) {
     const [i, j, k] = [4 * faces[t], 4 * faces[t + 1], 4 * faces[t + 2]];
@@ -77,29 +110,38 @@ function onMesh(position, faces, m, { x, y, width, height }) {
     // Beyond the planes of the camera nothing is drawn.
     if (Math.abs(depth) <= 1 && depth < least) {
       least = depth;
-      best = [t, u / spot[i + 3], v / spot[j + 3], w / spot[k + 3]];
+      best = t;
+      parts = [u / spot[i + 3], v / spot[j + 3], w / spot[k + 3]];
     }
   }
-  if (!best) return null;
-  const [t, ...parts] = best;
+  if (best < 0) return null;
   const total = parts[0] + parts[1] + parts[2];
   const weights = parts.map((part) => part / total);
-  const corners = [faces[t], faces[t + 1], faces[t + 2]];
-  const place = [0, 1, 2].map((axis) =>
+  const corners = [faces[best], faces[best + 1], faces[best + 2]];
+  const [x0, y0, z0] = [0, 1, 2].map((axis) =>
     corners.reduce((sum, corner, n) => sum + weights[n] * position[3 * corner + axis], 0),
   );
-  return { place, corners, weights };
+  return { place: [x0, y0, z0], corners, weights };
 }
 
-/** Return a number of a picked place, between the corners of its triangle. */
+/**
+ * Return a number of a picked place, between the corners of its triangle.
+ * @param {ArrayLike<number> | undefined} values
+ * @param {{corners: number[], weights: number[]}} pick
+ */
 export function numberAt(values, { corners, weights }) {
   return values ? corners.reduce((sum, corner, n) => sum + weights[n] * values[corner], 0) : NaN;
 }
 
-/** Return a length along a direction between two picks, and how large its error may be.
-
-The file knows the error of each point, and not how those of two points correlate; the
-bound holds for every correlation from 0 to 1. */
+/**
+ * Return a length along a direction between two picks, and how large its error may be.
+ * The file knows the error of each point, and not how those of two points correlate; the
+ * bound holds for every correlation from 0 to 1.
+ * @param {Known} scene
+ * @param {Pick} one
+ * @param {Pick} other
+ * @param {number[]} direction
+ */
 export function lengthAlong(scene, one, other, direction) {
   const value = [0, 1, 2].reduce(
     (sum, k) => sum + (other.place[k] - one.place[k]) * direction[k],
@@ -112,8 +154,13 @@ export function lengthAlong(scene, one, other, direction) {
   return { value, bound: Math.sqrt(a.own ** 2 + b.own ** 2 + shared) };
 }
 
+/**
+ * @param {Known} scene
+ * @param {Pick} pick
+ * @param {number[]} direction
+ */
 function errorAlong({ numbers, beams, centre }, pick, direction) {
-  const get = (name) => numberAt(numbers[name], pick);
+  const get = (/** @type {string} */ name) => numberAt(numbers[name], pick);
   const sigma = get("uncertainty");
   if (beams && Number.isFinite(sigma)) {
     // In the instrument's axes the beam comes from the origin.
@@ -131,15 +178,21 @@ function errorAlong({ numbers, beams, centre }, pick, direction) {
     };
   }
   const parts = ["sigma_x", "sigma_y", "sigma_z"].map(get);
-  if (parts.every(Number.isFinite))
-    return {
-      signed: false,
-      whole: parts.reduce((sum, part, k) => sum + Math.abs(part * direction[k]), 0),
-    };
-  return Number.isFinite(sigma) ? { signed: false, whole: sigma } : null;
+  // Errors of unknown sign: nothing is known of what two points share.
+  const known = { signed: false, own: NaN, shared: NaN };
+  if (parts.every(Number.isFinite)) {
+    const whole = parts.reduce((sum, part, k) => sum + Math.abs(part * direction[k]), 0);
+    return { ...known, whole };
+  }
+  return Number.isFinite(sigma) ? { ...known, whole: sigma } : null;
 }
 
-/** Return the distance of two picks and how large its error may be. */
+/**
+ * Return the distance of two picks and how large its error may be.
+ * @param {Known} scene
+ * @param {Pick} one
+ * @param {Pick} other
+ */
 export function distanceOf(scene, one, other) {
   const apart = other.place.map((part, k) => part - one.place[k]);
   const value = Math.hypot(...apart);

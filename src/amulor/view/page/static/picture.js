@@ -1,6 +1,6 @@
 // A view as a picture that says what it shows: title, colours, and what it rests on.
 
-import { ratioOf } from "./dom.js";
+import { inkOf, ratioOf } from "./dom.js";
 import { colourBar } from "./map.js";
 
 /** Return a canvas with a view, its title above, its colours and words below. */
@@ -9,7 +9,7 @@ export function pictureOf({ view, title, words, bar, colours }) {
   const width = Math.max(view.width, Math.round(420 * ratio));
   const edge = 14 * ratio;
   const canvas = document.createElement("canvas");
-  const ctx = canvas.getContext("2d");
+  const ctx = inkOf(canvas);
   const small = `${11.5 * ratio}px ${colours.font}`;
   ctx.font = small;
   const lines = words.flatMap((text) => wrapped(ctx, text, width - 2 * edge));

@@ -1,14 +1,14 @@
 // Line profile, histogram and spectrum, drawn on plain canvases.
 
 import { INK } from "./colour.js";
-import { ratioOf } from "./dom.js";
+import { inkOf, ratioOf } from "./dom.js";
 import { fitted } from "./map.js";
 import { sampled } from "./scene.js";
 import { scaled, ticks } from "./text.js";
 
 function started(canvas) {
   fitted(canvas);
-  const ctx = canvas.getContext("2d");
+  const ctx = inkOf(canvas);
   const ratio = ratioOf(canvas);
   ctx.setTransform(ratio, 0, 0, ratio, 0, 0);
   ctx.clearRect(0, 0, canvas.width, canvas.height);
@@ -502,7 +502,13 @@ function rings(ctx, x, y, size, colour) {
   ctx.stroke();
 }
 
-/** Fill a circle faintly. */
+/**
+ * Fill a circle faintly.
+ * @param {CanvasRenderingContext2D} ctx
+ * @param {number[]} middle
+ * @param {number} radius
+ * @param {string} colour
+ */
 function disc(ctx, [x, y], radius, colour) {
   ctx.globalAlpha = 0.25;
   ctx.fillStyle = colour;

@@ -95,6 +95,10 @@ void main() {
 
 /** Points or triangles on the graphics unit. */
 export class PointRenderer {
+  /** Points, and corners of triangles where there are some. */
+  count = 0;
+  corners = 0;
+
   constructor() {
     this.canvas = document.createElement("canvas");
     const gl = this.canvas.getContext("webgl2", { antialias: false, preserveDrawingBuffer: true });
@@ -218,7 +222,7 @@ export class PointRenderer {
     gl.bindFramebuffer(gl.FRAMEBUFFER, this.frame);
     gl.viewport(0, 0, width, height);
     gl.enable(gl.DEPTH_TEST);
-    gl.clearColor(...ground, 1);
+    gl.clearColor(ground[0], ground[1], ground[2], 1);
     gl.clear(gl.COLOR_BUFFER_BIT | gl.DEPTH_BUFFER_BIT);
     const { made, places } = this.shape;
     gl.useProgram(made);
@@ -227,11 +231,11 @@ export class PointRenderer {
     gl.bindTexture(gl.TEXTURE_2D, this.table);
     gl.uniform1i(places.uTable, 0);
     gl.uniform1i(places.uKind, kind);
-    gl.uniform2f(places.uLimits, ...limits);
-    gl.uniform3f(places.uMissing, ...missing);
+    gl.uniform2fv(places.uLimits, limits);
+    gl.uniform3fv(places.uMissing, missing);
     gl.uniform1i(places.uSurface, this.corners ? 1 : 0);
-    gl.uniform3f(places.uLight, ...light);
-    gl.uniform3f(places.uForward, ...forward);
+    gl.uniform3fv(places.uLight, light);
+    gl.uniform3fv(places.uForward, forward);
     gl.uniformMatrix4fv(places.uProject, false, matrix);
     gl.uniform1f(places.uDot, dot);
     gl.uniform1i(places.uShrinks, shrinks ? 1 : 0);
@@ -254,7 +258,7 @@ export class PointRenderer {
       gl.uniform1i(unit ? places.uDepth : places.uPicture, unit);
     });
     gl.activeTexture(gl.TEXTURE0);
-    gl.uniform2f(places.uPlanes, ...planes);
+    gl.uniform2fv(places.uPlanes, planes);
     gl.uniform1i(places.uShrinks, shrinks ? 1 : 0);
     gl.uniform1f(places.uStep, step);
     gl.uniform1f(places.uReach, reach);

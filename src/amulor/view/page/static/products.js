@@ -68,31 +68,36 @@ const OPTIONS = {
 
 /** The dialog in which products are ordered. */
 export class Products {
+  /** @type {any[]} */
+  offers = [];
+  /** @type {Map<string, any>} */
+  inputs = new Map();
+  /** What was said before, by the names of options. @type {Record<string, any>} */
+  kept = {};
+  kind = made("select", { id: "product-kind", ariaLabel: "Product" });
+  ending = made("select", { id: "product-ending", ariaLabel: "Format" });
+  fields = made("div", { className: "fields" });
+  said = made("p", { className: "hint", id: "product-said" });
+  make = made("button", {
+    type: "button",
+    className: "tool",
+    id: "product-make",
+    textContent: "Make and keep",
+  });
+
   constructor(dialog, page) {
     this.dialog = dialog;
     this.page = page;
-    this.kept = {};
   }
 
   /** Ask what can be made; returns whether there is anything. */
   async offered() {
     this.offers = await this.page.source.products();
     if (!this.offers.length) return false;
-    this.kind = made(
-      "select",
-      { id: "product-kind", ariaLabel: "Product" },
+    this.kind.replaceChildren(
       ...this.offers.map(({ product, label }) => new Option(label, product)),
     );
-    this.ending = made("select", { id: "product-ending", ariaLabel: "Format" });
-    this.fields = made("div", { className: "fields" });
-    this.said = made("p", { className: "hint", id: "product-said" });
     this.said.setAttribute("role", "status");
-    this.make = made("button", {
-      type: "button",
-      className: "tool",
-      id: "product-make",
-      textContent: "Make and keep",
-    });
     const close = made("button", { type: "button", className: "tool", textContent: "Close" });
     this.dialog.replaceChildren(
       made("h2", { textContent: "Products" }),
@@ -125,7 +130,7 @@ export class Products {
     this.ending.replaceChildren(
       ...endings.map((ending) => new Option(ending.slice(1).toUpperCase(), ending)),
     );
-    this.inputs = new Map();
+    this.inputs.clear();
     this.fields.replaceChildren(...options.map((name) => this.#field(name)));
     this.#line();
   }

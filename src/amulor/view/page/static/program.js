@@ -1,27 +1,35 @@
 // A program for the graphics unit, compiled, and the places of its uniforms by name.
 
+/**
+ * Return a program of two shaders, and the places of its uniforms.
+ * @param {WebGL2RenderingContext} gl
+ * @param {{vertex: string, fragment: string}} sources
+ */
 export function program(gl, { vertex, fragment }) {
   const made = gl.createProgram();
-  for (const [kind, text] of [
-    [gl.VERTEX_SHADER, vertex],
-    [gl.FRAGMENT_SHADER, fragment],
-  ]) {
-    const shader = gl.createShader(kind);
+  const shaders = [
+    { kind: gl.VERTEX_SHADER, text: vertex },
+    { kind: gl.FRAGMENT_SHADER, text: fragment },
+  ].map(({ kind, text }) => {
+    // Null where the graphics unit was lost, which the page is told by an event of its own.
+    const shader = /** @type {WebGLShader} */ (gl.createShader(kind));
     gl.shaderSource(shader, text);
     gl.compileShader(shader);
     gl.attachShader(made, shader);
-  }
+    return shader;
+  });
   gl.linkProgram(made);
   if (!gl.getProgramParameter(made, gl.LINK_STATUS)) {
-    const logs = gl.getAttachedShaders(made).map((shader) => gl.getShaderInfoLog(shader));
+    const logs = shaders.map((shader) => gl.getShaderInfoLog(shader));
     throw new Error(
       `The graphics unit refuses a program: ${[gl.getProgramInfoLog(made), ...logs].join(" ")}`,
     );
   }
+  /** @type {Record<string, WebGLUniformLocation | null>} */
   const places = {};
   const count = gl.getProgramParameter(made, gl.ACTIVE_UNIFORMS);
   for (let k = 0; k < count; k += 1) {
-    const { name } = gl.getActiveUniform(made, k);
+    const name = gl.getActiveUniform(made, k)?.name ?? "";
     places[name] = gl.getUniformLocation(made, name);
   }
   return { made, places };

@@ -7,7 +7,7 @@ export class MeasurementRecord {
   #state;
   #changed;
   #before = [];
-  #key;
+  #key = "";
 
   constructor(state, changed) {
     this.#state = state;
@@ -23,7 +23,7 @@ export class MeasurementRecord {
     );
     let measurements = source.measurements ?? [];
     try {
-      measurements = JSON.parse(sessionStorage.getItem(this.#key)) ?? measurements;
+      measurements = JSON.parse(sessionStorage.getItem(this.#key) ?? "null") ?? measurements;
     } catch {
       // Pages in frames of reports may have no storage.
     }

@@ -139,7 +139,8 @@ export class Renderer {
     const { width, height } = context.canvas;
     this.#sized(width, height);
     gl.enable(gl.DEPTH_TEST);
-    gl.clearColor(...(pick ? [0, 0, 0, 0] : [...ground, 1]));
+    const [red, green, blue, cover] = pick ? [0, 0, 0, 0] : [...ground, 1];
+    gl.clearColor(red, green, blue, cover);
     if (pick) gl.scissor(Math.max(pick.x - 6, 0), Math.max(height - pick.y - 7, 0), 13, 13);
     gl.clear(gl.COLOR_BUFFER_BIT | gl.DEPTH_BUFFER_BIT);
     this.#use(

@@ -1,20 +1,52 @@
 // One channel of a recording: its maps, its beams, and what a pixel of it says.
 
-import { flagRanks, flagTable, MAP_OF, table } from "./colour.js";
+import { flagRanks, flagTable, MAP_OF, MAPS, table } from "./colour.js";
 import { Beams } from "./geometry.js";
 
 /** Lengths [m] and chances [1] below this are rounding. */
 export const ROUNDING = 1e-9;
 
+/** @typedef {import("./colour.js").Layer} Layer */
+/** @typedef {import("./colour.js").Flag} Flag */
+
 /** Numbers of a channel, kept here and on the graphics unit. */
 export class Scene {
+  // What the server, or the page, says of a channel.
+  channel = "";
+  rows = 0;
+  columns = 0;
+  stride = 1;
+  /** @type {Layer[]} */
+  layers = [];
+  /** @type {Flag[]} */
+  flags = [];
+  /** @type {{rows: number[], columns: number[]}} */
+  nodes = { rows: [], columns: [] };
+  // What follows from it.
+  wide = 0;
+  high = 0;
+  main = "range";
+  reach = 1;
+  typical = 1;
+  aspect = 1;
+  spacing = { row: 1e-3, column: 1e-3 };
+  beams = new Beams(this.nodes, new Float32Array());
+  /** @type {Map<string, Layer>} */
+  byName = new Map();
+
   constructor(source, renderer) {
     this.source = source;
     this.renderer = renderer;
     this.maps = new Map();
     this.loading = new Map();
-    for (const name of ["viridis", "cividis", "grey", "signed"])
-      renderer.keep(`table ${name}`, 256, 1, table(name));
+    for (const name of MAPS) renderer.keep(`table ${name}`, 256, 1, table(name));
+  }
+
+  /** Return what is said of a map. */
+  about(name) {
+    const layer = this.byName.get(name);
+    if (!layer) throw new Error(`There is no map "${name}" here.`);
+    return layer;
   }
 
   /** Load what is described; maps come when they are asked for. */
@@ -64,7 +96,7 @@ export class Scene {
     this.renderer.keep("columns", this.wide, 1, shares(columns, this.wide, this.stride), 2);
     const centre = [Math.floor(this.rows / 2), Math.floor(this.columns / 2)];
     const step = (row, column) => {
-      const one = this.beams.at(...centre);
+      const one = this.beams.at(centre[0], centre[1]);
       const other = this.beams.at(row, column);
       const far = this.typical || 1;
       return Math.hypot(
@@ -91,8 +123,7 @@ export class Scene {
   }
 
   async #loaded(name) {
-    const layer = this.byName.get(name);
-    if (!layer) throw new Error(`There is no map "${name}" here.`);
+    const layer = this.about(name);
     let values;
     if (layer.derived) {
       const [after, before] = await Promise.all([this.load("range"), this.load("range_before")]);
@@ -121,7 +152,7 @@ export class Scene {
 
   /** Average a range map over neighbours, for light and contours only. Until it is known
   where the surface has steps, which no mean goes across, it stays as it is. */
-  smooth(name, reach = this.reach ?? 1) {
+  smooth(name, reach = this.reach) {
     this.reach = reach;
     const map = this.maps.get(name);
     if (!map) return;
@@ -210,7 +241,7 @@ export class Scene {
 
   /** Return what the programs of the graphics unit need of this scene. */
   uniforms(name, limits, look) {
-    const layer = this.byName.get(name);
+    const layer = this.about(name);
     const shape = look.raw && this.byName.has("range_before") ? "range_before" : this.main;
     return {
       layer: `map ${name}`,

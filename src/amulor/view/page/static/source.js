@@ -76,6 +76,8 @@ class Served {
 class Saved {
   saved = true;
   #scenes;
+  /** @type {Record<string, Float32Array>} */
+  #cubes = {};
 
   constructor(content) {
     this.#scenes = content.scenes;
@@ -94,13 +96,13 @@ class Saved {
 
   async spectrum(channel, row, column) {
     const scene = this.#scenes[channel];
+    /** @type {Record<string, any>} */
     const found = { frequency: scene.frequencies };
     for (const name of ["before", "after"]) {
       if (!element(`spectrum/${channel}/${name}`)) continue;
-      this.cubes ??= {};
       const key = `${channel}/${name}`;
-      this.cubes[key] ??= new Float32Array((await unpacked(`spectrum/${key}`, 4)).buffer);
-      found[name] = line(this.cubes[key], scene, row, column);
+      this.#cubes[key] ??= new Float32Array((await unpacked(`spectrum/${key}`, 4)).buffer);
+      found[name] = line(this.#cubes[key], scene, row, column);
     }
     if (!found.before && !found.after) return null;
     if (found.before && found.after) found.water = difference(found.before, found.after);
@@ -177,7 +179,11 @@ export class SpaceSource {
     return this.saved ? this.content.scenes.space : this.#served.scene();
   }
 
-  /** Return numbers by name: floats, whole numbers, or bytes. */
+  /**
+   * Return numbers by name: floats, whole numbers, or bytes.
+   * @param {string} name
+   * @param {Float32ArrayConstructor | Uint32ArrayConstructor | Uint8ArrayConstructor} [Kind]
+   */
   async numbers(name, Kind = Float32Array) {
     const buffer = this.saved
       ? (await unpacked(`layer/space/${name}`, Kind.BYTES_PER_ELEMENT)).buffer

@@ -2,7 +2,7 @@
 
 import { Camera, extent, multiplied, projected } from "./camera.js";
 import { flagRanks, flagTable } from "./colour.js";
-import { $, made, ratioOf, spotOn } from "./dom.js";
+import { $, inkOf, made, ratioOf, spotOn } from "./dom.js";
 import { fitted } from "./map.js";
 import { axes, chains, dot, halo, scaleBar } from "./marks.js";
 import { Page } from "./page.js";
@@ -31,20 +31,24 @@ const TURNS = {
 const AXES = { x: [1, 0, 0], y: [0, 1, 0], z: [0, 0, 1] };
 const UPWARDS = { "-y": [0, -1, 0], y: [0, 1, 0], z: [0, 0, 1] };
 
+/** @typedef {import("./picking.js").Pick} Pick */
+
 const state = {
   source: new SpaceSource(),
-  scene: null,
+  // What the server, or the page, says, and the numbers by name.
+  scene: /** @type {any} */ (null),
   layerName: "height",
   limits: [0, 1],
   tables: {},
   tool: null,
-  picks: [],
-  measurements: [],
+  picks: /** @type {Pick[]} */ ([]),
+  measurements: /** @type {any[]} */ ([]),
   chosen: null,
   number: 0,
   up: "z",
-  cursor: null,
+  cursor: /** @type {Pick | null} */ (null),
   counted: "points",
+  places: /** @type {import("./camera.js").Point[]} */ ([]),
 };
 const camera = new Camera();
 const page = new Page(state, {
@@ -58,10 +62,14 @@ let renderer;
 let context;
 let by = null;
 
-/** Return a place of the file as the camera sees it. */
+/**
+ * Return a place of the file as the camera sees it.
+ * @returns {import("./camera.js").Point}
+ */
 function turned(place) {
   const m = TURNS[state.up];
-  return [0, 1, 2].map((row) => m[row] * place[0] + m[4 + row] * place[1] + m[8 + row] * place[2]);
+  const along = (row) => m[row] * place[0] + m[4 + row] * place[1] + m[8 + row] * place[2];
+  return [along(0), along(1), along(2)];
 }
 
 /** Return a direction of the camera in the axes of the file. */
@@ -286,6 +294,11 @@ function readout() {
   showReadout(rows, flags);
 }
 
+/**
+ * Measure between two picks.
+ * @param {string} kind
+ * @param {Pick[]} picks
+ */
 function measured(kind, [one, other]) {
   const { scene } = state;
   const up = UPWARDS[state.up];
@@ -474,7 +487,7 @@ function wired() {
     home();
     show(by);
   });
-  new ResizeObserver(redraw).observe(document.querySelector("main"));
+  new ResizeObserver(redraw).observe(/** @type {Element} */ (document.querySelector("main")));
 }
 
 /** Load all numbers of the file. */
@@ -543,7 +556,7 @@ async function opened() {
 async function main() {
   renderer = new PointRenderer();
   renderer.lost = () => say("The graphics unit was lost; reload the page.");
-  context = $("space").getContext("2d");
+  context = inkOf($("space"));
   state.tables.hidden = state.tables.range;
   page.theme();
   wired();
@@ -553,5 +566,5 @@ async function main() {
 }
 
 state.views = { camera, seenBy, seenAt, turned };
-window.amulor = state;
+Object.assign(window, { amulor: state });
 main().catch(failed);

@@ -17,7 +17,12 @@ const VOLTS = [
   { unit: "nV", factor: 1e9 },
 ];
 
-/** Return unit and factor in which a size reads well. */
+/**
+ * Return unit and factor in which a size reads well.
+ * @param {number} size
+ * @param {string} unit
+ * @returns {{unit: string, factor: number}}
+ */
 export function scaled(size, unit) {
   const magnitude = Math.abs(size);
   if (unit === "m")
@@ -32,7 +37,11 @@ export function scaled(size, unit) {
   return { unit: "", factor: 1 };
 }
 
-/** Return a number in a few digits, without an exponent where it can be helped. */
+/**
+ * Return a number in a few digits, without an exponent where it can be helped.
+ * @param {number | null} value
+ * @param {number} [digits]
+ */
 export function short(value, digits = 4) {
   if (value === null || !Number.isFinite(value)) return "–";
   if (value === 0) return "0";
@@ -41,14 +50,24 @@ export function short(value, digits = 4) {
   return minus(value.toFixed(Math.max(0, digits - 1 - size)));
 }
 
-/** Return a value with its unit. */
+/**
+ * Return a value with its unit.
+ * @param {number | null} value
+ * @param {string} unit
+ * @param {number} [digits]
+ */
 export function withUnit(value, unit, digits = 4) {
   if (value === null || !Number.isFinite(value)) return "–";
   const one = scaled(value, unit);
   return `${short(value * one.factor, digits)}${one.unit === "°" ? "" : " "}${one.unit}`.trim();
 }
 
-/** Return a value and its standard uncertainty, two digits of that. */
+/**
+ * Return a value and its standard uncertainty, two digits of that.
+ * @param {number} value
+ * @param {number} uncertainty
+ * @param {string} unit
+ */
 export function withError(value, uncertainty, unit) {
   if (!Number.isFinite(uncertainty) || uncertainty <= 0) return withUnit(value, unit);
   // Lengths of up to ten metres are read in millimetres where their error is one.
@@ -64,17 +83,25 @@ export function withError(value, uncertainty, unit) {
   return gap || one.unit === "" ? `${both}${gap}${one.unit}` : `(${both})${one.unit}`;
 }
 
+/**
+ * @param {string} text
+ */
 function minus(text) {
   return text.replace("-", "−");
 }
 
-/** Return ticks that fall on round numbers, and how many places they need. */
+/**
+ * Return ticks that fall on round numbers, and how many places they need.
+ * @param {number} low
+ * @param {number} high
+ * @param {number} [wanted]
+ */
 export function ticks(low, high, wanted = 5) {
   const span = high - low;
-  if (!(span > 0)) return { values: [low], places: 2 };
+  if (!(span > 0)) return { values: [low], places: 2, step: 0 };
   const raw = span / wanted;
   const size = 10 ** Math.floor(Math.log10(raw));
-  const step = size * [1, 2, 5, 10].find((one) => one * size >= raw);
+  const step = size * ([1, 2, 5].find((one) => one * size >= raw) ?? 10);
   const places = Math.max(0, -Math.floor(Math.log10(step) + 1e-9));
   const values = [];
   for (let at = Math.ceil(low / step - 1e-9) * step; at <= high + 1e-9 * span; at += step)
@@ -82,7 +109,10 @@ export function ticks(low, high, wanted = 5) {
   return { values, places, step };
 }
 
-/** Return seconds as a person says them. */
+/**
+ * Return seconds as a person says them.
+ * @param {number} seconds
+ */
 export function duration(seconds) {
   if (!Number.isFinite(seconds)) return "–";
   const whole = Math.max(0, Math.round(seconds));

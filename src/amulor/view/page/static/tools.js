@@ -3,7 +3,19 @@
 import { distance, height } from "./geometry.js";
 import { withError, withUnit } from "./text.js";
 
-// Kind, name on the button, how many points, and what to do in words.
+/**
+ * What is measured.
+ * @typedef {object} Tool
+ * @property {string} kind
+ * @property {string} name on its button
+ * @property {string} hint what to do
+ * @property {number} [points] how many are picked
+ * @property {number} [least] how many at least, where it is open
+ * @property {boolean} [region] a rectangle is dragged
+ * @property {number[]} [axis] of heights
+ */
+
+/** @type {Tool[]} */
 export const TOOLS = [
   { kind: "distance", name: "distance", points: 2, hint: "Pick two points." },
   {
@@ -56,7 +68,7 @@ export const TOOLS = [
 ];
 
 export function toolOf(kind) {
-  return TOOLS.find((tool) => tool.kind === kind);
+  return /** @type {Tool} */ (TOOLS.find((tool) => tool.kind === kind));
 }
 
 /** Measure what was picked, by the server or in the page. */
@@ -70,6 +82,7 @@ export async function measured(state, tool, picks, region) {
     );
     return tool.kind === "distance" ? distance(scene, picks) : height(scene, picks, tool.axis);
   }
+  /** @type {Record<string, unknown>} */
   const request = {
     kind: tool.axis ? "height" : tool.kind,
     channel: scene.channel,

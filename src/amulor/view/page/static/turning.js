@@ -1,5 +1,15 @@
 // Turning a view in space: drag turns, Shift or two fingers move, the wheel zooms.
 
+/** @typedef {{x: number, y: number, moved: number}} Pointer */
+/**
+ * What is done when the view has moved, is pointed at, is picked in, and double-clicked.
+ * @typedef {object} Acts
+ * @property {() => void} moved
+ * @property {(event: PointerEvent) => void} hover
+ * @property {(event: PointerEvent) => void} pick
+ * @property {() => void} home
+ */
+
 /** How long a view counts as moving after its last move [ms]. */
 const REST = 180;
 
@@ -8,6 +18,9 @@ export class Motion {
   #count = 0;
   #changed;
 
+  /**
+   * @param {() => void} changed
+   */
   constructor(changed) {
     this.#changed = changed;
   }
@@ -29,15 +42,24 @@ export class Motion {
   }
 }
 
-/** Let pointers on a canvas move a camera; they pick where they are not dragged. */
+/**
+ * Let pointers on a canvas move a camera; they pick where they are not dragged.
+ * @param {HTMLCanvasElement} canvas
+ * @param {import("./camera.js").Camera} camera
+ * @param {Acts} acts
+ */
 export function turnable(canvas, camera, { moved, hover, pick, home }) {
+  /** @type {Map<number, Pointer>} */
   const pointers = new Map();
-  const wheel = (event) => {
-    event.preventDefault();
-    camera.zoom(Math.exp(event.deltaY * 0.0013));
-    moved();
-  };
-  canvas.addEventListener("wheel", wheel, { passive: false });
+  canvas.addEventListener(
+    "wheel",
+    (event) => {
+      event.preventDefault();
+      camera.zoom(Math.exp(event.deltaY * 0.0013));
+      moved();
+    },
+    { passive: false },
+  );
   canvas.addEventListener("pointerdown", ({ pointerId, clientX, clientY }) => {
     canvas.setPointerCapture(pointerId);
     pointers.set(pointerId, { x: clientX, y: clientY, moved: 0 });
@@ -49,13 +71,12 @@ export function turnable(canvas, camera, { moved, hover, pick, home }) {
     dragged(camera, pointer, other, event, canvas.clientHeight);
     return moved();
   });
-  for (const name of ["pointerup", "pointercancel"]) {
-    canvas.addEventListener(name, (event) => {
-      const pointer = pointers.get(event.pointerId);
-      pointers.delete(event.pointerId);
-      if (pointer && pointer.moved < 6 && name === "pointerup") pick(event);
-    });
-  }
+  canvas.addEventListener("pointercancel", ({ pointerId }) => pointers.delete(pointerId));
+  canvas.addEventListener("pointerup", (event) => {
+    const pointer = pointers.get(event.pointerId);
+    pointers.delete(event.pointerId);
+    if (pointer && pointer.moved < 6) pick(event);
+  });
   canvas.addEventListener("contextmenu", (event) => event.preventDefault());
   canvas.addEventListener("dblclick", () => {
     home();
@@ -63,12 +84,20 @@ export function turnable(canvas, camera, { moved, hover, pick, home }) {
   });
 }
 
+/**
+ * @param {import("./camera.js").Camera} camera
+ * @param {Pointer} pointer
+ * @param {Pointer | undefined} other
+ * @param {PointerEvent} event
+ * @param {number} tall
+ */
 function dragged(camera, pointer, other, event, tall) {
   const [dx, dy] = [event.clientX - pointer.x, event.clientY - pointer.y];
   pointer.moved += Math.abs(dx) + Math.abs(dy);
   if (other) {
-    const span = (x, y) => Math.max(Math.hypot(x - other.x, y - other.y), 1);
-    camera.zoom(span(pointer.x, pointer.y) / span(event.clientX, event.clientY));
+    const before = Math.hypot(pointer.x - other.x, pointer.y - other.y);
+    const after = Math.hypot(event.clientX - other.x, event.clientY - other.y);
+    camera.zoom(Math.max(before, 1) / Math.max(after, 1));
     camera.pan(dx / 2 / tall, dy / 2 / tall);
   } else if (event.shiftKey || event.buttons & 6) camera.pan(dx / tall, dy / tall);
   else camera.orbit((dx / tall) * 3.2, (dy / tall) * 3.2);
