@@ -1,4 +1,4 @@
-"""The steps of a scan in their order: from samples to a target signal to a range image.
+"""The steps of a scan: samples to target signal to range image to point cloud.
 
 A step works on a cube in one piece or on some rows at a time. In one piece, statistics
 of a scan come from all pixels; by rows from a sample of them
@@ -21,10 +21,12 @@ import xarray as xr
 from amulor import cube as cubes
 from amulor import imaging, io, rejection
 from amulor._progress import part, tell
-from amulor.cube import tiles
+from amulor.cube import DOUBTFUL, UNUSABLE, tiles
 from amulor.errors import CubeError
+from amulor.imaging.frame import Frame
 from amulor.imaging.outliers import fitted_outliers
 from amulor.imaging.range_image import fitted_range_image
+from amulor.imaging.selection import to_leave_out, without
 from amulor.io.netcdf import is_large, open_rows, row_writer, tile_rows
 
 __all__ = ["run"]
@@ -35,6 +37,8 @@ AnyPath = str | os.PathLike[str]
 HALO = 8
 #: Rows of a tile, in halos at least, so that few rows are processed twice.
 _HALOS = 4
+#: Pixels that become points at once, by default.
+_PIXELS = 2**17
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -398,3 +402,83 @@ def image_file(
     """Make the range image of a file with a target signal."""
     step = image_step(**options)
     return run_file(step, source, output, rows=rows, overwrite=overwrite)
+
+
+@dataclass(frozen=True)
+class Selection:
+    """Which pixels `amulor.imaging.leave_out` takes."""
+
+    good_only: bool = False
+    """All that carry a flag."""
+    largest_uncertainty: float | None = None
+    """Those that are less certain [m]."""
+    mixed: bool = False
+    """Mixed pixels and outliers."""
+
+
+@dataclass(frozen=True)
+class CloudSummary:
+    """What a cloud by rows holds."""
+
+    points: int
+    """Points."""
+    doubtful: int
+    """Those whose range is doubtful."""
+    error_unknown: str = ""
+    """Why they state no error; empty if they do."""
+
+
+def cloud_file(
+    source: AnyPath,
+    output: AnyPath,
+    *,
+    frame: Frame | None = None,
+    selection: Selection | None = None,
+    rows: int | None = None,
+    overwrite: bool = False,
+) -> CloudSummary:
+    """Write the point cloud of a range image, tile by tile."""
+    chosen = selection or Selection()
+    with open_rows(source) as image:
+        cubes.checked(image.tile(0, 1), "range_image")
+        few = max(1, _PIXELS // image.columns)
+        size = min(tile_rows(image), few) if rows is None else rows
+        with part(0.0, 0.2):
+            summary, counts = _counted(image, chosen, size)
+
+        def parts() -> Iterator[xr.Dataset]:
+            for begin, end in tiles.bands(image, size):
+                tell(f"row {begin:,} of {image.rows:,}", 0.2 + 0.8 * begin / image.rows)
+                tile = image.tile(begin, end)
+                tile = without(tile, to_leave_out(tile, **vars(chosen))[0], counts)
+                cloud = imaging.point_cloud(tile, frame=frame)
+                row = cloud["row"]
+                yield cloud.assign(row=row.copy(data=row.values + np.int32(begin)))
+
+        shape = image.rows, image.columns
+        io.write_cloud_parts(
+            parts, summary.points, output, shape=shape, overwrite=overwrite
+        )
+    return summary
+
+
+def _counted(
+    image: tiles.Source, selection: Selection, size: int
+) -> tuple[CloudSummary, dict[str, int]]:
+    """Return how many points there will be, and how many are left out for what."""
+    counts: Counter[str] = Counter()
+    points = doubtful = 0
+    words = ""
+    for begin, end in tiles.bands(image, size):
+        tell(f"counting, row {begin:,} of {image.rows:,}", begin / image.rows)
+        tile = image.tile(begin, end)
+        words = words or cubes.error_unknown(tile)
+        gone, found = to_leave_out(tile, **vars(selection))
+        # Reasons without a pixel stay in the list.
+        for reason, number in found.items():
+            counts[reason] += number
+        flag = tile["quality_flag"].values
+        there = ((flag & UNUSABLE) == 0) & ~gone
+        points += int(there.sum())
+        doubtful += int((there & ((flag & int(DOUBTFUL)) != 0)).sum())
+    return CloudSummary(points, doubtful, words), dict(counts)

@@ -27,8 +27,8 @@ Product = Literal[
     "cloud", "mesh", "orthoimage", "dem", "contours", "section", "deviation"
 ]
 
-#: Endings of clouds that can be written by rows.
-_BY_ROWS = (".ply", ".xyz", ".csv", ".laz", ".las", ".e57", ".nc")
+#: Endings of clouds.
+_CLOUDS = (".ply", ".xyz", ".csv", ".laz", ".las", ".e57", ".nc")
 
 
 def export(
@@ -114,7 +114,7 @@ def export(
     """
     # What is wrong with options comes first; knowing it of lengths needs more.
     asked = line, against, cell, contours, farthest, product, largest_uncertainty
-    if output.suffix.lower() in _BY_ROWS and not any(asked):
+    if output.suffix.lower() in _CLOUDS and not any(asked):
         check_inputs(image, pose)
 
     from amulor import handover, io
@@ -147,7 +147,7 @@ def export(
     )
     inputs = [path for path in (image, pose, against) if path is not None]
     io.check_output(output, overwrite=overwrite, inputs=inputs)
-    by_rows = product == "cloud" and output.suffix.lower() in _BY_ROWS
+    by_rows = product == "cloud"
     if tile_rows is not None and not (by_rows and tile_rows >= 1):
         raise UsageError(
             f"--tile-rows {tile_rows}: state 1 row or more, and a cloud: other "
@@ -184,7 +184,7 @@ def _by_rows(
 ) -> None:
     """Write a cloud tile by tile, and print what is in it."""
     from amulor.io.netcdf import open_rows
-    from amulor.scale.parts import Selection, cloud_file
+    from amulor.pipeline import Selection, cloud_file
 
     selection = Selection(good_only, largest, without_mixed)
     with progress_bar():

@@ -7,20 +7,23 @@ of slabs (`read_slabs`, `slab_response`).
 from __future__ import annotations
 
 import os
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
+import numpy as np
 import xarray as xr
 
 from amulor.errors import FormatError
-from amulor.io.e57 import write_e57, write_e57_scans
+from amulor.io._cloud import checked_parts
+from amulor.io.e57 import write_e57, write_e57_parts, write_e57_scans
 from amulor.io.files import check_output, make_folder
 from amulor.io.histograms import Histograms, read_histograms
-from amulor.io.laz import write_laz
-from amulor.io.netcdf import read_cube, write_cube
-from amulor.io.ply import write_ply
+from amulor.io.laz import write_laz, write_laz_parts
+from amulor.io.netcdf import read_cube, row_writer, write_cube
+from amulor.io.ply import write_ply, write_ply_parts
 from amulor.io.slab_response import Slabs, mean_delay, read_slabs, slab_response
 from amulor.io.tallies import read_tally, write_tally
-from amulor.io.text_cloud import write_text
+from amulor.io.text_cloud import write_text, write_text_parts
 from amulor.io.transients import medium_from_minimum, read_transients
 
 __all__ = [
@@ -104,10 +107,43 @@ def write_cloud(
     elif suffix in (".xyz", ".csv"):
         write_text(cloud, path, overwrite=overwrite)
     else:
-        raise FormatError(
-            f"{path} has the suffix {suffix!r}, which names no format for point "
-            f"clouds; use one of {', '.join(CLOUD_SUFFIXES)}"
-        )
+        raise _no_cloud_format(path)
+
+
+def write_cloud_parts(
+    parts: Callable[[], Iterator[xr.Dataset]],
+    count: int,
+    path: str | os.PathLike[str],
+    *,
+    shape: tuple[int, int],
+    overwrite: bool = False,
+) -> None:
+    """Write a cloud that comes in parts; the file is that of the whole cloud."""
+    match Path(path).suffix.lower():
+        case ".ply":
+            write_ply_parts(parts(), count, path, overwrite=overwrite)
+        case ".laz" | ".las":
+            write_laz_parts(parts, count, path, overwrite=overwrite)
+        case ".e57":
+            write_e57_parts(parts, count, path, shape=shape, overwrite=overwrite)
+        case ".nc":
+            name, done = f"the cloud for {path}", 0
+            with row_writer(path, count, overwrite=overwrite, over="point") as writer:
+                for part in checked_parts(parts(), count, name=name):
+                    whole = np.array(shape, dtype=np.int32)
+                    writer.put(part.assign_attrs(scan_shape=whole), done)
+                    done += part.sizes["point"]
+        case ".xyz" | ".csv":
+            write_text_parts(parts(), count, path, overwrite=overwrite)
+        case _:
+            raise _no_cloud_format(path)
+
+
+def _no_cloud_format(path: str | os.PathLike[str]) -> FormatError:
+    return FormatError(
+        f"{path} has the suffix {Path(path).suffix.lower()!r}, which names no format "
+        f"for point clouds; use one of {', '.join(CLOUD_SUFFIXES)}"
+    )
 
 
 def __dir__() -> list[str]:
