@@ -406,7 +406,7 @@ def image_file(
 
 @dataclass(frozen=True)
 class Selection:
-    """Which pixels `amulor.imaging.leave_out` takes."""
+    """Pixels that `amulor.imaging.leave_out` takes out."""
 
     good_only: bool = False
     """All that carry a flag."""
@@ -418,7 +418,7 @@ class Selection:
 
 @dataclass(frozen=True)
 class CloudSummary:
-    """What a cloud by rows holds."""
+    """Summary of a cloud that was written by rows."""
 
     points: int
     """Points."""
