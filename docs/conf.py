@@ -88,6 +88,7 @@ warnings.filterwarnings("ignore", message=".*FigureCanvasAgg is non-interactive.
 html_theme = "pydata_sphinx_theme"
 html_title = f"amulor {release}"
 html_static_path = ["_static"]
+html_search_scorer = str(HERE / "_static" / "scorer.js")
 html_css_files = ["site.css"]
 html_js_files = ["copy.js", "learn/tables.js", "learn/learn.js"]
 html_theme_options = {

@@ -142,3 +142,20 @@ def test_the_trust_figure_shows_each_scene_of_the_table() -> None:
     assert trusted == (99.2, 100.0, 100.0)
     assert inside == (92.4, 96.1, 99.7)
     assert len(figure.figure(rows).axes) == 2
+
+
+def test_the_summary_of_the_paper_counts_as_its_tables_do() -> None:
+    summary = (DOCS / "gallery" / "paper.md").read_text()
+    tables = (DOCS / "gallery" / "ricci2010.md").read_text()
+    stated = re.search(
+        r"(\d+) of (\d+) statements of the paper hold; of (\d+) more.*?, (\d+) hold; "
+        r"of (\d+) checks .*?, (\d+) hold",
+        tables,
+    )
+    assert stated is not None
+    hold, of, chosen, right, own, passed = stated.groups()
+    for cells in ((of, hold), (chosen, right), (own, passed)):
+        assert f"| {cells[0]} | {cells[1]} |" in summary
+    parts = re.findall(r"\| (\d+) of (\d+) \|", summary)
+    assert sum(int(part) for part, _ in parts) == int(hold)
+    assert sum(int(part) for _, part in parts) == int(of)
