@@ -13,13 +13,13 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from functools import partial
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import xarray as xr
 
 from amulor import cube as cubes
-from amulor import imaging, io, rejection
+from amulor import imaging, io
 from amulor._progress import part, tell
 from amulor.cube import DOUBTFUL, UNUSABLE, tiles
 from amulor.errors import CubeError
@@ -28,6 +28,9 @@ from amulor.imaging.outliers import fitted_outliers
 from amulor.imaging.range_image import fitted_range_image
 from amulor.imaging.selection import to_leave_out, without
 from amulor.io.netcdf import is_large, open_rows, row_writer, tile_rows
+
+if TYPE_CHECKING:
+    from amulor.rejection import Comparison
 
 __all__ = ["run"]
 
@@ -70,6 +73,8 @@ class TiledStep:
 
 def reject_step(method: str, **options: Any) -> TiledStep:
     """Rejection of the water signal by a method, as a step."""
+    from amulor import rejection  # images and clouds start without it
+
     chosen = rejection.load(method)
     return TiledStep(
         level="samples",
@@ -286,7 +291,7 @@ class Summary:
     """How many have which flag."""
     whole: xr.Dataset | None
     """The result, if it was made in one piece."""
-    comparison: rejection.Comparison | None = None
+    comparison: Comparison | None = None
     """Of all methods, for the method "auto"."""
 
 
@@ -362,6 +367,8 @@ def reject_file(
     **options: Any,
 ) -> Summary:
     """Remove the water signal from a file of samples, by a method of any package."""
+    from amulor import rejection
+
     with opened(source, rows, level="samples") as cube:
         if open_water is not None:
             shots = io.read_cube(open_water)
