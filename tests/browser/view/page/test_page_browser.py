@@ -237,3 +237,47 @@ def test_a_server_that_is_gone_and_a_map_that_is_broken_give_messages(
     click(shown, (12, 8))
     shown.wait_for_selector("#hint.wrong", timeout=30_000)
     assert "does not answer" in shown.inner_text("#hint")
+
+
+#: Counts what the graphics unit is asked for, and keeps what it shows.
+_WATCH = """() => {
+  window.drawn = { map: 0, cloud: 0 };
+  for (const [name, key] of [["drawMap", "map"], ["drawCloud", "cloud"]]) {
+    const draw = amulor.renderer[name].bind(amulor.renderer);
+    amulor.renderer[name] = (context, parts) => {
+      if (!parts.pick) window.drawn[key] += 1;
+      return draw(context, parts);
+    };
+  }
+}"""
+_OVER = """(name) => {
+  const over = document.querySelector(`#${name} + .over`);
+  const { data } = over.getContext("2d").getImageData(0, 0, over.width, over.height);
+  let first = -1;
+  for (let k = 3; k < data.length && first < 0; k += 4) if (data[k]) first = k;
+  return first;
+}"""
+
+
+def test_the_pointer_moves_on_a_layer_of_its_own(
+    tab: Callable[..., Any], steps: page.Recording
+) -> None:
+    with page.background(steps) as address:
+        shown = tab().open(address)
+        shown.evaluate(_WATCH)
+        before = {name: drawn(shown, name) for name in ("map", "cloud", "histogram")}
+        seen = []
+        for pixel in ((3, 4), (20, 33)):
+            spot = place(shown, pixel)
+            shown.mouse.move(spot["x"], spot["y"])
+            settled(shown)
+            assert shown.evaluate("amulor.cursor") == list(pixel)
+            seen.append([shown.evaluate(_OVER, name) for name in ("map", "cloud")])
+        # The mark of either view has moved.
+        assert all(one != other and one > 0 for one, other in zip(*seen, strict=True))
+        assert shown.evaluate("window.drawn") == {"map": 0, "cloud": 0}
+        for name, picture in before.items():
+            assert (drawn(shown, name) == picture).all(), name
+        shown.keyboard.press("2")
+        settled(shown)
+        assert shown.evaluate("window.drawn.map") > 0

@@ -43,6 +43,7 @@ const state = {
 };
 const page = new Page(state, {
   draw,
+  point: drawPointer,
   idle: "Choose what to measure, then pick it in the map or in space.",
   said,
   themed,
@@ -75,6 +76,14 @@ function draw() {
   drawHistogram($("histogram"), state, colours);
   drawSpectrum($("spectrum"), state, colours);
   document.documentElement.dataset.ready = "yes";
+}
+
+/** Draw what depends on the pixel pointed at, over what is drawn already. */
+function drawPointer() {
+  if (!state.scene?.maps.has(state.layerName)) return;
+  views.map.point(state, page.colours);
+  views.cloud.point(state, page.colours);
+  drawProfile($("profile"), state, page.colours);
 }
 
 /** Return the unit in which the limits of a map read well. */
@@ -339,7 +348,7 @@ async function point(pixel) {
   if (pixel === undefined) return page.redraw();
   state.cursor = pixel ?? state.pinned ?? state.cursor;
   readout();
-  page.redraw();
+  page.repoint();
   const { scene, cursor } = state;
   if (!scene.spectrum || !cursor) return undefined;
   asked += 1;
@@ -353,7 +362,7 @@ async function point(pixel) {
     if (!state.live) failed(error);
   }
   $("spectrum-title").textContent = state.spectrum?.frequency.length === 1 ? "Phasors" : "Spectrum";
-  return page.redraw();
+  return drawSpectrum($("spectrum"), state, page.colours);
 }
 
 function readout() {
@@ -518,14 +527,8 @@ async function picture(view) {
   else if (($("light").checked && layer.kind === "range") || state.look.contour)
     words.push($("light-note").textContent);
   words.push(...state.measurements.map(tools.captioned));
-  // A picture to hand over has no pointer in it.
-  const { cursor } = state;
-  state.cursor = null;
   draw();
-  state.cursor = cursor;
-  const kept = page.picture(view, view.id === "cloud" ? "view" : layer.name, words, bar);
-  page.redraw();
-  await kept;
+  await page.picture(view, view.id === "cloud" ? "view" : layer.name, words, bar);
 }
 
 function csv() {

@@ -1,7 +1,8 @@
 // Points in space, seen by a camera that goes around them.
 
 import { Camera, extent, projected } from "./camera.js";
-import { inkOf, ratioOf, spotOn } from "./dom.js";
+import { inkOf, over, ratioOf, spotOn } from "./dom.js";
+import { clearedOver } from "./map.js";
 import { axes, chains, dot, scaleBar } from "./marks.js";
 import { Motion, turnable } from "./turning.js";
 
@@ -19,6 +20,7 @@ export class CloudView {
   constructor(canvas, { hover, pick, changed }) {
     this.canvas = canvas;
     this.context = inkOf(canvas);
+    this.over = inkOf(over(canvas));
     this.camera = new Camera();
     /** Places that are to be in view. */
     this.places = /** @type {import("./camera.js").Point[]} */ ([]);
@@ -144,6 +146,7 @@ export class CloudView {
     renderer.drawCloud(this.context, parts);
     this.matrix = parts.matrix;
     this.#marks(state, colours);
+    this.point(state, colours);
   }
 
   /** Return the pixel whose point is seen at a place, null beside all of them. */
@@ -162,14 +165,20 @@ export class CloudView {
     return point && projected(this.matrix, point, this.canvas.width, this.canvas.height);
   }
 
+  /** Draw the pointer, on a layer of its own. */
+  point(state, colours) {
+    const ctx = clearedOver(this.over, this.canvas);
+    const { scene, cursor } = state;
+    const at = cursor && this.matrix && this.#spot(scene.point(...cursor, shapeOf(state)));
+    if (at) dot(ctx, at, 5 * ratioOf(this.canvas), colours, true);
+  }
+
   #marks(state, colours) {
     const { context: ctx, camera } = this;
     const ratio = ratioOf(this.canvas);
     const shape = shapeOf(state);
     const spotOf = (pixel) => this.#spot(state.scene.point(...pixel, shape));
     chains(ctx, state, spotOf, ratio, colours);
-    const at = state.cursor && spotOf(state.cursor);
-    if (at) dot(ctx, at, 5 * ratio, colours.cursor);
     axes(ctx, camera, AXES, ratio, colours);
     if (camera.orthographic) this.bar = scaleBar(ctx, camera, ratio, colours);
   }

@@ -152,8 +152,15 @@ async function update() {
 function draw() {
   if (!state.found) return;
   fitted($("map"));
-  map.draw({ scene: state.scene, found: state.found, colours, table: shades, mark: state.mark });
+  map.draw({ scene: state.scene, found: state.found, colours, table: shades });
   bar();
+  point();
+}
+
+/** Draw the mark over the map, and say what is there. */
+function point() {
+  if (!state.found) return;
+  map.point({ scene: state.scene, mark: state.mark, colours });
   readout();
 }
 
@@ -246,7 +253,7 @@ function moveMark(column, row) {
     kept(start[0] + column, scene.distance.length),
     kept(start[1] + row, scene.attenuation.length),
   ];
-  draw();
+  point();
 }
 
 async function save() {
@@ -269,7 +276,7 @@ function wired() {
     const place = map.place(event, state.scene);
     if (!place) return;
     state.mark = place;
-    draw();
+    point();
   };
   $("map").addEventListener("pointermove", pointed);
   $("map").addEventListener("pointerdown", pointed);

@@ -29,6 +29,16 @@ export function inkOf(canvas) {
 }
 
 /**
+ * Return a new canvas over another one, for what moves with the pointer.
+ * @param {HTMLCanvasElement} canvas
+ */
+export function over(canvas) {
+  const layer = made("canvas", { className: "over", ariaHidden: "true" });
+  canvas.after(layer);
+  return layer;
+}
+
+/**
  * Return the pixels of a canvas for each pixel of the page.
  * @param {HTMLCanvasElement} canvas
  */

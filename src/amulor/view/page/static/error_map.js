@@ -1,7 +1,9 @@
 // The map of total error: colours, lines at whole millimetres, hatched regions, a mark.
 
 import { segments } from "./contours.js";
-import { inkOf, ratioOf, spotOn } from "./dom.js";
+import { inkOf, over, ratioOf, spotOn } from "./dom.js";
+import { clearedOver } from "./map.js";
+import { dot } from "./marks.js";
 import { ticks } from "./text.js";
 
 /** Errors at both ends of the colours [mm]. */
@@ -53,6 +55,7 @@ export class ErrorMap {
   constructor(canvas) {
     this.canvas = canvas;
     this.context = inkOf(canvas);
+    this.over = inkOf(over(canvas));
     this.image = document.createElement("canvas");
   }
 
@@ -79,7 +82,18 @@ export class ErrorMap {
     ];
   }
 
-  draw({ scene, found, colours, table, mark }) {
+  /** Draw the mark, on a layer of its own. */
+  point({ scene, mark, colours }) {
+    const ctx = clearedOver(this.over, this.canvas);
+    if (!mark) return;
+    const ratio = ratioOf(this.canvas);
+    const { x0, x1, y0, y1 } = this.frame(ratio);
+    const x = x0 + (mark[0] * (x1 - x0)) / (scene.distance.length - 1);
+    const y = y1 - (mark[1] * (y1 - y0)) / (scene.attenuation.length - 1);
+    dot(ctx, [x, y], 6 * ratio, colours, true);
+  }
+
+  draw({ scene, found, colours, table }) {
     const ctx = this.context;
     const ratio = ratioOf(this.canvas);
     const wide = scene.distance.length;
@@ -126,9 +140,8 @@ export class ErrorMap {
     for (const [distance, attenuation] of scene.asked) {
       const column = placeIn(scene.distance, distance);
       const row = placeIn(scene.attenuation, attenuation);
-      this.#dot(toX(column), toY(row), 4.5 * ratio, "#ffffff", ratio);
+      dot(ctx, [toX(column), toY(row)], 4.5 * ratio, colours);
     }
-    if (mark) this.#dot(toX(mark[0]), toY(mark[1]), 6 * ratio, colours.cursor, ratio);
     ctx.restore();
     this.#axes({ scene, ratio, colours, x0, x1, y0, y1, toX, toY });
   }
@@ -192,17 +205,6 @@ export class ErrorMap {
     ctx.strokeText(label, toX(a), toY(b));
     ctx.fillStyle = "#ffffff";
     ctx.fillText(label, toX(a), toY(b));
-  }
-
-  #dot(x, y, radius, fill, ratio) {
-    const ctx = this.context;
-    ctx.beginPath();
-    ctx.arc(x, y, radius, 0, 7);
-    ctx.fillStyle = fill;
-    ctx.fill();
-    ctx.lineWidth = 1.5 * ratio;
-    ctx.strokeStyle = "#0b1c26";
-    ctx.stroke();
   }
 
   #axes({ scene, ratio, colours, x0, x1, y0, y1, toX, toY }) {

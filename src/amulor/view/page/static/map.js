@@ -1,6 +1,6 @@
 // The map of one layer: zoom, pick, lines and regions on it.
 
-import { inkOf, ratioOf, spotOn } from "./dom.js";
+import { inkOf, over, ratioOf, spotOn } from "./dom.js";
 import { chain, dot, halo, polyline } from "./marks.js";
 import { ticks, withUnit } from "./text.js";
 
@@ -15,11 +15,22 @@ export function fitted(canvas) {
   return true;
 }
 
+/** Return the cleared layer over a canvas, as large as the canvas is. */
+export function clearedOver(ctx, canvas) {
+  const { width, height } = canvas;
+  if (ctx.canvas.width !== width || ctx.canvas.height !== height) {
+    Object.assign(ctx.canvas, { width, height });
+  }
+  ctx.clearRect(0, 0, width, height);
+  return ctx;
+}
+
 /** Draws a map and tells what is pointed at. */
 export class MapView {
   constructor(canvas, { hover, pick, drag }) {
     this.canvas = canvas;
     this.context = inkOf(canvas);
+    this.over = inkOf(over(canvas));
     this.zoom = 1;
     this.middle = null;
     this.pointers = new Map();
@@ -87,20 +98,29 @@ export class MapView {
     parts.set.uView = ["4f", view.left, view.top, view.x, view.y];
     renderer.drawMap(this.context, parts);
     this.#marks(state, colours);
+    this.point(state, colours);
+  }
+
+  /** Draw the pointer, on a layer of its own: nothing else is drawn again. */
+  point({ scene, cursor }, colours) {
+    const ctx = clearedOver(this.over, this.canvas);
+    if (!cursor) return;
+    const ratio = ratioOf(this.canvas);
+    const [x, y] = this.spot(scene, cursor).map((at) => Math.round(at) + 0.5);
+    ctx.globalAlpha = 0.5;
+    halo(ctx, ratio, colours, () => hair(ctx, x, y, 7 * ratio, Infinity));
+    ctx.globalAlpha = 1;
+    halo(ctx, ratio, colours, () => hair(ctx, x, y, 7 * ratio, 22 * ratio));
   }
 
   #marks(state, colours) {
     const { context: ctx, canvas } = this;
     const { scene } = state;
     const ratio = ratioOf(canvas);
-    if (state.cursor) {
-      const [x, y] = this.spot(scene, state.cursor).map((at) => Math.round(at) + 0.5);
-      halo(ctx, ratio, colours, () => hair(ctx, x, y, 7 * ratio), 0.55);
-    }
     if (state.section) {
       const ends = state.section.map((pixel) => this.spot(scene, pixel));
-      halo(ctx, 2 * ratio, { ...colours, mark: colours.accent }, () => polyline(ctx, ends));
-      ends.forEach((end) => dot(ctx, end, 4 * ratio, colours.accent));
+      halo(ctx, 2 * ratio, colours, () => polyline(ctx, ends), true);
+      ends.forEach((end) => dot(ctx, end, 4 * ratio, colours, true));
     }
     for (const kept of state.measurements) {
       this.#shape(scene, { ...kept, strong: kept === state.chosen }, colours, ratio);
@@ -117,12 +137,12 @@ export class MapView {
     let corner;
     if (region) {
       const [a, b] = [region.slice(0, 2), region.slice(2)].map((end) => this.spot(scene, end));
-      const mark = strong ? colours.accent : colours.mark;
       const [x, y] = [Math.min(a[0], b[0]), Math.min(a[1], b[1])];
-      halo(this.context, ratio * 1.5, { ...colours, mark }, () => {
+      const path = () => {
         this.context.beginPath();
         this.context.rect(x, y, Math.abs(a[0] - b[0]), Math.abs(a[1] - b[1]));
-      });
+      };
+      halo(this.context, ratio * 1.5, colours, path, strong);
       corner = a;
     }
     chain(this.context, spots, kept, ratio, colours, spots[0] ?? corner);
@@ -161,6 +181,7 @@ export class MapView {
     canvas.addEventListener("dblclick", () => {
       this.home();
       this.on.hover(null);
+      this.on.hover(undefined);
     });
   }
 
@@ -203,17 +224,18 @@ export class MapView {
   }
 }
 
-/** Begin a path of the cross-hair about a place, open in its middle. */
-function hair(ctx, x, y, gap) {
+/** Begin a path of four arms about a place, between two distances from it. */
+function hair(ctx, x, y, gap, end) {
+  const { width, height } = ctx.canvas;
   ctx.beginPath();
-  ctx.moveTo(0, y);
+  ctx.moveTo(Math.max(x - end, 0), y);
   ctx.lineTo(x - gap, y);
   ctx.moveTo(x + gap, y);
-  ctx.lineTo(ctx.canvas.width, y);
-  ctx.moveTo(x, 0);
+  ctx.lineTo(Math.min(x + end, width), y);
+  ctx.moveTo(x, Math.max(y - end, 0));
   ctx.lineTo(x, y - gap);
   ctx.moveTo(x, y + gap);
-  ctx.lineTo(x, ctx.canvas.height);
+  ctx.lineTo(x, Math.min(y + end, height));
 }
 
 /** Draw the scale of colours with its ticks. */

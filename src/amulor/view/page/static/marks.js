@@ -10,33 +10,39 @@ export function polyline(ctx, spots) {
   spots.forEach(([x, y], k) => (k ? ctx.lineTo(x, y) : ctx.moveTo(x, y)));
 }
 
-/** Stroke a path twice, so that it is seen on any colour. */
-export function halo(ctx, width, colours, path, alpha = 0.95) {
+/** Stroke a path white on black, one of which is seen on any colour; what is chosen has the
+marking color, which no map has, along its middle. */
+export function halo(ctx, width, colours, path, chosen = false) {
   ctx.save();
-  ctx.globalAlpha = alpha;
   ctx.lineJoin = "round";
-  path();
-  ctx.lineWidth = width * 3;
-  ctx.strokeStyle = colours.under;
-  ctx.stroke();
-  path();
-  ctx.lineWidth = width;
-  ctx.strokeStyle = colours.mark;
-  ctx.stroke();
+  const strokes = [
+    [colours.under, chosen ? 4 : 3],
+    [colours.mark, chosen ? 2.4 : 1],
+  ];
+  if (chosen) strokes.push([colours.chosen, 1.2]);
+  for (const [colour, times] of strokes) {
+    path();
+    ctx.lineWidth = width * times;
+    ctx.strokeStyle = colour;
+    ctx.stroke();
+  }
   ctx.restore();
 }
 
-/** Draw a mark on a picked pixel. */
-export function dot(ctx, [x, y], size, colour) {
+/** Draw a mark on a place: black, white, and within what says whether it is chosen. */
+export function dot(ctx, [x, y], size, colours, chosen = false) {
   ctx.save();
-  ctx.beginPath();
-  ctx.arc(x, y, size, 0, 7);
-  ctx.fillStyle = "#fff";
-  ctx.fill();
-  ctx.beginPath();
-  ctx.arc(x, y, size * 0.68, 0, 7);
-  ctx.fillStyle = colour;
-  ctx.fill();
+  const discs = [
+    [colours.under, 1.3],
+    [colours.mark, 1],
+    [chosen ? colours.chosen : colours.under, 0.6],
+  ];
+  for (const [colour, times] of discs) {
+    ctx.beginPath();
+    ctx.arc(x, y, size * times, 0, 7);
+    ctx.fillStyle = colour;
+    ctx.fill();
+  }
   ctx.restore();
 }
 
@@ -57,12 +63,11 @@ export function tag(ctx, text, [x, y], ratio, colours) {
 
 /** Draw the picks of one measurement: dots, lines between them, and its number. */
 export function chain(ctx, spots, { kind, number, strong }, ratio, colours, label = spots[0]) {
-  const mark = strong ? colours.accent : colours.mark;
   if (spots.length > 1 && kind !== "circle") {
     const line = kind === "area" ? [...spots, spots[0]] : spots;
-    halo(ctx, 1.5 * ratio, { ...colours, mark }, () => polyline(ctx, line));
+    halo(ctx, 1.5 * ratio, colours, () => polyline(ctx, line), strong);
   }
-  for (const spot of spots) dot(ctx, spot, 4.5 * ratio, mark);
+  for (const spot of spots) dot(ctx, spot, 4.5 * ratio, colours, strong);
   if (number && label) {
     tag(ctx, String(number), [label[0] + 8 * ratio, label[1] - 8 * ratio], ratio, colours);
   }

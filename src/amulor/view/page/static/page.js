@@ -14,7 +14,7 @@ const ARROWS = {
   ArrowDown: [0, 1],
 };
 
-/** A page around a state; `draw`, `idle`, `said` and `tools`, and of some pages `themed` and
+/** A page around a state; `draw`, `point`, `idle`, `said` and `tools`, and of some pages `themed` and
 `unable`, are what differs. */
 export class Page {
   colours = {};
@@ -22,6 +22,7 @@ export class Page {
   hints = 0;
   #on;
   #waiting = 0;
+  #all = false;
 
   constructor(state, on) {
     this.state = state;
@@ -40,10 +41,19 @@ export class Page {
 
   /** Draw everything soon, once. */
   redraw() {
+    this.#all = true;
+    this.repoint();
+  }
+
+  /** Draw soon, once, what moves with the pointer; all else stays as it is. */
+  repoint() {
     if (this.#waiting) return;
     this.#waiting = requestAnimationFrame(() => {
       this.#waiting = 0;
-      this.#on.draw();
+      const all = this.#all;
+      this.#all = false;
+      if (all) this.#on.draw();
+      else this.#on.point();
     });
   }
 

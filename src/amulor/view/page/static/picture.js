@@ -91,7 +91,7 @@ export function themed(name) {
     mark: get("mark"),
     under: get("under"),
     plate: get("card"),
-    cursor: "#f2a33c",
+    chosen: get("chosen"),
     font: getComputedStyle(document.body).fontFamily || "sans-serif",
     ground: rgb(get("stage")),
     missing: name === "dark" ? [0.2, 0.25, 0.28] : [0.8, 0.83, 0.85],

@@ -2,8 +2,8 @@
 
 import { Camera, extent, multiplied, projected } from "./camera.js";
 import { flagRanks, flagTable } from "./colour.js";
-import { $, inkOf, made, ratioOf, spotOn } from "./dom.js";
-import { fitted } from "./map.js";
+import { $, inkOf, made, over, ratioOf, spotOn } from "./dom.js";
+import { clearedOver, fitted } from "./map.js";
 import { axes, chains, dot, halo, scaleBar } from "./marks.js";
 import { Page } from "./page.js";
 import { failed, say, showLegend, showReadout } from "./panel.js";
@@ -53,6 +53,7 @@ const state = {
 const camera = new Camera();
 const page = new Page(state, {
   draw,
+  point: drawPointer,
   idle: "Choose what to measure, then pick points.",
   said,
   tools: TOOLS,
@@ -60,6 +61,7 @@ const page = new Page(state, {
 const motion = new Motion(() => page.redraw());
 let renderer;
 let context;
+let pointer;
 let by = null;
 
 /**
@@ -122,6 +124,7 @@ function draw() {
     return;
   }
   marks(now, canvas, ratio);
+  drawPointer();
   const { layer } = scene.maps.get(state.layerName);
   const plain = by === "colour" || layer.kind === "flags";
   $("bar").parentElement.hidden = plain;
@@ -135,6 +138,16 @@ function draw() {
   document.documentElement.dataset.ready = "yes";
 }
 
+/** Draw the place pointed at, over what is drawn already. */
+function drawPointer() {
+  const canvas = $("space");
+  const ink = clearedOver(pointer, canvas);
+  if (!state.cursor) return;
+  const { matrix } = look(canvas);
+  const at = projected(matrix, state.cursor.place, canvas.width, canvas.height);
+  if (at) dot(ink, at, 5 * ratioOf(canvas), page.colours, true);
+}
+
 function unitOf(layer) {
   if (layer.unit !== "m") return { unit: layer.unit, factor: 1 };
   const most = Math.max(...state.limits.map(Math.abs));
@@ -145,8 +158,6 @@ function marks({ matrix }, canvas, ratio) {
   const { colours } = page;
   const spotOf = (pick) => projected(matrix, pick.place, canvas.width, canvas.height);
   chains(context, state, spotOf, ratio, colours);
-  const at = state.cursor && spotOf(state.cursor);
-  if (at) dot(context, at, 5 * ratio, colours.cursor);
   if (document.activeElement === canvas && canvas.matches(":focus-visible")) cross(canvas, ratio);
   axes(
     context,
@@ -437,7 +448,7 @@ function hover(event) {
   if (!pick) return;
   state.cursor = pick;
   readout();
-  page.redraw();
+  page.repoint();
 }
 
 function wired() {
@@ -557,6 +568,7 @@ async function main() {
   renderer = new PointRenderer();
   renderer.lost = () => say("The graphics unit was lost; reload the page.");
   context = inkOf($("space"));
+  pointer = inkOf(over($("space")));
   state.tables.hidden = state.tables.range;
   page.theme();
   wired();
