@@ -15,13 +15,13 @@ from starlette.testclient import TestClient
 
 from amulor import imaging, io
 from amulor.cli import main
-from amulor.cube import QualityFlag
+from amulor.cube import QualityFlag, schema
 from amulor.errors import CubeError
 from amulor.imaging.observation import geometry_of
 from amulor.view import page
 from amulor.view.page import pictures
 from amulor.view.page import recording as recordings
-from amulor.view.page.layers import WORDS, packed, unpacked
+from amulor.view.page.layers import packed, unpacked
 from amulor.view.page.saved import static_files
 
 TOKEN = "a-token-for-tests"
@@ -169,7 +169,9 @@ def test_no_json_and_no_such_thing_are_answered_in_words(client: TestClient) -> 
 
 
 def test_every_flag_has_words() -> None:
-    assert set(WORDS) == {flag for flag in QualityFlag if flag}
+    words = schema.flag_words()["pixel"]
+    assert {flag.name for flag in QualityFlag if flag} == set(words)
+    assert all(entry["short"] for entry in words.values())
 
 
 def test_numbers_come_back_from_a_page() -> None:
