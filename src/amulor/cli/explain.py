@@ -107,9 +107,8 @@ def _explain_pixel(words: tuple[str, ...], pixel: str, *, json: bool) -> None:
             [
                 (
                     f"{one.flag} ({one.cause})" if one.cause else one.flag,
-                    ""
-                    if one.modulation_frequency is None
-                    else f"{one.modulation_frequency / 1e6:g}",
+                    ", ".join(f"{f / 1e6:g}" for f in one.modulation_frequencies)
+                    or "all",
                     one.quantity,
                     "" if one.value is None else f"{one.value:.3g}",
                     one.limit,

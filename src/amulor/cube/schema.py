@@ -308,6 +308,9 @@ PIXEL_TESTS = {
     "joint_departure": _optional(
         _PIXEL, "m", "shift of the slant range by departures from the model"
     ),
+    "joint_departure_limit": _optional(
+        _PIXEL, "m", "such a shift from which on the range is flagged"
+    ),
 }
 #: The same of the range image itself.
 _IMAGE_TESTS = {

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -40,8 +40,8 @@ class Reason:
     """Name of the flag."""
     cause: str
     """Name of the cause of WATER_RESIDUAL; empty of other flags."""
-    modulation_frequency: float | None
-    """Of the sample [Hz]; None for the pixel as a whole."""
+    modulation_frequencies: tuple[float, ...] = ()
+    """Of the samples [Hz]; empty for all of the pixel."""
     quantity: str
     """What is compared with a limit, or what is known instead of a number."""
     value: float | None = None
@@ -84,11 +84,17 @@ def reasons(path: Path, row: int, column: int) -> dict[str, list[Reason]]:
 
 
 def _of_samples(tile: xr.Dataset, channel: int) -> Iterator[Reason]:
-    """Yield what flags the samples of a channel, of a target signal of one pixel."""
+    """Yield what flags the samples of a channel, alike ones of all frequencies once."""
     cube = tile.isel(polarization=[channel])
-    for number, frequency in enumerate(cube["modulation_frequency"].values):
+    frequencies = cube["modulation_frequency"].values
+    at: dict[Reason, tuple[float, ...]] = {}
+    for number, frequency in enumerate(frequencies):
         one = cube.isel(modulation_frequency=[number])
-        yield from _found(_known(one) | _phases(one), float(frequency), cube.attrs)
+        for reason in _found(_known(one) | _phases(one), cube.attrs):
+            at[reason] = (*at.get(reason, ()), float(frequency))
+    for reason, some in at.items():
+        alone = len(some) < len(frequencies) or len(frequencies) == 1
+        yield replace(reason, modulation_frequencies=some if alone else ())
 
 
 def _of_image(tile: xr.Dataset, row: int, column: int) -> Iterator[Reason]:
@@ -96,7 +102,7 @@ def _of_image(tile: xr.Dataset, row: int, column: int) -> Iterator[Reason]:
     known = _known(tile.isel(row=[row], column=[column]))
     known["clear_of_both"] = float(edges.clear_of_both(tile)[row, column])
     known["stand_off"] = float(outliers.stand_off(tile)[row, column])
-    yield from _found(known, None, tile.attrs)
+    yield from _found(known, tile.attrs)
 
 
 def _known(one: xr.Dataset) -> dict[str, float]:
@@ -106,12 +112,8 @@ def _known(one: xr.Dataset) -> dict[str, float]:
         for name, variable in one.data_vars.items()
         if variable.size == 1
     }
-    if "joint_departure" in numbers:
-        total = numbers.get("joint_slant_range_uncertainty", math.nan)
-        other = math.sqrt(max(total**2 - numbers["joint_departure"] ** 2, 0.0))
-        factor = float(one.attrs.get("joint_departure_limit", math.nan))
-        numbers["departure_limit"] = factor * other
-        near, far = "joint_nearer_surface", "joint_farther_surface"
+    near, far = "joint_nearer_surface", "joint_farther_surface"
+    if near in numbers:
         numbers["apart"] = numbers[far] - numbers[near]
     return numbers
 
@@ -198,7 +200,7 @@ def _tests(known: Mapping[str, float], attributes: Mapping[Any, Any]) -> list[_T
               "chance of so large a misfit to the model", "<", joint.DISAGREEMENT),
         _Test(cause.MODEL_DEPARTURE, "joint_departure",
               "shift of the range by departures from the model", ">",
-              known.get("departure_limit", math.nan), "m"),
+              known.get("joint_departure_limit", math.nan), "m"),
         _Test(flag.WATER_RESIDUAL, "slant_range_bias",
               "estimated bias of the range", unit="m"),
         _Test(flag.NO_OPEN_WATER, "slant_range_bias",
@@ -215,27 +217,27 @@ def _tests(known: Mapping[str, float], attributes: Mapping[Any, Any]) -> list[_T
     ]  # fmt: skip
 
 
-def _found(
-    known: dict[str, float], frequency: float | None, attributes: Mapping[Any, Any]
-) -> Iterator[Reason]:
+def _found(known: dict[str, float], attributes: Mapping[Any, Any]) -> Iterator[Reason]:
     """Yield a reason for each number beyond its limit, and one a flag at least."""
     flags = QualityFlag(int(known["quality_flag"]))
     causes = WaterResidualCause(int(known.get("water_residual_cause", 0)))
     if "residual_phase" in known:  # the angle says more than its ratio
         known.pop("residual_phase_ratio", None)
+    if "joint_detection" in known:  # which looks for a target in all samples together
+        known.pop("open_phase", None)
     tests = _tests(known, attributes)
     for flag in (each for each in QualityFlag if each & flags):
+        # Bits of flags and causes are alike as numbers: told apart by their names.
         of_water = flag == QualityFlag.WATER_RESIDUAL and causes
-        left = list(causes if of_water else flag)
+        left = [str(each.name) for each in (causes if of_water else flag)]
         for test in tests:
             value = known.get(test.key, math.nan)
             if test.of(flag, causes) and test.given_by(value):
-                if test.flag in left:
-                    left.remove(test.flag)
+                name = str(test.flag.name)
+                left = [each for each in left if each != name]
                 yield Reason(
                     flag=str(flag.name),
-                    cause="" if test.flag == flag else str(test.flag.name),
-                    modulation_frequency=frequency,
+                    cause="" if name == flag.name else name,
                     quantity=test.quantity,
                     value=value,
                     limit=f"{test.relation} {test.limit:.3g}" if test.relation else "",
@@ -244,23 +246,21 @@ def _found(
         for name in left:
             yield Reason(
                 flag=str(flag.name),
-                cause="" if name == flag else str(name.name),
-                modulation_frequency=frequency,
+                cause="" if name == flag.name else name,
                 quantity=_words(name, attributes),
             )
 
 
-def _words(
-    flag: QualityFlag | WaterResidualCause, attributes: Mapping[Any, Any]
-) -> str:
-    """Return what is known of a flag that no number of the file explains."""
-    if flag is QualityFlag.RELATIVE:
+def _words(name: str, attributes: Mapping[Any, Any]) -> str:
+    """Return what is known of a flag or cause that no number of the file explains."""
+    if name == "RELATIVE":
         return str(attributes.get("interval_unsettled", "no interval is stated"))
     return {
         "MISSING": "no number in phase or in quadrature",
+        "NO_TARGET": "too few samples that can be used",
         "SATURATED": "overload reported with the sample",
         "AMBIGUOUS": "outside the interval, or alike within departures",
         "NO_OPEN_WATER": "bias of the range by the water not known",
         "OUTLIER": "sample contradicts the others of its pixel",
         "PHASE_SHIFT": "residual water signal not known",
-    }.get(str(flag.name), "not stored: file of an older version")
+    }.get(name, "not stored: file of an older version")

@@ -156,6 +156,37 @@ def test_intervals_that_fit_alike_state_the_probability_of_another(
     assert found[0].limit == "> 0.000335"
 
 
+def test_a_joint_estimate_states_what_contradicts_its_model(tmp_path: Path) -> None:
+    cube = samples.cube("sweep").isel(
+        modulation_frequency=slice(0, None, 3), row=[2, 3], shot=slice(0, None, 4)
+    )
+    target = rejection.joint(cube, interval=(0.5, 3)).copy(deep=True)
+    for name, value in {
+        "quality_flag": QualityFlag.WATER_RESIDUAL, "water_residual_cause": 24,
+    }.items():  # fmt: skip
+        target[name][:, :, 1, 8] = value
+    for name, value in {
+        "joint_misfit_probability": 1e-6, "joint_departure": 0.003,
+        "joint_departure_limit": 0.002,
+    }.items():  # fmt: skip
+        target[name][1, 8] = value
+    io.write_cube(target, tmp_path / "target.nc")
+    image = imaging.range_image(target, interval=(0.5, 3))
+    io.write_cube(image, tmp_path / "image.nc")
+    of_target = reasons(tmp_path / "target.nc", 1, 8)["VV"]
+    of_pixel = reasons(tmp_path / "image.nc", 1, 8)["VV"]
+    for found in (of_target, of_pixel):
+        # The same of all frequencies: once.
+        assert [
+            (one.cause, one.modulation_frequencies, one.value, one.limit, one.unit)
+            for one in found
+            if one.flag == "WATER_RESIDUAL"
+        ] == [
+            ("MODEL_MISFIT", (), 1e-6, "< 0.0001", "1"),
+            ("MODEL_DEPARTURE", (), 0.003, "> 0.002", "m"),
+        ]
+
+
 def test_the_command_prints_numbers_limits_and_what_to_do(
     target: xr.Dataset, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

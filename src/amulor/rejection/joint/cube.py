@@ -105,8 +105,8 @@ def refuses_its_echo(
     slope = _slope(frame, beam, result.estimates.path)
     known = _known(frame, beam, result, instrument, shared.shape.spread)
     with np.errstate(divide="ignore", invalid="ignore"):
-        _, matters = _departure(result, slope, known, ECHO_MATTERS)
-    return bool(np.mean(matters[result.detected]) > _MOST)
+        departure, limit = _departure(result, slope, known, ECHO_MATTERS)
+    return bool(np.mean((departure > limit)[result.detected]) > _MOST)
 
 
 def _slope(frame: Frame, beam: rays.Beam, path: Floats) -> Floats:
@@ -121,12 +121,12 @@ def _slope(frame: Frame, beam: rays.Beam, path: Floats) -> Floats:
 
 def _departure(
     result: Result, slope: Floats, known: Floats, limit: float
-) -> tuple[Floats, NDArray[np.bool_]]:
-    """Return how far departures move slant ranges [m], and whether that matters."""
+) -> tuple[Floats, Floats]:
+    """Return how far departures move slant ranges, and from where on it matters [m]."""
     own = 1 / np.sqrt(result.estimates.information)
     sigma = np.hypot(own, np.sqrt(result.shared_variance))
     departure = slope * result.departure
-    return departure, departure > limit * np.hypot(slope * sigma, np.sqrt(known))
+    return departure, limit * np.hypot(slope * sigma, np.sqrt(known))
 
 
 def _known(
@@ -192,9 +192,10 @@ def cube_of(cube: xr.Dataset, scan: Scan, result: Result) -> xr.Dataset:
         limit = MATTERS
         if scan.echo_is_doubted or not shared.water_departs:
             limit = ECHO_MATTERS
-        departure, matters = _departure(result, slope, known, limit)
+        departure, shift_limit = _departure(result, slope, known, limit)
         if shared.evidence <= DECISIVE:
-            departure, matters = np.zeros(len(path)), np.zeros(len(path), dtype=bool)
+            departure = np.zeros(len(path))
+        matters = (departure > shift_limit) & (shared.evidence > DECISIVE)
     freedom, cost, p_value = _misfit(estimates, detected)
     flag = np.zeros(len(path), dtype=np.int16)
     flag[detected & (estimates.wrong > WRONG)] |= QualityFlag.AMBIGUOUS
@@ -230,7 +231,6 @@ def cube_of(cube: xr.Dataset, scan: Scan, result: Result) -> xr.Dataset:
     target["water_residual_cause"].values[...] = np.where(missing, 0, causes)
     # Whether there is a target is tested on all samples of a pixel together.
     target = target.drop_vars("signal_significance")
-    target.attrs["joint_departure_limit"] = limit
     target.attrs["joint_instrument_uncertainty_m"] = scan.instrument_uncertainty
     # What the departures move is as uncertain as it is large.
     sigma_common = np.sqrt(slope**2 * result.shared_variance + known + departure**2)
@@ -253,7 +253,7 @@ def cube_of(cube: xr.Dataset, scan: Scan, result: Result) -> xr.Dataset:
         maps[side] = to_range(getattr(result, name))
     maps["misfit"] = cost / np.maximum(freedom, 1)
     maps["misfit_probability"], maps["detection"] = p_value, estimates.explained
-    maps["departure"] = departure
+    maps["departure"], maps["departure_limit"] = departure, shift_limit
     return target.assign(
         _variables({name: over_pixels(values) for name, values in maps.items()})
     )
