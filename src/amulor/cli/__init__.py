@@ -69,7 +69,7 @@ COMMANDS = {
     "info": ("info:info", "Say what a file holds."),
     "explain": (
         "explain:explain",
-        "Say what a flag or a message means, and what to do.",
+        "Say what a flag or a message means, or why a pixel of a file is flagged.",
     ),
     "reject": ("reject:reject", "Take the water signal out of a measurement cube."),
     "image": ("image:image", "Turn a target signal into a range image."),
