@@ -266,7 +266,7 @@ def write(value: float, quantity: str) -> str:
     '450 nm'
     """
     unit = SI_UNITS[quantity]
-    if quantity == "wavelength":
+    if quantity == "wavelength" and math.isfinite(value * 1e9):
         # 450 nm is 4.5000000000000003e-07 m.
         short = f"{value * 1e9:.12g} nm"
         if parse(short, quantity) == value:
