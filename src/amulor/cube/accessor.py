@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
-from typing import Any
+from functools import lru_cache
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import xarray as xr
 
 from amulor.cube import schema
 from amulor.cube.values import restore_dimensions
+
+if TYPE_CHECKING:
+    from amulor.survey import Survey
 
 
 def group(cube: xr.Dataset, name: str) -> xr.Dataset | None:
@@ -136,6 +140,13 @@ def flag_counts(cube: xr.Dataset) -> dict[str, int]:
     return {meaning: count for meaning, count in counts.items() if count}
 
 
+@lru_cache(maxsize=8)
+def _survey_of(text: str) -> Survey:
+    from amulor.survey import Survey
+
+    return Survey.from_text(text, name="survey in the cube")
+
+
 class CubeAccessor:
     """`cube.amulor`: what every step asks of a cube, in one word.
 
@@ -218,6 +229,12 @@ class CubeAccessor:
     def truth(self) -> xr.Dataset | None:
         """What a simulated cube was made from; no processing step reads it."""
         return group(self._cube, "truth")
+
+    @property
+    def survey(self) -> Survey | None:
+        """The survey, parsed once for each text; None without one."""
+        text = str(self._cube.attrs.get("survey") or "")
+        return _survey_of(text) if text else None
 
     @property
     def geometry(self) -> dict[str, Any]:

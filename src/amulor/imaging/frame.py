@@ -9,8 +9,9 @@ import numpy as np
 import xarray as xr
 from numpy.typing import ArrayLike, NDArray
 
-from amulor.errors import CubeError, SurveyError
-from amulor.survey import Pose, Survey
+from amulor.errors import CubeError
+from amulor.imaging.observation import readable_survey
+from amulor.survey import Pose
 
 Floats = NDArray[np.float64]
 Axes = Literal["instrument", "z-up", "pose"]
@@ -228,10 +229,5 @@ def _attitude(pose: Pose) -> Floats:
 
 def _stated(image: xr.Dataset) -> Pose | None:
     """Return the pose in the survey of an image, None without one."""
-    text = image.attrs.get("survey")
-    if not text:
-        return None
-    try:
-        return Survey.from_text(str(text)).pose
-    except SurveyError:
-        return None
+    survey = readable_survey(image)
+    return None if survey is None else survey.pose

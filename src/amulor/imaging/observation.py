@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from functools import cached_property, lru_cache
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -185,7 +185,7 @@ def observe(channel: xr.Dataset, **options: Any) -> Observation:
     return Observation(
         channel=channel,
         geometry=geometry_of(channel),
-        survey=_survey_of(str(channel.attrs.get("survey") or "")),
+        survey=readable_survey(channel),
         **options,
     )
 
@@ -206,10 +206,10 @@ def channel_of(cube: xr.Dataset, polarization: str | None) -> xr.Dataset:
     return cube.sel(polarization=chosen)
 
 
-@lru_cache(maxsize=4)
-def _survey_of(text: str) -> Survey | None:
-    """Survey of a text; None if it is empty or cannot be read."""
+def readable_survey(cube: xr.Dataset) -> Survey | None:
+    """Return the survey of a cube; None if it has none that can be read."""
     try:
-        return Survey.from_text(text) if text else None
+        survey: Survey | None = cube.amulor.survey
     except SurveyError:
         return None
+    return survey

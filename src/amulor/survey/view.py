@@ -190,6 +190,17 @@ def beam_arguments(survey: Survey, water: WaterProperties) -> dict[str, float]:
     return arguments
 
 
+def widths_together(
+    survey: Survey, water: WaterProperties, acceptance: float
+) -> tuple[float, float]:
+    """Return radius [m] and semi-angle [rad] of receiver and beam together."""
+    beam = beam_arguments(survey, water)
+    return (
+        float(np.hypot(survey.instrument.receiver.radius, beam.get("beam_radius", 0))),
+        float(np.hypot(acceptance, beam.get("beam_divergence", 0))),
+    )
+
+
 def has_sharp_receiver(survey: Survey) -> bool:
     """Return whether the receiver of a survey has sharp edges."""
     return survey.instrument.receiver.edge == "sharp"

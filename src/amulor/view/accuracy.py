@@ -8,9 +8,10 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 import xarray as xr
 
-from amulor.errors import AmulorError, SurveyError
+from amulor.errors import AmulorError
 from amulor.imaging import error_budget, frame_of
 from amulor.imaging.measure import Checked
+from amulor.imaging.observation import readable_survey
 from amulor.survey import Survey, water_properties
 from amulor.view.report import Heading, Paragraph, Part, Table
 
@@ -24,8 +25,8 @@ def instrument_and_water(images: Mapping[str, xr.Dataset]) -> list[Part]:
     for name, image in images.items():
         groups.setdefault(str(image.attrs.get("survey", "")), []).append(name)
     parts: list[Part] = []
-    for text, names in groups.items():
-        survey = _survey(text)
+    for names in groups.values():
+        survey = readable_survey(images[names[0]])
         if survey is None:
             continue
         of = f" of {', '.join(names)}" if len(groups) > 1 else ""
@@ -40,7 +41,7 @@ def registration(images: Mapping[str, xr.Dataset]) -> list[Part]:
     """Return where the instrument stood, as the surveys of range images say."""
     rows = []
     for name, image in images.items():
-        survey = _survey(str(image.attrs.get("survey", "")))
+        survey = readable_survey(image)
         if survey is None or survey.pose is None:
             rows.append([name, "the instrument's own axes", "", "", "", ""])
             continue
@@ -192,15 +193,6 @@ def _check_parts(checks: Mapping[str, Sequence[Checked]]) -> list[Part]:
             f"the deviations {rms * 1e3:.2g} mm."
         ),
     ]
-
-
-def _survey(text: str) -> Survey | None:
-    if not text:
-        return None
-    try:
-        return Survey.from_text(text)
-    except SurveyError:
-        return None
 
 
 def _instrument_rows(survey: Survey) -> list[list[str]]:

@@ -22,8 +22,8 @@ from amulor.handover.archive import project as layout
 from amulor.handover.archive.check import missing_of
 from amulor.handover.archive.project import Project, ScanFiles
 from amulor.imaging import products
+from amulor.imaging.observation import readable_survey
 from amulor.io.files import synchronise_folder
-from amulor.survey import Survey
 
 Row = dict[str, str]
 
@@ -111,7 +111,7 @@ def _frames(project: Project) -> list[imaging.Frame]:
     for scan in project.scans:
         image = io.read_cube(scan.image)
         cubes.check(image, "range_image", name=str(scan.image))
-        survey = _survey(image)
+        survey = readable_survey(image)
         pose = scan.pose or (None if survey is None else survey.pose)
         if pose is None and len(project.scans) > 1:
             raise CubeError(
@@ -163,7 +163,7 @@ def _scan(
     frame: imaging.Frame,
 ) -> Row:
     """Write clouds and matrix of a scan, and return what is to be said of it."""
-    survey = _survey(image)
+    survey = readable_survey(image)
     cloud = imaging.point_cloud(image, frame=frame)
     stem = layout.cloud_name(name, scan.name)
     for ending in (".xyz", ".laz", ".e57"):
@@ -333,16 +333,6 @@ def _table(
         table.writerows(
             {name: " ".join(text.split()) for name, text in row.items()} for row in rows
         )
-
-
-def _survey(image: xr.Dataset) -> Survey | None:
-    text = image.attrs.get("survey")
-    if not text:
-        return None
-    try:
-        return Survey.from_text(str(text))
-    except SurveyError:
-        return None
 
 
 def _day(image: xr.Dataset) -> str:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from amulor import cube as cubes
 from amulor.cube import QualityFlag, WaterResidualCause
-from amulor.optics import rays
+from amulor.optics._geometry import Geometry
 from amulor.rejection.build import target_cube
 from amulor.rejection.covariance import Covariance, covariance_of
 from amulor.rejection.joint.overlap import Frame
@@ -43,8 +43,6 @@ MATTERS = 10.0
 ECHO_MATTERS = 0.3
 #: Part of the pixels that is most of them [1].
 _MOST = 0.5
-#: Step of the optical path for the derivative of the slant range [m].
-_DIFFERENCE = 1e-5
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -69,7 +67,7 @@ class Scan:
 
 def typical_of(
     frame: Frame,
-    beam: rays.Beam,
+    geometry: Geometry,
     result: Result,
     shared: Shared,
     instrument: Instrument,
@@ -82,17 +80,13 @@ def typical_of(
         place = len(shared.strength) + 1
         error = math.sqrt(float(shared.covariance[place, place]))
         late_spread = frame.late_spread(typical, late_spread, error)
-    known = _known(frame, beam, result, instrument, late_spread)
+    known = _known(geometry, result, instrument, late_spread)
     some = known[seen & np.isfinite(known)]
     return late_spread, float(np.sqrt(np.median(some)) if some.size else 0.0)
 
 
 def refuses_its_echo(
-    frame: Frame,
-    beam: rays.Beam,
-    result: Result,
-    shared: Shared,
-    instrument: Instrument,
+    geometry: Geometry, result: Result, shared: Shared, instrument: Instrument
 ) -> bool:
     """Return whether most pixels are flagged since the echo is no pure delay."""
     if (
@@ -102,21 +96,11 @@ def refuses_its_echo(
         or not result.detected.any()
     ):
         return False
-    slope = _slope(frame, beam, result.estimates.path)
-    known = _known(frame, beam, result, instrument, shared.shape.spread)
+    _, slope = geometry.slant_range_and_slope(result.estimates.path)
+    known = _known(geometry, result, instrument, shared.shape.spread)
     with np.errstate(divide="ignore", invalid="ignore"):
         departure, limit = _departure(result, slope, known, ECHO_MATTERS)
     return bool(np.mean((departure > limit)[result.detected]) > _MOST)
-
-
-def _slope(frame: Frame, beam: rays.Beam, path: Floats) -> Floats:
-    """Return the derivative of slant ranges by the optical path [1]."""
-    ranges = [
-        rays.slant_range_of_path(length, beam, frame.receiver, medium=frame.medium)
-        for length in (path, path + _DIFFERENCE)
-    ]
-    slope: Floats = (ranges[1] - ranges[0]) / _DIFFERENCE
-    return slope
 
 
 def _departure(
@@ -130,16 +114,10 @@ def _departure(
 
 
 def _known(
-    frame: Frame,
-    beam: rays.Beam,
-    result: Result,
-    instrument: Instrument,
-    late_spread: float,
+    geometry: Geometry, result: Result, instrument: Instrument, late_spread: float
 ) -> Floats:
     """Return the variance of slant ranges by what the samples cannot tell [m^2]."""
-    known = range_variance(
-        instrument, result.estimates.path, beam, frame.receiver, frame.medium
-    )
+    known = range_variance(instrument, result.estimates.path, geometry)
     late = late_echo(np.where(result.detected, result.depth, np.nan), late_spread)
     total: Floats = known + (instrument.late_echo * late) ** 2
     return total
@@ -174,19 +152,13 @@ def cube_of(cube: xr.Dataset, scan: Scan, result: Result) -> xr.Dataset:
         )
     estimates = result.estimates
     path, detected = estimates.path, result.detected
-    beam = frame.beam(
+    geometry = frame.geometry(
         cube["azimuth"].values.ravel().astype(float),
         cube["elevation"].values.ravel().astype(float),
     )
-
-    def to_range(length: Floats) -> Floats:
-        return rays.slant_range_of_path(
-            length, beam, frame.receiver, medium=frame.medium
-        )
-
-    slant_range = np.where(detected, to_range(path), np.nan)
-    slope = _slope(frame, beam, path)
-    known = _known(frame, beam, result, scan.instrument, scan.late_spread)
+    slant_range, slope = geometry.slant_range_and_slope(path)
+    slant_range = np.where(detected, slant_range, np.nan)
+    known = _known(geometry, result, scan.instrument, scan.late_spread)
     with np.errstate(divide="ignore", invalid="ignore"):
         own = 1 / np.sqrt(estimates.information)
         limit = MATTERS
@@ -250,7 +222,7 @@ def cube_of(cube: xr.Dataset, scan: Scan, result: Result) -> xr.Dataset:
     }
     maps = {name: np.where(usable, values, np.nan) for name, values in ranges.items()}
     for name, side in (("near", "nearer_surface"), ("far", "farther_surface")):
-        maps[side] = to_range(getattr(result, name))
+        maps[side] = geometry.slant_range(getattr(result, name))
     maps["misfit"] = cost / np.maximum(freedom, 1)
     maps["misfit_probability"], maps["detection"] = p_value, estimates.explained
     maps["departure"], maps["departure_limit"] = departure, shift_limit

@@ -29,6 +29,7 @@ from amulor.rejection.joint.priors import (
     DECISIVE,
     DIRECTION,
     LATE_ECHO,
+    Bands,
     Clock,
     Instrument,
     Shared,
@@ -95,7 +96,8 @@ def common_of(
     """Return what all pixels share, estimated from a sample of them."""
     head = source.head
     frequency = head["modulation_frequency"].values
-    extent = _extent_of(source)
+    bands = list(tiles.bands(source))
+    extent = _extent_of(source, bands)
     shots = head.amulor.open_water
     places = shot_directions((extent.azimuth[2], extent.elevation[2]), shots)
     frame = frame_of(
@@ -103,7 +105,7 @@ def common_of(
         np.concatenate([extent.azimuth[:2], places[0]]),
         np.concatenate([extent.elevation[:2], places[1]]),
     )
-    for begin, end in tiles.bands(source):
+    for begin, end in bands:
         if "origin_z" in head.coords or "origin_z" in source.tile(begin, end).coords:
             refuse_other_windows(source.tile(begin, end), frame)
         else:
@@ -117,14 +119,14 @@ def common_of(
     chosen = chosen[
         np.linspace(0, len(chosen) - 1, min(SHARING, len(chosen))).astype(int)
     ]
-    clock = clock_of(source)
+    clock = clock_of(source, bands)
     some = _joined(
         [
             _pixels(
                 frame, source.tile(begin, end), begin, clock, interval=interval,
                 which=which - begin * source.columns,
             )
-            for begin, end in tiles.bands(source)
+            for begin, end in bands
             if len(which := _within(chosen, begin, end, source.columns))
         ]
     )  # fmt: skip
@@ -143,14 +145,14 @@ def common_of(
     of_water = shot_pixels(frame, shots, places, frequency)
     shared = fitted(of_water)
     found = solve(frame, some, shared, transfer)
-    beam = frame.beam(*_directions_at(source, chosen))
-    late_spread, known = typical_of(frame, beam, found, shared, instrument)
+    geometry = frame.geometry(*_directions_at(source, bands, chosen))
+    late_spread, known = typical_of(frame, geometry, found, shared, instrument)
     doubted = False
     if of_water is not None and shared.evidence > DECISIVE and shared.water_departs:
         # Shots of other water hide what is wrong with the echo: ask without them.
         alone = fitted(None)
         by_itself = solve(frame, some, alone, transfer)
-        doubted = refuses_its_echo(frame, beam, by_itself, alone, instrument)
+        doubted = refuses_its_echo(geometry, by_itself, alone, instrument)
     return Common(
         scan=Scan(
             frame=frame,
@@ -236,10 +238,10 @@ def _pixels(
     )
 
 
-def _extent_of(source: tiles.Source) -> _Extent:
+def _extent_of(source: tiles.Source, bands: Bands) -> _Extent:
     """Return what a look at all samples tells; refuse errors of zero."""
     enough, lowest, highest, means = [], [], [], []
-    for begin, end in tiles.bands(source):
+    for begin, end in bands:
         tile = source.tile(begin, end)
         usable, errors = count(tile)
         refuse_errors_of_zero(errors, usable)
@@ -282,11 +284,11 @@ def _joined(parts: list[Pixels]) -> Pixels:
 
 
 def _directions_at(
-    source: tiles.Source, chosen: NDArray[np.intp]
+    source: tiles.Source, bands: Bands, chosen: NDArray[np.intp]
 ) -> tuple[Floats, Floats]:
     """Return where chosen pixels look [rad]."""
     found: list[tuple[Floats, Floats]] = []
-    for begin, end in tiles.bands(source):
+    for begin, end in bands:
         which = _within(chosen, begin, end, source.columns) - begin * source.columns
         if len(which):
             tile = source.tile(begin, end)

@@ -17,16 +17,17 @@ from scipy.special import j0
 
 from amulor.errors import CubeError, SurveyError
 from amulor.optics import rays, small_angle_diffusion
+from amulor.optics._geometry import Geometry
 from amulor.optics.late_echo import late_echo
 from amulor.optics.phase_functions.phase_function import PhaseFunction
 from amulor.rejection.joint._kernels import model as kernels
 from amulor.survey import Survey, WaterProperties, water_properties
 from amulor.survey.view import (
-    beam_arguments,
     kernel_arguments,
     medium_of,
     seen_from_water,
     view,
+    widths_together,
 )
 from amulor.survey.waters.whole_function import whole_phase_function
 
@@ -420,7 +421,7 @@ class Frame:
             "second_moment",
         ):
             del arguments[name]
-        radius, angle = _widths(survey, self._properties, where.acceptance)
+        radius, angle = widths_together(survey, self._properties, where.acceptance)
         return arguments | {"receiver_radius": radius, "acceptance_angle": angle}
 
     def optical_offset(self, azimuth: Floats, elevation: Floats) -> Floats:
@@ -428,18 +429,16 @@ class Frame:
         where = view(self.survey, azimuth, elevation)
         return np.broadcast_to(where.optical_offset, azimuth.shape)
 
-    def beam(self, azimuth: Floats, elevation: Floats) -> rays.Beam:
-        """Return the beams of given directions."""
-        return rays.enter_water(
-            self.survey.instrument.emitter.position,
-            rays.direction(azimuth, elevation),
+    def geometry(self, azimuth: Floats, elevation: Floats) -> Geometry:
+        """Return the geometry of beams of given directions."""
+        instrument = self.survey.instrument
+        return Geometry(
+            azimuth=azimuth,
+            elevation=elevation,
+            emitter=np.asarray(instrument.emitter.position, dtype=float),
+            receiver=np.asarray(instrument.receiver.position, dtype=float),
             medium=self.medium,
         )
-
-    @property
-    def receiver(self) -> Floats:
-        """Where the light is collected [m]."""
-        return np.asarray(self.survey.instrument.receiver.position, dtype=float)
 
     def overlap(self, depth: Floats, shape: Shape) -> Floats:
         """Return the overlap at the nodes, (node, depth), without the correction."""
@@ -543,17 +542,6 @@ class Frame:
         return overlap
 
 
-def _widths(
-    survey: Survey, properties: WaterProperties, acceptance: float
-) -> tuple[float, float]:
-    """Return radius [m] and semi-angle [rad] of receiver and beam together."""
-    beam = beam_arguments(survey, properties)
-    return (
-        float(np.hypot(survey.instrument.receiver.radius, beam.get("beam_radius", 0))),
-        float(np.hypot(acceptance, beam.get("beam_divergence", 0))),
-    )
-
-
 def _scattered_light(
     survey: Survey, properties: WaterProperties, medium: rays.Medium
 ) -> Scattered | None:
@@ -570,7 +558,7 @@ def _scattered_light(
     except SurveyError:
         return None
     standoff, acceptance = seen_from_water(survey, medium)
-    radius, angle = _widths(survey, properties, acceptance)
+    radius, angle = widths_together(survey, properties, acceptance)
     return Scattered(
         function,
         properties.split_angle,
@@ -595,14 +583,13 @@ def unseen() -> CubeError:
 
 def frame_of(cube: xr.Dataset, azimuth: Floats, elevation: Floats) -> Frame:
     """Return the frame of a cube whose survey describes the receiver."""
-    text = cube.attrs.get("survey")
-    if not text:
+    survey = cube.amulor.survey
+    if survey is None:
         raise CubeError(
             "the cube has no attribute 'survey', from which the geometry of the "
             "receiver is taken; add the text of a survey file that describes the "
             "instrument, or use the open-water method"
         )
-    survey = Survey.from_text(text, name="survey in the cube")
     return Frame(
         survey,
         azimuth,

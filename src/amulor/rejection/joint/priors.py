@@ -14,12 +14,15 @@ from scipy.linalg import solve_triangular
 
 from amulor.cube import tiles
 from amulor.optics import rays
+from amulor.optics._geometry import Geometry
 from amulor.rejection.covariance import times
 from amulor.rejection.joint.overlap import COEFFICIENTS, Shape
 from amulor.rejection.joint.samples import Pixels
 from amulor.rejection.joint.tables import Table
 
 Floats = NDArray[np.float64]
+#: First row and end of each tile that a scan is read in.
+Bands = list[tuple[int, int]]
 
 #: Standard uncertainty of the axis of a receiver about which nothing is said [rad].
 DIRECTION = float(np.radians(1.0))
@@ -90,13 +93,7 @@ def late_echo(depth: Floats, spread: float) -> Floats:
     return late
 
 
-def range_variance(
-    instrument: Instrument,
-    path: Floats,
-    beam: rays.Beam,
-    receiver: Floats,
-    medium: rays.Medium,
-) -> Floats:
+def range_variance(instrument: Instrument, path: Floats, geometry: Geometry) -> Floats:
     r"""Return the variance of slant ranges by what is not known of the instrument.
 
     To first order :math:`(c_0 u_\tau \partial r / \partial p)^2 + (u_n \partial r /
@@ -105,11 +102,12 @@ def range_variance(
     water signal holds delay and baseline too, but only as well as the model of the
     water is right, so that it is not asked.
     """
+    receiver, medium = geometry.receiver, geometry.medium
 
     def to_range(
         length: Floats, place: Floats = receiver, through: rays.Medium = medium
     ) -> Floats:
-        return rays.slant_range_of_path(length, beam, place, medium=through)
+        return rays.slant_range_of_path(length, geometry.beam, place, medium=through)
 
     here = to_range(path)
     by_path = (to_range(path + _STEP) - here) / _STEP
@@ -148,7 +146,7 @@ class Clock:
     """Time from the first to the last [s], or pixels."""
 
 
-def clock_of(source: tiles.Source) -> Clock:
+def clock_of(source: tiles.Source, bands: Bands) -> Clock:
     """Return when a scan was measured."""
     rows, columns = source.rows, source.columns
     row_by_row = Clock(
@@ -159,7 +157,7 @@ def clock_of(source: tiles.Source) -> Clock:
         length=float(max(rows * columns - 1, 0)),
     )
     first, last = np.inf, -np.inf
-    for begin, end in tiles.bands(source):
+    for begin, end in bands:
         tile = source.tile(begin, end)
         if "time" not in tile:
             return row_by_row
@@ -174,7 +172,9 @@ def trends_of(
     cube: xr.Dataset, clock: Clock | None = None, *, row: int = 0, column: int = 0
 ) -> Floats:
     """Return the polynomials that make up the change, at the time of each pixel."""
-    clock = clock_of(tiles.InMemory(cube)) if clock is None else clock
+    if clock is None:
+        memory = tiles.InMemory(cube)
+        clock = clock_of(memory, list(tiles.bands(memory)))
     shape = cube["azimuth"].shape
     if clock.stated:
         time = cube["time"].values.ravel().astype(float)

@@ -260,14 +260,9 @@ def pixels_of(
     trends: Floats,
 ) -> Pixels:
     """Return samples with all that their likelihood needs."""
-    beam = frame.beam(azimuth, elevation)
-    shortest, longest = rays.path_limits(
-        interval,
-        beam,
-        frame.receiver,
-        medium=frame.medium,
-        modulation_frequency=modulation_frequency,
-    )
+    geometry = frame.geometry(azimuth, elevation)
+    beam = geometry.beam
+    shortest, longest = geometry.path_limits(interval, modulation_frequency)
     place = np.linspace(0, 1, _DEPTH_NODES) ** 2
     path = shortest[:, None] + (longest - shortest)[:, None] * place
     wide = rays.Beam(
@@ -277,7 +272,7 @@ def pixels_of(
         optical_length_before=beam.optical_length_before[:, None],
     )
     slant_range = rays.slant_range_of_path(
-        path, wide, frame.receiver, medium=frame.medium
+        path, wide, geometry.receiver, medium=geometry.medium
     )
     return Pixels(
         signal=np.where(usable, signal, 0.0),

@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 
 from amulor import cube as cubes
 from amulor.errors import CubeError
-from amulor.survey import Survey
 
 #: Numbers that differ by no more than this are the same [1].
 _SAME = 1e-6
@@ -129,10 +128,9 @@ def _refuse_other_geometry(cube: xr.Dataset, reference: xr.Dataset) -> None:
 
 
 def _refuse_other_surveys(cube: xr.Dataset, reference: xr.Dataset) -> None:
-    texts = [part.attrs.get("survey") for part in (cube, reference)]
-    if not all(texts):
+    ours, theirs = cube.amulor.survey, reference.amulor.survey
+    if ours is None or theirs is None:
         return
-    ours, theirs = (Survey.from_text(str(text)) for text in texts)
     for part, remedy in (
         ("water", "record open water in the same water as the target"),
         ("instrument", "record open water with the same settings as the target"),

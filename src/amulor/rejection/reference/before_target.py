@@ -272,14 +272,13 @@ def water_before_target(
     samples = cube.amulor.signal.values
     water, common = expected_at_pixels(fits, samples.shape)
     difference = subtract(samples, water)
-    text = cube.attrs.get("survey")
-    survey, told, turbidity, hidden, steeper = None, None, None, None, None
+    survey = cube.amulor.survey
+    told, turbidity, hidden, steeper = None, None, None, None
     choices = None if fit is None else fit.choices
     behind = None if fit is None else fit.column
     steeper_behind = None if fit is None else fit.steeper
     path = np.full(samples.shape[2:], np.nan)
-    if text:
-        survey = Survey.from_text(text, name="survey in the cube")
+    if survey is not None:
         tell("turbidity that the shots tell", 0.2)
         told = None if fit is None else fit.told
         if told is None:

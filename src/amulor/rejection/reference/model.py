@@ -149,10 +149,9 @@ def model_behind_shots(
     directions, foretells directions that are left out best, all frequencies and
     channels together. The pixels take it from a product of Chebyshev polynomials.
     """
-    text = cube.attrs.get("survey")
-    if not text:
+    survey = cube.amulor.survey
+    if survey is None:
         return None
-    survey = Survey.from_text(str(text), name="survey in the cube")
     frequency = cube["modulation_frequency"].values
     places = places_of(shots)
     first = np.unique(places.group, return_index=True)[1]

@@ -30,7 +30,6 @@ from amulor.rejection.reference.surface import (
     places_of,
     surface_of,
 )
-from amulor.survey import Survey
 
 Floats = NDArray[np.float64]
 Complex = NDArray[np.complex128]
@@ -443,8 +442,8 @@ def _refuse_a_scan_beyond_the_shots(
     cube: xr.Dataset, shots: NDArray[np.float64], span: Span
 ) -> None:
     """Raise if the water signal would have to be extrapolated over the directions."""
-    text = cube.attrs.get("survey")
-    if text and Survey.from_text(text).scan.moves == "both":
+    survey = cube.amulor.survey
+    if survey is not None and survey.scan.moves == "both":
         return  # The receiver turns with the beam: the water is the same everywhere.
     low, high = shots.min(axis=0), shots.max(axis=0)
     room = np.maximum(_BEYOND * (high - low), BEYOND_AT_LEAST)

@@ -11,6 +11,7 @@ from scipy.constants import speed_of_light
 
 from amulor import simulate
 from amulor.optics import rays
+from amulor.optics._geometry import Geometry
 from amulor.rejection import joint
 from amulor.rejection.joint.priors import Instrument, late_echo, range_variance
 from amulor.studies.trust.case import Case
@@ -46,13 +47,17 @@ def test_each_term_is_the_shift_that_such_an_error_makes(
         "position": 5e-3 * INDEX * BASELINE / back * per_path,
     }
     medium = rays.Medium(refractive_index=1.34, group_index=INDEX)
-    beam = rays.enter_water(np.zeros(3), np.array([[0.0, 0.0, 1.0]]), medium=medium)
+    geometry = Geometry(
+        azimuth=np.zeros(1),
+        elevation=np.zeros(1),
+        emitter=np.zeros(3),
+        receiver=np.array([BASELINE, 0.0, 0.0]),
+        medium=medium,
+    )
     variance = range_variance(
         Instrument(**(vars(EXACT) | {name: known})),
         np.array([INDEX * (DISTANCE + back)]),
-        beam,
-        np.array([BASELINE, 0.0, 0.0]),
-        medium,
+        geometry,
     )
     assert_allclose(np.sqrt(variance), shifts[name], rtol=1e-4)
 

@@ -17,7 +17,6 @@ from amulor.simulation import simulate
 from amulor.studies.trust.case import Case, Floats, case_of
 from amulor.studies.trust.scenes.models import around
 from amulor.studies.trust.surveys import FREQUENCIES, plate, survey
-from amulor.survey import Survey
 
 Complex = NDArray[np.complex128]
 
@@ -190,7 +189,7 @@ def with_effect(
     )
     if not calibrated:
         return case
-    believed = Survey.from_text(case.samples.attrs["survey"])
+    believed = case.samples.amulor.survey
     stated = believed.with_({"calibration": CALIBRATION})
     return replace(case, samples=case.samples.assign_attrs(survey=stated.to_toml()))
 

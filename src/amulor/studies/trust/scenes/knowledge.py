@@ -66,6 +66,6 @@ _CALIBRATION = {
 def calibrated(count: int, seed: int, *, make: Callable[[int, int], Case]) -> Case:
     """Return another case whose survey states how well the instrument is known."""
     case = make(count, seed)
-    believed = Survey.from_text(case.samples.attrs["survey"])
+    believed = case.samples.amulor.survey
     stated = believed.with_({"calibration": _CALIBRATION})
     return replace(case, samples=case.samples.assign_attrs(survey=stated.to_toml()))
