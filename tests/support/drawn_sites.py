@@ -15,7 +15,9 @@ from amulor import cube as cubes
 from amulor import io
 from amulor.imaging import flag_mixed, flag_outliers
 from amulor.site import Site
+from amulor.site.registration.pose import ScanPose
 from amulor.site.registration.register import surface_of
+from amulor.site.registration.result import Registration
 from amulor.site.registration.surface import ScanSurface
 
 
@@ -238,3 +240,29 @@ def written(drawn: DrawnSite, folder: Path) -> Path:
         ]
     (folder / "site.toml").write_text("\n".join(lines) + "\n")
     return folder / "site.toml"
+
+
+def known_registration(drawn: DrawnSite) -> Registration:
+    """Return the true poses of a site as its registration, without errors."""
+    poses = {
+        name: ScanPose(station.matrix, np.array(station.place))
+        for name, station in drawn.stations.items()
+    }
+    keys = dict.fromkeys(
+        key for surface in drawn.surfaces.values() for key in surface.shared.keys
+    )
+    places = {f"error {key}": (at, at + 1) for at, key in enumerate(keys)}
+    return Registration(
+        site=drawn.site.name,
+        poses=poses,
+        points={},
+        errors=dict.fromkeys(keys, 0.0),
+        places=places,
+        covariance=np.eye(len(keys)),
+        pairs=(),
+        disagreements=(),
+        weaknesses=(),
+        contradictions=(),
+        remarks=(),
+        settled=True,
+    )

@@ -357,6 +357,7 @@ def _region(one: Region, motion: Motion | None) -> dict[str, Any]:
         "mean_uncertainty_m": one.mean_uncertainty,
         "volume_m3": one.volume,
         "volume_uncertainty_m3": one.volume_uncertainty,
+        "not_compared_m2": one.lost,
     }
     if motion is not None:
         found["motion"] = {
@@ -376,7 +377,8 @@ def _sentence(number: int, one: Region, motion: Motion | None) -> str:
     text = (
         f"{number}: at ({place}) m, {one.area * 1e4:.0f} cm2, mean "
         f"{one.mean * 1e3:+.2f} +- {one.mean_uncertainty * 1e3:.2f} mm, volume "
-        f"{one.volume * 1e6:+.0f} +- {one.volume_uncertainty * 1e6:.0f} cm3"
+        f"{one.volume * 1e6:+.0f} +- {one.volume_uncertainty * 1e6:.0f} cm3, "
+        f"{one.lost * 1e4:.0f} cm2 there not compared"
     )
     if motion is None:
         return text

@@ -163,6 +163,15 @@ def change_map(change: Change, places: Sequence[Region]) -> Figure:
         axes[0].add_patch(ring)
         corner = (one.centre[0] + one.reach, one.centre[1] + one.reach)
         axes[0].annotate(str(number + 1), corner)
+    if places:
+        # No centimetre among empty metres.
+        low, high = (
+            pick([sign * one.reach + one.centre[:2] for one in places], axis=0)
+            for pick, sign in ((np.min, -1), (np.max, 1))
+        )
+        margin = max(float((high - low).max()), 10 * change.spacing) / 2
+        axes[0].set_xlim(low[0] - margin, high[0] + margin)
+        axes[0].set_ylim(low[1] - margin, high[1] + margin)
     axes[0].set_aspect("equal")
     axes[0].set_xlabel("east [m]")
     axes[0].set_ylabel("north [m]")
@@ -350,13 +359,16 @@ def _changed(
                 f"{one.area * 1e4:.0f}",
                 f"{one.mean * 1e3:+.2f} ± {one.mean_uncertainty * 1e3:.2f}",
                 f"{one.volume * 1e6:+.0f} ± {one.volume_uncertainty * 1e6:.0f}",
+                f"{one.lost * 1e4:.0f}",
                 *moved,
             ]
         )
     header = ["place", "at [m]", "area [cm²]", "mean [mm]", "volume [cm³]"]
+    header += ["not compared [cm²]"]
     header += ["moved by [mm]", "east, north, up [mm]"]
     caption = (
-        "Means and volumes along the normals. A motion is the rigid one that takes "
-        "what stands above the ground there from the first visit to the second."
+        "Means and volumes along the normals. A volume has the rim of its place; what "
+        "could not be compared there is no part of it. A motion is the rigid one that "
+        "takes what stands above the ground there from the first visit to the second."
     )
     return [*parts, Table(header, rows, caption)]

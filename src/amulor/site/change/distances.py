@@ -29,8 +29,16 @@ Flags = NDArray[np.bool_]
 _FEWEST = 12
 #: Points that stand so many times the scatter off a patch are none of it [1].
 _OFF = 3.5
-#: Where points scatter so many times more than their noise there is no one surface [1].
-_ROUGH = 3.0
+#: Where points scatter about a patch by more than this part of its radius there is no
+#: one surface [1].
+_ROUGH = 0.3
+#: Scatter about a patch above that of noise is its shape, and this part of it an error
+#: of the height [1].
+_SHAPE = 0.5
+#: Scatter is more than noise if it exceeds it by so many standard errors [1].
+_SURE = 4.0
+#: Gap between layers of surface in one cell, in spacings [1].
+_LAYER = 2.0
 #: Normals of points that belong together differ by less; cosine of the angle [1].
 _ALIKE = 0.6
 
@@ -98,8 +106,7 @@ def change(
     parts = []
     for name in names:
         kept = cloud.of_epoch(name) & ~cloud.moving
-        kept &= np.isfinite(cloud.normal).all(axis=1)
-        if not kept.any():
+        if not (kept & np.isfinite(cloud.normal).all(axis=1)).any():
             raise CubeError(
                 f"epoch {name!r}: no point of its scans lies on a smooth surface; look "
                 "at its scans, or name other epochs"
@@ -163,10 +170,25 @@ def _nothing_common(names: tuple[str, str]) -> CubeError:
 def _cores(
     cloud: Merged, at: NDArray[np.intp], spacing: float, radius: float
 ) -> tuple[Floats, Floats, Floats]:
-    """Return one point for each cube of space with a surface, its normal and area."""
-    place = cloud.position[at]
-    cell = np.floor(place / spacing).astype(np.int64)
-    _, group = np.unique(cell, axis=0, return_inverse=True)
+    """Return one point for each cell of a surface, its normal and area.
+
+    Cells are squares across the axis that the normal is nearest to; layers along that
+    axis are surfaces of their own.
+    """
+    place, normals = cloud.position[at], cloud.normal[at]
+    smooth = np.isfinite(normals).all(axis=1)
+    nearest = cKDTree(place[smooth]).query(place[~smooth])[1]
+    normals[~smooth] = normals[smooth][nearest]
+    axis = np.abs(normals).argmax(axis=1)
+    number = np.arange(len(place))
+    across = np.array([[1, 2], [2, 0], [0, 1]])[axis]
+    cell = np.floor(np.take_along_axis(place, across, axis=1) / spacing)
+    height = place[number, axis]
+    order = np.lexsort((height, cell[:, 1], cell[:, 0], axis))
+    changed = np.diff(np.column_stack([axis, cell])[order], axis=0).any(axis=1)
+    changed |= np.diff(height[order]) > _LAYER * spacing
+    group = np.empty(len(place), dtype=np.intp)
+    group[order] = np.concatenate([[0], np.cumsum(changed)])
     count = np.bincount(group)
 
     def mean(values: Floats) -> Floats:
@@ -174,15 +196,16 @@ def _cores(
         return np.stack(sums, axis=1) / count[:, None]
 
     core = mean(place)
-    tree = cKDTree(place)
-    near = tree.query_ball_point(core, radius)
-    normal = np.array([cloud.normal[at[some]].mean(axis=0) for some in near])
+    near = cKDTree(place).query_ball_point(core, radius)
+    normal = np.array([normals[some].mean(axis=0) for some in near])
     size = np.linalg.norm(normal, axis=1)
     # Where normals point everywhere there is no surface, but an edge.
     good = (size > 0.8) & (count >= 2)
     normal = normal / np.maximum(size, 1e-9)[:, None]
-    # A plane of area A crosses A (|nx| + |ny| + |nz|) / s^2 cubes.
-    area = spacing**2 / np.abs(normal).sum(axis=1)
+    of_group = np.empty(len(count), dtype=np.intp)
+    of_group[group] = axis
+    facing = np.abs(normal[np.arange(len(count)), of_group])
+    area = spacing**2 / np.maximum(facing, 0.3)
     return core[good], normal[good], area[good]
 
 
@@ -233,7 +256,9 @@ def _means(
     off = place[index] - core[owner]
     along = np.einsum("ij,ij->i", off, normal[owner])
     across = np.sqrt(np.maximum((off**2).sum(axis=1) - along**2, 0.0))
-    alike = np.einsum("ij,ij->i", cloud.normal[at[index]], normal[owner]) > _ALIKE
+    facing = np.einsum("ij,ij->i", cloud.normal[at[index]], normal[owner])
+    # On flanks and at creases a point has no normal, and counts by its place.
+    alike = ~(facing <= _ALIKE)
     kept = (across <= radius) & (np.abs(along) <= reach) & alike
     owner, index, along, across = (v[kept] for v in (owner, index, along, across))
     if not len(index):
@@ -243,7 +268,7 @@ def _means(
     sigma = np.maximum(np.abs(facing) * cloud.own[at[index]], 1e-6)
     weight = 1 / sigma**2
     size = len(core)
-    fitted = _patches(owner, along, off[kept], normal, weight)
+    fitted = _patches(owner, along, off[kept], normal, weight, radius)
     share = fitted.share
     value = np.where(fitted.good, fitted.height, np.nan)
     own = fitted.own
@@ -299,12 +324,19 @@ class _Patches:
 
 
 def _patches(
-    owner: NDArray[np.intp], along: Floats, off: Floats, normal: Floats, weight: Floats
+    owner: NDArray[np.intp],
+    along: Floats,
+    off: Floats,
+    normal: Floats,
+    weight: Floats,
+    radius: float,
 ) -> _Patches:
-    """Return the heights of curved patches through points, and their noise.
+    """Return the heights of curved patches through points, and their errors.
 
     Of second degree, so that two epochs that sample a slope or a bend in other places
-    have the same height. `share` is how a height follows from each point.
+    have the same height. Points that scatter more than their noise follow no such
+    patch, as on a steep flank: the height then has an error by its shape. `share` is
+    how a height follows from each point.
     """
     size = len(normal)
     helper = np.where(np.abs(normal[:, :1]) < 0.8, [[1.0, 0, 0]], [[0, 1.0, 0]])
@@ -340,12 +372,22 @@ def _patches(
         )
     share = np.einsum("ij,ij->i", back[owner, 0], terms) * part
     own = np.sqrt(np.abs(back[:, 0, 0]) / np.maximum(scale, 1e-30)) * scatter
-    good = (count >= _FEWEST) & (scatter < _ROUGH) & (back[:, 0, 0] < 0.5 * _FEWEST)
+    # Root mean square of the shape: what is left of the scatter without the noise.
+    noise = count / np.maximum(np.bincount(owner, used, minlength=size), 1e-300)
+    excess = np.where(
+        scatter**2 > 1 + _SURE * np.sqrt(2 / freedom), scatter**2 - 1, 0.0
+    )
+    shape = np.sqrt(excess * noise)
+    own = np.hypot(own, _SHAPE * shape)
+    good = (count >= _FEWEST) & (back[:, 0, 0] < 0.5 * _FEWEST)
+    good &= shape < _ROUGH * radius
     return _Patches(solved[:, 0], own, share, good)
 
 
 #: Fewer points than these together are no region [1].
 _FEWEST_POINTS = 4
+#: The rim around a region, in radii of the cylinders [1].
+_RIM = 1.5
 #: Points of one region are no farther apart than so many spacings [1].
 _TOGETHER = 3.0
 
@@ -355,7 +397,7 @@ class Region:
     """A place that changed."""
 
     members: NDArray[np.intp]
-    """Numbers of its points."""
+    """Numbers of its points that changed significantly."""
     centre: Floats
     """Middle, shape (3,) [m]."""
     reach: float
@@ -369,9 +411,11 @@ class Region:
     largest: float
     """Change of the largest size [m]."""
     volume: float
-    """What came, less what went [m^3]."""
+    """What came, less what went, with the rim around the points [m^3]."""
     volume_uncertainty: float
     """Its standard uncertainty [m^3]."""
+    lost: float
+    """Surface among them and in the rim that could not be compared [m^2]."""
 
 
 def regions(change: Change) -> tuple[Region, ...]:
@@ -393,14 +437,48 @@ def regions(change: Change) -> tuple[Region, ...]:
 
 
 def region_of(change: Change, members: NDArray[np.intp]) -> Region:
-    """Return area, change and volume of some points of a comparison."""
+    """Return area, change and volume of some points of a comparison.
+
+    At the rim a change is below its error, place by place, but not as a whole: the
+    volume is summed over all places up to a cylinder and a half from the points.
+    """
     members = members[np.isfinite(change.value[members])]
     place, area = change.position[members], change.area[members]
     value = change.value[members]
     total = float(area.sum())
     centre = (area[:, None] * place).sum(axis=0) / total
+    tree = cKDTree(place)
+    away, nearest = tree.query(
+        change.position, distance_upper_bound=_RIM * change.radius
+    )
+    around = np.flatnonzero(np.isfinite(away))
+    alike = np.einsum(
+        "ij,ij->i", change.normal[around], change.normal[members[nearest[around]]]
+    )
+    around = around[alike > _ALIKE]
+    compared = np.isfinite(change.value[around])
+    whole = around[compared]
+    volume, spread = _sum_of(change, whole)
+    mean, error = _sum_of(change, members)
+    return Region(
+        members=members,
+        centre=centre,
+        reach=float(np.linalg.norm(place - centre, axis=1).max()),
+        area=total,
+        mean=mean / total,
+        mean_uncertainty=error / total,
+        largest=float(value[np.argmax(np.abs(value))]),
+        volume=volume,
+        volume_uncertainty=spread,
+        lost=float(change.area[around[~compared]].sum()),
+    )
+
+
+def _sum_of(change: Change, members: NDArray[np.intp]) -> tuple[float, float]:
+    """Return the integral of change over some points, and its uncertainty [m^3]."""
+    place, area = change.position[members], change.area[members]
     # Cylinders closer than their width hold the same points.
-    near = cKDTree(place).query_pairs(change.radius, output_type="ndarray")
+    near = cKDTree(place).query_pairs(2 * change.radius, output_type="ndarray")
     own = area * change.own[members]
     variance = float((own**2).sum())
     if len(near):
@@ -409,18 +487,7 @@ def region_of(change: Change, members: NDArray[np.intp]) -> Region:
         variance += float(2 * (own[near[:, 0]] * own[near[:, 1]] * common).sum())
     shared = (area[:, None] * change.shared[members]).sum(axis=0)
     sigma = float(np.sqrt(variance + (shared**2).sum()))
-    volume = float((area * value).sum())
-    return Region(
-        members=members,
-        centre=centre,
-        reach=float(np.linalg.norm(place - centre, axis=1).max()),
-        area=total,
-        mean=volume / total,
-        mean_uncertainty=sigma / total,
-        largest=float(value[np.argmax(np.abs(value))]),
-        volume=volume,
-        volume_uncertainty=sigma,
-    )
+    return float((area * change.value[members]).sum()), sigma
 
 
 def write_change(change: Change, path: str | Path, *, overwrite: bool = False) -> None:
