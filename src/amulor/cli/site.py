@@ -330,8 +330,7 @@ def compare(
                 "false_alarms": change.false_alarms,
                 "median_uncertainty_m": float(np.nanmedian(change.uncertainty[known])),
                 "regions": [
-                    _region(one, motions.get(number))
-                    for number, one in enumerate(places)
+                    _region(one, number, motions) for number, one in enumerate(places)
                 ],
             }
         )
@@ -343,11 +342,16 @@ def compare(
         f"{np.nanmedian(change.uncertainty[known]) * 1e3:.2f} mm"
     )
     for number, one in enumerate(places):
-        print(_sentence(number + 1, one, motions.get(number)))
+        print(_sentence(number, one, motions))
     print(f"{output}: {len(change.value)} rows")
 
 
-def _region(one: Region, motion: Motion | None) -> dict[str, Any]:
+def _first_of(number: int, motions: dict[int, Motion]) -> int:
+    """Return the number of the first region that the body of a region made."""
+    return next(k for k in sorted(motions) if motions[k] is motions[number])
+
+
+def _region(one: Region, number: int, motions: dict[int, Motion]) -> dict[str, Any]:
     import numpy as np
 
     found: dict[str, Any] = {
@@ -359,33 +363,59 @@ def _region(one: Region, motion: Motion | None) -> dict[str, Any]:
         "volume_uncertainty_m3": one.volume_uncertainty,
         "not_compared_m2": one.lost,
     }
-    if motion is not None:
+    motion = motions.get(number)
+    if motion is not None and _first_of(number, motions) != number:
+        found["same_body_as_region"] = _first_of(number, motions)
+    elif motion is not None:
         found["motion"] = {
+            "centre_m": motion.centre,
             "shift_m": motion.shift,
             "turn_rad": motion.turn,
             "uncertainty": np.sqrt(motion.covariance.diagonal()),
             "distance_m": motion.distance,
             "distance_uncertainty_m": motion.distance_uncertainty,
+            "angle_rad": motion.angle,
+            "angle_uncertainty_rad": motion.angle_uncertainty,
+            "covariance": motion.covariance,
             "points": motion.points,
             "loose": motion.loose,
         }
     return found
 
 
-def _sentence(number: int, one: Region, motion: Motion | None) -> str:
+def _sentence(number: int, one: Region, motions: dict[int, Motion]) -> str:
     place = ", ".join(f"{value:.3f}" for value in one.centre)
     text = (
-        f"{number}: at ({place}) m, {one.area * 1e4:.0f} cm2, mean "
+        f"{number + 1}: at ({place}) m, {one.area * 1e4:.0f} cm2, mean "
         f"{one.mean * 1e3:+.2f} +- {one.mean_uncertainty * 1e3:.2f} mm, volume "
         f"{one.volume * 1e6:+.0f} +- {one.volume_uncertainty * 1e6:.0f} cm3, "
         f"{one.lost * 1e4:.0f} cm2 there not compared"
     )
+    motion = motions.get(number)
     if motion is None:
         return text
+    first = _first_of(number, motions)
+    if first != number:
+        return f"{text}\n   the same body as {first + 1}"
+    return f"{text}\n   {_motion_in_words(motion)}"
+
+
+def _motion_in_words(motion: Motion) -> str:
+    """Shift and turn of a body, with errors and the point that they hold for."""
+    import numpy as np
+
     shift = ", ".join(f"{value * 1e3:+.2f}" for value in motion.shift)
+    centre = ", ".join(f"{value:.3f}" for value in motion.centre)
+    axis = ", ".join(
+        f"{value:+.2f}" for value in motion.turn / max(motion.angle, 1e-12)
+    )
+    untold = len(motion.loose)
     return (
-        f"{text}\n   moved by {motion.distance * 1e3:.2f} +- "
-        f"{motion.distance_uncertainty * 1e3:.2f} mm: ({shift}) mm"
+        f"its point ({centre}) m moved by {motion.distance * 1e3:.2f} +- "
+        f"{motion.distance_uncertainty * 1e3:.2f} mm: ({shift}) mm; turned by "
+        f"{np.degrees(motion.angle):.2f} +- "
+        f"{np.degrees(motion.angle_uncertainty):.2f} deg about ({axis})"
+        + (f"; its shape does not tell {untold} of 6 directions" if untold else "")
     )
 
 
@@ -522,7 +552,7 @@ def changes_between(
 
     from amulor import _progress
     from amulor.site.change.distances import change, regions
-    from amulor.site.change.moved import motion_of
+    from amulor.site.change.moved import around, bodies, motion_of
 
     with _progress.part(0.6, 0.8):
         result = change(
@@ -530,16 +560,18 @@ def changes_between(
         )
     places = regions(result)
     motions = {}
-    for number, place in enumerate(places):
-        _progress.tell("fitting what moved", 0.8 + 0.1 * number / len(places))
+    groups = bodies(places)
+    for number, group in enumerate(groups):
+        _progress.tell("fitting what moved", 0.8 + 0.1 * number / len(groups))
+        centre, reach = around([places[k] for k in group])
         motion = motion_of(
             found.site,
             found.registration,
             found.surfaces,
             epochs=epochs,
-            centre=place.centre,
-            reach=float(np.clip(1.5 * place.reach, 0.05, 1.0)),
+            centre=centre,
+            reach=float(np.clip(1.5 * reach, 0.05, 1.0)),
         )
         if motion is not None:
-            motions[number] = motion
+            motions |= dict.fromkeys(group, motion)
     return result, places, motions

@@ -344,13 +344,19 @@ def _changed(
     rows = []
     for number, one in enumerate(places):
         motion = motions.get(number)
-        moved = ["", ""]
-        if motion is not None:
+        moved = ["", "", "", ""]
+        first = next((k for k in sorted(motions) if motions[k] is motion), number)
+        if motion is not None and first != number:
+            moved[0] = f"as place {first + 1}"
+        elif motion is not None:
             shift = ", ".join(f"{v * 1e3:+.2f}" for v in motion.shift)
             moved = [
                 f"{motion.distance * 1e3:.2f} ± "
                 f"{motion.distance_uncertainty * 1e3:.2f}",
                 shift,
+                f"{np.degrees(motion.angle):.2f} ± "
+                f"{np.degrees(motion.angle_uncertainty):.2f}",
+                ", ".join(f"{v:.3f}" for v in motion.centre),
             ]
         rows.append(
             [
@@ -365,7 +371,8 @@ def _changed(
         )
     header = ["place", "at [m]", "area [cm²]", "mean [mm]", "volume [cm³]"]
     header += ["not compared [cm²]"]
-    header += ["moved by [mm]", "east, north, up [mm]"]
+    header += ["moved by [mm]", "east, north, up [mm]", "turned by [deg]"]
+    header += ["moved at [m]"]
     caption = (
         "Means and volumes along the normals. A volume has the rim of its place; what "
         "could not be compared there is no part of it. A motion is the rigid one that "

@@ -6,9 +6,13 @@ from typing import Any
 
 import numpy as np
 import pytest
+import underwater_sites as oracle
+from drawn_sites import known_registration, two_visits
 from scipy import sparse
 
 from amulor.site.change import moved
+from amulor.site.change.distances import Region
+from amulor.site.change.moved import motion_of
 from amulor.site.registration.pair import Pair
 
 RADIUS, LENGTH = 0.1, 0.4
@@ -64,3 +68,65 @@ def test_what_single_pairs_do_not_hold_is_no_matter_where_others_do() -> None:
         strict=True,
     ):
         np.testing.assert_array_equal(whole, one)
+
+
+def test_shift_and_turn_of_an_amphora_hold_at_the_point_that_is_named() -> None:
+    rng = np.random.default_rng(3)
+    ground = oracle.Bed((), (0.02, 0.03))
+    body = oracle.Amphora((0.0, 0.0, 0.12), oracle.rotation((0, 0, 1), 0.5), 0.4)
+    shift, turn = np.array([0.024, -0.018, 0.0]), np.array([0.0, 0.0, np.radians(5)])
+    later = body.moved(shift, turn)
+    drawn = two_visits(
+        oracle.Scene((ground, body)),
+        oracle.Scene((ground, later)),
+        rng,
+        rows=90,
+        noise=oracle.Noise(own=1e-3, delay=1e-5, index=1e-6, reference=1e-5),
+    )
+    known = known_registration(drawn)
+    motion = motion_of(
+        drawn.site,
+        known,
+        drawn.surfaces,
+        epochs=("one", "two"),
+        centre=np.array(body.place),
+        reach=0.45,
+    )
+    assert motion is not None
+    # The point is in the object, and the motion is that of this point.
+    assert np.linalg.norm(motion.centre - body.place) < 0.15
+    spin = oracle.rotation((0, 0, 1), np.radians(5)) - np.eye(3)
+    true = np.concatenate([shift + spin @ (motion.centre - body.place), turn])
+    off = np.concatenate([motion.shift, motion.turn]) - true
+    sigma = np.sqrt(motion.covariance.diagonal())
+    told = (
+        np.linalg.norm(
+            np.array([one / np.linalg.norm(one) for one in motion.loose]).reshape(
+                -1, 6
+            ),
+            axis=0,
+        )
+        < 0.1
+    )
+    assert np.all(np.abs(off[told]) < 4 * sigma[told] + 1e-6)
+    assert (
+        abs(motion.distance - np.linalg.norm(true[:3]))
+        < 4 * motion.distance_uncertainty
+    )
+    assert abs(motion.angle - np.radians(5)) < 4 * motion.angle_uncertainty
+    assert motion.angle_uncertainty < np.radians(0.5)
+
+
+def test_a_hollow_and_a_heap_side_by_side_are_one_body() -> None:
+    def region(east: float, reach: float, area: float) -> Region:
+        return Region(
+            members=np.arange(4), centre=np.array([east, 0.0, 0.0]), reach=reach,
+            area=area, mean=0.0, mean_uncertainty=1.0, largest=0.0, volume=0.0,
+            volume_uncertainty=1.0, lost=0.0,
+        )  # fmt: skip
+
+    places = [region(0.0, 0.1, 0.03), region(1.0, 0.1, 0.02), region(0.15, 0.1, 0.01)]
+    assert moved.bodies(places) == ((0, 2), (1,))
+    middle, reach = moved.around([places[0], places[2]])
+    np.testing.assert_allclose(middle, [0.15 / 4, 0, 0])
+    assert reach == pytest.approx(0.15 * 3 / 4 + 0.1)

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from amulor.site.change.distances import Region
 from amulor.site.description import Site
 from amulor.site.merging.cloud import corrected
 from amulor.site.registration.bodies import held_directions, mean_lever
@@ -32,9 +33,10 @@ class Motion:
     """The rigid motion of an object from the first epoch to the second."""
 
     centre: Floats
-    """The place of it whose shift is known best, in the site, shape (3,) [m]."""
+    """Middle of its visible points in the first epoch, or the place next to it on an
+    axis about which its shape tells no turn, in the site, shape (3,) [m]."""
     shift: Floats
-    """How far that place moved: east, north, up [m]."""
+    """Shift of the object there: east, north, up [m]."""
     turn: Floats
     """How far it turned about these axes [rad]."""
     covariance: Floats
@@ -55,8 +57,58 @@ class Motion:
     @property
     def distance_uncertainty(self) -> float:
         """Standard uncertainty of it [m]."""
-        unit = self.shift / max(self.distance, 1e-12)
-        return float(np.sqrt(unit @ self.covariance[:3, :3] @ unit))
+        return _along(self.shift, self.covariance[:3, :3])
+
+    @property
+    def angle(self) -> float:
+        """Angle of the turn [rad]."""
+        return float(np.linalg.norm(self.turn))
+
+    @property
+    def angle_uncertainty(self) -> float:
+        """Standard uncertainty of it [rad]."""
+        return _along(self.turn, self.covariance[3:, 3:])
+
+
+def _along(vector: Floats, covariance: Floats) -> float:
+    """Return the standard uncertainty of the length of a vector."""
+    unit = vector / max(float(np.linalg.norm(vector)), 1e-12)
+    return float(np.sqrt(unit @ covariance @ unit))
+
+
+def bodies(places: Sequence[Region]) -> tuple[tuple[int, ...], ...]:
+    """Return the numbers of regions that one body may have made.
+
+    Where it lay the surface is lower, where it lies it is higher: two regions that
+    reach each other.
+    """
+    left = list(range(len(places)))
+    found = []
+    while left:
+        group = [left.pop(0)]
+        for number in group:
+            one = places[number]
+            near = [
+                k
+                for k in left
+                if np.linalg.norm(places[k].centre - one.centre)
+                < places[k].reach + one.reach
+            ]
+            left = [k for k in left if k not in near]
+            group += near
+        found.append(tuple(sorted(group)))
+    return tuple(found)
+
+
+def around(places: Sequence[Region]) -> tuple[Floats, float]:
+    """Return the middle of regions, and how far they reach from there [m]."""
+    area = np.array([one.area for one in places])
+    centres = np.array([one.centre for one in places])
+    middle = np.asarray(area @ centres / area.sum())
+    reach = max(
+        float(np.linalg.norm(one.centre - middle)) + one.reach for one in places
+    )
+    return middle, reach
 
 
 def motion_of(
@@ -249,8 +301,16 @@ def _result(
         noise += scaled.T @ scaled
     known = registration.covariance_of(*names)
     covariance = back @ (noise + gain @ known @ gain.T) @ back.T
-    # A turn that the shape does not tell is any turn: the place is on its axis.
-    away = _best_place(covariance + sum(np.outer(one, one) for one in loose))
+    # A turn that the shape does not tell is any turn: the place is on its axis, if that
+    # passes through the object.
+    away = np.zeros(3)
+    if loose:
+        away = _best_place(np.sum([np.outer(one, one) for one in loose], axis=0))
+        extent = max(
+            float(np.linalg.norm(pair.place - middle, axis=1).max()) for pair in pairs
+        )
+        if float(np.linalg.norm(away)) > extent:
+            away = np.zeros(3)
     carried = np.eye(6)
     carried[:3, 3:] = -cross_matrix(away)
     return Motion(
@@ -265,7 +325,7 @@ def _result(
 
 
 def _best_place(covariance: Floats) -> Floats:
-    """Return where from the middle the shift is known best, such as on the axis.
+    """Return where from the middle the shift varies least, such as on an axis.
 
     The shift at d is t + w x d; d is such that its mean square error is least.
     """
