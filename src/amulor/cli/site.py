@@ -559,7 +559,7 @@ def changes_between(
             found.site, found.registration, found.surfaces, found.cloud, epochs=epochs
         )
     places = regions(result)
-    motions = {}
+    motions: dict[int, Motion] = {}
     groups = bodies(places)
     for number, group in enumerate(groups):
         _progress.tell("fitting what moved", 0.8 + 0.1 * number / len(groups))
