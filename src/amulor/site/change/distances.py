@@ -34,7 +34,7 @@ _OFF = 3.5
 _ROUGH = 0.3
 #: Scatter about a patch above that of noise is its shape, and this part of it an error
 #: of the height [1].
-_SHAPE = 0.5
+_SHAPE = 0.75
 #: Scatter is more than noise if it exceeds it by so many standard errors [1].
 _SURE = 4.0
 #: Gap between layers of surface in one cell, in spacings [1].
