@@ -150,6 +150,10 @@ class WaterResidualCause(enum.IntFlag):
     """Joint estimation: the samples contradict the model."""
     MODEL_DEPARTURE = 16
     """Joint estimation: departures from the model decide the range."""
+    WATER_CHANGED = 32
+    """The water of the scan is another one than that of the open-water shots."""
+    INSTRUMENT = 64
+    """No water explains shots and scan together: the instrument has an error."""
 
 
 @functools.cache

@@ -13,7 +13,7 @@ from scipy.special import chdtri
 
 from amulor import cube as cubes
 from amulor._progress import part, tell
-from amulor.cube import UNUSABLE, QualityFlag, tiles
+from amulor.cube import UNUSABLE, QualityFlag, WaterResidualCause, tiles
 from amulor.cube.error import JOINT_OUTLIERS, flags_of_pixels
 from amulor.errors import AmulorError, CubeError
 from amulor.optics import ambiguity, detection, ranging
@@ -33,6 +33,12 @@ _FEW = 0.8
 _DISAGREEMENT = 1e-4
 #: Errors closer than this count as equal: the simpler method wins [1].
 _EQUAL = 0.05
+_INSTRUMENT = (
+    "no water explains the open-water shots and the scan together, so the instrument "
+    "has an error: signal without light (leakage), a phase that depends on the "
+    "amplitude, or a receiver elsewhere than the survey says; block the receiver with "
+    "the laser on to see leakage, and calibrate the phase against amplitude"
+)
 
 
 class Caution(enum.StrEnum):
@@ -57,6 +63,8 @@ class Caution(enum.StrEnum):
     """The few pixels that it trusts have no trusted neighbour: noise."""
     BIAS_UNKNOWN = "bias unknown"
     """Water is left in and nothing tells how much."""
+    INSTRUMENT = "instrument"
+    """Shots and scan contradict each other by an error of the instrument."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -192,7 +200,22 @@ def compare(cube: xr.Dataset, *, interval: Interval = None) -> Comparison:
             if candidate.distrusts_open_water and _shots_are_doubted(cube, found):
                 found += _rows(candidate.without_open_water(), cube, interval)
         rows += found
+    if any(row.caution is Caution.INSTRUMENT for row in rows):
+        # The channels of the scan are wrong, too, beside the shots.
+        touched = [
+            each.name
+            for each in candidates
+            if each.needs.open_water or each.needs.channel_pair
+        ]
+        rows = [
+            replace(row, caution=Caution.INSTRUMENT, trusted=0.0, note=_INSTRUMENT)
+            if row.method in touched and row.caution is not Caution.NOT_RUN
+            else row
+            for row in rows
+        ]
     best = _best(rows)
+    if best is None and any(row.caution is Caution.INSTRUMENT for row in rows):
+        raise CubeError(f"no method can be trusted: {_INSTRUMENT}")
     if best is None and any(row.caution is Caution.LONE_PIXELS for row in rows):
         raise CubeError(
             "no method sees a target: single pixels pass for one here and there, and "
@@ -349,6 +372,9 @@ def _row(method: Method, target: xr.Dataset, interval: Interval) -> Row:
             note = "nothing tells how much water is left in"
     else:
         caution, note = Caution.NO_PIXEL, "no pixel shows a target"
+    causes = target.get("water_residual_cause", np.int8(0))
+    if np.any(np.asarray(causes) & WaterResidualCause.INSTRUMENT):
+        caution, note = Caution.INSTRUMENT, _INSTRUMENT
     if method.keeps_one_frequency and interval is not None:
         alone = _repeat_distance(target)
         if interval[1] - interval[0] > alone:
@@ -447,7 +473,8 @@ def _repeated_path(frequency: Floats) -> float:
 
 def _best(rows: list[Row]) -> int | None:
     """Return the row to recommend; None if no row has a usable pixel."""
-    sound = [row.caution is not Caution.LONE_PIXELS for row in rows]
+    wrong = (Caution.LONE_PIXELS, Caution.INSTRUMENT)
+    sound = [row.caution not in wrong for row in rows]
     # Flagged pixels are no argument, unless no method has any others.
     counted = [row.trusted for row in rows]
     if not any(counted):

@@ -123,7 +123,9 @@ def open_water(
     the target. Channels see the same distance: where their phases disagree the sample
     is an `OUTLIER`, which a range image leaves out where two thirds of the frequencies
     remain. `NO_TARGET` is decided before any column is put back, see
-    `amulor.rejection.reference.presence.shows_target`.
+    `amulor.rejection.reference.presence.shows_target`. All pixels are flagged
+    `WATER_RESIDUAL` where the water changed by more than 30 %, or no water explains the
+    shots (departure beyond 20 %): `water_residual_cause` says which.
 
     References
     ----------

@@ -18,6 +18,7 @@ from amulor.rejection.reference.before_target import (
     Strength,
     WaterBeforeTarget,
     WaterFit,
+    contradiction,
     strength_of,
     water_before_target,
 )
@@ -172,6 +173,7 @@ def subtract_open_water(
     errors = counting + water.fluctuation + water.common + column
     similar, shape = quality.looks_like_water(cube, target, water.signal, errors)
     cause[similar] |= WaterResidualCause.WATER_SHAPE
+    cause |= contradiction(strength, water.turbidity)
     outlying, disagreement, size = quality.channels_disagree(
         target,
         errors + change,

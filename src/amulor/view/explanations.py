@@ -92,6 +92,7 @@ def _limits() -> dict[str, Any]:
     from amulor.optics import ambiguity
     from amulor.rejection import quality, subtraction
     from amulor.rejection.joint import cube as joint
+    from amulor.rejection.reference import before_target
     from amulor.view.page import progress
 
     mixed = default_of(edges.flag_mixed, "significance")
@@ -107,6 +108,7 @@ def _limits() -> dict[str, Any]:
     return {
         "quality": quality,
         "subtraction": subtraction,
+        "before_target": before_target,
         "ambiguity": ambiguity,
         "joint": joint,
         "outliers": outliers,

@@ -255,7 +255,18 @@ def _words(name: str, attributes: Mapping[Any, Any]) -> str:
     """Return what is known of a flag or cause that no number of the file explains."""
     if name == "RELATIVE":
         return str(attributes.get("interval_unsettled", "no interval is stated"))
+    numbers = (
+        f"{label} {float(np.squeeze(attributes[key])):.2g}"
+        for label, key in (
+            ("relative change of the water", "open_water_change"),
+            ("departure of the shots from the model", "open_water_misfit"),
+        )
+        if key in attributes
+    )
+    of_water = ", ".join(numbers) or "not stored"
     return {
+        "WATER_CHANGED": of_water,
+        "INSTRUMENT": of_water,
         "MISSING": "no number in phase or in quadrature",
         "NO_TARGET": "too few samples that can be used",
         "SATURATED": "overload reported with the sample",

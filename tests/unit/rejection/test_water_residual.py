@@ -11,7 +11,12 @@ from numpy.testing import assert_allclose
 
 from amulor import imaging, io, rejection, samples
 from amulor.cube import QualityFlag, WaterResidualCause
+from amulor.errors import CubeError
+from amulor.rejection.reference import before_target
 from amulor.scale import image_file, reject_file
+from amulor.studies.trust.scenes import instrument
+from amulor.studies.trust.scenes import samples as trust_samples
+from amulor.survey import Survey
 
 ONE = {"VV": (1.0, 1.0)}
 NOISE, CUT_OFF = 2e-3, 30e6
@@ -126,4 +131,57 @@ def test_causes_and_numbers_pass_through_files_rows_and_images(tmp_path) -> None
         "water_shape": 4,
         "model_misfit": 8,
         "model_departure": 16,
+        "water_changed": 32,
+        "instrument": 64,
     }
+
+
+@pytest.mark.parametrize(
+    ("change", "uncertainty", "misfit", "expected"),
+    [
+        (0.0, 0.02, 0.05, 0),
+        (0.25, 0.01, 0.05, 0),
+        (0.6, 0.2, 0.05, 0),  # not surely beyond 0.3
+        (0.6, 0.02, 0.05, WaterResidualCause.WATER_CHANGED),
+        (-0.6, 0.02, 0.05, WaterResidualCause.WATER_CHANGED),
+        (-1.2, 0.15, 0.05, WaterResidualCause.INSTRUMENT),
+        (-3.8, 0.13, 0.05, WaterResidualCause.INSTRUMENT),
+        (0.0, 0.02, 0.5, WaterResidualCause.INSTRUMENT),
+    ],
+)
+def test_a_change_beyond_that_of_water_and_shots_unlike_water_have_a_cause(
+    change: float, uncertainty: float, misfit: float, expected: int
+) -> None:
+    strength = before_target.Strength(change=change, uncertainty=uncertainty)
+    survey = Survey.preset("amulor-2010")
+    turbidity = before_target.Turbidity(
+        survey=survey, factor=1.0, uncertainty=0.1, steeper=survey, misfit=misfit,
+        shown=misfit,
+    )  # fmt: skip
+    assert before_target.contradiction(strength, turbidity) == expected
+    known = 0 if misfit > before_target.LARGEST_MISFIT else expected
+    assert before_target.contradiction(strength, None) == known
+
+
+def test_leakage_in_the_scan_alone_flags_all_and_auto_says_why() -> None:
+    case = instrument.with_effect(1, 1, effect=instrument.leakage(0.03))
+    found = rejection.open_water(case.samples, interval=case.interval)
+    assert found.attrs["open_water_change"] < -3
+    assert (cause_of(found) & WaterResidualCause.INSTRUMENT).all()
+    with pytest.raises(CubeError, match="no method can be trusted: no water explains"):
+        rejection.auto(case.samples, interval=case.interval)
+
+
+def test_leakage_with_a_delay_makes_shots_unlike_water() -> None:
+    effect = instrument.leakage(0.03, delay=2e-9)
+    case = instrument.with_effect(1, 1, effect=effect)
+    found = rejection.combined(case.samples, interval=case.interval)
+    assert found.attrs["open_water_misfit"] > 0.5
+    assert (cause_of(found) & WaterResidualCause.INSTRUMENT).all()
+
+
+def test_water_half_as_strong_again_is_another_water() -> None:
+    case = trust_samples.changed_water(4, 1, change=0.5)
+    found = rejection.open_water(case.samples, interval=case.interval)
+    assert found.attrs["open_water_change"] == pytest.approx(0.5, abs=0.05)
+    assert (cause_of(found) & WaterResidualCause.WATER_CHANGED).all()

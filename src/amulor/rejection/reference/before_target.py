@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from scipy.constants import speed_of_light
 
 from amulor._progress import tell
+from amulor.cube import WaterResidualCause
 from amulor.cube.tiles import Span
 from amulor.optics import detection
 from amulor.optics.ambiguity import Choices
@@ -347,6 +348,12 @@ _SPIKE = 5.0
 _ENOUGH = 20_000
 #: An estimate this many times its expected size widens what is expected [1].
 _SURPRISE = 3.0
+#: A larger change of the water, surely so, is another water than that of the shots [1].
+LARGEST_CHANGE = 0.3
+#: Shots that depart from any water of the survey by more are not water alone [1].
+LARGEST_MISFIT = 0.2
+#: A limit must be exceeded by so many standard uncertainties [1].
+_SURE = 3.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -357,6 +364,19 @@ class Strength:
     """Estimate: the water is 1 + change times what the reference says [1]."""
     uncertainty: float
     """Standard uncertainty of the estimate [1]."""
+
+
+def contradiction(
+    strength: Strength, turbidity: Turbidity | None
+) -> WaterResidualCause:
+    """Return why the open-water shots are not the water of the scan, 0 if they are."""
+    sure = abs(strength.change) - _SURE * strength.uncertainty > LARGEST_CHANGE
+    # No water has a negative strength, and none is like these shots.
+    negative = sure and strength.change <= -1
+    unlike = turbidity is not None and turbidity.misfit > LARGEST_MISFIT
+    if negative or unlike:
+        return WaterResidualCause.INSTRUMENT
+    return WaterResidualCause.WATER_CHANGED if sure else WaterResidualCause(0)
 
 
 def strength_of(
