@@ -12,7 +12,7 @@ import xarray as xr
 
 from amulor import cube as cubes
 from amulor import imaging, io, rejection
-from amulor.errors import CubeError
+from amulor.errors import CubeError, SurveyError
 from amulor.simulation import simulate
 from amulor.survey import Survey
 
@@ -299,3 +299,15 @@ def test_a_single_point_is_a_cloud(
     io.write_cloud(cloud.isel(point=7), paths[0])
     io.write_cloud(cloud.isel(point=[7]), paths[1])
     assert paths[0].read_bytes() == paths[1].read_bytes()
+
+
+def test_the_survey_of_a_cube_is_parsed_from_its_text(samples: xr.Dataset) -> None:
+    bare = samples.drop_attrs(deep=False)
+    assert bare.amulor.survey is None
+    survey = Survey.preset("amulor-2010")
+    known = bare.assign_attrs(survey=survey.to_toml())
+    assert known.amulor.survey == survey
+    other = survey.with_({"scan.dwell": "70 ms"})
+    assert known.assign_attrs(survey=other.to_toml()).amulor.survey == other
+    with pytest.raises(SurveyError, match="survey in the cube"):
+        _ = bare.assign_attrs(survey="[water]").amulor.survey
