@@ -85,4 +85,6 @@ def test_the_page_counts_the_wrong_cases_of_the_instrument() -> None:
         own = [row for row in rows if row.scene.endswith("unstated") == unstated]
         wrong = sum(row.inside < 80 for row in own)
         line = next(line for line in page.splitlines() if f"| {name}" in line)
-        assert line.split("|")[2:4] == [f" {len(own)} ", f" {wrong} "]
+        refused = sum(row.refused for row in own)
+        counted = [f" {number} " for number in (len(own), wrong, refused)]
+        assert line.split("|")[2:5] == counted
