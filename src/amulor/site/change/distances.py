@@ -39,6 +39,8 @@ _SHAPE = 0.75
 _SURE = 4.0
 #: Gap between layers of surface in one cell, in spacings [1].
 _LAYER = 2.0
+#: Cylinders whose points are sought at once, for the memory.
+_AT_ONCE = 500
 #: Normals of points that belong together differ by less; cosine of the angle [1].
 _ALIKE = 0.6
 
@@ -247,20 +249,7 @@ def _means(
 ) -> _Means:
     """Return mean places along normals, their noise, and what they depend on."""
     site = cloud.site
-    place = cloud.position[at]
-    tree = cKDTree(place)
-    ball = float(np.hypot(radius, reach))
-    near = tree.query_ball_point(core, ball)
-    owner = np.repeat(np.arange(len(core)), [len(some) for some in near])
-    index = np.concatenate([np.asarray(some, dtype=np.intp) for some in near])
-    off = place[index] - core[owner]
-    along = np.einsum("ij,ij->i", off, normal[owner])
-    across = np.sqrt(np.maximum((off**2).sum(axis=1) - along**2, 0.0))
-    facing = np.einsum("ij,ij->i", cloud.normal[at[index]], normal[owner])
-    # On flanks and at creases a point has no normal, and counts by its place.
-    alike = ~(facing <= _ALIKE)
-    kept = (across <= radius) & (np.abs(along) <= reach) & alike
-    owner, index, along, across = (v[kept] for v in (owner, index, along, across))
+    owner, index, off, along = _in_cylinders(cloud, at, core, normal, radius, reach)
     if not len(index):
         nowhere = np.full(len(core), np.nan)
         return _Means(nowhere, nowhere, (), np.zeros((len(core), 0)), registration)
@@ -268,7 +257,7 @@ def _means(
     sigma = np.maximum(np.abs(facing) * cloud.own[at[index]], 1e-6)
     weight = 1 / sigma**2
     size = len(core)
-    fitted = _patches(owner, along, off[kept], normal, weight, radius)
+    fitted = _patches(owner, along, off, normal, weight, radius)
     share = fitted.share
     value = np.where(fitted.good, fitted.height, np.nan)
     own = fitted.own
@@ -299,6 +288,42 @@ def _means(
     # Errors that several scans share appear once.
     summed = _summed(whole, merged)
     return _Means(value, own, tuple(merged), summed, registration)
+
+
+def _in_cylinders(
+    cloud: Merged,
+    at: NDArray[np.intp],
+    core: Floats,
+    normal: Floats,
+    radius: float,
+    reach: float,
+) -> tuple[NDArray[np.intp], NDArray[np.intp], Floats, Floats]:
+    """Return which cylinder holds which point, how far off its middle, and along it.
+
+    Some cylinders at a time: the spheres around them hold many more points.
+    """
+    place = cloud.position[at]
+    tree = cKDTree(place)
+    ball = float(np.hypot(radius, reach))
+    pieces = []
+    for begin in range(0, max(len(core), 1), _AT_ONCE):
+        near = tree.query_ball_point(core[begin : begin + _AT_ONCE], ball)
+        owner = begin + np.repeat(np.arange(len(near)), [len(some) for some in near])
+        index = np.concatenate([np.empty(0, np.intp), *map(np.asarray, near)]).astype(
+            np.intp
+        )
+        off = place[index] - core[owner]
+        along = np.einsum("ij,ij->i", off, normal[owner])
+        across = np.sqrt(np.maximum((off**2).sum(axis=1) - along**2, 0.0))
+        facing = np.einsum("ij,ij->i", cloud.normal[at[index]], normal[owner])
+        # On flanks and at creases a point has no normal, and counts by its place.
+        alike = ~(facing <= _ALIKE)
+        kept = (across <= radius) & (np.abs(along) <= reach) & alike
+        pieces.append((owner[kept], index[kept], off[kept], along[kept]))
+    owner, index, off, along = (
+        np.concatenate(each) for each in zip(*pieces, strict=True)
+    )
+    return owner, index, off, along
 
 
 def _summed(means: _Means, names: list[str]) -> Floats:
