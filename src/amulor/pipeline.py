@@ -302,9 +302,10 @@ def opened(
     """Open a cube: in memory, or by rows if it is large or rows are stated."""
     if rows is None and not is_large(path):
         tell(f"reading {path}", 0.0)
-        yield tiles.InMemory(cubes.checked(io.read_cube(path), level))
+        yield tiles.InMemory(cubes.checked(io.read_cube(path), level, name=str(path)))
     else:
         with open_rows(path) as source:
+            cubes.check(source.tile(0, 1), level, name=str(path))
             yield source
 
 

@@ -231,6 +231,16 @@ def test_files_are_worked_on_by_rows(
     assert image.usable == int(found["slant_range"].notnull().sum())
 
 
+@pytest.mark.parametrize("rows", [None, 5])
+def test_a_file_of_another_level_is_refused_by_its_name(
+    samples: xr.Dataset, tmp_path: Path, rows: int | None
+) -> None:
+    io.write_cube(samples, tmp_path / "samples.nc")
+    with pytest.raises(CubeError, match=r"samples\.nc: is of level samples.* reject"):
+        image_file(tmp_path / "samples.nc", tmp_path / "image.nc", rows=rows)
+    assert not (tmp_path / "image.nc").exists()
+
+
 def test_methods_that_are_not_installed_are_refused() -> None:
     with pytest.raises(CubeError, match=r"no rejection method 'magic'.*open-water"):
         reject_step("magic")
