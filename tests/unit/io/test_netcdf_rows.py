@@ -56,7 +56,7 @@ def test_a_damaged_file_is_refused_before_its_rows_are_read(samples, path):
 def test_a_file_without_rows_is_refused(make, rng, path):
     io.write_cube(make.point_cloud(rng), path)
     with (
-        pytest.raises(CubeError, match="rows and columns are needed"),
+        pytest.raises(CubeError, match="no rows and columns; name samples"),
         netcdf.open_rows(path),
     ):
         pass
