@@ -202,7 +202,10 @@ def reference_attributes(left: Subtraction) -> dict[str, Any]:
     }
     if left.fit.disagreement:
         limits = [pair.limit for pair in left.fit.disagreement]
-        told["channel_disagreement_limit"] = np.array(limits)
+        # netCDF gives an array of one number back as a number.
+        told["channel_disagreement_limit"] = (
+            np.array(limits) if len(limits) > 1 else limits[0]
+        )
     if turbidity is None:
         return told
     return told | {
