@@ -123,6 +123,7 @@ def test_without_shots_is_the_method_on_a_cube_without_them(
     xr.testing.assert_equal(of(samples.isel(row=[2]), 2), bare.isel(row=[2]))
 
 
+@pytest.mark.slow
 def test_the_method_of_another_package_runs_everywhere(
     package: Path, samples: xr.Dataset, tmp_path: Path
 ) -> None:

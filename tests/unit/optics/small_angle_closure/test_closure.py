@@ -440,6 +440,7 @@ def response_by_sum(form, view, depth, frequency):
     return np.abs(np.exp(turn) @ light) / light.sum()
 
 
+@pytest.mark.slow
 def test_columns_in_which_it_holds_have_a_cut_off_that_is_at_most_30_percent_high():
     frequency = np.geomspace(2e5, 4e8, 800)
     sound, warned = [], []
