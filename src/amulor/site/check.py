@@ -15,7 +15,7 @@ from amulor.cube import UNUSABLE, error_unknown
 from amulor.errors import AmulorError
 from amulor.imaging.observation import geometry_of
 from amulor.site.description import ScaleBar, Site, SiteScan
-from amulor.site.load import WHAT_TO_DO
+from amulor.site.load import WHAT_TO_DO, check_level
 from amulor.site.registration.starts import start_findings
 from amulor.survey import Survey
 
@@ -81,17 +81,11 @@ def _of_scan(scan: SiteScan, cube: xr.Dataset) -> tuple[list[str], list[str]]:
     """Return mistakes and remarks about one scan by itself."""
     wrong: list[str] = []
     said: list[str] = []
-    level = cube.attrs.get("level")
-    if level in ("samples", "target_signal") and scan.processing is None:
-        wrong.append(
-            f"scan {scan.name!r}: the file holds {level}, not a range image; make one "
-            "with amulor reject and amulor image, or state [scan.processing]"
-        )
-    elif level not in ("samples", "target_signal", "range_image"):
-        wrong.append(
-            f"scan {scan.name!r}: the file holds {level!r}; needed is a range image, "
-            "or a cube with [scan.processing]"
-        )
+    level = str(cube.attrs.get("level", ""))
+    try:
+        check_level(level, processed=scan.processing is not None, name=scan.name)
+    except AmulorError as error:
+        wrong.append(str(error))
     if scan.water is not None:
         try:
             Survey.from_toml(scan.water)

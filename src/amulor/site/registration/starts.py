@@ -171,9 +171,10 @@ def start_findings(site: Site, clouds: Mapping[str, Floats]) -> StartFindings:
 
 def _placed(
     start: StartPose, cloud: Floats, changed: Mapping[str, object] | None = None
-) -> Floats:
-    """Return points of a scan in the site by its start pose."""
-    return start_pose(start.model_copy(update=dict(changed or {}))).place(cloud)
+) -> cKDTree:
+    """Return points of a scan in the site by its start pose, to be looked up."""
+    pose = start_pose(start.model_copy(update=dict(changed or {})))
+    return cKDTree(pose.place(cloud))
 
 
 def _gate(start: StartPose, cloud: Floats) -> float:
@@ -188,7 +189,7 @@ def _gate(start: StartPose, cloud: Floats) -> float:
 def _agreement(
     visits: Mapping[str, list[str]],
     scans: list[str],
-    placed: Mapping[str, Floats],
+    placed: Mapping[str, cKDTree],
     gates: Mapping[str, float],
 ) -> float:
     """Return how much of scans meets others: of other visits, and of their own."""
@@ -210,23 +211,24 @@ def _agreement(
 def _share(
     name: str,
     others: list[str],
-    placed: Mapping[str, Floats],
+    placed: Mapping[str, cKDTree],
     gates: Mapping[str, float],
 ) -> float:
     """Return the part of a scan's points that stand near points of others [1]."""
-    met = np.zeros(len(placed[name]), dtype=bool)
+    points = placed[name].data
+    met = np.zeros(len(points), dtype=bool)
     for other in others:
-        tree = cKDTree(placed[other])
         gate = max(gates[name], gates[other])
-        met |= np.isfinite(tree.query(placed[name], distance_upper_bound=gate)[0])
+        away = placed[other].query(points, distance_upper_bound=gate)[0]
+        met |= np.isfinite(away)
     return float(met.mean())
 
 
-def _above(scans: list[str], others: list[str], placed: Mapping[str, Floats]) -> str:
+def _above(scans: list[str], others: list[str], placed: Mapping[str, cKDTree]) -> str:
     """Return how far scans lie above others in the same cells of the plan, if so."""
     heights = []
     for names in (scans, others):
-        points = np.concatenate([placed[name] for name in names])
+        points = np.concatenate([placed[name].data for name in names])
         cells, group = np.unique(
             np.floor(points[:, :2] / _CELL).astype(int), axis=0, return_inverse=True
         )
