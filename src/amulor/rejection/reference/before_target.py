@@ -207,6 +207,8 @@ class WaterFit:
     """What the shots tell of the survey's water; None without a survey."""
     choices: Choices | None
     """Choices between frequencies for the optical path; None without a survey."""
+    first: tuple[Choices | None, Column] | None
+    """Choices and fractions of the first pass; None without a survey."""
     column: Column | None
     """Fractions of the open water from behind the targets; None without a survey."""
     steeper: Column | None
@@ -275,6 +277,7 @@ def water_before_target(
     difference = subtract(samples, water)
     survey = cube.amulor.survey
     told, turbidity, hidden, steeper = None, None, None, None
+    first = None if fit is None else fit.first
     choices = None if fit is None else fit.choices
     behind = None if fit is None else fit.column
     steeper_behind = None if fit is None else fit.steeper
@@ -288,10 +291,28 @@ def water_before_target(
             turbidity, survey = told, told.survey
         errors = covariance_of(cube) + common
         tell("water behind the targets", 0.6)
-        depth, path, choices = column.depth(
-            cube, difference, errors, survey, interval=interval, fit=choices
-        )
         paper = turbidity is not None and turbidity.paper
+        depth, _, first_choices = column.depth(
+            cube,
+            difference,
+            errors,
+            survey,
+            interval=interval,
+            fit=None if first is None else first[0],
+        )
+        hidden, first_column = column.hidden_fraction(
+            cube, survey, depth, paper=paper, fit=None if first is None else first[1]
+        )
+        first = first_choices, first_column
+        # The column turns the phase that its depth is taken from: a second pass.
+        depth, path, choices = column.depth(
+            cube,
+            difference + np.nan_to_num(hidden) * water,
+            errors,
+            survey,
+            interval=interval,
+            fit=choices,
+        )
         hidden, behind = column.hidden_fraction(
             cube, survey, depth, paper=paper, fit=behind
         )
@@ -320,6 +341,7 @@ def water_before_target(
         fit=WaterFit(
             shots=by_shots,
             told=told,
+            first=first,
             choices=choices,
             column=behind,
             steeper=steeper_behind,

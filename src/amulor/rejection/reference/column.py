@@ -175,7 +175,9 @@ class _Table:
         outside = np.flatnonzero(~within)
         for first in range(0, outside.size, _ALONE):
             some = outside[first : first + _ALONE]
-            found[:, some] = integrated(self._survey, places[:, some], self._frequency)
+            found[:, some] = integrated(
+                self._survey, places[:, some], self._frequency, paper=self._paper
+            )
         return found
 
     def at(self, places: Floats) -> Complex:
@@ -239,10 +241,8 @@ def hidden_fraction(
 
     Decision on (46) of Ricci et al. 2010, as rebuilt: open water is integrated to its
     end, water with a target to the target; the difference stays when open water is
-    subtracted. That difference itself moves the distance by millimetres, and the
-    fraction by a few tenths of a per cent of its value, which a second pass would not
-    be worth. Large scans take the fraction from a table over directions and depths, see
-    `column_of`.
+    subtracted. Large scans take the fraction from a table over directions and depths,
+    see `column_of`.
     """
     settled = np.isfinite(depth)
     frequency = cube["modulation_frequency"].values
