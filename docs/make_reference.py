@@ -161,32 +161,51 @@ def flags_page() -> str:
     parts = [
         "# Flags, warnings, error terms",
         "",
-        "What each of them means: what is compared with what, how often chance alone",
-        "does it, and what to do. `amulor explain NAME` prints the same, and takes a",
-        "message as it was printed, too. Made from the code by",
-        "`docs/make_reference.py`, with the limits that decide.",
+        "This page explains every flag and warning: its test, its rate of false",
+        "alarms, its effect and the remedy. `amulor explain NAME` prints the same",
+        "text, and also finds the flag behind a printed message. `amulor explain FILE",
+        "--pixel ROW,COLUMN` prints the flags of one pixel of a target signal or a",
+        "range image: for each channel the measured value, the limit and the remedy.",
+        "Row and column count from 0.",
         "",
-        "`amulor explain FILE --pixel ROW,COLUMN` prints the flags of one pixel of a",
-        "target signal or a range image, channel by channel, with the measured value",
-        "behind each, the limit, and what to do. Both places count from 0. The numbers",
-        "are in the file, as variables such as `no_target_probability` and",
-        "`water_residual_cause` ([cube files](cube.md)).",
+        "The measured values are in the file, as variables such as",
+        "`no_target_probability` and `water_residual_cause` ([cube files](cube.md)).",
+        "`docs/make_reference.py` generates this page from the code, with the limits",
+        "that the code uses.",
         "",
     ]
     kind = ""
     for one in explanations.explanations().values():
+        if one.kind == "error term":
+            continue
         if one.kind != kind:
             kind = one.kind
             parts += [f"## {kind[0].upper()}{kind[1:]}s", ""]
         parts += [f"### {one.name}", "", _with_code(one.meaning), ""]
         rows = (
-            ("Compared", one.compared),
+            ("Test", one.compared),
             ("By chance", one.chance),
-            ("So", one.consequence),
+            ("Effect", one.consequence),
             ("What to do", one.remedy),
         )
         parts += [f"- *{label}:* {_with_code(text)}" for label, text in rows if text]
         parts.append("")
+    parts += [
+        "## Error terms",
+        "",
+        "Each term is a part of the standard uncertainty of the range.",
+        "`amulor info FILE` and `amulor report` print its size. Type A comes from",
+        "repeated measurements, type B from stated values",
+        "([error budget](../theory/error-budget.md)).",
+        "",
+        "| term | `amulor explain` | meaning | type |",
+        "| --- | --- | --- | --- |",
+    ]
+    parts += [
+        f"| `{name}` | `TERM_{name.upper()}` | {term.meaning} | {term.kind} |"
+        for name, term in schema.TERMS.items()
+    ]
+    parts.append("")
     return "\n".join(parts)
 
 
@@ -206,11 +225,11 @@ def samples_page() -> str:
     parts = [
         "# Sample data",
         "",
-        "They come with the package, so that nothing but `pip install` is needed to",
-        "begin: `amulor samples` lists them, `amulor samples NAME -o FOLDER` writes",
-        "them, and in Python `amulor.samples.copy(NAME, FOLDER)` does;",
-        '`amulor.samples.cube("ladder")` reads a cube without a file. The cubes are',
-        "made by `tools/make_samples.py`.",
+        "The package contains sample data, so that `pip install` is enough to begin.",
+        "`amulor samples` lists them, and `amulor samples NAME -o FOLDER` writes them.",
+        "In Python, `amulor.samples.copy(NAME, FOLDER)` writes them, and",
+        '`amulor.samples.cube("ladder")` reads a cube without a file.',
+        "`tools/make_samples.py` makes the cubes.",
         "",
     ]
     for name, one in samples.samples().items():
@@ -219,7 +238,7 @@ def samples_page() -> str:
             f"- *Files:* {', '.join(f'`{file}`' for file in one.files)}, "
             f"{one.size / 1e3:.0f} kB",
             f"- *Origin:* {one.origin}",
-            f"- *Licence:* {one.licence}",
+            f"- *License:* {one.licence}",
             "",
         ]
         if one.commands:

@@ -110,7 +110,7 @@ def error_unknown(cube: xr.Dataset) -> str:
     >>> from amulor import cube as cubes, imaging, rejection, samples
     >>> raw = rejection.keep_water(samples.cube("ladder"))
     >>> cubes.error_unknown(imaging.range_image(raw, polarization="VV"))
-    'water not removed: error unknown, expect centimetres'
+    'water not removed: error unknown, expect centimeters'
     """
     words = _words(cube)
     bias, why = cube.get("slant_range_bias"), cube.attrs.get("interval_unsettled")

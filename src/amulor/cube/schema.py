@@ -33,18 +33,18 @@ TERMS = {
         ),
         Term(
             name="reference",
-            meaning="open-water shots: their noise, fit and interpolation",
+            meaning="open-water reference: noise, fit and interpolation",
             kind="A",
         ),
         Term(
             name="drift",
-            meaning="change of the water signal between shots and scan",
+            meaning="change of the water signal between reference and scan",
             kind="B",
         ),
         Term(name="column", meaning="water column behind the target", kind="B"),
         Term(
             name="water_model",
-            meaning="strength and shape of the water signal's model",
+            meaning="strength and shape of the modeled water signal",
             kind="A, B",
         ),
         Term(
@@ -59,14 +59,14 @@ TERMS = {
         ),
         Term(
             name="late_echo",
-            meaning="light scattered on its way, after its estimate is taken off",
+            meaning="light delayed by scattering, after subtraction of its estimate",
             kind="B",
         ),
         Term(name="delay", meaning="delay of the instrument itself", kind="B"),
         Term(name="group_index", meaning="group index of the water", kind="B"),
         Term(
             name="geometry",
-            meaning="place of the receiver, direction of the beams",
+            meaning="position of the receiver, direction of the beams",
             kind="B",
         ),
     )
@@ -115,7 +115,7 @@ class QualityFlag(enum.IntFlag):
     SATURATED = 2
     """The detector left its linear range."""
     NO_TARGET = 4
-    """The signal does not stand out of its uncertainty and the water left in it."""
+    """Signal not significant above noise and residual water."""
     AMBIGUOUS = 8
     """The distance is not settled among the ambiguity intervals."""
     WATER_RESIDUAL = 16
@@ -454,7 +454,7 @@ LEVELS = {
                     _PIXEL, "m", "Cramer-Rao bound of the slant range"
                 ),
                 "slant_range_late_echo": _optional(
-                    _PIXEL, "m", "delay by light scattered on its way, taken off"
+                    _PIXEL, "m", "delay by scattered light, subtracted"
                 ),
                 **_RANGE_TERMS,
                 "intensity": _needed(_PIXEL, "V", "amplitude of the target signal"),

@@ -59,7 +59,7 @@ PolarizationPair = Annotated[str, Field(pattern=f"^({stokes.PAIR_PATTERN})$")]
 
 
 class Emitter(Description):
-    """Where the beam starts and where it points when the scan angles are zero.
+    """Start of the beam, and its direction at scan angles of zero.
 
     Examples
     --------
@@ -110,8 +110,8 @@ class Receiver(Description):
     """1/e half-width gamma of the field of view, in the medium that the receiver
     stands in [rad]."""
     edge: Literal["gaussian", "sharp"] | None = None
-    """Whether aperture and field of view fall off as Gaussians, or end sharply;
-    Gaussian if left out."""
+    """Aperture and field of view: Gaussian, or with sharp edges; Gaussian if left
+    out."""
     speckle_cells: Annotated[float, Field(ge=1, le=1e15)] | None = None
     """Number M of speckles of the target's light that the aperture takes in: its power
     then varies by 1 / sqrt(M) from place to place; not at all if left out [1]."""
@@ -134,7 +134,7 @@ class Detector(Description):
     optical_transmission: Annotated[Fraction, Field(gt=0, le=1)] = 1.0
     """Fraction of the collected light that reaches the photocathode [1]."""
     excess_noise_factor: Annotated[float, Field(ge=1)] = 1.2
-    """How much the multiplication raises the shot-noise power [1]."""
+    """Factor by which the multiplication increases the shot-noise power [1]."""
     dark_rate: Annotated[Frequency, Field(ge=0)] = 0.0
     """Counts per second without light [Hz]."""
     volt_per_photoelectron_rate: Annotated[float, Field(gt=0)] = 8.0e-12
@@ -180,8 +180,7 @@ class Window(Description):
     group_index: Annotated[float, Field(ge=1, le=2.5)] = 1.50
     """Group index of the pane [1]."""
     reflection_loss: bool | None = None
-    """Whether light is lost by Fresnel reflection at both faces, out and back; not if
-    left out."""
+    """Loss by Fresnel reflection at both faces, out and back; none if left out."""
 
 
 class Instrument(Description):

@@ -144,13 +144,13 @@ class Scan(Description):
     order: Literal["raster", "serpentine"] = "raster"
     """Every row from left to right, or every second one from right to left."""
     moves: Literal["beam", "both"] = "beam"
-    """What turns: the beam alone, or emitter and receiver together."""
+    """Moving part: the beam alone, or emitter and receiver together."""
     open_water: OpenWater | None = None
     """Reference shots without a target; left out if there are none."""
 
 
 class Pose(Description):
-    """Place and attitude of the instrument, in metres east, north and up.
+    """Place and attitude of the instrument, in meters east, north and up.
 
     Examples
     --------
@@ -170,17 +170,17 @@ class Pose(Description):
     heading: Annotated[Angle, Field(ge=-2 * math.pi, le=2 * math.pi)] = 0.0
     """Direction of the forward axis, clockwise from grid north [rad]."""
     pitch: Annotated[Angle, Field(ge=-math.pi / 2, le=math.pi / 2)] = 0.0
-    """How far the forward axis points upwards; -90 deg looks straight down, with the
-    upper edge of the scan towards the heading [rad]."""
+    """Elevation of the forward axis; -90 deg looks straight down, with the upper edge
+    of the scan towards the heading [rad]."""
     roll: Annotated[Angle, Field(ge=-math.pi, le=math.pi)] = 0.0
-    """How far the right axis points downwards, about the forward axis [rad]."""
+    """Angle of the right axis below the horizontal, about the forward axis [rad]."""
     crs: ReferenceSystem = ""
-    """Reference system that the local frame belongs to: a projected one in metres, such
-    as "EPSG:32632", or a name; none if left out."""
+    """Reference system of the local frame: a projected one in meters, such as
+    "EPSG:32632", or a name; none if left out."""
     crs_offset: Position = (0.0, 0.0, 0.0)
-    """What has to be added to the local frame to be in the reference system (east,
-    north, up). Kept apart, since millimetres of coordinates in the millions are lost
-    in many programs [m]."""
+    """Offset of the local frame in the reference system (east, north, up). It is
+    separate, since many programs lose the millimeters of coordinates in the millions
+    [m]."""
     position_uncertainty: Annotated[Length, Field(ge=0, le=1000)] | None = None
     """Standard uncertainty of each coordinate of the position; not known if left out
     [m]."""

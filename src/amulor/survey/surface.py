@@ -34,7 +34,7 @@ class Lambertian(Description):
     """
 
     kind: Literal["lambertian"]
-    """Which surface this is."""
+    """Kind of surface."""
 
 
 class OrenNayar(Description):
@@ -48,7 +48,7 @@ class OrenNayar(Description):
     """
 
     kind: Literal["oren-nayar"]
-    """Which surface this is."""
+    """Kind of surface."""
     roughness: Annotated[Angle, Field(ge=0, le=1)]
     """Standard deviation of the slope angle of the facets [rad]."""
 
@@ -71,7 +71,7 @@ class TabulatedSurface(Description):
     """
 
     kind: Literal["tabulated"]
-    """Which surface this is."""
+    """Kind of surface."""
     file: Path | None = None
     """Table of four columns: angle of incidence and of reflection and azimuth in
     degrees, 0 azimuth straight back, and BRDF in 1/sr, which is multiplied by

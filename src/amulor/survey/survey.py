@@ -36,21 +36,21 @@ class Survey(Description):
     """
 
     name: Annotated[str, Field(min_length=1, max_length=200)]
-    """What the survey is about; the title of all that comes of it."""
+    """Title of the survey and of all its products."""
     water: WaterStated
     """The water."""
     targets: tuple[Target, ...] = ()
-    """What stands in the water; the beam that meets none sees water only."""
+    """Objects in the water; a beam that meets none measures water only."""
     instrument: Instrument
     """The instrument."""
     scan: Scan
     """The scan."""
     calibration: Calibration | None = None
-    """How well delay, geometry and index are known; not known if left out."""
+    """Uncertainties of delay, geometry and index; unknown if left out."""
     daylight: Daylight | None = None
     """Daylight in the water; dark if left out."""
     pose: Pose | None = None
-    """Where the instrument stands in the world; not known if left out."""
+    """Position and attitude of the instrument; unknown if left out."""
 
     @model_validator(mode="after")
     def _dwell_lets_the_lock_in_settle(self) -> Self:

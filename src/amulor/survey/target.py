@@ -38,7 +38,8 @@ class _Target(Description):
     """Reduced Mueller matrix of the surface straight backwards, or "painted-metal",
     "smooth-metal" or "ideal-depolarizer" [1]."""
     surface: SurfaceStated | None = None
-    """How it sends light back into other directions; by Lambert's law if left out."""
+    """Distribution of the reflected light over directions; Lambert's law if left
+    out."""
 
 
 class Plate(_Target):
@@ -60,7 +61,7 @@ class Plate(_Target):
     """
 
     kind: Literal["plate"]
-    """Which shape this is."""
+    """Kind of shape."""
     width: Annotated[Length, Field(gt=0)]
     """Extent to the right [m]."""
     height: Annotated[Length, Field(gt=0)]
@@ -88,7 +89,7 @@ class Staircase(_Target):
     """
 
     kind: Literal["staircase"]
-    """Which shape this is."""
+    """Kind of shape."""
     tread_width: Annotated[Length, Field(gt=0)]
     """Extent of each tread to the right [m]."""
     step_heights: Annotated[
@@ -119,7 +120,7 @@ class Disc(_Target):
     """
 
     kind: Literal["disc"]
-    """Which shape this is."""
+    """Kind of shape."""
     diameter: Annotated[Length, Field(gt=0)]
     """Outer diameter [m]."""
     central_hole: Annotated[Length, Field(ge=0)] = 0.0
@@ -180,18 +181,17 @@ class Mesh(_Target):
     """
 
     kind: Literal["mesh"]
-    """Which shape this is."""
+    """Kind of shape."""
     file: Path
     """Mesh file, relative to the survey file."""
     unit: Literal["m", "cm", "mm", "inch"] = "m"
-    """Unit of the coordinates in the file; GLB files are in metres by definition. Of a
-    mesh that would be more than 50 m across it must be stated."""
+    """Unit of the coordinates in the file; GLB files are in meters by definition. A
+    mesh that would be more than 50 m across must state it."""
     texture: Literal["vertex-colours", "image"] | None = None
-    """Where the file says how bright each place is: colours of its vertices, or an
-    image with coordinates. A value of 255 is `reflectance`, 0 is black; evenly bright
-    if left out."""
+    """Source of the brightness in the file: colors of its vertices, or an image with
+    coordinates. A value of 255 is `reflectance`, 0 is black; uniform if left out."""
     texture_channel: Literal["mean", "red", "green", "blue"] | None = None
-    """Which colour of the texture counts for the laser; the mean of all if left out."""
+    """Color of the texture that counts for the laser; the mean of all if left out."""
 
     @model_validator(mode="after")
     def _glb_is_in_metres(self) -> Self:

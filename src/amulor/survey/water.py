@@ -50,7 +50,8 @@ class WaterState(Description):
     and spheres; coefficients and layers do not tell it and keep polarization, 1, -1, -1
     [1]."""
     column_end: Annotated[Length, Field(gt=0)] | None = None
-    """Where the open water ends (the far wall of a tank); open if left out [m]."""
+    """Distance at which the open water ends (far wall of a tank); unlimited if left out
+    [m]."""
     signal_fluctuation: Annotated[Fraction, Field(ge=0, lt=1)] = 0.0
     """Relative random change of the water signal from sample to sample (drifting
     clouds of particles) [1]."""
@@ -89,7 +90,7 @@ class Water(WaterState):
     """
 
     kind: Literal["coefficients"] | None = None
-    """Which water this is; water without a kind is stated by its coefficients."""
+    """Kind of water; water without a kind is stated by its coefficients."""
     absorption: Annotated[PerMetre, Field(ge=0)]
     """Absorption coefficient a [1/m]."""
     scattering: Annotated[PerMetre, Field(ge=0)]

@@ -124,26 +124,25 @@ def _consequence(table: str, name: str) -> str:
     if table == "sample":
         from amulor.acquisition.sampler import SPOILED, SampleFlag
 
-        spoiled = "is spoiled, and taken again by amulor acquire --resume "
-        spoiled += "--retake-flagged"
-        return f"The sample {spoiled if SampleFlag[name] & SPOILED else 'counts'}."
+        spoiled = "is not used; amulor acquire --resume --retake-flagged repeats it"
+        return f"The sample {spoiled if SampleFlag[name] & SPOILED else 'is used'}."
     flag = QualityFlag.WATER_RESIDUAL if table == "cause" else QualityFlag[name]
     if flag & UNUSABLE:
         return "The pixel has no range."
     if flag & ERROR_UNKNOWN:
         return (
-            "All pixels keep their ranges, whose error is not known: no uncertainty is "
-            "stated anywhere, and they count as doubtful."
+            "All pixels keep their ranges, but their errors are unknown. No file has "
+            "an uncertainty, and all pixels count as doubtful."
         )
     assert flag & DOUBTFUL, flag
-    return "The pixel keeps its range, which is doubtful by itself."
+    return "The pixel keeps its range, but the range is doubtful."
 
 
 def _terms() -> list[Explanation]:
     types = {
-        "A": "Type A: found from repeated measurements.",
-        "B": "Type B: stated, or worked out from what is stated.",
-        "A, B": "Type A and B: from repeated measurements and from what is stated.",
+        "A": "Type A: from repeated measurements.",
+        "B": "Type B: stated, or computed from stated values.",
+        "A, B": "Type A and B: from repeated measurements and from stated values.",
     }
     return [
         Explanation(
@@ -153,7 +152,7 @@ def _terms() -> list[Explanation]:
             compared=types[term.kind],
             chance="",
             consequence="A part of the standard uncertainty of the range.",
-            remedy="amulor info FILE and amulor report say how large it is.",
+            remedy="amulor info FILE and amulor report print its size.",
         )
         for name, term in TERMS.items()
     ]
@@ -163,9 +162,9 @@ def lines_of(one: Explanation) -> list[str]:
     """Return an explanation as lines of text."""
     parts: Iterable[tuple[str, str]] = (
         ("means", one.meaning),
-        ("compared", one.compared),
+        ("test", one.compared),
         ("by chance", one.chance),
-        ("so", one.consequence),
+        ("effect", one.consequence),
         ("what to do", one.remedy),
     )
     return [f"{label:>10}: {text}" for label, text in parts if text]

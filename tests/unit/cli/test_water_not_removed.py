@@ -27,7 +27,7 @@ from amulor.view import page
 from amulor.view.page.measuring import measured
 
 #: What everything says in place of an interval.
-WORDS = "water not removed: error unknown, expect centimetres"
+WORDS = "water not removed: error unknown, expect centimeters"
 #: Words that only a statement of accuracy has.
 INTERVALS = ("k = 2", "about 95", "U = ", "median uncertainty")
 
@@ -209,7 +209,7 @@ def test_drawings_and_meshes_state_no_interval(
 
 def test_statements_of_a_drawing_state_no_interval(image: xr.Dataset) -> None:
     statements = " | ".join(statements_of(image, imaging.frame_of(image)))
-    assert "Water not removed: error unknown, expect centimetres" in statements
+    assert "Water not removed: error unknown, expect centimeters" in statements
     assert "GUM" not in statements
     assert "nan" not in statements
 

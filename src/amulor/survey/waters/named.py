@@ -33,12 +33,12 @@ class JerlovWater(WaterState):
     """
 
     kind: Literal["jerlov"]
-    """Which water this is."""
+    """Kind of water."""
     type: Literal["I", "IA", "IB", "II", "III", "1C", "3C", "5C", "7C", "9C"]
     """Type: I to III in the open ocean, 1C to 9C at coasts."""
     source: Literal["solonenko-mobley-2015", "williamson-hollins-2022"]
-    """Where absorption and scattering come from: a model fitted to diffuse attenuation,
-    or averages of measurements (IB to 5C). They differ by a factor of several."""
+    """Source of absorption and scattering: a model fitted to diffuse attenuation, or
+    averages of measurements (IB to 5C). The two differ by a factor of several."""
     particles: PhaseFunctionStated | None = None
     """Phase function of what the water holds; Petzold's average particle if left out.
     That of the molecules is added."""
@@ -62,7 +62,7 @@ class PetzoldWater(WaterState):
     """
 
     kind: Literal["petzold"]
-    """Which water this is."""
+    """Kind of water."""
     station: Literal[
         "AUTEC 7",
         "AUTEC 8",
@@ -95,10 +95,10 @@ class PureWater(WaterState):
     """
 
     kind: Literal["pure"]
-    """Which water this is."""
+    """Kind of water."""
     absorption_source: Literal["mason-2016", "pope-fry-1997"] = "mason-2016"
-    """Where the absorption comes from; the second is fresh water at 22 degC, and twice
-    the first at 405 nm."""
+    """Source of the absorption; the second is fresh water at 22 degC, and twice the
+    first at 405 nm."""
 
 
 class Case1Water(WaterState):
@@ -114,7 +114,7 @@ class Case1Water(WaterState):
     """
 
     kind: Literal["case-1"]
-    """Which water this is."""
+    """Kind of water."""
     chlorophyll: Annotated[MassConcentration, Field(ge=0.02, le=30)]
     """Concentration of chlorophyll a [mg/m^3]."""
     cdom_absorption: Annotated[PerMetre, Field(ge=0)] | None = None
@@ -143,15 +143,15 @@ class MilkWater(WaterState):
     """
 
     kind: Literal["milk"]
-    """Which water this is."""
+    """Kind of water."""
     volume_fraction: Annotated[Fraction, Field(gt=0, le=0.05)]
     """Milk per volume of the mixture; 0.001 is 1 ml in a litre [1]."""
     fat: Annotated[Fraction, Field(ge=0.001, le=0.05)]
     """Fat of the milk by mass [1]."""
     scattering_source: Literal["mie", "jensen-2001"] = "mie"
-    """Where the amount of scattering comes from: spheres of fat and casein, or what was
-    measured of skim milk (fat up to 0.5 %) and of whole milk (3 to 4 %), which keeps
-    the shape of the spheres."""
+    """Source of the scattering coefficient: spheres of fat and casein, or measurements
+    of skim milk (fat up to 0.5 %) and whole milk (3 to 4 %). The shape is that of the
+    spheres."""
 
     @model_validator(mode="after")
     def _was_measured(self) -> Self:
@@ -183,7 +183,7 @@ class SphereWater(WaterState):
     """
 
     kind: Literal["spheres"]
-    """Which water this is."""
+    """Kind of water."""
     diameter: Annotated[Length, Field(gt=0, le=1e-3)]
     """Diameter of the spheres [m]."""
     particle_index: Annotated[float, Field(ge=1.0, le=3.0)]
@@ -260,7 +260,7 @@ class LayeredWater(WaterState):
     """
 
     kind: Literal["layers"]
-    """Which water this is."""
+    """Kind of water."""
     layers: Annotated[tuple[WaterLayer, ...], Field(min_length=2, max_length=50)]
     """The layers, the one at the instrument first."""
 

@@ -33,7 +33,7 @@ class HenyeyGreenstein(Description):
     """
 
     kind: Literal["henyey-greenstein"]
-    """Which phase function this is."""
+    """Kind of phase function."""
     asymmetry: _Asymmetry
     """Mean cosine g of the scattering angle [1]."""
 
@@ -63,7 +63,7 @@ class TwoTerm(Description):
     """
 
     kind: Literal["two-term"]
-    """Which phase function this is."""
+    """Kind of phase function."""
     forward_asymmetry: _Asymmetry
     """Mean cosine of the first term [1]."""
     backward_asymmetry: _Asymmetry
@@ -98,7 +98,7 @@ class FournierForand(Description):
     """
 
     kind: Literal["fournier-forand"]
-    """Which phase function this is."""
+    """Kind of phase function."""
     relative_index: Annotated[float, Field(gt=1, le=1.5)] | None = None
     """Index of the particles over that of the water [1]."""
     slope: Annotated[float, Field(gt=3, lt=5)] | None = None
@@ -143,7 +143,7 @@ class Petzold(Description):
     """
 
     kind: Literal["petzold"]
-    """Which phase function this is."""
+    """Kind of phase function."""
     station: Literal[
         "average_particle",
         "AUTEC 7",
@@ -155,8 +155,8 @@ class Petzold(Description):
         "NUC 2040",
         "NUC 2240",
     ]
-    """Where: clear ocean (AUTEC), coast (HAOCE), San Diego Harbor (NUC), or the average
-    particle of Mobley et al. 1993, without the water."""
+    """Station: clear ocean (AUTEC), coast (HAOCE), San Diego Harbor (NUC), or the
+    average particle of Mobley et al. 1993, without the water."""
 
     def function(self) -> PhaseFunction:
         """Return the phase function that is stated."""
@@ -179,7 +179,7 @@ class Rayleigh(Description):
     """
 
     kind: Literal["rayleigh"]
-    """Which phase function this is."""
+    """Kind of phase function."""
     depolarization: Annotated[Fraction, Field(ge=0, le=1)] = 0.039
     """Depolarization ratio at 90 degrees; 0.039 is that of water [1]."""
 
@@ -208,7 +208,7 @@ class Tabulated(Description):
     """
 
     kind: Literal["tabulated"]
-    """Which phase function this is."""
+    """Kind of phase function."""
     file: Path | None = None
     """Table of two columns, angle in degrees up to 180 and value in 1/sr, with commas
     or spaces between and # before notes, relative to the survey file. It is read with

@@ -199,7 +199,7 @@ def test_with_the_water_left_in_no_number_has_an_interval(
         "[...document.querySelectorAll('#readout, #notes')]"
         ".map(part => part.innerText).join(' ')"
     )
-    words = "water not removed: error unknown, expect centimetres"
+    words = "water not removed: error unknown, expect centimeters"
     assert words in texts.lower()
     assert "±" not in texts
     assert shown.locator("#water button:visible").all_inner_texts() == ["Water in"]
