@@ -108,3 +108,24 @@ def test_poses_that_contradict_their_starts_are_not_handed_on(
     assert cli.main(["site", "merge", site, "--poses", poses, "-o", merged]) == 1
     assert "the poses are not good" in capsys.readouterr().err
     assert not Path(merged).exists()
+
+
+def test_a_plane_settles_and_leaves_three_directions_of_each_scan_to_its_start() -> (
+    None
+):
+    drawn = one_visit("plane", 3, rows=36)
+    found = registered(drawn)
+    assert found.settled
+    assert found.contradictions == ()
+    # Two shifts along the plane and the turn about its normal; a1 is surveyed.
+    assert sorted(one.scan for one in found.weaknesses) == (
+        ["a2"] * 3 + ["a3"] * 3 + ["a4"] * 3
+    )
+    for name in ("a2", "a3", "a4"):
+        spread = found.covariance_of(f"pose {name}")
+        # The start states 3 degrees of heading, and of the roll about an axis that
+        # points downwards.
+        assert 1 < np.sqrt(spread[5, 5]) / np.radians(3) < 1.5
+        off, turn = drawn.wrong(found)[name]
+        assert off < 4 * np.sqrt(np.trace(spread[:3, :3]))
+        assert turn < 4 * np.sqrt(np.trace(spread[3:, 3:]))

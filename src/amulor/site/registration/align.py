@@ -22,9 +22,15 @@ Floats = NDArray[np.float64]
 
 #: Steps with a wide gate, narrowing, then with that of the noise [1].
 _WIDE_STEPS, _FINE_STEPS = 3, 20
-#: A step below the first ends the work, one below the second has settled; single
-#: points that come and go move poses by less [m, and rad times a metre].
-_DONE, _SETTLED = 1e-5, 3e-5
+#: After so many fine steps a point that was left out stays out, and no direction is
+#: constrained again: at a limit they would come and go for ever [1].
+_FREE_STEPS = 5
+#: After so many fine steps only half a step is taken: where points change the pixel
+#: that they are compared with, whole steps may go to and fro [1].
+_HALF_STEPS = 8
+#: Chi-square of a step that ends the work, and of one that has settled: a fifth of the
+#: stated uncertainty, all unknowns together [1].
+_DONE, _SETTLED = 4e-4, 0.04
 #: Pairs that disagree with all others less often than this by chance [1].
 _CHANCE = 1e-4
 #: Points are matched with others no farther than this at first: farther, other
@@ -113,26 +119,38 @@ def align(
     gates += [None] * _FINE_STEPS
     pairs: list[Pair] = []
     trust: list[float] = []
-    settled, taken = False, 0
+    settled, taken, free = False, 0, 0
     for number, gate in enumerate(gates):
         tell("fitting all scans to each other", 0.3 + 0.5 * number / len(gates))
-        pairs = _pairs(surfaces, who, state, trees, gate)
+        late = number >= _WIDE_STEPS + _FREE_STEPS
+        pairs = _pairs(surfaces, who, state, trees, gate, pairs if late else ())
         trust = [1.0] * len(pairs)
         taken = number + 1
-        found = network.step(state, pairs, ties, trust, steady=gate is not None)
+        found = network.step(
+            state,
+            pairs,
+            ties,
+            trust,
+            steady=gate is not None,
+            free=free,
+            part=0.5 if number >= _WIDE_STEPS + _HALF_STEPS else 1.0,
+        )
         state = found.state
-        settled = gate is None and found.largest < _SETTLED
-        if gate is None and found.largest < _DONE:
+        free = found.free if late else 0
+        settled = gate is None and found.score < _SETTLED
+        if gate is None and found.score < _DONE:
             break
     disagreements: tuple[Disagreement, ...] = ()
     if len(pairs) > 1:
         trust, disagreements = _judged(pairs, state, surfaces)
         for _ in range(4 if disagreements else 0):
-            pairs = _pairs(surfaces, who, state, trees, None)
+            pairs = _pairs(surfaces, who, state, trees, None, pairs)
             trust, disagreements = _judged(pairs, state, surfaces)
-            state = network.step(state, pairs, ties, trust).state
+            state = network.step(state, pairs, ties, trust, free=free).state
     tell("covariance of all poses", 0.85)
-    covariance, layout = network.covariance(state, pairs, ties, trust, surfaces)
+    covariance, layout = network.covariance(
+        state, pairs, ties, trust, surfaces, free=free
+    )
     return Alignment(
         state=state,
         covariance=covariance,
@@ -343,7 +361,10 @@ def _pairs(
     state: State,
     trees: Mapping[str, cKDTree],
     gate: float | None,
+    before: Sequence[Pair],
 ) -> list[Pair]:
+    """Return the comparisons of scans, only with points that counted before, if any."""
+    among = {(p.source, p.target): p.source_pixel[p.weight > 0] for p in before}
     found = (
         compared(
             surfaces[source],
@@ -352,6 +373,7 @@ def _pairs(
             gate=gate,
             errors=state.errors,
             tree=trees[target],
+            among=among.get((source, target)),
         )
         for source, target in who
     )

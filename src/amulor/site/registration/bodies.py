@@ -12,7 +12,7 @@ from scipy.stats import chi2
 Floats = NDArray[np.float64]
 
 #: Directions count as held if what holds them stands out of noise so many times [1].
-_HELD = 6.0
+HELD = 6.0
 
 
 def mean_lever(lever: Floats, weight: Floats) -> float:
@@ -34,7 +34,7 @@ def held_directions(
     projection = np.eye(6)
     loose = []
     for value, axis in zip(values, axes.T, strict=True):
-        if value < _HELD * unsure:
+        if value < HELD * unsure:
             projection -= np.outer(axis, axis)
             direction = axis / scale
             size = (

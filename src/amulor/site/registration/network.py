@@ -7,9 +7,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import sparse
-from scipy.sparse.linalg import splu
 
+from amulor.site.registration.bodies import HELD
 from amulor.site.registration.pair import Pair
 from amulor.site.registration.pose import ScanPose, cross_matrix, departure
 from amulor.site.registration.surface import ScanSurface
@@ -126,37 +125,27 @@ class _System:
     """Normal equations as they are added up."""
 
     def __init__(self, size: int) -> None:
-        self.size = size
-        self.rows: list[Numbers] = []
-        self.columns: list[Numbers] = []
-        self.values: list[Floats] = []
+        self.matrix = np.zeros((size, size))
         self.gradient = np.zeros(size)
-        # Variance of the gradient by what is no noise of pixels.
+        # Variance of the gradient, without noise of pixels.
         self.scatter = np.zeros((size, size))
 
     def add(self, at: Numbers, matrix: Floats, gradient: Floats) -> None:
-        kept = at >= 0
-        at, matrix = at[kept], matrix[np.ix_(kept, kept)]
-        self.rows.append(np.repeat(at, len(at)))
-        self.columns.append(np.tile(at, len(at)))
-        self.values.append(matrix.ravel())
-        np.add.at(self.gradient, at, gradient[kept])
+        free = at >= 0
+        at = at[free]
+        self.matrix[np.ix_(at, at)] += matrix[np.ix_(free, free)]
+        np.add.at(self.gradient, at, gradient[free])
 
-    def add_known(self, at: Numbers, matrix: Floats, gradient: Floats) -> None:
-        """Add what has the information matrix as the variance of its gradient."""
+    def add_prior(self, at: Numbers, matrix: Floats, gradient: Floats) -> None:
+        """Add an observation whose information is the variance of its gradient."""
         self.add(at, matrix, gradient)
-        kept = at >= 0
-        self.scatter[np.ix_(at[kept], at[kept])] += matrix[np.ix_(kept, kept)]
+        free = at >= 0
+        self.scatter[np.ix_(at[free], at[free])] += matrix[np.ix_(free, free)]
 
-    def factor(self) -> object:
-        matrix = sparse.csc_matrix(
-            (
-                np.concatenate(self.values),
-                (np.concatenate(self.rows), np.concatenate(self.columns)),
-            ),
-            shape=(self.size, self.size),
-        )
-        return splu(matrix)
+    def project(self, projection: Floats) -> None:
+        """Remove the free directions from what was added so far."""
+        self.matrix = projection.T @ self.matrix @ projection
+        self.gradient = projection.T @ self.gradient
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -165,8 +154,10 @@ class Step:
 
     state: State
     """After it."""
-    largest: float
-    """Largest shift of a scan [m], or turn times one metre."""
+    score: float
+    """Chi-square of the whole step by its information matrix [1]."""
+    free: int
+    """Number of directions that the surfaces leave free [1]."""
 
 
 def step(
@@ -176,18 +167,20 @@ def step(
     trust: Sequence[float],
     *,
     steady: bool = False,
+    free: int = 0,
+    part: float = 1.0,
 ) -> Step:
-    """Return better estimates."""
+    """Take a part of one step; at least `free` directions count as free."""
     layout = Layout(state, ties.fixed)
-    system = _system(state, pairs, ties, trust, layout, steady=steady)
-    change = -np.asarray(system.factor().solve(system.gradient))  # type: ignore[attr-defined]
-    largest = 0.0
+    projection, free = _projection(state, pairs, trust, layout, free)
+    system = _system(state, pairs, ties, trust, layout, projection, steady=steady)
+    change = -np.asarray(np.linalg.solve(system.matrix, system.gradient), dtype=float)
+    score = abs(float(change @ system.gradient))
+    change = part * change
     poses = {}
     for name, pose in state.poses.items():
         if ("pose", name) in layout.at:
-            part = change[layout.at["pose", name]]
-            largest = max(largest, float(np.abs(part).max()))
-            pose = pose.changed(part)
+            pose = pose.changed(change[layout.at["pose", name]])
         poses[name] = pose
     points = {
         name: point + change[layout.at["point", name]]
@@ -197,7 +190,7 @@ def step(
         key: value + float(change[layout.at["error", key]][0])
         for key, value in state.errors.items()
     }
-    return Step(state=State(poses, points, errors), largest=largest)
+    return Step(state=State(poses, points, errors), score=score, free=free)
 
 
 def covariance(
@@ -206,6 +199,8 @@ def covariance(
     ties: Ties,
     trust: Sequence[float],
     surfaces: Mapping[str, ScanSurface],
+    *,
+    free: int = 0,
 ) -> tuple[Floats, Layout]:
     r"""Return the covariance of all estimates.
 
@@ -214,14 +209,15 @@ def covariance(
     and pair that it takes part in, so that what neighbours share is not averaged away.
     """
     layout = Layout(state, ties.fixed)
-    system = _system(state, pairs, ties, trust, layout)
-    variance = system.scatter
+    projection, _ = _projection(state, pairs, trust, layout, free)
+    system = _system(state, pairs, ties, trust, layout, projection)
+    noise = np.zeros((layout.size, layout.size))
     for name, surface in surfaces.items():
-        variance += _of_noise(name, surface, state, pairs, trust, layout)
-    factor = system.factor()
-    half = np.asarray(factor.solve(variance))  # type: ignore[attr-defined]
-    whole = np.asarray(factor.solve(np.ascontiguousarray(half.T)))  # type: ignore[attr-defined]
-    return (whole + whole.T) / 2, layout
+        noise += _of_noise(name, surface, state, pairs, trust, layout)
+    variance = system.scatter + projection.T @ noise @ projection
+    half = np.linalg.solve(system.matrix, variance)
+    spread = np.linalg.solve(system.matrix, half.T)
+    return (spread + spread.T) / 2, layout
 
 
 def _system(
@@ -230,6 +226,7 @@ def _system(
     ties: Ties,
     trust: Sequence[float],
     layout: Layout,
+    projection: Floats,
     *,
     steady: bool = False,
 ) -> _System:
@@ -240,20 +237,21 @@ def _system(
         z = x if steady else pair.by_source @ spread
         weighted = z * (weight * pair.weight)[:, None]
         system.add(at, weighted.T @ x, weighted.T @ pair.distance)
+    system.project(projection)
     for key, value in state.errors.items():
         at = layout.columns("error", [key], 1)
-        system.add_known(at, np.eye(1), np.array([value]))
+        system.add_prior(at, np.eye(1), np.array([value]))
     for name, known in ties.start.items():
         pose = state.poses[name]
         off = departure(pose, known.pose)
         matrix = np.asarray(np.linalg.inv(known.covariance), dtype=float)
-        system.add_known(layout.columns("pose", [name], 6), matrix, matrix @ off)
+        system.add_prior(layout.columns("pose", [name], 6), matrix, matrix @ off)
     for centre in ties.centres:
         _add_centre(system, centre, state, layout)
     for name, point in ties.control.items():
         matrix = np.asarray(np.diag(1 / point.sigma**2), dtype=float)
         off = state.points[name] - point.position
-        system.add_known(layout.columns("point", [name], 3), matrix, matrix @ off)
+        system.add_prior(layout.columns("point", [name], 3), matrix, matrix @ off)
     for bar in ties.bars:
         one, other = (state.points[end] for end in bar.ends)
         length = float(np.linalg.norm(one - other))
@@ -261,12 +259,12 @@ def _system(
         row = np.concatenate([unit, -unit])[None]
         at = layout.columns("point", bar.ends, 3)
         off = np.array([length - bar.length])
-        system.add_known(at, row.T @ row / bar.sigma**2, row.T @ off / bar.sigma**2)
+        system.add_prior(at, row.T @ row / bar.sigma**2, row.T @ off / bar.sigma**2)
     return system
 
 
 def _into(pair: Pair, state: State, layout: Layout) -> tuple[Numbers, Floats]:
-    """Return the unknowns of a pair, and how its six numbers follow from them."""
+    """Return the unknowns of a pair, and the derivatives of its numbers by them."""
     poses = [state.poses[name] for name in (pair.source, pair.target)]
     relative = np.zeros((6, 12))
     for number, (pose, sign) in enumerate(zip(poses, (1.0, -1.0), strict=True)):
@@ -275,7 +273,7 @@ def _into(pair: Pair, state: State, layout: Layout) -> tuple[Numbers, Floats]:
         relative[:, 6 * number : 6 * number + 6] = sign * block
     keys = len(pair.keys)
     spread = np.zeros((6 + keys, 12 + keys))
-    spread[:6, :12] = pair.held @ relative
+    spread[:6, :12] = relative
     spread[6:, 12:] = np.eye(keys)
     at = np.concatenate(
         [
@@ -284,6 +282,47 @@ def _into(pair: Pair, state: State, layout: Layout) -> tuple[Numbers, Floats]:
         ]
     )
     return at, spread
+
+
+def _projection(
+    state: State,
+    pairs: Sequence[Pair],
+    trust: Sequence[float],
+    layout: Layout,
+    least: int,
+) -> tuple[Floats, int]:
+    """Return the projector onto the directions that the surfaces of a site constrain.
+
+    Directions of all poses at once: a direction that one pair leaves free may be
+    constrained by another one, and pairs must not disagree about a free one.
+    """
+    size = layout.size
+    information, extent = np.zeros((size, size)), np.zeros((size, size))
+    parts = []
+    for pair, weight in zip(pairs, trust, strict=True):
+        at, spread = _into(pair, state, layout)
+        poses = at[:12] >= 0
+        at, spread = at[:12][poses], spread[:6, :12][:, poses]
+        weighted = pair.by_source[:, :6] * (weight * pair.weight)[:, None]
+        sums = spread.T @ (weighted.T @ pair.by_target[:, :6]) @ spread
+        moved = spread.T @ pair.mean_square @ spread * (weight * pair.unsure)
+        place = np.ix_(at, at)
+        information[place] += (sums + sums.T) / 2
+        extent[place] += moved
+        parts.append((at, moved))
+    values, axes = np.linalg.eigh(extent)
+    # All scans together, and what is no pose, leave the distances as they are.
+    relative = values > 1e-10 * max(float(values[-1]), 1e-300)
+    modes = axes[:, relative] / np.sqrt(values[relative])
+    sums, turned = np.linalg.eigh(modes.T @ information @ modes)
+    modes = modes @ turned
+    noise = np.zeros(len(sums))
+    for at, moved in parts:
+        noise += np.einsum("ij,ik,kj->j", modes[at], moved, modes[at]) ** 2
+    ratio = sums / np.sqrt(np.maximum(noise, 1e-300))
+    count = min(max(int((ratio < HELD).sum()), least), len(ratio))
+    free = modes[:, np.argsort(ratio)[:count]]
+    return np.asarray(np.eye(size) - free @ free.T @ extent), count
 
 
 def _add_centre(system: _System, centre: Centre, state: State, layout: Layout) -> None:
@@ -312,7 +351,7 @@ def _add_centre(system: _System, centre: Centre, state: State, layout: Layout) -
     )
     turned = pose.rotation @ centre.covariance @ pose.rotation.T
     weight = np.linalg.inv(turned)
-    system.add_known(at, row.T @ weight @ row, row.T @ weight @ off)
+    system.add_prior(at, row.T @ weight @ row, row.T @ weight @ off)
 
 
 def _of_noise(

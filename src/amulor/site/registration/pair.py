@@ -17,7 +17,7 @@ from scipy import sparse
 from scipy.spatial import cKDTree
 
 from amulor.site.registration.bodies import Points, counted, held_directions, mean_lever
-from amulor.site.registration.pose import ScanPose
+from amulor.site.registration.pose import ScanPose, cross_matrix
 from amulor.site.registration.surface import ScanSurface
 
 Floats = NDArray[np.float64]
@@ -73,6 +73,16 @@ class Pair:
     """Pixels of the source that stand off together: another object, or a moved one."""
 
     @property
+    def mean_square(self) -> Floats:
+        """Mean square of the shifts of the points by a motion, shape (6, 6)."""
+        lever = self.place - self.pivot
+        rows = np.zeros((len(lever), 3, 6))
+        rows[..., :3], rows[..., 3:] = np.eye(3), -cross_matrix(lever)
+        total = max(float(self.weight.sum()), 1e-300)
+        share = self.weight / total
+        return np.asarray(np.einsum("n,nij,nik->jk", share, rows, rows))
+
+    @property
     def used(self) -> int:
         """How many points count."""
         return int((self.weight > 0).sum())
@@ -86,13 +96,15 @@ def compared(
     gate: float | None,
     errors: dict[str, float],
     tree: cKDTree | None = None,
+    among: Numbers | None = None,
 ) -> Pair | None:
     r"""Compare the points of one scan with the patches of another.
 
     A point p of the source lies on a beam of the target, between its pixels; there the
     patch has the range :math:`\hat\rho`, and the distance is :math:`e = \rho_p -
     \hat\rho`, with the gradient :math:`n / (n \cdot d)`. The pixel's range and the
-    pixels of the patch are the noise; neighbouring points share patches.
+    pixels of the patch are the noise; neighbouring points share patches. Only pixels of
+    the source in `among` have a weight.
     """
     pixel = _chosen(source)
     point = source.position.reshape(-1, 3)[pixel]
@@ -169,11 +181,14 @@ def compared(
         together=target.kernels.shape[1] ** 2 / 2,
     )
     outcome = counted(points, good, gate)
-    unsure = points.unsure(outcome.weight)
+    weight = outcome.weight
+    if among is not None:
+        weight = np.where(np.isin(pixel, among), weight, 0.0)
+    unsure = points.unsure(weight)
     held, loose = held_directions(
-        rows[1][:, :6].T @ (outcome.weight[:, None] * rows[0][:, :6]),
+        rows[1][:, :6].T @ (weight[:, None] * rows[0][:, :6]),
         unsure=unsure,
-        length=mean_lever(placed - pivot, outcome.weight),
+        length=mean_lever(placed - pivot, weight),
     )
     return Pair(
         source=source.name,
@@ -182,7 +197,7 @@ def compared(
         pivot=pivot,
         place=placed,
         distance=distance,
-        weight=outcome.weight,
+        weight=weight,
         by_target=rows[0],
         by_source=rows[1],
         along=alongs[0],
