@@ -178,9 +178,9 @@ def _told(requirements: tuple[Requirement, ...]) -> list[tuple[Requirement, int]
 def reasons_of(found: Recommendation, *, confirm: bool) -> Reasons:
     """Compute the reasons for a recommendation: trade, sensitivity, what-if."""
     from amulor import _progress
-    from amulor.design.reasons.confirm import confirm as confirmed
-    from amulor.design.reasons.sensitivity import sensitivity, uncertain
-    from amulor.design.reasons.trade import trade, what_if
+    from amulor.design.confirm import confirm as confirmed
+    from amulor.design.sensitivity import sensitivity, uncertain
+    from amulor.design.trade import trade, what_if
     from amulor.view.design.report import Reasons
 
     goal, best = found.goal, found.best.parameters

@@ -1,4 +1,4 @@
-"""Which instrument: errors of any design, and a recommendation for a goal."""
+"""Instrument design: range errors of any design, and a recommendation for a goal."""
 
 from amulor.design.axes import AXES
 from amulor.design.candidates import Parameters

@@ -1,28 +1,29 @@
-"""The axes that a design can be looked at along, and how their arrays are arranged."""
+"""Axes and rejection methods of a design evaluation, and the arrangement of arrays."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
+from amulor.design import _kernels as kernel
 from amulor.errors import SurveyError
 
-__all__ = ["AXES", "Arranged", "Axis", "arranged"]
+__all__ = ["AXES", "PREDICTED", "Arranged", "Axis", "Method", "Predicted", "arranged"]
 
 Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
 class Axis:
-    """One number that an instrument, its water or its target has."""
+    """Number of an instrument, its water or its target."""
 
     meaning: str
-    """What it is, in a few words."""
+    """Quantity in a few words."""
     unit: str
     """SI unit."""
     least: float = 0.0
@@ -67,14 +68,55 @@ AXES = {
 }
 
 
+Method = Literal["none", "frequency", "open-water", "polarization", "combined", "joint"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Predicted:
+    """Prediction of the error of one rejection method."""
+
+    kernel: int
+    """Number of the method in the compiled loop."""
+    channel_pair: bool = False
+    """Whether the method needs a co-polarized channel and its partner."""
+    separate_frequencies: bool = True
+    """Whether each frequency has a phase of its own."""
+    assumptions: tuple[str, ...] = ()
+    """Fields of a goal's assumptions on which the error depends."""
+
+
+#: By the names of `amulor.rejection.names`.
+PREDICTED: dict[str, Predicted] = {
+    "none": Predicted(kernel=kernel.KEPT),
+    "frequency": Predicted(kernel=kernel.ONE_FREQUENCY, separate_frequencies=False),
+    "open-water": Predicted(
+        kernel=kernel.OPEN_WATER,
+        assumptions=("water_change", "column_uncertainty"),
+    ),
+    "polarization": Predicted(
+        kernel=kernel.UNMIX, channel_pair=True, assumptions=("ratio_uncertainty",)
+    ),
+    "combined": Predicted(
+        kernel=kernel.COMBINED,
+        channel_pair=True,
+        assumptions=("water_change", "column_uncertainty", "ratio_uncertainty"),
+    ),
+    "joint": Predicted(
+        kernel=kernel.JOINT,
+        separate_frequencies=False,
+        assumptions=("departure",),
+    ),
+}
+
+
 @dataclass(frozen=True, kw_only=True)
 class Arranged:
     """Values with one array dimension for each axis."""
 
     sizes: dict[str, int]
-    """Name of each dimension to its length."""
+    """Length of each dimension by its name."""
     values: dict[str, Floats]
-    """Values by axis, each with all dimensions, of length 1 where it does not vary."""
+    """Values by axis, each with all dimensions, of length 1 where it is constant."""
     frequencies: Floats | None
     """Sets of modulation frequencies, (K, ...), NaN where a set has fewer [Hz]."""
     coordinates: dict[str, Any]
@@ -89,7 +131,7 @@ class Arranged:
 def arranged(
     axes: Mapping[str, Any], frequencies: Sequence[Sequence[float]] | None
 ) -> Arranged:
-    """Arrange the arrays that a caller gives along dimensions."""
+    """Arrange the arrays of a caller along common dimensions."""
     if "attenuation" in axes and {"absorption", "scattering"} & set(axes):
         raise SurveyError(
             "attenuation is the sum of absorption and scattering; state it alone, or "
@@ -97,19 +139,19 @@ def arranged(
         )
     if frequencies is not None and "frequency" in axes:
         raise SurveyError("state frequency, or frequencies, not both")
-    held: dict[str, tuple[tuple[str, ...], Floats]] = {}
+    by_axis: dict[str, tuple[tuple[str, ...], Floats]] = {}
     sizes: dict[str, int] = {}
     coordinates: dict[str, Any] = {}
-    for name, given in axes.items():
-        dims, values = _held(name, given)
-        held[name] = dims, values
+    for name, value in axes.items():
+        dims, values = _axis_values(name, value)
+        by_axis[name] = dims, values
         for dim, size in zip(dims, values.shape, strict=True):
             if sizes.setdefault(dim, size) != size:
                 raise SurveyError(
                     f"{name}: has {size} values along {dim}, others have {sizes[dim]}"
                 )
-        if isinstance(given, xr.DataArray):
-            coordinates |= {str(key): given.coords[key] for key in given.coords}
+        if isinstance(value, xr.DataArray):
+            coordinates |= {str(key): value.coords[key] for key in value.coords}
         elif dims:
             axis = AXES[name]
             coordinates[name] = (
@@ -117,10 +159,10 @@ def arranged(
                 values,
                 {"long_name": axis.meaning, "units": axis.unit},
             )
-    stated: list[Floats] = []
+    set_columns: list[Floats] = []
     if frequencies is not None:
         sizes["frequency_set"] = len(frequencies)
-        stated, texts = _sets(frequencies)
+        set_columns, texts = _sets(frequencies)
         coordinates["frequency_set"] = ("frequency_set", texts)
     order = list(sizes)
 
@@ -129,17 +171,21 @@ def arranged(
         return moved.reshape([sizes[dim] if dim in dims else 1 for dim in order])
 
     shape = [-1 if dim == "frequency_set" else 1 for dim in order]
-    sets = np.stack([one.reshape(shape) for one in stated]) if stated else None
+    sets = (
+        np.stack([column.reshape(shape) for column in set_columns])
+        if set_columns
+        else None
+    )
     return Arranged(
         sizes=sizes,
-        values={name: spread(*each) for name, each in held.items()},
+        values={name: spread(*axis_values) for name, axis_values in by_axis.items()},
         frequencies=sets,
         coordinates=coordinates,
     )
 
 
-def _held(name: str, given: Any) -> tuple[tuple[str, ...], Floats]:
-    """Return dimensions and values of one axis, refused if out of range."""
+def _axis_values(name: str, value: Any) -> tuple[tuple[str, ...], Floats]:
+    """Dimensions and values of one axis, refused if out of range."""
     if name not in AXES:
         raise SurveyError(
             f"{name}: is no axis of a design; allowed are {', '.join(AXES)}, "
@@ -147,9 +193,9 @@ def _held(name: str, given: Any) -> tuple[tuple[str, ...], Floats]:
         )
     axis = AXES[name]
     dims: tuple[str, ...] = ()
-    values = np.asarray(given, dtype=float)
-    if isinstance(given, xr.DataArray):
-        dims = tuple(map(str, given.dims))
+    values = np.asarray(value, dtype=float)
+    if isinstance(value, xr.DataArray):
+        dims = tuple(map(str, value.dims))
     elif values.ndim == 1:
         dims = (name,)
     elif values.ndim > 1:
@@ -162,24 +208,24 @@ def _held(name: str, given: Any) -> tuple[tuple[str, ...], Floats]:
     if name != "aim":
         good &= np.isfinite(values)
     if not values.size or not good.all():
-        found = f"{values[~good].flat[0]:g} {axis.unit}" if values.size else "nothing"
+        refused = f"{values[~good].flat[0]:g} {axis.unit}" if values.size else "nothing"
         above = "above" if axis.open else "at least"
         most = f" and at most {axis.most:g}" if np.isfinite(axis.most) else ""
         raise SurveyError(
-            f"{name}: found {found}, but it must be {above} {axis.least:g}{most} "
+            f"{name}: found {refused}, but it must be {above} {axis.least:g}{most} "
             f"{axis.unit}"
         )
     return dims, values
 
 
 def _sets(frequencies: Sequence[Sequence[float]]) -> tuple[list[Floats], list[str]]:
-    """Return sets as arrays, one for each place in a set, and what they are called."""
-    most = max((len(one) for one in frequencies), default=0)
-    if min((len(one) for one in frequencies), default=0) < 1:
+    """Frequency sets as arrays, one for each place in a set, and their labels."""
+    most = max((len(members) for members in frequencies), default=0)
+    if min((len(members) for members in frequencies), default=0) < 1:
         raise SurveyError("frequencies: each set needs one frequency at least")
     filled = np.full((most, len(frequencies)), np.nan)
-    for number, one in enumerate(frequencies):
-        filled[: len(one), number] = sorted(one)
+    for number, members in enumerate(frequencies):
+        filled[: len(members), number] = sorted(members)
     if not np.all(filled[np.isfinite(filled)] > 0):
         raise SurveyError("frequencies: all must be above 0 Hz")
     texts = [

@@ -1,4 +1,4 @@
-"""From a choice of components to the survey that stands for it."""
+"""Candidates of a goal: choices of components, survey of each choice, drawn waters."""
 
 from __future__ import annotations
 
@@ -9,12 +9,12 @@ from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import norm, qmc
 
 from amulor.design import geometry
-from amulor.design.goal import Goal
-from amulor.design.goal.parts import Box, Laser
-from amulor.design.goal.spread import Spread
-from amulor.design.methods import PREDICTED
+from amulor.design.axes import PREDICTED
+from amulor.design.goal import Box, FractionSpread, Goal, Laser, Spread
 from amulor.errors import SurveyError
 from amulor.rejection.channels import PARTNERS
 from amulor.survey import Instrument, Plate, Receiver, Scan, Survey, water_properties
@@ -26,14 +26,18 @@ __all__ = [
     "aim_of_goal",
     "box_values",
     "cost_of",
+    "drawn",
     "first_choice",
     "fits",
     "frequency_grid",
     "middle",
     "scan_time",
+    "spreads_of",
     "survey_of",
+    "values_at",
     "water_scale",
 ]
+
 
 #: Share of the dwell that the lock-in's time constant may have [1].
 _LOCK_IN = 0.1
@@ -41,7 +45,7 @@ _LOCK_IN = 0.1
 
 @dataclass(frozen=True, kw_only=True)
 class Parameters:
-    """One instrument: what a goal leaves to be chosen.
+    """Parameters of one candidate instrument.
 
     Examples
     --------
@@ -66,7 +70,7 @@ class Parameters:
     polarization: str
     """Channels joined by a plus sign."""
     method: str
-    """How the water is taken out."""
+    """Rejection method."""
 
     def to_dict(self) -> dict[str, Any]:
         """Return the numbers by name, in SI units."""
@@ -74,7 +78,7 @@ class Parameters:
 
 
 def laser_of(goal: Goal, name: str) -> Laser:
-    """Return the laser of a name."""
+    """Laser of the goal with this name."""
     for laser in goal.components.lasers:
         if laser.name == name:
             return laser
@@ -82,14 +86,14 @@ def laser_of(goal: Goal, name: str) -> Laser:
 
 
 def middle(spread: Spread) -> float:
-    """Return the median of a range."""
+    """Median of a range."""
     if spread.distribution.startswith("log"):
         return math.sqrt(spread.low * spread.high)
     return (spread.low + spread.high) / 2
 
 
 def box_values(box: Box) -> tuple[float, ...]:
-    """Return the values of a box that are looked at first, increasing."""
+    """Grid values of a box, increasing."""
     if box.values:
         return box.values
     assert box.low is not None
@@ -98,19 +102,23 @@ def box_values(box: Box) -> tuple[float, ...]:
 
 
 def frequency_grid(goal: Goal) -> tuple[float, ...]:
-    """Return the single frequencies to choose from, increasing [Hz]."""
-    stated = goal.components.modulation
-    if stated.sets:
-        return tuple(sorted({f for one in stated.sets for f in one}))
-    if stated.frequencies:
-        return stated.frequencies
-    assert stated.lowest is not None
-    assert stated.highest is not None
-    return tuple(map(float, np.geomspace(stated.lowest, stated.highest, stated.count)))
+    """Single modulation frequencies to choose from, increasing [Hz]."""
+    modulation = goal.components.modulation
+    if modulation.sets:
+        return tuple(sorted({f for members in modulation.sets for f in members}))
+    if modulation.frequencies:
+        return modulation.frequencies
+    assert modulation.lowest is not None
+    assert modulation.highest is not None
+    return tuple(
+        map(
+            float, np.geomspace(modulation.lowest, modulation.highest, modulation.count)
+        )
+    )
 
 
 def aim_of_goal(goal: Goal) -> float:
-    """Return the distance at which receivers are aimed [m]."""
+    """Distance at which receivers are aimed [m]."""
     if goal.aim is not None:
         return goal.aim
     near, far = goal.asked[0], goal.asked[-1]
@@ -118,7 +126,7 @@ def aim_of_goal(goal: Goal) -> float:
 
 
 def first_choice(goal: Goal) -> Parameters:
-    """Return the first of each choice."""
+    """Candidate made of the first value of each choice."""
     parts = goal.components
     modulation = parts.modulation
     first = modulation.sets[0] if modulation.sets else frequency_grid(goal)[:1]
@@ -137,17 +145,17 @@ def first_choice(goal: Goal) -> Parameters:
 
 
 def fits(goal: Goal) -> Iterator[tuple[str, str]]:
-    """Yield the schemes and methods that go together."""
+    """Yield the polarization schemes and methods that fit together."""
     parts = goal.components
-    found = False
+    any_fit = False
     for scheme, method in itertools.product(parts.polarizations, parts.methods):
         pairs = {part.strip() for part in scheme.split("+")}
         paired = any({co, cross} <= pairs for co, cross in PARTNERS.items())
         if PREDICTED[method].channel_pair and not paired:
             continue
-        found = True
+        any_fit = True
         yield "+".join(part.strip() for part in scheme.split("+")), method
-    if not found:
+    if not any_fit:
         raise SurveyError(
             "components: no polarization scheme fits a method; polarization and "
             'combined need a pair such as "VV+VH"'
@@ -155,7 +163,7 @@ def fits(goal: Goal) -> Iterator[tuple[str, str]]:
 
 
 def cost_of(goal: Goal, chosen: Parameters) -> float:
-    """Return the sum of the prices of a choice [currency]."""
+    """Price of a candidate [currency]."""
     parts = goal.components
     laser = laser_of(goal, chosen.laser)
     channels = len(chosen.polarization.split("+"))
@@ -170,37 +178,37 @@ def cost_of(goal: Goal, chosen: Parameters) -> float:
 
 
 def scan_time(goal: Goal, chosen: Parameters) -> float:
-    """Return how long all pixels take [s]."""
+    """Time to scan all pixels [s]."""
     samples = len(chosen.frequencies) * len(chosen.polarization.split("+"))
     return goal.scan.rows * goal.scan.columns * samples * chosen.dwell
 
 
-def depolarizing(stated: Any, m22: float) -> tuple[tuple[float, ...], ...]:
-    """Return a Mueller matrix that keeps more or less of the polarization."""
-    known = matrix(stated)
-    if known[1, 1] == 0:
-        known = np.diag([1.0, 1.0, -1.0, -1.0])
-    scaled = known * (m22 / known[1, 1])
+def depolarizing(mueller: Any, m22: float) -> tuple[tuple[float, ...], ...]:
+    """Mueller matrix scaled to another element m22."""
+    base = matrix(mueller)
+    if base[1, 1] == 0:
+        base = np.diag([1.0, 1.0, -1.0, -1.0])
+    scaled = base * (m22 / base[1, 1])
     scaled[0, 0] = 1.0
     return tuple(tuple(map(float, row)) for row in scaled)
 
 
 def water_scale(goal: Goal, chosen: Parameters) -> dict[str, float]:
-    """Return water at the wavelength of an instrument over that of the ranges."""
+    """Water coefficients at the laser's wavelength over those of the ranges."""
     first = goal.components.lasers[0].name
     if chosen.laser == first:
         return {}
-    own = water_properties(survey_of(goal, chosen))
+    properties = water_properties(survey_of(goal, chosen))
     base = water_properties(survey_of(goal, replace(chosen, laser=first)))
     return {
-        name: getattr(own, name) / getattr(base, name)
+        name: getattr(properties, name) / getattr(base, name)
         for name in ("attenuation", "absorption", "scattering")
-        if getattr(base, name) > 0 and math.isfinite(getattr(own, name))
+        if getattr(base, name) > 0 and math.isfinite(getattr(properties, name))
     }
 
 
 def survey_of(goal: Goal, chosen: Parameters) -> Survey:
-    """Return the survey of a choice, with a plate at the middle distance."""
+    """Survey of a candidate, with a plate at the middle distance."""
     laser = laser_of(goal, chosen.laser)
     detector = goal.detector
     if laser.quantum_efficiency is not None:
@@ -268,3 +276,64 @@ def survey_of(goal: Goal, chosen: Parameters) -> Survey:
         daylight=goal.daylight,
     )
     return geometry.with_receiver(bare, baseline=chosen.baseline, aim=distance)
+
+
+Floats = NDArray[np.float64]
+
+#: Standard errors that hold 95 % of a normal distribution on either side, and to which
+#: it is cut off.
+_NINETY_FIVE, _CUT = 1.959964, 2 * 1.959964
+
+
+def spreads_of(goal: Goal) -> dict[str, Spread]:
+    """Ranges of a goal by the names of axes."""
+    waters, targets = goal.waters, goal.targets
+    ranges = {
+        "attenuation": waters.attenuation,
+        "absorption": waters.absorption,
+        "scattering": waters.scattering,
+        "fluctuation": waters.fluctuation,
+        "water_m22": waters.m22,
+        "reflectance": targets.reflectance,
+        "target_m22": targets.m22,
+        "slope": targets.slope,
+        "texture": targets.texture,
+    }
+    return {name: spread for name, spread in ranges.items() if spread is not None}
+
+
+def drawn(goal: Goal, count: int | None = None) -> dict[str, Floats]:
+    """Waters and targets drawn from the ranges of a goal.
+
+    A scrambled Sobol' sequence with a fixed seed, through the inverse distributions:
+    the same draws for the same ranges, and evenly spread over them.
+    """
+    spreads = spreads_of(goal)
+    most = goal.effort.draws
+    power = int(np.ceil(np.log2(most)))
+    sampler = qmc.Sobol(len(spreads), scramble=True, seed=20)
+    share = sampler.random_base2(power)[: most if count is None else min(count, most)]
+    return {
+        name: values_at(spread, share[:, k])
+        for k, (name, spread) in enumerate(spreads.items())
+    }
+
+
+def values_at(spread: Spread, share: Floats) -> Floats:
+    """Quantiles of a range at these shares of its distribution."""
+    low, high = spread.low, spread.high
+    logarithm = spread.distribution.startswith("log")
+    if logarithm:
+        low, high = float(np.log(low)), float(np.log(high))
+    place = np.asarray(share, dtype=float)
+    if spread.distribution.endswith("normal"):
+        cut = norm.cdf(-_CUT)
+        deviation = norm.ppf(cut + (1 - 2 * cut) * place) / _NINETY_FIVE
+        place = 0.5 + deviation / 2
+    values = low + (high - low) * place
+    if logarithm:
+        return np.asarray(np.exp(values))
+    # A normal distribution may reach out of what a fraction or a coefficient can be.
+    floor = 1e-6 if spread.low > 0 else 0.0
+    most = 1.0 if isinstance(spread, FractionSpread) else np.inf
+    return np.asarray(np.clip(values, floor, most))

@@ -10,7 +10,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from amulor.design._kernels import points as kernel
+from amulor.design import _kernels as kernel
 from amulor.design.axes import Arranged, arranged
 from amulor.design.candidates import first_choice, survey_of
 from amulor.design.goal import Goal
@@ -146,9 +146,9 @@ def evaluate(
     case = case_of(survey, water_properties(survey))
     if "distance" not in axes:
         axes["distance"] = _distance_of(survey)
-    held = arranged(axes, frequencies)
-    sets = _frequency_sets(survey, held)
-    numeric = {name: v for name, v in held.values.items() if name != "frequency"}
+    arrays = arranged(axes, frequencies)
+    sets = _frequency_sets(survey, arrays)
+    numeric = {name: v for name, v in arrays.values.items() if name != "frequency"}
     schemes, several_schemes = _several(
         polarization, "+".join(survey.instrument.polarizations)
     )
@@ -159,17 +159,17 @@ def evaluate(
                 case,
                 numeric,
                 frequencies=sets,
-                method=one,
+                method=name_of_method,
                 pairs=scheme_of(scheme),
                 interval=interval,
                 late=late_light,
             )
             for scheme in schemes
         ]
-        for one in methods
+        for name_of_method in methods
     ]
-    dims, shape = list(held.sizes), held.shape
-    coordinates = dict(held.coordinates)
+    dims, shape = list(arrays.sizes), arrays.shape
+    coordinates = dict(arrays.coordinates)
     if several_schemes:
         coordinates["polarization"] = ("polarization", schemes)
     if several_methods:
@@ -177,11 +177,16 @@ def evaluate(
     lead = ["method"] * several_methods + ["polarization"] * several_schemes
     variables = {}
     tables = [
-        [_variables(each, shape, held, case, wrong_interval) for each in row]
+        [_variables(errors, shape, arrays, case, wrong_interval) for errors in row]
         for row in parts
     ]
     for name in tables[0][0]:
-        stacked = np.stack([np.stack([one[name] for one in row]) for row in tables])
+        stacked = np.stack(
+            [
+                np.stack([name_of_method[name] for name_of_method in row])
+                for row in tables
+            ]
+        )
         if not several_schemes:
             stacked = stacked[:, 0]
         if not several_methods:
@@ -219,19 +224,19 @@ def scheme_of(text: str) -> tuple[str, ...]:
     return pairs
 
 
-def _several(given: str | Sequence[str] | None, default: str) -> tuple[list[str], bool]:
-    """Return the values of an axis of texts, and whether it is a dimension."""
-    if given is None:
+def _several(names: str | Sequence[str] | None, default: str) -> tuple[list[str], bool]:
+    """Values of an axis of texts, and whether it is a dimension."""
+    if names is None:
         return [default], False
-    if isinstance(given, str):
-        return [given], False
-    if not given:
+    if isinstance(names, str):
+        return [names], False
+    if not names:
         raise SurveyError("polarization and method: at least one is needed")
-    return list(given), True
+    return list(names), True
 
 
 def _distance_of(survey: Survey) -> float:
-    """Return the middle of where a survey has its targets [m]."""
+    """Middle of the target distances of a survey [m]."""
     reach = target_reach(survey)
     if reach is None:
         raise SurveyError(
@@ -241,69 +246,71 @@ def _distance_of(survey: Survey) -> float:
     return (reach[0] + reach[1]) / 2
 
 
-def _frequency_sets(survey: Survey, held: Arranged) -> Floats:
-    """Return the sets of frequencies, (K, ...) [Hz]."""
-    if held.frequencies is not None:
-        return held.frequencies
-    if "frequency" in held.values:
-        return held.values["frequency"][None]
-    own = np.array(survey.instrument.modulation_frequencies)
-    return own.reshape(-1, *[1] * len(held.shape))
+def _frequency_sets(survey: Survey, arrays: Arranged) -> Floats:
+    """Return sets of modulation frequencies, (K, ...) [Hz]."""
+    if arrays.frequencies is not None:
+        return arrays.frequencies
+    if "frequency" in arrays.values:
+        return arrays.values["frequency"][None]
+    frequencies = np.array(survey.instrument.modulation_frequencies)
+    return frequencies.reshape(-1, *[1] * len(arrays.shape))
 
 
 def _variables(
-    each: Assessed,
+    errors: Assessed,
     shape: tuple[int, ...],
-    held: Arranged,
+    arrays: Arranged,
     case: Case,
     wrong_interval: float,
 ) -> dict[str, NDArray[Any]]:
-    """Return the variables of a Dataset, arrays of one shape."""
-    column = {name: each.result[..., k] for k, name in enumerate(kernel.RESULTS)}
+    """Variables of the Dataset, arrays of one shape."""
+    column = {name: errors.result[..., k] for k, name in enumerate(kernel.RESULTS)}
     variance = sum(column[name] for name in kernel.RANDOM)
-    left = sum(column[name] ** 2 for name in kernel.SYSTEMATIC)
-    water = np.sqrt(left + each.late**2)
-    bias = np.hypot(water, each.footprint)
-    distance = np.broadcast_to(held.values["distance"], shape)
+    water_bias_square = sum(column[name] ** 2 for name in kernel.SYSTEMATIC)
+    water = np.sqrt(water_bias_square + errors.late**2)
+    bias = np.hypot(water, errors.footprint)
+    distance = np.broadcast_to(arrays.values["distance"], shape)
     wrong = column["wrong"]
     limit = (
-        np.minimum(each.far, each.repetition) if np.isinf(each.far).all() else each.far
+        np.minimum(errors.far, errors.repetition)
+        if np.isinf(errors.far).all()
+        else errors.far
     )
-    slope = np.broadcast_to(held.values.get("slope", np.zeros(())), shape)
+    slope = np.broadcast_to(arrays.values.get("slope", np.zeros(())), shape)
     flags = {
         "ambiguous": (wrong > wrong_interval)
         | (distance >= limit)
-        | (distance < each.near),
+        | (distance < errors.near),
         "saturated": column["output"] > 1,
         "model_not_valid": (column["unseen"] > 0.5)
-        | (each.bent > MOST_BENT)
+        | (errors.bent > MOST_BENT)
         | (slope > _STEEPEST),
     }
-    found: dict[str, NDArray[Any]] = {
+    variables: dict[str, NDArray[Any]] = {
         "total_error": np.sqrt(variance + bias**2),
         "standard_uncertainty": np.sqrt(variance),
         "residual_bias": bias,
         "wrong_interval_probability": wrong,
-        "signal": column["signal"] * each.volt,
+        "signal": column["signal"] * errors.volt,
         **{name: np.sqrt(column[name]) for name in kernel.RANDOM},
         "water_left_in": water,
-        "late_light": each.late,
+        "late_light": errors.late,
         "ambiguity": np.sqrt(column["astray"]),
-        "footprint": each.footprint,
+        "footprint": errors.footprint,
         "saturation": column["output"],
-        "ambiguity_interval": each.repetition,
+        "ambiguity_interval": errors.repetition,
         **{name: value.astype(np.int8) for name, value in flags.items()},
     }
     sizes = np.stack(
         [
-            np.zeros(shape) if name in ("ambiguity", "saturation") else found[name]
+            np.zeros(shape) if name in ("ambiguity", "saturation") else variables[name]
             for name in TERMS
         ]
     )
     binding = np.argmax(sizes, axis=0)
     binding = np.where(flags["ambiguous"], TERMS.index("ambiguity"), binding)
     binding = np.where(flags["saturated"], TERMS.index("saturation"), binding)
-    return {"binding_term": binding.astype(np.int8), **found}
+    return {"binding_term": binding.astype(np.int8), **variables}
 
 
 _JERLOV = {
@@ -328,10 +335,10 @@ _NEAREST, _FARTHEST, _STEPS = 0.3, 60.0, 160
 
 @dataclass(frozen=True, kw_only=True)
 class Reach:
-    """How far an accuracy is met in one water."""
+    """Distances at which an instrument meets an accuracy in one water."""
 
     water: str
-    """What the water is called."""
+    """Name of the water."""
     attenuation: float
     """Its attenuation coefficient at the wavelength of the instrument [1/m]."""
     nearest: float | None
@@ -340,7 +347,7 @@ class Reach:
     farthest: float | None
     """Farthest one, infinite where it is still met at 60 m [m]."""
     binding: str
-    """What ends it: the largest term there, or "model" where the model ends."""
+    """Term that ends it: the largest one there, or "model" where the model ends."""
     repetition: float
     """Slant range after which the phases repeat [m]."""
 
@@ -353,26 +360,28 @@ def reach(
     reflectance: float | None = None,
     method: str = "open-water",
 ) -> Reach:
-    """Return how far an instrument meets an accuracy in a water."""
-    title, stated = WATERS[water]
+    """Distances at which an instrument meets an accuracy in a water."""
+    title, properties = WATERS[water]
     # A survey's own far wall is not part of another water.
-    there = survey.with_({"water": stated})
+    moved = survey.with_({"water": properties})
     distance = np.geomspace(_NEAREST, _FARTHEST, _STEPS)
     axes: dict[str, Any] = {} if reflectance is None else {"reflectance": reflectance}
-    found = evaluate(there, distance=distance, method=method, **axes)
-    outside = found["model_not_valid"].values.astype(bool)
-    bad = outside | found["saturated"].values.astype(bool)
-    bad |= ~(found["total_error"].values <= accuracy)
+    errors = evaluate(moved, distance=distance, method=method, **axes)
+    outside = errors["model_not_valid"].values.astype(bool)
+    bad = outside | errors["saturated"].values.astype(bool)
+    bad |= ~(errors["total_error"].values <= accuracy)
     begin, end = _longest(~bad)
     if begin == end:
-        binding = "model" if outside.all() else _largest(found, int(np.argmin(outside)))
+        binding = (
+            "model" if outside.all() else _largest(errors, int(np.argmin(outside)))
+        )
     elif end == _STEPS:
         binding = ""
     else:
-        binding = "model" if outside[end] else _largest(found, end)
+        binding = "model" if outside[end] else _largest(errors, end)
     return Reach(
         water=title,
-        attenuation=float(water_properties(there).attenuation),
+        attenuation=float(water_properties(moved).attenuation),
         nearest=float(distance[begin]) if end > begin else None,
         farthest=None
         if begin == end
@@ -380,12 +389,12 @@ def reach(
         if end == _STEPS
         else float(distance[end - 1]),
         binding=binding,
-        repetition=float(found["ambiguity_interval"].values.flat[0]),
+        repetition=float(errors["ambiguity_interval"].values.flat[0]),
     )
 
 
 def _longest(good: NDArray[np.bool_]) -> tuple[int, int]:
-    """Return begin and end of the longest run, counted as equal ratios of distance."""
+    """Begin and end of the longest run, counted as equal ratios of distance."""
     edges = np.flatnonzero(np.diff(np.concatenate([[0], good.astype(int), [0]])))
     if not len(edges):
         return 0, 0
@@ -394,12 +403,12 @@ def _longest(good: NDArray[np.bool_]) -> tuple[int, int]:
     return int(begins[at]), int(ends[at])
 
 
-def _largest(found: Any, number: int) -> str:
-    """Return the largest term at one distance, besides the interval."""
-    if found["saturated"].values[number]:
+def _largest(errors: Any, number: int) -> str:
+    """Largest error term at one distance, wrong intervals apart."""
+    if errors["saturated"].values[number]:
         return "saturation"
     sizes = {
-        name: float(found[name].values[number])
+        name: float(errors[name].values[number])
         for name in TERMS
         if name not in ("ambiguity", "saturation")
     }

@@ -1,4 +1,4 @@
-"""Where emitter and receiver stand, where they look, and how long light travels."""
+"""Geometry of an instrument: emitter, receiver and optical paths."""
 
 from __future__ import annotations
 
@@ -22,30 +22,30 @@ _STEP = 1e-4
 
 @dataclass(frozen=True, kw_only=True)
 class Place:
-    """One place of the receiver, with the beam in the middle of the scan."""
+    """Place of the receiver, with the beam in the middle of the scan."""
 
     view: View
-    """How the receiver looks at the beam; arrays of one number."""
+    """View of the beam by the receiver; arrays of one number."""
     depth: Floats
     """Part of each slant range that lies in water, shape (distance,) [m]."""
     path: Floats
-    """Group index times length, out and back, shape (distance,) [m]."""
+    """Optical path, out and back, shape (distance,) [m]."""
     back: Floats
-    """Water on the way back to the receiver, shape (distance,) [m]."""
+    """Length in water of the way back to the receiver, shape (distance,) [m]."""
     slope: Floats
-    """Derivative of the slant range by the path, shape (distance,) [1]."""
+    """Derivative of the slant range by the optical path, shape (distance,) [1]."""
     cosine: Floats
-    """Cosine of the way back to the beam, shape (distance,) [1]."""
+    """Cosine of the angle between the way back and the beam, shape (distance,) [1]."""
     per_acceptance: float
     """Acceptance in the water over that of the receiver [1]."""
 
 
 def place_of(survey: Survey, distance: Floats) -> Place:
-    """Return the geometry of a survey's instrument at some slant ranges."""
+    """Geometry of a survey's instrument at some slant ranges."""
     crossed = medium_of(survey)
     azimuth, elevation = np.array(survey.scan.azimuth), np.array(survey.scan.elevation)
     instrument = survey.instrument
-    seen = view(survey, azimuth, elevation)
+    receiver_view = view(survey, azimuth, elevation)
     beam = rays.enter_water(
         instrument.emitter.position, rays.direction(azimuth, elevation), medium=crossed
     )
@@ -58,27 +58,29 @@ def place_of(survey: Survey, distance: Floats) -> Place:
     way = receiver - point
     length = np.linalg.norm(way, axis=1)
     return Place(
-        view=seen,
+        view=receiver_view,
         depth=distance - float(beam.length_before),
         path=path,
         back=rays.return_distance(point, receiver, medium=crossed),
         slope=_STEP / (further - path),
         cosine=-(way @ beam.direction) / length,
-        per_acceptance=seen.acceptance / instrument.receiver.acceptance,
+        per_acceptance=receiver_view.acceptance / instrument.receiver.acceptance,
     )
 
 
 def aim_of(survey: Survey) -> float:
-    """Return the distance at which receiver axis and beam are nearest."""
-    seen = view(survey, np.array(survey.scan.azimuth), np.array(survey.scan.elevation))
-    tilt, baseline = float(seen.tilt), float(seen.baseline)
+    """Distance at which the receiver's axis is nearest to the beam [m]."""
+    receiver_view = view(
+        survey, np.array(survey.scan.azimuth), np.array(survey.scan.elevation)
+    )
+    tilt, baseline = float(receiver_view.tilt), float(receiver_view.baseline)
     if baseline <= 0 or tilt <= 1e-9:
         return math.inf
-    return baseline / tilt - float(seen.standoff)
+    return baseline / tilt - float(receiver_view.standoff)
 
 
 def with_receiver(survey: Survey, *, baseline: float, aim: float) -> Survey:
-    """Survey whose receiver stands at some distance and looks at some place."""
+    """Survey with its receiver moved to a baseline and aimed at a distance."""
     instrument = survey.instrument
     start = np.asarray(instrument.emitter.position)
     side = np.asarray(instrument.receiver.position) - start
@@ -108,7 +110,7 @@ def with_receiver(survey: Survey, *, baseline: float, aim: float) -> Survey:
 
 
 def _towards(point: Floats, start: Floats, crossed: rays.Medium) -> Floats:
-    """Return the direction before the window whose ray in the water meets a point."""
+    """Direction before the window whose ray in the water meets a point."""
     way = point - start
     if crossed.window_distance is None:
         return np.asarray(way)

@@ -1,21 +1,313 @@
-"""The light of many instruments in many waters, and which candidate has which."""
+"""Echo and water signal of many instruments in many waters, from one table each."""
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.constants import speed_of_light
+from scipy.interpolate import CubicSpline, PchipInterpolator
 
+from amulor.design import _kernels as kernel
 from amulor.design import geometry
-from amulor.design._kernels import points as kernel
-from amulor.design.column import Columns, Looks, columns, late_uncertainty, overlaps
+from amulor.design.geometry import Place
 from amulor.errors import SurveyError
+from amulor.optics import small_angle, target_echo
+from amulor.optics.late_echo import RELATIVE_UNCERTAINTY, late_echo
+from amulor.optics.small_angle import sharp_receiver
 from amulor.survey import Survey, WaterProperties
+from amulor.survey.view import beam_arguments, has_sharp_receiver
+from amulor.survey.waters.whole_function import whole_phase_function
 
-__all__ = ["Case", "Lit", "case_of", "given_of", "lit"]
+__all__ = [
+    "Case",
+    "Columns",
+    "Lit",
+    "Looks",
+    "case_of",
+    "columns",
+    "late_uncertainty",
+    "lit",
+    "overlaps",
+    "values_on_axes",
+]
+
 
 Floats = NDArray[np.float64]
+
+#: Knots of the logarithm of the overlap, evenly in the logarithm of the depth.
+_KNOTS = 64
+#: First knot [m]: in front of it the overlap is that of the knot.
+_NEAREST = 5e-3
+#: Growth of the panels of the integral, and their points.
+_GROWTH, _POINTS = 1.3, 6
+#: Largest phase over one panel [rad].
+_TURN = 2.5
+#: Light of an overlap so small counts as none (logarithm).
+_DARK = -690.0
+#: Overlap so small somewhere that its logarithm falls steeply.
+_STEEP = -100.0
+#: Optical depth, and distance, beyond which no open water is summed up.
+_FADED, _FARTHEST = 14.0, 150.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class Looks:
+    """Views of receivers through waters, arrays over (look,)."""
+
+    absorption: Floats
+    """Absorption coefficient [1/m]."""
+    scattering: Floats
+    """Scattering coefficient [1/m]."""
+    baseline: Floats
+    """Distance of receiver and beam at depth zero [m]."""
+    tilt: Floats
+    """Inclination of the beam against the receiver's axis [rad]."""
+    cross_tilt: Floats
+    """Inclination across the baseline [rad]."""
+    standoff: Floats
+    """Air and glass before the water, as an equivalent depth of water [m]."""
+    radius: Floats
+    """1/e half-width of the aperture [m]."""
+    acceptance: Floats
+    """1/e half-width of the field of view in the water [rad]."""
+    back: Floats
+    """Length in water of the way back from each depth, shape (look, depth) [m]."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Columns:
+    """Received over launched power before polarizers, arrays over (look, ...)."""
+
+    mean: Floats
+    """Unmodulated water signal in front of each depth, the whole column last, shape
+    (look, depth + 1) [1].
+    """
+    water: NDArray[np.complex128]
+    """Water signal at each frequency, shape (look, depth + 1, frequency) [1]."""
+
+
+def columns(
+    survey: Survey,
+    water: WaterProperties,
+    looks: Looks,
+    *,
+    depth: Floats,
+    frequency: Floats,
+) -> Columns:
+    r"""Water signals by the small-angle model, in front of all depths at once.
+
+    :math:`\ln F(z)` of eq. (29) of Ricci et al. 2010, as rebuilt, is computed at 64
+    depths for each look and a cubic spline of :math:`\ln z` goes through them. The
+    water is :math:`\beta_\pi \int F(z) e^{2 i \omega z / v} dz` by Gauss's rule on
+    panels that begin and end at the asked depths, so one sum serves all depths.
+    """
+    farthest = _farthest(survey, looks, depth)
+    knots = np.geomspace(_NEAREST, farthest, _KNOTS)
+    place = np.log(knots)
+    logarithm = _log_overlap(survey, water, looks, knots)
+    spline = CubicSpline(place, logarithm, axis=1)
+    # Where the view of the receiver begins, a smooth spline swings far above the light.
+    steep = logarithm.min(axis=1) < _STEEP
+    if steep.any():
+        straight = PchipInterpolator(place, logarithm[steep], axis=1)
+        spline.c[:, :, steep] = straight.c
+    # Pieces as (power, segment, look); evaluated from the start of each.
+    piece = np.ascontiguousarray(spline.c)
+    rate = 4 * math.pi / speed_of_light * water.group_index * frequency
+    nodes = _nodes(place, depth, farthest, rate, end=survey.water.column_end)
+    count = len(looks.absorption)
+    mean = np.empty((count, len(depth) + 1))
+    summed = np.empty((count, len(depth) + 1, len(frequency)), dtype=complex)
+    kernel.fill_columns(piece, nodes, mean, summed)
+    per_scattering = (
+        water.backscatter_vsf / water.scattering if water.scattering > 0 else 0.0
+    )
+    vsf = per_scattering * looks.scattering
+    return Columns(
+        mean=vsf[:, None] * mean,
+        water=np.asarray(vsf[:, None, None] * summed),
+    )
+
+
+def _log_overlap(
+    survey: Survey, water: WaterProperties, looks: Looks, knots: Floats
+) -> Floats:
+    """Logarithm of the overlap F at all knots, shape (look, knot)."""
+    overlap = (
+        sharp_receiver.overlap if has_sharp_receiver(survey) else small_angle.overlap
+    )
+    value = overlap(knots, **_arguments(survey, water, looks))
+    return np.asarray(np.log(np.maximum(value, math.exp(_DARK))))
+
+
+def overlaps(
+    survey: Survey, water: WaterProperties, looks: Looks, *, depth: Floats
+) -> Floats:
+    """Overlap F out and back, by the small-angle model."""
+    echo = (
+        target_echo.sharp_receiver_target_response
+        if has_sharp_receiver(survey)
+        else target_echo.small_angle_target_response
+    )
+    value = echo(
+        0.0,
+        depth=depth,
+        optical_path=0.0,
+        reflectance=1.0,
+        return_path=looks.back,
+        **_arguments(survey, water, looks),
+    )
+    return np.asarray(np.pi * value.real)
+
+
+def _arguments(survey: Survey, water: WaterProperties, looks: Looks) -> dict[str, Any]:
+    """Arguments of the optics functions, arrays of shape (look, 1)."""
+    absorption, scattering = looks.absorption, looks.scattering
+    forward = water.forward_scattering * water.second_moment
+    arguments: dict[str, Any] = beam_arguments(survey, water)
+    if forward == 0:
+        # Light that is scattered by no angle is not scattered.
+        share = water.diffuse_scattering / water.scattering if water.scattering else 0.0
+        absorption = absorption + share * scattering
+        scattering = np.zeros_like(scattering)
+    return {
+        "absorption": absorption[:, None],
+        "scattering": scattering[:, None],
+        "phase_function": whole_phase_function(water),
+        "split_angle": water.split_angle,
+        "baseline": looks.baseline[:, None],
+        "receiver_radius": looks.radius[:, None],
+        "acceptance_angle": looks.acceptance[:, None],
+        "tilt": looks.tilt[:, None],
+        "cross_tilt": looks.cross_tilt[:, None],
+        "standoff": looks.standoff[:, None],
+        **arguments,
+    }
+
+
+def _farthest(survey: Survey, looks: Looks, depth: Floats) -> float:
+    """Depth at which the sum over the water column ends [m]."""
+    least = float(np.min(looks.absorption + 0.1 * looks.scattering))
+    faded = _FADED / (2 * least) if least > 0 else _FARTHEST
+    reach = max(1.5 * float(depth[-1]), min(faded, _FARTHEST))
+    end = survey.water.column_end
+    # A target may stand at the end of the water, or be asked for behind it.
+    return reach if end is None else max(min(reach, end), float(depth[-1]))
+
+
+def _nodes(
+    place: Floats,
+    depth: Floats,
+    farthest: float,
+    rate: Floats,
+    *,
+    end: float | None,
+) -> kernel.Nodes:
+    """Quadrature nodes, their spline segments and phase factors."""
+    widest = _TURN / max(float(rate.max()), 1e-9)
+    edges = [0.0, float(math.exp(place[0]))]
+    while edges[-1] < farthest * (1 - 1e-9):
+        step = min((_GROWTH - 1) * edges[-1], widest)
+        edges.append(min(edges[-1] + step, farthest))
+    ends = [] if end is None or end > farthest else [end]
+    edge = np.unique(np.concatenate([edges, depth, ends]))
+    node, weight = np.polynomial.legendre.leggauss(_POINTS)
+    half = np.diff(edge)[:, None] / 2
+    z = (edge[:-1, None] + half * (node + 1)).ravel()
+    logarithm = np.clip(np.log(z), place[0], place[-1])
+    segment = np.clip(np.searchsorted(place, logarithm) - 1, 0, len(place) - 2)
+    return kernel.Nodes(
+        segment=segment,
+        within=logarithm - place[segment],
+        weight=np.where(
+            z < (np.inf if end is None else end), (half * weight).ravel(), 0.0
+        ),
+        turn=np.exp(1j * z[:, None] * rate),
+        stop=np.searchsorted(edge, depth) * _POINTS,
+    )
+
+
+#: Distances at which the delay is worked out, for each factor of two.
+_PER_OCTAVE = 3
+#: Up to it the delay hardly depends on the modulation; beyond, it is less [Hz].
+_FREQUENCY = 50e6
+#: Natural waters are at least so much of the delay late, and imaging takes the middle
+#: of that and of the whole, see `amulor.imaging.late_light` [1].
+_LEAST_PART = 0.5
+#: Below this asymmetry small angles do not describe the light [1].
+_LEAST_ASYMMETRY = 0.6
+
+
+def late_uncertainty(
+    survey: Survey,
+    water: WaterProperties,
+    looks: Looks,
+    places: list[Place],
+    distance: Floats,
+) -> Floats:
+    """Return the standard uncertainty of the correction for late light [m].
+
+    As `amulor.imaging.late_light`: a rectangular distribution between the delay of
+    the phase function and half of it, and 15 % of the middle for the model. The delay
+    over the square of the distance is interpolated in the logarithm of the distance. It
+    is that at 50 MHz, an upper limit for higher frequencies.
+    """
+    shape = (len(looks.absorption), len(distance))
+    if water.scattering == 0 or water.forward_scattering * water.second_moment == 0:
+        return np.zeros(shape)
+    try:
+        function = whole_phase_function(water)
+    except SurveyError:
+        return np.zeros(shape)
+    if function.asymmetry < _LEAST_ASYMMETRY:
+        return np.zeros(shape)
+    depth = np.maximum(distance - (distance[0] - float(places[0].depth[0])), 1e-3)
+    count = 2 + math.ceil(_PER_OCTAVE * math.log2(depth[-1] / depth[0]))
+    sampled = depth
+    if len(depth) > count:
+        sampled = np.geomspace(depth[0], depth[-1], count)
+    # Where the receiver looks past the echo there is none to be late.
+    with np.errstate(all="ignore"):
+        delay = late_echo(
+            _FREQUENCY,
+            depth=sampled,
+            scattering=looks.scattering[:, None],
+            phase_function=function,
+            split_angle=math.pi / 2,
+            group_index=water.group_index,
+            baseline=looks.baseline[:, None],
+            receiver_radius=looks.radius[:, None],
+            acceptance_angle=looks.acceptance[:, None],
+            tilt=looks.tilt[:, None],
+            cross_tilt=looks.cross_tilt[:, None],
+            standoff=looks.standoff[:, None],
+        )
+    even = np.nan_to_num(delay) / sampled**2
+    if len(sampled) == 1:
+        per_square = np.repeat(even, len(depth), axis=1)
+    else:
+        place = np.interp(
+            np.log(depth), np.log(sampled), np.arange(len(sampled), dtype=float)
+        )
+        low = np.minimum(place.astype(int), len(sampled) - 2)
+        part = place - low
+        per_square = (1 - part) * even[:, low] + part * even[:, low + 1]
+    calibration = survey.calibration
+    scattering_error = (
+        None if calibration is None else calibration.scattering_uncertainty
+    )
+    relative = (
+        math.hypot(RELATIVE_UNCERTAINTY, scattering_error or 0.0)
+        * (1 + _LEAST_PART)
+        / 2
+    )
+    spread = (1 - _LEAST_PART) / math.sqrt(12)
+    return np.asarray(math.hypot(relative, spread) * np.abs(per_square) * depth**2)
+
 
 #: What is assumed where nothing is stated: of the water, of what is known of it.
 ASSUMED = {
@@ -33,34 +325,34 @@ _STEP = 1e-3
 
 @dataclass(frozen=True, kw_only=True)
 class Case:
-    """A survey, its water, and the number that it states for each axis."""
+    """Survey, its water, and its value on each axis."""
 
     survey: Survey
     """Instrument, water and target."""
     water: WaterProperties
-    """Its optical numbers."""
-    stated: dict[str, float]
-    """Axis to the survey's own value; distance is not among them."""
+    """Optical properties of the water."""
+    survey_values: dict[str, float]
+    """Value of the survey by axis, without distance."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Lit:
-    """Light of all looks at all distances, and which of it each candidate has."""
+    """Light of all looks at all distances, and the look of each candidate."""
 
     light: kernel.Light
     """Light, geometry and frequencies."""
     places: list[geometry.Place]
-    """Where receivers stand."""
+    """Places of the receivers."""
     look: NDArray[np.intp]
     """Row of the light; can be broadcast with the candidates."""
     reach: NDArray[np.intp]
-    """Number of the distance."""
+    """Index of the distance."""
     place: NDArray[np.intp]
-    """Number of the place."""
+    """Index of the place."""
     late: Floats
     """Uncertainty of the correction for late light, (look, distance) [m]."""
     bent: Floats
-    """Mean square angle that scattering adds, (look, distance) [rad^2]."""
+    """Mean square angle added by scattering, (look, distance) [rad^2]."""
 
 
 def lit(
@@ -71,11 +363,11 @@ def lit(
     joint: bool,
     late: bool = True,
 ) -> Lit:
-    """Return the light that does not depend on power, time, channels and method."""
-    given = given_of(case, values)
+    """Light, which is independent of power, time, channels and method."""
+    by_axis = values_on_axes(case, values)
     distance, reach = np.unique(values["distance"], return_inverse=True)
     places, place = _places(case, values, distance)
-    looks, look = _looks(case, given, places, place)
+    looks, look = _looks(case, by_axis, places, place)
     distinct = np.unique(frequencies[np.isfinite(frequencies)])
     light, bent = _light(case, looks, places, distance, distinct, joint=joint)
     late_error = np.zeros(bent.shape)
@@ -92,21 +384,23 @@ def lit(
     )
 
 
-def given_of(case: Case, values: dict[str, Floats]) -> dict[str, Floats]:
-    """Return all axes, those that do not vary as the survey states them."""
-    given = {name: np.asarray(each) for name, each in case.stated.items()} | values
+def values_on_axes(case: Case, values: dict[str, Floats]) -> dict[str, Floats]:
+    """Values on all axes; constant ones are those of the survey."""
+    by_axis = {
+        name: np.asarray(value) for name, value in case.survey_values.items()
+    } | values
     if "attenuation" in values:
         share = case.water.scattering / case.water.attenuation
-        given["absorption"] = (1 - share) * values["attenuation"]
-        given["scattering"] = share * values["attenuation"]
-    return given
+        by_axis["absorption"] = (1 - share) * values["attenuation"]
+        by_axis["scattering"] = share * values["attenuation"]
+    return by_axis
 
 
 def case_of(survey: Survey, water: WaterProperties) -> Case:
-    """Return what a survey states for each axis."""
+    """Value of a survey on each axis."""
     instrument = survey.instrument
     receiver = np.asarray(instrument.receiver.position)
-    stated = {
+    survey_values = {
         **ASSUMED,
         "absorption": water.absorption,
         "scattering": water.scattering,
@@ -123,59 +417,59 @@ def case_of(survey: Survey, water: WaterProperties) -> Case:
         "radiance": 0.0 if survey.daylight is None else survey.daylight.radiance,
     }
     if survey.targets:
-        stated["reflectance"] = survey.targets[0].reflectance
-    return Case(survey=survey, water=water, stated=stated)
+        survey_values["reflectance"] = survey.targets[0].reflectance
+    return Case(survey=survey, water=water, survey_values=survey_values)
 
 
 def _places(
     case: Case, values: dict[str, Floats], distance: Floats
 ) -> tuple[list[geometry.Place], NDArray[np.intp]]:
-    """Return the places of receivers, and which one each candidate has."""
+    """Distinct receiver places, and the place of each candidate."""
     if not {"baseline", "aim"} & set(values):
-        one = geometry.place_of(case.survey, distance)
-        return [one], np.zeros((), dtype=np.intp)
+        place = geometry.place_of(case.survey, distance)
+        return [place], np.zeros((), dtype=np.intp)
     baseline, aim = np.broadcast_arrays(
-        values.get("baseline", np.asarray(case.stated["baseline"])),
-        values.get("aim", np.asarray(case.stated["aim"])),
+        values.get("baseline", np.asarray(case.survey_values["baseline"])),
+        values.get("aim", np.asarray(case.survey_values["aim"])),
     )
-    each, number = np.unique(
+    pairs, number = np.unique(
         np.stack([baseline.ravel(), aim.ravel()]), axis=1, return_inverse=True
     )
     places = [
         geometry.place_of(
             geometry.with_receiver(case.survey, baseline=b, aim=a), distance
         )
-        for b, a in each.T
+        for b, a in pairs.T
     ]
     return places, number.reshape(baseline.shape).astype(np.intp)
 
 
 def _looks(
     case: Case,
-    given: dict[str, Floats],
+    by_axis: dict[str, Floats],
     places: list[geometry.Place],
     place: NDArray[np.intp],
 ) -> tuple[Looks, NDArray[np.intp]]:
-    """Return all different looks through waters, and which one each candidate has."""
+    """Distinct looks through waters, and the look of each candidate."""
     names = ("absorption", "scattering", "radius", "field_of_view")
-    parts = np.broadcast_arrays(*(given[name] for name in names), place)
-    each, number = np.unique(
+    parts = np.broadcast_arrays(*(by_axis[name] for name in names), place)
+    distinct, number = np.unique(
         np.stack([part.ravel() for part in parts]), axis=1, return_inverse=True
     )
-    where = each[4].astype(int)
+    where = distinct[4].astype(int)
 
-    def seen(name: str) -> Floats:
-        value = np.array([float(getattr(one.view, name)) for one in places])
+    def view_values(name: str) -> Floats:
+        value = np.array([float(getattr(position.view, name)) for position in places])
         return np.asarray(value[where])
 
-    narrower = np.array([one.per_acceptance for one in places])[where]
+    narrower = np.array([position.per_acceptance for position in places])[where]
     looks = Looks(
-        absorption=each[0],
-        scattering=each[1],
-        radius=each[2],
-        acceptance=each[3] * narrower,
-        back=np.stack([one.back for one in places])[where],
-        **{n: seen(n) for n in ("baseline", "tilt", "cross_tilt", "standoff")},
+        absorption=distinct[0],
+        scattering=distinct[1],
+        radius=distinct[2],
+        acceptance=distinct[3] * narrower,
+        back=np.stack([position.back for position in places])[where],
+        **{n: view_values(n) for n in ("baseline", "tilt", "cross_tilt", "standoff")},
     )
     return looks, number.reshape(parts[0].shape).astype(np.intp)
 
@@ -189,7 +483,7 @@ def _light(
     *,
     joint: bool,
 ) -> tuple[kernel.Light, Floats]:
-    """Return light as the loops take it, and the mean square angle of the way."""
+    """Light for the compiled loops, and the mean square scattering angle of the way."""
     before = distance[0] - float(places[0].depth[0])
     depth = distance - before
     if depth[0] <= 0:
@@ -220,9 +514,11 @@ def _light(
             water=np.stack(versions),
             step=_STEP,
             frequency=np.array(frequencies),
-            path=np.stack([one.path for one in places]),
-            slope=np.stack([one.slope for one in places]),
-            offset=np.array([float(one.view.optical_offset) for one in places]),
+            path=np.stack([position.path for position in places]),
+            slope=np.stack([position.slope for position in places]),
+            offset=np.array(
+                [float(position.view.optical_offset) for position in places]
+            ),
         ),
         bent,
     )

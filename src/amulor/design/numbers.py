@@ -1,4 +1,4 @@
-"""From a survey and axes to what the compiled loops take, and through them."""
+"""Errors of candidates: columns of the compiled loops, and their results."""
 
 from __future__ import annotations
 
@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from amulor.design._kernels import points as kernel
-from amulor.design._kernels.assess import assess
-from amulor.design.light import Case, Lit, given_of, lit
-from amulor.design.methods import PREDICTED
+from amulor.design import _kernels as kernel
+from amulor.design._kernels import assess
+from amulor.design.axes import PREDICTED
+from amulor.design.light import Case, Lit, lit, values_on_axes
 from amulor.errors import SurveyError
 from amulor.optics import detection
 from amulor.optics.polarization import mueller
@@ -37,19 +37,19 @@ class Assessed:
     """Errors of candidates; arrays of one shape."""
 
     result: Floats
-    """Columns of `points.RESULTS` along the last axis."""
+    """Columns of `RESULTS` along the last axis."""
     late: Floats
     """Uncertainty of the correction for late light [m]."""
     footprint: Floats
     """Error by uneven light on a slope [m]."""
     near: Floats
-    """Nearest range that is possible [m]."""
+    """Nearest possible range [m]."""
     far: Floats
-    """Farthest one, infinite where nothing but the phases says so [m]."""
+    """Farthest possible range, infinite without a stated interval [m]."""
     repetition: Floats
     """Range after which all phases repeat [m]."""
     bent: Floats
-    """Mean square angle that scattering adds on the way [rad^2]."""
+    """Mean square angle added by scattering on the way [rad^2]."""
     volt: float
     """Output per rate of photoelectrons [V s]."""
 
@@ -63,70 +63,72 @@ def assessed(
     pairs: tuple[str, ...],
     interval: tuple[float, float] | None,
     late: bool = True,
-    known: Lit | None = None,
+    lighting: Lit | None = None,
 ) -> Assessed:
-    """Return the errors of candidates, all of them in one compiled loop."""
+    """Errors of candidates, all of them in one compiled loop."""
     pairs = _ordered(method, pairs)
-    given = given_of(case, values)
+    by_axis = values_on_axes(case, values)
     shape = np.broadcast_shapes(
-        frequencies.shape[1:], *(each.shape for each in values.values())
+        frequencies.shape[1:], *(value.shape for value in values.values())
     )
     count = int(np.prod(shape))
-    if known is None:
-        known = lit(case, values, frequencies, joint=method == "joint", late=late)
+    if lighting is None:
+        lighting = lit(case, values, frequencies, joint=method == "joint", late=late)
 
     def flat(array: Any) -> NDArray[Any]:
         # Memory of its own: read-only views would be compiled for once more.
         return np.array(np.broadcast_to(array, shape), order="C").reshape(-1)
 
-    there = np.isfinite(frequencies)
-    lit_frequencies = known.light.frequency
+    present = np.isfinite(frequencies)
+    lit_frequencies = lighting.light.frequency
     index = np.searchsorted(
-        lit_frequencies, np.where(there, frequencies, lit_frequencies[0])
+        lit_frequencies, np.where(present, frequencies, lit_frequencies[0])
     )
-    index = np.where(there, index, -1).astype(np.intp)
-    flat_index = np.ascontiguousarray(np.stack([flat(one) for one in index], axis=1))
+    index = np.where(present, index, -1).astype(np.intp)
+    flat_index = np.ascontiguousarray(
+        np.stack([flat(column) for column in index], axis=1)
+    )
     repetition = _repetition(frequencies, case.water.group_index)
     near, far = (0.0, repetition) if interval is None else interval
-    reached = tuple(np.broadcast_arrays(known.look, known.reach))
-    footprint = _footprint(case, given, values["distance"])
-    own = _numbers(case, given, known) | {
+    reached = tuple(np.broadcast_arrays(lighting.look, lighting.reach))
+    footprint = _footprint(case, by_axis, values["distance"])
+    columns = _numbers(case, by_axis, lighting) | {
         "near": near,
         "far": far,
         "distance": values["distance"],
-        "late": known.late[reached],
+        "late": lighting.late[reached],
         "footprint": footprint,
     }
     number = np.empty((count, len(kernel.NUMBERS)))
     for column, name in enumerate(kernel.NUMBERS):
-        number[:, column] = flat(own[name])
+        number[:, column] = flat(columns[name])
     points = kernel.Points(
         number=number,
-        look=flat(known.look),
-        reach=flat(known.reach),
-        place=flat(known.place),
+        look=flat(lighting.look),
+        reach=flat(lighting.reach),
+        place=flat(lighting.place),
         frequency_index=flat_index,
-        target_fraction=_fractions(case, given, pairs, "target", flat),
-        water_fraction=_fractions(case, given, pairs, "water", flat),
+        target_fraction=_fractions(case, by_axis, pairs, "target", flat),
+        water_fraction=_fractions(case, by_axis, pairs, "water", flat),
         has_analyser=np.array([pair != "none" for pair in pairs]),
     )
     result = np.empty((count, len(kernel.RESULTS)))
     scratch = _scratch(flat_index.shape[1], len(pairs))
-    assess(PREDICTED[method].kernel, points, known.light, scratch, result)
+    assess(PREDICTED[method].kernel, points, lighting.light, scratch, result)
     return Assessed(
         result=result.reshape(*shape, -1),
-        late=flat(own["late"]).reshape(shape),
+        late=flat(columns["late"]).reshape(shape),
         footprint=flat(footprint).reshape(shape),
         near=flat(near).reshape(shape),
         far=flat(np.inf if interval is None else far).reshape(shape),
         repetition=flat(repetition).reshape(shape),
-        bent=flat(known.bent[reached]).reshape(shape),
+        bent=flat(lighting.bent[reached]).reshape(shape),
         volt=case.survey.instrument.detector.volt_per_photoelectron_rate,
     )
 
 
 def _ordered(method: str, pairs: tuple[str, ...]) -> tuple[str, ...]:
-    """Return channels in the order that a method takes them in."""
+    """Channels in the order that a method expects."""
     if method not in PREDICTED:
         raise SurveyError(
             f"method: found {method!r}, but it must be one of {', '.join(PREDICTED)}"
@@ -143,7 +145,7 @@ def _ordered(method: str, pairs: tuple[str, ...]) -> tuple[str, ...]:
 
 
 def _repetition(frequencies: Floats, group_index: float) -> Floats:
-    """Return the range after which the phases of each set repeat [m]."""
+    """Range after which the phases of each set repeat [m]."""
     smallest = np.nanmin(frequencies, axis=0)
     if len(frequencies) > 1:
         apart = np.diff(np.sort(frequencies, axis=0), axis=0)
@@ -151,55 +153,55 @@ def _repetition(frequencies: Floats, group_index: float) -> Floats:
     return np.asarray(299792458.0 / (2 * group_index * smallest))
 
 
-def _footprint(case: Case, given: dict[str, Floats], distance: Floats) -> Floats:
-    """Return the error by uneven reflectance of the lit spot on a slope [m]."""
+def _footprint(case: Case, by_axis: dict[str, Floats], distance: Floats) -> Floats:
+    """Error by uneven reflectance of the lit spot on a slope [m]."""
     emitter = case.survey.instrument.emitter
     width = np.hypot(
         emitter.beam_radius or 0.0, (emitter.beam_divergence or 0.0) * distance
     )
-    return np.asarray(given["texture"] * width * np.tan(given["slope"]) / 2)
+    return np.asarray(by_axis["texture"] * width * np.tan(by_axis["slope"]) / 2)
 
 
-def _numbers(case: Case, given: dict[str, Floats], known: Lit) -> dict[str, Any]:
-    """Return the columns of `points.NUMBERS` that a survey and its axes state."""
+def _numbers(case: Case, by_axis: dict[str, Floats], lighting: Lit) -> dict[str, Any]:
+    """Columns of `NUMBERS` that follow from a survey and its axes."""
     survey = case.survey
     instrument, detector = survey.instrument, survey.instrument.detector
-    constant = np.minimum(instrument.lock_in.time_constant, _LOCK_IN * given["dwell"])
-    time = detection.settled_integration_time(given["dwell"], time_constant=constant)
-    passed = np.array([float(one.view.transmission) for one in known.places])[
-        known.place
+    constant = np.minimum(instrument.lock_in.time_constant, _LOCK_IN * by_axis["dwell"])
+    time = detection.settled_integration_time(by_axis["dwell"], time_constant=constant)
+    passed = np.array(
+        [float(position.view.transmission) for position in lighting.places]
+    )[lighting.place]
+    cosine = np.stack([position.cosine for position in lighting.places])[
+        tuple(np.broadcast_arrays(lighting.place, lighting.reach))
     ]
-    cosine = np.stack([one.cosine for one in known.places])[
-        tuple(np.broadcast_arrays(known.place, known.reach))
-    ]
-    slanted = cosine * np.cos(given["slope"])
+    slanted = cosine * np.cos(by_axis["slope"])
     plan = survey.scan.open_water or OpenWater()
     row = survey.scan.rows == 1 or survey.scan.elevation_span == 0
     shots = plan.columns * plan.rows * plan.repeats
-    own = {
-        "rate": counting.full_rate(survey) * given["power"] / instrument.power,
+    columns = {
+        "rate": counting.full_rate(survey) * by_axis["power"] / instrument.power,
         "shot": 2 * detector.excess_noise_factor / time,
-        "dark": given["dark_rate"],
-        "sky": _sky(case, given),
-        "echo": given["reflectance"] / math.pi * slanted * passed,
+        "dark": by_axis["dark_rate"],
+        "sky": _sky(case, by_axis),
+        "echo": by_axis["reflectance"] / math.pi * slanted * passed,
         "passed": passed,
         "reference": min(_ROW if row else _SURFACE, shots) / shots,
         "shots": float(shots),
         "pixels": float(survey.scan.rows * survey.scan.columns),
         "per_saturation": detector.volt_per_photoelectron_rate / detector.saturation,
-        "depth": given["modulation_depth"],
+        "depth": by_axis["modulation_depth"],
     }
-    kept = ("phase_floor", "fluctuation", "water_change", "column_uncertainty")
-    return own | {
-        name: given[name] for name in (*kept, "ratio_uncertainty", "departure")
+    copied = ("phase_floor", "fluctuation", "water_change", "column_uncertainty")
+    return columns | {
+        name: by_axis[name] for name in (*copied, "ratio_uncertainty", "departure")
     }
 
 
-def _sky(case: Case, given: dict[str, Floats]) -> Floats | float:
-    """Return photoelectrons by daylight without an analyser [1/s]."""
+def _sky(case: Case, by_axis: dict[str, Floats]) -> Floats | float:
+    """Photoelectrons by daylight without an analyzer [1/s]."""
     survey = case.survey
     if survey.daylight is None:
-        if np.any(given["radiance"] > 0):
+        if np.any(by_axis["radiance"] > 0):
             raise SurveyError(
                 "radiance: daylight needs the bandwidth of the filter; state "
                 "[daylight] in the survey"
@@ -211,48 +213,54 @@ def _sky(case: Case, given: dict[str, Floats]) -> Floats | float:
         survey.model_copy(update={"instrument": plain, "daylight": light})
     )[0]
     receiver = survey.instrument.receiver
-    taken = given["radius"] * given["field_of_view"]
-    share = (taken / (receiver.radius * receiver.acceptance)) ** 2
-    return np.asarray(rate * given["radiance"] * share)
+    etendue = by_axis["radius"] * by_axis["field_of_view"]
+    share = (etendue / (receiver.radius * receiver.acceptance)) ** 2
+    return np.asarray(rate * by_axis["radiance"] * share)
 
 
 def _fractions(
-    case: Case, given: dict[str, Floats], pairs: tuple[str, ...], what: str, flat: Any
+    case: Case,
+    by_axis: dict[str, Floats],
+    pairs: tuple[str, ...],
+    surface: str,
+    flat: Any,
 ) -> Floats:
-    """Return what each analyser passes of target or water, (point, channel)."""
-    if what == "target":
-        stated: Any = "painted-metal"
+    """Fraction that each analyzer passes of target or water light, (point, channel)."""
+    if surface == "target":
+        description: Any = "painted-metal"
         if case.survey.targets:
-            stated = case.survey.targets[0].mueller
+            description = case.survey.targets[0].mueller
     else:
-        stated = case.water.backscatter_mueller
-    known = matrix(stated)
-    name = f"{what}_m22"
-    if name not in given:
-        each = [float(mueller.detected_fraction(known, pair=pair)) for pair in pairs]
-        return np.stack([flat(value) for value in each], axis=1)
+        description = case.water.backscatter_mueller
+    reduced = matrix(description)
+    name = f"{surface}_m22"
+    if name not in by_axis:
+        fractions = [
+            float(mueller.detected_fraction(reduced, pair=pair)) for pair in pairs
+        ]
+        return np.stack([flat(value) for value in fractions], axis=1)
     # The other elements change in proportion, as more or less of it is depolarized.
-    if known[1, 1] == 0:
-        known = np.diag([1.0, 1.0, -1.0, -1.0])
-    factor = given[name] / known[1, 1]
+    if reduced[1, 1] == 0:
+        reduced = np.diag([1.0, 1.0, -1.0, -1.0])
+    factor = by_axis[name] / reduced[1, 1]
     bare = np.zeros((4, 4))
     bare[0, 0] = 1.0
     parts = []
     for pair in pairs:
         lost = float(mueller.detected_fraction(bare, pair=pair))
-        kept = float(mueller.detected_fraction(known, pair=pair)) - lost
-        parts.append(flat(lost + factor * kept))
+        polarized = float(mueller.detected_fraction(reduced, pair=pair)) - lost
+        parts.append(flat(lost + factor * polarized))
     return np.stack(parts, axis=1)
 
 
 def _scratch(frequency_count: int, channels: int) -> kernel.Scratch:
-    """Return memory for one point."""
-    both = (frequency_count, channels)
+    """Work arrays for one point."""
+    shape = (frequency_count, channels)
     return kernel.Scratch(
-        target=np.zeros(both, dtype=complex),
-        water=np.zeros(both, dtype=complex),
-        open_water=np.zeros(both, dtype=complex),
-        change=np.zeros((*both, 4), dtype=complex),
+        target=np.zeros(shape, dtype=complex),
+        water=np.zeros(shape, dtype=complex),
+        open_water=np.zeros(shape, dtype=complex),
+        change=np.zeros((*shape, 4), dtype=complex),
         laser_rate=np.zeros(channels),
         sky_rate=np.zeros(channels),
         open_rate=np.zeros(channels),

@@ -1,7 +1,8 @@
-"""The recommendation: what to build, why, what stands at an edge, what must give."""
+"""Recommendation of an instrument, with its reasons and limits."""
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Callable
 from contextlib import nullcontext
@@ -14,6 +15,8 @@ from numpy.typing import NDArray
 
 from amulor._progress import listening, tell
 from amulor.design import requirements
+from amulor.design._kernels import astray
+from amulor.design.axes import PREDICTED
 from amulor.design.candidates import (
     Parameters,
     box_values,
@@ -27,13 +30,126 @@ from amulor.design.evaluate import TERMS, evaluate
 from amulor.design.goal import Goal
 from amulor.design.requirements import Requirement, Shortfall
 from amulor.design.scores import draws_at
-from amulor.design.search import Candidate, Found, search
-from amulor.design.shares import Shares, dwell_shares
-from amulor.survey import Survey
+from amulor.design.search import Candidate, SearchResult, search
+from amulor.optics import ranging
+from amulor.survey import Survey, water_properties
 
-__all__ = ["Between", "Bound", "Choice", "Recommendation", "recommend"]
+__all__ = [
+    "Between",
+    "Bound",
+    "Choice",
+    "Recommendation",
+    "Shares",
+    "dwell_shares",
+    "recommend",
+]
+
 
 Floats = NDArray[np.float64]
+
+#: Parts that the dwell is divided into.
+_PARTS = 20
+#: Draws that shares are judged by.
+_DRAWS = 16
+
+
+@dataclass(frozen=True, kw_only=True)
+class Shares:
+    """Best division of the time of a pixel between its frequencies."""
+
+    share: tuple[float, ...]
+    """Share of each frequency, 1 in sum [1]."""
+    error: float
+    """Total error with these shares [m]."""
+    even: float
+    """Total error with the time evenly divided, as in a survey [m]."""
+
+
+def dwell_shares(goal: Goal, chosen: Parameters) -> Shares | None:
+    """Best division of the time of a pixel between its frequencies.
+
+    Every division into twentieths is judged by the error at the worst distance that
+    the asked share of 16 draws reaches, among those with a probability of a wrong
+    interval below the limit. Biases of the frequencies count as one sign, so that the
+    error is an upper limit. A survey has one dwell for all frequencies: this says what
+    an instrument with several would gain.
+    """
+    count = len(chosen.frequencies)
+    if not 2 <= count <= 3 or not PREDICTED[chosen.method].separate_frequencies:
+        return None
+    parts = [
+        division
+        for division in itertools.product(range(1, _PARTS), repeat=count)
+        if sum(division) == _PARTS
+    ]
+    dwells = np.arange(1, _PARTS) / _PARTS * count * chosen.dwell
+    # The filter of the shortest time serves all: a lock-in must settle anew each time.
+    errors_of_dwells = evaluate(
+        survey_of(goal, chosen),
+        frequency=np.array(chosen.frequencies),
+        dwell=np.append(dwells, chosen.dwell),
+        distance=np.array(goal.asked),
+        method=chosen.method,
+        **{**goal.assumed, **_draws(goal, chosen)},
+    )
+    if "draw" not in errors_of_dwells.dims:
+        errors_of_dwells = errors_of_dwells.expand_dims("draw")
+    order = ("frequency", "dwell", "distance", "draw")
+    variance = (errors_of_dwells["standard_uncertainty"] ** 2).transpose(*order).values
+    bias = errors_of_dwells["residual_bias"].transpose(*order).values
+    index = water_properties(survey_of(goal, chosen)).group_index
+    errors = [
+        _error(goal, chosen, index, variance, bias, tuple(p - 1 for p in division))
+        for division in parts
+    ]
+    even = _error(goal, chosen, index, variance, bias, (len(dwells),) * count)
+    best = int(np.argmin(errors))
+    if not errors[best] < even:
+        return Shares(share=(1 / count,) * count, error=even, even=even)
+    return Shares(
+        share=tuple(p / _PARTS for p in parts[best]), error=errors[best], even=even
+    )
+
+
+def _draws(goal: Goal, chosen: Parameters) -> dict[str, xr.DataArray]:
+    values_of_draws = draws_at(goal, chosen, _DRAWS)
+    return {
+        name: xr.DataArray(values, dims="draw")
+        for name, values in values_of_draws.items()
+    }
+
+
+def _error(
+    goal: Goal,
+    chosen: Parameters,
+    group_index: float,
+    variance: Floats,
+    bias: Floats,
+    dwell: tuple[int, ...],
+) -> float:
+    """Error at the worst distance, infinite with wrong intervals [m]."""
+    variances = np.stack([variance[k, number] for k, number in enumerate(dwell)])
+    biases = np.stack([bias[k, number] for k, number in enumerate(dwell)])
+    weight = 1 / np.maximum(variances, 1e-30)
+    total = weight.sum(axis=0)
+    error = np.sqrt(1 / total + (np.sum(weight * biases, axis=0) / total) ** 2)
+    rank = max(math.ceil(goal.accuracy.share * error.shape[-1] - 1e-9), 1) - 1
+    to_range = np.asarray(
+        ranging.range_per_phase(np.array(chosen.frequencies), group_index=group_index)
+    )
+    near, far = goal.limits
+    phase = (variances + biases**2) / to_range[:, None, None] ** 2
+    for number, distance in enumerate(goal.asked):
+        wrong = [
+            astray(
+                to_range, np.ascontiguousarray(phase[:, number, k]), distance, near, far
+            )
+            for k in range(error.shape[-1])
+        ]
+        if sorted(chance for chance, _ in wrong)[rank] > goal.accuracy.wrong_interval:
+            return math.inf
+    return float(np.sort(error, axis=-1)[:, rank].max())
+
 
 #: Relative distance to an edge up to which a value counts as the edge [1].
 _EDGE = 2e-3
@@ -45,7 +161,7 @@ _BETWEEN = 41
 
 @dataclass(frozen=True, kw_only=True)
 class Between:
-    """Where the error is largest from the nearest to the farthest asked distance.
+    """Largest error from the nearest to the farthest required distance.
 
     The phase of the water against that of the target turns with distance, so an
     instrument can be good at each asked distance and not between them.
@@ -59,57 +175,58 @@ class Between:
     distance: float
     """Slant range [m]."""
     error: float
-    """Total error there, as the asked share of draws reaches it [m]."""
+    """Total error there, not exceeded in the required share of draws [m]."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Choice:
-    """One instrument that is proposed, with all that speaks for and against it.
+    """Proposed instrument with its reasons.
 
     Examples
     --------
     >>> best = recommend(goal).best  # doctest: +SKIP
-    >>> [one.name for one in best.requirements if not one.met]  # doctest: +SKIP
+    >>> [one.name for item in best.requirements if not one.met]  # doctest: +SKIP
     """
 
     parameters: Parameters
-    """What it is made of."""
+    """Parameters of the instrument."""
     survey: str
-    """Survey of it (TOML) that `amulor simulate` takes: a plate in median water."""
+    """Survey (TOML) for `amulor simulate`: a plate in median water."""
     requirements: tuple[Requirement, ...]
-    """Each requirement, met or not."""
+    """Requirements, met or not."""
     terms: dict[str, float]
     """Median of each term of the error at the worst distance [m]."""
     binding: str
-    """The largest of them, or what makes the range unusable."""
+    """Largest error term, or the reason that makes the range unusable."""
     error: float
-    """Total error at the worst asked distance, as the asked share of draws reaches it
-    [m]."""
+    """Total error at the worst required distance, not exceeded in the required share of
+    draws [m].
+    """
     worst_distance: float
-    """That distance [m]."""
+    """Worst required distance [m]."""
     share: float
     """Share of the draws in which the accuracy is met at all distances [1]."""
     scan_time: float
     """Time of all pixels [s]."""
     cost: float
-    """Sum of prices [currency]."""
+    """Price [currency]."""
     shares: Shares | None = None
-    """How the time would best be shared between the frequencies; None for one."""
+    """Best division of the time between the frequencies; None for one frequency."""
     between: Between
-    """Where the error is largest between the asked distances."""
+    """Largest error between the required distances."""
 
     @property
     def met(self) -> bool:
         """Whether all requirements are met."""
-        return all(one.met for one in self.requirements)
+        return all(requirement.met for requirement in self.requirements)
 
     def to_dict(self) -> dict[str, Any]:
-        """Return plain numbers, texts and lists; None for what has no limit."""
+        """Return plain numbers, texts and lists; None for infinite values."""
         plain: dict[str, Any] = finite(
             {
                 "parameters": self.parameters.to_dict(),
                 "met": self.met,
-                "requirements": [asdict(one) for one in self.requirements],
+                "requirements": [asdict(row) for row in self.requirements],
                 "terms": self.terms,
                 "binding": self.binding,
                 "error": self.error,
@@ -127,7 +244,7 @@ class Choice:
 
 @dataclass(frozen=True, kw_only=True)
 class Bound:
-    """A parameter whose best value is the last one that the goal allows.
+    """Parameter whose best value is the last one that the goal allows.
 
     It is no recommendation: what lies beyond was not looked at.
 
@@ -138,18 +255,18 @@ class Bound:
     """
 
     parameter: str
-    """Which one."""
+    """Name of the parameter."""
     value: float
-    """The edge, in SI units."""
+    """Value at the edge, in SI units."""
     side: str
     """Whether it is the "low" or the "high" one."""
     text: str
-    """The same as a sentence."""
+    """Sentence that says so."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Recommendation:
-    """What to build for a goal.
+    """Recommended instrument for a goal.
 
     Examples
     --------
@@ -158,21 +275,23 @@ class Recommendation:
     """
 
     goal: Goal
-    """What was asked."""
+    """Goal of the design."""
     best: Choice
-    """The best instrument; if the goal is impossible the one that comes nearest."""
+    """Best instrument; if the goal is impossible, the nearest one."""
     runner_up: Choice | None
-    """The best one with another laser, scheme, method or number of frequencies; None
-    if there is none to choose."""
+    """Best instrument with another laser, scheme, method or number of frequencies; None
+    without a choice.
+    """
     bounds: tuple[Bound, ...]
-    """Parameters of the best one at an edge of what may be chosen."""
+    """Parameters of the best instrument at an edge of the choice."""
     impossible: tuple[Shortfall, ...]
-    """What must give, if no candidate meets all; each line alone would do, or all
-    together where that is said."""
+    """Requirements that must give if no candidate meets all: each line alone suffices,
+    unless it says otherwise.
+    """
     candidates: xr.Dataset
-    """The best candidates, over `candidate`."""
+    """Best candidates, over `candidate`."""
     looked_at: int
-    """How many candidates were judged."""
+    """Number of candidates judged."""
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain numbers, texts and lists, as for JSON."""
@@ -181,8 +300,8 @@ class Recommendation:
             "possible": not self.impossible,
             "best": self.best.to_dict(),
             "runner_up": None if self.runner_up is None else self.runner_up.to_dict(),
-            "bounds": [asdict(one) for one in self.bounds],
-            "impossible": [asdict(one) for one in self.impossible],
+            "bounds": [asdict(item) for item in self.bounds],
+            "impossible": [asdict(item) for item in self.impossible],
             "candidates": [
                 _plain_row(self.candidates.isel(candidate=number))
                 for number in range(self.candidates.sizes["candidate"])
@@ -192,7 +311,7 @@ class Recommendation:
 
 
 def finite(value: Any) -> Any:
-    """Return tables and lists with None for numbers that are not finite, as JSON."""
+    """Replace numbers that are not finite by None, as in JSON."""
     if isinstance(value, dict):
         return {name: finite(item) for name, item in value.items()}
     if isinstance(value, list | tuple):
@@ -203,13 +322,13 @@ def finite(value: Any) -> Any:
 
 
 def _plain_row(row: xr.Dataset) -> dict[str, Any]:
-    """Return one row of the table of candidates, its frequencies as a list."""
+    """One row of the table of candidates, its frequencies as a list."""
     frequencies = row["modulation_frequency"].values
     plain = {
         str(name): row[name].item() for name in row if name != "modulation_frequency"
     }
-    found: dict[str, Any] = finite(plain)
-    return {**found, "frequencies": frequencies[np.isfinite(frequencies)].tolist()}
+    numbers: dict[str, Any] = finite(plain)
+    return {**numbers, "frequencies": frequencies[np.isfinite(frequencies)].tolist()}
 
 
 def recommend(
@@ -250,10 +369,10 @@ def recommend(
     >>> found.best.parameters.frequencies  # doctest: +SKIP
     """
     with nullcontext() if progress is None else listening(progress):
-        found = search(goal)
+        result = search(goal)
         tell("reasons", 0.98)
-        best = found.best[0]
-        runner_up = _runner_up(found)
+        best = result.best[0]
+        runner_up = _runner_up(result)
         return Recommendation(
             goal=goal,
             best=_choice(goal, best),
@@ -262,15 +381,15 @@ def recommend(
             impossible=(
                 ()
                 if best.merit <= 0
-                else requirements.shortfalls(goal, best, found.all_scores())
+                else requirements.shortfalls(goal, best, result.all_scores())
             ),
-            candidates=_table(goal, found),
-            looked_at=found.count,
+            candidates=_table(goal, result),
+            looked_at=result.count,
         )
 
 
 def _kind(chosen: Parameters) -> tuple[str, str, str, int]:
-    """Return what makes two instruments different in kind."""
+    """Properties that distinguish kinds of instruments."""
     return (
         chosen.laser,
         chosen.polarization,
@@ -279,23 +398,29 @@ def _kind(chosen: Parameters) -> tuple[str, str, str, int]:
     )
 
 
-def _runner_up(found: Found) -> Candidate | None:
-    """Return the best candidate of another kind; of the same kind if there is none."""
-    best, *rest = found.best
-    others = [one for one in rest if _kind(one.parameters) != _kind(best.parameters)]
-    return next(iter([*others, *rest]), None)
+def _runner_up(result: SearchResult) -> Candidate | None:
+    """Best candidate of another kind, else of the same kind."""
+    best, *following = result.best
+    others = [
+        candidate
+        for candidate in following
+        if _kind(candidate.parameters) != _kind(best.parameters)
+    ]
+    return next(iter([*others, *following]), None)
 
 
-def _choice(goal: Goal, found: Candidate) -> Choice:
-    """Return a candidate with its reasons."""
-    chosen = found.parameters
+def _choice(goal: Goal, candidate: Candidate) -> Choice:
+    """Candidate with its reasons."""
+    chosen = candidate.parameters
     survey = survey_of(goal, chosen)
-    every = _errors(goal, chosen, survey)
-    errors = every.sel(distance=list(goal.asked))
-    worst = int(np.argmax(found.score.error[0]))
-    there = errors.isel(distance=worst)
+    all_errors = _errors(goal, chosen, survey)
+    errors = all_errors.sel(distance=list(goal.asked))
+    worst = int(np.argmax(candidate.score.error[0]))
+    worst_errors = errors.isel(distance=worst)
     terms = {
-        name: float(there[name].median()) for name in TERMS if name != "saturation"
+        name: float(worst_errors[name].median())
+        for name in TERMS
+        if name != "saturation"
     }
     met = (
         (errors["total_error"] <= goal.accuracy.total_error)
@@ -303,25 +428,27 @@ def _choice(goal: Goal, found: Candidate) -> Choice:
         & (errors["saturated"] == 0)
         & (errors["model_not_valid"] == 0)
     )
-    codes = np.bincount(there["binding_term"].values.ravel(), minlength=len(TERMS))
+    codes = np.bincount(
+        worst_errors["binding_term"].values.ravel(), minlength=len(TERMS)
+    )
     return Choice(
         parameters=chosen,
         survey=survey.to_toml(),
-        requirements=requirements.table(goal, found, errors),
+        requirements=requirements.table(goal, candidate, errors),
         terms=terms,
         binding=TERMS[int(np.argmax(codes))],
-        error=float(found.score.error.max()),
+        error=float(candidate.score.error.max()),
         worst_distance=goal.asked[worst],
         share=float(met.all("distance").mean()),
         scan_time=scan_time(goal, chosen),
         cost=cost_of(goal, chosen),
         shares=dwell_shares(goal, chosen),
-        between=_between(goal, every["total_error"]),
+        between=_between(goal, all_errors["total_error"]),
     )
 
 
 def _errors(goal: Goal, chosen: Parameters, survey: Survey) -> xr.Dataset:
-    """Return the errors at the asked distances and between them, over the draws."""
+    """Errors at the required distances and between them, over the draws."""
     distance = np.unique(
         [*goal.asked, *np.linspace(goal.asked[0], goal.asked[-1], _BETWEEN)]
     )
@@ -340,19 +467,19 @@ def _errors(goal: Goal, chosen: Parameters, survey: Survey) -> xr.Dataset:
     return errors if "draw" in errors.dims else errors.expand_dims("draw")
 
 
-def _between(goal: Goal, every: xr.DataArray) -> Between:
-    """Return where the error is largest from the first to the last asked distance."""
+def _between(goal: Goal, errors: xr.DataArray) -> Between:
+    """Largest error from the first to the last required distance."""
     # The value that the asked share of the draws stays below, as in the search.
-    error = every.quantile(goal.accuracy.share, "draw", method="inverted_cdf")
+    error = errors.quantile(goal.accuracy.share, "draw", method="inverted_cdf")
     worst = error.isel(distance=int(error.argmax("distance")))
     return Between(distance=float(worst["distance"]), error=float(worst))
 
 
 def _bounds(goal: Goal, chosen: Parameters) -> tuple[Bound, ...]:
-    """Return the parameters at an edge of what may be chosen."""
+    """Parameters at an edge of the choice."""
     parts = goal.components
     laser = laser_of(goal, chosen.laser)
-    stated: list[tuple[str, float, tuple[float, ...]]] = [
+    edges: list[tuple[str, float, tuple[float, ...]]] = [
         ("power", chosen.power, tuple(sorted(laser.powers))),
         *(
             (name, getattr(chosen, name), box_values(getattr(parts, name)))
@@ -363,12 +490,12 @@ def _bounds(goal: Goal, chosen: Parameters) -> tuple[Bound, ...]:
         frequencies = frequency_grid(goal)
         top = min(frequencies[-1], laser.top_frequency or math.inf)
         allowed = (*(t for t in frequencies if t < top), top)
-        stated += [
+        edges += [
             ("lowest frequency", chosen.frequencies[0], allowed),
             ("highest frequency", chosen.frequencies[-1], allowed),
         ]
     bounds = []
-    for name, value, values in stated:
+    for name, value, values in edges:
         if len(values) < 2:
             continue
         for side, edge in (("low", values[0]), ("high", values[-1])):
@@ -391,14 +518,14 @@ def _bounds(goal: Goal, chosen: Parameters) -> tuple[Bound, ...]:
     return tuple(bounds)
 
 
-def _table(goal: Goal, found: Found) -> xr.Dataset:
-    """Return the best candidates as a table."""
-    listed = found.best[:_LISTED]
-    most = max(len(one.parameters.frequencies) for one in listed)
+def _table(goal: Goal, result: SearchResult) -> xr.Dataset:
+    """Table of the best candidates."""
+    listed = result.best[:_LISTED]
+    most = max(len(candidate.parameters.frequencies) for candidate in listed)
     frequencies = np.full((len(listed), most), np.nan)
-    for number, one in enumerate(listed):
-        frequencies[number, : len(one.parameters.frequencies)] = (
-            one.parameters.frequencies
+    for number, candidate in enumerate(listed):
+        frequencies[number, : len(candidate.parameters.frequencies)] = (
+            candidate.parameters.frequencies
         )
     names = ("laser", "polarization", "method")
     units = {
@@ -409,18 +536,24 @@ def _table(goal: Goal, found: Found) -> xr.Dataset:
         "dwell": "s",
     }
     variables: dict[str, Any] = {
-        name: ("candidate", [getattr(one.parameters, name) for one in listed])
+        name: (
+            "candidate",
+            [getattr(candidate.parameters, name) for candidate in listed],
+        )
         for name in names
     }
     for name, unit in units.items():
-        values = [getattr(one.parameters, name) for one in listed]
+        values = [getattr(candidate.parameters, name) for candidate in listed]
         variables[name] = ("candidate", values, {"units": unit})
     figures = {
-        "error": ("m", [float(one.score.error.max()) for one in listed]),
-        "wrong_interval": ("1", [float(one.score.wrong.max()) for one in listed]),
-        "scan_time": ("s", [float(one.score.time[0]) for one in listed]),
-        "cost": ("1", [float(one.score.cost[0]) for one in listed]),
-        "merit": ("1", [one.merit for one in listed]),
+        "error": ("m", [float(candidate.score.error.max()) for candidate in listed]),
+        "wrong_interval": (
+            "1",
+            [float(candidate.score.wrong.max()) for candidate in listed],
+        ),
+        "scan_time": ("s", [float(candidate.score.time[0]) for candidate in listed]),
+        "cost": ("1", [float(candidate.score.cost[0]) for candidate in listed]),
+        "merit": ("1", [candidate.merit for candidate in listed]),
     }
     for name, (unit, values) in figures.items():
         variables[name] = ("candidate", values, {"units": unit})

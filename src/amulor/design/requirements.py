@@ -1,4 +1,4 @@
-"""Each requirement of a goal: met or not, by what margin, and what must give."""
+"""Requirements of a goal: margin of each, and those that must give."""
 
 from __future__ import annotations
 
@@ -30,55 +30,55 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True, kw_only=True)
 class Requirement:
-    """One requirement.
+    """Requirement of a goal, met or not.
 
     Examples
     --------
-    >>> one = recommend(goal).best.requirements[0]  # doctest: +SKIP
-    >>> one.met == (one.value <= one.limit)  # doctest: +SKIP
+    >>> first = recommend(goal).best.requirements[0]  # doctest: +SKIP
+    >>> first.met == (first.value <= first.limit)  # doctest: +SKIP
     True
     """
 
     name: str
-    """What is required, such as "total error at 2 m"."""
+    """Name of the requirement, such as "total error at 2 m"."""
     met: bool
     """Whether it is met."""
     value: float
-    """What is reached, in SI units."""
+    """Value reached, in SI units."""
     limit: float
     """The largest value allowed, in the same unit."""
     margin: float
     """Limit over value; below 1 where it is missed [1]."""
     unit: str
-    """Unit of both."""
+    """Unit of value and limit."""
     binding: str
-    """Term that is the largest there, or empty."""
+    """Largest error term there, or empty."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Shortfall:
-    """One requirement that must give.
+    """Requirement that must give.
 
     Examples
     --------
-    >>> for one in recommend(goal).impossible:  # doctest: +SKIP
-    ...     print(one.text)
+    >>> for shortfall in recommend(goal).impossible:  # doctest: +SKIP
+    ...     print(shortfall.text)
     """
 
     requirement: str
-    """Which one."""
+    """Name of the requirement."""
     value: float
-    """What it would have to be, in SI units."""
+    """Value to which it would have to be relaxed, in SI units."""
     limit: float
-    """What the goal asks."""
+    """Value in the goal."""
     factor: float
-    """The one over the other [1]."""
+    """Relaxed value over that in the goal [1]."""
     unit: str
-    """Unit of both."""
+    """Unit of both values."""
     alone: bool
-    """Whether it would do if this one alone gave way."""
+    """Whether relaxing this requirement alone suffices."""
     text: str
-    """The same as a sentence."""
+    """Sentence that says so."""
 
 
 #: Unit and factor in which people read a quantity.
@@ -103,16 +103,18 @@ _SELDOM = 1e-8
 
 
 def written(name: str, value: float) -> str:
-    """Return a number as people read it."""
+    """Format a number with its unit."""
     unit, factor = _READ[name]
     if name == "wrong interval" and 0 < value < _SELDOM:
         return f"below {_SELDOM * factor:g} {unit}"
     return f"{value * factor:.4g} {unit}".strip()
 
 
-def table(goal: Goal, found: Candidate, errors: xr.Dataset) -> tuple[Requirement, ...]:
-    """Return each requirement with its margin and the term that binds."""
-    score, accuracy = found.score, goal.accuracy
+def table(
+    goal: Goal, candidate: Candidate, errors: xr.Dataset
+) -> tuple[Requirement, ...]:
+    """Return requirements with their margins and largest error terms."""
+    score, accuracy = candidate.score, goal.accuracy
     rows = []
     for number, distance in enumerate(goal.asked):
         codes = errors["binding_term"].isel(distance=number).values.ravel()
@@ -156,31 +158,31 @@ def _row(name: str, value: float, limit: float, unit: str, binding: str) -> Requ
 
 
 def shortfalls(goal: Goal, best: Candidate, scores: Score) -> tuple[Shortfall, ...]:
-    """Return which requirements must give, by how much."""
+    """Return requirements that must give, and by how much."""
     ratios = _ratios(goal, scores)
     names = list(ratios)
-    every = np.stack([ratios[name] for name in names])
-    met = every <= 1 + 1e-9
-    found = []
+    all_ratios = np.stack([ratios[name] for name in names])
+    met = all_ratios <= 1 + 1e-9
+    relaxed = []
     for number, name in enumerate(names):
-        rest = np.delete(met, number, axis=0).all(axis=0)
-        if rest.any():
-            found.append((float(every[number][rest].min()), name))
-    alone = [(factor, name) for factor, name in found if np.isfinite(factor)]
+        others_met = np.delete(met, number, axis=0).all(axis=0)
+        if others_met.any():
+            relaxed.append((float(all_ratios[number][others_met].min()), name))
+    alone = [(factor, name) for factor, name in relaxed if np.isfinite(factor)]
     if alone:
         return tuple(
             _shortfall(goal, name, factor, alone=True) for factor, name in sorted(alone)
         )
-    own = _ratios(goal, best.score)
+    best_ratios = _ratios(goal, best.score)
     return tuple(
         _shortfall(goal, name, float(value[0]), alone=False)
-        for name, value in own.items()
+        for name, value in best_ratios.items()
         if value[0] > 1
     )
 
 
 def _ratios(goal: Goal, scores: Score) -> dict[str, Floats]:
-    """Return what is reached over what is allowed, by requirement."""
+    """Reached over allowed values, by requirement."""
     ratios = {
         "total error": scores.error.max(axis=1) / goal.accuracy.total_error,
         "wrong interval": scores.wrong.max(axis=1) / goal.accuracy.wrong_interval,
@@ -216,12 +218,12 @@ def _shortfall(goal: Goal, name: str, factor: float, *, alone: bool) -> Shortfal
 
 
 def quantity_text(name: str, value: float) -> str:
-    """Return what a requirement reaches, or allows, as people read it."""
+    """Format a value of a requirement."""
     return written(name.partition(" at ")[0], value)
 
 
 def parameters_text(chosen: Parameters) -> str:
-    """Return an instrument as one line."""
+    """Format the parameters of an instrument as one line."""
     megahertz = ", ".join(f"{f * 1e-6:.4g}" for f in chosen.frequencies)
     return (
         f"{chosen.laser}, {written('power', chosen.power)}; {megahertz} MHz; baseline "

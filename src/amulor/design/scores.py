@@ -1,4 +1,4 @@
-"""How candidates do in all drawn waters and targets: what a goal is judged by."""
+"""Figures of candidates in all drawn waters and targets."""
 
 from __future__ import annotations
 
@@ -9,18 +9,18 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from amulor.design._kernels import points as kernel
+from amulor.design import _kernels as kernel
 from amulor.design.candidates import (
     Parameters,
     box_values,
     cost_of,
+    drawn,
     first_choice,
     laser_of,
     scan_time,
     survey_of,
     water_scale,
 )
-from amulor.design.draws import drawn
 from amulor.design.goal import Goal
 from amulor.design.light import Case, Lit, case_of, lit
 from amulor.design.numbers import MOST_BENT, Assessed, assessed
@@ -44,7 +44,7 @@ _DIMENSIONS = 8
 
 @dataclass(frozen=True, kw_only=True)
 class Grid:
-    """Candidates: all combinations of some values."""
+    """Grid of candidates: all combinations of some values."""
 
     baseline: tuple[float, ...]
     """[m]."""
@@ -61,7 +61,7 @@ class Grid:
 
     @property
     def shape(self) -> tuple[int, ...]:
-        """Number of values of each."""
+        """Number of values of each parameter."""
         return (
             len(self.baseline),
             len(self.radius),
@@ -72,7 +72,7 @@ class Grid:
         )
 
     def parameters(self, number: int, like: Parameters) -> Parameters:
-        """Return one candidate by its number; laser, channels, method as another."""
+        """Parameters of one candidate; laser, channels and method are copied."""
         b, r, f, p, t, s = np.unravel_index(number, self.shape)
         return replace(
             like,
@@ -87,7 +87,7 @@ class Grid:
 
 @dataclass(frozen=True, kw_only=True)
 class Score:
-    """Figures of candidates, each met or better in the asked share of the draws."""
+    """Figures of candidates, each not exceeded in the required share of draws."""
 
     error: Floats
     """Total error, shape (candidate, distance) [m]."""
@@ -103,22 +103,22 @@ class Score:
     """Sum of prices, shape (candidate,) [currency]."""
 
     def part(self, which: NDArray[np.intp]) -> Score:
-        """Return some candidates."""
+        """Return a selection of candidates."""
         return Score(**{name: value[which] for name, value in vars(self).items()})
 
     @staticmethod
     def joined(scores: Sequence[Score]) -> Score:
-        """Return the candidates of several."""
+        """Candidates of several scores in one."""
         return Score(
             **{
-                name: np.concatenate([getattr(one, name) for one in scores])
+                name: np.concatenate([getattr(score, name) for score in scores])
                 for name in vars(scores[0])
             }
         )
 
 
 def merits(goal: Goal, score: Score, *, with_intervals: bool = True) -> Floats:
-    """Return by what candidates are ordered: the smaller the better."""
+    """Figure of merit by which candidates are ordered: the smaller, the better."""
     merit = _log(score.error.max(axis=1) / goal.accuracy.total_error)
     missed = [
         score.output,
@@ -144,14 +144,14 @@ def _log(ratio: Floats) -> Floats:
 def draws_at(
     goal: Goal, chosen: Parameters, count: int | None = None
 ) -> dict[str, Floats]:
-    """Return the drawn waters and targets at the wavelength of an instrument."""
-    found = drawn(goal, count)
-    scale = water_scale(goal, chosen) if found else {}
-    return {name: values * scale.get(name, 1.0) for name, values in found.items()}
+    """Drawn waters and targets at the wavelength of an instrument."""
+    draws = drawn(goal, count)
+    scale = water_scale(goal, chosen) if draws else {}
+    return {name: values * scale.get(name, 1.0) for name, values in draws.items()}
 
 
 class Judge:
-    """Judges candidates with one laser."""
+    """Judge of candidates with one laser."""
 
     def __init__(
         self,
@@ -173,34 +173,40 @@ class Judge:
         survey = survey_of(goal, self.start)
         water = water_properties(survey)
         self.case: Case = case_of(survey, water)
-        self.case.stated.update(goal.assumed)
-        found = draws_at(goal, self.start, draws)
-        self.count = max((len(each) for each in found.values()), default=1)
-        self._draws = {n: _along(v, _DIMENSIONS - 1) for n, v in found.items()}
-        asked = goal.asked if distances is None else tuple(distances)
-        self._distance = _along(np.array(asked), _DIMENSIONS - 2)
+        self.case.survey_values.update(goal.assumed)
+        values_of_draws = draws_at(goal, self.start, draws)
+        self.count = max(
+            (len(values) for values in values_of_draws.values()), default=1
+        )
+        self._draws = {
+            n: _along(v, _DIMENSIONS - 1) for n, v in values_of_draws.items()
+        }
+        asked_distances = goal.asked if distances is None else tuple(distances)
+        self._distance = _along(np.array(asked_distances), _DIMENSIONS - 2)
 
     def lit(self, grid: Grid, *, joint: bool) -> Lit:
-        """Return the light of a grid, for several methods and schemes."""
-        every = np.unique(np.concatenate([np.array(one) for one in grid.sets]))
-        return lit(self.case, self._values(grid), every, joint=joint)
+        """Light of a grid, for several methods and schemes."""
+        all_frequencies = np.unique(
+            np.concatenate([np.array(members) for members in grid.sets])
+        )
+        return lit(self.case, self._values(grid), all_frequencies, joint=joint)
 
     def score(
-        self, grid: Grid, *, scheme: str, method: str, known: Lit | None = None
+        self, grid: Grid, *, scheme: str, method: str, lighting: Lit | None = None
     ) -> Score:
-        """Return the figures of all candidates of a grid, in the order of its shape."""
-        if known is None:
-            known = self.lit(grid, joint=method == "joint")
+        """Figures of all candidates of a grid, in the order of its shape."""
+        if lighting is None:
+            lighting = self.lit(grid, joint=method == "joint")
         values = self._values(grid)
-        most = max(len(one) for one in grid.sets)
+        most = max(len(members) for members in grid.sets)
         frequencies = np.full((most, len(grid.sets)), np.nan)
-        for number, one in enumerate(grid.sets):
-            frequencies[: len(one), number] = one
+        for number, members in enumerate(grid.sets):
+            frequencies[: len(members), number] = members
         frequencies = frequencies.reshape(most, *[1] * 5, -1, 1, 1)
         pairs = tuple(scheme.split("+"))
         parts = []
-        each = int(np.prod(grid.shape[3:])) * self._distance.size * self.count
-        step = max(1, _AT_ONCE // max(each, 1))
+        per_column = int(np.prod(grid.shape[3:])) * self._distance.size * self.count
+        step = max(1, _AT_ONCE // max(per_column, 1))
         place = [slice(None)] * _DIMENSIONS
         for b in range(grid.shape[0]):
             for r in range(grid.shape[1]):
@@ -210,24 +216,24 @@ class Judge:
                         slice(r, r + 1),
                         slice(first, first + step),
                     )
-                    here = tuple(place)
-                    found = assessed(
+                    index = tuple(place)
+                    errors = assessed(
                         self.case,
-                        {name: _part(value, here) for name, value in values.items()},
+                        {name: _part(value, index) for name, value in values.items()},
                         frequencies=frequencies,
                         method=method,
                         pairs=pairs,
                         interval=self.goal.limits,
-                        known=replace(
-                            known,
-                            look=_part(known.look, here),
-                            place=_part(known.place, here),
-                            reach=_part(known.reach, here),
+                        lighting=replace(
+                            lighting,
+                            look=_part(lighting.look, index),
+                            place=_part(lighting.place, index),
+                            reach=_part(lighting.reach, index),
                         ),
                     )
-                    parts.append(self._figures(found))
+                    parts.append(self._figures(errors))
         error, wrong, output, validity = (
-            np.concatenate([one[k] for one in parts]) for k in range(4)
+            np.concatenate([members[k] for members in parts]) for k in range(4)
         )
         time, cost = self._prices(grid, scheme, method)
         return Score(
@@ -240,13 +246,13 @@ class Judge:
         )
 
     def of(self, chosen: Parameters) -> Score:
-        """Return the figures of one candidate."""
+        """Figures of one candidate."""
         return self.score(
             grid_of(chosen), scheme=chosen.polarization, method=chosen.method
         )
 
     def _values(self, grid: Grid) -> dict[str, Floats]:
-        """Return values of all axes, along their dimensions."""
+        """Values of all axes, along their dimensions."""
         names = ("baseline", "radius", "field_of_view", "power", "dwell")
         values = {
             name: _along(np.array(getattr(grid, name)), k)
@@ -255,15 +261,15 @@ class Judge:
         aim = np.full([1] * _DIMENSIONS, self.case.survey.targets[0].position[2])
         return {**values, "aim": aim, "distance": self._distance, **self._draws}
 
-    def _figures(self, found: Assessed) -> tuple[Floats, Floats, Floats, Floats]:
-        """Return the figures that the asked share of the draws reaches."""
-        column = {name: found.result[..., k] for k, name in enumerate(kernel.RESULTS)}
-        square = found.late**2 + found.footprint**2
+    def _figures(self, errors: Assessed) -> tuple[Floats, Floats, Floats, Floats]:
+        """Figures not exceeded in the required share of draws."""
+        column = {name: errors.result[..., k] for k, name in enumerate(kernel.RESULTS)}
+        square = errors.late**2 + errors.footprint**2
         for name in kernel.RANDOM:
             square = square + column[name]
         for name in kernel.SYSTEMATIC:
             square = square + column[name] ** 2
-        valid = np.maximum(found.bent / MOST_BENT, column["unseen"] / _UNSEEN)
+        valid = np.maximum(errors.bent / MOST_BENT, column["unseen"] / _UNSEEN)
         rank = max(math.ceil(self.goal.accuracy.share * self.count - 1e-9), 1) - 1
         reached = [
             np.partition(np.nan_to_num(value, nan=np.inf), rank, axis=-1)[..., rank]
@@ -273,30 +279,30 @@ class Judge:
         return np.sqrt(flat[0]), flat[1], flat[2].max(axis=1), flat[3].max(axis=1)
 
     def _prices(self, grid: Grid, scheme: str, method: str) -> tuple[Floats, Floats]:
-        """Return scan time and cost of all candidates."""
+        """Scan time and cost of all candidates."""
         like = replace(self.start, polarization=scheme, method=method)
         goal, shape = self.goal, grid.shape
         time = np.zeros(shape)
         for t, dwell in enumerate(grid.dwell):
-            for s, one in enumerate(grid.sets):
-                sample = replace(like, dwell=dwell, frequencies=one)
+            for s, members in enumerate(grid.sets):
+                sample = replace(like, dwell=dwell, frequencies=members)
                 time[..., t, s] = scan_time(goal, sample)
         # Prices add up, so each value is looked at alone.
         base = grid.parameters(0, like)
         start = cost_of(goal, base)
         cost = np.full(shape, start)
         names = ("baseline", "radius", "field_of_view", "power", "dwell", "frequencies")
-        held = (*(getattr(grid, name) for name in names[:-1]), grid.sets)
-        for axis, (name, choices) in enumerate(zip(names, held, strict=True)):
-            more = [cost_of(goal, replace(base, **{name: v})) - start for v in choices]
-            cost = cost + np.array(more).reshape(
+        values_by_name = (*(getattr(grid, name) for name in names[:-1]), grid.sets)
+        for axis, (name, choices) in enumerate(zip(names, values_by_name, strict=True)):
+            extra = [cost_of(goal, replace(base, **{name: v})) - start for v in choices]
+            cost = cost + np.array(extra).reshape(
                 [-1 if k == axis else 1 for k in range(len(shape))]
             )
         return time.ravel(), cost.ravel()
 
 
 def grid_of(chosen: Parameters) -> Grid:
-    """Return a grid of one candidate."""
+    """Grid of one candidate."""
     return Grid(
         baseline=(chosen.baseline,),
         radius=(chosen.radius,),
@@ -308,17 +314,17 @@ def grid_of(chosen: Parameters) -> Grid:
 
 
 def _along(values: Floats, dimension: int) -> Floats:
-    """Return values along one of the dimensions."""
+    """Values along one of the dimensions."""
     return values.reshape([-1 if k == dimension else 1 for k in range(_DIMENSIONS)])
 
 
-def _part(value: NDArray, here: tuple[slice, ...]) -> NDArray:  # type: ignore[type-arg]
-    """Return the part of an array, whole along dimensions in which it does not vary."""
+def _part(value: NDArray, index: tuple[slice, ...]) -> NDArray:  # type: ignore[type-arg]
+    """Part of an array, complete along dimensions of length 1."""
     if value.ndim != _DIMENSIONS:
         return value
     return value[
         tuple(
             part if size > 1 else slice(None)
-            for part, size in zip(here, value.shape, strict=True)
+            for part, size in zip(index, value.shape, strict=True)
         )
     ]

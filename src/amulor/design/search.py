@@ -1,4 +1,4 @@
-"""Exchange of modulation frequencies, and of parts for cheaper ones."""
+"""Search for instruments: grid, exchange of frequencies, refinement, cheaper parts."""
 
 from __future__ import annotations
 
@@ -20,13 +20,12 @@ from amulor.design.candidates import (
     frequency_grid,
     laser_of,
 )
-from amulor.design.goal import Goal
-from amulor.design.goal.parts import Box
+from amulor.design.goal import Box, Goal
 from amulor.design.scores import Grid, Judge, Score, grid_of, merits
 
 __all__ = [
     "Candidate",
-    "Found",
+    "SearchResult",
     "allowed",
     "candidate_of",
     "cheaper",
@@ -46,23 +45,23 @@ class Candidate:
     """One instrument with its figures in all draws at all distances."""
 
     parameters: Parameters
-    """What it is made of."""
+    """Parameters of the instrument."""
     score: Score
-    """Its figures; arrays of one candidate."""
+    """Figures; arrays of one candidate."""
     merit: float
-    """What it is ordered by."""
+    """Figure of merit."""
 
 
 def allowed(
     sets: tuple[tuple[float, ...], ...], top: float | None
 ) -> tuple[tuple[float, ...], ...]:
-    """Return the sets that a laser can be modulated with; the lowest if none is."""
-    good = tuple(one for one in sets if top is None or max(one) <= top)
+    """Return sets within a laser's modulation range; the lowest set if none is."""
+    good = tuple(members for members in sets if top is None or max(members) <= top)
     return good or (min(sets, key=max),)
 
 
 def candidate_of(judge: Judge, chosen: Parameters) -> Candidate:
-    """Return a candidate, judged in all draws at all distances."""
+    """Candidate judged in all draws at all distances."""
     score = judge.of(chosen)
     return Candidate(
         parameters=chosen,
@@ -72,14 +71,16 @@ def candidate_of(judge: Judge, chosen: Parameters) -> Candidate:
 
 
 def exchanged(goal: Goal, judge: Judge, start: Candidate) -> tuple[Candidate, int]:
-    """Return what exchanging frequencies makes of a candidate."""
+    """Exchange frequencies of a candidate as long as its merit improves."""
     modulation = goal.components.modulation
     if modulation.sets:
         return start, 0
     frequencies = _single_frequencies(goal, start.parameters)
     joint = start.parameters.method == "joint"
-    whole = replace(grid_of(start.parameters), sets=tuple((t,) for t in frequencies))
-    known = judge.lit(whole, joint=joint)
+    all_frequencies = replace(
+        grid_of(start.parameters), sets=tuple((t,) for t in frequencies)
+    )
+    lighting = judge.lit(all_frequencies, joint=joint)
     best, tried = start, 0
     for _ in range(_EXCHANGES):
         sets = _neighbours(best.parameters.frequencies, frequencies, modulation.most)
@@ -92,7 +93,7 @@ def exchanged(goal: Goal, judge: Judge, start: Candidate) -> tuple[Candidate, in
             grid,
             scheme=best.parameters.polarization,
             method=best.parameters.method,
-            known=known,
+            lighting=lighting,
         )
         tried += len(score.time)
         merit = merits(goal, score)
@@ -110,31 +111,31 @@ def exchanged(goal: Goal, judge: Judge, start: Candidate) -> tuple[Candidate, in
 def _neighbours(
     now: tuple[float, ...], frequencies: tuple[float, ...], most: int
 ) -> tuple[tuple[float, ...], ...]:
-    """Return sets with one frequency added, dropped or exchanged, and this one."""
-    found = [now]
+    """Return a set, and those with one frequency added, dropped or exchanged."""
+    sets = [now]
     for frequency in frequencies:
         if frequency in now:
             continue
         if len(now) < most:
-            found.append(tuple(sorted((*now, frequency))))
-        found += [
+            sets.append(tuple(sorted((*now, frequency))))
+        sets += [
             tuple(sorted((*now[:k], frequency, *now[k + 1 :]))) for k in range(len(now))
         ]
     if len(now) > 1:
-        found += [(*now[:k], *now[k + 1 :]) for k in range(len(now))]
-    return tuple(dict.fromkeys(found))
+        sets += [(*now[:k], *now[k + 1 :]) for k in range(len(now))]
+    return tuple(dict.fromkeys(sets))
 
 
 def _dwells(
     goal: Goal, like: Parameters, sets: tuple[tuple[float, ...], ...]
 ) -> tuple[float, ...]:
-    """Return dwell times to choose from, those that just fit the time among them."""
+    """Dwell times to choose from, those that just fit the scan time included."""
     box = goal.components.dwell
     values = {like.dwell, *box_values(box)}
     if not box.values and box.low is not None and box.high is not None:
         pixels = goal.scan.rows * goal.scan.columns
         channels = len(like.polarization.split("+"))
-        for count in {len(one) for one in sets}:
+        for count in {len(members) for members in sets}:
             fitting = goal.scan.longest / (pixels * channels * count)
             if box.low <= fitting <= box.high:
                 values.add(fitting)
@@ -142,10 +143,10 @@ def _dwells(
 
 
 def cheaper(goal: Goal, judge: Judge, start: Candidate) -> tuple[Candidate, int]:
-    """Return the cheapest candidate that meets all, a part exchanged at a time."""
+    """Exchange one part at a time for a cheaper one that meets all requirements."""
     best, tried = start, 0
     for _ in range(_EXCHANGES):
-        found: list[Candidate] = []
+        candidates: list[Candidate] = []
         for grid in _cheaper_grids(goal, best.parameters):
             score = judge.score(
                 grid,
@@ -157,28 +158,33 @@ def cheaper(goal: Goal, judge: Judge, start: Candidate) -> tuple[Candidate, int]
             good = np.flatnonzero((merit <= 0) & (score.cost < best.score.cost[0]))
             if good.size:
                 at = int(good[np.lexsort((merit[good], score.cost[good]))[0]])
-                found.append(
+                candidates.append(
                     Candidate(
                         parameters=grid.parameters(at, best.parameters),
                         score=score.part(np.array([at])),
                         merit=float(merit[at]),
                     )
                 )
-        if not found:
+        if not candidates:
             break
-        best = min(found, key=lambda one: (float(one.score.cost[0]), one.merit))
+        best = min(
+            candidates,
+            key=lambda candidate: (float(candidate.score.cost[0]), candidate.merit),
+        )
     return best, tried
 
 
 def _cheaper_grids(goal: Goal, chosen: Parameters) -> Iterator[Grid]:
-    """Yield candidates that cost less: one part changed, other frequencies, dwells."""
+    """Yield cheaper candidates: one part changed, with other frequencies and dwells."""
     now = cost_of(goal, chosen)
     frequencies = _single_frequencies(goal, chosen)
     fixed = bool(goal.components.modulation.sets)
-    same = tuple(
-        one
-        for one in _neighbours(chosen.frequencies, frequencies, len(chosen.frequencies))
-        if len(one) == len(chosen.frequencies)
+    same_size = tuple(
+        members
+        for members in _neighbours(
+            chosen.frequencies, frequencies, len(chosen.frequencies)
+        )
+        if len(members) == len(chosen.frequencies)
     )
     laser = laser_of(goal, chosen.laser)
     choices = {"power": tuple(sorted(laser.powers))} | {
@@ -188,9 +194,11 @@ def _cheaper_grids(goal: Goal, chosen: Parameters) -> Iterator[Grid]:
     for name, values in choices.items():
         for value in values:
             change: dict[str, Any] = {name: value}
-            other = replace(chosen, **change)
-            if cost_of(goal, other) < now:
-                yield _around(goal, other, (chosen.frequencies,) if fixed else same)
+            changed = replace(chosen, **change)
+            if cost_of(goal, changed) < now:
+                yield _around(
+                    goal, changed, (chosen.frequencies,) if fixed else same_size
+                )
     fewer = len(chosen.frequencies) - 1
     if fixed or fewer < 1:
         return
@@ -199,15 +207,15 @@ def _cheaper_grids(goal: Goal, chosen: Parameters) -> Iterator[Grid]:
     )
     if fewer > 1:
         sets = tuple(itertools.combinations(chosen.frequencies, fewer))
-    other = replace(chosen, frequencies=sets[0])
-    if cost_of(goal, other) < now:
-        yield _around(goal, other, sets)
+    changed = replace(chosen, frequencies=sets[0])
+    if cost_of(goal, changed) < now:
+        yield _around(goal, changed, sets)
 
 
 def _around(
     goal: Goal, chosen: Parameters, sets: tuple[tuple[float, ...], ...]
 ) -> Grid:
-    """Return a grid of one instrument with several sets, dwells and fields of view."""
+    """Grid of one instrument with several sets, dwells and fields of view."""
     views = {chosen.field_of_view}
     if not goal.components.field_of_view.prices:
         views |= set(box_values(goal.components.field_of_view))
@@ -220,7 +228,7 @@ def _around(
 
 
 def _single_frequencies(goal: Goal, chosen: Parameters) -> tuple[float, ...]:
-    """Return the single frequencies that a laser can be modulated with [Hz]."""
+    """Single frequencies within a laser's modulation range [Hz]."""
     top = laser_of(goal, chosen.laser).top_frequency
     return tuple(t for (t,) in allowed(tuple((f,) for f in frequency_grid(goal)), top))
 
@@ -236,20 +244,20 @@ _STEPS, _REFINED_DRAWS = 70, 24
 
 
 @dataclass(frozen=True, kw_only=True)
-class Found:
-    """What a search found."""
+class SearchResult:
+    """Result of a design search."""
 
     best: tuple[Candidate, ...]
-    """Candidates, the best one first, all of them different."""
+    """Distinct candidates, the best one first."""
     count: int
-    """Number of candidates that were looked at."""
+    """Number of candidates judged."""
 
     def all_scores(self) -> Score:
-        """Return the worst distance of all candidates that are kept."""
-        return Score.joined([_worst(one.score) for one in self.best])
+        """Scores of all candidates at their worst distance."""
+        return Score.joined([_worst(candidate.score) for candidate in self.best])
 
 
-def search(goal: Goal) -> Found:
+def search(goal: Goal) -> SearchResult:
     """Search the components of a goal.
 
     All combinations on a grid are judged with few draws and single frequencies (or
@@ -267,21 +275,21 @@ def search(goal: Goal) -> Found:
         for grid, score, like in _grids(goal, laser):
             count += len(score.time)
             starts = _starts(goal, grid, score, like)
-            begun += [candidate_of(judges[laser], each) for each in starts]
+            begun += [candidate_of(judges[laser], parameters) for parameters in starts]
     begun = _unique(begun)
     better_sets = []
-    for number, one in enumerate(begun):
+    for number, candidate in enumerate(begun):
         tell("exchanging frequencies", 0.4 + 0.3 * number / len(begun))
-        better, tried = exchanged(goal, judges[one.parameters.laser], one)
+        better, tried = exchanged(goal, judges[candidate.parameters.laser], candidate)
         better_sets.append(better)
         count += tried
-    known = _ordered(goal, _unique([*better_sets, *begun]))
+    ranked = _ordered(goal, _unique([*better_sets, *begun]))
     refined = []
-    chosen = known[: goal.effort.refined]
-    for number, one in enumerate(chosen):
+    chosen = ranked[: goal.effort.refined]
+    for number, candidate in enumerate(chosen):
         tell("refining the best", 0.7 + 0.3 * number / len(chosen))
-        judge = judges[one.parameters.laser]
-        better, tried = _refined(goal, judge, one)
+        judge = judges[candidate.parameters.laser]
+        better, tried = _refined(goal, judge, candidate)
         refined.append(better)
         count += tried
         if _priced(goal) and better.merit <= 0:
@@ -291,14 +299,14 @@ def search(goal: Goal) -> Found:
                 better, tried = _refined(goal, judge, cheap)
                 refined.append(better)
                 count += tried
-    return Found(
-        best=tuple(_ordered(goal, _unique([*refined, *known]))),
+    return SearchResult(
+        best=tuple(_ordered(goal, _unique([*refined, *ranked]))),
         count=count,
     )
 
 
 def _worst(score: Score) -> Score:
-    """Return figures with the worst distance alone."""
+    """Figures at the worst distance."""
     return replace(
         score,
         error=score.error.max(axis=1, keepdims=True),
@@ -308,34 +316,36 @@ def _worst(score: Score) -> Score:
 
 def _grids(goal: Goal, laser: str) -> Iterator[tuple[Grid, Score, Parameters]]:
     """Yield the grid of one laser with its figures, for each scheme and method."""
-    asked = goal.asked
-    some = np.unique(np.linspace(0, len(asked) - 1, _FEW_DISTANCES).astype(int))
-    judge = Judge(goal, laser, draws=_FEW_DRAWS, distances=[asked[k] for k in some])
+    distances = goal.asked
+    indices = np.unique(np.linspace(0, len(distances) - 1, _FEW_DISTANCES).astype(int))
+    judge = Judge(
+        goal, laser, draws=_FEW_DRAWS, distances=[distances[k] for k in indices]
+    )
     grid = _grid(goal, laser)
     combinations = list(dict.fromkeys(fits(goal)))
-    known = judge.lit(grid, joint=any(m == "joint" for _, m in combinations))
+    lighting = judge.lit(grid, joint=any(m == "joint" for _, m in combinations))
     for scheme, method in combinations:
-        score = judge.score(grid, scheme=scheme, method=method, known=known)
+        score = judge.score(grid, scheme=scheme, method=method, lighting=lighting)
         yield grid, score, replace(judge.start, polarization=scheme, method=method)
 
 
 def _grid(goal: Goal, laser: str) -> Grid:
-    """Return all combinations of one laser, with single frequencies or stated sets."""
+    """All combinations of one laser, with single frequencies or stated sets."""
     parts = goal.components
-    stated = laser_of(goal, laser)
+    source = laser_of(goal, laser)
     sets = parts.modulation.sets or tuple((f,) for f in frequency_grid(goal))
     return Grid(
         baseline=box_values(parts.baseline),
         radius=box_values(parts.radius),
         field_of_view=box_values(parts.field_of_view),
-        power=tuple(sorted(stated.powers)),
+        power=tuple(sorted(source.powers)),
         dwell=box_values(parts.dwell),
-        sets=allowed(sets, stated.top_frequency),
+        sets=allowed(sets, source.top_frequency),
     )
 
 
 def _starts(goal: Goal, grid: Grid, score: Score, like: Parameters) -> list[Parameters]:
-    """Return the best of a grid, with intervals and without, and the cheapest."""
+    """Best candidates of a grid, with intervals and without, and the cheapest."""
     chosen: list[int] = []
     alone = not goal.components.modulation.sets and goal.components.modulation.most > 1
     for with_intervals in (True, False) if alone else (True,):
@@ -349,7 +359,7 @@ def _starts(goal: Goal, grid: Grid, score: Score, like: Parameters) -> list[Para
 
 
 def _priced(goal: Goal) -> bool:
-    """Return whether a goal states any price."""
+    """Whether a goal states any price."""
     parts = goal.components
     prices = [parts.price_per_channel, parts.modulation.price_each]
     prices += [laser.price + laser.price_per_watt for laser in parts.lasers]
@@ -358,23 +368,27 @@ def _priced(goal: Goal) -> bool:
 
 
 def _unique(candidates: list[Candidate]) -> list[Candidate]:
-    """Return each instrument once."""
-    return list({one.parameters: one for one in candidates}.values())
+    """Candidates without duplicates."""
+    return list({candidate.parameters: candidate for candidate in candidates}.values())
 
 
 def _ordered(goal: Goal, candidates: list[Candidate]) -> list[Candidate]:
-    """Return candidates, the best first: of those that do, the cheapest."""
+    """Candidates, the best first: among those that meet all, the cheapest."""
     priced = _priced(goal)
 
-    def key(one: Candidate) -> tuple[bool, float, float]:
-        done = one.merit <= 0
-        return not done, float(one.score.cost[0]) if priced and done else 0.0, one.merit
+    def key(candidate: Candidate) -> tuple[bool, float, float]:
+        done = candidate.merit <= 0
+        return (
+            not done,
+            float(candidate.score.cost[0]) if priced and done else 0.0,
+            candidate.merit,
+        )
 
     return sorted(candidates, key=key)
 
 
 def _refined(goal: Goal, judge: Judge, start: Candidate) -> tuple[Candidate, int]:
-    """Return a candidate refined within the ranges of a goal, and how many it took."""
+    """Refine a candidate within the ranges of a goal; return it and the evaluations."""
     from scipy.optimize import minimize
 
     names, low, high = _ranges(goal, start.parameters)
@@ -412,31 +426,31 @@ def _refined(goal: Goal, judge: Judge, start: Candidate) -> tuple[Candidate, int
         },
     )
     better = candidate_of(judge, at(tuple(result.x)))
-    return min(better, start, key=lambda one: one.merit), int(result.nfev)
+    return min(better, start, key=lambda candidate: candidate.merit), int(result.nfev)
 
 
 def _ranges(goal: Goal, chosen: Parameters) -> tuple[list[str], Floats, Floats]:
-    """Return what can be refined, and its least and largest value."""
-    found: list[tuple[str, float, float]] = []
+    """Parameters that can be refined, with their lower and upper limits."""
+    limits: list[tuple[str, float, float]] = []
     for name in ("baseline", "radius", "field_of_view", "dwell"):
         box: Box = getattr(goal.components, name)
         if box.low is not None and box.high is not None:
-            found.append((name, box.low, box.high))
-    stated = goal.components.modulation
-    if stated.lowest is not None and stated.highest is not None:
-        top = laser_of(goal, chosen.laser).top_frequency or stated.highest
+            limits.append((name, box.low, box.high))
+    modulation = goal.components.modulation
+    if modulation.lowest is not None and modulation.highest is not None:
+        top = laser_of(goal, chosen.laser).top_frequency or modulation.highest
         # A laser that cannot be modulated so fast has been given the lowest frequency.
-        highest = max(min(stated.highest, top), chosen.frequencies[-1])
-        found += [
-            (f"frequencies.{k}", stated.lowest, highest)
+        highest = max(min(modulation.highest, top), chosen.frequencies[-1])
+        limits += [
+            (f"frequencies.{k}", modulation.lowest, highest)
             for k in range(len(chosen.frequencies))
         ]
-    names, low, high = zip(*found, strict=True) if found else ((), (), ())
+    names, low, high = zip(*limits, strict=True) if limits else ((), (), ())
     return list(names), np.array(low), np.array(high)
 
 
 def _value(chosen: Parameters, name: str) -> float:
-    """Return the number of a parameter."""
+    """Value of a parameter."""
     field, _, number = name.partition(".")
     value = getattr(chosen, field)
     return float(value[int(number)]) if number else float(value)
@@ -445,7 +459,7 @@ def _value(chosen: Parameters, name: str) -> float:
 def _with(
     chosen: Parameters, names: list[str], values: tuple[float, ...]
 ) -> Parameters:
-    """Return a candidate with other numbers."""
+    """Copy of the parameters with other values."""
     changes: dict[str, Any] = {}
     frequencies = list(chosen.frequencies)
     for name, value in zip(names, values, strict=True):

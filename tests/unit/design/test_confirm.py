@@ -8,9 +8,8 @@ import numpy as np
 import paper_goal
 import pytest
 
-from amulor.design.photons import Photons
-from amulor.design.reasons import confirm as module
-from amulor.design.reasons.confirm import Scans, confirm, scans
+from amulor.design import confirm as module
+from amulor.design.confirm import Photons, Scans, confirm, scans
 from amulor.errors import SurveyError
 from amulor.survey import Survey
 
@@ -30,31 +29,33 @@ def _photons(**changed: float) -> Photons:
     )
 
 
-def _said(seen: Scans = HELD, *, late: float = 0.25e-3, **changed: float) -> list[str]:
-    return module._said("best", seen, _photons(**changed), late, 2e-3)
+def _differences(
+    seen: Scans = HELD, *, late: float = 0.25e-3, **changed: float
+) -> list[str]:
+    return module._differences("best", seen, _photons(**changed), late, 2e-3)
 
 
 def test_what_holds_is_not_talked_about() -> None:
     # Three quarters of the delay over what is stated for it: 15 % of them, and half
     # the delay as a rectangle: sqrt(0.1125^2 + 0.1443^2) = 0.183, so 4.10 of them.
     assert pytest.approx(4.10, abs=0.005) == module.TAKEN_OFF
-    assert _said() == []
-    assert _said(replace(HELD, ratio=1.12)) == []
+    assert _differences() == []
+    assert _differences(replace(HELD, ratio=1.12)) == []
 
 
 def test_each_thing_that_differs_gets_a_line() -> None:
-    (line,) = _said(replace(HELD, ratio=1.2))
+    (line,) = _differences(replace(HELD, ratio=1.2))
     assert "1.20 ± 0.02" in line
-    (line,) = _said(echo=0.8)
+    (line,) = _differences(echo=0.8)
     assert "the echo is 0.80" in line
-    (line,) = _said(water=1.3)
+    (line,) = _differences(water=1.3)
     assert "water before the target is 1.30" in line
     # 1 mm is taken off; of 2.5 mm that photons find 1.5 mm stay, six times what is
     # stated for it.
-    (line,) = _said(shift=2.5e-3)
+    (line,) = _differences(shift=2.5e-3)
     assert "1.48 ± 0.01 mm of late light" in line
     # What is less than a quarter of the accuracy asked for does not matter.
-    assert _said(shift=1.4e-3, late=0.25e-3) == []
+    assert _differences(shift=1.4e-3, late=0.25e-3) == []
 
 
 @pytest.mark.slow
@@ -93,7 +94,7 @@ def test_three_scans_are_the_least(plate: Survey) -> None:
 
 
 @pytest.mark.slow
-def test_a_design_that_sees_nothing_is_said(plate: Survey) -> None:
+def test_a_design_that_sees_nothing_is_differences(plate: Survey) -> None:
     dark = plate.with_({"instrument.power": 1e-12})
     with pytest.raises(SurveyError, match="fewer than half"):
         scans(dark, "none", interval=(1.0, 2.0), repeats=3)

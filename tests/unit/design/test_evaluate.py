@@ -9,8 +9,7 @@ from numpy.testing import assert_allclose
 from scipy.constants import Planck, speed_of_light
 
 from amulor.design import TERMS, evaluate
-from amulor.design._kernels.assess import assess
-from amulor.design._kernels.points import astray
+from amulor.design._kernels import assess, astray
 from amulor.errors import SurveyError
 from amulor.optics import ambiguity
 from amulor.simulation import SmallAngleModel, expectation
@@ -43,7 +42,7 @@ def test_one_frequency_in_clear_water_has_the_photon_limit(tank: Survey) -> None
     time = settled / (1 - 1e-3 / settled * (1 - np.exp(-settled / 1e-3)))
     sigma = np.sqrt(2 * 1.2 / (rate * time)) / 0.8
     expected = speed_of_light / (4 * np.pi * frequency * 1.38) * sigma
-    # The overlap goes through a spline, see `amulor.design.column`.
+    # The overlap goes through a spline, see `amulor.design.light`.
     assert_allclose(found["standard_uncertainty"], expected, rtol=1e-3)
     assert_allclose(found["shot"], expected, rtol=1e-3)
     # Rounding of a picometre's millionth is left, by the order of the sums.

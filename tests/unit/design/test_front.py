@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from amulor.design.front import front, knee
+from amulor.design.trade import front, knee
 
 numbers = st.lists(
     st.tuples(st.integers(1, 8), st.integers(1, 8)), min_size=1, max_size=12

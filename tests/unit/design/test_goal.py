@@ -9,9 +9,14 @@ import pytest
 from scipy import stats
 
 from amulor.design import Goal, json_schema
-from amulor.design.candidates import first_choice, scan_time, survey_of
-from amulor.design.draws import drawn, values_at
-from amulor.design.goal.spread import CoefficientSpread, FractionSpread
+from amulor.design.candidates import (
+    drawn,
+    first_choice,
+    scan_time,
+    survey_of,
+    values_at,
+)
+from amulor.design.goal import CoefficientSpread, FractionSpread
 from amulor.errors import SurveyError
 from amulor.survey import Survey
 

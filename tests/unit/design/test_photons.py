@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from amulor.design.photons import follow_photons
+from amulor.design.confirm import follow_photons
 from amulor.errors import SurveyError
 from amulor.survey import Survey
 

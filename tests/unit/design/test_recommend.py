@@ -13,8 +13,7 @@ import pytest
 import xarray as xr
 
 from amulor.design import Goal, Recommendation, evaluate, recommend
-from amulor.design.candidates import first_choice, scan_time, survey_of
-from amulor.design.draws import drawn
+from amulor.design.candidates import drawn, first_choice, scan_time, survey_of
 from amulor.design.scores import Judge, draws_at
 from amulor.design.search import candidate_of, cheaper
 from amulor.survey import water_properties

@@ -8,7 +8,7 @@ import pytest
 
 from amulor.design import evaluate
 from amulor.design.candidates import survey_of
-from amulor.design.reasons.sensitivity import sensitivity, uncertain
+from amulor.design.sensitivity import sensitivity, uncertain
 
 
 def test_what_is_stated_as_a_range_and_what_is_assumed() -> None:

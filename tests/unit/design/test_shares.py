@@ -8,8 +8,8 @@ import pytest
 
 from amulor.design import Goal
 from amulor.design.candidates import first_choice
+from amulor.design.recommend import dwell_shares
 from amulor.design.scores import Judge
-from amulor.design.shares import dwell_shares
 
 
 @pytest.fixture(scope="module")

@@ -9,8 +9,8 @@ import paper_goal
 import pytest
 
 from amulor.design import Goal, Parameters, recommend
-from amulor.design.reasons.trade import trade, what_if
 from amulor.design.scores import Judge, merits
+from amulor.design.trade import trade, what_if
 
 
 def _merit(goal: Goal, chosen: Parameters, draws: int) -> float:

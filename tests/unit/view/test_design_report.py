@@ -11,10 +11,10 @@ import numpy as np
 import paper_goal
 import pytest
 
-from amulor.design.reasons.confirm import Confirmation, Scans
-from amulor.design.reasons.sensitivity import Sensitivity, Uncertain
-from amulor.design.reasons.trade import Trade, Turn
+from amulor.design.confirm import Confirmation, Scans
 from amulor.design.requirements import Requirement, Shortfall
+from amulor.design.sensitivity import Sensitivity, Uncertain
+from amulor.design.trade import Trade, Turn
 from amulor.view.design import report
 
 pytestmark = pytest.mark.slow

@@ -16,7 +16,7 @@ from matplotlib.patheffects import AbstractPathEffect, withStroke
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 from numpy.typing import ArrayLike, NDArray
 
-from amulor.design.front import front, knee
+from amulor.design.trade import front, knee
 from amulor.view.style import COLOURS, ERROR_MAP, new_figure, style
 
 Floats = NDArray[np.float64]

@@ -11,15 +11,20 @@ import numpy as np
 import xarray as xr
 from matplotlib.figure import Figure
 
-from amulor.design.candidates import Parameters, middle, survey_of, water_scale
-from amulor.design.draws import spreads_of
+from amulor.design.candidates import (
+    Parameters,
+    middle,
+    spreads_of,
+    survey_of,
+    water_scale,
+)
+from amulor.design.confirm import Confirmation
 from amulor.design.evaluate import evaluate
 from amulor.design.goal import Goal
-from amulor.design.reasons.confirm import Confirmation
-from amulor.design.reasons.sensitivity import Sensitivity
-from amulor.design.reasons.trade import Trade, Turn
 from amulor.design.recommend import Choice, Recommendation
 from amulor.design.requirements import parameters_text, written
+from amulor.design.sensitivity import Sensitivity
+from amulor.design.trade import Trade, Turn
 from amulor.survey import water_properties
 from amulor.view.design import figures
 from amulor.view.report import (

@@ -1,17 +1,27 @@
-"""The parts of a goal: distances, accuracy, waters, targets, scan, components."""
+"""Goal of a design: requirements and available components, from one TOML file."""
 
 from __future__ import annotations
 
 import math
 from itertools import pairwise
-from typing import Annotated, Literal, Self
+from pathlib import Path
+from typing import Annotated, Any, Literal, Self
 
+import numpy as np
 from pydantic import Field, model_validator
 
-from amulor.design.goal.spread import AngleSpread, CoefficientSpread, FractionSpread
-from amulor.design.methods import Method
+from amulor.design.axes import Method
+from amulor.errors import SurveyError
 from amulor.optics.polarization import stokes
-from amulor.survey import OpenWater
+from amulor.survey import (
+    Calibration,
+    Daylight,
+    Detector,
+    LockIn,
+    OpenWater,
+    Window,
+    toml_file,
+)
 from amulor.survey.mueller import ReducedMueller
 from amulor.survey.quantity import (
     Angle,
@@ -20,12 +30,69 @@ from amulor.survey.quantity import (
     Fraction,
     Frequency,
     Length,
+    PerMetre,
     Power,
     Time,
     Wavelength,
 )
 from amulor.survey.target import PAINTED_METAL
 from amulor.survey.waters.named import WaterStated
+
+__all__ = ["Goal", "json_schema"]
+
+
+Distribution = Literal["uniform", "log-uniform", "normal", "log-normal"]
+
+
+class _Spread(Description):
+    distribution: Distribution = "uniform"
+    """Distribution of the values between low and high. A normal one has 95 % of its
+    values between them, and is cut at twice the distance from the middle.
+    """
+
+    @model_validator(mode="after")
+    def _rises(self) -> Self:
+        low: float = getattr(self, "low")  # noqa: B009
+        high: float = getattr(self, "high")  # noqa: B009
+        if low > high:
+            raise ValueError(f"low ({low:g}) must not exceed high ({high:g})")
+        if self.distribution.startswith("log") and low <= 0:
+            raise ValueError(
+                f"a {self.distribution} distribution needs low above 0, found {low:g}"
+            )
+        return self
+
+
+class CoefficientSpread(_Spread):
+    """Range of an attenuation, absorption or scattering coefficient."""
+
+    low: Annotated[PerMetre, Field(ge=0)]
+    """Lower end [1/m]."""
+    high: Annotated[PerMetre, Field(gt=0)]
+    """Upper end [1/m]."""
+
+
+class FractionSpread(_Spread):
+    """Range of a fraction."""
+
+    low: Annotated[Fraction, Field(ge=0, le=1)]
+    """Lower end [1]."""
+    high: Annotated[Fraction, Field(ge=0, le=1)]
+    """Upper end [1]."""
+
+
+class AngleSpread(_Spread):
+    """Range of an angle."""
+
+    low: Annotated[Angle, Field(ge=0, le=1)]
+    """Lower end [rad]."""
+    high: Annotated[Angle, Field(ge=0, le=1)]
+    """Upper end [rad]."""
+
+
+#: Any of them.
+Spread = CoefficientSpread | FractionSpread | AngleSpread
+
 
 _Money = Annotated[float, Field(ge=0, allow_inf_nan=False)]
 _Distance = Annotated[Length, Field(gt=0, le=100)]
@@ -38,14 +105,14 @@ Scheme = Annotated[
 
 
 class DistanceRange(Description):
-    """Distances from one to another."""
+    """Evenly spaced distances."""
 
     nearest: _Distance
-    """The first one [m]."""
+    """Nearest distance [m]."""
     farthest: _Distance
-    """The last one [m]."""
+    """Farthest distance [m]."""
     count: Annotated[Count, Field(ge=2, le=20)] = 5
-    """How many, evenly apart [1]."""
+    """Number of distances [1]."""
 
     @model_validator(mode="after")
     def _rises(self) -> Self:
@@ -58,12 +125,12 @@ class DistanceRange(Description):
 
 
 class Interval(Description):
-    """Limits of the range that are known before anything is measured."""
+    """Limits of the range that are known before the measurement."""
 
     nearest: Annotated[Length, Field(ge=0)]
     """Nearest slant range that is possible [m]."""
     farthest: Annotated[Length, Field(gt=0)]
-    """Farthest one [m]."""
+    """Farthest slant range that is possible [m]."""
 
     @model_validator(mode="after")
     def _rises(self) -> Self:
@@ -76,19 +143,19 @@ class Interval(Description):
 
 
 class Accuracy(Description):
-    """How good the range must be."""
+    """Required accuracy of the range."""
 
     total_error: Annotated[Length, Field(gt=0)]
     """Largest root of squared standard uncertainty and residual bias of one pixel
     [m]."""
     share: Annotated[Fraction, Field(gt=0, le=1)] = 0.9
-    """Share of the waters and targets in which that must hold [1]."""
+    """Share of the waters and targets in which the total error must be met [1]."""
     wrong_interval: Annotated[Fraction, Field(gt=0, lt=0.5)] = 0.001
     """Largest probability of a wrong ambiguity interval [1]."""
 
 
 class Waters(Description):
-    """The water, and how it may differ from what is stated."""
+    """Water, and the ranges of its properties."""
 
     base: WaterStated
     """The water, as in a survey."""
@@ -116,7 +183,7 @@ class Waters(Description):
 
 
 class Targets(Description):
-    """What the surfaces are like."""
+    """Surfaces, and the ranges of their properties."""
 
     reflectance: FractionSpread
     """Range of the reflectance [1]."""
@@ -132,7 +199,7 @@ class Targets(Description):
 
 
 class ScanGoal(Description):
-    """The picture that is wanted, and how long it may take."""
+    """Required scan pattern, and the time for it."""
 
     columns: Annotated[Count, Field(ge=1, le=20_000)]
     """Pixels along a row [1]."""
@@ -147,14 +214,14 @@ class ScanGoal(Description):
     moves: Literal["beam", "both"] = "both"
     """What turns: the beam alone, or emitter and receiver together."""
     open_water: OpenWater = OpenWater(columns=9, rows=3, repeats=20)
-    """Shots without a target."""
+    """Open-water shots."""
 
 
 class Laser(Description):
-    """A laser, and what goes with its wavelength."""
+    """Laser, and the numbers that depend on its wavelength."""
 
     name: Annotated[str, Field(min_length=1, max_length=80)]
-    """What it is called."""
+    """Name of the laser."""
     wavelength: Annotated[Wavelength, Field(ge=400e-9, le=700e-9)]
     """Wavelength in vacuum [m]."""
     powers: Annotated[
@@ -170,11 +237,13 @@ class Laser(Description):
     beam_divergence: Annotated[Angle, Field(ge=0, le=0.2)] | None = None
     """1/e semi-angle of the beam [rad]."""
     quantum_efficiency: Annotated[Fraction, Field(gt=0, le=1)] | None = None
-    """Photoelectrons per photon at this wavelength; that of the detector if left out
-    [1]."""
+    """Photoelectrons per photon at this wavelength; the detector's value if left out
+    [1].
+    """
     water: WaterStated | None = None
-    """The base water at this wavelength, where its coefficients do not follow from
-    what is stated."""
+    """Base water at this wavelength, where its coefficients do not follow from those
+    stated.
+    """
     price: _Money = 0.0
     """Price of the laser [currency]."""
     price_per_watt: _Money = 0.0
@@ -195,7 +264,7 @@ class Modulation(Description):
     sets: tuple[Annotated[tuple[_Tone, ...], Field(min_length=1)], ...] = ()
     """Whole sets in place of frequencies to combine [Hz]."""
     most: Annotated[Count, Field(ge=1, le=6)] = 2
-    """Frequencies that are measured at every pixel, at most [1]."""
+    """Largest number of frequencies at each pixel [1]."""
     price_each: _Money = 0.0
     """Price of each frequency after the first [currency]."""
 
@@ -213,16 +282,15 @@ class Modulation(Description):
                 f"highest ({self.highest:g} Hz) must lie above lowest "
                 f"({self.lowest:g} Hz)"
             )
-        for one in (self.frequencies, *self.sets):
-            if any(b <= a for a, b in pairwise(one)):
+        for members in (self.frequencies, *self.sets):
+            if any(b <= a for a, b in pairwise(members)):
                 raise ValueError("frequencies must increase and hold each one once")
         return self
 
 
 class _Box(Description):
     count: Annotated[Count, Field(ge=2, le=50)] = 4
-    """Values between low and high that are looked at first, evenly apart in the
-    logarithm [1]."""
+    """Grid values between low and high, evenly spaced in the logarithm [1]."""
     prices: tuple[_Money, ...] = ()
     """Price of each of the values [currency]."""
 
@@ -283,7 +351,7 @@ Box = LengthBox | AngleBox | TimeBox
 
 
 class Components(Description):
-    """What the instrument may be made of."""
+    """Components of the instrument to choose from."""
 
     lasers: Annotated[tuple[Laser, ...], Field(min_length=1)]
     """Lasers to choose from."""
@@ -300,7 +368,7 @@ class Components(Description):
     polarizations: Annotated[tuple[Scheme, ...], Field(min_length=1)]
     """Schemes to choose from: channels joined by a plus sign, such as "VH", "VV+VH"."""
     methods: Annotated[tuple[Method, ...], Field(min_length=1)] = ("open-water",)
-    """Ways to take the water out, by the names of `amulor reject`."""
+    """Rejection methods to choose from, by the names of `amulor reject`."""
     price_per_channel: _Money = 0.0
     """Price of each polarization channel after the first [currency]."""
     budget: _Money | None = None
@@ -316,7 +384,7 @@ class Components(Description):
 
 
 class Assumptions(Description):
-    """How well the water will be known when the scan is worked on."""
+    """Assumed knowledge of the water when the scan is processed."""
 
     water_change: Annotated[Fraction, Field(ge=0, le=1)] = 0.01
     """Relative change of the water signal between the shots and the scan [1]."""
@@ -330,9 +398,166 @@ class Assumptions(Description):
 
 
 class Effort(Description):
-    """How long the search may be."""
+    """Extent of the search."""
 
     draws: Annotated[Count, Field(ge=4, le=4096)] = 64
-    """Waters and targets that are drawn from their ranges [1]."""
+    """Number of waters and targets drawn from their ranges [1]."""
     refined: Annotated[Count, Field(ge=1, le=50)] = 4
-    """Candidates of the grid that are refined [1]."""
+    """Number of candidates of the grid that are refined [1]."""
+
+
+class Goal(Description):
+    """Requirements of an instrument, its waters, and the available components.
+
+    Examples
+    --------
+    >>> goal = Goal.from_toml("examples/goals/harbour_wall.toml")  # doctest: +SKIP
+    >>> goal.accuracy.total_error  # doctest: +SKIP
+    """
+
+    name: Annotated[str, Field(min_length=1, max_length=200)]
+    """Title of the design."""
+    distances: (
+        Annotated[
+            tuple[Annotated[Length, Field(gt=0, le=100)], ...],
+            Field(min_length=1, max_length=20),
+        ]
+        | DistanceRange
+    )
+    """Slant ranges at which the accuracy is asked for: a list, or nearest and farthest
+    [m]."""
+    interval: Interval | None = None
+    """Limits of the range that are known beforehand; from 0 to a tenth beyond the
+    farthest distance if left out."""
+    accuracy: Accuracy
+    """Required accuracy of the range."""
+    waters: Waters
+    """Waters."""
+    targets: Targets
+    """Surfaces."""
+    scan: ScanGoal
+    """Scan pattern and time."""
+    components: Components
+    """Components of the instrument."""
+    aim: Annotated[Length, Field(gt=0)] | None = None
+    """Distance at which the receiver's axis meets the beam; the harmonic mean of the
+    nearest and the farthest distance if left out [m]."""
+    detector: Detector = Detector()
+    """The photomultiplier, as in a survey."""
+    lock_in: LockIn = LockIn()
+    """The lock-in amplifier; its time constant is at most a tenth of the dwell."""
+    window: Window | None = None
+    """Window, as in a survey."""
+    daylight: Daylight | None = None
+    """Daylight, as in a survey."""
+    calibration: Calibration | None = None
+    """Calibration, as in a survey."""
+    assumptions: Assumptions = Assumptions()
+    """Assumed knowledge of the water."""
+    effort: Effort = Effort()
+    """Extent of the search."""
+
+    @model_validator(mode="after")
+    def _distances_lie_in_the_interval(self) -> Self:
+        interval = self.interval
+        if interval is None:
+            return self
+        outside = [
+            d for d in self.asked if not interval.nearest <= d < interval.farthest
+        ]
+        if outside:
+            raise ValueError(
+                f"distances holds {outside[0]:g} m, which is not within the interval "
+                f"from {interval.nearest:g} to {interval.farthest:g} m"
+            )
+        return self
+
+    @property
+    def asked(self) -> tuple[float, ...]:
+        """Slant ranges at which the accuracy is required, increasing [m]."""
+        distances = self.distances
+        if isinstance(distances, DistanceRange):
+            steps = np.linspace(distances.nearest, distances.farthest, distances.count)
+            return tuple(map(float, steps))
+        return tuple(sorted(distances))
+
+    @property
+    def limits(self) -> tuple[float, float]:
+        """Nearest and farthest slant range that are possible [m]."""
+        if self.interval is not None:
+            return self.interval.nearest, self.interval.farthest
+        return 0.0, 1.1 * self.asked[-1]
+
+    @property
+    def assumed(self) -> dict[str, Any]:
+        """Values on axes of `evaluate` that the goal assumes; draws replace them."""
+        return {"texture": 0.0, **self.assumptions.model_dump()}
+
+    @classmethod
+    def from_toml(cls, path: str | Path) -> Self:
+        """Read a goal file.
+
+        Parameters
+        ----------
+        path : str or pathlib.Path
+            TOML file.
+
+        Returns
+        -------
+        Goal
+            In SI units.
+
+        Raises
+        ------
+        SurveyError
+            With one line for each thing that is wrong: file, field, what was found,
+            what is allowed.
+        """
+        text = toml_file.text_of(path, error=SurveyError)
+        return cls.from_text(text, name=str(path))
+
+    @classmethod
+    def from_text(cls, text: str, *, name: str = "goal") -> Self:
+        """Read a goal from the text of its file.
+
+        Parameters
+        ----------
+        text : str
+            TOML.
+        name : str
+            What messages call it.
+
+        Returns
+        -------
+        Goal
+            In SI units.
+
+        Raises
+        ------
+        SurveyError
+            As `from_toml`.
+        """
+        return toml_file.described(
+            text, cls, name=name, what="a goal", error=SurveyError
+        )
+
+
+def json_schema() -> dict[str, Any]:
+    """Return the JSON Schema of goal files, for editors that check while typing.
+
+    Returns
+    -------
+    dict
+        JSON Schema, draft 2020-12.
+
+    Examples
+    --------
+    >>> from amulor.design import json_schema
+    >>> json_schema()["required"][:3]
+    ['name', 'distances', 'accuracy']
+    """
+    return {
+        "$schema": "https://json-schema.org/draft/2020-12/schema",
+        **Goal.model_json_schema(),
+        "title": "amulor design goal",
+    }

@@ -1,4 +1,4 @@
-"""Which number to measure before buying: total Sobol indices of the error."""
+"""Sensitivity of the error to each uncertain number: total Sobol indices."""
 
 from __future__ import annotations
 
@@ -11,13 +11,19 @@ from numpy.typing import NDArray
 from scipy import stats
 
 from amulor import _progress
-from amulor.design.candidates import Parameters, survey_of, water_scale
-from amulor.design.draws import spreads_of, values_at
+from amulor.design.axes import PREDICTED
+from amulor.design.candidates import (
+    Parameters,
+    spreads_of,
+    survey_of,
+    values_at,
+    water_scale,
+)
 from amulor.design.evaluate import evaluate
 from amulor.design.goal import Goal
-from amulor.design.methods import PREDICTED
 
 __all__ = ["Sensitivity", "Uncertain", "sensitivity", "uncertain"]
+
 
 Floats = NDArray[np.float64]
 
@@ -47,16 +53,16 @@ _BOOTSTRAPS = 200
 
 @dataclass(frozen=True, kw_only=True)
 class Uncertain:
-    """One number that is not known for sure."""
+    """Uncertain number of a design."""
 
     axis: str
-    """Axis of `evaluate` that it is."""
+    """Its axis of `evaluate`."""
     label: str
-    """What people call it."""
+    """Label for people."""
     low: float
-    """Lower end of its range, in the unit of the axis."""
+    """Lower end of the range, in the unit of the axis."""
     high: float
-    """Upper end."""
+    """Upper end of the range."""
     stated: bool
     """Whether the goal states the range; else it is a factor of two up and down."""
 
@@ -66,21 +72,21 @@ class Sensitivity:
     """Shares of the variance of the logarithm of the error."""
 
     numbers: tuple[Uncertain, ...]
-    """What was varied."""
+    """Uncertain numbers."""
     total: Floats
-    """Total Sobol index of each: alone, and with others, shape (number,) [1]."""
+    """Total Sobol index of each, interactions included, shape (number,) [1]."""
     total_error: Floats
-    """Standard error of it, from resampling [1]."""
+    """Standard error of the total index, from resampling [1]."""
     first: Floats
-    """First-order index: alone [1]."""
+    """First-order Sobol index, without interactions [1]."""
     first_error: Floats
-    """Standard error of it [1]."""
+    """Standard error of the first-order index [1]."""
     spread: float
-    """Standard deviation of the logarithm of the error by all together [1]."""
+    """Standard deviation of the logarithm of the error by all numbers together [1]."""
 
     @property
     def largest(self) -> Uncertain:
-        """The number to measure first."""
+        """Uncertain number with the largest total index."""
         return self.numbers[int(np.argmax(self.total))]
 
     def to_dict(self) -> dict[str, Any]:
@@ -102,13 +108,17 @@ class Sensitivity:
 
 
 def uncertain(goal: Goal, chosen: Parameters) -> tuple[Uncertain, ...]:
-    """Return what is not known for sure about an instrument at work."""
-    found = [
+    """Uncertain numbers of an instrument at work."""
+    numbers = [
         Uncertain(
-            axis=name, label=_LABELS[name], low=each.low, high=each.high, stated=True
+            axis=name,
+            label=_LABELS[name],
+            low=spread.low,
+            high=spread.high,
+            stated=True,
         )
-        for name, each in spreads_of(goal).items()
-        if each.high > each.low
+        for name, spread in spreads_of(goal).items()
+        if spread.high > spread.low
     ]
     assumed = {
         "power": chosen.power,
@@ -122,7 +132,7 @@ def uncertain(goal: Goal, chosen: Parameters) -> tuple[Uncertain, ...]:
             high = value * FACTOR
             if name not in ("power", "phase_floor", "dark_rate", "radiance"):
                 high = min(high, 1.0)
-            found.append(
+            numbers.append(
                 Uncertain(
                     axis=name,
                     label=_LABELS[name],
@@ -131,19 +141,19 @@ def uncertain(goal: Goal, chosen: Parameters) -> tuple[Uncertain, ...]:
                     stated=False,
                 )
             )
-    return tuple(found)
+    return tuple(numbers)
 
 
 def _assumptions(goal: Goal, method: str) -> dict[str, float]:
-    """Return the assumptions that a method depends on."""
-    used = PREDICTED[method].assumptions
-    return {name: getattr(goal.assumptions, name) for name in used}
+    """Assumptions on which a method depends."""
+    names = PREDICTED[method].assumptions
+    return {name: getattr(goal.assumptions, name) for name in names}
 
 
 def sensitivity(
     goal: Goal, chosen: Parameters, *, samples: int = 256, seed: int = 7
 ) -> Sensitivity:
-    r"""Return on which numbers the error of an instrument depends, and how surely.
+    r"""Estimate Sobol indices of the error of an instrument, with standard errors.
 
     `scipy.stats.sobol_indices` after Saltelli 2010; numbers are independent, ranges of
     the goal as it states their distributions, assumed numbers log-uniform. The
@@ -158,15 +168,17 @@ def sensitivity(
     spreads = spreads_of(goal)
 
     def errors(shares: Floats) -> Floats:
-        """Return the logarithm of the error for shares of all ranges, (number, n)."""
+        """Logarithm of the error for shares of all ranges, (number, n)."""
         axes: dict[str, Any] = {}
-        for one, share in zip(numbers, shares, strict=True):
-            if one.stated:
-                values = values_at(spreads[one.axis], share) * scale.get(one.axis, 1.0)
+        for variable, share in zip(numbers, shares, strict=True):
+            if variable.stated:
+                values = values_at(spreads[variable.axis], share) * scale.get(
+                    variable.axis, 1.0
+                )
             else:
-                values = one.low * (one.high / one.low) ** share
-            axes[one.axis] = xr.DataArray(values, dims="draw")
-        found = evaluate(
+                values = variable.low * (variable.high / variable.low) ** share
+            axes[variable.axis] = xr.DataArray(values, dims="draw")
+        total_errors = evaluate(
             survey,
             distance=np.array(goal.asked),
             method=chosen.method,
@@ -174,37 +186,42 @@ def sensitivity(
             wrong_interval=goal.accuracy.wrong_interval,
             **{**goal.assumed, **axes},
         )["total_error"]
-        worst = np.nan_to_num(found.max("distance").values, nan=1e3)
+        worst = np.nan_to_num(total_errors.max("distance").values, nan=1e3)
         return np.asarray(np.log(np.clip(worst, 1e-9, 1e3)))
 
     rng = np.random.default_rng(seed)
-    both = stats.qmc.Sobol(2 * len(numbers), scramble=True, seed=rng).random(samples).T
-    first, second = both[: len(numbers)], both[len(numbers) :]
-    known = {"f_A": errors(first)[None], "f_B": errors(second)[None]}
+    sobol = stats.qmc.Sobol(2 * len(numbers), scramble=True, seed=rng).random(samples).T
+    first, second = sobol[: len(numbers)], sobol[len(numbers) :]
+    samples_of = {"f_A": errors(first)[None], "f_B": errors(second)[None]}
     mixed = []
-    for number, one in enumerate(numbers):
-        _progress.tell(f"what the error owes to: {one.label}", number / len(numbers))
+    for number, variable in enumerate(numbers):
+        _progress.tell(
+            f"what the error owes to: {variable.label}", number / len(numbers)
+        )
         # All as in the first sample but this one, which is that of the second.
         swapped = first.copy()
         swapped[number] = second[number]
         mixed.append(errors(swapped))
-    known["f_AB"] = np.stack(mixed)[:, None]
-    total, alone = _indices(known, samples)
-    again = [
-        _indices({name: each[..., some] for name, each in known.items()}, samples)
-        for some in rng.integers(0, samples, (_BOOTSTRAPS, samples))
+    samples_of["f_AB"] = np.stack(mixed)[:, None]
+    total, alone = _indices(samples_of, samples)
+    resampled = [
+        _indices(
+            {name: values[..., chosen_samples] for name, values in samples_of.items()},
+            samples,
+        )
+        for chosen_samples in rng.integers(0, samples, (_BOOTSTRAPS, samples))
     ]
     return Sensitivity(
         numbers=numbers,
         total=total,
-        total_error=np.std([one[0] for one in again], axis=0, ddof=1),
+        total_error=np.std([indices[0] for indices in resampled], axis=0, ddof=1),
         first=alone,
-        first_error=np.std([one[1] for one in again], axis=0, ddof=1),
-        spread=float(np.std(np.concatenate([known["f_A"], known["f_B"]]))),
+        first_error=np.std([indices[1] for indices in resampled], axis=0, ddof=1),
+        spread=float(np.std(np.concatenate([samples_of["f_A"], samples_of["f_B"]]))),
     )
 
 
-def _indices(known: dict[str, Floats], samples: int) -> tuple[Floats, Floats]:
-    """Return total and first-order indices of values that are known."""
-    found = stats.sobol_indices(func=known, n=samples)
-    return np.ravel(found.total_order), np.ravel(found.first_order)
+def _indices(samples_of: dict[str, Floats], samples: int) -> tuple[Floats, Floats]:
+    """Total and first-order indices of evaluated samples."""
+    result = stats.sobol_indices(func=samples_of, n=samples)
+    return np.ravel(result.total_order), np.ravel(result.first_order)

@@ -1,4 +1,4 @@
-"""What time and frequency buy: the recommended instrument with others of both."""
+"""Trade-offs of an instrument: Pareto front, and assumptions that change the answer."""
 
 from __future__ import annotations
 
@@ -9,9 +9,10 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from amulor import _progress
+from amulor.design.axes import PREDICTED
 from amulor.design.candidates import (
     Parameters,
     box_values,
@@ -22,10 +23,37 @@ from amulor.design.candidates import (
     scan_time,
 )
 from amulor.design.goal import Goal
-from amulor.design.methods import PREDICTED
 from amulor.design.scores import Judge, grid_of, merits
 
 __all__ = ["Trade", "Turn", "trade", "what_if"]
+
+
+def front(cost: ArrayLike, error: ArrayLike) -> NDArray[np.intp]:
+    """Return the indices of candidates that none beats in both cost and error."""
+    cost, error = np.asarray(cost, dtype=float), np.asarray(error, dtype=float)
+    if cost.ndim != 1 or cost.shape != error.shape:
+        raise ValueError(
+            f"cost and error must be 1-D and of one length; got shapes {cost.shape} "
+            f"and {error.shape}"
+        )
+    finite = np.flatnonzero(np.isfinite(cost) & np.isfinite(error))
+    order = finite[np.lexsort((error[finite], cost[finite]))]
+    if not len(order):
+        return order
+    best = np.minimum.accumulate(error[order])
+    better = np.concatenate([[True], error[order][1:] < best[:-1]])
+    indices: NDArray[np.intp] = order[better]
+    return indices
+
+
+def knee(cost: ArrayLike, error: ArrayLike) -> int | None:
+    """Return the index where a front bends most: beyond it, more cost buys little."""
+    x, y = (np.log(np.asarray(values, dtype=float)) for values in (cost, error))
+    if len(x) < 3 or x[-1] <= x[0] or y[0] <= y[-1]:
+        return None
+    below = 1 - (x - x[0]) / (x[-1] - x[0]) - (y - y[-1]) / (y[0] - y[-1])
+    at = int(np.argmax(below))
+    return at if below[at] > 1e-9 else None
 
 
 Floats = NDArray[np.float64]
@@ -36,7 +64,7 @@ _DWELLS, _BEYOND = 13, 4.0
 
 @dataclass(frozen=True, kw_only=True)
 class Trade:
-    """The same instrument with other dwells and frequencies, over (candidate,)."""
+    """Errors of one instrument with other dwells and frequencies, over (candidate,)."""
 
     error: Floats
     """Total error at the worst asked distance, as the asked share of draws reaches it;
@@ -46,7 +74,7 @@ class Trade:
     top_frequency: Floats
     """Highest modulation frequency [Hz]."""
     best: int
-    """Number of the recommended one."""
+    """Index of the recommended candidate."""
 
 
 def trade(goal: Goal, chosen: Parameters, *, draws: int = 24) -> Trade:
@@ -55,13 +83,17 @@ def trade(goal: Goal, chosen: Parameters, *, draws: int = 24) -> Trade:
     dwells = np.geomspace(box[0] / _BEYOND, box[-1] * _BEYOND, _DWELLS)
     dwells = np.unique(np.append(dwells, chosen.dwell))
     top = laser_of(goal, chosen.laser).top_frequency or np.inf
-    stated = goal.components.modulation
+    modulation = goal.components.modulation
     frequencies = [frequency for frequency in frequency_grid(goal) if frequency <= top]
-    if stated.sets:
-        sets = {one for one in stated.sets if one[-1] <= top}
+    if modulation.sets:
+        sets = {
+            frequency_set
+            for frequency_set in modulation.sets
+            if frequency_set[-1] <= top
+        }
     else:
         sets = {(frequency,) for frequency in frequencies}
-        if stated.most > 1:
+        if modulation.most > 1:
             # Pairs of neighbours keep long intervals up to high frequencies.
             sets |= set(itertools.pairwise(frequencies))
             low = chosen.frequencies[0]
@@ -70,7 +102,14 @@ def trade(goal: Goal, chosen: Parameters, *, draws: int = 24) -> Trade:
                     (low, frequency) for frequency in frequencies if frequency > low
                 }
     sets.add(chosen.frequencies)
-    listed = sorted(sets, key=lambda one: (one[-1], len(one), one))
+    listed = sorted(
+        sets,
+        key=lambda frequency_set: (
+            frequency_set[-1],
+            len(frequency_set),
+            frequency_set,
+        ),
+    )
     grid = replace(grid_of(chosen), dwell=tuple(map(float, dwells)), sets=tuple(listed))
     judge = Judge(goal, chosen.laser, draws=draws)
     score = judge.score(grid, scheme=chosen.polarization, method=chosen.method)
@@ -80,12 +119,14 @@ def trade(goal: Goal, chosen: Parameters, *, draws: int = 24) -> Trade:
         error=np.where(usable, score.error.max(axis=1), np.inf),
         scan_time=np.array(
             [
-                scan_time(goal, replace(chosen, dwell=dwell, frequencies=one))
+                scan_time(goal, replace(chosen, dwell=dwell, frequencies=frequency_set))
                 for dwell in grid.dwell
-                for one in listed
+                for frequency_set in listed
             ]
         ),
-        top_frequency=np.tile([one[-1] for one in listed], len(grid.dwell)),
+        top_frequency=np.tile(
+            [frequency_set[-1] for frequency_set in listed], len(grid.dwell)
+        ),
         best=grid.dwell.index(chosen.dwell) * len(listed)
         + listed.index(chosen.frequencies),
     )
@@ -100,36 +141,36 @@ _HALVINGS = 5
 
 @dataclass(frozen=True, kw_only=True)
 class Turn:
-    """One assumption, and where it turns the answer."""
+    """Assumption, and the value at which the runner-up wins."""
 
     label: str
-    """What is assumed."""
+    """Label of the assumption."""
     value: float
-    """As the goal states it, in SI units; the middle of a range."""
+    """Value in the goal, in SI units; the middle of a range."""
     unit: str
     """SI unit."""
     turns_at: float | None
-    """Value nearest to it at which the runner-up wins; None within a factor of ten."""
+    """Nearest value at which the runner-up wins; None within a factor of ten."""
     factor: float | None
-    """The one over the other [1]."""
+    """That value over the one in the goal [1]."""
 
 
 def what_if(
     goal: Goal, best: Parameters, other: Parameters, *, draws: int = 16
 ) -> tuple[Turn, ...]:
-    """Return at which value of each assumption another instrument wins.
+    """Return the value of each assumption at which another instrument wins.
 
     Both are judged as the search judges: those that meet all requirements before those
     that do not, then by cost where the goal states prices, then by error. One
     assumption is changed at a time, by up to ten times up and down; ranges are scaled
     as a whole. Of several crossings the nearest is stated, to 5 %.
     """
-    found = []
+    turns = []
     assumptions = _assumptions(goal, (best, other))
     for number, (label, value, unit, scaled) in enumerate(assumptions):
         _progress.tell(f"what if: {label}", number / len(assumptions))
         factor = _crossing(goal, best, other, scaled, draws)
-        found.append(
+        turns.append(
             Turn(
                 label=label,
                 value=value,
@@ -140,9 +181,9 @@ def what_if(
         )
     return tuple(
         sorted(
-            found,
-            key=lambda one: (
-                math.inf if one.factor is None else abs(math.log(one.factor))
+            turns,
+            key=lambda turn: (
+                math.inf if turn.factor is None else abs(math.log(turn.factor))
             ),
         )
     )
@@ -155,7 +196,7 @@ def _crossing(
     scaled: Callable[[float], Goal | None],
     draws: int,
 ) -> float | None:
-    """Return the factor nearest to 1 at which the other wins, if there is one."""
+    """Factor nearest to 1 at which the other instrument wins, None without one."""
 
     def wins(logarithm: float) -> bool | None:
         changed = scaled(math.exp(logarithm))
@@ -182,25 +223,25 @@ def _crossing(
 
 
 def _wins(goal: Goal, best: Parameters, other: Parameters, draws: int) -> bool:
-    """Return whether the other is ordered before the best."""
+    """Whether the other instrument is ordered before the best."""
     return _key(goal, other, draws) < _key(goal, best, draws)
 
 
-def _key(goal: Goal, one: Parameters, draws: int) -> tuple[bool, float, float]:
-    score = Judge(goal, one.laser, draws=draws).of(one)
+def _key(goal: Goal, chosen: Parameters, draws: int) -> tuple[bool, float, float]:
+    score = Judge(goal, chosen.laser, draws=draws).of(chosen)
     merit = float(merits(goal, score)[0])
     done = merit <= 0
     priced = any(
         laser.price or laser.price_per_watt for laser in goal.components.lasers
     )
-    return not done, cost_of(goal, one) if priced and done else 0.0, merit
+    return not done, cost_of(goal, chosen) if priced and done else 0.0, merit
 
 
 def _assumptions(
     goal: Goal, chosen: tuple[Parameters, ...]
 ) -> list[tuple[str, float, str, Callable[[float], Goal | None]]]:
-    """Return label, value, unit, and what gives the goal with it scaled."""
-    found: list[tuple[str, float, str, Callable[[float], Goal | None]]] = []
+    """Label, value, unit and scaling function of each assumption."""
+    rows: list[tuple[str, float, str, Callable[[float], Goal | None]]] = []
 
     def number(label: str, part: str, name: str, unit: str, most: float) -> None:
         holder = getattr(goal, part)
@@ -214,24 +255,24 @@ def _assumptions(
             changed = holder.model_copy(update={name: value * factor})
             return goal.model_copy(update={part: changed})
 
-        found.append((label, value, unit, scaled))
+        rows.append((label, value, unit, scaled))
 
     def spread(label: str, part: str, name: str, unit: str, most: float) -> None:
         holder = getattr(goal, part)
-        own: Any = getattr(holder, name)
-        if own is None or own.low <= 0:
+        limits: Any = getattr(holder, name)
+        if limits is None or limits.low <= 0:
             return
 
         def scaled(factor: float) -> Goal | None:
-            if own.high * factor > most:
+            if limits.high * factor > most:
                 return None
-            wider = own.model_copy(
-                update={"low": own.low * factor, "high": own.high * factor}
+            wider = limits.model_copy(
+                update={"low": limits.low * factor, "high": limits.high * factor}
             )
             changed = holder.model_copy(update={name: wider})
             return goal.model_copy(update={part: changed})
 
-        found.append((label, middle(own), unit, scaled))
+        rows.append((label, middle(limits), unit, scaled))
 
     far = math.inf
     spread("attenuation of the water", "waters", "attenuation", "1/m", far)
@@ -246,10 +287,10 @@ def _assumptions(
     number("phase floor", "lock_in", "phase_floor", "rad", 1.0)
     number("dark counts", "detector", "dark_rate", "1/s", far)
     number("daylight", "daylight", "radiance", "W/(m2 sr m)", far)
-    known = "assumptions"
-    methods = {one.method for one in chosen}
+    part_name = "assumptions"
+    methods = {method.method for method in chosen}
     # What neither method depends on turns nothing.
-    used = {name for one in methods for name in PREDICTED[one].assumptions}
+    used = {name for method in methods for name in PREDICTED[method].assumptions}
     for label, name in (
         ("change of the water since the shots", "water_change"),
         ("water behind the target", "column_uncertainty"),
@@ -257,6 +298,6 @@ def _assumptions(
         ("departure of the water from its model", "departure"),
     ):
         if name in used:
-            number(label, known, name, "1", 1.0)
+            number(label, part_name, name, "1", 1.0)
     number("accuracy that is asked for", "accuracy", "total_error", "m", far)
-    return found
+    return rows
